@@ -18,19 +18,19 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
-use posebridge::failures::Failures;
-use posebridge::report::live::LiveView;
-use posebridge::tasks::desk::Desk;
-use posebridge::tasks::observer::{Observer, ObserverConfig};
-use posebridge::tasks::recorder::Recorder;
-use posebridge::tasks::shard::{Ending, Shard};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortSet, Role};
-use posebridge_pipeline::Pipeline;
+use posebridge::station::deferred_errors::DeferredErrors;
+use posebridge::station::live_status::LiveView;
+use posebridge::station::observer::{Observer, ObserverConfig};
+use posebridge::station::recorder::Recorder;
+use posebridge::station::requests::RequestHandler;
+use posebridge::station::station_loop::{StationLoop, StopConditions};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkSet, LinkUrl};
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
-use posebridge_recording::container::Header;
-use posebridge_telemetry::{Address, EncoderTicks, LinkId, Stamp};
+use posebridge_recording::container::RecordingHeader;
+use posebridge_station::Station;
+use posebridge_telemetry::{Address, EncoderTicks, LinkId, Timestamp};
 use tokio_util::sync::CancellationToken;
 
 /// How fast a brick talks, and for how long.
@@ -184,8 +184,8 @@ impl Brick {
 
 fn is_estimate(datagram: &[u8]) -> bool {
     let mut found = false;
-    Scanner::new(ScannerConfig::default()).push(Stamp::ZERO, datagram, &mut |scanned| {
-        if let Scanned::Frame(frame) = scanned {
+    Framer::new(FramerConfig::default()).push(Timestamp::ZERO, datagram, &mut |scanned| {
+        if let FramerOutput::Frame(frame) = scanned {
             found |= matches!(decode(&frame), Ok(Some(Message::PlanarPose(_))));
         }
     });
@@ -235,8 +235,8 @@ fn start_station(stop: CancellationToken, ground: SocketAddr) -> (SocketAddr, st
         runtime().block_on(async {
             let (mut shard, address) = shard(&folder.join("latency.mcap"), ground).await;
             tell.send(address).expect("somebody waits");
-            shard.run(&Ending { stop, at: None, silence: None, progress: None }).await;
-            let Shard { recorder, observer, .. } = shard;
+            shard.run(&StopConditions { stop, at: None, silence: None, progress: None }).await;
+            let StationLoop { recorder, observer, .. } = shard;
             recorder.map(Recorder::finish).transpose().expect("the recording is whole");
             observer.finish().expect("the observer ends");
         });
@@ -254,7 +254,7 @@ fn shown() -> Vec<OutputSection> {
 }
 
 /// The program's own shard on a loopback UDP port, with recorder and observer, and a link to a ground station.
-async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, SocketAddr) {
+async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop, SocketAddr) {
     let timer = HostTimer::start();
     let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
     let to_ground = LinkSection { outputs: Some(shown()), ..LinkSection::new(&ground) };
@@ -263,24 +263,24 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (Shard, Socke
     let port = |id, url: &str, role| {
         let url = LinkUrl::parse(url).expect("a URL");
         let id = LinkId(id);
-        Port::new(PortConfig { id, url, role }, timer)
+        Link::new(LinkOpenConfig { id, url, role }, timer)
     };
-    let mut ports = PortSet::new(vec![port(0, &ground, Role::Dial), port(1, brick, Role::Listen)]);
-    ports.open_first().await.expect("the link opens");
-    let address = ports.iter().nth(1).and_then(Port::local_address).expect("an address");
+    let mut ports = LinkSet::new(vec![port(0, &ground, ConnectRole::Dial), port(1, brick, ConnectRole::Listen)]);
+    ports.try_open_all().await.expect("the link opens");
+    let address = ports.iter().nth(1).and_then(Link::local_address).expect("an address");
     let observed = ObserverConfig { events: None, view: LiveView::silent() };
-    let shard = Shard {
-        pipeline: Pipeline::new(config.pipeline().expect("a pipeline"), Stamp::ZERO).expect("a pipeline"),
-        ports,
+    let shard = StationLoop {
+        pipeline: Station::new(config.station_config().expect("a pipeline"), Timestamp::ZERO).expect("a pipeline"),
+        links: ports,
         timer,
-        recorder: Some(Recorder::start(recording, &Header::default()).expect("a recorder")),
+        recorder: Some(Recorder::start(recording, &RecordingHeader::default()).expect("a recorder")),
         tlog: None,
         observer: Observer::start(observed).expect("an observer"),
         dashboard: None,
-        failures: Failures::default(),
-        given: 0,
+        failures: DeferredErrors::default(),
+        input_count: 0,
         signing: None,
-        desk: Desk::new(
+        requests: RequestHandler::new(
             recording.with_extension("folder"),
             timer,
             (config.clone(), config),

@@ -17,7 +17,7 @@ use std::path::Path;
 use std::process::Command;
 
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use virtual_drive::record_drive;
 
@@ -30,7 +30,7 @@ fn main() {
     let folder = folder.path();
     for (name, minutes) in [("ten-minutes", 10.0), ("hour", 60.0)] {
         let path = folder.join(format!("{name}.mcap"));
-        record_drive(&path, scenario(minutes), Span::ZERO);
+        record_drive(&path, scenario(minutes), TimeDelta::ZERO);
         measure(folder, name);
     }
 }

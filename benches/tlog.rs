@@ -17,7 +17,7 @@ use nix::sys::resource::{UsageWho, getrusage};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{Heartbeat, Inertial, Message, VisionFix, WheelTicks, WireStamp};
-use posebridge_recording::tlog::Writer;
+use posebridge_recording::tlog::TlogWriter;
 use posebridge_telemetry::{Address, EncoderTicks, Heading, Meters, Radians, RadiansPerSecond};
 
 /// An hour.
@@ -100,7 +100,7 @@ fn children_cpu_s() -> f64 {
 /// Writes so many hours of a robot that drives a circle of 0.5 m at 0.2 m/s, and says how many frames there are.
 fn write(path: &Path, hours: u64) -> u64 {
     let file = std::fs::File::create(path).expect("a log");
-    let mut writer = Writer::new(std::io::BufWriter::new(file));
+    let mut writer = TlogWriter::new(std::io::BufWriter::new(file));
     let mut encoder = Encoder::new(WireVersion::V2);
     let mut frame = Vec::new();
     let mut frames = 0;
@@ -160,6 +160,7 @@ fn fix(micros: u64, turned_rad: f64) -> Message {
         heading: Some(Heading::from_rad(turned_rad)),
         covariance: None,
         reset_counter: 0,
+        tag: None,
     })
 }
 

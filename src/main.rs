@@ -4,9 +4,8 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
-use posebridge::cli::Cli;
-use posebridge::commands;
-use posebridge::stderr::{LogWriter, say};
+use posebridge::cli::{Cli, execute};
+use posebridge::console::{LogWriter, print_line};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -15,10 +14,10 @@ fn main() -> ExitCode {
         .with_writer(|| LogWriter)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    match commands::execute(cli) {
+    match execute(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            say(&format!("posebridge: {:#}", failure.error()));
+            print_line(&format!("posebridge: {:#}", failure.error()));
             ExitCode::from(failure.exit_code())
         }
     }

@@ -6,12 +6,12 @@ use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::process::Stdio;
 
-use support::{Running, WHEELS_CSV, posebridge, root, stdout_of};
+use support::{RunningProgram, WHEELS_CSV, posebridge, root, stdout_of};
 
 #[test]
 fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
     let folder = tempfile::tempdir().unwrap();
-    let mut station = Running::start(posebridge(folder.path()).args([
+    let mut station = RunningProgram::start(posebridge(folder.path()).args([
         "run",
         "--listen",
         "udp://127.0.0.1:0",
@@ -21,7 +21,7 @@ fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
         "run",
     ]));
     let address = station.listening_address("");
-    let mut player = Running::start(
+    let mut player = RunningProgram::start(
         posebridge(folder.path())
             .arg("play")
             .arg(root().join("config/recordings/optiodom.toml"))
@@ -41,10 +41,10 @@ fn a_player_that_calls_over_udp_is_heard_by_a_station_that_waits() {
 fn another_client_of_our_tcp_server_does_not_mute_the_brick() {
     let folder = tempfile::tempdir().unwrap();
     let mut station =
-        Running::start(posebridge(folder.path()).args(["run", "--listen", "tcp://127.0.0.1:0", "--out", "run"]));
+        RunningProgram::start(posebridge(folder.path()).args(["run", "--listen", "tcp://127.0.0.1:0", "--out", "run"]));
     let address = station.listening_address("");
     let link = format!("tcp://{address}");
-    let _brick = Running::start(posebridge(folder.path()).args(["sim", "circle", "--link", &link]));
+    let _brick = RunningProgram::start(posebridge(folder.path()).args(["sim", "circle", "--link", &link]));
     station.wait_for("heard link 0 1/1");
     let mut stranger = std::net::TcpStream::connect(&address).unwrap();
     stranger.write_all(b"x").unwrap();

@@ -1,19 +1,23 @@
 //! The walls of the house, checked against what Cargo says about it.
 //!
-//! [`LAYERS`] is the dependency table of `ARCHITECTURE.md`. The tests here fail with one sentence per violated edge, so
-//! that a wall falls only by a decision that somebody can see in a diff. They read manifests and sources as text; they
+//! [`LAYERS`] is the dependency table of `ARCHITECTURE.md`, [`PARTS`] the one of `src/`. The tests here fail with one sentence per violated
+//! edge, so that a wall falls only by a decision that somebody can see in a diff. They read manifests and sources as text; they
 //! do not judge what the code does, and they need no network.
 #![expect(
     clippy::expect_used,
     reason = "helpers outside #[test] stop with a reason when the checkout itself is broken"
 )]
 
+#[path = "support/imports.rs"]
+mod imports;
+
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use cargo_metadata::{Dependency, DependencyKind, Metadata, MetadataCommand, Package};
+use imports::{Imports, rust_files};
 
 /// One crate and what it may name.
 struct Layer {
@@ -41,16 +45,35 @@ const LAYERS: &[Layer] = &[
     pure("protocol", &["telemetry"]),
     pure("estimator", &["telemetry"]),
     pure("recording", &["telemetry"]),
-    pure("pipeline", &["telemetry", "protocol", "estimator"]),
-    pure("analysis", &["telemetry", "estimator", "pipeline", "recording"]),
+    pure("station", &["telemetry", "protocol", "estimator"]),
+    pure("report", &["telemetry", "estimator"]),
+    pure("lab", &["telemetry", "estimator", "station", "recording", "report"]),
     // Never estimator or pipeline: nobody marks their own exam.
     pure("sim", &["telemetry", "protocol", "brick"]),
     io("link", &["telemetry"]),
     io("dashboard", &["telemetry", "recording"]),
     // Tests of the others; nobody may name it.
     io("fuzz-bodies", &["telemetry", "brick", "protocol", "recording", "link", "sim", "dashboard", ROOT]),
-    io(ROOT, &["telemetry", "protocol", "estimator", "recording", "pipeline", "analysis", "sim", "link", "dashboard"]),
+    io(
+        ROOT,
+        &["telemetry", "protocol", "estimator", "recording", "station", "report", "lab", "sim", "link", "dashboard"],
+    ),
 ];
+
+/// The parts of `src/`, with the files and folders of each. A part imports from itself and from those before it. So nothing but `cli` names
+/// the lab, which the feature of that name takes out of the program.
+const PARTS: &[(&str, &[&str])] = &[
+    ("base", &["console.rs", "exit.rs"]),
+    ("config", &["config"]),
+    ("flags", &["flags.rs"]),
+    ("station", &["station", "virtual_station.rs"]),
+    ("tools", &["tools"]),
+    ("lab", &["lab"]),
+    ("cli", &["cli.rs", "lib.rs", "main.rs"]),
+];
+
+/// The crates whose files import each other in no circle.
+const WITHOUT_CIRCLES: &[&str] = &[ROOT, "brick", "dashboard", "fuzz-bodies", "link", "recording", "sim", "telemetry"];
 
 /// The package at the top of the workspace.
 const ROOT: &str = "posebridge";
@@ -156,6 +179,69 @@ fn the_source_scan_sees_code_and_skips_comments_and_tests() {
 }
 
 #[test]
+fn the_parts_of_the_program_import_only_from_those_before_them() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut violations = Vec::new();
+    for file in rust_files(&src) {
+        let file = file.strip_prefix(&src).expect("it lies below the folder");
+        if part(file).is_none() {
+            violations.push(format!("src/{} is in no row of PARTS", file.display()));
+        }
+    }
+    for (file, imported) in &Imports::read(&src).edges {
+        for (target, name) in imported.iter().filter(|(target, _)| part(target) > part(file)) {
+            violations.push(format!("src/{} imports `{name}` from src/{}", file.display(), target.display()));
+        }
+    }
+    assert_none(&violations);
+}
+
+#[test]
+fn no_files_of_a_crate_import_each_other_in_a_circle() {
+    let metadata = workspace();
+    let members = members(&metadata);
+    let mut violations = Vec::new();
+    for name in WITHOUT_CIRCLES {
+        let package = members.get(name).expect("WITHOUT_CIRCLES names crates of the workspace");
+        let src = package.manifest_path.with_file_name("src");
+        let circles = Imports::read(src.as_std_path()).circles();
+        violations.extend(circles.iter().map(|circle| format!("{name}: {circle}")));
+    }
+    assert_none(&violations);
+}
+
+#[test]
+fn the_import_scan_follows_re_exports_and_skips_tests() {
+    let crate_of = |files: &[(&str, &str)]| {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (name, text) in files {
+            fs::write(folder.path().join(name), text).expect("a file in it");
+        }
+        Imports::read(folder.path())
+    };
+    let root = "mod a; mod b; pub use a::One;";
+    let b = "pub struct Two(u8); #[cfg(test)] mod tests { use crate::a::One; }";
+    // By the root's re-export, in a bracket, and not by what only tests import.
+    let one_way = crate_of(&[("lib.rs", root), ("a.rs", "use crate::b::{Two as T}; pub struct One(T);"), ("b.rs", b)]);
+    assert_eq!(one_way.circles(), Vec::<String>::new());
+    assert_eq!(one_way.edges[Path::new("a.rs")][Path::new("b.rs")], "crate::b::Two");
+    let circle = crate_of(&[
+        ("lib.rs", root),
+        ("a.rs", "use crate::b::Two; pub struct One(Two);"),
+        ("b.rs", "pub struct Two(u8); fn f(x: &crate::One) { x.g() }"),
+    ]);
+    let said = "a.rs imports `crate::b::Two` from b.rs, b.rs imports `crate::One` from a.rs";
+    assert_eq!(circle.circles(), [said]);
+    // A parent that uses what it re-exports, and a child that uses its parent.
+    let parent = crate_of(&[
+        ("lib.rs", "mod a; pub use a::One; pub trait Root {} pub const ALL: [One; 0] = [];"),
+        ("a.rs", "use super::Root; pub struct One; impl Root for One {}"),
+    ]);
+    let said = "a.rs imports `super::Root` from lib.rs, lib.rs imports `a::One` from a.rs";
+    assert_eq!(parent.circles(), [said]);
+}
+
+#[test]
 fn the_default_build_needs_no_system_library() {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "--workspace", "--offline", "--locked"])
@@ -203,6 +289,12 @@ fn page_row(layer: &Layer) -> String {
         names => names.join(", "),
     };
     format!("| `{}` | {kind} | {may_name} |", layer.name)
+}
+
+/// The place in [`PARTS`] of a file below `src/`.
+fn part(file: &Path) -> Option<usize> {
+    let first = file.iter().next()?;
+    PARTS.iter().position(|(_, content)| content.iter().any(|name| first == *name))
 }
 
 /// Whether a dependency binds its crate to the table. Tests may look further than the code that they test, except in
@@ -260,24 +352,6 @@ fn names_path(line: &str, path: &str) -> bool {
         let before = line[..start].chars().next_back();
         before.is_none_or(|c| !c.is_alphanumeric() && c != '_')
     })
-}
-
-/// Every Rust file below a folder, except files that hold nothing but unit tests.
-fn rust_files(folder: &Path) -> Vec<PathBuf> {
-    let mut files = Vec::new();
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).expect("a source folder can be listed") {
-            let path = entry.expect("a source folder can be listed").path();
-            if path.is_dir() {
-                folders.push(path);
-            } else if path.extension().is_some_and(|end| end == "rs") && !path.ends_with("tests.rs") {
-                files.push(path);
-            }
-        }
-    }
-    files.sort();
-    files
 }
 
 fn read(path: &Path) -> String {

@@ -8,16 +8,18 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use posebridge_analysis::square::{Method, Sense, SensorRow, SensorTable, corrected, parse, printed, swapped, write};
-use posebridge_estimator::{FilterConfig, Params, StartPose, filter_named};
+use posebridge_estimator::{FilterConfig, Params, StartPose, find_filter};
+use posebridge_lab::square::{
+    Method, SensorRow, SensorTable, TableSensor, corrected_methods, parse, printed_methods, swapped_methods, write,
+};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Known, Meters, Pose, Radians, SensorNoise};
+use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise, UncertainValue};
 
 use support::{posebridge, root, stdout_of};
 
 /// Of the largest value in the drive.
 const TOLERANCE: f64 = 1e-9;
-const SENSES: &[Sense] = &[Sense::Wheels, Sense::Accelerometers, Sense::Gyro];
+const SENSES: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 
 fn config() -> FilterConfig {
     FilterConfig {
@@ -45,10 +47,10 @@ fn config() -> FilterConfig {
         }),
         params: Params::default(),
         calibration: Calibration {
-            gyro_bias_rad_per_s: Known { value: 0.002, sigma: 0.003 },
+            gyro_bias_rad_per_s: UncertainValue { value: 0.002, sigma: 0.003 },
             ..Calibration::default()
         },
-        world: std::sync::Arc::default(),
+        arena_map: std::sync::Arc::default(),
     }
 }
 
@@ -136,25 +138,25 @@ fn named_numbers(line: &str) -> Vec<(String, Vec<f64>)> {
 /// What the station's filters believe, under the names that the program prints.
 fn expected(table: &SensorTable, config: &FilterConfig) -> Vec<(&'static str, Vec<Vec<f64>>)> {
     let of = |methods: Vec<Method>, index: usize| -> Vec<Vec<f64>> {
-        let path = methods[index].follow(table, config, 1_000_000);
+        let path = methods[index].run(table, config, 1_000_000);
         path.into_iter().map(|state| state.to_vec()).collect()
     };
     vec![
-        ("wheel-kf", of(printed(), 1)),
-        ("wheel-kf own", of(corrected(), 1)),
-        ("velocity-kf", of(printed(), 2)),
-        ("velocity-kf own", of(corrected(), 2)),
-        ("ekf5", of(printed(), 3)),
-        ("ekf5 swapped", of(swapped(), 3)),
-        ("ekf5-corrected", of(corrected(), 3)),
+        ("wheel-kf", of(printed_methods(), 1)),
+        ("wheel-kf own", of(corrected_methods(), 1)),
+        ("velocity-kf", of(printed_methods(), 2)),
+        ("velocity-kf own", of(corrected_methods(), 2)),
+        ("ekf5", of(printed_methods(), 3)),
+        ("ekf5 swapped", of(swapped_methods(), 3)),
+        ("ekf5-corrected", of(corrected_methods(), 3)),
         ("P of ekf5", variances(table, config, "ekf5")),
         ("P of ekf5-corrected", variances(table, config, "ekf5-corrected")),
     ]
 }
 
 fn variances(table: &SensorTable, config: &FilterConfig, name: &str) -> Vec<Vec<f64>> {
-    let mut filter = (filter_named(name).unwrap().build)(config);
-    let unit_rad = table.unit.in_rad(&config.geometry);
+    let mut filter = (find_filter(name).unwrap().build)(config);
+    let unit_rad = table.unit.rad_per_unit(&config.geometry);
     let rows = table.rows.iter().map(|row| {
         for observation in row.observations(unit_rad, SENSES) {
             filter.observe(&observation);

@@ -2,12 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use posebridge::config::{Config, Ev3Section, LinkSection, NxtSection, NxtSensorKind, NxtSensorSection, Place};
-use posebridge::report::run::{Truth, errors};
-use posebridge::virtual_run::{self, VirtualLink, VirtualRun};
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge::virtual_station::{self, VirtualLink, VirtualRun};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::scenario::MissingSensor;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{SensorId, Span};
+use posebridge_telemetry::{SensorId, TimeDelta};
 
 /// A link that stands still for two seconds, each twenty seconds on average: an NXT sends 29 answers a second.
 const STALLS: &str = "kind = \"stream\"\n[to_brick]\n[to_station]\nstalls = [{ probability = 0.0017, from_ms = 2000.0, to_ms = 2000.0 }]\n";
@@ -40,12 +40,12 @@ fn station(brick: &str, scenario: &Scenario) -> Config {
 fn driven(brick: &str, laps: u32, seed: u64, link: &VirtualLink) -> VirtualRun {
     let scenario = square(brick, laps, seed);
     let config = station(brick, &scenario);
-    virtual_run::run_over(scenario, config.pipeline().unwrap(), link).unwrap()
+    virtual_station::run_over_link(scenario, config.station_config().unwrap(), link).unwrap()
 }
 
 /// The estimate's and the odometry's error, rms, in millimetres.
 fn errors_mm(run: &VirtualRun) -> [f64; 2] {
-    let (estimate, odometry) = errors(&run.collector, &Truth::of(&run.simulation));
+    let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
     [estimate, odometry].map(|error| 1e3 * error.position_rms_m.unwrap())
 }
 
@@ -82,7 +82,7 @@ fn states_per_second(telegrams: &[Vec<u8>]) -> f64 {
     const SECONDS: f64 = 20.0;
     let mut simulation = Simulation::new(square("nxt", 1, 3));
     let mut states = 0;
-    while simulation.elapsed() < Span::from_secs_f64(SECONDS) {
+    while simulation.elapsed() < TimeDelta::from_secs_f64(SECONDS) {
         for telegram in telegrams {
             let length = (telegram.len() as u16).to_le_bytes();
             simulation.receive(&[&length[..], telegram].concat());
@@ -144,7 +144,7 @@ fn an_nxt_whose_link_stalls_is_followed_without_false_motion() {
         let run = driven("nxt", 2, seed, &link);
         let [estimate_mm, _] = errors_mm(&run);
         let [calm_mm, _] = errors_mm(&driven("nxt", 2, seed, &VirtualLink::default()));
-        let two_seconds = Span::from_millis(1_900);
+        let two_seconds = TimeDelta::from_millis(1_900);
         let late = run.delays_to_station.iter().filter(|delay| **delay > two_seconds);
         let stalls = late.count();
         println!("seed {seed}: {estimate_mm:.1} mm with {stalls} stalls, {calm_mm:.1} mm without");
@@ -167,7 +167,8 @@ fn an_ev3_that_waits_for_a_sensor_that_is_not_there_costs_its_wheels_three_secon
         gyro_port: 1,
         ..Ev3Section::default()
     });
-    let run = virtual_run::run_over(scenario, config.pipeline().unwrap(), &VirtualLink::default()).unwrap();
+    let run =
+        virtual_station::run_over_link(scenario, config.station_config().unwrap(), &VirtualLink::default()).unwrap();
     let full = driven("ev3", 2, 3, &VirtualLink::default());
     let missing_s =
         run.simulation.elapsed().as_secs_f64() - used(&run, SensorId::WHEELS) / rate_hz(&full, SensorId::WHEELS);
@@ -191,7 +192,7 @@ fn programs_that_begin_anew_are_no_motion_with_stalls_and_without() {
                 scenario.brick.program_restart_s = Some(PROGRAM_RESTART_S);
                 let config = station(brick, &scenario);
                 let link = VirtualLink { profile: profile.clone(), seed, ..VirtualLink::default() };
-                let run = virtual_run::run_over(scenario, config.pipeline().unwrap(), &link).unwrap();
+                let run = virtual_station::run_over_link(scenario, config.station_config().unwrap(), &link).unwrap();
                 assert!(run.simulation.is_finished(), "{brick}");
                 worst_mm = worst_mm.max(errors_mm(&run)[0]);
             }

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use posebridge::config::{Config, ROBOTS, RobotProfile, RobotStart};
-use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{Estimate, Event, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
+use posebridge_station::Station;
+use posebridge_telemetry::{Estimate, Event, Input, LinkId, LinkState, Output, PeerId, TimeDelta, Timestamp};
 
 use support::root;
 
@@ -30,7 +30,7 @@ const STEPS: i64 = 600;
 const CLOCK_START_US: f64 = 4_289_967_296.0;
 const CLOCK_RATE: f64 = 1.0005;
 /// How long bytes are on their way to the station.
-const DELAY: Span = Span::from_millis(3);
+const DELAY: TimeDelta = TimeDelta::from_millis(3);
 
 /// A robot's program, and the pipes that are its board.
 struct Robot {
@@ -90,26 +90,26 @@ fn drive(command: Command) -> Drive {
     let mut config = Config::default();
     config.robot.start =
         Some(RobotStart { x_m: 0.0, y_m: 0.0, heading_deg: 0.0, position_sigma_m: 0.001, heading_sigma_deg: 0.1 });
-    let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
+    let mut pipeline = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut robot = Robot::start(command);
     let (mut to_robot, mut estimate, mut belief) = (Vec::new(), None, Belief::default());
     let mut alignments = 0;
     let link = LinkId(0);
     let up = Input::Link { link, state: LinkState::Up };
-    pipeline.handle(Stamp::ZERO, &up);
+    pipeline.handle(Timestamp::ZERO, &up);
     for step in 0..STEPS {
-        let at = Span::from_millis(step * STEP_MS);
+        let at = TimeDelta::from_millis(step * STEP_MS);
         let (bytes, believed) = robot.step(at.as_secs_f64(), &to_robot);
         belief = believed;
         to_robot.clear();
         let peer = PeerId::default();
         let input = Input::Bytes { link, peer, bytes };
         for input in [&input, &Input::Tick] {
-            pipeline.handle(Stamp::ZERO + at + DELAY, input);
+            pipeline.handle(Timestamp::ZERO + at + DELAY, input);
             while let Some(output) = pipeline.poll() {
                 match output {
                     Output::Transmit { bytes, .. } => to_robot.extend(bytes),
-                    Output::Event(Event::Estimated { estimate: new, .. }) => estimate = Some(new),
+                    Output::Event(Event::EstimateUpdated { estimate: new, .. }) => estimate = Some(new),
                     Output::Event(Event::BrickClockAligned { .. }) => alignments += 1,
                     Output::Event(_) | Output::Request(_) => {}
                 }
@@ -122,7 +122,7 @@ fn drive(command: Command) -> Drive {
 
 /// Where the robot is at a step.
 fn truth(step: i64) -> [f64; 3] {
-    let turned = TURN_RAD_PER_S * Span::from_millis(step * STEP_MS).as_secs_f64();
+    let turned = TURN_RAD_PER_S * TimeDelta::from_millis(step * STEP_MS).as_secs_f64();
     let radius = SPEED_M_PER_S / TURN_RAD_PER_S;
     [radius * turned.sin(), radius * (1.0 - turned.cos()), posebridge_telemetry::quantities::wrap_rad(turned)]
 }
@@ -191,6 +191,6 @@ fn every_robot_profile_loads_and_bears_the_name_of_its_file() {
         assert_eq!(profile.robot.name, stem);
         let config = Config::default().with_robot(profile);
         config.filter_config().unwrap();
-        config.pipeline().unwrap();
+        config.station_config().unwrap();
     }
 }

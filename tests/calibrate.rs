@@ -11,7 +11,7 @@ mod support;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use calibrating::{calibrate, number, refused};
+use calibrating::{calibrate, calibrate_failing, number};
 use posebridge::config::RobotProfile;
 use serde_json::Value;
 use support::{GYRO_BESIDE_WHEELS, WHEELS_CSV, posebridge, root, stdout_of};
@@ -138,7 +138,7 @@ fn runs_to_try_on_take_no_part_in_the_calibration() {
     assert_eq!(names(&found, "tried"), [last]);
     let (descriptor, data) = (optiodom.to_str().unwrap(), committed.to_str().unwrap());
     let taken = ["path", descriptor, "--data", data, "--run", last, "--try-on", last];
-    let (code, said) = refused(folder.path(), &taken);
+    let (code, said) = calibrate_failing(folder.path(), &taken);
     assert!(code == 2 && said.contains("--try-on takes them all"), "{said}");
 }
 
@@ -234,27 +234,27 @@ fn a_camera_is_calibrated_by_points_and_a_mistyped_one_is_named() {
 fn what_cannot_be_done_is_said_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("one.csv"), "direction,x_mm,y_mm\ncw,1,2\n").unwrap();
-    let (code, said) = refused(folder.path(), &["umbmark", "--ends", "one.csv"]);
+    let (code, said) = calibrate_failing(folder.path(), &["umbmark", "--ends", "one.csv"]);
     assert!(code == 2 && said.contains("--side-m"), "{said}");
-    let (code, said) = refused(folder.path(), &["umbmark", "--ends", "one.csv", "--side-m", "4"]);
+    let (code, said) = calibrate_failing(folder.path(), &["umbmark", "--ends", "one.csv", "--side-m", "4"]);
     assert!(code == 2 && said.contains("squares driven counter-clockwise: 0 found"), "{said}");
     std::fs::write(folder.path().join("bad.csv"), "direction,x_mm,y_mm\nleft,1,2\n").unwrap();
-    let (code, said) = refused(folder.path(), &["umbmark", "--ends", "bad.csv", "--side-m", "4"]);
+    let (code, said) = calibrate_failing(folder.path(), &["umbmark", "--ends", "bad.csv", "--side-m", "4"]);
     assert!(code == 2 && said.contains("`bad.csv` line 2: `left` in column `direction`"), "{said}");
     let optiodom = recording("optiodom.toml");
     let (descriptor, data) = (optiodom.to_str().unwrap(), root().join("tests/data"));
     let data = data.to_str().unwrap();
     let path = ["path", descriptor, "--data", data];
-    let (code, said) = refused(folder.path(), &[&path[..], &["--against", "fixes"]].concat());
+    let (code, said) = calibrate_failing(folder.path(), &[&path[..], &["--against", "fixes"]].concat());
     assert!(code == 2 && said.contains("--against truth"), "{said}");
-    let (code, said) = refused(folder.path(), &[&path[..], &["--free", "tag=1"]].concat());
+    let (code, said) = calibrate_failing(folder.path(), &[&path[..], &["--free", "tag=1"]].concat());
     assert!(code == 2 && said.contains("wheel-radius"), "{said}");
     let decimal_commas = "direction,x_mm,y_mm\ncw,-12,5,-20,1\n";
     std::fs::write(folder.path().join("commas.csv"), decimal_commas).unwrap();
     let commas = ["umbmark", "--ends", "commas.csv", "--side-m", "4"];
-    let (code, said) = refused(folder.path(), &commas);
+    let (code, said) = calibrate_failing(folder.path(), &commas);
     assert!(code == 2 && said.contains("`commas.csv` line 2") && said.contains("decimal points"), "{said}");
-    let (code, said) = refused(folder.path(), &["rest", descriptor, "--data", data]);
+    let (code, said) = calibrate_failing(folder.path(), &["rest", descriptor, "--data", data]);
     assert!(code == 1 && said.contains("record a minute of rest"), "{said}");
 }
 
@@ -298,7 +298,7 @@ fn drives_of_different_robots_are_not_mixed() {
     let wide = text.replace("track_width_m = 0.2", "track_width_m = 0.3").replace("rest\"", "wide\"");
     std::fs::write(folder.path().join("wide.toml"), wide).unwrap();
     let both = ["umbmark", "one.toml", "wide.toml", "--data", "."];
-    let (code, said) = refused(folder.path(), &both);
+    let (code, said) = calibrate_failing(folder.path(), &both);
     let are_named = said.contains("`rest` and `wide` are described as different robots");
     assert!(code == 2 && are_named, "{said}");
     let tune = ["tune", "--recording", "one.toml", "--recording", "wide.toml", "--data", "."];
@@ -306,6 +306,6 @@ fn drives_of_different_robots_are_not_mixed() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && said.contains("different robots"), "{said}");
     // Nobody saw where they ended: another direction would not help.
-    let (code, said) = refused(folder.path(), &["umbmark", "one.toml", "--data", "."]);
+    let (code, said) = calibrate_failing(folder.path(), &["umbmark", "one.toml", "--data", "."]);
     assert!(code == 1 && !said.contains("both directions"), "{said}");
 }

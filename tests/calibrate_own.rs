@@ -9,10 +9,10 @@ mod virtual_drive;
 
 use std::path::Path;
 
-use calibrating::{calibrate, number, refused};
+use calibrating::{calibrate, calibrate_failing, number};
 use posebridge::config::RobotProfile;
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 use virtual_drive::record_drive;
@@ -20,7 +20,7 @@ use virtual_drive::record_drive;
 /// How far the wheels and the track of the simulated robot are off, as shares: mean radius, difference of the radii, track.
 const OFF: [f64; 3] = [0.02, 0.008, 0.04];
 /// For so long the robot stands when its path has ended.
-const REST: Span = Span::from_millis(60_000);
+const REST: TimeDelta = TimeDelta::from_millis(60_000);
 
 /// A figure of eight by a robot that is not what its brick says, and a minute of rest, as `posebridge run` would have recorded it:
 /// brick and station in virtual time, every input of the station written down.
@@ -90,7 +90,7 @@ fn what_the_filter_has_learned_on_line_is_a_profile_too() {
         (["--try-on", "drive"], "`drive.mcap` is one drive"),
         (["--truth-sigma-m", "0.1"], "compared with fixes"),
     ] {
-        let (code, said) = refused(folder.path(), &[&["path", "drive.mcap"], &asked[..]].concat());
+        let (code, said) = calibrate_failing(folder.path(), &[&["path", "drive.mcap"], &asked[..]].concat());
         assert!(code == 2 && said.contains(word), "{said}");
         assert!(!said.contains("--run"), "{said}");
     }
@@ -109,10 +109,10 @@ fn what_the_filter_has_learned_on_line_is_a_profile_too() {
     let committed = root().join("tests/data");
     let optiodom = root().join("config/recordings/optiodom.toml");
     let of = ["path", optiodom.to_str().unwrap(), "--data", committed.to_str().unwrap(), "--online"];
-    let (code, said) = refused(folder.path(), &of);
+    let (code, said) = calibrate_failing(folder.path(), &of);
     assert!(code == 2 && said.contains("choose one with --run"), "{said}");
     let one = ["--run", "circular/250620202104/run-01"];
-    let (code, said) = refused(folder.path(), &[&of[..], &one].concat());
+    let (code, said) = calibrate_failing(folder.path(), &[&of[..], &one].concat());
     assert!(code == 1 && said.contains("has no fixes"), "{said}");
 }
 

@@ -10,7 +10,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use serde_json::Value;
-use support::{Running, posebridge, root, stdout_of};
+use support::{RunningProgram, events_named, posebridge, root, stdout_of};
 
 /// A square whose robot is not quite what its brick believes, with an overhead camera of 10 Hz and a few millimetres.
 const SCENARIO: &str = r#"
@@ -75,9 +75,9 @@ fn address_in(line: &str, what: &str) -> String {
     behind[..end].trim().to_owned()
 }
 
-fn brick(folder: &Path) -> (Running, String, String) {
+fn brick(folder: &Path) -> (RunningProgram, String, String) {
     std::fs::write(folder.join("square.toml"), SCENARIO).expect("the folder can be written");
-    let mut brick = Running::start(posebridge(folder).args([
+    let mut brick = RunningProgram::start(posebridge(folder).args([
         "sim",
         "square.toml",
         "--listen",
@@ -93,12 +93,12 @@ fn brick(folder: &Path) -> (Running, String, String) {
     (brick, own, images)
 }
 
-fn station(folder: &Path, brick: &str) -> (Running, String) {
+fn station(folder: &Path, brick: &str) -> (RunningProgram, String) {
     let config = format!(
         "[[link]]\nurl = \"tcp://{brick}\"\n\n[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nbrick = \"camera-json\"\n"
     );
     std::fs::write(folder.join("station.toml"), config).expect("the folder can be written");
-    let mut station = Running::start(posebridge(folder).args([
+    let mut station = RunningProgram::start(posebridge(folder).args([
         "run",
         "--config",
         "station.toml",
@@ -177,7 +177,7 @@ fn over_udp_and_tcp_a_bad_line_is_answered_and_the_time_is_asked() {
         let folder = tempfile::tempdir().unwrap();
         let config = format!("[[link]]\nurl = \"{scheme}://127.0.0.1:0\"\nlisten = true\nbrick = \"camera-json\"\n");
         std::fs::write(folder.path().join("station.toml"), config).unwrap();
-        let mut station = Running::start(posebridge(folder.path()).args(["run", "--config", "station.toml"]));
+        let mut station = RunningProgram::start(posebridge(folder.path()).args(["run", "--config", "station.toml"]));
         let address = station.listening_address("");
         let mut camera = Sender::to(scheme, &address);
         camera.say("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": 2}\n");
@@ -211,13 +211,12 @@ fn a_script_of_a_few_lines_holds_the_pose_to_three_millimetres_through_150_ms() 
     let camera = sources.find(|source| source["name"] == "camera");
     let used = camera.unwrap()["used"].as_u64().unwrap();
     let events = std::fs::read_to_string(folder.path().join("events.txt")).unwrap();
-    let aligned = events.lines().filter(|line| line.starts_with("CameraClockAligned"));
+    let aligned = events_named(&events, "camera_clock_aligned").len();
     println!(
-        "{used} fixes, {} of the camera's clock aligned; position {rms_mm:.2} mm rms, heading {heading_deg:.2} degrees rms",
-        aligned.clone().count()
+        "{used} fixes, {aligned} of the camera's clock aligned; position {rms_mm:.2} mm rms, heading {heading_deg:.2} degrees rms"
     );
     assert!(used > 80, "{used} fixes were used");
-    assert!(aligned.count() > 10, "the script answers for its time");
+    assert!(aligned > 10, "the script answers for its time");
     assert!(rms_mm <= 3.0, "{rms_mm} mm");
     assert!(events.contains("camera `overhead` is 1/100 here"));
 }

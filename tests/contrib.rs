@@ -9,9 +9,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 use clap::Parser;
-use http::{Reader, get};
+use http::{StreamReader, get};
 use posebridge::cli::{self, Cli};
-use support::{Running, posebridge, root};
+use support::{RunningProgram, posebridge, root};
 
 fn read(file: &str) -> String {
     std::fs::read_to_string(root().join("contrib").join(file)).unwrap()
@@ -22,19 +22,19 @@ fn printed_metrics() -> BTreeMap<String, BTreeMap<String, BTreeSet<String>>> {
     let folder = tempfile::tempdir().unwrap();
     let mut command = posebridge(folder.path());
     command.args(["run", "--dashboard", "127.0.0.1:0", "--out", "run"]);
-    let mut program = Running::start(&mut command);
+    let mut program = RunningProgram::start(&mut command);
     let line = program.wait_for("dashboard: http://");
     let (_, rest) = line.split_once("http://").unwrap();
     let address = rest.trim().trim_end_matches('/').parse().unwrap();
-    let mut reader = Reader::open(address);
-    reader.until(|message| message["links"][0]["round_trip_ms"].is_number());
-    reader.until(|message| {
+    let mut reader = StreamReader::open(address);
+    reader.wait_for(|message| message["links"][0]["round_trip_ms"].is_number());
+    reader.wait_for(|message| {
         let fixes = message["robots"][0]["fixes"].as_array();
         fixes.is_some_and(|fixes| fixes.iter().any(|fix| fix["verdict"] == "accepted"))
     });
     // Said once a second, like the health of a link.
     for _ in 0..2 {
-        reader.until(|message| message["links"].is_array());
+        reader.wait_for(|message| message["links"].is_array());
     }
     let page = get(address, "/metrics").text();
     program.interrupt();
@@ -169,7 +169,7 @@ fn the_service_calls_the_program_as_it_wants_to_be_called() {
     let state = format!("/var/lib/{}", value("StateDirectory"));
     assert_eq!(value("WorkingDirectory"), state);
     // 2 is what the program says where it could not start.
-    let could_not_start = posebridge::commands::Failure::CouldNotStart(anyhow::anyhow!(""));
+    let could_not_start = posebridge::exit::Failure::CouldNotStart(anyhow::anyhow!(""));
     let code = could_not_start.exit_code().to_string();
     assert_eq!(value("RestartPreventExitStatus"), code);
 }

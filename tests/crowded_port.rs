@@ -2,27 +2,28 @@
 //!
 //! With real sockets in real time: the mad one sends as fast as a thread can. The robots speak in rounds and wait for the end of
 //! each, so that it is never they who are too fast. `crates/link/tests/flood.rs` has the same for the link alone, and
-//! `crates/pipeline/tests/peers.rs` for the engine alone.
+//! `crates/station/tests/peers.rs` for the engine alone.
 #![expect(
     clippy::expect_used,
     clippy::wildcard_enum_match_arm,
     reason = "helpers outside #[test] stop where the set-up is broken, and pick the events that they are about"
 )]
 
+use std::collections::BTreeSet;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use posebridge::config::load_text;
-use posebridge_link::{HostTimer, Port, PortConfig, PortEvent, Role};
-use posebridge_pipeline::Pipeline;
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
+use posebridge_station::Station;
 use posebridge_telemetry::{
-    Address, EncoderTicks, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Observation, Observed, Output,
-    SourceHealth, Stamp,
+    Address, EncoderTicks, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Observation, ObservationKind,
+    Output, RobotId, SourceHealth, Timestamp,
 };
 
 const ROBOTS: u32 = 498;
@@ -111,46 +112,46 @@ fn speak(to: SocketAddr, stop: &AtomicBool, heard: &AtomicU64) {
 }
 
 /// A port with its engine.
-struct Station {
-    port: Port,
+struct TestStation {
+    port: Link,
     timer: HostTimer,
-    pipeline: Pipeline,
+    pipeline: Station,
     health: LinkHealth,
     sources: Vec<SourceHealth>,
-    observations: Vec<Observation>,
+    observations: Vec<(RobotId, Observation)>,
     garbage: u64,
     /// Datagrams of robots, for the thread that sends them.
     good: Arc<AtomicU64>,
 }
 
-impl Station {
+impl TestStation {
     async fn open() -> Self {
         let url = "udp://127.0.0.1:0";
         let text = format!("[[link]]\nurl = \"{url}\"\nlisten = true\n");
         let config = load_text("test", &text, &[]).expect("a configuration");
-        let config = config.config.pipeline().expect("a configuration");
-        let port = PortConfig { id: LINK, url: url.parse().expect("a link"), role: Role::Listen };
+        let config = config.config.station_config().expect("a configuration");
+        let port = LinkOpenConfig { id: LINK, url: url.parse().expect("a link"), role: ConnectRole::Listen };
         let timer = HostTimer::start();
         let mut station = Self {
-            port: Port::new(port, timer),
+            port: Link::new(port, timer),
             timer,
-            pipeline: Pipeline::new(config, Stamp::ZERO).expect("a configuration"),
+            pipeline: Station::new(config, Timestamp::ZERO).expect("a configuration"),
             health: LinkHealth::default(),
             sources: Vec::new(),
             observations: Vec::new(),
             garbage: 0,
             good: Arc::default(),
         };
-        station.port.open_first().await.expect("a free port");
+        station.port.try_open().await.expect("a free port");
         station
     }
 
-    fn give(&mut self, now: Stamp<HostClock>, input: &Input) {
+    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.pipeline.handle(now, input);
         while let Some(output) = self.pipeline.poll() {
             match output {
-                Output::Event(Event::Observed { observation, .. }) => {
-                    self.observations.push(observation);
+                Output::Event(Event::ObservationAligned { robot, observation, .. }) => {
+                    self.observations.push((robot, observation));
                 }
                 Output::Event(Event::Health { health, sources, .. }) => (self.health, self.sources) = (health, sources),
                 _ => {}
@@ -164,13 +165,13 @@ impl Station {
         let (link, state) = (LINK, LinkState::Up);
         let mut is_good = false;
         let (now, input) = tokio::select! {
-            event = self.port.next() => match event {
-                PortEvent::Bytes { peer, arrival, bytes } => {
+            event = self.port.next_event() => match event {
+                LinkEvent::Bytes { peer, arrival, bytes } => {
                     is_good = bytes.len() < GARBAGE;
                     self.garbage += u64::from(!is_good);
                     (arrival, Input::Bytes { link, peer, bytes })
                 }
-                PortEvent::Up { at, .. } => (at, Input::Link { link, state }),
+                LinkEvent::Up { at, .. } => (at, Input::Link { link, state }),
                 other => panic!("{other:?} on loopback"),
             },
             () = self.timer.sleep_until(due) => (self.timer.now(), Input::Tick),
@@ -192,7 +193,7 @@ impl Station {
 
 #[tokio::test(flavor = "current_thread")]
 async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_frame() {
-    let mut station = Station::open().await;
+    let mut station = TestStation::open().await;
     let address_of_station = station.port.local_address().expect("it listens");
     let silent = socket();
     silent.connect(address_of_station).expect("loopback");
@@ -225,7 +226,7 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_frame() {
     assert_eq!(health.frames_lost, 0);
     assert!(health.checksum_errors >= HEAD_START);
     assert_eq!(station.sources, expected_sources());
-    assert_eq!(station.port.counts().peers, ROBOTS + 1, "the silent one is not known");
+    assert_eq!(station.port.port_counts().peers, ROBOTS + 1, "the silent one is not known");
     check_observations(&station);
 }
 
@@ -234,19 +235,19 @@ fn expected_sources() -> Vec<SourceHealth> {
     (0..249).map(source).collect()
 }
 
-/// The wheels that the estimator was told of were turned by robots with the address of the first that was heard.
-fn check_observations(station: &Station) {
+/// As many robots are followed as there is room for, each by the counts of its own wheels.
+fn check_observations(station: &TestStation) {
     let tick_rad = station.pipeline.geometry().tick.0;
-    let robots = station.observations.iter().map(|observation| {
-        let Observed::WheelAngles { left, right } = observation.observed else {
+    let mut followed = BTreeSet::new();
+    for (robot, observation) in &station.observations {
+        let ObservationKind::WheelAngles { left, right } = observation.measurement else {
             panic!("nobody has sent {observation:?}");
         };
         let counts = (left.0 / tick_rad).round() as u32;
         assert_eq!((right.0 / tick_rad).round(), -f64::from(counts));
-        address(counts / COUNTS_PER_ROBOT)
-    });
-    let mut robots: Vec<Address> = robots.collect();
-    assert_eq!(robots.len(), 2 * ROUNDS as usize);
-    robots.dedup();
-    assert_eq!(robots.len(), 1, "{robots:?}");
+        assert_eq!(address(counts / COUNTS_PER_ROBOT), robot.address, "{robot} was given somebody else's counts");
+        followed.insert(*robot);
+    }
+    assert_eq!(followed.len(), 64, "the limit of robots");
+    assert!(station.observations.len() >= 64 * (ROUNDS - 1) as usize, "{}", station.observations.len());
 }

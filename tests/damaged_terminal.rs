@@ -1,6 +1,6 @@
 //! The four kinds of damage over a real pseudo-terminal: a port of the station reads it, and its engine observes what was sent whole.
 //!
-//! The same at a larger scale is a test of the engine (`crates/pipeline/tests/resync.rs`); telemetry, damage and books are from
+//! The same at a larger scale is a test of the engine (`crates/station/tests/resync.rs`); telemetry, damage and books are from
 //! there. The bytes are cut as the kernel cuts them; the time is virtual here, too, so that a busy computer tears no frame.
 #![expect(
     clippy::expect_used,
@@ -10,7 +10,7 @@
 )]
 #![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
 
-#[path = "../crates/pipeline/tests/support/damage.rs"]
+#[path = "../crates/station/tests/support/damage.rs"]
 mod damage;
 #[path = "support/terminal.rs"]
 mod terminal;
@@ -20,41 +20,41 @@ use std::path::Path;
 
 use damage::{Books, KINDS, Kind, Speaker};
 use posebridge::config::load_text;
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
-use posebridge_pipeline::Pipeline;
-use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, Span, Stamp};
-use terminal::Terminal;
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
+use posebridge_station::Station;
+use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, Output, TimeDelta, Timestamp};
+use terminal::PseudoTerminal;
 
 const FRAMES: i64 = 4_000;
 /// Messages that bear one stamp: all of them go over the terminal in a moment, and no clock may leap.
 const PER_MILLI: i64 = 50;
 const LINK: LinkId = LinkId(0);
 /// Between two chunks.
-const STEP: Span = Span::from_millis(1);
+const STEP: TimeDelta = TimeDelta::from_millis(1);
 
 /// An engine that is told what a port tells, with books that are held against what it observes.
-struct Station {
-    pipeline: Pipeline,
+struct TestStation {
+    pipeline: Station,
     books: Books,
-    now: Stamp<HostClock>,
+    now: Timestamp<HostClock>,
     /// Chunks that the kernel has made of the bytes.
     chunks: usize,
 }
 
-impl Station {
+impl TestStation {
     fn new(device: &Path) -> Self {
         let text = format!("[[link]]\nurl = \"serial:{}\"\n", device.display());
         let config = load_text("test", &text, &[]).expect("a configuration");
-        let config = config.config.pipeline().expect("a configuration");
+        let config = config.config.station_config().expect("a configuration");
         Self {
-            books: Books::new(config.filter_config.geometry.left_wheel_radius.0),
-            pipeline: Pipeline::new(config, Stamp::ZERO).expect("a configuration"),
-            now: Stamp::ZERO,
+            books: Books::new(config.robot.filter_config.geometry.left_wheel_radius.0),
+            pipeline: Station::new(config, Timestamp::ZERO).expect("a configuration"),
+            now: Timestamp::ZERO,
             chunks: 0,
         }
     }
 
-    fn give(&mut self, now: Stamp<HostClock>, input: &Input) {
+    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.pipeline.handle(now, input);
         while let Some(output) = self.pipeline.poll() {
             if let Output::Event(event) = output {
@@ -63,7 +63,7 @@ impl Station {
         }
     }
 
-    fn pass(&mut self, span: Span) {
+    fn pass(&mut self, span: TimeDelta) {
         self.now = self.now + span;
         while let Some(due) = self.pipeline.deadline().filter(|due| *due <= self.now) {
             self.give(due, &Input::Tick);
@@ -71,10 +71,10 @@ impl Station {
     }
 
     /// Takes what the port tells until so many bytes have come, and returns them.
-    async fn listen(&mut self, port: &mut Port, expected: usize) -> Vec<u8> {
+    async fn listen(&mut self, port: &mut Link, expected: usize) -> Vec<u8> {
         let mut heard = Vec::new();
         while heard.len() < expected {
-            let PortEvent::Bytes { peer, bytes, .. } = port.next().await else {
+            let LinkEvent::Bytes { peer, bytes, .. } = port.next_event().await else {
                 panic!("the terminal is there");
             };
             heard.extend_from_slice(&bytes);
@@ -88,15 +88,16 @@ impl Station {
 }
 
 /// Sends damaged telemetry over a terminal of its own.
-async fn drive(kind: &Kind) -> Station {
-    let mut terminal = Terminal::open();
-    let mut station = Station::new(terminal.device());
-    let config = PortConfig { id: LINK, url: LinkUrl::serial(terminal.device()).expect("a path"), role: Role::Dial };
-    let mut port = Port::new(config, HostTimer::start());
+async fn drive(kind: &Kind) -> TestStation {
+    let mut terminal = PseudoTerminal::open();
+    let mut station = TestStation::new(terminal.device());
+    let config =
+        LinkOpenConfig { id: LINK, url: LinkUrl::serial(terminal.device()).expect("a path"), role: ConnectRole::Dial };
+    let mut port = Link::new(config, HostTimer::start());
     // What was sent before is thrown away by a port that opens.
-    assert!(matches!(port.next().await, PortEvent::Up { .. }));
+    assert!(matches!(port.next_event().await, LinkEvent::Up { .. }));
     let (link, state) = (LINK, LinkState::Up);
-    station.give(Stamp::ZERO, &Input::Link { link, state });
+    station.give(Timestamp::ZERO, &Input::Link { link, state });
 
     let mut speaker = Speaker::new(kind);
     let sent: Vec<u8> =
@@ -109,7 +110,7 @@ async fn drive(kind: &Kind) -> Station {
     let heard = station.listen(&mut port, expected).await;
     assert!(heard == sent, "{}: the port has changed bytes", kind.name);
     drop(writer.join().expect("it only writes"));
-    station.pass(Span::from_millis(2_000));
+    station.pass(TimeDelta::from_millis(2_000));
     station
 }
 

@@ -10,16 +10,16 @@ use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use http::{Reader, connect, exchange, get, metric, post, refused, request};
+use http::{StreamReader, connect, exchange, get, metric, post, refused, request};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use posebridge_dashboard::model::{Frame, Message, ParameterRow, RecordingRow, SourceRow, State};
 use serde::de::DeserializeOwned;
-use support::{Running, posebridge, root, stdout_of};
+use support::{RunningProgram, posebridge, root, stdout_of};
 use tungstenite::Message as Packet;
 
 /// A station with its simulated brick and a dashboard at a free port.
 struct Station {
-    program: Running,
+    program: RunningProgram,
     address: SocketAddr,
 }
 
@@ -28,7 +28,7 @@ impl Station {
         let mut command = posebridge(folder);
         command.args(["run", "--dashboard", "127.0.0.1:0", "--out", "run"]);
         command.args(["--events", "live.txt"]);
-        let mut program = Running::start(&mut command);
+        let mut program = RunningProgram::start(&mut command);
         let line = program.wait_for("dashboard: http://");
         let (_, rest) = line.split_once("http://").unwrap();
         let address = rest.trim().trim_end_matches('/').parse().unwrap();
@@ -63,7 +63,7 @@ fn page_stream_and_requests_tell_of_the_same_run() {
     let address = station.address;
     let page = get(address, "/");
     assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));
-    let mut reader = Reader::open(address);
+    let mut reader = StreamReader::open(address);
     let hello = reader.next();
     assert_eq!(hello["simulator"]["scenario"], "square");
     assert_eq!(hello["needs_token"], false);
@@ -74,14 +74,14 @@ fn page_stream_and_requests_tell_of_the_same_run() {
         read.unwrap_or_else(|error| panic!("{error}: {frame}"));
         frame = reader.next();
     }
-    reader.until(|message| message["recording"]["name"] == "recording.mcap");
-    reader.until(|message| {
+    reader.wait_for(|message| message["recording"]["name"] == "recording.mcap");
+    reader.wait_for(|message| {
         let records = message["robots"][0]["fusion"].as_array();
         records.is_some_and(|records| records.iter().any(|one| one["kind"] == "wheel_angles"))
     });
-    reader.until(|message| message["errors"]["estimate_m"].is_number());
-    reader.until(|message| message["truth"][0]["odometry"][0].is_number());
-    let frame = reader.until(has_estimate);
+    reader.wait_for(|message| message["errors"]["estimate_m"].is_number());
+    reader.wait_for(|message| message["truth"][0]["odometry"][0].is_number());
+    let frame = reader.wait_for(has_estimate);
     let t_s = frame["robots"][0]["estimates"][0]["t_s"].as_f64().unwrap();
     let state: State = typed(address, "/v1/state");
     let estimate = state.robots[0].estimate.clone().unwrap();
@@ -104,17 +104,17 @@ fn a_command_is_done_told_and_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let station = Station::start(folder.path());
     let address = station.address;
-    let mut reader = Reader::open(address);
-    reader.until(has_estimate);
+    let mut reader = StreamReader::open(address);
+    reader.wait_for(has_estimate);
     let command = r#"{"command":"set-parameter","name":"gate_prob","value":0.95}"#;
     assert_eq!(post(address, command).status, 202);
     let is_set = |message: &serde_json::Value| {
         let rows = message["parameters"].as_array().into_iter().flatten();
         rows.into_iter().any(|row| row["name"] == "gate_prob" && row["value"] == 0.95)
     };
-    reader.until(is_set);
+    reader.wait_for(is_set);
     reader.send(r#"{"command":"set-parameter","name":"gate_prob","value":7}"#);
-    let error = reader.until(|message| message["type"] == "error");
+    let error = reader.wait_for(|message| message["type"] == "error");
     let why = error["error"].as_str().unwrap();
     assert!(why.contains("`value` is 7.0, must be a number from 0.5 to 0.999999"), "{why}");
     let profile = r#"{"command":"link-profile","profile":"../../etc"}"#;
@@ -124,9 +124,9 @@ fn a_command_is_done_told_and_recorded() {
         lines.into_iter().any(|line| line["text"].as_str().is_some_and(|text| text.contains(what)))
     };
     // A second of estimates behind the first.
-    reader.until(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
+    reader.wait_for(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
     reader.send(r#"{"command":"stop-recording"}"#);
-    reader.until(|message| says(message, "recorded recording.mcap"));
+    reader.wait_for(|message| says(message, "recorded recording.mcap"));
     let rows: Vec<RecordingRow> = typed(address, "/v1/recordings");
     assert_eq!((rows.len(), rows[0].is_current), (1, false));
     let sent = get(address, "/v1/recordings/recording.mcap").body;
@@ -159,20 +159,20 @@ fn a_session_with_every_command_of_the_page_replays_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let station = Station::start(folder.path());
     let address = station.address;
-    let mut reader = Reader::open(address);
-    reader.until(has_estimate);
+    let mut reader = StreamReader::open(address);
+    reader.wait_for(has_estimate);
     for (command, told) in HANDS {
         // Some of the drive lies between two commands.
         for _ in 0..5 {
-            reader.until(has_estimate);
+            reader.wait_for(has_estimate);
         }
         assert_eq!(post(address, command).status, 202, "{command}");
-        reader.until(|message| says(message, told));
+        reader.wait_for(|message| says(message, told));
     }
-    reader.until(|message| says(message, " is up"));
-    reader.until(has_estimate);
+    reader.wait_for(|message| says(message, " is up"));
+    reader.wait_for(has_estimate);
     // Whoever comes now is told what holds.
-    let hello = Reader::open(address).next();
+    let hello = StreamReader::open(address).next();
     assert_eq!(hello["simulator"]["steering"], "odometry");
     assert_eq!(hello["simulator"]["link_profile"], "bluetooth-spp");
     assert_eq!(hello["history"]["switched_off"], serde_json::json!([1]));
@@ -205,8 +205,8 @@ fn a_thousand_half_open_connections_are_refused_and_counted_while_the_estimates_
     let folder = tempfile::tempdir().unwrap();
     let station = Station::start(folder.path());
     let address = station.address;
-    let mut reader = Reader::open(address);
-    reader.until(has_estimate);
+    let mut reader = StreamReader::open(address);
+    reader.wait_for(has_estimate);
     let begun = b"GET /v1/state HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: ";
     let half_open: Vec<TcpStream> = (0..1_000)
         .map(|index| {
@@ -219,7 +219,7 @@ fn a_thousand_half_open_connections_are_refused_and_counted_while_the_estimates_
         })
         .collect();
     for _ in 0..20 {
-        reader.until(has_estimate);
+        reader.wait_for(has_estimate);
     }
     drop(half_open);
     // When one of them gets through all the others are gone, and those that were let in are being let go.
@@ -229,7 +229,7 @@ fn a_thousand_half_open_connections_are_refused_and_counted_while_the_estimates_
     )
     .is_none_or(|answer| answer.status != 200)
     {
-        reader.until(has_estimate);
+        reader.wait_for(has_estimate);
     }
     assert!(refused(address, "connections") >= 800.0, "{}", refused(address, "connections"));
     let state: State = typed(address, "/v1/state");
@@ -256,7 +256,7 @@ fn readers_that_send_what_is_no_websocket_are_let_go_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let station = Station::start(folder.path());
     let address = station.address;
-    let mut good = Reader::open(address);
+    let mut good = StreamReader::open(address);
     let oversized = packet(0x81, &vec![b'x'; 70_000]);
     // A length that nobody has, without the bytes.
     let endless = [&[0x82, 0xff][..], &[0x7f; 8], &[0; 4]].concat();
@@ -267,19 +267,19 @@ fn readers_that_send_what_is_no_websocket_are_let_go_and_counted() {
     let no_text = packet(0x81, &[0xff, 0xfe]);
     let hostile = [oversized, endless, unmasked, unknown, torn, no_text];
     for bytes in &hostile {
-        let mut reader = Reader::open(address);
+        let mut reader = StreamReader::open(address);
         drop(reader.raw().write_all(bytes));
         reader.drain();
     }
     // Let go when it next reads, so all of them are counted by the time that a new reader is greeted behind them.
-    good.give(Packet::binary(vec![0; 1_000]));
-    let error = good.until(|message| message["type"] == "error");
+    good.send_message(Packet::binary(vec![0; 1_000]));
+    let error = good.wait_for(|message| message["type"] == "error");
     assert_eq!(error["error"], "commands are JSON in text messages");
     let dropped = "posebridge_dashboard_clients_dropped_total";
     while metric(address, dropped) < hostile.len() as f64 {
         good.next();
     }
-    good.until(has_estimate);
+    good.wait_for(has_estimate);
     station.program.interrupt();
 }
 
@@ -294,8 +294,8 @@ fn requests_that_are_none_are_refused_and_counted() {
     assert!(matches!(status(long.as_bytes()), Some(431) | None));
     let headers = "content-type: application/json\r\n";
     let large = vec![b' '; 70_000];
-    assert_eq!(request(address, "POST /v1/commands", (headers, &large)).status, 413);
-    assert_eq!(request(address, "DELETE /v1/state", ("", b"")).status, 405);
+    assert_eq!(request(address, "POST /v1/commands", headers, &large).status, 413);
+    assert_eq!(request(address, "DELETE /v1/state", "", b"").status, 405);
     assert_eq!(get(address, "/../../../etc/passwd").status, 404);
     assert_eq!(get(address, "/v1/recordings/..%2f..%2fsecret.mcap").status, 404);
     assert_eq!(post(address, "{\"command\":\"reset-pose\",").status, 400);
@@ -314,7 +314,7 @@ fn requests_that_are_none_are_refused_and_counted() {
 fn the_client_of_the_examples_gives_a_command_and_prints_poses() {
     let folder = tempfile::tempdir().unwrap();
     let station = Station::start(folder.path());
-    Reader::open(station.address).until(has_estimate);
+    StreamReader::open(station.address).wait_for(has_estimate);
     let mut client = Command::new("python3")
         .arg(root().join("examples/dashboard_client.py"))
         .args([&format!("http://{}", station.address), "freeze-calibration"])
@@ -374,7 +374,7 @@ fn a_start_that_fails_leaves_nothing_that_the_next_one_stumbles_over() {
 fn without_a_dashboard_nobody_listens() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = posebridge(folder.path());
-    let mut program = Running::start(command.args([
+    let mut program = RunningProgram::start(command.args([
         "run",
         "--no-dashboard",
         "--listen",

@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use parted::record_ticks;
-use posebridge::trails;
+use posebridge::station::page_history;
 use posebridge_dashboard::model::{Frame, RobotFrame};
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{SKEWED_SQUARE, posebridge, stdout_of};
 use virtual_drive::record_drive_and_truth;
@@ -22,8 +22,8 @@ use virtual_drive::record_drive_and_truth;
 fn drive(folder: &Path) -> Frame {
     let path = folder.join("drive.mcap");
     let scenario = Scenario::from_toml(SKEWED_SQUARE).unwrap();
-    record_drive_and_truth(&path, scenario, Span::from_millis(500));
-    trails::of(&path).unwrap()
+    record_drive_and_truth(&path, scenario, TimeDelta::from_millis(500));
+    page_history::build_history(&path).unwrap()
 }
 
 fn the_robot(frame: &Frame) -> &RobotFrame {
@@ -86,7 +86,7 @@ fn what_a_recording_lacks_stands_first_in_the_log() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     record_ticks(folder);
-    let log = |name: &str| trails::of(&folder.join(name)).unwrap().log;
+    let log = |name: &str| page_history::build_history(&folder.join(name)).unwrap().log;
     let whole = log("recording.mcap");
     assert!(!whole.iter().any(|line| line.text.contains("lacks")));
     let later = log("recording.2.mcap");
@@ -105,7 +105,7 @@ fn where_a_recording_was_cut_off_stands_in_the_log() {
     let bytes = std::fs::read(folder.join("drive.mcap")).unwrap();
     let path = folder.join("torn.mcap");
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    let torn = trails::of(&path).unwrap();
+    let torn = page_history::build_history(&path).unwrap();
     assert!(torn.log[0].text.contains("cut off at byte"), "{:?}", torn.log);
     let shown = the_robot(&torn).estimates.len();
     assert!(shown > 10, "{shown} estimates before the cut");

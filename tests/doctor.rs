@@ -7,7 +7,9 @@ use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
-use posebridge::commands::doctor::{CHECKS, Examination, Finding, Group, Person, Roots, Status, examine};
+use posebridge::tools::doctor::{
+    CHECKS, DiagnosticContext, Finding, Status, SystemRoots, UserGroup, UserPermissions, run_checks,
+};
 use support::posebridge;
 
 /// A computer in a folder.
@@ -70,10 +72,10 @@ impl Computer {
             .with_link("dev/serial/by-id/usb-Arduino_Uno-if00", Path::new("../../ttyACM0"))
     }
 
-    fn examination(&self) -> Examination {
-        Examination {
-            roots: Roots::below(self.folder.path()),
-            person: person(|_| true),
+    fn examination(&self) -> DiagnosticContext {
+        DiagnosticContext {
+            roots: SystemRoots::under(self.folder.path()),
+            user: person(|_| true),
             config: None,
             links: vec![],
             listen_for_s: 0.1,
@@ -81,13 +83,17 @@ impl Computer {
     }
 
     fn findings(&self) -> Vec<Finding> {
-        examine(&self.examination())
+        run_checks(&self.examination())
     }
 }
 
 /// Somebody in no group, who may open what `may_open` says.
-fn person(may_open: fn(&Path) -> bool) -> Person {
-    Person { groups: vec![], may_open, group: |_| Group { name: "dialout".to_owned(), lists_person: false } }
+fn person(may_open: fn(&Path) -> bool) -> UserPermissions {
+    UserPermissions {
+        groups: vec![],
+        can_open: may_open,
+        group: |_| UserGroup { name: "dialout".to_owned(), lists_user: false },
+    }
 }
 
 /// The only verdict of a check.
@@ -96,8 +102,8 @@ fn only<'a>(findings: &'a [Finding], name: &str) -> (Status, &'a str, &'a str) {
     let [finding] = of_check[..] else {
         panic!("{name}: {of_check:?}");
     };
-    let verdict = &finding.verdict;
-    (verdict.status, &verdict.what, &verdict.advice)
+    let verdict = &finding.result;
+    (verdict.status, &verdict.message, &verdict.advice)
 }
 
 /// Checks status and parts of what is said and advised.
@@ -116,10 +122,10 @@ fn every_check_says_something_and_what_is_wrong_has_a_cure() {
         for row in CHECKS {
             assert!(findings.iter().any(|finding| finding.name == row.name));
         }
-        for Finding { name, verdict } in findings {
+        for Finding { name, result: verdict } in findings {
             let needs_cure = verdict.status > Status::Ok;
             assert_eq!(needs_cure, !verdict.advice.is_empty(), "{name}: {verdict:?}");
-            assert!(!verdict.what.is_empty(), "{name}");
+            assert!(!verdict.message.is_empty(), "{name}");
         }
     }
 }
@@ -131,7 +137,7 @@ fn a_computer_without_devices_has_no_problem() {
     for name in ["permissions", "port-holders", "bluetooth", "listening"] {
         assert_eq!(only(&findings, name).0, Status::Skipped, "{name}");
     }
-    assert!(findings.iter().all(|finding| finding.verdict.status < Status::Problem));
+    assert!(findings.iter().all(|finding| finding.result.status < Status::Problem));
 }
 
 #[test]
@@ -149,22 +155,22 @@ fn a_port_that_may_not_be_opened_is_a_problem_and_names_the_cure() {
     let computer = Computer::bare().with_board();
     let port = computer.path("dev/ttyACM0");
     let mut examination = computer.examination();
-    examination.person = person(|_| false);
+    examination.user = person(|_| false);
 
     fs::set_permissions(&port, fs::Permissions::from_mode(0o660)).unwrap();
     let cure = "sudo usermod -aG dialout $USER";
-    check(&examine(&examination), "permissions", (Status::Problem, "may not be opened", cure));
+    check(&run_checks(&examination), "permissions", (Status::Problem, "may not be opened", cure));
 
-    examination.person.group = |_| Group { name: "dialout".to_owned(), lists_person: true };
+    examination.user.group = |_| UserGroup { name: "dialout".to_owned(), lists_user: true };
     let cure = "log out and in again";
-    check(&examine(&examination), "permissions", (Status::Problem, "", cure));
-    assert!(!only(&examine(&examination), "permissions").2.contains("usermod"));
+    check(&run_checks(&examination), "permissions", (Status::Problem, "", cure));
+    assert!(!only(&run_checks(&examination), "permissions").2.contains("usermod"));
 
     fs::set_permissions(&port, fs::Permissions::from_mode(0o600)).unwrap();
-    check(&examine(&examination), "permissions", (Status::Problem, "", "mode 0600"));
+    check(&run_checks(&examination), "permissions", (Status::Problem, "", "mode 0600"));
     // A group that may only read is no help: steering needs both ways.
     fs::set_permissions(&port, fs::Permissions::from_mode(0o640)).unwrap();
-    check(&examine(&examination), "permissions", (Status::Problem, "", "mode 0640"));
+    check(&run_checks(&examination), "permissions", (Status::Problem, "", "mode 0640"));
 }
 
 #[test]
@@ -183,7 +189,7 @@ fn a_device_of_a_given_link_is_looked_for_too() {
     let computer = computer.with_link("proc/9/fd/0", &device);
     let mut examination = computer.examination();
     examination.links = vec![format!("serial:{}", device.display())];
-    let findings = examine(&examination);
+    let findings = run_checks(&examination);
     check(&findings, "port-holders", (Status::Warning, "held by cat", "kill 9"));
     // It is a plain file: it does not open as a port.
     check(&findings, "listening", (Status::Problem, "does not open", ""));
@@ -222,7 +228,7 @@ fn a_blocked_radio_is_a_problem_and_pairings_are_listed() {
         .findings()
         .into_iter()
         .filter(|finding| finding.name == "bluetooth")
-        .map(|finding| (finding.verdict.status, finding.verdict.what))
+        .map(|finding| (finding.result.status, finding.result.message))
         .collect();
     assert_eq!(
         said,
@@ -235,7 +241,7 @@ fn a_blocked_radio_is_a_problem_and_pairings_are_listed() {
     let computer = computer.with("sys/class/rfkill/rfkill1/soft", "1\n");
     let findings = computer.findings();
     assert!(findings.iter().any(|finding| {
-        finding.verdict.status == Status::Problem && finding.verdict.advice.contains("rfkill unblock bluetooth")
+        finding.result.status == Status::Problem && finding.result.advice.contains("rfkill unblock bluetooth")
     }));
 }
 
@@ -266,7 +272,7 @@ fn a_configuration_is_checked_and_its_links_are_opened() {
     let wrong = Computer::bare().with("station.toml", "[robot]\ntrack_with_m = 1\n");
     let mut examination = wrong.examination();
     examination.config = Some(wrong.path("station.toml"));
-    check(&examine(&examination), "configuration", (Status::Problem, "line 2", "config print"));
+    check(&run_checks(&examination), "configuration", (Status::Problem, "line 2", "config print"));
 
     let text = "[[link]]\nurl = \"serial:/nowhere/tty\"\n[[link]]\nurl = \"sim://square\"\n\
                 [[link]]\nurl = \"sim://sqare\"\n[[link]]\nurl = \"serial:/\"\n[[link]]\nurl = \"pty:x\"\n\
@@ -274,10 +280,10 @@ fn a_configuration_is_checked_and_its_links_are_opened() {
     let links = Computer::bare().with("station.toml", text);
     let mut examination = links.examination();
     examination.config = Some(links.path("station.toml"));
-    let statuses: Vec<_> = examine(&examination)
+    let statuses: Vec<_> = run_checks(&examination)
         .into_iter()
         .filter(|finding| finding.name == "configuration")
-        .map(|finding| finding.verdict.status)
+        .map(|finding| finding.result.status)
         .collect();
     assert_eq!(
         statuses,

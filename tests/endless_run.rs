@@ -4,12 +4,12 @@ mod support;
 
 use std::time::Duration;
 
-use posebridge::tasks::sim_brick::EmbeddedBrick;
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
-use posebridge_recording::container::truth;
+use posebridge::station::simulator::EmbeddedBrick;
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
+use posebridge_recording::container::read_truth;
 use posebridge_sim::Scenario;
-use posebridge_telemetry::{LinkId, SimulatorCommand, Span};
-use support::{Running, SKEWED_SQUARE, number_after, posebridge, stdout_of};
+use posebridge_telemetry::{LinkId, SimulatorCommand, TimeDelta};
+use support::{RunningProgram, SKEWED_SQUARE, number_after, posebridge, stdout_of};
 use tokio_util::sync::CancellationToken;
 
 #[test]
@@ -17,7 +17,7 @@ fn it_says_each_second_who_is_how_far_off_and_ends_with_tables_when_it_is_interr
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("skewed.toml"), SKEWED_SQUARE).unwrap();
     let mut run =
-        Running::start(posebridge(folder.path()).args(["run", "--link", "sim://skewed.toml", "--out", "run"]));
+        RunningProgram::start(posebridge(folder.path()).args(["run", "--link", "sim://skewed.toml", "--out", "run"]));
     // One lap takes about ten seconds: it is in its second when it is ended.
     let mut lines = Vec::new();
     for _ in 0..14 {
@@ -33,16 +33,16 @@ fn it_says_each_second_who_is_how_far_off_and_ends_with_tables_when_it_is_interr
     assert!(tables.contains("brick's own odometry") && tables.contains("path error"), "{tables}");
     assert!(tables.contains("track.svg"), "{tables}");
     let recording = folder.path().join("run/recording.mcap");
-    let samples = truth(&std::fs::read(&recording).unwrap()).unwrap();
+    let samples = read_truth(&std::fs::read(&recording).unwrap()).unwrap();
     assert!(samples.len() > 14 * 15, "{} samples of the truth", samples.len());
-    assert!(samples.windows(2).all(|pair| pair[0].stamp < pair[1].stamp), "in order, once each");
+    assert!(samples.windows(2).all(|pair| pair[0].time < pair[1].time), "in order, once each");
     let replayed = stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap"]));
     assert!(replayed.contains("pose"), "{replayed}");
 }
 
 /// Waits for something to happen on a port.
-async fn wait_for(port: &mut Port, what: &str, is_it: impl Fn(&PortEvent) -> bool) {
-    let waited = tokio::time::timeout(Duration::from_secs(60), async { while !is_it(&port.next().await) {} });
+async fn wait_for(port: &mut Link, what: &str, is_it: impl Fn(&LinkEvent) -> bool) {
+    let waited = tokio::time::timeout(Duration::from_secs(60), async { while !is_it(&port.next_event().await) {} });
     assert!(waited.await.is_ok(), "{what} within a minute");
 }
 
@@ -53,17 +53,17 @@ async fn a_pulled_cable_closes_the_terminal_and_puts_it_back() {
     let (timer, stop) = (HostTimer::start(), CancellationToken::new());
     let scenario = Scenario::default().without_end();
     let brick = EmbeddedBrick::start(scenario, &path, timer, stop.clone()).unwrap();
-    let config = PortConfig { id: LinkId(0), url: LinkUrl::serial(&path).unwrap(), role: Role::Dial };
-    let mut port = Port::new(config, timer);
-    port.open_first().await.unwrap();
-    let has_bytes = |event: &PortEvent| matches!(event, PortEvent::Bytes { .. });
+    let config = LinkOpenConfig { id: LinkId(0), url: LinkUrl::serial(&path).unwrap(), role: ConnectRole::Dial };
+    let mut port = Link::new(config, timer);
+    port.try_open().await.unwrap();
+    let has_bytes = |event: &LinkEvent| matches!(event, LinkEvent::Bytes { .. });
     wait_for(&mut port, "the brick speaks", has_bytes).await;
-    let duration = Span::from_millis(300);
+    let duration = TimeDelta::from_millis(300);
     let pull = SimulatorCommand::PullCable { duration };
-    brick.hands.commands.try_send(pull).unwrap();
-    let is_down = |event: &PortEvent| matches!(event, PortEvent::Down { .. });
+    brick.controls.commands.try_send(pull).unwrap();
+    let is_down = |event: &LinkEvent| matches!(event, LinkEvent::Down { .. });
     wait_for(&mut port, "it is gone", is_down).await;
-    let is_up = |event: &PortEvent| matches!(event, PortEvent::Up { .. });
+    let is_up = |event: &LinkEvent| matches!(event, LinkEvent::Up { .. });
     wait_for(&mut port, "it is back", is_up).await;
     wait_for(&mut port, "it speaks again", has_bytes).await;
     stop.cancel();

@@ -10,7 +10,7 @@ mod virtual_drive;
 use std::path::Path;
 
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 use trajectory::{trajectory, worst_distance};
@@ -29,7 +29,7 @@ const RUN: &str = "circular/250620202104/run-01";
 
 fn drive(folder: &Path) {
     let scenario = Scenario::from_toml(SQUARE).unwrap();
-    record_drive(&folder.join("drive.mcap"), scenario, Span::ZERO);
+    record_drive(&folder.join("drive.mcap"), scenario, TimeDelta::ZERO);
 }
 
 fn run(folder: &Path, args: &[&str]) -> String {
@@ -160,7 +160,7 @@ fn trajectories_of_a_recording_hold_the_truth_that_it_knows() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let scenario = Scenario::from_toml(SQUARE).unwrap();
-    record_drive_and_truth(&folder.join("drive.mcap"), scenario, Span::ZERO);
+    record_drive_and_truth(&folder.join("drive.mcap"), scenario, TimeDelta::ZERO);
     run(folder, &["export", "drive.mcap", "--format", "tum"]);
     let scored = json(folder, &["replay", "drive.mcap", "--json"]);
     trajectories_score_as(&scored, folder);

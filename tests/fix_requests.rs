@@ -2,14 +2,14 @@
 #![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 use posebridge::config::{Config, LinkSection};
-use posebridge::virtual_run::{self, VirtualRun};
+use posebridge::virtual_station::{self, VirtualRun};
 use posebridge_sim::Scenario;
-use posebridge_telemetry::{SensorId, Span};
+use posebridge_telemetry::{SensorId, TimeDelta};
 
 /// The station must be as sure as this of the position, one standard deviation.
 const ABOVE_M: f64 = 0.008;
 /// From here on the clocks are aligned and the first fix is in.
-const SETTLED: Span = Span::from_millis(4_000);
+const SETTLED: TimeDelta = TimeDelta::from_millis(4_000);
 
 /// A robot that drives a square and waits at its corners, as one does that picks things up there.
 fn scenario(camera: &str) -> Scenario {
@@ -23,14 +23,14 @@ fn driven(camera: &str, ask_above_m: Option<f64>) -> VirtualRun {
     let mut config = Config::default().with_tag_of(&scenario);
     config.links = vec![LinkSection::new("pty:brick.tty")];
     config.camera.ask_above_m = ask_above_m;
-    virtual_run::run(scenario, config.pipeline().unwrap()).unwrap()
+    virtual_station::run(scenario, config.station_config().unwrap()).unwrap()
 }
 
 /// How many fixes were used, and the largest standard deviation of the position since all was settled, in metres.
 fn fixes_and_worst_m(run: &VirtualRun) -> (u64, f64) {
     let mut sources = run.collector.sources.iter();
     let camera = sources.find(|tally| tally.sensor == SensorId::CAMERA);
-    let start = run.simulation.truth()[0].brick;
+    let start = run.simulation.truth()[0].brick_time;
     let estimates = run.collector.estimates.items().iter();
     let settled = estimates.filter(|estimate| estimate.stamp - start >= SETTLED);
     let sigmas = settled.map(|estimate| estimate.x_sigma_m().max(estimate.y_sigma_m()));

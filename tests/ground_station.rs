@@ -9,12 +9,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use posebridge_protocol::dialect::{Encoder, PayloadError, decode, ids};
-use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind, WireVersion};
 use posebridge_protocol::message::{
     AutopilotVersion, CommandAck, CommandLong, Heartbeat, Message, MessageInterval, OdometryPose, SetMessageInterval,
 };
-use posebridge_telemetry::{Address, Span, Stamp};
-use support::{Running, posebridge};
+use posebridge_telemetry::{Address, TimeDelta, Timestamp};
+use support::{RunningProgram, posebridge};
 
 const ROBOT: Address = Address::new(1, 1);
 const ESTIMATOR: Address = Address::new(1, 197);
@@ -35,7 +35,7 @@ const MOST_DATAGRAMS: usize = 6_000;
 struct Peer {
     socket: UdpSocket,
     station: Option<SocketAddr>,
-    scanner: Scanner,
+    scanner: Framer,
     voice: Encoder,
     /// Of each sender the last number, frames, and those that are missing.
     senders: BTreeMap<Address, (u8, u32, u32)>,
@@ -50,7 +50,7 @@ impl Peer {
         Self {
             socket,
             station: None,
-            scanner: Scanner::new(ScannerConfig { transport: Framing::Datagram, ..ScannerConfig::default() }),
+            scanner: Framer::new(FramerConfig { transport: TransportKind::Datagram, ..FramerConfig::default() }),
             voice: Encoder::new(WireVersion::V2),
             senders: BTreeMap::new(),
             said: Vec::new(),
@@ -81,8 +81,8 @@ impl Peer {
         let (length, from) = self.socket.recv_from(&mut buffer).expect("it arrives");
         self.station = Some(from);
         let (senders, said, damaged) = (&mut self.senders, &mut self.said, &mut self.damaged);
-        let mut sink = |scanned: Scanned<'_>| match scanned {
-            Scanned::Frame(frame) | Scanned::Unknown(frame) => {
+        let mut sink = |scanned: FramerOutput<'_>| match scanned {
+            FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame) => {
                 let sender = senders.entry(frame.source);
                 let (last, frames, lost) = sender.or_insert((frame.sequence.wrapping_sub(1), 0, 0));
                 *lost += u32::from(frame.sequence.wrapping_sub(*last).wrapping_sub(1));
@@ -90,14 +90,14 @@ impl Peer {
                 *frames += 1;
                 let message = match decode(&frame) {
                     // Before the first fix an ODOMETRY says that it is none.
-                    Err(PayloadError::Failed { .. }) => None,
+                    Err(PayloadError::SenderFailed { .. }) => None,
                     other => other.expect("it makes sense"),
                 };
                 said.extend(message.map(|message| (frame.source, message)));
             }
-            Scanned::Defect(_) => *damaged += 1,
+            FramerOutput::Error(_) => *damaged += 1,
         };
-        self.scanner.push(Stamp::ZERO, &buffer[..length], &mut sink);
+        self.scanner.push(Timestamp::ZERO, &buffer[..length], &mut sink);
     }
 
     /// Listens until somebody says what is waited for, from now on.
@@ -194,7 +194,7 @@ fn sets_intervals(peer: &mut Peer) {
         peer.say(&Message::SetMessageInterval(SetMessageInterval {
             target,
             message_id,
-            interval: Some(Span::from_millis(millis)),
+            interval: Some(TimeDelta::from_millis(millis)),
         }));
         let answer = peer.answer(target, ids::COMMAND_SET_MESSAGE_INTERVAL);
         assert_eq!(answer, ACCEPTED, "{target}");
@@ -238,7 +238,7 @@ fn a_brick_that_speaks_mavlink_and_its_estimator_are_seen_without_a_loss() {
     let gcs = format!("udp://{}", peer.address());
     let mut run = posebridge(folder.path());
     run.args(["run", "--link", "sim://square", "--gcs", &gcs, "--no-record"]);
-    let _station = Running::start(&mut run);
+    let _station = RunningProgram::start(&mut run);
     sees_both(&mut peer);
     sees_the_estimate(&mut peer);
     // The brick's own telemetry is passed on as well.
@@ -258,7 +258,7 @@ fn a_brick_that_speaks_no_mavlink_is_a_vehicle_all_the_same() {
     run.args(["run", "--link", "serial:brick.tty", "--brick", "nxt"]);
     run.args(["--link", &camera, "--robot", "robot.toml"]);
     run.args(["--gcs", "udp://:0", "--no-record"]);
-    let mut station = Running::start(&mut run);
+    let mut station = RunningProgram::start(&mut run);
     let mut peer = Peer::new();
     let address = station.listening_address("");
     peer.station = Some(address.parse().expect("an address"));
@@ -271,7 +271,7 @@ fn a_brick_that_speaks_no_mavlink_is_a_vehicle_all_the_same() {
 }
 
 /// The simulated NXT with its camera; they drive as long as the test listens.
-fn nxt(folder: &Path) -> Running {
+fn nxt(folder: &Path) -> RunningProgram {
     const SQUARE: &str = r#"
 seed = 5
 steering = "estimate"
@@ -295,5 +295,5 @@ sensor = [{ port = 1, kind = "ht-gyro" }]
     let mut sim = posebridge(folder);
     sim.args(["sim", "small.toml", "--brick", "nxt"]);
     sim.args(["--listen", "pty:brick.tty", "--camera-listen", "tcp://127.0.0.1:0"]);
-    Running::start(&mut sim)
+    RunningProgram::start(&mut sim)
 }

@@ -6,7 +6,7 @@ mod support;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use posebridge_analysis::metrics::chi_square;
+use posebridge_report::metrics::chi_square;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 

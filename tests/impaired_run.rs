@@ -2,12 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge::config::Config;
-use posebridge::report::run::{Truth, errors};
-use posebridge::virtual_run::{self, VirtualLink, VirtualRun};
-use posebridge_pipeline::Pipeline;
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge::virtual_station::{self, VirtualLink, VirtualRun};
 use posebridge_sim::impairment::{LinkKind, LinkProfile, PROFILES};
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{Input, LinkState, Output, PeerId, Span, Stamp};
+use posebridge_station::Station;
+use posebridge_telemetry::{Input, LinkState, Output, PeerId, TimeDelta, Timestamp};
 
 fn scenario() -> Scenario {
     Scenario::bundled("square").unwrap().with_seed(3).with_steering(Steering::Estimate)
@@ -16,7 +16,7 @@ fn scenario() -> Scenario {
 fn drive(link: &VirtualLink) -> VirtualRun {
     let scenario = scenario();
     let config = Config::default().with_tag_of(&scenario);
-    virtual_run::run_over(scenario, config.pipeline().unwrap(), link).unwrap()
+    virtual_station::run_over_link(scenario, config.station_config().unwrap(), link).unwrap()
 }
 
 fn bundled(name: &str) -> VirtualLink {
@@ -51,7 +51,7 @@ fn over_every_bundled_link_the_lap_ends_and_the_books_balance() {
     for (name, _) in PROFILES {
         let run = drive(&bundled(name));
         assert!(run.simulation.is_finished(), "{name}");
-        let (estimate, odometry) = errors(&run.collector, &Truth::of(&run.simulation));
+        let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
         println!(
             "{name}: estimate {:.1} mm, odometry {:.1} mm, {} outages, {} of {} bytes lost",
             estimate.position_rms_m.unwrap() * 1e3,
@@ -76,7 +76,7 @@ fn an_estimate_is_as_much_older_at_the_brick_as_the_link_is_slower() {
     let median_age = |extra_delay_ms| {
         let run = drive(&VirtualLink { extra_delay_ms, ..VirtualLink::default() });
         let estimates = run.simulation.received_estimates();
-        let mut ages: Vec<Span> = estimates.iter().map(posebridge_sim::ReceivedEstimate::age).collect();
+        let mut ages: Vec<TimeDelta> = estimates.iter().map(posebridge_sim::ReceivedEstimate::age).collect();
         ages.sort_unstable();
         ages[ages.len() / 2].as_millis_f64()
     };
@@ -100,17 +100,19 @@ fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
     assert!((share - 0.2).abs() < 0.05, "{share}");
     let last = run.simulation.truth().last().unwrap();
     let first = run.simulation.truth().first().unwrap();
-    let gained_ppm = ((last.brick - first.brick).as_secs_f64() / (last.world - first.world).as_secs_f64() - 1.0) * 1e6;
+    let gained_ppm =
+        ((last.brick_time - first.brick_time).as_secs_f64() / (last.sim_time - first.sim_time).as_secs_f64() - 1.0)
+            * 1e6;
     assert!((gained_ppm - 2_000.0).abs() < 1.0, "{gained_ppm}");
     let health = run.collector.links.values().next().unwrap().health;
     assert!(health.frames_lost > 50, "{}", health.frames_lost);
-    assert!(health.round_trip.unwrap() >= Span::from_millis(60));
+    assert!(health.round_trip.unwrap() >= TimeDelta::from_millis(60));
     // The robot steers by what reached it: its belief stays with the truth all the same.
     let worst_m = run
         .simulation
         .truth()
         .iter()
-        .map(|sample| sample.belief.origin().distance(sample.pose.origin()).0)
+        .map(|sample| sample.onboard_estimate.origin().distance(sample.pose.origin()).0)
         .fold(0.0, f64::max);
     println!("belief off by {:.1} mm at most", worst_m * 1e3);
     assert!(worst_m < 0.06, "{worst_m}");
@@ -119,9 +121,9 @@ fn loss_delay_and_skew_of_the_sweep_are_what_was_asked_for() {
 /// The same drive with nothing between brick and station: each takes what the other says at once.
 fn hand_in_hand() -> Simulation {
     let scenario = scenario();
-    let config = Config::default().with_tag_of(&scenario).pipeline().unwrap();
+    let config = Config::default().with_tag_of(&scenario).station_config().unwrap();
     let link = config.links.first().unwrap().id;
-    let mut pipeline = Pipeline::new(config, Stamp::ZERO).unwrap();
+    let mut pipeline = Station::new(config, Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
     let mut give = |now, input: &Input, simulation: &mut Simulation| {
         pipeline.handle(now, input);
@@ -133,11 +135,11 @@ fn hand_in_hand() -> Simulation {
         pipeline.deadline()
     };
     let state = LinkState::Up;
-    let mut deadline = give(Stamp::ZERO, &Input::Link { link, state }, &mut simulation);
+    let mut deadline = give(Timestamp::ZERO, &Input::Link { link, state }, &mut simulation);
     let mut ends_at = None;
     while ends_at.is_none_or(|end| simulation.elapsed() < end) {
         simulation.step();
-        let now = Stamp::ZERO + simulation.elapsed();
+        let now = Timestamp::ZERO + simulation.elapsed();
         while let Some(bytes) = simulation.poll() {
             let peer = PeerId::default();
             deadline = give(now, &Input::Bytes { link, peer, bytes }, &mut simulation);
@@ -147,7 +149,7 @@ fn hand_in_hand() -> Simulation {
         }
         if simulation.is_finished() && ends_at.is_none() {
             // The brick talks on for as long as it does in a virtual run.
-            ends_at = Some(simulation.elapsed() + Span::from_millis(600));
+            ends_at = Some(simulation.elapsed() + TimeDelta::from_millis(600));
         }
     }
     simulation

@@ -16,8 +16,8 @@ use std::path::Path;
 use std::process::Stdio;
 
 use posebridge::config::{BundledRobot, ROBOTS, RobotProfile};
-use support::{Running, off_m, posebridge, stdout_of};
-use terminal::Terminal;
+use support::{RunningProgram, error_to_truth_m, posebridge, stdout_of};
+use terminal::PseudoTerminal;
 
 /// A lap of a small square of a robot with this geometry and this gyro, about ten seconds.
 fn scenario(robot: BundledRobot) -> String {
@@ -43,7 +43,7 @@ fn judge(folder: &Path, robot: &str, printed: &str) {
     for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
         assert!(printed.contains(source), "{robot}: {printed}");
     }
-    let off_m = off_m(folder);
+    let off_m = error_to_truth_m(folder);
     println!("{robot}: off by {:.1} mm", 1e3 * off_m);
     assert!(off_m < 0.02, "{robot}: {off_m}");
 }
@@ -52,7 +52,7 @@ fn judge(folder: &Path, robot: &str, printed: &str) {
 fn called(name: &str, kind: &str) {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let robot = BundledRobot::named(name).unwrap();
+    let robot = BundledRobot::from_name(name).unwrap();
     std::fs::write(folder.join("small.toml"), scenario(robot)).unwrap();
     init(folder, &[name, "--link", "serial:brick.tty"]);
     let file = folder.join("posebridge.toml");
@@ -67,7 +67,7 @@ fn called(name: &str, kind: &str) {
     if !shares_link {
         sim.args(["--camera-listen", "tcp://127.0.0.1:0"]);
     }
-    let mut brick = Running::start(&mut sim);
+    let mut brick = RunningProgram::start(&mut sim);
     if shares_link {
         brick.wait_for("brick.tty");
     } else {
@@ -102,13 +102,13 @@ fn an_ev3_and_an_arduino_drive_a_lap_with_their_files() {
 fn a_hub_that_calls_drives_a_lap_with_its_file() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let robot = BundledRobot::named("pybricks-spike").unwrap();
+    let robot = BundledRobot::from_name("pybricks-spike").unwrap();
     std::fs::write(folder.join("small.toml"), scenario(robot)).unwrap();
     init(folder, &["pybricks-spike", "--listen", "tcp://127.0.0.1:0"]);
     let mut run = posebridge(folder);
     run.args(["run", "--config", "posebridge.toml", "--no-dashboard"]);
     run.args(["--until-silent", "2", "--out", "run"]);
-    let mut station = Running::start(&mut run);
+    let mut station = RunningProgram::start(&mut run);
     let link = format!("tcp://{}", station.listening_address(""));
     let sim = ["sim", "small.toml", "--link", &link, "--truth", "truth.csv"];
     stdout_of(posebridge(folder).args(sim));
@@ -170,7 +170,7 @@ fn a_file_that_is_there_is_not_touched_without_force() {
 #[test]
 fn on_a_terminal_the_robot_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
-    let mut terminal = Terminal::open();
+    let mut terminal = PseudoTerminal::open();
     let mut device = OpenOptions::new();
     device.read(true).write(true);
     let open = || Stdio::from(device.open(terminal.device()).unwrap());

@@ -12,14 +12,15 @@ use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use posebridge::tasks::parts::{FLUSH_PERIOD, Limits, Parts};
+use posebridge::config::RecordingLimits;
+use posebridge::station::recording_parts::{FLUSH_PERIOD, RecordingParts};
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
 use posebridge_protocol::message::Message;
-use posebridge_recording::container::{Ending, FORMAT, Header, Reader};
-use posebridge_telemetry::{Input, LinkId, PeerId, Span, Stamp};
+use posebridge_recording::container::{FORMAT, RecordingEnd, RecordingHeader, RecordingReader};
+use posebridge_telemetry::{Input, LinkId, PeerId, TimeDelta, Timestamp};
 use rand::RngExt as _;
-use support::{Running, posebridge, stdout_of};
+use support::{RunningProgram, posebridge, stdout_of};
 
 #[test]
 fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
@@ -27,7 +28,7 @@ fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
         let folder = tempfile::tempdir().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let link = format!("tcp://{}", listener.local_addr().unwrap());
-        let run = Running::start(posebridge(folder.path()).args(["run", "--link", &link, "--out", "run"]));
+        let run = RunningProgram::start(posebridge(folder.path()).args(["run", "--link", &link, "--out", "run"]));
         let (mut station, _) = listener.accept().unwrap();
         let killed_at_s = wait_for_time(&mut station, kill_at_s);
         run.kill();
@@ -49,15 +50,15 @@ fn a_killed_run_leaves_a_recording_that_replays_up_to_a_second_before() {
 /// The file that the writer writes, when this program is the writer.
 const WRITER_FILE: &str = "POSEBRIDGE_TEST_WRITER_FILE";
 /// The session's time between two inputs of the writer.
-const STEP: Span = Span::from_millis(10);
+const STEP: TimeDelta = TimeDelta::from_millis(10);
 /// So many inputs the writer writes each time it is asked to.
 const BATCH: u64 = 20;
 
 /// One input as large as a whole read from a busy link.
-fn write_batch(parts: &mut Parts) {
+fn write_batch(parts: &mut RecordingParts) {
     for _ in 0..BATCH {
         let number = parts.next();
-        let now = Stamp::from_nanos(STEP.as_nanos() * i64::try_from(number).expect("few"));
+        let now = Timestamp::from_nanos(STEP.as_nanos() * i64::try_from(number).expect("few"));
         let (link, peer) = (LinkId(0), PeerId::default());
         let bytes = vec![number as u8; 4_096];
         let written = parts.record(now, number, &Input::Bytes { link, peer, bytes });
@@ -72,8 +73,8 @@ fn the_writer() {
     let file = std::env::var_os(WRITER_FILE);
     let folder = tempfile::tempdir().unwrap();
     let path = file.as_ref().map_or_else(|| folder.path().join("whole.mcap"), PathBuf::from);
-    let header = Header { format: FORMAT, ..Header::default() };
-    let mut parts = Parts::create(&path, header, Limits::default(), 0).unwrap();
+    let header = RecordingHeader { format: FORMAT, ..RecordingHeader::default() };
+    let mut parts = RecordingParts::create(&path, header, RecordingLimits::default(), 0).unwrap();
     if file.is_some() {
         println!("\nready");
         for line in std::io::stdin().lines() {
@@ -128,8 +129,8 @@ fn a_hundred_kills_at_random_leave_a_hundred_recordings_up_to_a_second_before() 
         writer.wait().unwrap();
 
         let bytes = std::fs::read(&path).unwrap();
-        let reader = Reader::open(&bytes).unwrap();
-        torn += u32::from(matches!(reader.ending(), Ending::Torn { .. }));
+        let reader = RecordingReader::open(&bytes).unwrap();
+        torn += u32::from(matches!(reader.recording_end(), RecordingEnd::Truncated { .. }));
         let last = reader.map(Result::unwrap).last();
         let reached_s = last.map_or(0.0, |(now, _)| now.as_secs_f64());
         let written_s = STEP.as_secs_f64() * (BATCH * batches) as f64;
@@ -144,14 +145,14 @@ fn a_hundred_kills_at_random_leave_a_hundred_recordings_up_to_a_second_before() 
 
 /// Reads what the station says until its clock shows at least `secs`; returns what it shows.
 fn wait_for_time(station: &mut TcpStream, secs: f64) -> f64 {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut buffer = [0; 1024];
     loop {
         let read = station.read(&mut buffer).expect("the station speaks");
         assert!(read > 0, "the station has hung up");
         let mut shown_s = 0.0_f64;
-        scanner.push(Stamp::ZERO, &buffer[..read], &mut |scanned| {
-            if let Scanned::Frame(frame) = scanned
+        scanner.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
+            if let FramerOutput::Frame(frame) = scanned
                 && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
             {
                 shown_s = shown_s.max(request.request_nanos as f64 * 1e-9);
@@ -166,7 +167,7 @@ fn wait_for_time(station: &mut TcpStream, secs: f64) -> f64 {
 /// The last instant in a recording.
 fn recorded_to_s(path: &Path) -> f64 {
     let bytes = std::fs::read(path).expect("the recording is there");
-    let inputs = Reader::open(&bytes).expect("its header is whole");
+    let inputs = RecordingReader::open(&bytes).expect("its header is whole");
     let last = inputs.map(|input| input.expect("every whole record is good").0).max();
     last.expect("something was recorded").as_secs_f64()
 }

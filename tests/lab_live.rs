@@ -7,13 +7,15 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use posebridge::config::Config;
-use posebridge_recording::container::{FORMAT, Header, Writer};
+use posebridge_recording::container::{FORMAT, RecordingHeader, RecordingWriter};
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
-use posebridge_sim::montecarlo::{Camera, CameraSees, Drive, Scenario, Told};
-use posebridge_telemetry::{Arena, Fix, Input, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Stamp};
+use posebridge_sim::montecarlo::{Camera, CameraSees, Drive, FilterPrior, Scenario};
+use posebridge_telemetry::{
+    Arena, Fix, Input, Meters, Observation, ObservationKind, Point2, Pose, SensorId, TimeDelta, Timestamp,
+};
 use serde_json::Value;
 
-use support::{Running, listening_brick, posebridge, root, stdout_of};
+use support::{RunningProgram, listening_brick, posebridge, root, stdout_of};
 
 fn lab(folder: &Path, args: &[&str]) -> Value {
     let text = stdout_of(posebridge(folder).arg("lab").args(args).arg("--json"));
@@ -35,7 +37,7 @@ fn record(path: &Path, observations: &[Observation]) {
 
 /// The same with another configuration.
 fn record_with(config: &Config, path: &Path, observations: &[Observation]) {
-    let header = Header {
+    let header = RecordingHeader {
         format: FORMAT,
         program_version: "0".to_owned(),
         utc_start_micros: 0,
@@ -43,11 +45,11 @@ fn record_with(config: &Config, path: &Path, observations: &[Observation]) {
         links: Vec::new(),
     };
     let file = std::fs::File::create(path).unwrap();
-    let mut writer = Writer::create(file, &header).unwrap();
-    let mut now = Stamp::ZERO;
+    let mut writer = RecordingWriter::create(file, &header).unwrap();
+    let mut now = Timestamp::ZERO;
     for observation in observations {
         // A late fix arrives behind what is newer.
-        now = now.max(Stamp::from_nanos(observation.stamp.as_nanos()));
+        now = now.max(Timestamp::from_nanos(observation.stamp.as_nanos()));
         writer.record(now, &Input::Observation(*observation)).unwrap();
     }
     writer.finish().unwrap();
@@ -125,12 +127,12 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
 }
 
 /// A fix without noise, as somebody with a tape measure would give it.
-fn measured(stamp: Stamp<posebridge_telemetry::BrickClock>, pose: Pose<Arena>) -> Observation {
+fn measured(stamp: Timestamp<posebridge_telemetry::BrickClock>, pose: Pose<Arena>) -> Observation {
     Observation {
         sensor: SensorId::CAMERA,
         stamp,
-        stamp_sigma: Span::ZERO,
-        observed: Observed::Fix(Fix {
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: ObservationKind::Fix(Fix {
             position: Point2::new(pose.x, pose.y),
             heading: Some(pose.heading),
             covariance: None,
@@ -141,7 +143,7 @@ fn measured(stamp: Stamp<posebridge_telemetry::BrickClock>, pose: Pose<Arena>) -
 }
 
 /// What the experiment tells its filters, as the configuration of a station.
-fn told(told: &Told) -> Config {
+fn told(told: &FilterPrior) -> Config {
     let mut config = Config::default();
     let (noise, known) = (&mut config.robot.noise, &told.noise);
     noise.wheel_travel_m_per_sqrt_m = known.wheel_travel_m_per_sqrt_m;
@@ -172,15 +174,15 @@ fn rounds(folder: &Path, count: u32) -> Vec<String> {
         let accelerometers = FrameAccelerometers {
             sigma_m_per_s2: scenario.accelerometer.unwrap().sigma_m_per_s2,
             bias_sigma_m_per_s2: 0.05,
-            spacing: drive.told.geometry.track_width,
+            spacing: drive.prior.geometry.track_width,
         };
-        let drive = accelerometers.mounted_on(drive, scenario.seed, run);
+        let drive = accelerometers.add_to(drive, scenario.seed, run);
         let last = drive.truth.len() - 1;
-        let mut observations = vec![measured(drive.stamp(0), drive.truth[0])];
+        let mut observations = vec![measured(drive.time_at(0), drive.truth[0])];
         observations.extend(arrived(&drive));
-        observations.push(measured(drive.stamp(last), drive.truth[last]));
+        observations.push(measured(drive.time_at(last), drive.truth[last]));
         let name = format!("round-{run}.mcap");
-        record_with(&told(&drive.told), &folder.join(&name), &observations);
+        record_with(&told(&drive.prior), &folder.join(&name), &observations);
         name
     });
     names.collect()
@@ -220,9 +222,9 @@ fn recorded_rounds_end_where_the_experiment_says_and_accelerometers_help() {
 fn range(millis: i64, range_m: f64) -> Observation {
     Observation {
         sensor: SensorId::RANGE,
-        stamp: Stamp::from_nanos(millis * 1_000_000),
-        stamp_sigma: Span::ZERO,
-        observed: Observed::WallRange(Meters(range_m)),
+        stamp: Timestamp::from_nanos(millis * 1_000_000),
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: ObservationKind::WallRange(Meters(range_m)),
     }
 }
 
@@ -346,7 +348,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     let folder = folder.path();
     let (_brick, url) = listening_brick(folder, SMALL_SQUARE);
     let live = ["lab", "nxt-square", "--link", &url, "--duration", "6", "--out", "out", "--json"];
-    let mut station = Running::start(posebridge(folder).args(live));
+    let mut station = RunningProgram::start(posebridge(folder).args(live));
     let told = station.wait_for("recording `out/live.mcap`");
     assert!(told.contains("drive the square") && told.contains("6 s"), "{told}");
     station.wait_for("heard link 0 1/1");
@@ -380,7 +382,7 @@ fn a_live_car_that_calls_the_station_is_foretold_until_somebody_says_stop() {
     let folder = folder.path();
     let mut text = "t_ms,tof_mm\n".to_owned();
     for one in approach() {
-        let Observed::WallRange(range) = one.observed else {
+        let ObservationKind::WallRange(range) = one.measurement else {
             continue;
         };
         let millis = one.stamp.as_nanos() / 1_000_000;
@@ -395,11 +397,11 @@ fn a_live_car_that_calls_the_station_is_foretold_until_somebody_says_stop() {
         range = { column = \"tof_mm\", unit = \"mm\" }\n";
     std::fs::write(folder.join("car.toml"), robot + streams).unwrap();
     let live = ["lab", "wall", "--listen", "tcp://127.0.0.1:0", "--out", "out", "--json"];
-    let mut station = Running::start(posebridge(folder).args(live));
+    let mut station = RunningProgram::start(posebridge(folder).args(live));
     let told = station.wait_for("recording `out/live.mcap`");
     assert!(told.contains("at the wall") && told.contains("Ctrl-C"), "{told}");
     let url = format!("tcp://{}", station.listening_address(""));
-    let mut car = Running::start(posebridge(folder).args(["play", "car.toml", "--link", &url]));
+    let mut car = RunningProgram::start(posebridge(folder).args(["play", "car.toml", "--link", &url]));
     let played = car.output();
     println!("{played}");
     let found: Value = serde_json::from_str(&station.interrupt()).unwrap();
@@ -432,7 +434,7 @@ fn a_live_robot_that_stands_is_calibrated() {
 fn the_noise_of_a_straight_drive_does_not_hang_on_the_order_of_arrival() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let text = include_str!("../src/commands/identify/scenarios/straight.toml");
+    let text = include_str!("../src/lab/identify/scenarios/straight.toml");
     let wheels = arrived(&Scenario::from_toml(text).unwrap().drive(0));
     record(&folder.join("ordered.mcap"), &wheels);
     let mut mixed = wheels.clone();

@@ -11,7 +11,7 @@ mod support;
 
 use std::path::{Path, PathBuf};
 
-use posebridge_analysis::identification::simulated::{SimulatedSensor, step};
+use posebridge_lab::identification::simulated::{SimulatedSensor, step_input};
 use serde_json::Value;
 
 use support::{posebridge, root, stdout_of};
@@ -57,13 +57,13 @@ fn write_recording(folder: &Path) -> PathBuf {
         ("three", [(3.6, 0.35), (18.0, 0.65)]),
     ];
     let write = |name: &str, sensor: &SimulatedSensor, to: f64| {
-        let samples = sensor.run(7, 280, step(20.0, to, 20.0));
+        let samples = sensor.run(7, 280, step_input(20.0, to, 20.0));
         let rows = samples.iter().map(|sample| format!("{},{}\n", sample.at_s, sample.value));
         let text = "t_s,celsius\n".to_owned() + &rows.collect::<String>();
         std::fs::write(folder.join(format!("{name}.csv")), text).unwrap();
     };
     for (index, (name, lags)) in lags.into_iter().enumerate() {
-        let sensor = SimulatedSensor { lags: lags.to_vec(), sigma: 0.05, last_digit: 0.0, period_s: 0.5 };
+        let sensor = SimulatedSensor { lags: lags.to_vec(), sigma: 0.05, resolution: 0.0, period_s: 0.5 };
         write(name, &sensor, 3.0 + index as f64);
     }
     write("idle", &SimulatedSensor::first_order(5.0, 0.05, 0.5), 20.0);

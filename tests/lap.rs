@@ -2,21 +2,21 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge::config::Config;
-use posebridge::report::run::{Truth, errors};
-use posebridge::virtual_run::{self, VirtualRun};
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge::virtual_station::{self, VirtualRun};
 use posebridge_sim::{Scenario, Steering};
 
 fn drive(name: &str, seed: u64, steering: Steering) -> VirtualRun {
     let scenario = Scenario::bundled(name).unwrap().with_seed(seed).with_steering(steering);
     let config = Config::default().with_tag_of(&scenario);
-    virtual_run::run(scenario, config.pipeline().unwrap()).unwrap()
+    virtual_station::run(scenario, config.station_config().unwrap()).unwrap()
 }
 
 #[test]
 fn the_estimate_is_at_least_five_times_better_than_the_bricks_odometry() {
     for seed in 1..=10 {
         let run = drive("square", seed, Steering::Estimate);
-        let (estimate, odometry) = errors(&run.collector, &Truth::of(&run.simulation));
+        let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
         let (estimate_m, odometry_m) = (estimate.position_rms_m.unwrap(), odometry.position_rms_m.unwrap());
         println!("seed {seed}: estimate {:.1} mm, odometry {:.1} mm", estimate_m * 1e3, odometry_m * 1e3);
         assert!(estimate_m * 5.0 <= odometry_m, "seed {seed}");
@@ -27,9 +27,9 @@ fn the_estimate_is_at_least_five_times_better_than_the_bricks_odometry() {
 #[test]
 fn steering_by_the_estimate_closes_the_square_and_steering_by_odometry_does_not() {
     for seed in 1..=10 {
-        let by_estimate = Truth::of(&drive("square", seed, Steering::Estimate).simulation);
-        let by_odometry = Truth::of(&drive("square", seed, Steering::Odometry).simulation);
-        let gap_m = |truth: &Truth| {
+        let by_estimate = SimulationTruth::from_simulation(&drive("square", seed, Steering::Estimate).simulation);
+        let by_odometry = SimulationTruth::from_simulation(&drive("square", seed, Steering::Odometry).simulation);
+        let gap_m = |truth: &SimulationTruth| {
             let samples = truth.track.samples();
             let (first, last) = (samples.first().unwrap(), samples.last().unwrap());
             first.pose.origin().distance(last.pose.origin()).0
@@ -47,7 +47,7 @@ fn the_estimates_claims_are_neither_proud_nor_shy() {
     let mean = (1..=20)
         .map(|seed| {
             let run = drive("square", seed, Steering::Estimate);
-            errors(&run.collector, &Truth::of(&run.simulation)).0.anees.unwrap()
+            errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation)).0.anees.unwrap()
         })
         .sum::<f64>()
         / 20.0;
@@ -62,7 +62,7 @@ fn every_bundled_scenario_ends_and_is_followed_better_with_the_station() {
     for (name, _) in posebridge_sim::BUNDLED {
         let run = drive(name, 3, Steering::Estimate);
         assert!(run.simulation.is_finished(), "{name}");
-        let (estimate, odometry) = errors(&run.collector, &Truth::of(&run.simulation));
+        let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
         println!(
             "{name}: {:.1} mm against {:.1} mm",
             estimate.position_rms_m.unwrap() * 1e3,

@@ -5,7 +5,7 @@ mod support;
 
 use std::path::Path;
 
-use support::{Running, off_m, posebridge, stdout_of};
+use support::{RunningProgram, error_to_truth_m, posebridge, stdout_of};
 
 /// A lap of a small square, about ten seconds; the camera sees the robot five times a second.
 const SQUARE: &str = r#"
@@ -49,7 +49,7 @@ fn driven(folder: &Path, kind: &str, meeting: &Meeting<'_>) -> String {
     sim.args(["sim", "small.toml", "--brick", kind]);
     sim.args(meeting.brick).args(["--truth", "truth.csv"]);
     sim.args(["--camera-listen", "tcp://127.0.0.1:0"]);
-    let mut brick = Running::start(&mut sim);
+    let mut brick = RunningProgram::start(&mut sim);
     let camera = format!("tcp://{}", brick.listening_address("camera "));
     let mut run = posebridge(folder);
     run.arg("run").args(meeting.station);
@@ -75,7 +75,7 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
         for picture in ["track.svg", "error.svg"] {
             assert!(folder.join("run").join(picture).exists(), "{kind}");
         }
-        let off_m = off_m(folder);
+        let off_m = error_to_truth_m(folder);
         println!("{kind}: off by {:.1} mm", 1e3 * off_m);
         assert!(off_m < 0.01, "{kind}: {off_m}");
     }
@@ -100,7 +100,7 @@ fn an_ev3_in_the_network_is_found_by_its_announcement_and_opened() {
     };
     let printed = driven(folder, "ev3", &meeting);
     assert!(printed.contains("wheels (0)"), "{printed}");
-    let off_m = off_m(folder);
+    let off_m = error_to_truth_m(folder);
     println!("by WiFi: off by {:.1} mm", 1e3 * off_m);
     assert!(off_m < 0.01, "{off_m}");
 }

@@ -13,7 +13,7 @@ use std::path::Path;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{posebridge, stdout_of};
 use tempfile::TempDir;
@@ -40,7 +40,7 @@ type Records = Vec<(u64, Vec<u8>)>;
 fn log() -> (TempDir, Records) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = Scenario::from_toml(SQUARE).unwrap();
-    record_drive(&folder.path().join("drive.mcap"), scenario, Span::from_millis(500));
+    record_drive(&folder.path().join("drive.mcap"), scenario, TimeDelta::from_millis(500));
     stdout_of(posebridge(folder.path()).args(["export", "drive.mcap", "--format", "tlog"]));
     let bytes = std::fs::read(folder.path().join("drive.tlog")).unwrap();
     let mut records = Vec::new();

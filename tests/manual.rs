@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use clap::{CommandFactory, ValueEnum};
 use clap_complete::Shell;
 use posebridge::cli::Cli;
-use posebridge::commands::man::{Page, pages};
+use posebridge::tools::man::{ManPage, pages};
 use support::{posebridge, stdout_of};
 
 /// The program's definition and those of all its subcommands, each with the name of its page.
@@ -40,7 +40,7 @@ fn plain(roff: &str) -> String {
 
 #[test]
 fn there_is_a_page_of_every_subcommand_and_it_names_every_flag() {
-    let made = pages().unwrap();
+    let made = pages(Cli::command()).unwrap();
     let mut files: Vec<&str> = made.iter().map(|page| page.file.as_str()).collect();
     let mut expected: Vec<String> = definitions().into_iter().map(|(name, _)| name + ".1").collect();
     files.sort_unstable();
@@ -61,7 +61,7 @@ fn there_is_a_page_of_every_subcommand_and_it_names_every_flag() {
 }
 
 /// What a formatter complains about; nothing, where there is none on this computer.
-fn complaints(page: &Page, folder: &Path) -> String {
+fn complaints(page: &ManPage, folder: &Path) -> String {
     let path = folder.join(&page.file);
     let formatted =
         Command::new("groff").args(["-man", "-Tutf8", "-ww", "-z"]).arg(&path).stdin(Stdio::null()).output();
@@ -76,7 +76,7 @@ fn the_pages_are_written_into_a_folder_and_are_roff_without_fault() {
     let folder = tempfile::tempdir().unwrap();
     let written = folder.path().join("man1");
     stdout_of(posebridge(folder.path()).args(["man", "--out", "man1"]));
-    let made = pages().unwrap();
+    let made = pages(Cli::command()).unwrap();
     assert_eq!(std::fs::read_dir(&written).unwrap().count(), made.len());
     for page in &made {
         let text = std::fs::read_to_string(written.join(&page.file)).unwrap();

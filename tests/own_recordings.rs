@@ -9,7 +9,7 @@ mod virtual_drive;
 use std::path::Path;
 
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{listening_brick, posebridge, stdout_of};
 use virtual_drive::record_drive;
@@ -63,7 +63,7 @@ dipped_at_s = 1.5
 
 fn record(folder: &Path, name: &str, scenario: &str, rest_s: f64) {
     let scenario = Scenario::from_toml(scenario).unwrap();
-    record_drive(&folder.join(name), scenario, Span::from_secs_f64(rest_s));
+    record_drive(&folder.join(name), scenario, TimeDelta::from_secs_f64(rest_s));
 }
 
 /// What the program finds, as its JSON says it.

@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use posebridge_estimator::PARAMS;
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{CommandLong, Heartbeat, Message};
-use posebridge_telemetry::{Address, Stamp};
-use support::{Running, posebridge, stdout_of};
+use posebridge_telemetry::{Address, Timestamp};
+use support::{RunningProgram, posebridge, stdout_of};
 
 const STATION: Address = Address::new(1, 197);
 const ALL_OF_SYSTEM_1: Address = Address::new(1, 0);
@@ -64,7 +64,7 @@ outputs = [{ message = "planar_pose" }]
 struct Gcs {
     socket: UdpSocket,
     encoder: Encoder,
-    scanner: Scanner,
+    scanner: Framer,
     waiting: Vec<Message>,
     heard: u32,
 }
@@ -77,7 +77,7 @@ impl Gcs {
         let mut gcs = Self {
             socket,
             encoder: Encoder::new(WireVersion::V2),
-            scanner: Scanner::new(ScannerConfig::default()),
+            scanner: Framer::new(FramerConfig::default()),
             waiting: Vec::new(),
             heard: 0,
         };
@@ -106,8 +106,8 @@ impl Gcs {
                 self.say(&HEARTBEAT);
             }
             let waiting = &mut self.waiting;
-            self.scanner.push(Stamp::ZERO, &buffer[..length], &mut |scanned| {
-                if let Scanned::Frame(frame) = scanned
+            self.scanner.push(Timestamp::ZERO, &buffer[..length], &mut |scanned| {
+                if let FramerOutput::Frame(frame) = scanned
                     && frame.source == STATION
                 {
                     waiting.extend(decode(&frame).expect("the station makes sense"));
@@ -157,8 +157,8 @@ impl Gcs {
     }
 }
 
-fn start(folder: &Path, config: &str, out: &str) -> (Running, Gcs) {
-    let mut station = Running::start(posebridge(folder).args([
+fn start(folder: &Path, config: &str, out: &str) -> (RunningProgram, Gcs) {
+    let mut station = RunningProgram::start(posebridge(folder).args([
         "run",
         "--config",
         config,

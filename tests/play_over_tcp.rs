@@ -3,14 +3,14 @@
 
 mod support;
 
-use support::{Running, number_after, posebridge, root, stdout_of};
+use support::{RunningProgram, events_named, posebridge, root, stdout_of};
 
 #[test]
 fn a_played_recording_is_estimated_as_its_replay() {
     let folder = tempfile::tempdir().unwrap();
     let descriptor = root().join("config/recordings/optiodom.toml");
     let run = "circular/250620202104/run-01";
-    let mut player = Running::start(
+    let mut player = RunningProgram::start(
         posebridge(folder.path()).arg("play").arg(&descriptor).arg("--data").arg(root().join("tests/data")).args([
             "--run",
             run,
@@ -21,7 +21,7 @@ fn a_played_recording_is_estimated_as_its_replay() {
         ]),
     );
     let address = player.listening_address("");
-    let mut station = Running::start(
+    let mut station = RunningProgram::start(
         posebridge(folder.path())
             .args(["run", "--link", &format!("tcp://{address}"), "--robot"])
             .arg(&descriptor)
@@ -49,6 +49,7 @@ fn a_played_recording_is_estimated_as_its_replay() {
 /// Time, x and y of the last estimate.
 fn last_estimate(events: &std::path::Path) -> [f64; 3] {
     let text = std::fs::read_to_string(events).expect("the events are there");
-    let line = text.lines().rfind(|line| line.starts_with("Estimated")).expect("something was estimated");
-    ["brick@", "x: Meters(", "y: Meters("].map(|field| number_after(line, field))
+    let estimated = events_named(&text, "estimated").pop().expect("something was estimated");
+    [("robot_ns", 1e-9), ("x_m", 1.0), ("y_m", 1.0)]
+        .map(|(key, unit)| unit * estimated[key].as_f64().expect("it is a number"))
 }

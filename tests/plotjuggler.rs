@@ -6,9 +6,9 @@ mod support;
 use std::collections::BTreeSet;
 use std::net::UdpSocket;
 
-use posebridge::plotjuggler::{FIELDS, pattern_of};
+use posebridge::station::plotjuggler::{FIELDS, pattern_of};
 use serde_json::Value;
-use support::{Running, posebridge};
+use support::{RunningProgram, posebridge};
 
 /// The fields of a message, as the page names them, with their values: all of them must be numbers.
 fn fields_of(prefix: &str, value: &Value, found: &mut Vec<(String, f64)>) {
@@ -53,7 +53,7 @@ fn what_is_sent_is_what_the_page_says() {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = format!("--plotjuggler={}", socket.local_addr().unwrap());
     let mut command = posebridge(folder.path());
-    let mut run = Running::start(command.args(["run", "--no-dashboard", "--out", "run", &address]));
+    let mut run = RunningProgram::start(command.args(["run", "--no-dashboard", "--out", "run", &address]));
     run.wait_for("plotjuggler: sending to udp://127.0.0.1:");
     let wanted: BTreeSet<&str> =
         FIELDS.iter().map(|field| field.name).filter(|name| !is_of_other_sensors(name)).collect();

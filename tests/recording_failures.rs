@@ -12,11 +12,11 @@ use std::path::Path;
 use std::process::Command;
 
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
 use posebridge_protocol::message::Message;
-use posebridge_recording::container::{Ending, Reader};
-use posebridge_telemetry::{Input, Stamp};
-use support::{Running, posebridge};
+use posebridge_recording::container::{RecordingEnd, RecordingReader};
+use posebridge_telemetry::{Input, Timestamp};
+use support::{RunningProgram, posebridge};
 
 /// What is said when a recording ends before its run.
 const ENDED: &str = "the recording ends here";
@@ -28,9 +28,9 @@ const NO_LOG: &str = "there is no telemetry log";
 
 /// A station on a link to this test.
 struct Station {
-    running: Running,
+    running: RunningProgram,
     link: TcpStream,
-    scanner: Scanner,
+    scanner: Framer,
 }
 
 impl Station {
@@ -43,8 +43,8 @@ impl Station {
     fn start_with(command: &mut Command, flags: &[&str]) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("tcp://{}", listener.local_addr().unwrap());
-        let running = Running::start(command.args(["run", "--link", &url]).args(flags));
-        Self { running, link: listener.accept().unwrap().0, scanner: Scanner::new(ScannerConfig::default()) }
+        let running = RunningProgram::start(command.args(["run", "--link", &url]).args(flags));
+        Self { running, link: listener.accept().unwrap().0, scanner: Framer::new(FramerConfig::default()) }
     }
 
     /// Its clock as its next request for the time shows it, s. It is sent `noise` while it is awaited.
@@ -55,8 +55,8 @@ impl Station {
             let read = self.link.read(&mut buffer).unwrap();
             assert!(read > 0, "the station has hung up");
             let mut shown_s = None;
-            self.scanner.push(Stamp::ZERO, &buffer[..read], &mut |scanned| {
-                if let Scanned::Frame(frame) = scanned
+            self.scanner.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
+                if let FramerOutput::Frame(frame) = scanned
                     && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
                 {
                     shown_s = Some(request.request_nanos as f64 * 1e-9);
@@ -103,8 +103,8 @@ fn a_file_that_may_not_grow_ends_the_recording_and_not_the_run() {
     assert!(said.contains("File too large"), "{said}");
 
     let bytes = std::fs::read(folder.path().join("run/recording.mcap")).unwrap();
-    let mut reader = Reader::open(&bytes).unwrap();
-    assert!(matches!(reader.ending(), Ending::Torn { .. }));
+    let mut reader = RecordingReader::open(&bytes).unwrap();
+    assert!(matches!(reader.recording_end(), RecordingEnd::Truncated { .. }));
     let read = reader.by_ref().map(Result::unwrap).count();
     assert!(read > 10, "{read}");
 }
@@ -146,7 +146,7 @@ fn a_telemetry_log_that_is_deleted_is_told_once_and_stands_in_the_recording() {
     assert!(!said.contains(ENDED), "{said}");
 
     let bytes = std::fs::read(run.join("recording.mcap")).unwrap();
-    let inputs = Reader::open(&bytes).unwrap().map(Result::unwrap);
+    let inputs = RecordingReader::open(&bytes).unwrap().map(Result::unwrap);
     let reports: Vec<String> = inputs
         .filter_map(|(_, input)| if let Input::Report { severity: 4, text } = input { Some(text) } else { None })
         .collect();

@@ -4,18 +4,20 @@
 
 use std::path::{Path, PathBuf};
 
-use posebridge::tasks::parts::{Limits, Parts, part_path};
-use posebridge::tasks::recorder::Recorder;
-use posebridge_recording::container::{Ending, FORMAT, Header, Reader};
-use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Span, Stamp};
+use posebridge::config::RecordingLimits;
+use posebridge::station::recorder::Recorder;
+use posebridge::station::recording_parts::{RecordingParts, part_path};
+use posebridge_recording::container::{FORMAT, RecordingEnd, RecordingHeader, RecordingReader};
+use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, TimeDelta, Timestamp};
 
-type Recorded = (Stamp<HostClock>, Input);
+type Recorded = (Timestamp<HostClock>, Input);
 
 /// Neither parts nor a floor.
-const UNLIMITED: Limits = Limits { part_bytes: None, part_span: None, floor_bytes: 0, output_spacing: Span::ZERO };
+const UNLIMITED: RecordingLimits =
+    RecordingLimits { part_bytes: None, part_duration: None, min_free_bytes: 0, output_interval: TimeDelta::ZERO };
 
-fn header() -> Header {
-    Header { format: FORMAT, utc_start_micros: 1_700_000_000_000_000, ..Header::default() }
+fn header() -> RecordingHeader {
+    RecordingHeader { format: FORMAT, utc_start_micros: 1_700_000_000_000_000, ..RecordingHeader::default() }
 }
 
 /// One input of 400 bytes every 20 ms.
@@ -23,12 +25,12 @@ fn inputs(count: i64) -> Vec<Recorded> {
     let input = |n: i64| {
         let bytes = vec![n as u8; 400];
         let (link, peer) = (LinkId(0), PeerId::default());
-        (Stamp::from_millis(20 * n), Input::Bytes { link, peer, bytes })
+        (Timestamp::from_millis(20 * n), Input::Bytes { link, peer, bytes })
     };
     (0..count).map(input).collect()
 }
 
-fn record(parts: &mut Parts, inputs: &[Recorded]) -> anyhow::Result<()> {
+fn record(parts: &mut RecordingParts, inputs: &[Recorded]) -> anyhow::Result<()> {
     for (now, input) in inputs {
         parts.record(*now, parts.next(), input)?;
     }
@@ -38,14 +40,14 @@ fn record(parts: &mut Parts, inputs: &[Recorded]) -> anyhow::Result<()> {
 /// What a file holds; it must have ended properly.
 fn whole(path: &Path) -> Vec<Recorded> {
     let bytes = std::fs::read(path).unwrap();
-    let reader = Reader::open(&bytes).unwrap();
-    assert_eq!(reader.ending(), Ending::Complete, "{}", path.display());
+    let reader = RecordingReader::open(&bytes).unwrap();
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete, "{}", path.display());
     reader.map(Result::unwrap).collect()
 }
 
 /// Records until an error, which is told; the file is then closed.
-fn error_of(path: &Path, limits: Limits, before: impl FnOnce()) -> String {
-    let mut parts = Parts::create(path, header(), limits, 0).unwrap();
+fn error_of(path: &Path, limits: RecordingLimits, before: impl FnOnce()) -> String {
+    let mut parts = RecordingParts::create(path, header(), limits, 0).unwrap();
     let all = inputs(400);
     record(&mut parts, &all[..40]).unwrap();
     before();
@@ -58,7 +60,7 @@ fn joined(first: &Path, count: u32, all: &[Recorded]) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for (index, path) in paths.iter().enumerate() {
         let bytes = std::fs::read(path).unwrap();
-        let begins = Reader::open(&bytes).unwrap().beginning().clone();
+        let begins = RecordingReader::open(&bytes).unwrap().part_header().clone();
         assert_eq!(begins.part as usize, index + 1);
         assert_eq!(begins.inputs_before, found.len() as u64);
         let before = index.checked_sub(1).map(|before| &paths[before]);
@@ -74,9 +76,9 @@ fn joined(first: &Path, count: u32, all: &[Recorded]) -> Vec<PathBuf> {
 fn a_large_recording_goes_on_in_another_file_without_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits { part_bytes: Some(100_000), ..UNLIMITED };
+    let limits = RecordingLimits { part_bytes: Some(100_000), ..UNLIMITED };
     let all = inputs(1_000);
-    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    let mut parts = RecordingParts::create(&path, header(), limits, 0).unwrap();
     record(&mut parts, &all).unwrap();
     let kept = parts.finish(1_000).unwrap();
     assert_eq!((kept.inputs, kept.lost), (1_000, 0));
@@ -92,9 +94,9 @@ fn a_large_recording_goes_on_in_another_file_without_a_gap() {
 fn a_part_that_cannot_be_begun_leaves_the_one_before_complete() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits { part_span: Some(Span::from_millis(2_000)), ..UNLIMITED };
+    let limits = RecordingLimits { part_duration: Some(TimeDelta::from_millis(2_000)), ..UNLIMITED };
     std::fs::write(folder.path().join("recording.2.mcap"), "somebody's").unwrap();
-    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    let mut parts = RecordingParts::create(&path, header(), limits, 0).unwrap();
     let told = record(&mut parts, &inputs(1_000)).unwrap_err();
     assert!(format!("{told:#}").contains("recording.2.mcap"), "{told:#}");
     let told = parts.flush().unwrap_err().to_string();
@@ -111,9 +113,9 @@ fn a_part_that_cannot_be_begun_leaves_the_one_before_complete() {
 fn an_old_recording_goes_on_in_another_file_without_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits { part_span: Some(Span::from_millis(5_000)), ..UNLIMITED };
+    let limits = RecordingLimits { part_duration: Some(TimeDelta::from_millis(5_000)), ..UNLIMITED };
     let all = inputs(1_000);
-    let mut parts = Parts::create(&path, header(), limits, 0).unwrap();
+    let mut parts = RecordingParts::create(&path, header(), limits, 0).unwrap();
     record(&mut parts, &all).unwrap();
     let kept = parts.finish(1_000).unwrap();
     assert!((3..=4).contains(&kept.parts), "{kept:?}");
@@ -124,7 +126,7 @@ fn an_old_recording_goes_on_in_another_file_without_a_gap() {
 fn a_disk_without_room_ends_the_recording_and_what_was_written_is_whole() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
-    let limits = Limits { floor_bytes: u64::MAX, ..UNLIMITED };
+    let limits = RecordingLimits { min_free_bytes: u64::MAX, ..UNLIMITED };
     let error = error_of(&path, limits, || {});
     assert!(error.contains("record.min_free_mb"), "{error}");
     assert!(error.contains("recording.mcap"), "{error}");
@@ -173,7 +175,7 @@ fn a_folder_that_takes_no_files_is_named() {
 #[test]
 fn a_device_that_is_full_fails_when_the_header_is_written() {
     let full = std::fs::File::options().write(true).open("/dev/full");
-    let writer = posebridge_recording::container::Writer::create(full.unwrap(), &header());
+    let writer = posebridge_recording::container::RecordingWriter::create(full.unwrap(), &header());
     let error = anyhow::Error::from(writer.err().unwrap());
     assert!(format!("{error:#}").contains("No space left"), "{error:#}");
 }
@@ -191,7 +193,7 @@ fn a_recording_that_begins_in_the_session_says_so_and_numbers_its_inputs_by_the_
     assert_eq!((kept.inputs, kept.lost), (40, 0));
     assert_eq!(whole(&path), all[60..]);
     let bytes = std::fs::read(&path).unwrap();
-    let begins = Reader::open(&bytes).unwrap().beginning().clone();
+    let begins = RecordingReader::open(&bytes).unwrap().part_header().clone();
     assert_eq!((begins.inputs_before, begins.continues), (60, None));
 }
 

@@ -9,10 +9,10 @@ use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 
-use posebridge_sim::impairment::{End, ImpairedLink, LinkEvent, LinkProfile};
-use posebridge_telemetry::Stamp;
+use posebridge_sim::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
+use posebridge_telemetry::Timestamp;
 use serde_json::Value;
-use support::{Running, posebridge, stdout_of};
+use support::{RunningProgram, events_named, posebridge, stdout_of};
 
 /// Long enough for a loaded machine; a test that waits so long has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -62,7 +62,7 @@ fn over_the_clean_link_every_datagram_passes_whole_both_ways() {
 #[test]
 fn over_the_clean_link_two_terminals_talk_as_over_a_wire() {
     let folder = tempfile::tempdir().unwrap();
-    let mut relay = Running::start(posebridge(folder.path()).args([
+    let mut relay = RunningProgram::start(posebridge(folder.path()).args([
         "relay",
         "pty:brick.tty",
         "--listen",
@@ -99,9 +99,9 @@ fn a_damaged_stream_arrives_as_its_model_says_byte_for_byte() {
     let (relay, [mut brick, mut station]) = over_tcp(folder.path(), &args);
     let bytes: Vec<u8> = (0..100_000_u32).map(|i| (i * 7 % 251) as u8).collect();
     // Where bits and bytes are hit does not depend on how the stream was cut on its way into the relay.
-    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 11, Stamp::ZERO);
-    model.offer(End::Brick, Stamp::ZERO, &bytes);
-    model.offer(End::Station, Stamp::ZERO, &bytes);
+    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 11, Timestamp::ZERO);
+    model.offer(LinkEnd::Brick, Timestamp::ZERO, &bytes);
+    model.offer(LinkEnd::Station, Timestamp::ZERO, &bytes);
     let [to_station, to_brick] = arrived(&mut model);
     brick.write_all(&bytes).unwrap();
     assert!(read_exactly(&mut station, to_station.len()) == to_station);
@@ -116,8 +116,8 @@ fn a_damaged_stream_arrives_as_its_model_says_byte_for_byte() {
     assert_eq!(count(&report, "to_brick", "bytes_missing"), missing);
     assert_eq!(count(&report, "to_brick", "bytes_delivered"), to_brick.len() as u64);
     // What one seed damages another does not.
-    let mut other = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 12, Stamp::ZERO);
-    other.offer(End::Brick, Stamp::ZERO, &bytes);
+    let mut other = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 12, Timestamp::ZERO);
+    other.offer(LinkEnd::Brick, Timestamp::ZERO, &bytes);
     assert!(arrived(&mut other)[0] != to_station);
 }
 
@@ -127,7 +127,7 @@ fn the_datagrams_that_get_lost_are_those_of_the_model() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("lossy.toml"), profile).unwrap();
     let ends = over_udp(folder.path(), &["--impair", "lossy.toml", "--seed", "7"]);
-    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 7, Stamp::ZERO);
+    let mut model = ImpairedLink::new(&LinkProfile::from_toml(profile).unwrap(), 7, Timestamp::ZERO);
     let mut lost = 0;
     let mut repeated = 0;
     for batch in 0..20 {
@@ -136,9 +136,9 @@ fn the_datagrams_that_get_lost_are_those_of_the_model() {
         for number in numbers {
             let datagram = number.to_le_bytes();
             ends.brick.send_to(&datagram, &ends.at_brick).unwrap();
-            model.offer(End::Brick, Stamp::ZERO, &datagram);
+            model.offer(LinkEnd::Brick, Timestamp::ZERO, &datagram);
             let before = expected.len();
-            while let Some(LinkEvent::Arrived { delivery, .. }) = model.poll(Stamp::ZERO) {
+            while let Some(ImpairedLinkEvent::Arrived { delivery, .. }) = model.poll(Timestamp::ZERO) {
                 expected.push(delivery.bytes);
             }
             lost += u64::from(expected.len() == before);
@@ -158,9 +158,10 @@ fn the_datagrams_that_get_lost_are_those_of_the_model() {
 #[test]
 fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
     let folder = tempfile::tempdir().unwrap();
-    let mut brick = Running::start(posebridge(folder.path()).args(["sim", "circle", "--listen", "tcp://127.0.0.1:0"]));
+    let mut brick =
+        RunningProgram::start(posebridge(folder.path()).args(["sim", "circle", "--listen", "tcp://127.0.0.1:0"]));
     let brick_link = format!("tcp://{}", brick.listening_address(""));
-    let mut relay = Running::start(posebridge(folder.path()).args([
+    let mut relay = RunningProgram::start(posebridge(folder.path()).args([
         "relay",
         &brick_link,
         "--listen",
@@ -171,14 +172,15 @@ fn a_station_behind_a_bluetooth_link_estimates_and_its_side_is_recorded() {
         "link.mcap",
     ]));
     let station_link = format!("tcp://{}", relay.listening_address("station end "));
-    let mut station = Running::start(posebridge(folder.path()).args(["run", "--link", &station_link, "--out", "run"]));
+    let mut station =
+        RunningProgram::start(posebridge(folder.path()).args(["run", "--link", &station_link, "--out", "run"]));
     station.wait_for("fix accepted");
     station.interrupt();
     let table = relay.interrupt();
     assert!(table.contains("link bluetooth-spp, seed 1"), "{table}");
     stdout_of(posebridge(folder.path()).args(["replay", "link.mcap", "--events", "replayed.txt"]));
     let events = std::fs::read_to_string(folder.path().join("replayed.txt")).unwrap();
-    assert!(events.lines().any(|line| line.starts_with("Estimated")));
+    assert!(!events_named(&events, "estimated").is_empty());
 }
 
 #[test]
@@ -203,7 +205,7 @@ fn it_ends_with_a_file_though_the_other_end_still_has_something_on_the_way() {
     std::fs::write(folder.path().join("run.bin"), b"a short file").unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let link = format!("tcp://{}", listener.local_addr().unwrap());
-    let mut relay = Running::start(posebridge(folder.path()).args([
+    let mut relay = RunningProgram::start(posebridge(folder.path()).args([
         "relay",
         "file://run.bin",
         &link,
@@ -243,11 +245,11 @@ fn what_makes_no_sense_is_refused_with_a_reason() {
 }
 
 /// A relay between two TCP links of ours, and our ends: the brick's and the station's.
-fn over_tcp(folder: &Path, args: &[&str]) -> (Running, [TcpStream; 2]) {
+fn over_tcp(folder: &Path, args: &[&str]) -> (RunningProgram, [TcpStream; 2]) {
     let listeners = [(), ()].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port is free"));
     let [brick, station] = [&listeners[0], &listeners[1]]
         .map(|listener| format!("tcp://{}", listener.local_addr().expect("it has an address")));
-    let mut relay = Running::start(posebridge(folder).args(["relay", &brick, &station, "--json"]).args(args));
+    let mut relay = RunningProgram::start(posebridge(folder).args(["relay", &brick, &station, "--json"]).args(args));
     let ends = listeners.map(|listener| listener.accept().expect("the relay calls").0);
     for end in &ends {
         end.set_read_timeout(Some(PATIENCE)).expect("it can be set");
@@ -258,7 +260,7 @@ fn over_tcp(folder: &Path, args: &[&str]) -> (Running, [TcpStream; 2]) {
 
 /// A relay between two UDP sockets of ours.
 struct UdpEnds {
-    relay: Running,
+    relay: RunningProgram,
     brick: UdpSocket,
     station: UdpSocket,
     /// Where the relay hears the brick.
@@ -273,7 +275,8 @@ fn over_udp(folder: &Path, args: &[&str]) -> UdpEnds {
         socket.set_read_timeout(Some(PATIENCE)).expect("it can be set");
         format!("udp://{}", socket.local_addr().expect("it has an address"))
     });
-    let mut relay = Running::start(posebridge(folder).args(["relay", &brick_url, &station_url, "--json"]).args(args));
+    let mut relay =
+        RunningProgram::start(posebridge(folder).args(["relay", &brick_url, &station_url, "--json"]).args(args));
     let mut heard = || {
         let line = relay.wait_for(" end up: ");
         let port = line.split("from 0.0.0.0:").nth(1).expect("it says from where");
@@ -291,8 +294,8 @@ fn arrived(model: &mut ImpairedLink) -> [Vec<u8>; 2] {
     let mut bytes = [Vec::new(), Vec::new()];
     while let Some(next) = model.deadline() {
         while let Some(event) = model.poll(next) {
-            if let LinkEvent::Arrived { end, delivery } = event {
-                bytes[usize::from(end == End::Brick)].extend(delivery.bytes);
+            if let ImpairedLinkEvent::Arrived { end, delivery } = event {
+                bytes[usize::from(end == LinkEnd::Brick)].extend(delivery.bytes);
             }
         }
     }
@@ -312,7 +315,7 @@ fn receive(socket: &UdpSocket) -> Vec<u8> {
 }
 
 /// Ends a relay as Ctrl-C does and returns its JSON object.
-fn ended(relay: Running) -> Value {
+fn ended(relay: RunningProgram) -> Value {
     serde_json::from_str(&relay.interrupt()).expect("it prints one object")
 }
 

@@ -3,9 +3,9 @@
 
 mod support;
 
-use posebridge_recording::container::Reader;
+use posebridge_recording::container::RecordingReader;
 use posebridge_telemetry::Input;
-use support::{SKEWED_SQUARE, number_after, posebridge, stdout_of};
+use support::{SKEWED_SQUARE, events_named, posebridge, stdout_of};
 
 #[test]
 fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_clock() {
@@ -32,20 +32,20 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
     assert_eq!(live.lines().count(), replayed.lines().count());
 
     // The comparison must have had something to compare: fixes that were used across the wrap, and a clock known to be fast.
-    let used =
-        live.lines().filter(|line| line.starts_with("Fused") && line.contains("\"fix\"") && line.contains("Accepted"));
+    let fused = events_named(&live, "fused");
+    let used = fused.iter().filter(|event| event["kind"] == "fix" && event["outcome"] == "accepted");
     assert!(used.count() > 40);
-    let last_clock = live.lines().rfind(|line| line.starts_with("BrickClockAligned")).expect("clocks were aligned");
-    let skew_ppm = number_after(last_clock, "skew_ppm: ");
+    let last_clock = events_named(&live, "robot_clock_aligned").pop().expect("clocks were aligned");
+    let skew_ppm = last_clock["skew_ppm"].as_f64().unwrap();
     assert!((skew_ppm - 2000.0).abs() < 300.0, "{skew_ppm} ppm");
-    assert_eq!(live.lines().filter(|line| line.starts_with("BrickRestarted")).count(), 0);
+    assert!(events_named(&live, "robot_restarted").is_empty());
     assert!(chunks_that_are_not_frames(&folder.path().join("run/recording.mcap")) > 0);
 }
 
 /// Chunks of the recording that hold more or less than one frame: the boundaries are those of the reads.
 fn chunks_that_are_not_frames(path: &std::path::Path) -> usize {
     let bytes = std::fs::read(path).unwrap();
-    Reader::open(&bytes)
+    RecordingReader::open(&bytes)
         .unwrap()
         .filter(|item| match item {
             Ok((_, Input::Bytes { bytes, .. })) => usize::from(bytes[1]) + 12 != bytes.len(),

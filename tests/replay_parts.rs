@@ -8,14 +8,14 @@ mod virtual_drive;
 use std::path::Path;
 
 use posebridge_sim::Scenario;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 use support::{SKEWED_SQUARE, posebridge, stdout_of};
 use virtual_drive::record_drive;
 
 fn drive(folder: &Path) {
     let scenario = Scenario::from_toml(SKEWED_SQUARE).unwrap();
-    record_drive(&folder.join("drive.mcap"), scenario, Span::from_millis(500));
+    record_drive(&folder.join("drive.mcap"), scenario, TimeDelta::from_millis(500));
 }
 
 fn replay(folder: &Path, args: &[&str]) -> Value {
@@ -46,7 +46,7 @@ fn the_events_of_a_part_are_a_stretch_of_those_of_the_whole() {
     assert_eq!([before, behind].concat(), whole);
     let counted = replay(folder, &["--from", "2", "--to", "4.5"]);
     assert_eq!(counted["recorded_seconds"].as_f64().map(f64::floor), Some(4.0));
-    let observed = part.iter().filter(|line| line.starts_with("Observed")).count();
+    let observed = part.iter().filter(|line| line.starts_with("{\"event\":\"observed\"")).count();
     assert_eq!(counted["observations"], observed);
 }
 

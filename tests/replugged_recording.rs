@@ -12,12 +12,12 @@ use std::io::{Read as _, Write as _};
 use std::path::Path;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message, TimeSync, WheelTicks, WireStamp};
-use posebridge_recording::container::{Ending, Reader};
-use posebridge_telemetry::{Address, EncoderTicks, Input, LinkState, Stamp};
-use support::{Running, posebridge};
-use terminal::Terminal;
+use posebridge_recording::container::{RecordingEnd, RecordingReader};
+use posebridge_telemetry::{Address, EncoderTicks, Input, LinkState, Timestamp};
+use support::{RunningProgram, events_named, posebridge};
+use terminal::PseudoTerminal;
 
 const BRICK: Address = Address::new(1, 1);
 /// The waits before the next attempt double from one to the next: five make four seconds.
@@ -53,7 +53,7 @@ impl Brick {
 
     /// Waits until the station speaks, says its part, waits for the answer to its last word, and is torn off in the middle of
     /// the next. `remainder` is what the plugging before has not got rid of.
-    fn talk(&mut self, mut terminal: Terminal, remainder: &[u8]) -> Sent {
+    fn talk(&mut self, mut terminal: PseudoTerminal, remainder: &[u8]) -> Sent {
         hear(&mut terminal, |_| true);
         let mut whole = remainder.to_vec();
         whole.extend(self.frame(&HEARTBEAT));
@@ -87,14 +87,14 @@ const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// Reads what the station says until a message of it is wanted.
-fn hear(terminal: &mut Terminal, is_wanted: impl Fn(&Message) -> bool) {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+fn hear(terminal: &mut PseudoTerminal, is_wanted: impl Fn(&Message) -> bool) {
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut buffer = [0; 4_096];
     let mut is_heard = false;
     while !is_heard {
         let read = terminal.wire.read(&mut buffer).expect("the station speaks");
-        scanner.push(Stamp::ZERO, &buffer[..read], &mut |found| {
-            if let Scanned::Frame(frame) = found
+        scanner.push(Timestamp::ZERO, &buffer[..read], &mut |found| {
+            if let FramerOutput::Frame(frame) = found
                 && let Ok(Some(message)) = decode(&frame)
             {
                 is_heard |= is_wanted(&message);
@@ -106,8 +106,8 @@ fn hear(terminal: &mut Terminal, is_wanted: impl Fn(&Message) -> bool) {
 /// The recorded bytes of each time that the link was up.
 fn recorded(path: &Path) -> Vec<Vec<u8>> {
     let file = std::fs::read(path).expect("the recording is there");
-    let reader = Reader::open(&file).expect("it is one");
-    assert_eq!(reader.ending(), Ending::Complete);
+    let reader = RecordingReader::open(&file).expect("it is one");
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete);
     let mut times: Vec<Vec<u8>> = Vec::new();
     for input in reader {
         match input.expect("every record is good").1 {
@@ -131,13 +131,13 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
     let folder = tempfile::tempdir().unwrap();
     let name = folder.path().join("brick.tty");
     let link = format!("serial:{}", name.display());
-    let mut terminal = Terminal::open_as(&name);
+    let mut terminal = PseudoTerminal::open_as(&name);
     let args = ["run", "--link", &link, "--out", "run", "--events", "live.txt"];
-    let station = Running::start(posebridge(folder.path()).args(args));
+    let station = RunningProgram::start(posebridge(folder.path()).args(args));
     let mut brick = Brick { encoder: Encoder::new(WireVersion::V2), said: 0 };
     let mut sent = vec![brick.talk(terminal, &[])];
     while sent.len() < PLUGGINGS {
-        terminal = Terminal::open_as(&name);
+        terminal = PseudoTerminal::open_as(&name);
         let torn = &sent[sent.len() - 1].torn;
         let remainder = torn[torn.len() / 2..].to_vec();
         sent.push(brick.talk(terminal, &remainder));
@@ -157,29 +157,21 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
 /// Every whole message was observed once and in order, no torn one was, and the recording replays to the same events.
 fn check_events(folder: &Path, said: i64) {
     let live = std::fs::read_to_string(folder.join("live.txt")).unwrap();
-    let stamps: Vec<&str> =
-        live.lines().filter(|line| line.starts_with("Observed")).map(|line| after(line, "stamp: brick@")).collect();
+    let observed = events_named(&live, "observed");
+    let stamps: Vec<i64> = observed.iter().map(|event| event["robot_ns"].as_i64().unwrap()).collect();
     // The last of each plugging is the torn one.
-    let expected: Vec<String> = (1..=said)
+    let expected: Vec<i64> = (1..=said)
         .filter(|number| number % (MESSAGES + 1) != 0)
-        .map(|number| {
-            let micros = 5_000_000 + number * i64::from(STEP_MICROS);
-            format!("{}.{:06}000s", micros / 1_000_000, micros % 1_000_000)
-        })
+        .map(|number| 1_000 * (5_000_000 + number * i64::from(STEP_MICROS)))
         .collect();
     assert_eq!(stamps, expected);
     // The station may be stopped before it has noticed the last.
-    assert!(live.matches("state: Down").count() >= PLUGGINGS - 1);
-    assert_eq!(live.matches("BrickRestarted").count(), 0);
+    assert!(live.matches("\"state\":\"down\"").count() >= PLUGGINGS - 1);
+    assert!(events_named(&live, "robot_restarted").is_empty());
 
     let args = ["replay", "run/recording.mcap", "--events", "again.txt"];
     let replay = posebridge(folder).args(args).output().unwrap();
     assert!(replay.status.success(), "{replay:?}");
     let again = std::fs::read_to_string(folder.join("again.txt")).unwrap();
     assert!(again == live, "the replay tells something else");
-}
-
-fn after<'a>(line: &'a str, name: &str) -> &'a str {
-    let rest = line.split(name).nth(1).expect("the field is there");
-    rest.split([',', ')']).next().expect("it has a value")
 }

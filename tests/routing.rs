@@ -11,7 +11,7 @@ use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandAck, CommandLong, Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks};
-use support::{Running, posebridge, stdout_of};
+use support::{RunningProgram, events_named, posebridge, stdout_of};
 
 const BRICK: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(2, 100);
@@ -90,7 +90,7 @@ fn holds(bytes: &[u8], wanted: &[u8]) -> bool {
 fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears_it() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("three.toml"), CONFIG).unwrap();
-    let mut station = Running::start(posebridge(folder.path()).args([
+    let mut station = RunningProgram::start(posebridge(folder.path()).args([
         "run",
         "--config",
         "three.toml",
@@ -162,6 +162,6 @@ fn replays_bit_for_bit(folder: &std::path::Path) {
     stdout_of(posebridge(folder).args(["replay", "run/recording.mcap", "--events", "replayed.txt"]));
     let lines = |name: &str| std::fs::read_to_string(folder.join(name)).expect("events");
     let (live, replayed) = (lines("live.txt"), lines("replayed.txt"));
-    assert!(live.lines().filter(|line| line.starts_with("Observed")).count() == 20);
+    assert_eq!(events_named(&live, "observed").len(), 20);
     assert!(live == replayed, "live:\n{live}\nreplayed:\n{replayed}");
 }

@@ -9,7 +9,9 @@ mod support;
 
 use std::process::Command;
 
-use posebridge::commands::man::pages;
+use clap::CommandFactory;
+use posebridge::cli::Cli;
+use posebridge::tools::man::pages;
 use support::{posebridge, root, stdout_of};
 
 const PAGES: [&str; 2] = ["README.md", "docs/install.md"];
@@ -65,7 +67,7 @@ fn real(what: &str) -> (Option<Vec<String>>, Option<usize>) {
 
 fn page_as_read(name: &str) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
-    let made = pages().unwrap();
+    let made = pages(Cli::command()).unwrap();
     let page = made.iter().find(|page| page.file == format!("{name}.1"));
     let path = folder.path().join("page.1");
     // Neither stretched nor hyphenated: it shall look and be compared alike whoever formats it.

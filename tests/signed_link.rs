@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{Heartbeat, Message, TimeSync, WheelTicks, WireStamp};
-use posebridge_protocol::signing::{Key, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
-use posebridge_telemetry::{Address, EncoderTicks, Stamp};
-use support::{Running, posebridge};
+use posebridge_protocol::signing::{Key, LinkSigner, SigningConfig, SigningState, SigningTime, UnsignedPolicy};
+use posebridge_telemetry::{Address, EncoderTicks, Timestamp};
+use support::{RunningProgram, events_named, posebridge};
 
 const BRICK: Address = Address::new(1, 1);
 const HEARTBEAT: Message =
@@ -43,13 +43,13 @@ fn refused(folder: &Path, args: &[&str]) -> String {
 }
 
 /// A station that calls us on a signed link.
-fn station(folder: &Path, name: &str) -> (Running, TcpStream) {
+fn station(folder: &Path, name: &str) -> (RunningProgram, TcpStream) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let config =
         format!("[[link]]\nurl = \"tcp://{}\"\nsigning = {{ key_file = \"a.key\" }}\n", listener.local_addr().unwrap());
     std::fs::write(folder.join("station.toml"), config).unwrap();
     let events = format!("{name}.txt");
-    let running = Running::start(posebridge(folder).args([
+    let running = RunningProgram::start(posebridge(folder).args([
         "run",
         "--config",
         "station.toml",
@@ -64,26 +64,26 @@ fn station(folder: &Path, name: &str) -> (Running, TcpStream) {
 /// A brick that signs, and can ask whether all that it said was handled.
 struct Brick {
     link: TcpStream,
-    signing: LinkSigning,
+    signing: LinkSigner,
     encoder: Encoder,
-    scanner: Scanner,
+    scanner: Framer,
 }
 
 impl Brick {
     fn new(link: TcpStream, key: &Key) -> Self {
         // Ahead of any real date: the station takes its time from us.
-        let ahead = Timestamp::from_units(60_000_000_000_000);
-        let signing = LinkSigning::new(SigningConfig {
+        let ahead = SigningTime::from_units(60_000_000_000_000);
+        let signing = LinkSigner::new(SigningConfig {
             key: key.clone(),
             link_id: 9,
-            unsigned: Unsigned::Accept,
-            memory: Memory { written: ahead, clock: ahead, ..Memory::default() },
+            unsigned: UnsignedPolicy::Accept,
+            state: SigningState { written_at: ahead, clock: ahead, ..SigningState::default() },
         });
-        Self { link, signing, encoder: Encoder::new(WireVersion::V2), scanner: Scanner::new(ScannerConfig::default()) }
+        Self { link, signing, encoder: Encoder::new(WireVersion::V2), scanner: Framer::new(FramerConfig::default()) }
     }
 
     fn say(&mut self, message: &Message) -> Vec<u8> {
-        let seal = self.signing.next_seal(Stamp::ZERO).unwrap();
+        let seal = self.signing.next_signer(Timestamp::ZERO).unwrap();
         let mut bytes = Vec::new();
         self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
         self.link.write_all(&bytes).unwrap();
@@ -98,8 +98,8 @@ impl Brick {
             let mut chunk = [0; 4_096];
             let read = self.link.read(&mut chunk).unwrap();
             assert!(read > 0, "the station has gone");
-            self.scanner.push(Stamp::ZERO, &chunk[..read], &mut |found| {
-                if let Scanned::Frame(frame) = found
+            self.scanner.push(Timestamp::ZERO, &chunk[..read], &mut |found| {
+                if let FramerOutput::Frame(frame) = found
                     && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
                 {
                     is_answered |= sync.request_nanos == request_nanos && sync.answer_nanos != 0;
@@ -140,9 +140,9 @@ fn a_signed_session_replays_bit_for_bit_with_its_key_and_not_without() {
     let (folder, key) = folder_with_key();
     drive(folder.path(), &key);
     let live = std::fs::read_to_string(folder.path().join("run.txt")).unwrap();
-    assert_eq!(live.matches("reason: Replayed").count(), 1, "{live}");
-    assert_eq!(live.matches("reason: Unsigned").count(), 1);
-    assert_eq!(live.matches("\nObserved").count(), 10);
+    assert_eq!(live.matches("\"reason\":\"replayed\"").count(), 1, "{live}");
+    assert_eq!(live.matches("\"reason\":\"unsigned\"").count(), 1);
+    assert_eq!(events_named(&live, "observed").len(), 10);
 
     let replay = ["replay", "run/recording.mcap", "--events", "again.txt"];
     let same = |more: &[&str]| {
@@ -211,16 +211,16 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     assert!(told.contains("date stands"), "{told}");
     link.write_all(&old).unwrap();
     let mut brick = Brick::new(link, &key);
-    brick.signing = LinkSigning::new(SigningConfig {
+    brick.signing = LinkSigner::new(SigningConfig {
         key,
         link_id: 10,
-        unsigned: Unsigned::Accept,
-        memory: Memory { clock: Timestamp::from_units(60_000_100_000_000), ..Memory::default() },
+        unsigned: UnsignedPolicy::Accept,
+        state: SigningState { clock: SigningTime::from_units(60_000_100_000_000), ..SigningState::default() },
     });
     brick.ping(3);
     second_station.interrupt();
     let events = std::fs::read_to_string(folder.path().join("second.txt")).unwrap();
-    assert_eq!(events.matches("reason: Replayed").count(), 1, "{events}");
+    assert_eq!(events.matches("\"reason\":\"replayed\"").count(), 1, "{events}");
 }
 
 #[test]

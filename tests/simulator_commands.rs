@@ -2,26 +2,26 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge::config::Config;
-use posebridge::virtual_run::{self, Deeds, Seen, VirtualRun};
-use posebridge_pipeline::{Pipeline, PipelineConfig};
+use posebridge::virtual_station::{self, RunEvent, RunScript, VirtualRun};
 use posebridge_sim::{Scenario, Steering, TruthSample};
+use posebridge_station::{Station, StationConfig};
 use posebridge_telemetry::simulator::ProfileName;
 use posebridge_telemetry::{
-    Command, Defect, Estimate, Event, FusionRecord, HostClock, Input, LinkState, Output, SensorId, SimulatorCommand,
-    SlippingWheel, Span, Stamp, SteeringSource, Switch, Verdict,
+    Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Input, LinkState, Output, ReceiveError, SensorId,
+    SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
 };
 
 /// Everything of a run, in its order.
 struct Told {
     run: VirtualRun,
-    inputs: Vec<(Stamp<HostClock>, Input)>,
-    events: Vec<(Stamp<HostClock>, Event)>,
+    inputs: Vec<(Timestamp<HostClock>, Input)>,
+    events: Vec<(Timestamp<HostClock>, Event)>,
 }
 
 impl Told {
-    fn estimates(&self) -> impl Iterator<Item = (Stamp<HostClock>, &Estimate)> {
+    fn estimates(&self) -> impl Iterator<Item = (Timestamp<HostClock>, &Estimate)> {
         self.events.iter().filter_map(|(at, event)| {
-            let Event::Estimated { estimate, .. } = event else {
+            let Event::EstimateUpdated { estimate, .. } = event else {
                 return None;
             };
             Some((*at, estimate))
@@ -30,14 +30,14 @@ impl Told {
 
     /// The last estimate by then.
     fn estimate_at(&self, secs: f64) -> &Estimate {
-        let by = Stamp::from_secs_f64(secs);
+        let by = Timestamp::from_secs_f64(secs);
         let last = self.estimates().take_while(|(at, _)| *at <= by).last();
         last.unwrap().1
     }
 
     fn truth_at(&self, secs: f64) -> &TruthSample {
         let mut samples = self.run.simulation.truth().iter();
-        samples.rfind(|one| one.world.as_secs_f64() <= secs).unwrap()
+        samples.rfind(|one| one.sim_time.as_secs_f64() <= secs).unwrap()
     }
 
     /// How far the estimate was off, in metres.
@@ -65,40 +65,40 @@ impl Told {
 
     fn records(&self) -> impl Iterator<Item = (f64, &FusionRecord)> {
         self.events.iter().filter_map(|(at, event)| {
-            let Event::Fused { record, .. } = event else {
+            let Event::ObservationFused { record, .. } = event else {
                 return None;
             };
             Some((at.as_secs_f64(), record))
         })
     }
 
-    fn verdicts_of(&self, sensor: SensorId) -> impl Iterator<Item = (f64, Verdict)> {
-        self.records().filter(move |(_, record)| record.sensor == sensor).map(|(at_s, record)| (at_s, record.verdict))
+    fn verdicts_of(&self, sensor: SensorId) -> impl Iterator<Item = (f64, FusionOutcome)> {
+        self.records().filter(move |(_, record)| record.sensor == sensor).map(|(at_s, record)| (at_s, record.outcome))
     }
 }
 
-fn at(secs: f64, command: SimulatorCommand) -> (Span, Command) {
-    (Span::from_secs_f64(secs), Command::Simulator(command))
+fn at(secs: f64, command: SimulatorCommand) -> (TimeDelta, Command) {
+    (TimeDelta::from_secs_f64(secs), Command::Simulator(command))
 }
 
-fn pipeline_of(scenario: &Scenario) -> PipelineConfig {
-    Config::default().with_tag_of(scenario).pipeline().unwrap()
+fn pipeline_of(scenario: &Scenario) -> StationConfig {
+    Config::default().with_tag_of(scenario).station_config().unwrap()
 }
 
 /// The bundled scenario, driven without an end for so long.
-fn driven(name: &str, commands: &[(Span, Command)], secs: f64) -> Told {
+fn driven(name: &str, commands: &[(TimeDelta, Command)], secs: f64) -> Told {
     let scenario = Scenario::bundled(name).unwrap().without_end();
     let config = pipeline_of(&scenario);
     let (mut inputs, mut events) = (Vec::new(), Vec::new());
-    let deeds = Deeds {
+    let deeds = RunScript {
         commands,
-        until: Span::from_secs_f64(secs),
-        look: &mut |at, seen| match seen {
-            Seen::Input(input) => inputs.push((at, input.clone())),
-            Seen::Event(event) => events.push((at, event.clone())),
+        until: TimeDelta::from_secs_f64(secs),
+        observer: &mut |at, seen| match seen {
+            RunEvent::Input(input) => inputs.push((at, input.clone())),
+            RunEvent::Event(event) => events.push((at, event.clone())),
         },
     };
-    let run = virtual_run::run_with(scenario, config, deeds).unwrap();
+    let run = virtual_station::run_with(scenario, config, deeds).unwrap();
     Told { run, inputs, events }
 }
 
@@ -123,7 +123,8 @@ fn a_kidnapped_robot_is_found_again_and_the_jump_is_counted() {
 
 #[test]
 fn without_a_camera_the_ellipse_grows_and_shrinks_when_it_is_back() {
-    let commands = [at(6.0, SimulatorCommand::Camera(Switch::Off)), at(12.0, SimulatorCommand::Camera(Switch::On))];
+    let commands =
+        [at(6.0, SimulatorCommand::Camera(SensorSwitch::Off)), at(12.0, SimulatorCommand::Camera(SensorSwitch::On))];
     let told = driven("square", &commands, 14.0);
     let (before, dark, after) = (told.ellipse_m(5.9), told.ellipse_m(8.0), told.ellipse_m(14.0));
     assert!(dark > 1.5 * before, "{dark} {before}");
@@ -138,14 +139,14 @@ fn without_a_camera_the_ellipse_grows_and_shrinks_when_it_is_back() {
 fn a_slipping_wheel_is_called_slip_and_told_once() {
     let slip = |secs| {
         let wheel = SlippingWheel::Left;
-        let duration = Span::from_millis(1_500);
+        let duration = TimeDelta::from_millis(1_500);
         at(secs, SimulatorCommand::Slip { wheel, factor: 1.0, duration })
     };
     // Both on a side, which takes 4.5 s, and not in the turn at its end.
     let told = driven("square", &[slip(3.0), slip(15.0)], 18.0);
     let slips: Vec<f64> = told
         .verdicts_of(SensorId::WHEELS)
-        .filter(|(_, verdict)| *verdict == Verdict::Slip)
+        .filter(|(_, verdict)| *verdict == FusionOutcome::Slip)
         .map(|(at_s, _)| at_s)
         .collect();
     let while_it_slips = |at_s: &&f64| (3.0..5.0).contains(*at_s) || (15.0..17.0).contains(*at_s);
@@ -164,14 +165,14 @@ fn a_slipping_wheel_is_called_slip_and_told_once() {
 
 #[test]
 fn a_late_camera_is_used_at_its_own_time() {
-    let delay = Span::from_millis(700);
+    let delay = TimeDelta::from_millis(700);
     let told = driven("square", &[at(6.0, SimulatorCommand::CameraDelay { delay })], 12.0);
-    let lags: Vec<(f64, Verdict)> = told
+    let lags: Vec<(f64, FusionOutcome)> = told
         .records()
         .filter(|(at_s, record)| record.kind == "fix" && *at_s > 8.0)
-        .map(|(_, record)| (record.lag.as_secs_f64(), record.verdict))
+        .map(|(_, record)| (record.lag.as_secs_f64(), record.outcome))
         .collect();
-    let used = lags.iter().filter(|(_, verdict)| *verdict == Verdict::Accepted);
+    let used = lags.iter().filter(|(_, verdict)| *verdict == FusionOutcome::Accepted);
     assert!(used.count() > 15, "{lags:?}");
     assert!(lags.iter().all(|(lag_s, _)| (0.6..0.85).contains(lag_s)), "{lags:?}");
     assert!(told.off_m(11.9) < 0.03, "{} m", told.off_m(11.9));
@@ -197,7 +198,7 @@ fn by_odometry_it_drifts_away_and_by_the_estimate_it_comes_back() {
     assert_eq!(told.truth_at(61.0).steering, Steering::Estimate);
     let worst_m = |from: f64, to: f64| {
         let samples = told.run.simulation.truth().iter();
-        let within = samples.filter(|one| (from..to).contains(&one.world.as_secs_f64()));
+        let within = samples.filter(|one| (from..to).contains(&one.sim_time.as_secs_f64()));
         within.map(|one| one.cross_track_m).fold(0.0, f64::max)
     };
     let (drifted_m, back_m) = (worst_m(40.0, 60.0), worst_m(75.0, 90.0));
@@ -224,7 +225,7 @@ fn a_person_drives_for_half_a_second_a_time_and_lets_it_find_its_path_again() {
 
 #[test]
 fn a_pulled_cable_is_a_link_that_goes_and_comes_back() {
-    let duration = Span::from_millis(2_000);
+    let duration = TimeDelta::from_millis(2_000);
     let told = driven("square", &[at(6.0, SimulatorCommand::PullCable { duration })], 12.0);
     let states: Vec<(f64, LinkState)> = told
         .events
@@ -289,25 +290,28 @@ fn a_brick_without_an_end_drives_lap_after_lap_and_remembers_only_the_last_of_it
 const fn is_damage(event: &Event) -> bool {
     matches!(
         event,
-        Event::Defect { defect: Defect::Checksum { .. } | Defect::Garbage { .. } | Defect::Stall { .. }, .. }
+        Event::ReceiveError {
+            defect: ReceiveError::Checksum { .. } | ReceiveError::UnframedBytes { .. } | ReceiveError::Timeout { .. },
+            ..
+        }
     )
 }
 
 /// A session in which everything is done to the brick that can be.
-fn everything() -> Vec<(Span, Command)> {
+fn everything() -> Vec<(TimeDelta, Command)> {
     let wheel = SlippingWheel::Right;
     vec![
         at(3.0, SimulatorCommand::Steering(SteeringSource::Odometry)),
-        at(4.0, SimulatorCommand::Slip { wheel, factor: 0.7, duration: Span::from_millis(800) }),
+        at(4.0, SimulatorCommand::Slip { wheel, factor: 0.7, duration: TimeDelta::from_millis(800) }),
         at(5.0, SimulatorCommand::Steering(SteeringSource::Estimate)),
-        at(5.5, SimulatorCommand::Camera(Switch::Off)),
-        at(6.5, SimulatorCommand::Camera(Switch::On)),
-        at(7.0, SimulatorCommand::CameraDelay { delay: Span::from_millis(400) }),
+        at(5.5, SimulatorCommand::Camera(SensorSwitch::Off)),
+        at(6.5, SimulatorCommand::Camera(SensorSwitch::On)),
+        at(7.0, SimulatorCommand::CameraDelay { delay: TimeDelta::from_millis(400) }),
         at(8.0, SimulatorCommand::GyroBiasStep { rad_per_s: -0.02 }),
         at(9.0, SimulatorCommand::Kidnap { forward_m: -0.2, left_m: 0.2, turn_rad: -2.0 }),
         at(12.0, SimulatorCommand::LinkProfile(Some(ProfileName::from_bytes(b"bluetooth-spp")))),
         at(14.0, SimulatorCommand::LinkProfile(None)),
-        at(15.0, SimulatorCommand::PullCable { duration: Span::from_millis(700) }),
+        at(15.0, SimulatorCommand::PullCable { duration: TimeDelta::from_millis(700) }),
         at(16.5, SimulatorCommand::Drive { forward_m_per_s: 0.1, turn_rad_per_s: 1.0 }),
         at(17.5, SimulatorCommand::Path),
     ]
@@ -317,7 +321,7 @@ fn everything() -> Vec<(Span, Command)> {
 fn a_replay_of_everything_that_was_done_is_the_session_bit_for_bit() {
     let told = driven("square", &everything(), 20.0);
     let scenario = Scenario::bundled("square").unwrap();
-    let mut pipeline = Pipeline::new(pipeline_of(&scenario), Stamp::ZERO).unwrap();
+    let mut pipeline = Station::new(pipeline_of(&scenario), Timestamp::ZERO).unwrap();
     let (mut events, mut asked) = (Vec::new(), 0);
     for (at, input) in &told.inputs {
         pipeline.handle(*at, input);

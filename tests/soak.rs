@@ -17,16 +17,18 @@ mod account;
 
 use std::collections::BTreeMap;
 
-use account::{Account, unseen_at_most};
+use account::{FrameAccount, max_unseen};
 use allocation_counter::{measure, opt_out};
-use posebridge::collect::Collector;
 use posebridge::config::Config;
-use posebridge_pipeline::Pipeline;
-use posebridge_protocol::framing::Framing;
-use posebridge_sim::impairment::{End, FrameCounts, FrameLedger, ImpairedLink, LinkEvent, LinkKind, LinkProfile};
+use posebridge::station::event_collector::EventCollector;
+use posebridge_protocol::framing::TransportKind;
+use posebridge_sim::impairment::{
+    FrameCounts, FrameLedger, ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile,
+};
 use posebridge_sim::{Scenario, Simulation};
+use posebridge_station::Station;
 use posebridge_telemetry::{
-    Address, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, SourceHealth, Span, Stamp,
+    Address, Event, HostClock, Input, LinkHealth, LinkId, LinkState, Output, PeerId, SourceHealth, TimeDelta, Timestamp,
 };
 
 /// Length of the run that every commit makes, hours of virtual time.
@@ -34,16 +36,16 @@ const SHORT_HOURS: f64 = 0.5;
 /// Seed of the link; that of the world is the scenario's.
 const SHORT_SEED: u64 = 3;
 /// What is kept is compared with what was kept after this long.
-const SETTLED: Span = Span::from_millis(60_000);
+const SETTLED: TimeDelta = TimeDelta::from_millis(60_000);
 /// The accounts are compared this often, and at the end.
-const CHECK_PERIOD: Span = Span::from_millis(600_000);
+const CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(600_000);
 /// Frames may be on their way between the link and the accounts, and late ones wait for the next with a stamp; so many seconds in a row
 /// the accounts may differ for that. The link can be away and stalled for 15 of them, several times in a row.
 const PATIENCE: u32 = 60;
 /// What is kept may grow by this share.
 const GROWTH: f64 = 0.05;
 /// Longest a sender may be silent: an outage of 5 s within stalls of 10 s that follow each other.
-const LONGEST_SILENCE: Span = Span::from_millis(60_000);
+const LONGEST_SILENCE: TimeDelta = TimeDelta::from_millis(60_000);
 
 const BRICK: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(1, 100);
@@ -63,12 +65,12 @@ fn a_day_of_datagrams_that_overtake_each_other_and_come_twice_leaks_nothing_eith
 fn soak(profile: &LinkProfile) {
     let hours: f64 = wished("POSEBRIDGE_SOAK_HOURS").unwrap_or(SHORT_HOURS);
     let seed = wished("POSEBRIDGE_SOAK_SEED").unwrap_or(SHORT_SEED);
-    let end = Stamp::from_secs_f64(hours * 3_600.0);
+    let end = Timestamp::from_secs_f64(hours * 3_600.0);
     let mut soak = Soak::new(profile, seed);
-    soak.run_until(Stamp::ZERO + SETTLED);
+    soak.run_until(Timestamp::ZERO + SETTLED);
     let settled_bytes = soak.kept_bytes;
     let mut highest_bytes = settled_bytes;
-    let mut until = Stamp::ZERO;
+    let mut until = Timestamp::ZERO;
     while until < end {
         until = end.min(until + CHECK_PERIOD);
         soak.run_until(until);
@@ -94,14 +96,14 @@ fn wished<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<
 /// Brick, link and station with nothing but counts.
 struct Soak {
     id: LinkId,
-    now: Stamp<HostClock>,
-    pipeline: Pipeline,
+    now: Timestamp<HostClock>,
+    pipeline: Station,
     simulation: Simulation,
     link: ImpairedLink,
     to_station: FrameLedger,
     to_brick: FrameLedger,
     /// What a live run keeps for its tables.
-    collector: Collector,
+    collector: EventCollector,
     /// Live bytes of station and collector.
     kept_bytes: i64,
     told: Told,
@@ -120,8 +122,8 @@ struct Told {
     estimates: u64,
     alignments: u64,
     restarts: u64,
-    last_estimate: Option<Stamp<HostClock>>,
-    longest_silence: Span,
+    last_estimate: Option<Timestamp<HostClock>>,
+    longest_silence: TimeDelta,
 }
 
 /// How the outages went.
@@ -137,26 +139,26 @@ struct Outages {
 impl Soak {
     fn new(profile: &LinkProfile, seed: u64) -> Self {
         let scenario = Scenario::bundled("square").expect("it is bundled").with_laps(10_000);
-        let mut config = Config::default().with_tag_of(&scenario).pipeline().expect("the default makes sense");
+        let mut config = Config::default().with_tag_of(&scenario).station_config().expect("the default makes sense");
         if let Some(link) = config.links.first_mut() {
             link.framing = match profile.kind {
-                LinkKind::Stream => Framing::Stream,
-                LinkKind::Datagram => Framing::Datagram,
+                LinkKind::Stream => TransportKind::Stream,
+                LinkKind::Datagram => TransportKind::Datagram,
             };
         }
         let mut station = None;
         let made = measure(|| {
             let config = config.clone();
-            let pipeline = Pipeline::new(config, Stamp::ZERO).expect("the default makes sense");
-            station = Some((pipeline, Collector::live()));
+            let pipeline = Station::new(config, Timestamp::ZERO).expect("the default makes sense");
+            station = Some((pipeline, EventCollector::live()));
         });
         let (pipeline, collector) = station.expect("it was made");
         let mut soak = Self {
             id: config.links.first().map_or(LinkId(0), |link| link.id),
-            now: Stamp::ZERO,
+            now: Timestamp::ZERO,
             pipeline,
             simulation: Simulation::new(scenario).without_history(),
-            link: ImpairedLink::new(profile, seed, Stamp::ZERO),
+            link: ImpairedLink::new(profile, seed, Timestamp::ZERO),
             to_station: FrameLedger::new(),
             to_brick: FrameLedger::new(),
             collector,
@@ -167,21 +169,21 @@ impl Soak {
             unequal: 0,
             unequal_in_a_row: 0,
         };
-        soak.tell(Stamp::ZERO, LinkState::Up);
+        soak.tell(Timestamp::ZERO, LinkState::Up);
         soak
     }
 
-    fn run_until(&mut self, until: Stamp<HostClock>) {
+    fn run_until(&mut self, until: Timestamp<HostClock>) {
         while self.now < until {
             self.simulation.step();
-            self.now = Stamp::ZERO + self.simulation.elapsed();
+            self.now = Timestamp::ZERO + self.simulation.elapsed();
             self.pass_to(self.now);
             while let Some(bytes) = self.simulation.poll() {
-                let unit = self.link.offer(End::Brick, self.now, &bytes);
+                let unit = self.link.offer(LinkEnd::Brick, self.now, &bytes);
                 self.to_station.offer(self.now, unit, &bytes);
                 self.pass_to(self.now);
             }
-            let is_due = |due: Stamp<HostClock>| due <= self.now;
+            let is_due = |due: Timestamp<HostClock>| due <= self.now;
             if self.pipeline.deadline().is_some_and(is_due) {
                 self.give(self.now, &Input::Tick);
                 self.pass_to(self.now);
@@ -189,54 +191,54 @@ impl Soak {
         }
     }
 
-    fn pass_to(&mut self, now: Stamp<HostClock>) {
+    fn pass_to(&mut self, now: Timestamp<HostClock>) {
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
             while let Some(event) = self.link.poll(at) {
                 self.take(event);
             }
         }
-        self.to_station.follow(&self.link.take_log(End::Station));
-        self.to_brick.follow(&self.link.take_log(End::Brick));
+        self.to_station.apply_log(&self.link.take_log(LinkEnd::Station));
+        self.to_brick.apply_log(&self.link.take_log(LinkEnd::Brick));
     }
 
-    fn take(&mut self, event: LinkEvent) {
+    fn take(&mut self, event: ImpairedLinkEvent) {
         match event {
-            LinkEvent::Arrived { end: End::Brick, delivery } => self.simulation.receive(&delivery.bytes),
-            LinkEvent::Arrived { end: End::Station, delivery } => {
+            ImpairedLinkEvent::Arrived { end: LinkEnd::Brick, delivery } => self.simulation.receive(&delivery.bytes),
+            ImpairedLinkEvent::Arrived { end: LinkEnd::Station, delivery } => {
                 if std::mem::take(&mut self.outages.is_pending) {
                     self.outages.recovered += 1;
                 }
                 let (link, peer, bytes) = (self.id, PeerId::default(), delivery.bytes);
                 self.give(delivery.at, &Input::Bytes { link, peer, bytes });
             }
-            LinkEvent::Down { at } => {
+            ImpairedLinkEvent::Down { at } => {
                 self.outages.begun += 1;
                 if std::mem::replace(&mut self.outages.is_pending, true) {
                     self.outages.cut_short += 1;
                 }
                 self.tell(at, LinkState::Down);
             }
-            LinkEvent::Up { at } => self.tell(at, LinkState::Up),
+            ImpairedLinkEvent::Up { at } => self.tell(at, LinkState::Up),
         }
     }
 
-    fn tell(&mut self, at: Stamp<HostClock>, state: LinkState) {
+    fn tell(&mut self, at: Timestamp<HostClock>, state: LinkState) {
         let link = self.id;
         self.give(at, &Input::Link { link, state });
     }
 
-    fn give(&mut self, at: Stamp<HostClock>, input: &Input) {
+    fn give(&mut self, at: Timestamp<HostClock>, input: &Input) {
         let change = measure(|| {
             self.pipeline.handle(at, input);
             while let Some(output) = self.pipeline.poll() {
                 match output {
                     // The link and the test itself keep what is theirs.
                     Output::Transmit { bytes, .. } => opt_out(|| {
-                        let unit = self.link.offer(End::Station, at, &bytes);
+                        let unit = self.link.offer(LinkEnd::Station, at, &bytes);
                         self.to_brick.offer(at, unit, &bytes);
                     }),
                     Output::Event(event) => {
-                        self.collector.take(&event);
+                        self.collector.on_event(&event);
                         opt_out(|| self.hear(at, &event));
                     }
                     Output::Request(request) => panic!("nobody asked for {request:?}"),
@@ -246,12 +248,12 @@ impl Soak {
         self.kept_bytes += change.bytes_current;
     }
 
-    fn hear(&mut self, at: Stamp<HostClock>, event: &Event) {
+    fn hear(&mut self, at: Timestamp<HostClock>, event: &Event) {
         self.told.take(at, event);
         if matches!(event, Event::Health { .. }) {
             // What has arrived in this very millisecond is not in the log's account yet.
-            self.to_station.follow(&self.link.take_log(End::Station));
-            self.to_brick.follow(&self.link.take_log(End::Brick));
+            self.to_station.apply_log(&self.link.take_log(LinkEnd::Station));
+            self.to_brick.apply_log(&self.link.take_log(LinkEnd::Brick));
             let is_equal = self.differences().is_empty();
             self.equal += u64::from(is_equal);
             self.unequal += u64::from(!is_equal);
@@ -266,10 +268,11 @@ impl Soak {
         let mut differences = Vec::new();
         for source in [BRICK, CAMERA] {
             let said = self.told.sources.iter().find(|said| said.source == source);
-            let told = said.map_or(Account::default(), |said| Account { came: said.frames, lost: said.lost });
+            let told =
+                said.map_or(FrameAccount::default(), |said| FrameAccount { received: said.frames, lost: said.lost });
             let counts = truth.get(&source).copied().unwrap_or_default();
-            let made = Account { came: counts.whole + counts.repeated, lost: counts.missing_between };
-            let unseen = unseen_at_most(self.now.as_secs_f64() / 3_600.0);
+            let made = FrameAccount { received: counts.whole + counts.repeated, lost: counts.missing_between };
+            let unseen = max_unseen(self.now.as_secs_f64() / 3_600.0);
             let is_equal = told.agrees(made, unseen, counts.undatable);
             if !is_equal {
                 differences.push(format!("{source}: told {told:?}; {counts:?}"));
@@ -284,7 +287,7 @@ impl Soak {
             if self.unequal_in_a_row == 0 {
                 return;
             }
-            self.run_until(self.now + Span::from_millis(1_000));
+            self.run_until(self.now + TimeDelta::from_millis(1_000));
         }
         assert_eq!(self.unequal_in_a_row, 0, "{:?}", self.differences());
     }
@@ -293,16 +296,16 @@ impl Soak {
     fn check_the_conversation(&self) {
         let truth: BTreeMap<Address, FrameCounts> = self.to_brick.counts().collect();
         let counts = truth.get(&STATION).copied().unwrap_or_default();
-        println!("to the brick: {counts:?}, it heard {:?}", self.simulation.heard());
+        println!("to the brick: {counts:?}, it heard {:?}", self.simulation.receive_counters());
         assert_eq!(truth.len(), 1, "nobody else speaks there");
         assert!(counts.sent >= self.told.health.frames_out);
         assert!(counts.lost > 0);
         // One may wait behind a torn one for the brick's next bytes.
         let came = counts.whole + counts.repeated;
-        let heard = self.simulation.heard().frames;
+        let heard = self.simulation.receive_counters().frames;
         assert!(came <= heard + 1, "{came} {heard}");
         let formed = heard.saturating_sub(came);
-        assert!(formed as f64 <= unseen_at_most(self.now.as_secs_f64() / 3_600.0));
+        assert!(formed as f64 <= max_unseen(self.now.as_secs_f64() / 3_600.0));
         let Outages { begun, recovered, cut_short, is_pending } = self.outages;
         assert!(begun > 0);
         assert_eq!(recovered + cut_short + u64::from(is_pending), begun);
@@ -314,13 +317,13 @@ impl Soak {
 }
 
 impl Told {
-    fn take(&mut self, at: Stamp<HostClock>, event: &Event) {
+    fn take(&mut self, at: Timestamp<HostClock>, event: &Event) {
         match event {
             Event::Health { health, sources, .. } => {
                 self.health = *health;
                 self.sources.clone_from(sources);
             }
-            Event::Estimated { estimate, .. } => {
+            Event::EstimateUpdated { estimate, .. } => {
                 assert!(estimate.pose.x.0.is_finite() && estimate.pose.heading.rad().is_finite());
                 self.estimates += 1;
                 let before = self.last_estimate.replace(at).unwrap_or(at);
@@ -328,14 +331,14 @@ impl Told {
             }
             Event::BrickClockAligned { .. } => self.alignments += 1,
             Event::BrickRestarted { .. } => self.restarts += 1,
-            Event::RobotSeen { .. }
+            Event::RobotDetected { .. }
             | Event::RobotLost { .. }
-            | Event::Observed { .. }
-            | Event::Fused { .. }
+            | Event::ObservationAligned { .. }
+            | Event::ObservationFused { .. }
             | Event::Temperature { .. }
             | Event::CameraClockAligned { .. }
             | Event::Link { .. }
-            | Event::Defect { .. }
+            | Event::ReceiveError { .. }
             | Event::Text { .. } => {}
         }
     }

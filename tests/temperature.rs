@@ -4,10 +4,10 @@
 mod support;
 
 use posebridge::config::Config;
-use posebridge_pipeline::Pipeline;
 use posebridge_sim::{STEP, Scenario, Simulation};
-use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Span, Stamp};
-use support::{Running, posebridge, stdout_of};
+use posebridge_station::Station;
+use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, PeerId, TimeDelta, Timestamp};
+use support::{RunningProgram, events_named, posebridge, stdout_of};
 
 /// The water of the bundled scenario, and when the thermometer is dipped into it.
 const WATER_C: f64 = 48.7;
@@ -37,15 +37,15 @@ impl Told {
 fn driven(seed: u64, until_s: f64) -> Vec<Told> {
     let scenario = Scenario::bundled("thermometer").unwrap().with_seed(seed);
     let config = Config::default().with_tag_of(&scenario);
-    let mut pipeline = Pipeline::new(config.pipeline().unwrap(), Stamp::ZERO).unwrap();
+    let mut pipeline = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
     let link = LinkId(0);
     let mut told = Vec::new();
     let up = Input::Link { link, state: LinkState::Up };
     let mut inputs = vec![up];
-    while simulation.elapsed() < Span::from_secs_f64(until_s) {
+    while simulation.elapsed() < TimeDelta::from_secs_f64(until_s) {
         simulation.step();
-        let now = Stamp::<HostClock>::ZERO + simulation.elapsed();
+        let now = Timestamp::<HostClock>::ZERO + simulation.elapsed();
         while let Some(bytes) = simulation.poll() {
             let peer = PeerId::default();
             inputs.push(Input::Bytes { link, peer, bytes });
@@ -78,7 +78,7 @@ fn driven(seed: u64, until_s: f64) -> Vec<Told> {
 #[test]
 fn the_water_is_within_a_small_bound_while_the_sensor_is_still_far_from_it() {
     const SEEDS: u64 = 12;
-    assert_eq!(STEP, Span::from_millis(1));
+    assert_eq!(STEP, TimeDelta::from_millis(1));
     let mut held = 0;
     for seed in 1..=SEEDS {
         let told = driven(seed, DIPPED_S + 20.0);
@@ -110,9 +110,9 @@ fn the_status_line_knows_the_water_long_before_the_sensor_and_the_replay_says_th
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("quick.toml"), QUICK).unwrap();
     let mut brick =
-        Running::start(posebridge(folder.path()).args(["sim", "quick.toml", "--listen", "tcp://127.0.0.1:0"]));
+        RunningProgram::start(posebridge(folder.path()).args(["sim", "quick.toml", "--listen", "tcp://127.0.0.1:0"]));
     let address = brick.listening_address("");
-    let mut station = Running::start(posebridge(folder.path()).args([
+    let mut station = RunningProgram::start(posebridge(folder.path()).args([
         "run",
         "--link",
         &format!("tcp://{address}"),
@@ -135,8 +135,7 @@ fn the_status_line_knows_the_water_long_before_the_sensor_and_the_replay_says_th
     stdout_of(posebridge(folder.path()).args(["replay", "run/recording.mcap", "--events", "replayed.txt"]));
     let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
     let (live, replayed) = (read("live.txt"), read("replayed.txt"));
-    let is_temperature = |line: &&str| line.starts_with("Temperature");
-    assert!(live.lines().filter(is_temperature).count() > 80);
+    assert!(events_named(&live, "temperature").len() > 80);
     for (number, (live, replayed)) in live.lines().zip(replayed.lines()).enumerate() {
         assert_eq!(live, replayed, "event {number}");
     }

@@ -9,15 +9,15 @@ mod terminal_svg;
 #[path = "support/virtual_drive.rs"]
 mod virtual_drive;
 
-use posebridge::link_target::load_scenario;
-use posebridge::trails;
-use posebridge::tui::look::Look;
-use posebridge::tui::model::Model;
-use posebridge::tui::panels::PANELS;
-use posebridge::tui::render::render;
+use posebridge::config::load_scenario;
+use posebridge::station::page_history;
+use posebridge::station::tui::model::Model;
+use posebridge::station::tui::panels::PANELS;
+use posebridge::station::tui::render::render;
+use posebridge::station::tui::theme::Theme;
 use posebridge_dashboard::model::{LogLine, RecordingNow, SimulatorFacts};
 use posebridge_sim::Simulation;
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use support::root;
@@ -30,15 +30,15 @@ fn model() -> Model {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.mcap");
     let scenario = load_scenario("square").unwrap();
-    record_drive_and_truth(&path, scenario.clone(), Span::from_millis(100));
-    let history = trails::of(&path).unwrap();
+    record_drive_and_truth(&path, scenario.clone(), TimeDelta::from_millis(100));
+    let history = page_history::build_history(&path).unwrap();
     let driven = Simulation::new(scenario.with_laps(1));
     let mut model = Model::new(Some(SimulatorFacts {
         scenario: "square".to_owned(),
         path: driven.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
         ..SimulatorFacts::default()
     }));
-    model.take(&history);
+    model.on_frame(&history);
     // Which a recording does not hold of itself.
     model.recording =
         Some(RecordingNow { name: "recording.mcap".to_owned(), bytes: std::fs::metadata(&path).unwrap().len() });
@@ -49,7 +49,7 @@ fn model() -> Model {
 #[test]
 fn the_picture_shows_a_lap_with_every_panel() {
     let mut buffer = Buffer::empty(SIZE);
-    render(&model(), Look::Coloured, SIZE, &mut buffer);
+    render(&model(), Theme::Coloured, SIZE, &mut buffer);
     let picture = terminal_svg::svg(&buffer);
     let path = root().join("docs/images/terminal.svg");
     if std::env::var_os("POSEBRIDGE_WRITE_PICTURES").is_some() {

@@ -8,19 +8,19 @@ mod person;
 use std::net::UdpSocket;
 use std::path::Path;
 
-use person::{Person, number_before};
+use person::{TerminalUser, number_before};
 use serde_json::Value;
 use support::posebridge;
 
 /// The station with a simulated brick and the view, in its own folder.
-fn watched(folder: &Path, more: &[&str], size: (u16, u16)) -> Person {
+fn watched(folder: &Path, more: &[&str], size: (u16, u16)) -> TerminalUser {
     let mut command = posebridge(folder);
     command
         .args(["run", "--tui", "--no-dashboard", "--out", "run", "--seed", "3"])
         .args(more)
         .env("TERM", "xterm-256color")
         .env_remove("NO_COLOR");
-    Person::start(&mut command, size)
+    TerminalUser::start(&mut command, size)
 }
 
 fn estimate_off_m(text: &str) -> Option<f64> {
@@ -39,7 +39,7 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (110, 36));
     let is_steady = |text: &str| estimate_off_m(text).is_some_and(|off_m| off_m < 0.03);
-    let text = person.until("a good estimate that is recorded", |text| {
+    let text = person.wait_until("a good estimate that is recorded", |text| {
         is_steady(text)
             && text.contains("last fix")
             && text.contains("camera")
@@ -50,32 +50,32 @@ fn a_kidnap_is_seen_with_its_reset_and_the_error_falls_again() {
     }
     let before = resets(&text).unwrap();
     person.press(b"?");
-    person.until("the help", |text| text.contains("end the run, as Ctrl-C does"));
+    person.wait_until("the help", |text| text.contains("end the run, as Ctrl-C does"));
     person.press(b"?k");
-    person.until("what was done", |text| text.contains("the robot is kidnapped"));
-    person.until("that it is elsewhere", |text| estimate_off_m(text).is_some_and(|off_m| off_m > 0.2));
-    person.until("the reset", |text| resets(text).is_some_and(|resets| resets > before));
-    person.until("a good estimate again", is_steady);
+    person.wait_until("what was done", |text| text.contains("the robot is kidnapped"));
+    person.wait_until("that it is elsewhere", |text| estimate_off_m(text).is_some_and(|off_m| off_m > 0.2));
+    person.wait_until("the reset", |text| resets(text).is_some_and(|resets| resets > before));
+    person.wait_until("a good estimate again", is_steady);
     // The panels one by one, and back.
     person.press(b"\t");
-    person.until("the map alone", |text| !text.contains("Links and clock") && text.contains("Arena"));
+    person.wait_until("the map alone", |text| !text.contains("Links and clock") && text.contains("Arena"));
     person.press(b"\x1b");
-    person.until("all of them", |text| text.contains("Links and clock"));
+    person.wait_until("all of them", |text| text.contains("Links and clock"));
     person.press(b"c");
-    person.until("a covered camera", |text| text.contains("the camera is covered"));
-    person.until("dead reckoning", |text| text.contains("dead reckoning"));
+    person.wait_until("a covered camera", |text| text.contains("the camera is covered"));
+    person.wait_until("dead reckoning", |text| text.contains("dead reckoning"));
     person.press(b"cs");
-    person.until("fixes again", |text| text.contains("last fix 0."));
+    person.wait_until("fixes again", |text| text.contains("last fix 0."));
     person.press(b"p");
-    person.until("the pulled cable", |text| text.contains("DOWN"));
-    person.until("the cable again", |text| text.contains("0 UP"));
+    person.wait_until("the pulled cable", |text| text.contains("DOWN"));
+    person.wait_until("the cable again", |text| text.contains("0 UP"));
     person.press(b"q");
     assert_tables(person);
 }
 
 /// The run ends well, and what it prints without the view stands there.
-fn assert_tables(person: Person) {
-    let (status, left) = person.after_the_end();
+fn assert_tables(person: TerminalUser) {
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
     for words in
         ["brick's own odometry", "picture    run/track.svg", "recording  run/recording.mcap", "learned  radius_scale"]
@@ -90,9 +90,9 @@ fn assert_tables(person: Person) {
 fn the_terminal_is_given_back_when_the_program_is_asked_to_end_by_others() {
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (80, 24));
-    person.until("the view", |text| text.contains("Arena"));
+    person.wait_until("the view", |text| text.contains("Arena"));
     person.terminate();
-    let (status, left) = person.after_the_end();
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
     assert!(left.contains("recording  run/recording.mcap"), "{left}");
 }
@@ -101,14 +101,14 @@ fn the_terminal_is_given_back_when_the_program_is_asked_to_end_by_others() {
 fn it_ends_with_the_run_and_with_ctrl_c() {
     let folder = tempfile::tempdir().unwrap();
     let person = watched(folder.path(), &["--duration", "2"], (80, 24));
-    let (status, left) = person.after_the_end();
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
     assert!(left.contains("recording  run/recording.mcap"), "{left}");
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (80, 24));
-    person.until("the view", |text| text.contains("Arena"));
+    person.wait_until("the view", |text| text.contains("Arena"));
     person.press(b"\x03");
-    let (status, left) = person.after_the_end();
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
 }
 
@@ -116,15 +116,16 @@ fn it_ends_with_the_run_and_with_ctrl_c() {
 fn the_window_may_get_smaller_and_larger() {
     let folder = tempfile::tempdir().unwrap();
     let mut person = watched(folder.path(), &[], (80, 24));
-    person.until("the view", |text| text.contains("Arena") && text.contains("Events"));
+    person.wait_until("the view", |text| text.contains("Arena") && text.contains("Events"));
     person.resize((20, 5));
-    let text = person
-        .until("one panel", |text| !text.contains("Arena") && text.contains("q quit") && text.contains("odometry"));
+    let text = person.wait_until("one panel", |text| {
+        !text.contains("Arena") && text.contains("q quit") && text.contains("odometry")
+    });
     assert_eq!(text.lines().count(), 5, "{text}");
     person.resize((120, 40));
-    person.until("all of them", |text| text.contains("Biases and calibration"));
+    person.wait_until("all of them", |text| text.contains("Biases and calibration"));
     person.press(b"q");
-    assert_eq!(person.after_the_end().0.code(), Some(0));
+    assert_eq!(person.wait_for_exit().0.code(), Some(0));
 }
 
 #[test]
@@ -132,7 +133,7 @@ fn an_error_is_read_on_the_terminal_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     // The event file cannot be made, which is found when the view has the screen already.
     let person = watched(folder.path(), &["--events", "there/is/no/such.txt"], (80, 24));
-    let (status, left) = person.after_the_end();
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(2), "{left}");
     assert!(left.contains("posebridge: creating the event file `there/is/no/such.txt`"), "{left}");
 }
@@ -143,7 +144,7 @@ fn a_terminal_that_hangs_does_not_slow_the_filter() {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = format!("--plotjuggler={}", socket.local_addr().unwrap());
     let mut person = watched(folder.path(), &[&address], (160, 50));
-    person.until("a good estimate", |text| estimate_off_m(text).is_some());
+    person.wait_until("a good estimate", |text| estimate_off_m(text).is_some());
     // From here on nobody reads the terminal. Estimates go on all the same, none of them missing.
     let mut bytes = vec![0; 65_536];
     let mut stamps_s: Vec<f64> = Vec::new();
@@ -157,7 +158,7 @@ fn a_terminal_that_hangs_does_not_slow_the_filter() {
     // 20 observations of the brick a second, with 10 fixes beside them; a machine with other work delays some.
     assert!(stamps_s.len() > 6 * 20, "{} estimates in 6 s", stamps_s.len());
     person.terminate();
-    let (status, left) = person.after_the_end();
+    let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
     assert!(left.contains("recording  run/recording.mcap"), "{left}");
 }
@@ -167,10 +168,10 @@ fn without_colours_none_is_sent() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = posebridge(folder.path());
     command.args(["--tui", "--no-dashboard", "--no-record", "--out", "run"]).env("NO_COLOR", "1");
-    let mut person = Person::start(&mut command, (100, 30));
-    person.until("the view", |text| text.contains("last fix") && text.contains("camera"));
+    let mut person = TerminalUser::start(&mut command, (100, 30));
+    person.wait_until("the view", |text| text.contains("last fix") && text.contains("camera"));
     assert!(!person.has_colours());
     assert!(person.text().contains("not recording"));
     person.press(b"q");
-    assert_eq!(person.after_the_end().0.code(), Some(0));
+    assert_eq!(person.wait_for_exit().0.code(), Some(0));
 }

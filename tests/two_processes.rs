@@ -4,18 +4,18 @@ mod support;
 
 use std::path::Path;
 
-use support::{Running, posebridge};
+use support::{RunningProgram, events_named, posebridge};
 
-fn brick(folder: &Path) -> Running {
+fn brick(folder: &Path) -> RunningProgram {
     let mut brick =
-        Running::start(posebridge(folder).args(["sim", "square", "--listen", "pty:brick.tty", "--laps", "50"]));
+        RunningProgram::start(posebridge(folder).args(["sim", "square", "--listen", "pty:brick.tty", "--laps", "50"]));
     brick.wait_for("brick up");
     brick
 }
 
-fn station(folder: &Path, name: &str) -> Running {
+fn station(folder: &Path, name: &str) -> RunningProgram {
     let events = format!("{name}.txt");
-    let mut station = Running::start(posebridge(folder).args([
+    let mut station = RunningProgram::start(posebridge(folder).args([
         "run",
         "--link",
         "serial:brick.tty",
@@ -42,7 +42,7 @@ fn a_killed_brick_comes_back_and_the_station_goes_on() {
     station.wait_for("fix accepted");
     station.interrupt();
     let events = std::fs::read_to_string(folder.path().join("run.txt")).unwrap();
-    let states: Vec<&str> = events.lines().filter(|line| line.starts_with("Link ")).collect();
+    let states = events_named(&events, "link");
     assert_eq!(states.len(), 3, "one event per change of state: {states:#?}");
 }
 
@@ -59,8 +59,7 @@ fn a_killed_station_comes_back_and_the_brick_goes_on() {
     let table = second.interrupt();
     assert!(table.contains("camera"), "{table}");
     let events = std::fs::read_to_string(folder.path().join("second.txt")).unwrap();
-    let first_stamp = events.lines().find(|line| line.starts_with("Observed")).unwrap();
-    let brick_s: f64 = first_stamp.split("brick@").nth(1).unwrap().split('s').next().unwrap().parse().unwrap();
+    let brick_s = 1e-9 * events_named(&events, "observed")[0]["robot_ns"].as_f64().unwrap();
     // Its clock began at 5 s and was not restarted with the station.
     assert!(brick_s > 9.0, "{brick_s}");
 }

@@ -15,8 +15,8 @@ use std::time::{Duration, Instant};
 use mavlink::dialects::common::MavMessage;
 use mavlink::{MavlinkReader, MavlinkVersion};
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Crc, Scanned, Scanner, ScannerConfig};
-use posebridge_telemetry::Stamp;
+use posebridge_protocol::framing::{Crc, Framer, FramerConfig, FramerOutput};
+use posebridge_telemetry::Timestamp;
 
 /// Frames per round: more bytes than the caches hold.
 const FRAMES: usize = 200_000;
@@ -96,11 +96,11 @@ fn scan_chunks(stream: &[u8]) -> usize {
 }
 
 fn scan(stream: &[u8], chunk: usize) -> usize {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut frames = 0;
     for part in stream.chunks(chunk) {
-        scanner.push(Stamp::ZERO, part, &mut |found| {
-            if let Scanned::Frame(frame) = found {
+        scanner.push(Timestamp::ZERO, part, &mut |found| {
+            if let FramerOutput::Frame(frame) = found {
                 black_box(frame);
                 frames += 1;
             }
@@ -110,10 +110,10 @@ fn scan(stream: &[u8], chunk: usize) -> usize {
 }
 
 fn scan_and_decode(stream: &[u8]) -> usize {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut messages = 0;
-    scanner.push(Stamp::ZERO, stream, &mut |found| {
-        if let Scanned::Frame(frame) = found
+    scanner.push(Timestamp::ZERO, stream, &mut |found| {
+        if let FramerOutput::Frame(frame) = found
             && let Ok(Some(message)) = decode(&frame)
         {
             black_box(message);

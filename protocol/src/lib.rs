@@ -1,18 +1,22 @@
 //! Bytes to frames to messages, and back.
 //!
-//! [`framing`] finds frames in what a link delivers, [`dialect`] turns them into [`message::Message`]s in SI units and our
-//! spaces, [`session`] holds the conversation beside the telemetry, [`signing`] says whose frames are believed, [`routing`] to
-//! whom a frame is passed on, [`census`] counts what came, and [`bricks`] is the table of the protocols that robots speak;
-//! [`recognise`] guesses which of them a link carries. Everything here is a value: bytes and time come in as arguments, frames and
-//! messages go out. Nothing opens a link, reads a clock, aligns clocks or estimates.
+//! [`framing`] finds frames in the bytes of a link, [`dialect`] decodes them to [`message::Message`]s in SI units and
+//! our coordinate frames, [`session`] implements the MAVLink services beside the telemetry, [`signing`] verifies
+//! signatures, [`routing`] decides where a frame is forwarded, [`statistics`] counts frames, and [`bricks`] is the
+//! table of the protocols of robots; [`detect`] guesses which of them a link carries. Everything here is a value: bytes
+//! and time are arguments, frames and messages are results. Nothing opens a link, reads a clock, aligns clocks or
+//! estimates.
 
-pub mod brick_player;
+#![warn(missing_docs)]
+
 pub mod bricks;
-pub mod census;
+pub mod detect;
 pub mod dialect;
+pub mod frame_verifier;
 pub mod framing;
 pub mod message;
-pub mod recognise;
+pub mod recorded_robot;
 pub mod routing;
 pub mod session;
 pub mod signing;
+pub mod statistics;

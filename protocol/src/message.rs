@@ -1,12 +1,12 @@
-//! Messages as both ends of a link understand them: SI units, our spaces, no wire formats.
+//! Messages in SI units and our coordinate frames, independent of wire formats.
 //!
-//! [`crate::dialect`] turns frames into these and back; north-east-down, degrees, millimetres and integer scalings end
-//! there. The simulated brick and the station speak through the same types. A message that stands here can be both
-//! decoded and encoded, [`Message::Compass`] apart, which only bricks with protocols of their own send.
+//! [`crate::dialect`] converts frames to these and back; north-east-down, degrees, millimetres and integer scalings end
+//! there. The simulated brick and the station use the same types. Every message can be both decoded and encoded, except
+//! [`Message::Compass`], which only bricks with other protocols send.
 
 use posebridge_telemetry::{
     Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
 };
 
 mod component;
@@ -30,11 +30,11 @@ pub enum WireStamp {
     /// Microseconds in 64 bits.
     Micros64(u64),
     /// None: the brick was asked, and looked between question and answer by the clock of whoever asked. Never on a wire.
-    Asked {
+    HostInterval {
         /// When the question left.
-        sent: Stamp<HostClock>,
+        sent: Timestamp<HostClock>,
         /// When the last byte of the answer was there.
-        answered: Stamp<HostClock>,
+        answered: Timestamp<HostClock>,
     },
 }
 
@@ -46,7 +46,7 @@ impl WireStamp {
             Self::Micros32(micros) => micros as u64,
             Self::Millis32(millis) => millis as u64 * 1_000,
             Self::Micros64(micros) => micros,
-            Self::Asked { sent, answered } => {
+            Self::HostInterval { sent, answered } => {
                 i64::midpoint(sent.as_nanos(), answered.as_nanos()).unsigned_abs() / 1_000
             }
         }
@@ -224,6 +224,12 @@ pub enum Message {
 }
 
 impl Message {
+    /// The number of the tag that a fix is of, if it has one.
+    #[must_use]
+    pub const fn fix_tag(&self) -> Option<u32> {
+        if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
+    }
+
     /// The instant of its sender's clock of which a measurement or an estimate speaks; `None` for the conversation, in which an
     /// answer holds two clocks.
     #[must_use]
@@ -295,7 +301,7 @@ pub struct TimeSync {
 }
 
 /// The interval of MAV_CMD_SET_MESSAGE_INTERVAL that stops a message (common.xml).
-pub(crate) const STOP: f32 = -1.0;
+pub(crate) const STOP_INTERVAL: f32 = -1.0;
 
 /// A request to send a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -305,23 +311,23 @@ pub struct SetMessageInterval {
     /// The message's id.
     pub message_id: u32,
     /// The interval; `None` stops the message, zero asks for the sender's default.
-    pub interval: Option<Span>,
+    pub interval: Option<TimeDelta>,
 }
 
 impl SetMessageInterval {
     /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval. Of negative ones
     /// only -1 has a meaning.
     #[must_use]
-    pub fn of(command: &CommandLong) -> Option<Self> {
+    pub fn from_command(command: &CommandLong) -> Option<Self> {
         let [_, interval_micros, ..] = command.params;
         let message_id = command.named_message()?;
         let is_request = command.command == COMMAND_SET_MESSAGE_INTERVAL;
-        let stops = interval_micros.to_bits() == STOP.to_bits();
+        let stops = interval_micros.to_bits() == STOP_INTERVAL.to_bits();
         let is_interval = interval_micros.is_finite() && interval_micros >= 0.0;
         (is_request && (stops || is_interval)).then(|| Self {
             target: command.target,
             message_id,
-            interval: is_interval.then(|| Span::from_micros(interval_micros.round() as i64)),
+            interval: is_interval.then(|| TimeDelta::from_micros(interval_micros.round() as i64)),
         })
     }
 }
@@ -470,7 +476,7 @@ pub struct PlanarPose {
     /// Upper triangle of the pose covariance: xx, xy, x-heading, yy, y-heading, heading-heading; m², m rad, rad².
     pub covariance: [f64; 6],
     /// Time since the last fix that was used; `None` before the first.
-    pub fix_age: Option<Span>,
+    pub fix_age: Option<TimeDelta>,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
     /// What of it may be used.
@@ -507,7 +513,7 @@ pub struct FusionHealth {
     /// Innovation, SI units, up to three components.
     pub innovation: [f64; 3],
     /// How late it was; saturates at 65.535 s.
-    pub lag: Span,
+    pub lag: TimeDelta,
     /// Accepted observations of this sensor so far, wraps.
     pub accepted: u16,
     /// Refused observations of this sensor so far, wraps.
@@ -548,6 +554,8 @@ pub struct VisionFix {
     pub covariance: Option<[f64; 4]>,
     /// Counts the observer's own jumps.
     pub reset_counter: u8,
+    /// The number of the tag that was seen; MAVLink's messages have none.
+    pub tag: Option<u32>,
 }
 
 /// ODOMETRY, the interoperable pose with covariance.

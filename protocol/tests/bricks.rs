@@ -1,8 +1,8 @@
 //! Every brick protocol behaves like one.
 
-use posebridge_protocol::bricks::{BRICKS, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecEvent, CodecSettings, brick_protocol};
 use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
-use posebridge_telemetry::{Address, Defect, EncoderTicks, Span, Stamp};
+use posebridge_telemetry::{Address, EncoderTicks, ReceiveError, TimeDelta, Timestamp};
 
 const ROBOT: Address = Address::new(1, 1);
 
@@ -15,19 +15,19 @@ fn ticks(count: i64) -> Message {
 }
 
 /// What was heard, with other frames by their bytes.
-fn noted(heard: Heard<'_>) -> Result<(Address, Message), String> {
+fn noted(heard: CodecEvent<'_>) -> Result<(Address, Message), String> {
     match heard {
-        Heard::Message { from, message } => Ok((from, message)),
-        Heard::Other(frame) => Err(format!("other {:?}", frame.raw)),
-        Heard::Time { from, .. } => Err(format!("time of {from}")),
-        Heard::Note { text, .. } => Err(text),
-        Heard::Defect(defect) => Err(format!("{defect:?}")),
+        CodecEvent::Message { from, message } => Ok((from, message)),
+        CodecEvent::ForwardFrame(frame) => Err(format!("other {:?}", frame.raw)),
+        CodecEvent::ClockReply { from, .. } => Err(format!("time of {from}")),
+        CodecEvent::StatusText { text, .. } => Err(text),
+        CodecEvent::Error(defect) => Err(format!("{defect:?}")),
     }
 }
 
 #[test]
 fn every_protocol_is_found_by_its_name() {
-    for protocol in BRICKS {
+    for protocol in BRICK_PROTOCOLS {
         let found = brick_protocol(protocol.name).map(|found| found.name);
         assert_eq!(found, Some(protocol.name));
         assert_eq!(protocol.name, protocol.name.to_lowercase());
@@ -39,17 +39,17 @@ fn every_protocol_is_found_by_its_name() {
 #[test]
 fn mavlink_hears_what_it_says_in_any_chunks() {
     let mavlink = brick_protocol("mavlink").unwrap();
-    let mut speaker = (mavlink.open)(&BrickSettings::default());
+    let mut speaker = (mavlink.open)(&CodecSettings::default());
     let mut bytes = Vec::new();
     for count in 0..5 {
-        assert!(speaker.encode(Stamp::ZERO, ROBOT, &ticks(count), &mut bytes) > 0);
+        assert!(speaker.encode(Timestamp::ZERO, ROBOT, &ticks(count), &mut bytes) > 0);
     }
     let expected: Vec<_> = (0..5).map(|count| Ok((ROBOT, ticks(count)))).collect();
     for chunk in 1..=bytes.len() {
-        let mut listener = (mavlink.open)(&BrickSettings::default());
+        let mut listener = (mavlink.open)(&CodecSettings::default());
         let mut heard = Vec::new();
         for part in bytes.chunks(chunk) {
-            listener.push(Stamp::ZERO, part, &mut |item| heard.push(noted(item)));
+            listener.push(Timestamp::ZERO, part, &mut |item| heard.push(noted(item)));
         }
         assert_eq!(heard, expected, "chunk size {chunk}");
         assert_eq!(listener.deadline(), None);
@@ -59,15 +59,15 @@ fn mavlink_hears_what_it_says_in_any_chunks() {
 #[test]
 fn mavlink_gives_up_a_torn_message() {
     let mavlink = brick_protocol("mavlink").unwrap();
-    let mut codec = (mavlink.open)(&BrickSettings::default());
+    let mut codec = (mavlink.open)(&CodecSettings::default());
     let mut bytes = Vec::new();
-    codec.encode(Stamp::ZERO, ROBOT, &ticks(1), &mut bytes);
+    codec.encode(Timestamp::ZERO, ROBOT, &ticks(1), &mut bytes);
     let torn = &bytes[..bytes.len() - 1];
     let mut heard = Vec::new();
-    codec.push(Stamp::ZERO, torn, &mut |item| heard.push(noted(item)));
+    codec.push(Timestamp::ZERO, torn, &mut |item| heard.push(noted(item)));
     assert!(heard.is_empty());
     let deadline = codec.deadline().unwrap();
-    codec.tick(deadline + Span::from_millis(1), &mut |item| {
+    codec.tick(deadline + TimeDelta::from_millis(1), &mut |item| {
         heard.push(noted(item));
     });
     assert_eq!(codec.deadline(), None);
@@ -87,25 +87,25 @@ fn noise(length: usize) -> Vec<u8> {
 #[test]
 fn noise_tells_no_protocol_anything_and_leaves_none_stuck() {
     let noise = noise(4_000);
-    for protocol in BRICKS {
+    for protocol in BRICK_PROTOCOLS {
         for chunk in [1, 7, 64, 4_000] {
-            let mut codec = (protocol.open)(&BrickSettings::default());
-            let mut now = Stamp::ZERO;
+            let mut codec = (protocol.open)(&CodecSettings::default());
+            let mut now = Timestamp::ZERO;
             let mut messages = 0;
-            codec.begin(now);
+            codec.on_link_up(now);
             for part in noise.chunks(chunk) {
-                now = now + Span::from_millis(1);
-                let mut count = |item: Heard<'_>| messages += u32::from(noted(item).is_ok());
+                now = now + TimeDelta::from_millis(1);
+                let mut count = |item: CodecEvent<'_>| messages += u32::from(noted(item).is_ok());
                 codec.push(now, part, &mut count);
                 while codec.deadline().is_some_and(|due| due <= now) {
                     codec.tick(now, &mut count);
-                    now = now + Span::from_millis(1);
+                    now = now + TimeDelta::from_millis(1);
                 }
                 while codec.poll().is_some() {}
             }
             assert_eq!(messages, 0, "{} in chunks of {chunk}", protocol.name);
             // The link comes back, and all is as it was.
-            codec.begin(now);
+            codec.on_link_up(now);
             assert!(codec.deadline().is_none_or(|due| due >= now), "{}", protocol.name);
         }
     }
@@ -114,17 +114,17 @@ fn noise_tells_no_protocol_anything_and_leaves_none_stuck() {
 #[test]
 fn mavlink_reports_lost_frames_and_senseless_payloads() {
     let mavlink = brick_protocol("mavlink").unwrap();
-    let mut speaker = (mavlink.open)(&BrickSettings::default());
-    let mut listener = (mavlink.open)(&BrickSettings::default());
+    let mut speaker = (mavlink.open)(&CodecSettings::default());
+    let mut listener = (mavlink.open)(&CodecSettings::default());
     let mut heard = Vec::new();
     for count in 0..4 {
         let mut bytes = Vec::new();
-        speaker.encode(Stamp::ZERO, ROBOT, &ticks(count), &mut bytes);
+        speaker.encode(Timestamp::ZERO, ROBOT, &ticks(count), &mut bytes);
         if count != 1 && count != 2 {
-            listener.push(Stamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
+            listener.push(Timestamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
         }
     }
-    let lost = Defect::Lost { source: ROBOT, frames: 2 };
+    let lost = ReceiveError::SequenceGap { source: ROBOT, frames: 2 };
     let expected = [Ok((ROBOT, ticks(0))), Err(format!("{lost:?}")), Ok((ROBOT, ticks(3)))];
     assert_eq!(heard, expected);
 
@@ -137,8 +137,8 @@ fn mavlink_reports_lost_frames_and_senseless_payloads() {
         y_speed: posebridge_telemetry::MetersPerSecond(0.0),
     };
     let mut bytes = Vec::new();
-    speaker.encode(Stamp::ZERO, ROBOT, &nowhere, &mut bytes);
-    listener.push(Stamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
-    let senseless = Defect::Payload { message_id: 32 };
+    speaker.encode(Timestamp::ZERO, ROBOT, &nowhere, &mut bytes);
+    listener.push(Timestamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
+    let senseless = ReceiveError::Payload { message_id: 32 };
     assert_eq!(heard, [Err(format!("{senseless:?}"))]);
 }

@@ -1,12 +1,12 @@
 //! Cameras that speak JSON: lines as Python's json module writes them, every chunk size, every lost byte, and what goes back.
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 
-use posebridge_protocol::bricks::fixes::FixSettings;
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, brick_protocol};
 use posebridge_protocol::dialect::ids;
-use posebridge_protocol::framing::Framing;
+use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::{CommandLong, Message, TimeSync, VisionFix, WireStamp};
-use posebridge_telemetry::{Address, Audience, Defect, HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, PeerId, ReceiveError, Recipients, TimeDelta, Timestamp};
 use serde_json::Value;
 
 const FIRST: Address = Address::new(1, 100);
@@ -17,21 +17,21 @@ const STATION: Address = Address::new(1, 197);
 const GOLDEN: &str = include_str!("data/camera_json/lines.jsonl");
 const MEANINGS: &str = include_str!("data/camera_json/meanings.json");
 
-fn codec(framing: Framing) -> Box<dyn BrickCodec> {
+fn codec(framing: TransportKind) -> Box<dyn BrickCodec> {
     let protocol = brick_protocol("camera-json").expect("there is a row");
-    let mut codec = (protocol.open)(&BrickSettings {
-        fixes: FixSettings { framing, ..FixSettings::default() },
-        ..BrickSettings::default()
+    let mut codec = (protocol.open)(&CodecSettings {
+        fixes: CameraJsonSettings { framing, ..CameraJsonSettings::default() },
+        ..CodecSettings::default()
     });
-    codec.begin(Stamp::ZERO);
+    codec.on_link_up(Timestamp::ZERO);
     codec
 }
 
 /// What was heard, in short; no signs of life.
 #[expect(clippy::wildcard_enum_match_arm, reason = "a camera says no other message")]
-fn short(heard: Heard<'_>) -> Option<String> {
+fn short(heard: CodecEvent<'_>) -> Option<String> {
     Some(match heard {
-        Heard::Message { from, message } => match message {
+        CodecEvent::Message { from, message } => match message {
             Message::Heartbeat(heartbeat) => {
                 assert_eq!(heartbeat.vehicle_type, 30);
                 return None;
@@ -42,9 +42,9 @@ fn short(heard: Heard<'_>) -> Option<String> {
             }
             other => panic!("{other:?}"),
         },
-        Heard::Note { text, .. } => format!("note: {text}"),
-        Heard::Defect(Defect::Garbage { bytes }) => format!("garbage: {bytes}"),
-        Heard::Defect(Defect::Payload { .. }) => "no sense".to_owned(),
+        CodecEvent::StatusText { text, .. } => format!("note: {text}"),
+        CodecEvent::Error(ReceiveError::UnframedBytes { bytes }) => format!("garbage: {bytes}"),
+        CodecEvent::Error(ReceiveError::Payload { .. }) => "no sense".to_owned(),
         other => panic!("{other:?}"),
     })
 }
@@ -52,7 +52,7 @@ fn short(heard: Heard<'_>) -> Option<String> {
 fn fix_text(fix: &VisionFix) -> String {
     let stamp = match fix.stamp {
         WireStamp::Micros64(micros) => format!("{micros} us"),
-        WireStamp::Asked { sent, answered } => {
+        WireStamp::HostInterval { sent, answered } => {
             format!("{}..{} us", sent.as_micros(), answered.as_micros())
         }
         WireStamp::Micros32(_) | WireStamp::Millis32(_) => panic!("{:?}", fix.stamp),
@@ -63,18 +63,18 @@ fn fix_text(fix: &VisionFix) -> String {
 }
 
 fn heard_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
-    let mut codec = codec(Framing::Stream);
+    let mut codec = codec(TransportKind::Stream);
     let mut heard = Vec::new();
     for part in bytes.chunks(chunk) {
-        let now = Stamp::from_millis(10_000);
+        let now = Timestamp::from_millis(10_000);
         codec.push(now, part, &mut |item| heard.extend(short(item)));
     }
     heard
 }
 
-fn heard_of(codec: &mut dyn BrickCodec, now: Stamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
+fn heard_of(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
     let mut heard = Vec::new();
-    codec.push_from(now, PeerId(peer), text.as_bytes(), &mut |item| {
+    codec.push_from_peer(now, PeerId(peer), text.as_bytes(), &mut |item| {
         heard.extend(short(item));
     });
     heard
@@ -110,9 +110,9 @@ fn what_python_writes_is_understood_in_every_chunk_size() {
 fn a_datagram_ends_its_last_line_and_a_stream_does_not() {
     let line = "{\"x_m\": 1, \"y_m\": 2}";
     let two = format!("{line}\r\n{line}");
-    for (framing, count) in [(Framing::Datagram, 2), (Framing::Stream, 1)] {
+    for (framing, count) in [(TransportKind::Datagram, 2), (TransportKind::Stream, 1)] {
         let mut codec = codec(framing);
-        let heard = heard_of(&mut *codec, Stamp::ZERO, 0, &two);
+        let heard = heard_of(&mut *codec, Timestamp::ZERO, 0, &two);
         let fixes = heard.iter().filter(|text| text.starts_with("1/100"));
         assert_eq!(fixes.count(), count, "{framing:?}");
     }
@@ -120,8 +120,8 @@ fn a_datagram_ends_its_last_line_and_a_stream_does_not() {
 
 #[test]
 fn senders_of_one_link_do_not_mix_their_lines() {
-    let mut codec = codec(Framing::Stream);
-    let now = Stamp::ZERO;
+    let mut codec = codec(TransportKind::Stream);
+    let now = Timestamp::ZERO;
     assert!(heard_of(&mut *codec, now, 1, "{\"camera\": \"a\", \"x_m\": 1, ").is_empty());
     let other = heard_of(&mut *codec, now, 2, "{\"camera\": \"b\", \"x_m\": 5, \"y_m\": 5}\n");
     assert!(other[1].starts_with("1/100: "), "{other:?}");
@@ -155,8 +155,8 @@ fn a_lost_byte_costs_one_line_or_two_where_it_was_the_end_of_one() {
 
 #[test]
 fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
-    let mut codec = codec(Framing::Datagram);
-    let at = Stamp::from_millis;
+    let mut codec = codec(TransportKind::Datagram);
+    let at = Timestamp::from_millis;
     let good = "{\"x_m\": 1, \"y_m\": 2}\n";
     heard_of(&mut *codec, at(0), 7, good);
     let bad = heard_of(&mut *codec, at(10), 7, "{\"x_m\": 1}\n");
@@ -168,8 +168,8 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
     heard_of(&mut *codec, at(30), 8, "nonsense\n");
     heard_of(&mut *codec, at(1_010), 7, "{\"x_m\": 1, \"y_m\": 2, \"sigma_m\": -1}\n");
     let mut answers = Vec::new();
-    while let Some((to, bytes)) = codec.poll_to() {
-        let Audience::Peer(PeerId(peer)) = to else {
+    while let Some((to, bytes)) = codec.poll_addressed() {
+        let Recipients::Peer(PeerId(peer)) = to else {
             panic!("{to:?}");
         };
         assert_eq!(bytes.last(), Some(&b'\n'));
@@ -196,52 +196,52 @@ fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
         ("\"sigma_m\": 0.01, \"heading_rad\": 0, \"sigma_heading_rad\": 1e-200", "must lie between 1e-6 and 1000.0"),
         ("\"heading_deg\": -1e8", "must lie between -57295779.5"),
     ] {
-        let mut codec = codec(Framing::Datagram);
+        let mut codec = codec(TransportKind::Datagram);
         let line = format!("{{\"x_m\": 1, \"y_m\": 2, {rest}}}\n");
-        let heard = heard_of(&mut *codec, Stamp::ZERO, 7, &line);
+        let heard = heard_of(&mut *codec, Timestamp::ZERO, 7, &line);
         assert_eq!(heard[0], "no sense", "{line}");
         assert!(heard[1].contains(said), "{line}: {heard:?}");
     }
-    let mut codec = codec(Framing::Datagram);
+    let mut codec = codec(TransportKind::Datagram);
     let far = "{\"x_m\": 1, \"y_m\": 2, \"heading_deg\": -2e6, \"sigma_m\": 1e-6, \"sigma_heading_rad\": 1e-6}\n";
-    let heard = heard_of(&mut *codec, Stamp::ZERO, 7, far);
+    let heard = heard_of(&mut *codec, Timestamp::ZERO, 7, far);
     assert!(!heard.contains(&"no sense".to_owned()), "{heard:?}");
 }
 
 #[test]
 fn a_line_without_end_fills_no_memory_and_costs_only_itself() {
-    let mut codec = codec(Framing::Stream);
+    let mut codec = codec(TransportKind::Stream);
     let mut heard = Vec::new();
     for _ in 0..100 {
-        heard.extend(heard_of(&mut *codec, Stamp::ZERO, 0, &"[".repeat(1_000)));
+        heard.extend(heard_of(&mut *codec, Timestamp::ZERO, 0, &"[".repeat(1_000)));
     }
     assert_eq!(heard, Vec::<String>::new());
-    let rest = heard_of(&mut *codec, Stamp::ZERO, 0, "\n{\"x_m\": 1, \"y_m\": 2}\n");
+    let rest = heard_of(&mut *codec, Timestamp::ZERO, 0, "\n{\"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(rest[0], "garbage: 100000");
     assert!(rest.last().unwrap().starts_with("1/100: "), "{rest:?}");
     // Deep nesting that fits a line is refused by its depth and not by the stack.
-    let deep = heard_of(&mut *codec, Stamp::ZERO, 0, &format!("{}\n", "[".repeat(1_000)));
+    let deep = heard_of(&mut *codec, Timestamp::ZERO, 0, &format!("{}\n", "[".repeat(1_000)));
     assert_eq!(deep, ["garbage: 1000"]);
 }
 
 #[test]
 fn seven_cameras_are_one_too_many() {
-    let mut codec = codec(Framing::Datagram);
+    let mut codec = codec(TransportKind::Datagram);
     for k in 0..6 {
         let line = format!("{{\"camera\": \"c{k}\", \"x_m\": 0, \"y_m\": 0}}");
-        let heard = heard_of(&mut *codec, Stamp::ZERO, k, &line);
+        let heard = heard_of(&mut *codec, Timestamp::ZERO, k, &line);
         assert_eq!(heard.len(), 2, "{heard:?}");
     }
-    let heard = heard_of(&mut *codec, Stamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
+    let heard = heard_of(&mut *codec, Timestamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
     assert!(heard.contains(&"no sense".to_owned()), "{heard:?}");
     assert!(heard.iter().any(|text| text.contains("more than 6")), "{heard:?}");
-    assert_eq!(codec.sources().len(), 6);
+    assert_eq!(codec.source_health().len(), 6);
 }
 
 #[test]
 fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() {
-    let mut codec = codec(Framing::Datagram);
-    let now = Stamp::from_millis(5_000);
+    let mut codec = codec(TransportKind::Datagram);
+    let now = Timestamp::from_millis(5_000);
     let failed = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}");
     assert_eq!(failed[1..], ["no sense"]);
     let plain = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 1}");
@@ -251,12 +251,12 @@ fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() 
 
 #[test]
 fn questions_are_said_in_json_and_only_to_who_takes_them() {
-    let mut codec = codec(Framing::Datagram);
+    let mut codec = codec(TransportKind::Datagram);
     let hello = "{\"camera\": \"a\", \"x_m\": 0, \"y_m\": 0}\n{\"camera\": \"b\", \"takes_requests\": true}";
-    heard_of(&mut *codec, Stamp::ZERO, 0, hello);
+    heard_of(&mut *codec, Timestamp::ZERO, 0, hello);
     let mut said = |message: &Message| {
         let mut bytes = Vec::new();
-        let length = codec.encode(Stamp::ZERO, STATION, message, &mut bytes);
+        let length = codec.encode(Timestamp::ZERO, STATION, message, &mut bytes);
         assert_eq!(length, bytes.len());
         String::from_utf8(bytes).unwrap()
     };
@@ -276,10 +276,10 @@ fn questions_are_said_in_json_and_only_to_who_takes_them() {
 
 #[test]
 fn a_link_that_comes_back_keeps_the_names_and_forgets_half_a_line() {
-    let mut codec = codec(Framing::Stream);
-    let now = Stamp::ZERO;
+    let mut codec = codec(TransportKind::Stream);
+    let now = Timestamp::ZERO;
     heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ");
-    codec.begin(now + Span::from_millis(1));
+    codec.on_link_up(now + TimeDelta::from_millis(1));
     let heard = heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(heard.len(), 1, "{heard:?}");
     assert!(heard[0].starts_with("1/100: "));

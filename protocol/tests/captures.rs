@@ -16,9 +16,9 @@ use flate2::read::GzDecoder;
 use mavlink::Message as _;
 use mavlink::dialects::common::MavMessage;
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, SequenceTracker};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, SequenceTracker, TransportKind};
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::Stamp;
+use posebridge_telemetry::Timestamp;
 
 const RECORDED: &[u8] = include_bytes!("data/copter_apm_v1_2013_first150.tlog");
 /// The time before each frame of a .tlog file.
@@ -36,32 +36,32 @@ struct Census {
 }
 
 /// Scans pieces of bytes, each by itself when `transport` is datagrams.
-fn census<'a>(transport: Framing, pieces: impl Iterator<Item = &'a [u8]>) -> Census {
-    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, transport, ..ScannerConfig::default() });
+fn census<'a>(transport: TransportKind, pieces: impl Iterator<Item = &'a [u8]>) -> Census {
+    let mut scanner = Framer::new(FramerConfig { accept_v1: true, transport, ..FramerConfig::default() });
     let mut sequences = SequenceTracker::new();
     let mut census = Census::default();
-    let mut take = |found: Scanned<'_>| {
+    let mut take = |found: FramerOutput<'_>| {
         let frame = match found {
-            Scanned::Frame(frame) => {
+            FramerOutput::Frame(frame) => {
                 *census.by_id.entry(frame.message_id).or_default() += 1;
                 if let Some(message) = decode(&frame).expect("real messages make sense") {
                     census.messages.push(message);
                 }
                 frame
             }
-            Scanned::Unknown(frame) => {
+            FramerOutput::UnknownFrame(frame) => {
                 census.unknown += 1;
                 frame
             }
-            Scanned::Defect(_) => return,
+            FramerOutput::Error(_) => return,
         };
         let source = frame.source.to_string();
-        let missing = sequences.missing_before(frame.source, frame.sequence);
+        let missing = sequences.record_number(frame.source, frame.sequence);
         *census.missing.entry(source.clone()).or_default() += u64::from(missing);
         *census.by_source.entry(source).or_default() += 1;
     };
     for piece in pieces {
-        scanner.push(Stamp::ZERO, piece, &mut take);
+        scanner.push(Timestamp::ZERO, piece, &mut take);
     }
     if let Some(deadline) = scanner.deadline() {
         scanner.tick(deadline, &mut take);
@@ -91,7 +91,7 @@ fn records(mut bytes: &[u8]) -> Vec<&[u8]> {
 fn the_beginning_of_a_recorded_flight() {
     let records = records(RECORDED);
     assert_eq!(records.len(), 150);
-    let seen = census(Framing::Datagram, records.into_iter());
+    let seen = census(TransportKind::Datagram, records.into_iter());
     // HEARTBEAT, PARAM_REQUEST_LIST, PARAM_VALUE; 7 RADIO (166) belong to another dialect.
     assert_eq!(seen.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
     assert_eq!((seen.unknown, seen.garbage), (7, 0));
@@ -103,7 +103,7 @@ fn the_beginning_of_a_recorded_flight() {
 
 #[test]
 fn times_between_the_frames_are_only_garbage() {
-    let seen = census(Framing::Stream, std::iter::once(RECORDED));
+    let seen = census(TransportKind::Stream, std::iter::once(RECORDED));
     assert_eq!(seen.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
 }
 
@@ -164,9 +164,9 @@ fn compare(expected: &Expected, bytes: &[u8]) {
     let file = &expected.file;
     let has_times = Path::new(file).extension() == Some(OsStr::new("tlog"));
     let seen = if has_times {
-        census(Framing::Datagram, records(bytes).into_iter())
+        census(TransportKind::Datagram, records(bytes).into_iter())
     } else {
-        census(Framing::Stream, std::iter::once(bytes))
+        census(TransportKind::Stream, std::iter::once(bytes))
     };
     let mut known = BTreeMap::new();
     let mut foreign = 0;

@@ -8,27 +8,27 @@ mod ev3_double;
 #[path = "support/ev3_talk.rs"]
 mod ev3_talk;
 
-use ev3_double::{Ev3Double, Fails, Plugged, curve};
-use ev3_talk::{Item, Spoil, TURN_AROUND, Talk, codec, item, without_gyro};
-use posebridge_protocol::bricks::ONLY_BRICK;
+use ev3_double::{Ev3Double, FailureMode, PluggedSensor, curve};
+use ev3_talk::{Ev3Session, ReplyCorruption, TURN_AROUND, TalkEvent, codec, item, without_gyro};
+use posebridge_protocol::bricks::DEFAULT_BRICK_ADDRESS;
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, SensorPort,
 };
 use posebridge_protocol::message::{Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp};
 use posebridge_telemetry::{
-    Defect, EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, Stamp,
+    EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, ReceiveError, Timestamp,
 };
 
 #[test]
 fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
     let mut codec = codec(Ev3Settings::default());
-    codec.begin(Stamp::ZERO);
+    codec.on_link_up(Timestamp::ZERO);
     // READY_SI of port 2, type 32, mode 1, one value.
     let set_up = [0x0E, 0x00, 0x01, 0x00, 0x00, 0x04, 0x00, 0x99, 0x1D, 0x00, 0x01, 0x81, 0x20, 0x01, 0x01, 0x60];
     assert_eq!(codec.poll().as_deref(), Some(&set_up[..]));
     assert_eq!(codec.poll(), None);
     let ready = [0x07, 0x00, 0x01, 0x00, 0x02, 0, 0, 0, 0];
-    codec.push(Stamp::from_millis(40), &ready, &mut |_| {});
+    codec.push(Timestamp::from_millis(40), &ready, &mut |_| {});
     // TIMER_READ_US, OUTPUT_GET_COUNT of B and of C, READSI of port 2 as it is.
     let cycle = [
         0x15, 0x00, 0x02, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00, 0x02, 0x68, 0x9D,
@@ -41,14 +41,14 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
         0x00, 0xB4, 0xC2,
     ];
     let mut heard = Vec::new();
-    codec.push(Stamp::from_millis(70), &answer, &mut |found| {
+    codec.push(Timestamp::from_millis(70), &answer, &mut |found| {
         heard.push(item(found));
     });
     let stamp = WireStamp::Micros32(1_000_000);
     let expected = [
-        Item::Time { sent: Stamp::from_millis(40), peer_nanos: 1_000_000_000 },
-        Item::Message(Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(360), right: EncoderTicks(-1) })),
-        Item::Message(Message::Inertial(Inertial {
+        TalkEvent::ClockReply { sent: Timestamp::from_millis(40), peer_nanos: 1_000_000_000 },
+        TalkEvent::Message(Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(360), right: EncoderTicks(-1) })),
+        TalkEvent::Message(Message::Inertial(Inertial {
             stamp,
             turn_rate: Some(RadiansPerSecond(std::f64::consts::FRAC_PI_2)),
             turn: None,
@@ -62,7 +62,7 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
 fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
     for (outstanding, rate_hz, least, most) in [(1, 50.0, 33.0, 33.4), (2, 50.0, 49.5, 50.1), (1, 10.0, 9.9, 10.1)] {
         let settings = Ev3Settings { outstanding, rate_hz, ..Ev3Settings::default() };
-        let mut talk = Talk::new(settings, Ev3Double::default());
+        let mut talk = Ev3Session::new(settings, Ev3Double::default());
         talk.run_for(30.0);
         let states = talk.ticks().count();
         // One telegram set the gyro up, and the last ones are on their way.
@@ -81,15 +81,15 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
 }
 
 /// Everything that a codec hears when the answers of a live talk come in such chunks.
-fn heard_in_chunks(chunk: usize) -> Vec<Item> {
+fn heard_in_chunks(chunk: usize) -> Vec<TalkEvent> {
     let mailbox = [
         0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
         b'!', 0x00,
     ];
     let mut brick = Ev3Double::default();
     let mut codec = codec(Ev3Settings::default());
-    let mut now = Stamp::ZERO;
-    codec.begin(now);
+    let mut now = Timestamp::ZERO;
+    codec.on_link_up(now);
     let mut heard = Vec::new();
     for turn in 0..12 {
         let question = codec.poll().expect("it asks");
@@ -107,12 +107,12 @@ fn heard_in_chunks(chunk: usize) -> Vec<Item> {
 
 #[test]
 fn chunking_does_not_change_what_is_heard() {
-    let sound = |items: Vec<Item>| {
-        let is_defect = |item: &Item| matches!(item, Item::Defect(_));
+    let sound = |items: Vec<TalkEvent>| {
+        let is_defect = |item: &TalkEvent| matches!(item, TalkEvent::Error(_));
         let (defects, sound): (Vec<_>, Vec<_>) = items.into_iter().partition(is_defect);
         let garbage = defects.iter().map(|item| match item {
-            Item::Defect(Defect::Garbage { bytes }) => *bytes,
-            Item::Message(_) | Item::Time { .. } | Item::Note(_) | Item::Defect(_) => {
+            TalkEvent::Error(ReceiveError::UnframedBytes { bytes }) => *bytes,
+            TalkEvent::Message(_) | TalkEvent::ClockReply { .. } | TalkEvent::StatusText(_) | TalkEvent::Error(_) => {
                 panic!("{item:?}")
             }
         });
@@ -143,13 +143,13 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
                 Box::new(move |mut bytes: Vec<u8>| {
                     bytes[at] ^= 1 << bit;
                     bytes
-                }) as Spoil
+                }) as ReplyCorruption
             });
-            let others: [Spoil; 2] = [Box::new(lose), Box::new(insert)];
+            let others: [ReplyCorruption; 2] = [Box::new(lose), Box::new(insert)];
             for (case, spoil) in others.into_iter().chain(flips).enumerate() {
                 let settings = Ev3Settings { outstanding, ..Ev3Settings::default() };
-                let mut talk = Talk::new(settings, Ev3Double::default());
-                talk.run_until(Stamp::from_millis(3_000), &|number, bytes| {
+                let mut talk = Ev3Session::new(settings, Ev3Double::default());
+                talk.run_until(Timestamp::from_millis(3_000), &|number, bytes| {
                     if number == HIT { spoil(bytes) } else { bytes }
                 });
                 let name = format!("outstanding {outstanding}, byte {at}, case {case}");
@@ -161,7 +161,7 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
                 let heard: Vec<_> = talk.ticks().map(|(now, _)| now).collect();
                 let gaps = heard.windows(2).map(|pair| (pair[1] - pair[0]).as_millis_f64());
                 worst_ms = worst_ms.max(gaps.fold(0.0, f64::max));
-                assert!(heard.last().is_some_and(|last| *last > Stamp::from_millis(2_960)));
+                assert!(heard.last().is_some_and(|last| *last > Timestamp::from_millis(2_960)));
                 cases += 1;
             }
         }
@@ -172,17 +172,18 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
 
 #[test]
 fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
-    let mut talk = Talk::new(Ev3Settings::default(), Ev3Double::default());
-    talk.way.stall = Some((Stamp::from_millis(5_000), Stamp::from_millis(7_000)));
+    let mut talk = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
+    talk.delay_line.stall = Some((Timestamp::from_millis(5_000), Timestamp::from_millis(7_000)));
     talk.run_for(10.0);
     assert!(talk.ticks().all(|heard| talk.error(heard) == 0));
     // Asked at 5.0, 5.5 and 6.5 s; all three were answered in the end.
     assert_eq!(talk.source().lost, 0);
     assert_eq!(talk.codec.counters().stalls, 2);
-    let lost = talk.heard.iter().filter(|(_, item)| matches!(item, Item::Defect(Defect::Lost { .. })));
+    let lost =
+        talk.events.iter().filter(|(_, item)| matches!(item, TalkEvent::Error(ReceiveError::SequenceGap { .. })));
     assert_eq!(lost.count(), 2);
-    let round_trips = talk.heard.iter().filter_map(|(now, item)| {
-        if let Item::Time { sent, .. } = item { Some((*now - *sent).as_millis_f64()) } else { None }
+    let round_trips = talk.events.iter().filter_map(|(now, item)| {
+        if let TalkEvent::ClockReply { sent, .. } = item { Some((*now - *sent).as_millis_f64()) } else { None }
     });
     // That of a late answer would be 2 s.
     let longest_ms = round_trips.fold(0.0, f64::max);
@@ -202,7 +203,7 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
         }
     };
     let brick = Ev3Double { counts, ..Ev3Double::default() };
-    let mut talk = Talk::new(Ev3Settings::default(), brick);
+    let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
     talk.run_for(8.0);
     let heard: Vec<_> = talk.ticks().collect();
     for pair in heard.windows(2) {
@@ -223,17 +224,17 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
 
 #[test]
 fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
-    for fails in [Fails::WithAnError, Fails::WithNoNumber] {
-        let mut brick = Ev3Double { fails, ..Ev3Double::default() };
+    for fails in [FailureMode::ErrorReply, FailureMode::NanValue] {
+        let mut brick = Ev3Double { failure: fails, ..Ev3Double::default() };
         let gyro = brick.sensors[1].take();
-        let mut talk = Talk::new(Ev3Settings::default(), brick);
+        let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
         talk.run_for(25.0);
         assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
         assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
         assert!(talk.ticks().count() > 800);
-        let turned = |talk: &Talk| {
-            let is_turn = |item: &&(_, Item)| matches!(item.1, Item::Message(Message::Inertial(_)));
-            talk.heard.iter().filter(is_turn).count()
+        let turned = |talk: &Ev3Session| {
+            let is_turn = |item: &&(_, TalkEvent)| matches!(item.1, TalkEvent::Message(Message::Inertial(_)));
+            talk.events.iter().filter(is_turn).count()
         };
         assert_eq!(turned(&talk), 0);
         talk.brick.sensors[1] = gyro;
@@ -250,12 +251,12 @@ fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
 fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
     // It stands from 60 s on.
     let brick = Ev3Double {
-        fails: Fails::InSilence,
+        failure: FailureMode::NoReply,
         sensors: [None; 4],
         counts: |host_s| curve(host_s.min(60.0)),
         ..Ev3Double::default()
     };
-    let mut talk = Talk::new(Ev3Settings::default(), brick);
+    let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
     talk.run_for(360.0);
     let heard: Vec<f64> = talk.ticks().map(|(now, _)| now.as_secs_f64()).collect();
     let gaps: Vec<f64> = heard.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).map(|pair| pair[0]).collect();
@@ -270,16 +271,16 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
     }
     assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
     assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
-    // Plugged in, it is found at the next try.
+    // PluggedSensor in, it is found at the next try.
     talk.brick.sensors[1] = Some(plugged(32, [12.0, 0.0]));
     talk.run_for(340.0);
-    let is_turn = |item: &&(_, Item)| matches!(item.1, Item::Message(Message::Inertial(_)));
-    assert!(talk.heard.iter().any(|item| is_turn(&item)));
+    let is_turn = |item: &&(_, TalkEvent)| matches!(item.1, TalkEvent::Message(Message::Inertial(_)));
+    assert!(talk.events.iter().any(|item| is_turn(&item)));
 }
 
 #[test]
 fn a_calendar_that_is_set_costs_no_motion_and_is_called_what_it_is() {
-    let mut talk = Talk::new(without_gyro(), Ev3Double::default());
+    let mut talk = Ev3Session::new(without_gyro(), Ev3Double::default());
     talk.run_for(5.0);
     talk.brick.start_micros += 900_000_000;
     talk.run_for(5.0);
@@ -293,8 +294,8 @@ fn a_calendar_that_is_set_costs_no_motion_and_is_called_what_it_is() {
 }
 
 /// A sensor in a mode that nobody asks for.
-const fn plugged(kind: u8, values: [f32; 2]) -> Plugged {
-    Plugged { kind, mode: 7, values }
+const fn plugged(kind: u8, values: [f32; 2]) -> PluggedSensor {
+    PluggedSensor { kind, mode: 7, values }
 }
 
 /// Everything that can be set, at other ports than usual.
@@ -317,17 +318,17 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
         sensors: [None, None, Some(plugged(32, [100.0, 45.0])), Some(plugged(30, [37.5, 0.0]))],
         ..Ev3Double::default()
     };
-    let mut talk = Talk::new(all_else(), brick);
+    let mut talk = Ev3Session::new(all_else(), brick);
     talk.run_for(0.12);
     let modes = talk.brick.sensors.map(|sensor| sensor.map(|sensor| sensor.mode));
     assert_eq!(modes[2..], [Some(3), Some(0)]);
     talk.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
     talk.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
     talk.run_for(0.06);
-    let heard: Vec<_> = talk.heard.iter().map(|(_, item)| item).collect();
+    let heard: Vec<_> = talk.events.iter().map(|(_, item)| item).collect();
     let stamps: Vec<_> = talk.ticks().map(|(_, ticks)| ticks.stamp).collect();
     let turns = heard.iter().filter_map(|item| {
-        if let Item::Message(Message::Inertial(inertial)) = item {
+        if let TalkEvent::Message(Message::Inertial(inertial)) = item {
             Some((inertial.turn_rate, inertial.turn))
         } else {
             None
@@ -341,7 +342,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     let ranges: Vec<_> = heard
         .iter()
         .filter_map(|item| {
-            if let Item::Message(Message::DistanceSensor { stamp, range, .. }) = item {
+            if let TalkEvent::Message(Message::DistanceSensor { stamp, range, .. }) = item {
                 Some((*stamp, *range))
             } else {
                 None
@@ -369,12 +370,12 @@ fn the_estimate_goes_to_the_mailbox() {
     };
     let mut bytes = Vec::new();
     let message = Message::PlanarPose(pose);
-    assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes), 0);
-    codec.begin(Stamp::ZERO);
+    assert_eq!(codec.encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &message, &mut bytes), 0);
+    codec.on_link_up(Timestamp::ZERO);
     codec.poll();
     for _ in 0..2 {
         bytes.clear();
-        assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &message, &mut bytes), 42);
+        assert_eq!(codec.encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &message, &mut bytes), 42);
     }
     // Length 40, counter 3, then tick 66051 ms, 1.0, -2.0, 0.5, 0.25, flags 1, reset counter 9, sequence 1.
     let mut expected = vec![40, 0, 3, 0, 0x81, 0x9E, 9];
@@ -383,7 +384,7 @@ fn the_estimate_goes_to_the_mailbox() {
     expected.extend([0, 0, 0x00, 0x3F, 0, 0, 0x80, 0x3E, 1, 9, 1, 0]);
     assert_eq!(bytes, expected);
     let lost = Message::PlanarPose(PlanarPose { covariance: [f64::NAN; 6], ..pose });
-    assert_eq!(codec.encode(Stamp::ZERO, ONLY_BRICK, &lost, &mut bytes), 0);
+    assert_eq!(codec.encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &lost, &mut bytes), 0);
 }
 
 #[test]
@@ -395,8 +396,8 @@ fn noise_between_the_answers_is_never_believed_and_the_talk_goes_on() {
         (state >> 56) as u8
     };
     let noise: Vec<Vec<u8>> = (0..400).map(|_| (0..next() % 40).map(|_| next()).collect()).collect();
-    let mut talk = Talk::new(Ev3Settings::default(), Ev3Double::default());
-    talk.run_until(Stamp::from_millis(30_000), &|number, bytes| {
+    let mut talk = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
+    talk.run_until(Timestamp::from_millis(30_000), &|number, bytes| {
         let noise = &noise[number % noise.len()];
         match number % 4 {
             0 => [noise, &bytes[..]].concat(),

@@ -20,7 +20,7 @@ use posebridge_protocol::message::{
 };
 use posebridge_telemetry::{
     Address, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose, Radians, RadiansPerSecond,
-    SensorId, Span,
+    SensorId, TimeDelta,
 };
 
 const ROBOT: Address = Address::new(1, 1);
@@ -69,7 +69,7 @@ fn own_planar_pose() {
             forward_speed: MetersPerSecond(0.125),
             turn_rate: RadiansPerSecond(-0.5),
             covariance,
-            fix_age: Some(Span::from_millis(250)),
+            fix_age: Some(TimeDelta::from_millis(250)),
             reset_counter: 2,
             flags: PoseFlags {
                 position_valid: true,
@@ -105,7 +105,7 @@ fn own_fusion_health_and_robot_description() {
             verdict: 1,
             nis_per_dof: 3.5,
             innovation: [0.5, -0.25, 0.125],
-            lag: Span::from_millis(120),
+            lag: TimeDelta::from_millis(120),
             accepted: 65_535,
             refused: 3,
         }),
@@ -168,7 +168,7 @@ fn commands_and_text() {
         &Message::SetMessageInterval(SetMessageInterval {
             target: ROBOT,
             message_id: 42_100,
-            interval: Some(Span::from_millis(20)),
+            interval: Some(TimeDelta::from_millis(20)),
         }),
     );
     check(
@@ -256,6 +256,7 @@ fn fixes_from_outside() {
         heading: Some(Heading::from_rad(FRAC_PI_3)),
         covariance,
         reset_counter: 3,
+        tag: None,
     };
     check_encoding("vision", &Message::VisionPosition(fix), WireVersion::V2);
     check_encoding("mocap", &Message::MocapPosition(fix), WireVersion::V2);
@@ -326,7 +327,7 @@ fn odometry_of_other_frames() {
     assert_eq!(decoded.turn_rate, RadiansPerSecond(-0.25));
     assert_eq!(decoded.covariance, None);
     let refused = decode_golden("odometry_global").unwrap_err();
-    assert!(matches!(refused, PayloadError::Space { frame: 0, .. }), "{refused}");
+    assert!(matches!(refused, PayloadError::UnknownFrame { frame: 0, .. }), "{refused}");
 }
 
 fn odometry(name: &str) -> Odometry {

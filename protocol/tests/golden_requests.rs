@@ -9,10 +9,12 @@ use std::f64::consts::FRAC_PI_4;
 
 use golden::decode_golden;
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::dialect::commands::{CommandError, UNDERSTOOD, understood};
+use posebridge_protocol::dialect::commands::{CommandError, SUPPORTED_COMMANDS, decode_command};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, Message, TextPart};
-use posebridge_telemetry::{Address, Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch};
+use posebridge_telemetry::{
+    Address, Command, Heading, Meters, OnlineCalibration, ParameterStorage, Pose, SensorId, SensorSwitch,
+};
 
 const STATION: Address = Address::new(1, 197);
 
@@ -44,7 +46,7 @@ fn the_commands_that_are_served_say_what_the_page_says() {
         position_sigma_m: 0.25,
         heading_sigma_rad: FRAC_PI_4,
     };
-    let camera = Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::On };
+    let camera = Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::On };
     let expected = [
         ("mav_cmd_preflight_storage", Command::Parameters(ParameterStorage::Save)),
         ("mav_cmd_logging_start", Command::StartRecording),
@@ -54,10 +56,10 @@ fn the_commands_that_are_served_say_what_the_page_says() {
         ("mav_cmd_user_3", Command::ResetCalibration),
         ("mav_cmd_user_4", camera),
     ];
-    for ((name, expected), number) in expected.into_iter().zip(UNDERSTOOD) {
+    for ((name, expected), number) in expected.into_iter().zip(SUPPORTED_COMMANDS) {
         let command = command_of(name);
         assert_eq!(command.command, number, "{name}");
-        assert_eq!(understood(&command), Ok(expected), "{name}");
+        assert_eq!(decode_command(&command), Ok(expected), "{name}");
     }
 }
 
@@ -67,7 +69,7 @@ fn every_number_of_a_choice_is_told_from_the_others() {
         let mut command = command_of(name);
         command.params = [0.0; 7];
         command.params[..params.len()].copy_from_slice(params);
-        understood(&command)
+        decode_command(&command)
     };
     let storage = |first| with("mav_cmd_preflight_storage", &[first]);
     assert_eq!(storage(0.0), Ok(Command::Parameters(ParameterStorage::Reload)));
@@ -76,8 +78,8 @@ fn every_number_of_a_choice_is_told_from_the_others() {
     }
     assert_eq!(storage(3.0), Ok(Command::ResetCalibration));
     let calibration = |first| with("mav_cmd_user_3", &[first]);
-    assert_eq!(calibration(0.0), Ok(Command::Learning(Learning::Frozen)));
-    assert_eq!(calibration(1.0), Ok(Command::Learning(Learning::Free)));
+    assert_eq!(calibration(0.0), Ok(Command::OnlineCalibration(OnlineCalibration::Frozen)));
+    assert_eq!(calibration(1.0), Ok(Command::OnlineCalibration(OnlineCalibration::Enabled)));
     for (nonsense, index) in [
         (storage(5.0), 1),
         (storage(0.5), 1),
@@ -98,15 +100,15 @@ fn every_number_of_a_choice_is_told_from_the_others() {
         );
     }
     let unknown = CommandLong { command: 400, ..command_of("mav_cmd_user_2") };
-    assert_eq!(understood(&unknown), Err(CommandError::Unknown { command: 400 }));
+    assert_eq!(decode_command(&unknown), Err(CommandError::Unknown { command: 400 }));
 }
 
 #[test]
 fn why_a_command_is_denied_fits_into_one_text() {
-    for command in UNDERSTOOD {
+    for command in SUPPORTED_COMMANDS {
         let params = [-1.234_567_8e-30; 7];
         let target = STATION;
-        let Err(error) = understood(&CommandLong { target, command, params }) else {
+        let Err(error) = decode_command(&CommandLong { target, command, params }) else {
             continue;
         };
         let said = Message::StatusText { severity: 4, text: error.to_string(), part: TextPart::default() };

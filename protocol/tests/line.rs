@@ -3,55 +3,57 @@
 //! The lines were written by hand from docs/protocols/line.md; the sentence with a checksum is NMEA's own example.
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 
-use posebridge_protocol::bricks::line::{Checksum, Column, LineLayout, LineSettings, Separator};
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, ONLY_BRICK, brick_protocol};
+use posebridge_protocol::bricks::text_line::{ChecksumPolicy, Column, LineLayout, Separator, TextLineSettings};
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS, brick_protocol};
 use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{Defect, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp};
+use posebridge_telemetry::{
+    Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, ReceiveError, TimeDelta, Timestamp,
+};
 
-fn columns(names: &[&str]) -> LineSettings {
+fn columns(names: &[&str]) -> TextLineSettings {
     let columns = names.iter().map(|name| Column::from_name(name));
-    LineSettings {
+    TextLineSettings {
         layout: LineLayout::Columns {
             columns: columns.collect::<Option<_>>().expect("the names are known"),
             separator: Separator::Comma,
         },
-        ..LineSettings::default()
+        ..TextLineSettings::default()
     }
 }
 
-fn pairs(keys: &[(&str, &str)], separator: Separator, key_separator: Separator) -> LineSettings {
+fn pairs(keys: &[(&str, &str)], separator: Separator, key_separator: Separator) -> TextLineSettings {
     let column = |name: &str| Column::from_name(name).expect("the name is known");
     let keys = keys.iter().map(|(key, name)| ((*key).to_owned(), column(name)));
-    LineSettings {
+    TextLineSettings {
         layout: LineLayout::Pairs { keys: keys.collect(), separator, key_separator },
-        ..LineSettings::default()
+        ..TextLineSettings::default()
     }
 }
 
 /// A codec that has heard a line end: the next line is whole.
-fn codec(settings: LineSettings) -> Box<dyn BrickCodec> {
-    settings.check().expect("the layout can be");
+fn codec(settings: TextLineSettings) -> Box<dyn BrickCodec> {
+    settings.validate().expect("the layout can be");
     let protocol = brick_protocol("line").expect("there is a row");
-    let mut codec = (protocol.open)(&BrickSettings { line: settings, ..BrickSettings::default() });
-    codec.begin(Stamp::ZERO);
-    codec.push(Stamp::ZERO, b"cut\n", &mut |_| {});
+    let mut codec = (protocol.open)(&CodecSettings { line: settings, ..CodecSettings::default() });
+    codec.on_link_up(Timestamp::ZERO);
+    codec.push(Timestamp::ZERO, b"cut\n", &mut |_| {});
     codec
 }
 
 /// What was heard, in short: no heartbeats, stamps by their number.
 #[expect(clippy::wildcard_enum_match_arm, reason = "a board says no other message")]
-fn short(heard: Heard<'_>) -> Option<String> {
+fn short(heard: CodecEvent<'_>) -> Option<String> {
     let stamp = |stamp: WireStamp| match stamp {
         WireStamp::Millis32(millis) => format!("{millis} ms"),
         WireStamp::Micros32(micros) => format!("{micros} us"),
-        WireStamp::Asked { sent, answered } => {
+        WireStamp::HostInterval { sent, answered } => {
             format!("{}..{} us", sent.as_micros(), answered.as_micros())
         }
         WireStamp::Micros64(micros) => panic!("{micros}"),
     };
     Some(match heard {
-        Heard::Message { from, message } => {
-            assert_eq!(from, ONLY_BRICK);
+        CodecEvent::Message { from, message } => {
+            assert_eq!(from, DEFAULT_BRICK_ADDRESS);
             match message {
                 Message::Heartbeat(_) => return None,
                 Message::WheelTicks(ticks) => {
@@ -70,25 +72,25 @@ fn short(heard: Heard<'_>) -> Option<String> {
                 other => panic!("{other:?}"),
             }
         }
-        Heard::Time { sent, peer_nanos, .. } => {
+        CodecEvent::ClockReply { sent, peer_nanos, .. } => {
             assert_eq!(sent.as_nanos(), peer_nanos);
             "time".to_owned()
         }
-        Heard::Note { text, .. } => format!("note: {text}"),
-        Heard::Defect(defect) => format!("{defect:?}"),
-        Heard::Other(frame) => panic!("{frame:?}"),
+        CodecEvent::StatusText { text, .. } => format!("note: {text}"),
+        CodecEvent::Error(defect) => format!("{defect:?}"),
+        CodecEvent::ForwardFrame(frame) => panic!("{frame:?}"),
     })
 }
 
-fn push(codec: &mut dyn BrickCodec, now: Stamp<HostClock>, bytes: &[u8]) -> Vec<String> {
+fn push(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, bytes: &[u8]) -> Vec<String> {
     let mut heard = Vec::new();
     codec.push(now, bytes, &mut |found| heard.extend(short(found)));
     heard
 }
 
 /// What a codec hears of some bytes that come at once.
-fn heard(settings: LineSettings, bytes: &str) -> Vec<String> {
-    push(&mut *codec(settings), Stamp::from_millis(1_000), bytes.as_bytes())
+fn heard(settings: TextLineSettings, bytes: &str) -> Vec<String> {
+    push(&mut *codec(settings), Timestamp::from_millis(1_000), bytes.as_bytes())
 }
 
 #[test]
@@ -147,7 +149,7 @@ fn the_checksum_is_that_of_nmea() {
     names[9] = "distance_m";
     let mut settings = columns(&names);
     assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
-    settings.checksum = Checksum::Required;
+    settings.checksum = ChecksumPolicy::Required;
     assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
     let wrong = heard(settings.clone(), &sentence.replace("*47", "*48"));
     assert_eq!(wrong[0], "Checksum { message_id: 0, found: 72, expected: 71 }");
@@ -158,14 +160,14 @@ fn the_checksum_is_that_of_nmea() {
 #[test]
 fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_told_once() {
     let mut board = codec(columns(&["time_ms", "left_ticks", "right_ticks"]));
-    let at = Stamp::from_millis;
+    let at = Timestamp::from_millis;
     let first = push(&mut *board, at(50), b"hello \x1b[31m world, this is my robot\n");
-    assert_eq!(first[0], "Garbage { bytes: 35 }");
+    assert_eq!(first[0], "UnframedBytes { bytes: 35 }");
     assert_eq!(
         first[1],
         "note: the line `hello .[31m world, this is my robot` is not understood: it is no text; expected `time_ms,left_ticks,right_ticks`"
     );
-    assert_eq!(push(&mut *board, at(60), b"1,2\n"), ["Garbage { bytes: 3 }"]);
+    assert_eq!(push(&mut *board, at(60), b"1,2\n"), ["UnframedBytes { bytes: 3 }"]);
     assert_eq!(board.counters().garbage_bytes, 3 + 35 + 3);
     for (line, why) in [
         ("1,2", "it has 2 values and not 3"),
@@ -192,17 +194,17 @@ fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_tol
         assert!(told[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"), "{told:?}");
     }
     let long = heard(columns(&["left_ticks", "right_ticks"]), &format!("{}\n", "9".repeat(300)));
-    assert_eq!(long[0], "Garbage { bytes: 300 }");
+    assert_eq!(long[0], "UnframedBytes { bytes: 300 }");
     assert!(long[1].contains("longer than 256"), "{long:?}");
 }
 
 /// Forty lines with checksums computed by hand's rule, 20 Hz.
-fn transcript(checksum: Checksum) -> Vec<u8> {
+fn transcript(checksum: ChecksumPolicy) -> Vec<u8> {
     let mut bytes = Vec::new();
     for n in 0..40 {
         let text = format!("{},{},{}", 10_000 + 50 * n, 100 + 7 * n, 200 + 8 * n);
         bytes.extend(text.as_bytes());
-        if checksum == Checksum::Required {
+        if checksum == ChecksumPolicy::Required {
             let sum = text.bytes().fold(0, |sum, byte| sum ^ byte);
             bytes.extend(format!("*{sum:02x}").as_bytes());
         }
@@ -212,13 +214,13 @@ fn transcript(checksum: Checksum) -> Vec<u8> {
 }
 
 /// The wheel messages of a transcript whose lines come each 50 ms.
-fn wheels(bytes: &[u8], checksum: Checksum) -> Vec<String> {
-    let settings = LineSettings { checksum, ..LineSettings::default() };
+fn wheels(bytes: &[u8], checksum: ChecksumPolicy) -> Vec<String> {
+    let settings = TextLineSettings { checksum, ..TextLineSettings::default() };
     let mut board = codec(settings);
-    let mut now = Stamp::ZERO;
+    let mut now = Timestamp::ZERO;
     let mut wheels = Vec::new();
     for line in bytes.split_inclusive(|byte| *byte == b'\n') {
-        now = now + Span::from_millis(50);
+        now = now + TimeDelta::from_millis(50);
         let told = push(&mut *board, now, line);
         wheels.extend(told.into_iter().filter(|item| item.contains("wheels")));
     }
@@ -227,13 +229,14 @@ fn wheels(bytes: &[u8], checksum: Checksum) -> Vec<String> {
 
 #[test]
 fn chunking_does_not_change_what_is_heard() {
-    let bytes = [&transcript(Checksum::Optional)[..], b"noise\r\r\n", &transcript(Checksum::Required)].concat();
+    let bytes =
+        [&transcript(ChecksumPolicy::Optional)[..], b"noise\r\r\n", &transcript(ChecksumPolicy::Required)].concat();
     let bytes = &bytes[..bytes.len() - 1];
-    let whole = push(&mut *codec(LineSettings::default()), Stamp::ZERO, bytes);
+    let whole = push(&mut *codec(TextLineSettings::default()), Timestamp::ZERO, bytes);
     for chunk in 1..=bytes.len() {
-        let mut board = codec(LineSettings::default());
+        let mut board = codec(TextLineSettings::default());
         let parts = bytes.chunks(chunk);
-        let heard: Vec<_> = parts.flat_map(|part| push(&mut *board, Stamp::ZERO, part)).collect();
+        let heard: Vec<_> = parts.flat_map(|part| push(&mut *board, Timestamp::ZERO, part)).collect();
         assert_eq!(heard, whole, "chunk size {chunk}");
         assert!(board.deadline().is_some());
     }
@@ -242,7 +245,7 @@ fn chunking_does_not_change_what_is_heard() {
 #[test]
 fn a_lost_an_inserted_or_a_flipped_byte_costs_one_line_and_a_line_end_two() {
     let mut cases = 0;
-    for checksum in [Checksum::Optional, Checksum::Required] {
+    for checksum in [ChecksumPolicy::Optional, ChecksumPolicy::Required] {
         let bytes = transcript(checksum);
         let sound = wheels(&bytes, checksum);
         assert_eq!(sound.len(), 40);
@@ -270,7 +273,7 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_one_line_and_a_line_end_two() {
                 let most = if bytes[at] == b'\n' { 2 } else { 1 };
                 assert!(missing <= most, "{name}: {missing} missing");
                 // Without a checksum a damaged digit is believed, in its own line.
-                let most_wrong = usize::from(checksum == Checksum::Optional);
+                let most_wrong = usize::from(checksum == ChecksumPolicy::Optional);
                 assert!(wrong <= most_wrong, "{name}: {heard:?}");
                 cases += 1;
             }
@@ -281,10 +284,10 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_one_line_and_a_line_end_two() {
 
 #[test]
 fn a_time_with_a_lost_digit_is_no_restart() {
-    let bytes = transcript(Checksum::Optional);
+    let bytes = transcript(ChecksumPolicy::Optional);
     let text = String::from_utf8(bytes).unwrap();
     let damaged = text.replacen("10500,", "1500,", 1);
-    let heard = wheels(damaged.as_bytes(), Checksum::Optional);
+    let heard = wheels(damaged.as_bytes(), ChecksumPolicy::Optional);
     assert_eq!(heard.len(), 39);
     assert!(!heard.iter().any(|item| item.starts_with("1500 ms")), "{heard:?}");
 }
@@ -292,16 +295,16 @@ fn a_time_with_a_lost_digit_is_no_restart() {
 #[test]
 fn a_line_that_stops_is_given_up_and_its_end_is_not_taken_for_a_line() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
-    let at = Stamp::from_millis;
+    let at = Timestamp::from_millis;
     push(&mut *board, at(100), b"12,3");
     let due = board.deadline().unwrap();
     let mut told = Vec::new();
     board.tick(due, &mut |found| told.extend(short(found)));
-    assert_eq!(told, ["Stall { bytes: 4 }"]);
+    assert_eq!(told, ["Timeout { bytes: 4 }"]);
     assert_eq!(board.deadline(), None);
     assert_eq!(board.counters().stalls, 1);
     let heard = push(&mut *board, at(2_000), b"44,100\n13,350\n");
-    assert_eq!(heard[0], "Garbage { bytes: 6 }");
+    assert_eq!(heard[0], "UnframedBytes { bytes: 6 }");
     assert_eq!(heard[2], "1960000..2000000 us: wheels 13 350", "{heard:?}");
 }
 
@@ -309,12 +312,12 @@ fn a_line_that_stops_is_given_up_and_its_end_is_not_taken_for_a_line() {
 fn counts_that_fall_to_zero_are_no_motion() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let lines = b"500,400\n510,410\n520,420\n0,0\n5,6\n";
-    let heard = push(&mut *board, Stamp::ZERO, lines);
+    let heard = push(&mut *board, Timestamp::ZERO, lines);
     let wheels: Vec<_> = heard.iter().filter_map(|item| item.split_once("wheels ")).map(|(_, counts)| counts).collect();
     assert_eq!(wheels, ["500 400", "510 410", "520 420", "520 420", "525 426"]);
     // Slowly back through zero.
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
-    let heard = push(&mut *board, Stamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
+    let heard = push(&mut *board, Timestamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
     let last = heard.last().unwrap();
     assert!(last.ends_with("wheels -10 -10"), "{last}");
 }
@@ -327,8 +330,8 @@ fn counts_that_fall_for_ever_from_far_away_are_told_at_each_doubling() {
     // So many falls would carry the totals around more than once.
     for _ in 0..3_000 {
         let lines = format!("{far},{far}\n{far},{far}\n0,0\n");
-        board.push(Stamp::ZERO, lines.as_bytes(), &mut |heard| {
-            notes += usize::from(matches!(heard, Heard::Note { .. }));
+        board.push(Timestamp::ZERO, lines.as_bytes(), &mut |heard| {
+            notes += usize::from(matches!(heard, CodecEvent::StatusText { .. }));
         });
     }
     assert_eq!(notes, 12);
@@ -336,7 +339,8 @@ fn counts_that_fall_for_ever_from_far_away_are_told_at_each_doubling() {
 
 #[test]
 fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() {
-    let settings = LineSettings { estimate_interval: Some(Span::from_millis(100)), ..LineSettings::default() };
+    let settings =
+        TextLineSettings { estimate_interval: Some(TimeDelta::from_millis(100)), ..TextLineSettings::default() };
     let mut board = codec(settings);
     let pose = Message::PlanarPose(PlanarPose {
         stamp: WireStamp::Micros32(12_345_678),
@@ -350,14 +354,14 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() 
     });
     let (mut heartbeats, mut estimates) = (0, Vec::new());
     for n in 0..100_u32 {
-        let now = Stamp::from_millis(i64::from(n) * 50);
+        let now = Timestamp::from_millis(i64::from(n) * 50);
         let line = format!("{},0,0\n", 12_000 + n * 50);
         board.push(now, line.as_bytes(), &mut |found| {
-            let is_heartbeat = matches!(found, Heard::Message { message: Message::Heartbeat(_), .. });
+            let is_heartbeat = matches!(found, CodecEvent::Message { message: Message::Heartbeat(_), .. });
             heartbeats += u32::from(is_heartbeat);
         });
         let mut out = Vec::new();
-        let bytes = board.encode(now, ONLY_BRICK, &pose, &mut out);
+        let bytes = board.encode(now, DEFAULT_BRICK_ADDRESS, &pose, &mut out);
         assert_eq!(bytes, out.len());
         estimates.extend((bytes > 0).then_some(out));
     }
@@ -366,7 +370,8 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() 
     // 45 2c 31 .. 33: the exclusive or of the 31 characters is 46, by hand.
     let said = String::from_utf8(estimates[0].clone()).unwrap();
     assert_eq!(said, format!("E,12345,1234,-46,-1500,4,3*{:02X}\n", by_hand("E,12345,1234,-46,-1500,4,3")));
-    let silent = codec(LineSettings::default()).encode(Stamp::ZERO, ONLY_BRICK, &pose, &mut Vec::new());
+    let silent =
+        codec(TextLineSettings::default()).encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &pose, &mut Vec::new());
     assert_eq!(silent, 0);
 }
 
@@ -385,12 +390,12 @@ fn noise_and_every_byte_are_accounted_for() {
     };
     let bytes: Vec<u8> = (0..20_000).map(|_| next()).collect();
     let ends = bytes.iter().filter(|byte| matches!(byte, b'\n' | b'\r')).count();
-    let mut board = codec(LineSettings::default());
-    let heard = push(&mut *board, Stamp::ZERO, &bytes);
+    let mut board = codec(TextLineSettings::default());
+    let heard = push(&mut *board, Timestamp::ZERO, &bytes);
     assert!(!heard.iter().any(|item| item.contains("wheels")), "{heard:?}");
     let mut told = 0;
-    board.tick(Stamp::from_millis(600), &mut |found| {
-        if let Heard::Defect(Defect::Stall { bytes }) = found {
+    board.tick(Timestamp::from_millis(600), &mut |found| {
+        if let CodecEvent::Error(ReceiveError::Timeout { bytes }) = found {
             told += u64::from(bytes);
         }
     });

@@ -2,7 +2,7 @@
 
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
-use posebridge_telemetry::{Address, BrickClock, Span, Stamp};
+use posebridge_telemetry::{Address, BrickClock, TimeDelta, Timestamp};
 
 const OWN: Address = Address::new(1, 197);
 const GCS: Address = Address::new(255, 190);
@@ -10,8 +10,8 @@ const NAMES: [&str; 3] = ["GATE_PROB", "SIXTEEN_BYTES_OK", "TAU_S"];
 
 type Owner = Session<BrickClock>;
 
-fn at(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
+fn at(millis: i64) -> Timestamp<BrickClock> {
+    Timestamp::from_millis(millis)
 }
 
 fn owner(names: &[&str]) -> Owner {
@@ -19,11 +19,11 @@ fn owner(names: &[&str]) -> Owner {
         own: OWN,
         heartbeat: Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 },
         // Never within a test.
-        heartbeat_period: Span::from_millis(100_000_000),
+        heartbeat_period: TimeDelta::from_millis(100_000_000),
         timesync_period: None,
-        peer_timeout: Span::from_millis(3_000),
-        wanted: vec![],
-        offered: vec![],
+        peer_timeout: TimeDelta::from_millis(3_000),
+        requested_messages: vec![],
+        offered_messages: vec![],
     };
     let mut session = Session::new(config, at(0));
     session.offer_parameters(names.iter().map(|name| ((*name).to_owned(), 1.5)));
@@ -37,7 +37,7 @@ fn list() -> Message {
 }
 
 /// Indices of the values that are sent until an instant, each with its instant in milliseconds.
-fn told_until(session: &mut Owner, end: Stamp<BrickClock>) -> Vec<(i64, u16)> {
+fn told_until(session: &mut Owner, end: Timestamp<BrickClock>) -> Vec<(i64, u16)> {
     let mut told = Vec::new();
     while let Some(due) = session.deadline().filter(|due| *due <= end) {
         session.tick(due);
@@ -89,7 +89,7 @@ fn names_are_understood_in_capitals_or_not_and_told_as_they_are() {
         let value = Message::ParamValue { name: "SIXTEEN_BYTES_OK".to_owned(), value: 1.5, count: 3, index: 1 };
         assert_eq!(answer(&mut session, &read), [SessionOutput::Send(value)], "{spelled}");
         let set = Message::ParamSet { target: OWN, name: spelled.to_owned(), value: 2.5 };
-        let wish = SessionOutput::ParameterWish { by: GCS, index: 1, value: 2.5 };
+        let wish = SessionOutput::ParameterSetRequested { by: GCS, index: 1, value: 2.5 };
         assert_eq!(answer(&mut session, &set), [wish], "{spelled}");
     }
 }
@@ -97,11 +97,11 @@ fn names_are_understood_in_capitals_or_not_and_told_as_they_are() {
 #[test]
 fn what_stands_is_told_only_where_somebody_has_asked() {
     let mut session = owner(&NAMES);
-    assert_eq!(session.parameter_stands(2, 7.0), None);
+    assert_eq!(session.report_parameter(2, 7.0), None);
     session.handle(at(0), GCS, &list());
     let told = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
-    assert_eq!(session.parameter_stands(2, 8.0), Some(told));
-    assert_eq!(session.parameter_stands(3, 8.0), None);
+    assert_eq!(session.report_parameter(2, 8.0), Some(told));
+    assert_eq!(session.report_parameter(3, 8.0), None);
 }
 
 #[test]

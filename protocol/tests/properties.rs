@@ -10,14 +10,14 @@ mod found;
 mod mix;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, SequenceTracker, TransportKind, WireVersion};
 use posebridge_protocol::message::{
     EstimatorStatus, FusionHealth, Inertial, Message, Odometry, OdometryPose, PlanarImu, PlanarPose, PoseFlags,
     RobotDescription, SCALED_PRESSURE_CHANNEL, VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Pose,
-    Radians, RadiansPerSecond, SensorId, Span, Stamp,
+    Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -26,11 +26,11 @@ use conversation::conversation;
 use found::{Found, frames, scan};
 use mix::four_message_mix;
 
-fn any_config() -> impl Strategy<Value = ScannerConfig> {
-    (any::<bool>(), any::<bool>()).prop_map(|(accept_v1, is_stream)| ScannerConfig {
+fn any_config() -> impl Strategy<Value = FramerConfig> {
+    (any::<bool>(), any::<bool>()).prop_map(|(accept_v1, is_stream)| FramerConfig {
         accept_v1,
-        transport: if is_stream { Framing::Stream } else { Framing::Datagram },
-        ..ScannerConfig::default()
+        transport: if is_stream { TransportKind::Stream } else { TransportKind::Datagram },
+        ..FramerConfig::default()
     })
 }
 
@@ -114,7 +114,7 @@ fn own_message() -> BoxedStrategy<Message> {
                 forward_speed: MetersPerSecond(y),
                 turn_rate: RadiansPerSecond(x),
                 covariance,
-                fix_age: age.map(Span::from_millis),
+                fix_age: age.map(TimeDelta::from_millis),
                 reset_counter: flags_as_counter(flags),
                 flags,
             })
@@ -138,7 +138,7 @@ fn health() -> impl Strategy<Value = Message> {
             verdict,
             nis_per_dof,
             innovation,
-            lag: Span::from_millis(lag),
+            lag: TimeDelta::from_millis(lag),
             accepted,
             refused,
         })
@@ -216,6 +216,7 @@ fn fixes() -> impl Strategy<Value = Message> {
             heading,
             covariance,
             reset_counter: if is_mocap { 0 } else { counter },
+            tag: None,
         };
         if is_mocap { Message::MocapPosition(fix) } else { Message::VisionPosition(fix) }
     })
@@ -281,12 +282,12 @@ fn there_and_back(message: &Message) -> (Vec<u8>, Message) {
     let length = Encoder::new(WireVersion::V2).encode(from, message, &mut bytes);
     assert_eq!(length, bytes.len());
     let mut decoded = Vec::new();
-    Scanner::new(ScannerConfig::default()).push(Stamp::ZERO, &bytes, &mut |found| match found {
-        Scanned::Frame(frame) => {
+    Framer::new(FramerConfig::default()).push(Timestamp::ZERO, &bytes, &mut |found| match found {
+        FramerOutput::Frame(frame) => {
             assert_eq!((frame.source, frame.sequence), (from, 0));
             decoded.push(decode(&frame).expect("sense").expect("a use"));
         }
-        Scanned::Unknown(_) | Scanned::Defect(_) => panic!("{found:?}"),
+        FramerOutput::UnknownFrame(_) | FramerOutput::Error(_) => panic!("{found:?}"),
     });
     assert_eq!(decoded.len(), 1);
     (bytes, decoded.remove(0))
@@ -450,7 +451,7 @@ proptest! {
             }
             start = end;
         }
-        let (found, _) = scan(ScannerConfig::default(), &damaged, chunk);
+        let (found, _) = scan(FramerConfig::default(), &damaged, chunk);
         let whole: Vec<Found> = frames(&found)
             .into_iter()
             .filter(|item| matches!(item, Found::Frame(_)))
@@ -463,10 +464,10 @@ proptest! {
         let mut tracker = SequenceTracker::new();
         let source = Address::new(1, 1);
         let mut sequence = 0_u8;
-        tracker.missing_before(source, sequence);
+        tracker.record_number(source, sequence);
         for step in steps {
             sequence = sequence.wrapping_add(step);
-            prop_assert_eq!(tracker.missing_before(source, sequence), step - 1);
+            prop_assert_eq!(tracker.record_number(source, sequence), step - 1);
         }
     }
 }

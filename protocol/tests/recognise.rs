@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_protocol::recognise::{Protocol, Recognised, recognise};
+use posebridge_protocol::detect::{Protocol, ProtocolDetection, recognise};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -43,7 +43,7 @@ fn noise(seed: u64, length: usize) -> Vec<u8> {
 }
 
 fn check(bytes: &[u8], protocol: Protocol, frames: usize, frame_bytes: usize) {
-    let expected = Recognised { protocol, frames, frame_bytes };
+    let expected = ProtocolDetection { protocol, frames, frame_bytes };
     assert_eq!(recognise(bytes), expected, "{bytes:02x?}");
 }
 
@@ -81,7 +81,7 @@ fn one_frame_of_mavlink_1_is_believed_only_if_there_is_little_else() {
     let frame = golden("v1_attitude");
     check(&frame, Protocol::Mavlink1, 1, frame.len());
     let among_noise = [&noise(2, 500), &frame[..], &noise(3, 500)].concat();
-    check(&among_noise, Protocol::Noise, 0, 0);
+    check(&among_noise, Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn replies_of_an_nxt_are_recognised_by_their_lengths() {
     let long = stream.repeat(4);
     check_any_window(&long, Protocol::Nxt, 100);
     // A brick that answers with a status that no firmware has.
-    check(&from_hex("0500 020b77 dc1e"), Protocol::Noise, 0, 0);
+    check(&from_hex("0500 020b77 dc1e"), Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
@@ -128,7 +128,7 @@ fn behind_a_torn_telegram_three_whole_ones_are_believed_and_two_are_not() {
     let three = [&torn[..], &telegram.repeat(3)].concat();
     check(&three, Protocol::Nxt, 3, 21);
     let two = [&torn[..], &telegram.repeat(2)].concat();
-    check(&two, Protocol::Noise, 0, 0);
+    check(&two, Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn messages_of_a_program_on_an_nxt_are_recognised() {
     let message = from_hex("0900 8009 00 05 6869212100");
     check(&message.repeat(3), Protocol::Nxt, 3, 33);
     let wrong_size = from_hex("0900 8009 00 06 6869212100");
-    check(&wrong_size.repeat(3), Protocol::Noise, 0, 0);
+    check(&wrong_size.repeat(3), Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
@@ -164,23 +164,23 @@ fn the_announcement_of_an_ev3_is_no_ordinary_text() {
 fn text_is_lines_that_ended() {
     check(b"L 12 R 13\r\nL 14 R 1", Protocol::Text, 1, 11);
     check(b"L 12 R 13\rL 14 R 15\r", Protocol::Text, 2, 20);
-    check(b"no end", Protocol::Noise, 0, 0);
+    check(b"no end", Protocol::Unrecognized, 0, 0);
     // One byte in twenty may be none of text's, one in nineteen may not.
     check(b"abcdefghi\n\xFFbcdefghi\n", Protocol::Text, 2, 20);
-    check(b"abcdefghi\n\xFFbcdefgh\n", Protocol::Noise, 0, 0);
+    check(b"abcdefghi\n\xFFbcdefgh\n", Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
 fn silence_is_not_noise() {
-    check(b"", Protocol::Silence, 0, 0);
-    check(&[0; 100], Protocol::Noise, 0, 0);
+    check(b"", Protocol::NoData, 0, 0);
+    check(&[0; 100], Protocol::Unrecognized, 0, 0);
 }
 
 #[test]
 fn random_bytes_are_noise() {
     for seed in 0..300 {
         let bytes = noise(seed, 4_000);
-        assert_eq!(recognise(&bytes).protocol, Protocol::Noise, "seed {seed}");
+        assert_eq!(recognise(&bytes).protocol, Protocol::Unrecognized, "seed {seed}");
     }
 }
 
@@ -223,6 +223,6 @@ fn a_line_at_the_wrong_speed_is_noise_and_at_the_right_one_is_not() {
         let heard = misread(&stream, 115_200.0, read_baud);
         assert!(heard.len() > 100);
         let found = recognise(&heard).protocol;
-        assert_eq!(found, Protocol::Noise, "{read_baud}");
+        assert_eq!(found, Protocol::Unrecognized, "{read_baud}");
     }
 }

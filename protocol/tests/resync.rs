@@ -7,8 +7,8 @@ mod mix;
 use mavlink::dialects::common::MavMessage;
 use mavlink::error::MessageReadError;
 use mavlink::{MavlinkReader, MavlinkVersion};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
-use posebridge_telemetry::{Span, Stamp};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
+use posebridge_telemetry::{TimeDelta, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -78,11 +78,11 @@ fn noise_before(rng: &mut Pcg64, stream: &mut Vec<u8>, _frame: &mut Vec<u8>) -> 
 
 /// Scans the stream; returns how many intact frames came out and how many frames did that were none.
 fn deliver(stream: &Damaged) -> (usize, usize) {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut intact = stream.intact.iter();
     let (mut delivered, mut invented) = (0, 0);
-    let mut take = |found: Scanned<'_>| {
-        let Scanned::Frame(frame) = found else {
+    let mut take = |found: FramerOutput<'_>| {
+        let FramerOutput::Frame(frame) = found else {
             return;
         };
         if intact.any(|expected| expected == frame.raw) {
@@ -92,9 +92,9 @@ fn deliver(stream: &Damaged) -> (usize, usize) {
         }
     };
     for chunk in stream.bytes.chunks(CHUNK) {
-        scanner.push(Stamp::ZERO, chunk, &mut take);
+        scanner.push(Timestamp::ZERO, chunk, &mut take);
     }
-    scanner.tick(Stamp::ZERO + Span::from_millis(50), &mut take);
+    scanner.tick(Timestamp::ZERO + TimeDelta::from_millis(50), &mut take);
     (delivered, invented)
 }
 

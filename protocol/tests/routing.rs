@@ -4,39 +4,39 @@
 use std::collections::BTreeMap;
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{CommandAck, CommandLong, Heartbeat, Message};
 use posebridge_protocol::routing::{
-    Check, Forward, LinkRules, Occurrence, Routed, Router, RouterConfig, Target, Way, message_id_named, priority_of,
-    target_of,
+    DuplicateStatus, Endpoint, ForwardPolicy, FrameRouter, LinkRules, MessageTarget, RouterConfig, RoutingDecision,
+    SenderCheck, message_id_named, priority_of, target_of,
 };
-use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, SystemId, TimeDelta, Timestamp};
 
 const STATION: Address = Address::new(1, 197);
 const ROBOT: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(2, 100);
 const GCS: Address = Address::new(255, 190);
 
-const BRICK_LINK: Way = way(0, 0);
-const CAMERA_LINK: Way = way(1, 0);
-const GCS_LINK: Way = way(2, 5);
+const BRICK_LINK: Endpoint = way(0, 0);
+const CAMERA_LINK: Endpoint = way(1, 0);
+const GCS_LINK: Endpoint = way(2, 5);
 
 const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
-const fn way(link: u16, peer: u32) -> Way {
-    Way { link: LinkId(link), peer: PeerId(peer) }
+const fn way(link: u16, peer: u32) -> Endpoint {
+    Endpoint { link: LinkId(link), peer: PeerId(peer) }
 }
 
-fn at(millis: i64) -> Stamp<HostClock> {
-    Stamp::from_millis(millis)
+fn at(millis: i64) -> Timestamp<HostClock> {
+    Timestamp::from_millis(millis)
 }
 
 fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let (mut look, mut seen) = (Some(look), None);
-    scanner.push(Stamp::ZERO, bytes, &mut |scanned| {
-        if let Scanned::Frame(frame) = scanned {
+    scanner.push(Timestamp::ZERO, bytes, &mut |scanned| {
+        if let FramerOutput::Frame(frame) = scanned {
             seen = look.take().map(|look| look(&frame));
         }
     });
@@ -45,7 +45,7 @@ fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
 
 /// A router between three links, as the rules say.
 struct Bench {
-    router: Router,
+    router: FrameRouter,
     sequence: u8,
 }
 
@@ -53,9 +53,9 @@ impl Bench {
     fn new(rules: [LinkRules; 3]) -> Self {
         let links = (0..).map(LinkId).zip(rules);
         Self {
-            router: Router::new(RouterConfig {
+            router: FrameRouter::new(RouterConfig {
                 own: STATION,
-                duplicate_window: Span::from_millis(1_000),
+                duplicate_window: TimeDelta::from_millis(1_000),
                 links: links.collect(),
             }),
             sequence: 0,
@@ -63,14 +63,14 @@ impl Bench {
     }
 
     /// Somebody says something new.
-    fn say(&mut self, now: i64, from: Way, source: Address, message: &Message) -> Routed {
+    fn say(&mut self, now: i64, from: Endpoint, source: Address, message: &Message) -> RoutingDecision {
         self.sequence = self.sequence.wrapping_add(1);
         let bytes = framed(self.sequence, source, message);
         self.hear(now, from, &bytes)
     }
 
-    fn hear(&mut self, now: i64, from: Way, bytes: &[u8]) -> Routed {
-        with_frame(bytes, |frame| self.router.route(at(now), from, frame, Check::Verified))
+    fn hear(&mut self, now: i64, from: Endpoint, bytes: &[u8]) -> RoutingDecision {
+        with_frame(bytes, |frame| self.router.route(at(now), from, frame, SenderCheck::Verified))
     }
 
     /// Everybody has said that he is there.
@@ -96,8 +96,8 @@ fn command_to(target: Address) -> Message {
     Message::Command(CommandLong { target, command: 400, params: [1.0; 7] })
 }
 
-fn to(way: Way) -> (LinkId, Audience) {
-    (way.link, Audience::Peer(way.peer))
+fn to(way: Endpoint) -> (LinkId, Recipients) {
+    (way.link, Recipients::Peer(way.peer))
 }
 
 #[test]
@@ -117,9 +117,9 @@ fn the_targets_of_every_message_are_found_in_the_frames_of_a_foreign_encoder() {
             "MANUAL_CONTROL" | "SET_MODE" | "CHANGE_OPERATOR_CONTROL" | "SET_GPS_GLOBAL_ORIGIN" | "SET_HOME_POSITION"
         );
         let expected = if has_component && message == name {
-            Target::Component(Address::new(42, 84))
+            MessageTarget::Component(Address::new(42, 84))
         } else {
-            Target::System(SystemId(42))
+            MessageTarget::System(SystemId(42))
         };
         let (id, target) = with_frame(&bytes, |frame| (frame.message_id, target_of(frame.message_id, frame.payload)));
         assert_eq!(message_id_named(message), Some(id), "{name}");
@@ -133,7 +133,7 @@ fn a_broadcast_goes_to_all_others_and_to_the_other_peers_of_its_link() {
     let routed = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
     assert_eq!(
         routed.to,
-        [(LinkId(0), Audience::All), (LinkId(1), Audience::All), (LinkId(2), Audience::AllBut(GCS_LINK.peer)),]
+        [(LinkId(0), Recipients::All), (LinkId(1), Recipients::All), (LinkId(2), Recipients::AllExcept(GCS_LINK.peer)),]
     );
 }
 
@@ -188,15 +188,15 @@ fn the_station_s_own_words_go_nowhere_and_teach_nothing() {
 fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
     let mut bench = Bench::new(Default::default()).introduced();
     let bytes = framed(77, ROBOT, &HEARTBEAT);
-    assert_eq!(bench.hear(10, BRICK_LINK, &bytes).occurrence, Occurrence::First);
+    assert_eq!(bench.hear(10, BRICK_LINK, &bytes).duplicate_status, DuplicateStatus::New);
     let back = bench.hear(30, GCS_LINK, &bytes);
-    assert_eq!(back.occurrence, Occurrence::Detour);
+    assert_eq!(back.duplicate_status, DuplicateStatus::Loop);
     assert_eq!(back.to, []);
     let routed = bench.say(40, CAMERA_LINK, CAMERA, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)], "the detour is no route");
     // A sender that never counts says the same bytes again.
     let again = bench.hear(50, BRICK_LINK, &bytes);
-    assert_eq!((again.occurrence, again.to.len()), (Occurrence::First, 3));
+    assert_eq!((again.duplicate_status, again.to.len()), (DuplicateStatus::New, 3));
 }
 
 #[test]
@@ -206,21 +206,23 @@ fn redundant_links_are_one_way_to_one_robot() {
     bench.say(0, GCS_LINK, GCS, &HEARTBEAT);
     let bytes = framed(9, ROBOT, &HEARTBEAT);
     let first = bench.hear(10, BRICK_LINK, &bytes);
-    assert_eq!(first.to, [(LinkId(0), Audience::AllBut(PeerId(0))), (LinkId(2), Audience::All)]);
-    assert_eq!(bench.hear(20, CAMERA_LINK, &bytes).occurrence, Occurrence::Redundant);
+    assert_eq!(first.to, [(LinkId(0), Recipients::AllExcept(PeerId(0))), (LinkId(2), Recipients::All)]);
+    assert_eq!(bench.hear(20, CAMERA_LINK, &bytes).duplicate_status, DuplicateStatus::Duplicate);
     let routed = bench.say(30, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK), to(CAMERA_LINK)]);
     assert_eq!(bench.router.first_of_group(LinkId(1)), LinkId(0));
     assert_eq!(bench.router.first_of_group(LinkId(2)), LinkId(2));
-    assert!(!bench.router.lead_to_one(LinkId(1), LinkId(2)));
+    assert!(!bench.router.are_redundant(LinkId(1), LinkId(2)));
 }
 
 #[test]
 fn a_link_takes_all_or_only_what_is_meant_for_it_or_no_part() {
     let rules = |forward| LinkRules { forward, ..LinkRules::default() };
-    let mut bench = Bench::new([rules(Forward::Targeted), rules(Forward::Nothing), rules(Forward::All)]).introduced();
+    let mut bench =
+        Bench::new([rules(ForwardPolicy::Targeted), rules(ForwardPolicy::Disabled), rules(ForwardPolicy::All)])
+            .introduced();
     let broadcast = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
-    assert_eq!(broadcast.to, [(LinkId(2), Audience::AllBut(GCS_LINK.peer))]);
+    assert_eq!(broadcast.to, [(LinkId(2), Recipients::AllExcept(GCS_LINK.peer))]);
     let targeted = bench.say(20, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(targeted.to, [to(BRICK_LINK)]);
     assert_eq!(bench.say(30, GCS_LINK, GCS, &command_to(CAMERA)).to, []);

@@ -6,9 +6,9 @@ mod found;
 mod mix;
 
 use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::{Framing, Scanned, Scanner, ScannerConfig, WireVersion, checksum};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind, WireVersion, checksum};
 use posebridge_protocol::message::{Heartbeat, Message};
-use posebridge_telemetry::{Address, Defect, Span, Stamp};
+use posebridge_telemetry::{Address, ReceiveError, TimeDelta, Timestamp};
 
 use found::{Found, frames, owned, scan};
 use mix::four_message_mix;
@@ -16,8 +16,8 @@ use mix::four_message_mix;
 const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
-const DATAGRAM: ScannerConfig =
-    ScannerConfig { accept_v1: false, gap: Span::from_millis(50), transport: Framing::Datagram };
+const DATAGRAM: FramerConfig =
+    FramerConfig { accept_v1: false, gap: TimeDelta::from_millis(50), transport: TransportKind::Datagram };
 
 fn heartbeat() -> Vec<u8> {
     four_message_mix(1).concat()
@@ -42,7 +42,7 @@ fn chunking_does_not_change_the_frames() {
     stream.extend_from_slice(&stranger(b"abc"));
     stream.extend_from_slice(&four_message_mix(4).concat());
     stream.extend_from_slice(&stranger(b"at the end"));
-    let config = ScannerConfig::default();
+    let config = FramerConfig::default();
     let (whole, whole_counters) = scan(config, &stream, stream.len());
     assert_eq!(frames(&whole).len(), 12 + 1 + 4 + 1);
     for chunk in 1..stream.len() {
@@ -59,11 +59,13 @@ fn every_byte_is_accounted_for() {
         stream.extend_from_slice(b"xx\xFDyy");
         stream.extend_from_slice(&frame);
     }
-    let (found, counters) = scan(ScannerConfig::default(), &stream, 64);
+    let (found, counters) = scan(FramerConfig::default(), &stream, 64);
     assert_eq!(counters.frames, 8);
     assert_eq!(counters.garbage_bytes, 8 * 5);
-    let reported: u32 =
-        found.iter().map(|item| if let Found::Defect(Defect::Garbage { bytes }) = item { *bytes } else { 0 }).sum();
+    let reported: u32 = found
+        .iter()
+        .map(|item| if let Found::Defect(ReceiveError::UnframedBytes { bytes }) = item { *bytes } else { 0 })
+        .sum();
     assert_eq!(reported, 8 * 5);
 }
 
@@ -73,7 +75,7 @@ fn a_frame_inside_a_damaged_frame_is_not_lost() {
     let mix = four_message_mix(8);
     let mut stream = mix[3][..40].to_vec();
     stream.extend_from_slice(&mix[4..8].concat());
-    let (found, counters) = scan(ScannerConfig::default(), &stream, stream.len());
+    let (found, counters) = scan(FramerConfig::default(), &stream, stream.len());
     let expected: Vec<Found> = mix[4..8].iter().cloned().map(Found::Frame).collect();
     assert_eq!(frames(&found), expected);
     assert_eq!(counters.garbage_bytes, 40);
@@ -82,10 +84,10 @@ fn a_frame_inside_a_damaged_frame_is_not_lost() {
 
 #[test]
 fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let torn = &four_message_mix(4)[3][..12];
-    let at = |millis| Stamp::ZERO + Span::from_millis(millis);
+    let at = |millis| Timestamp::ZERO + TimeDelta::from_millis(millis);
     scanner.push(at(0), torn, &mut |item| found.push(owned(item)));
     assert_eq!(scanner.deadline(), Some(at(50)));
     scanner.push(at(10), &heartbeat(), &mut |item| found.push(owned(item)));
@@ -95,8 +97,8 @@ fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
     assert!(found.is_empty(), "not yet due");
     scanner.tick(at(60), &mut |item| found.push(owned(item)));
     let expected = [
-        Found::Defect(Defect::Stall { bytes: 33 }),
-        Found::Defect(Defect::Garbage { bytes: 12 }),
+        Found::Defect(ReceiveError::Timeout { bytes: 33 }),
+        Found::Defect(ReceiveError::UnframedBytes { bytes: 12 }),
         Found::Frame(heartbeat()),
     ];
     assert_eq!(found, expected);
@@ -106,11 +108,11 @@ fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
 
 #[test]
 fn a_torn_header_is_given_up_when_bytes_come_after_the_gap() {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let torn = &four_message_mix(4)[3][..12];
-    scanner.push(Stamp::ZERO, torn, &mut |item| found.push(owned(item)));
-    scanner.push(Stamp::from_millis(1_000), &heartbeat(), &mut |item| {
+    scanner.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::from_millis(1_000), &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
     assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
@@ -119,12 +121,12 @@ fn a_torn_header_is_given_up_when_bytes_come_after_the_gap() {
 #[test]
 fn a_late_continuation_still_completes_its_frame() {
     let frame = &four_message_mix(4)[3];
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, &frame[..100], &mut |item| {
+    scanner.push(Timestamp::ZERO, &frame[..100], &mut |item| {
         found.push(owned(item));
     });
-    scanner.push(Stamp::from_millis(80), &frame[100..], &mut |item| {
+    scanner.push(Timestamp::from_millis(80), &frame[100..], &mut |item| {
         found.push(owned(item));
     });
     assert_eq!(found, [Found::Frame(frame.clone())]);
@@ -134,20 +136,20 @@ fn a_late_continuation_still_completes_its_frame() {
 fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() {
-        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut scanner = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
-        scanner.push(Stamp::ZERO, &frame[..split], &mut |item| {
+        scanner.push(Timestamp::ZERO, &frame[..split], &mut |item| {
             found.push(owned(item));
         });
         let deadline = scanner.deadline().unwrap();
         scanner.tick(deadline, &mut |item| found.push(owned(item)));
         assert_eq!(scanner.deadline(), None, "it is told once");
         let rest = [&frame[split..], &heartbeat()].concat();
-        scanner.push(Stamp::from_millis(9_000), &rest, &mut |item| {
+        scanner.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
             found.push(owned(item));
         });
         let expected = [
-            Found::Defect(Defect::Stall { bytes: split as u32 }),
+            Found::Defect(ReceiveError::Timeout { bytes: split as u32 }),
             Found::Frame(frame.clone()),
             Found::Frame(heartbeat()),
         ];
@@ -162,11 +164,11 @@ fn a_frame_that_goes_on_in_pieces_after_seconds_is_completed() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() - 1 {
         for second in [split + 1, usize::midpoint(split, frame.len()), frame.len() - 1] {
-            let mut scanner = Scanner::new(ScannerConfig::default());
+            let mut scanner = Framer::new(FramerConfig::default());
             let mut found = Vec::new();
             let pieces = [(0, &frame[..split]), (9_000, &frame[split..second]), (9_001, &frame[second..])];
             for (millis, piece) in pieces {
-                scanner.push(Stamp::from_millis(millis), piece, &mut |item| {
+                scanner.push(Timestamp::from_millis(millis), piece, &mut |item| {
                     found.push(owned(item));
                 });
             }
@@ -181,10 +183,10 @@ fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
     let torn = &mix[3][..12];
     let frame = &mix[1];
     for split in 1..frame.len() {
-        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut scanner = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
         let first = [torn, &heartbeat(), &frame[..split]].concat();
-        scanner.push(Stamp::ZERO, &first, &mut |item| found.push(owned(item)));
+        scanner.push(Timestamp::ZERO, &first, &mut |item| found.push(owned(item)));
         let deadline = scanner.deadline().unwrap();
         scanner.tick(deadline, &mut |item| found.push(owned(item)));
         assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
@@ -202,12 +204,12 @@ fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
 #[test]
 fn a_frame_in_pieces_after_a_torn_one_and_seconds_does_not_wait_for_the_gap() {
     let torn = &four_message_mix(4)[3][..12];
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let whole = heartbeat();
     let pieces = [(0, torn), (9_000, &whole[..9]), (9_001, &whole[9..])];
     for (millis, piece) in pieces {
-        scanner.push(Stamp::from_millis(millis), piece, &mut |item| {
+        scanner.push(Timestamp::from_millis(millis), piece, &mut |item| {
             found.push(owned(item));
         });
     }
@@ -218,13 +220,13 @@ fn a_frame_in_pieces_after_a_torn_one_and_seconds_does_not_wait_for_the_gap() {
 fn an_unknown_frame_that_stops_for_seconds_is_completed_too() {
     let unknown = stranger(b"who am I");
     let (first, rest) = unknown.split_at(15);
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, first, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, first, &mut |item| found.push(owned(item)));
     let deadline = scanner.deadline().unwrap();
     scanner.tick(deadline, &mut |item| found.push(owned(item)));
     let rest = [rest, &heartbeat()].concat();
-    scanner.push(Stamp::from_millis(9_000), &rest, &mut |item| {
+    scanner.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
         found.push(owned(item));
     });
     let expected = [Found::Unknown(unknown.clone()), Found::Frame(heartbeat())];
@@ -234,17 +236,17 @@ fn an_unknown_frame_that_stops_for_seconds_is_completed_too() {
 #[test]
 fn a_frame_whose_rest_never_comes_is_given_up_by_what_comes_next() {
     let torn = &four_message_mix(4)[3][..100];
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, torn, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
     let deadline = scanner.deadline().unwrap();
     scanner.tick(deadline, &mut |item| found.push(owned(item)));
-    scanner.push(Stamp::from_millis(9_000), &heartbeat(), &mut |item| {
+    scanner.push(Timestamp::from_millis(9_000), &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
     let expected = [
-        Found::Defect(Defect::Stall { bytes: 100 }),
-        Found::Defect(Defect::Garbage { bytes: 100 }),
+        Found::Defect(ReceiveError::Timeout { bytes: 100 }),
+        Found::Defect(ReceiveError::UnframedBytes { bytes: 100 }),
         Found::Frame(heartbeat()),
     ];
     assert_eq!(found, expected);
@@ -259,10 +261,10 @@ fn impossible_headers_are_refused_before_their_bytes_come() {
     {
         let mut stream = header.to_vec();
         stream.extend_from_slice(&heartbeat());
-        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut scanner = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
-        scanner.push(Stamp::ZERO, &stream, &mut |item| found.push(owned(item)));
-        let refused = Found::Defect(Defect::ImpossibleHeader { message_id, length });
+        scanner.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
+        let refused = Found::Defect(ReceiveError::ImpossibleHeader { message_id, length });
         assert_eq!(found.first(), Some(&refused));
         assert_eq!(found.last(), Some(&Found::Frame(heartbeat())));
         assert_eq!(scanner.counters().impossible_headers, 1);
@@ -273,11 +275,11 @@ fn impossible_headers_are_refused_before_their_bytes_come() {
 fn an_unknown_frame_is_handed_out_when_a_verified_one_follows() {
     let unknown = stranger(b"who am I");
     let stream = [heartbeat(), unknown.clone(), unknown.clone(), heartbeat()].concat();
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let mut ids = Vec::new();
-    scanner.push(Stamp::ZERO, &stream, &mut |item| {
-        if let Scanned::Unknown(frame) = item {
+    scanner.push(Timestamp::ZERO, &stream, &mut |item| {
+        if let FramerOutput::UnknownFrame(frame) = item {
             ids.push((frame.message_id, frame.source, frame.sequence));
         }
         found.push(owned(item));
@@ -296,9 +298,9 @@ fn an_unknown_frame_is_handed_out_when_a_verified_one_follows() {
 #[test]
 fn an_unknown_frame_at_the_end_waits_for_the_gap() {
     let unknown = stranger(b"who am I");
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
     assert!(found.is_empty(), "{found:?}");
     let deadline = scanner.deadline().unwrap();
     scanner.tick(deadline, &mut |item| found.push(owned(item)));
@@ -314,8 +316,8 @@ fn an_unknown_claim_never_costs_a_known_frame() {
     payload.extend_from_slice(b"cd");
     let disguised = stranger(&payload);
     let stream = [disguised, heartbeat()].concat();
-    for transport in [Framing::Stream, Framing::Datagram] {
-        let config = ScannerConfig { transport, ..ScannerConfig::default() };
+    for transport in [TransportKind::Stream, TransportKind::Datagram] {
+        let config = FramerConfig { transport, ..FramerConfig::default() };
         let (found, counters) = scan(config, &stream, stream.len());
         assert_eq!(frames(&found), [Found::Frame(heartbeat()), Found::Frame(heartbeat())]);
         assert_eq!(counters.unknown_ids, 0);
@@ -327,27 +329,27 @@ fn an_unknown_frame_does_not_delay_known_ones() {
     // The claim is longer than everything that follows.
     let mut stream = vec![0xFD, 250, 0, 0, 7, 9, 1, 0x39, 0x30, 0x00];
     stream.extend_from_slice(&heartbeat());
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, &stream, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
     assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
 }
 
 #[test]
 fn a_datagram_decides_at_its_end() {
     let unknown = stranger(b"forward me");
-    let mut scanner = Scanner::new(DATAGRAM);
+    let mut scanner = Framer::new(DATAGRAM);
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
     let pair = [unknown.clone(), heartbeat()].concat();
-    scanner.push(Stamp::ZERO, &pair, &mut |item| found.push(owned(item)));
+    scanner.push(Timestamp::ZERO, &pair, &mut |item| found.push(owned(item)));
     let expected = [Found::Unknown(unknown.clone()), Found::Unknown(unknown), Found::Frame(heartbeat())];
     assert_eq!(found, expected);
     found.clear();
-    scanner.push(Stamp::ZERO, &heartbeat()[..15], &mut |item| {
+    scanner.push(Timestamp::ZERO, &heartbeat()[..15], &mut |item| {
         found.push(owned(item));
     });
-    scanner.push(Stamp::ZERO, &heartbeat(), &mut |item| {
+    scanner.push(Timestamp::ZERO, &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
     assert_eq!(scanner.deadline(), None, "a datagram has no continuation");
@@ -358,17 +360,17 @@ fn a_datagram_decides_at_its_end() {
 #[test]
 fn unknown_telemetry_between_heartbeats_of_one_second_is_kept() {
     let unknown = stranger(&[0x11; 60]);
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut handed_out = 0;
-    let mut count = |item: Scanned<'_>| {
-        if let Scanned::Unknown(_) = item {
+    let mut count = |item: FramerOutput<'_>| {
+        if let FramerOutput::UnknownFrame(_) = item {
             handed_out += 1;
         }
     };
     for frame in 0..50 {
-        scanner.push(Stamp::from_millis(20 * frame), &unknown, &mut count);
+        scanner.push(Timestamp::from_millis(20 * frame), &unknown, &mut count);
     }
-    scanner.push(Stamp::from_millis(1_000), &heartbeat(), &mut count);
+    scanner.push(Timestamp::from_millis(1_000), &heartbeat(), &mut count);
     assert_eq!(handed_out, 50);
     assert_eq!(scanner.counters().garbage_bytes, 0);
 }
@@ -379,10 +381,10 @@ fn version_1_is_heard_only_when_asked_for() {
     let mut stream = b"\xFE\x01".to_vec();
     encoder.encode(Address::new(1, 1), &HEARTBEAT, &mut stream);
     encoder.encode(Address::new(1, 1), &HEARTBEAT, &mut stream);
-    let (deaf, counters) = scan(ScannerConfig::default(), &stream, stream.len());
+    let (deaf, counters) = scan(FramerConfig::default(), &stream, stream.len());
     assert!(frames(&deaf).is_empty());
     assert_eq!(counters.garbage_bytes, stream.len() as u64);
-    let config = ScannerConfig { accept_v1: true, ..ScannerConfig::default() };
+    let config = FramerConfig { accept_v1: true, ..FramerConfig::default() };
     for chunk in 1..=stream.len() {
         let (found, counters) = scan(config, &stream, chunk);
         assert_eq!(frames(&found).len(), 2, "chunk size {chunk}");

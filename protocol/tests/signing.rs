@@ -7,12 +7,12 @@
 use std::collections::BTreeSet;
 
 use posebridge_protocol::dialect::{Encoder, decode};
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion, checksum};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion, checksum};
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::signing::{
-    Ending, Key, LinkSigning, Memory, RADIO_STATUS, SigningConfig, Timestamp, Unsigned,
+    Key, LinkSigner, RADIO_STATUS, ShutdownKind, SigningConfig, SigningState, SigningTime, UnsignedPolicy,
 };
-use posebridge_telemetry::{Address, HostClock, Refusal, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, SignatureError, TimeDelta, Timestamp};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -53,12 +53,12 @@ fn golden() -> (Vec<Key>, Vec<Case>) {
 }
 
 fn config(key: &Key, clock: u64) -> SigningConfig {
-    let clock = Timestamp::from_units(clock);
+    let clock = SigningTime::from_units(clock);
     SigningConfig {
         key: key.clone(),
         link_id: 3,
-        unsigned: Unsigned::RefuseExcept(BTreeSet::from([RADIO_STATUS])),
-        memory: Memory { written: clock, clock, ..Memory::default() },
+        unsigned: UnsignedPolicy::RejectExcept(BTreeSet::from([RADIO_STATUS])),
+        state: SigningState { written_at: clock, clock, ..SigningState::default() },
     }
 }
 
@@ -66,31 +66,31 @@ fn key() -> Key {
     Key::from_bytes([0x42; 32])
 }
 
-fn link(clock: u64) -> LinkSigning {
-    LinkSigning::new(config(&key(), clock))
+fn link(clock: u64) -> LinkSigner {
+    LinkSigner::new(config(&key(), clock))
 }
 
 /// What the first frame that is found in the bytes is to a function.
 fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
+    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let mut look = Some(look);
     let mut result = None;
-    scanner.push(Stamp::ZERO, bytes, &mut |found| {
-        if let Scanned::Frame(frame) = found {
+    scanner.push(Timestamp::ZERO, bytes, &mut |found| {
+        if let FramerOutput::Frame(frame) = found {
             result = look.take().map(|look| look(&frame));
         }
     });
     result.expect("a whole frame")
 }
 
-fn judge(link: &mut LinkSigning, now: Stamp<HostClock>, bytes: &[u8]) -> Result<(), Refusal> {
-    with_frame(bytes, |frame| link.judge(now, frame))
+fn judge(link: &mut LinkSigner, now: Timestamp<HostClock>, bytes: &[u8]) -> Result<(), SignatureError> {
+    with_frame(bytes, |frame| link.verify(now, frame))
 }
 
 /// A heartbeat of a sender, signed at a time by our own signer, which the golden frames vouch for.
 fn signed(from: Address, link_id: u8, timestamp: u64) -> Vec<u8> {
-    let mut sender = LinkSigning::new(SigningConfig { link_id, ..config(&key(), timestamp) });
-    let seal = sender.next_seal(Stamp::ZERO).expect("it has a time");
+    let mut sender = LinkSigner::new(SigningConfig { link_id, ..config(&key(), timestamp) });
+    let seal = sender.next_signer(Timestamp::ZERO).expect("it has a time");
     let mut bytes = Vec::new();
     Encoder::new(WireVersion::V2).encode_signed(from, &HEARTBEAT, &seal, &mut bytes);
     bytes
@@ -107,18 +107,18 @@ fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
         let Some(key) = case.key.map(|index| &keys[index]) else {
             continue;
         };
-        let mut receiver = LinkSigning::new(config(key, case.timestamp));
-        assert_eq!(judge(&mut receiver, Stamp::ZERO, &case.frame), Ok(()), "{}", case.name);
+        let mut receiver = LinkSigner::new(config(key, case.timestamp));
+        assert_eq!(judge(&mut receiver, Timestamp::ZERO, &case.frame), Ok(()), "{}", case.name);
         // A sender's first stamp is 1, because it has used 0 before.
         let Some(before) = case.timestamp.checked_sub(1) else {
             continue;
         };
-        let mut sender = LinkSigning::new(SigningConfig {
+        let mut sender = LinkSigner::new(SigningConfig {
             link_id: case.link_id,
-            memory: Memory { own: Timestamp::from_units(before), ..Memory::default() },
+            state: SigningState { last_sent: SigningTime::from_units(before), ..SigningState::default() },
             ..config(key, 0)
         });
-        let seal = sender.next_seal(Stamp::ZERO).expect("one is left");
+        let seal = sender.next_signer(Timestamp::ZERO).expect("one is left");
         let (from, sequence, message) = with_frame(&case.frame, |frame| {
             let message = decode(frame).expect("it makes sense");
             (frame.source, frame.sequence, message.expect("we know it"))
@@ -142,48 +142,48 @@ fn a_frame_is_refused_for_its_own_reason() {
         let found = cases.iter().find(|case| case.name == name);
         &found.expect("it is there").frame
     };
-    let mut link = LinkSigning::new(config(&keys[0], 123_456_789));
+    let mut link = LinkSigner::new(config(&keys[0], 123_456_789));
     let mut check = |name, expected| {
-        assert_eq!(judge(&mut link, Stamp::ZERO, frame(name)), expected, "{name}");
+        assert_eq!(judge(&mut link, Timestamp::ZERO, frame(name)), expected, "{name}");
     };
-    check("heartbeat_other_key", Err(Refusal::WrongSignature));
-    check("heartbeat_unsigned", Err(Refusal::Unsigned));
-    check("v1_heartbeat", Err(Refusal::Unsigned));
+    check("heartbeat_other_key", Err(SignatureError::Invalid));
+    check("heartbeat_unsigned", Err(SignatureError::Unsigned));
+    check("v1_heartbeat", Err(SignatureError::Unsigned));
     check("radio_status_unsigned", Ok(()));
-    check("heartbeat_first_instant", Err(Refusal::Stale));
+    check("heartbeat_first_instant", Err(SignatureError::Stale));
     check("heartbeat", Ok(()));
-    check("heartbeat", Err(Refusal::Replayed));
-    check("heartbeat_unsigned", Err(Refusal::Unsigned));
+    check("heartbeat", Err(SignatureError::Replayed));
+    check("heartbeat_unsigned", Err(SignatureError::Unsigned));
 }
 
 #[test]
 fn where_unsigned_frames_are_accepted_a_wrong_signature_is_still_refused() {
     let (keys, cases) = golden();
-    let mut link = LinkSigning::new(SigningConfig { unsigned: Unsigned::Accept, ..config(&keys[0], 0) });
+    let mut link = LinkSigner::new(SigningConfig { unsigned: UnsignedPolicy::Accept, ..config(&keys[0], 0) });
     for case in &cases {
-        let expected = if case.key == Some(1) { Err(Refusal::WrongSignature) } else { Ok(()) };
+        let expected = if case.key == Some(1) { Err(SignatureError::Invalid) } else { Ok(()) };
         // Streams of their own: another test is about the order.
         let mut link = link.clone();
-        assert_eq!(judge(&mut link, Stamp::ZERO, &case.frame), expected, "{}", case.name);
+        assert_eq!(judge(&mut link, Timestamp::ZERO, &case.frame), expected, "{}", case.name);
     }
-    assert!(link.next_seal(Stamp::ZERO).is_some());
+    assert!(link.next_signer(Timestamp::ZERO).is_some());
 }
 
 #[test]
 fn a_new_stream_may_be_a_minute_behind_and_not_a_unit_more() {
-    let later = Stamp::from_millis(5_000);
+    let later = Timestamp::from_millis(5_000);
     let minute = 6_000_000;
     let seconds = 500_000;
     let edge = NOW + seconds - minute;
-    for (timestamp, expected) in [(edge, Ok(())), (edge - 1, Err(Refusal::Stale))] {
+    for (timestamp, expected) in [(edge, Ok(())), (edge - 1, Err(SignatureError::Stale))] {
         assert_eq!(judge(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)), expected);
     }
     // An old acquaintance may be as far behind as it likes.
     let mut link = link(NOW);
-    judge(&mut link, Stamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
-    let much_later = Stamp::from_millis(3_600_000);
+    judge(&mut link, Timestamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
+    let much_later = Timestamp::from_millis(3_600_000);
     assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)), Ok(()));
-    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)), Err(Refusal::Stale));
+    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)), Err(SignatureError::Stale));
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn own_stamps_rise_whatever_the_clock_does() {
     let mut stamps = Vec::new();
     for millis in [5, 5, 5, 4, -7, 6] {
         let mut bytes = Vec::new();
-        let seal = link.next_seal(Stamp::from_millis(millis)).unwrap();
+        let seal = link.next_signer(Timestamp::from_millis(millis)).unwrap();
         Encoder::new(WireVersion::V2).encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes);
         let mut wire = [0; 8];
         wire[..6].copy_from_slice(&bytes[bytes.len() - 12..bytes.len() - 6]);
@@ -203,16 +203,16 @@ fn own_stamps_rise_whatever_the_clock_does() {
 
 #[test]
 fn nothing_is_signed_when_time_has_run_out() {
-    let mut link = link(Timestamp::MAX.units() - 1);
-    assert!(link.next_seal(Stamp::ZERO).is_some());
-    assert!(link.next_seal(Stamp::ZERO).is_some());
-    assert!(link.next_seal(Stamp::from_millis(1_000)).is_none());
+    let mut link = link(SigningTime::MAX.units() - 1);
+    assert!(link.next_signer(Timestamp::ZERO).is_some());
+    assert!(link.next_signer(Timestamp::ZERO).is_some());
+    assert!(link.next_signer(Timestamp::from_millis(1_000)).is_none());
 }
 
 #[test]
 fn mavlink_1_is_never_sent_where_frames_are_signed() {
     let mut link = link(NOW);
-    let seal = link.next_seal(Stamp::ZERO).unwrap();
+    let seal = link.next_signer(Timestamp::ZERO).unwrap();
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(WireVersion::V1);
     assert_eq!(encoder.encode_signed(ROBOT, &HEARTBEAT, &seal, &mut bytes), 0);
@@ -222,22 +222,22 @@ fn mavlink_1_is_never_sent_where_frames_are_signed() {
 #[test]
 fn a_peer_that_is_ahead_sets_our_time_forward() {
     let mut station = link(0);
-    let now = Stamp::from_millis(1_000);
+    let now = Timestamp::from_millis(1_000);
     judge(&mut station, now, &signed(ROBOT, 0, NOW)).unwrap();
-    let memory = station.memory(now);
+    let memory = station.state(now);
     assert_eq!(memory.clock.units(), NOW);
-    assert_eq!(memory.written.units(), 100_000);
-    let second_later = Stamp::from_millis(2_000);
-    assert_eq!(station.memory(second_later).clock.units(), NOW + 100_000);
-    let seal = station.next_seal(second_later);
+    assert_eq!(memory.written_at.units(), 100_000);
+    let second_later = Timestamp::from_millis(2_000);
+    assert_eq!(station.state(second_later).clock.units(), NOW + 100_000);
+    let seal = station.next_signer(second_later);
     assert!(seal.is_some());
-    assert_eq!(station.memory(second_later).own.units(), NOW + 100_000);
+    assert_eq!(station.state(second_later).last_sent.units(), NOW + 100_000);
     // A refused one does not.
     let mut station = link(0);
     let mut forged = signed(ROBOT, 0, NOW);
     *forged.last_mut().unwrap() ^= 1;
-    assert_eq!(judge(&mut station, now, &forged), Err(Refusal::WrongSignature));
-    assert_eq!(station.memory(now).clock.units(), 100_000);
+    assert_eq!(judge(&mut station, now, &forged), Err(SignatureError::Invalid));
+    assert_eq!(station.state(now).clock.units(), 100_000);
 }
 
 #[test]
@@ -246,16 +246,16 @@ fn the_number_of_streams_is_bounded_and_what_made_room_cannot_come_again() {
     let sender = |k: u64| Address::new((k / 200) as u8, (k % 200) as u8);
     for k in 0..1_025 {
         let frame = signed(sender(k), 0, NOW + k);
-        assert_eq!(judge(&mut link, Stamp::ZERO, &frame), Ok(()), "{k}");
+        assert_eq!(judge(&mut link, Timestamp::ZERO, &frame), Ok(()), "{k}");
     }
-    let memory = link.memory(Stamp::ZERO);
+    let memory = link.state(Timestamp::ZERO);
     assert_eq!(memory.streams.len(), 1_024);
-    assert_eq!(memory.floor.map(Timestamp::units), Some(NOW));
-    assert_eq!(link.streams_met(), 1_025);
+    assert_eq!(memory.min_timestamp.map(SigningTime::units), Some(NOW));
+    assert_eq!(link.streams_seen(), 1_025);
     let again = signed(sender(0), 0, NOW);
-    assert_eq!(judge(&mut link, Stamp::ZERO, &again), Err(Refusal::Stale));
+    assert_eq!(judge(&mut link, Timestamp::ZERO, &again), Err(SignatureError::Stale));
     let goes_on = signed(sender(0), 0, NOW + 2_000);
-    assert_eq!(judge(&mut link, Stamp::ZERO, &goes_on), Ok(()));
+    assert_eq!(judge(&mut link, Timestamp::ZERO, &goes_on), Ok(()));
 }
 
 #[test]
@@ -263,17 +263,17 @@ fn every_chunk_size_gives_the_same_verdicts() {
     let (keys, cases) = golden();
     let bytes: Vec<u8> = cases.iter().flat_map(|case| case.frame.clone()).collect();
     let verdicts = |chunk: usize| {
-        let mut link = LinkSigning::new(config(&keys[0], 123_456_789));
-        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut link = LinkSigner::new(config(&keys[0], 123_456_789));
+        let mut scanner = Framer::new(FramerConfig::default());
         let mut verdicts = Vec::new();
         for part in bytes.chunks(chunk) {
-            scanner.push(Stamp::ZERO, part, &mut |found| {
-                if let Scanned::Frame(frame) = found {
-                    verdicts.push((frame.source, link.judge(Stamp::ZERO, &frame)));
+            scanner.push(Timestamp::ZERO, part, &mut |found| {
+                if let FramerOutput::Frame(frame) = found {
+                    verdicts.push((frame.source, link.verify(Timestamp::ZERO, &frame)));
                 }
             });
         }
-        (verdicts, link.memory(Stamp::ZERO))
+        (verdicts, link.state(Timestamp::ZERO))
     };
     let whole = verdicts(bytes.len());
     assert_eq!(whole.0.len(), 8, "all but the MAVLink 1 frame");
@@ -309,43 +309,43 @@ fn happening() -> impl Strategy<Value = Happening> {
 
 /// A station that writes its memory down when the house rules say so: each second, and when a stream is new.
 struct Station {
-    link: LinkSigning,
+    link: LinkSigner,
     started_ms: i64,
-    written: Memory,
+    written: SigningState,
     written_ms: i64,
     met: u64,
 }
 
 impl Station {
-    fn start(memory: Memory, now_ms: i64) -> Self {
+    fn start(memory: SigningState, now_ms: i64) -> Self {
         let written = memory.clone();
-        let memory = SigningConfig { memory, ..config(&key(), NOW) };
-        Self { link: LinkSigning::new(memory), started_ms: now_ms, written, written_ms: now_ms, met: 0 }
+        let memory = SigningConfig { state: memory, ..config(&key(), NOW) };
+        Self { link: LinkSigner::new(memory), started_ms: now_ms, written, written_ms: now_ms, met: 0 }
     }
 
-    fn hear(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), Refusal> {
-        let now = Stamp::from_millis(now_ms - self.started_ms);
+    fn hear(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), SignatureError> {
+        let now = Timestamp::from_millis(now_ms - self.started_ms);
         let verdict = judge(&mut self.link, now, frame);
-        if self.link.streams_met() > self.met || now_ms - self.written_ms >= 1_000 {
+        if self.link.streams_seen() > self.met || now_ms - self.written_ms >= 1_000 {
             self.write(now_ms);
         }
         verdict
     }
 
     fn write(&mut self, now_ms: i64) {
-        self.written = self.link.memory(Stamp::from_millis(now_ms - self.started_ms));
+        self.written = self.link.state(Timestamp::from_millis(now_ms - self.started_ms));
         self.written_ms = now_ms;
-        self.met = self.link.streams_met();
+        self.met = self.link.streams_seen();
     }
 
     fn restart(self, now_ms: i64) -> Self {
         let utc = utc(now_ms);
-        Self::start(self.written.resumed(utc, Ending::Cut), now_ms)
+        Self::start(self.written.resume(utc, ShutdownKind::Interrupted), now_ms)
     }
 }
 
-fn utc(now_ms: i64) -> Timestamp {
-    Timestamp::from_units(NOW).later(Span::from_millis(now_ms))
+fn utc(now_ms: i64) -> SigningTime {
+    SigningTime::from_units(NOW).saturating_add(TimeDelta::from_millis(now_ms))
 }
 
 proptest! {
@@ -356,7 +356,7 @@ proptest! {
         happenings in prop::collection::vec(happening(), 1..120)
     ) {
         let mut now_ms = 0;
-        let mut station = Station::start(config(&key(), NOW).memory, now_ms);
+        let mut station = Station::start(config(&key(), NOW).state, now_ms);
         let mut sent: Vec<Vec<u8>> = Vec::new();
         let mut senders = [0_u64; 3];
         for happening in happenings {
@@ -403,25 +403,25 @@ proptest! {
             let sum = checksum(&changed[1..signature_at - 2], 50);
             changed[signature_at - 2..signature_at].copy_from_slice(&sum.to_le_bytes());
             let mut link = link(timestamp);
-            let before = link.memory(Stamp::ZERO);
-            prop_assert_eq!(judge(&mut link, Stamp::ZERO, &changed), Err(Refusal::WrongSignature));
-            prop_assert_eq!(link.memory(Stamp::ZERO), before);
-            prop_assert_eq!(judge(&mut link, Stamp::ZERO, &whole), Ok(()));
+            let before = link.state(Timestamp::ZERO);
+            prop_assert_eq!(judge(&mut link, Timestamp::ZERO, &changed), Err(SignatureError::Invalid));
+            prop_assert_eq!(link.state(Timestamp::ZERO), before);
+            prop_assert_eq!(judge(&mut link, Timestamp::ZERO, &whole), Ok(()));
         }
     }
 
     #[test]
     fn no_bytes_make_it_stumble(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         let mut link = link(NOW);
-        let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
+        let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
         let mut believed = 0;
         let mut start = vec![0xFD_u8, 9, 1, 0];
         start.extend(bytes);
-        scanner.push(Stamp::ZERO, &start, &mut |found| {
-            if let Scanned::Frame(frame) | Scanned::Unknown(frame) = found
+        scanner.push(Timestamp::ZERO, &start, &mut |found| {
+            if let FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame) = found
                 && frame.message_id != RADIO_STATUS
             {
-                believed += usize::from(link.judge(Stamp::ZERO, &frame).is_ok());
+                believed += usize::from(link.verify(Timestamp::ZERO, &frame).is_ok());
             }
         });
         prop_assert_eq!(believed, 0);

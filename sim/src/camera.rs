@@ -11,15 +11,15 @@ use std::collections::VecDeque;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
 use posebridge_telemetry::{
-    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, Span, Stamp, Switch,
+    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, SensorSwitch, TimeDelta, Timestamp,
 };
 
 use crate::clock::SkewedClock;
-use crate::node::{IntervalRequest, Node};
+use crate::history::{HistoryPolicy, trim_history};
+use crate::mavlink_node::{IntervalRequest, MavlinkNode};
 use crate::overhead_view;
-use crate::random::Stream;
+use crate::random::RandomStream;
 use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
-use crate::simulation::{History, forget_oldest};
 
 /// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
@@ -30,11 +30,11 @@ const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mo
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFix {
     /// World time of the exposure.
-    pub exposed: Span,
+    pub exposed: TimeDelta,
     /// World time of the sending.
-    pub sent: Span,
+    pub sent: TimeDelta,
     /// The exposure by the camera's clock.
-    pub stamp: Stamp<CameraClock>,
+    pub time: Timestamp<CameraClock>,
     /// Where the tag was said to be.
     pub position: Point2<Arena>,
     /// Where the body was said to point; `None` when the camera cannot tell.
@@ -50,17 +50,17 @@ pub struct CameraFix {
 pub(crate) struct Camera {
     settings: CameraSettings,
     clock: SkewedClock,
-    node: Node<CameraClock>,
-    stream: Stream,
+    node: MavlinkNode<CameraClock>,
+    stream: RandomStream,
     /// Time between images; `None` while a station has stopped them.
-    interval: Option<Span>,
-    next_exposure: Span,
+    interval: Option<TimeDelta>,
+    next_exposure: TimeDelta,
     /// Somebody wants a fix of what there is to see now.
-    is_asked: bool,
+    is_requested: bool,
     /// Seen but not sent, in the order of sending.
     pending: Vec<CameraFix>,
-    last_due: Span,
-    history: History,
+    last_due: TimeDelta,
+    history: HistoryPolicy,
     log: Vec<CameraFix>,
     /// What it sees goes there and no fix is sent, once somebody looks through it.
     images: Option<VecDeque<String>>,
@@ -70,27 +70,28 @@ pub(crate) struct Camera {
 }
 
 /// So many images wait for whoever looks; older ones are of no use to anybody.
-const MOST_IMAGES: usize = 64;
+const MAX_IMAGES: usize = 64;
 
 impl Camera {
     /// A camera that is switched on at the beginning of the world.
     pub(crate) fn new(settings: CameraSettings, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock());
-        let node = Node::new(CAMERA, HEARTBEAT, clock.reading(Span::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
+        let node =
+            MavlinkNode::new(CAMERA, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
         Self {
             interval: match settings.images {
-                CameraImages::Steady => Some(Span::from_secs_f64(1.0 / settings.rate_hz)),
+                CameraImages::Steady => Some(TimeDelta::from_secs_f64(1.0 / settings.rate_hz)),
                 CameraImages::OnRequest => None,
             },
-            next_exposure: Span::ZERO,
-            is_asked: false,
+            next_exposure: TimeDelta::ZERO,
+            is_requested: false,
             settings,
             clock,
             node,
-            stream: Stream::new(seed, "camera"),
+            stream: RandomStream::new(seed, "camera"),
             pending: Vec::new(),
-            last_due: Span::ZERO,
-            history: History::Kept,
+            last_due: TimeDelta::ZERO,
+            history: HistoryPolicy::All,
             log: Vec::new(),
             images: None,
             image_count: 0,
@@ -99,18 +100,18 @@ impl Camera {
     }
 
     /// From here on it is the eye of another program: it shows images and sends nothing.
-    pub(crate) fn show_images(&mut self) {
+    pub(crate) fn enable_images(&mut self) {
         self.images = Some(VecDeque::new());
     }
 
     /// The next image that was taken, as a line of text.
-    pub(crate) fn take_image(&mut self) -> Option<String> {
+    pub(crate) fn next_image(&mut self) -> Option<String> {
         self.images.as_mut()?.pop_front()
     }
 
     /// Lives through one step of the world that ends at `world` with the robot at `pose`.
-    pub(crate) fn step(&mut self, world: Span, pose: Pose<Arena>) {
-        let is_asked = std::mem::take(&mut self.is_asked);
+    pub(crate) fn step(&mut self, world: TimeDelta, pose: Pose<Arena>) {
+        let is_asked = std::mem::take(&mut self.is_requested);
         if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
             self.next_exposure = (self.next_exposure + interval).max(world);
             self.expose(world, pose);
@@ -121,42 +122,42 @@ impl Camera {
         for fix in self.pending.drain(..due).collect::<Vec<_>>() {
             let message = self.message(&fix);
             self.node.send(&message);
-            if self.history != History::Forgotten {
-                forget_oldest(self.history, world, &mut self.log, |fix| fix.sent);
+            if self.history != HistoryPolicy::Nothing {
+                trim_history(self.history, world, &mut self.log, |fix| fix.sent);
                 self.log.push(fix);
             }
         }
         let requests = self.node.tick(self.clock.reading(world));
-        self.follow(world, &requests);
+        self.apply_intervals(world, &requests);
     }
 
     /// Takes a message from the link.
-    pub(crate) fn handle(&mut self, world: Span, from: Address, message: &Message) {
+    pub(crate) fn handle(&mut self, world: TimeDelta, from: Address, message: &Message) {
         let requests = self.node.handle(self.clock.reading(world), from, message);
-        self.follow(world, &requests);
+        self.apply_intervals(world, &requests);
         if self.node.take_fix_request() {
-            self.is_asked = true;
+            self.is_requested = true;
         }
     }
 
     /// The bytes that wait to be sent.
-    pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        let bytes = self.node.take();
+    pub(crate) fn next_frame(&mut self) -> Option<Vec<u8>> {
+        let bytes = self.node.next_bytes();
         bytes.filter(|_| self.images.is_none())
     }
 
     /// A hand covers the lens, or is taken away.
-    pub(crate) const fn switch(&mut self, to: Switch) {
-        self.is_covered = matches!(to, Switch::Off);
+    pub(crate) const fn set_covered(&mut self, to: SensorSwitch) {
+        self.is_covered = matches!(to, SensorSwitch::Off);
     }
 
     /// From here on what it sees is told so much later. What was seen before is told as it would have been.
-    pub(crate) fn set_delay(&mut self, delay: Span) {
+    pub(crate) fn set_delay(&mut self, delay: TimeDelta) {
         self.settings.latency_ms = delay.as_millis_f64();
     }
 
     /// Keeps so much of its log from here on.
-    pub(crate) const fn remember(&mut self, history: History) {
+    pub(crate) const fn set_history(&mut self, history: HistoryPolicy) {
         self.history = history;
     }
 
@@ -166,11 +167,11 @@ impl Camera {
     }
 
     /// An interval for fixes is one for images; everything else is not the camera's to send.
-    fn follow(&mut self, world: Span, requests: &[IntervalRequest]) {
+    fn apply_intervals(&mut self, world: TimeDelta, requests: &[IntervalRequest]) {
         for request in requests {
             if request.message_id == ids::VISION_POSITION_ESTIMATE {
                 self.interval = request.interval.map(|span| {
-                    if span <= Span::ZERO { Span::from_secs_f64(1.0 / self.settings.rate_hz) } else { span }
+                    if span <= TimeDelta::ZERO { TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz) } else { span }
                 });
                 self.next_exposure = world;
             }
@@ -179,17 +180,17 @@ impl Camera {
 
     /// Takes an image. Every image draws the same number of random values, so that one more outlier or dropout leaves
     /// the noise of the others as it was.
-    fn expose(&mut self, world: Span, pose: Pose<Arena>) {
-        let is_dropped = self.stream.happens(self.settings.dropout) || self.is_dark(world) || self.is_covered;
-        let is_outlier = self.stream.happens(self.settings.outlier);
+    fn expose(&mut self, world: TimeDelta, pose: Pose<Arena>) {
+        let is_dropped = self.stream.bernoulli(self.settings.dropout) || self.is_dark(world) || self.is_covered;
+        let is_outlier = self.stream.bernoulli(self.settings.outlier);
         let gross = f64::from(u8::from(is_outlier));
-        let error = Noise::draw(&mut self.stream, &self.settings, gross);
+        let error = FixNoiseSample::draw(&mut self.stream, &self.settings, gross);
         let jitter_ms = self.settings.jitter_ms * self.stream.uniform(-1.0, 1.0);
         if is_dropped {
             return;
         }
         let latency_ms = (self.settings.latency_ms + jitter_ms).max(0.0);
-        let due = world + Span::from_secs_f64(latency_ms * 1e-3);
+        let due = world + TimeDelta::from_secs_f64(latency_ms * 1e-3);
         let sent = match self.settings.order {
             CameraOrder::Fifo if due < self.last_due => self.last_due,
             CameraOrder::Fifo | CameraOrder::Free => due,
@@ -200,7 +201,7 @@ impl Camera {
         let fix = CameraFix {
             exposed: world,
             sent,
-            stamp: self.clock.reading(world),
+            time: self.clock.reading(world),
             position: Point2::new(tag.x + Meters(error.x_m), tag.y + Meters(error.y_m)),
             heading: self.settings.sees_heading.then(|| pose.heading + Radians(error.heading_rad)),
             true_tag: Pose::new(tag.x, tag.y, pose.heading),
@@ -208,7 +209,7 @@ impl Camera {
         };
         if let Some(images) = &mut self.images {
             self.image_count += 1;
-            if images.len() >= MOST_IMAGES {
+            if images.len() >= MAX_IMAGES {
                 images.pop_front();
             }
             let heading = fix.heading.unwrap_or(pose.heading);
@@ -219,7 +220,7 @@ impl Camera {
         self.pending.insert(place, fix);
     }
 
-    fn is_dark(&self, world: Span) -> bool {
+    fn is_dark(&self, world: TimeDelta) -> bool {
         let now_s = world.as_secs_f64();
         self.settings.blackouts.iter().any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
     }
@@ -232,7 +233,7 @@ impl Camera {
             f64::INFINITY
         };
         Message::VisionPosition(VisionFix {
-            stamp: WireStamp::Micros64(fix.stamp.as_micros() as u64),
+            stamp: WireStamp::Micros64(fix.time.as_micros() as u64),
             x: fix.position.x,
             y: fix.position.y,
             heading: fix.heading,
@@ -243,20 +244,21 @@ impl Camera {
                 heading_var_rad2,
             ]),
             reset_counter: 0,
+            tag: None,
         })
     }
 }
 
 /// The error of one fix.
-struct Noise {
+struct FixNoiseSample {
     x_m: f64,
     y_m: f64,
     heading_rad: f64,
 }
 
-impl Noise {
+impl FixNoiseSample {
     /// `gross` is 1 for an outlier and 0 otherwise; an outlier's own error is drawn in either case.
-    fn draw(stream: &mut Stream, settings: &CameraSettings, gross: f64) -> Self {
+    fn draw(stream: &mut RandomStream, settings: &CameraSettings, gross: f64) -> Self {
         let mut error =
             |sigma: f64, outlier_sigma: f64| sigma * stream.normal() + gross * outlier_sigma * stream.normal();
         Self {

@@ -1,4 +1,4 @@
-//! What the checks of scenarios and of link profiles share: a number within its bounds, and the words for one that is not.
+//! Range checks that scenarios and link profiles share.
 
 use serde::de::{Deserialize, Deserializer, Error};
 
@@ -15,4 +15,14 @@ pub(crate) fn within<'de, D: Deserializer<'de>>(deserializer: D, low: f64, high:
 /// From 0 to 1.
 pub(crate) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 0.0, 1.0)
+}
+
+/// A whole number from `low` to `high`.
+pub(crate) fn whole<'de, D: Deserializer<'de>>(deserializer: D, low: u32, high: u32) -> Result<u32, D::Error> {
+    let value = u32::deserialize(deserializer)?;
+    if (low..=high).contains(&value) {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is outside {low} to {high}")))
+    }
 }

@@ -12,10 +12,12 @@
 //! Half a step out of phase with the encoders the double sums are exactly the true way and turn: a drive's speed changes at the ends
 //! of its steps only.
 
-use posebridge_telemetry::{Arena, Meters, MetersPerSecondSquared, Observation, Observed, Pose, SensorId, Span};
+use posebridge_telemetry::{
+    Arena, Meters, MetersPerSecondSquared, Observation, ObservationKind, Pose, SensorId, TimeDelta,
+};
 
 use crate::montecarlo::{Arrival, Drive};
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// The accelerometers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,8 +33,8 @@ pub struct FrameAccelerometers {
 impl FrameAccelerometers {
     /// The drive with these accelerometers in place of any others; run `run` of `seed` draws its own noise.
     #[must_use]
-    pub fn mounted_on(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
-        let felt = self.felt(&drive, seed, run);
+    pub fn add_to(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
+        let felt = self.sample(&drive, seed, run);
         drive.arrivals.retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
         drive.arrivals.extend(felt);
         // Of one step they come before the wheels, so that these can be held against them.
@@ -44,13 +46,13 @@ impl FrameAccelerometers {
         drive
     }
 
-    fn felt(&self, drive: &Drive, seed: u64, run: u32) -> Vec<Arrival> {
+    fn sample(&self, drive: &Drive, seed: u64, run: u32) -> Vec<Arrival> {
         let dt_s = drive.step.as_secs_f64();
-        let mut noise = Stream::new(seed, &format!("frame accelerometers {run}"));
+        let mut noise = RandomStream::new(seed, &format!("frame accelerometers {run}"));
         let biases = [(); 2].map(|()| self.bias_sigma_m_per_s2 * noise.normal());
         let mut speeds = vec![(0.0, 0.0)];
         speeds.extend(drive.truth.windows(2).map(|pair| mean_speeds(pair, dt_s)));
-        let half_a_step = Span::from_nanos(drive.step.as_nanos() / 2);
+        let half_a_step = TimeDelta::from_nanos(drive.step.as_nanos() / 2);
         let changes = speeds.windows(2).enumerate();
         changes
             .map(|(step, pair)| {
@@ -63,9 +65,9 @@ impl FrameAccelerometers {
                     step: step + 1,
                     observation: Observation {
                         sensor: SensorId::ACCELEROMETER,
-                        stamp: drive.stamp(step) + half_a_step,
-                        stamp_sigma: Span::ZERO,
-                        observed: Observed::WheelAccelerations {
+                        stamp: drive.time_at(step) + half_a_step,
+                        stamp_sigma: TimeDelta::ZERO,
+                        measurement: ObservationKind::WheelAccelerations {
                             left: MetersPerSecondSquared(left),
                             right: MetersPerSecondSquared(right),
                         },
@@ -106,7 +108,7 @@ mod tests {
         let dt_s = drive.step.as_secs_f64();
         let (mut speed, mut way, mut turn) = ((0.0, 0.0), 0.0, 0.0);
         for arrival in &drive.arrivals {
-            let Observed::WheelAccelerations { left, right } = arrival.observation.observed else {
+            let ObservationKind::WheelAccelerations { left, right } = arrival.observation.measurement else {
                 continue;
             };
             let (a, alpha) = (0.5 * (left.0 + right.0), (right.0 - left.0) / 0.112);
@@ -120,7 +122,7 @@ mod tests {
     #[test]
     fn without_noise_their_integrals_are_the_way_and_the_turns() {
         let exact = FrameAccelerometers { sigma_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0, spacing: Meters(0.112) };
-        let drive = exact.mounted_on(drive(), 1, 0);
+        let drive = exact.add_to(drive(), 1, 0);
         let (speed, way, turn) = sums(&drive);
         let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, 0.05));
         let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| (way + 0.05 * v, turn + 0.05 * w));
@@ -134,7 +136,7 @@ mod tests {
     #[test]
     fn they_replace_the_others_and_repeat_by_seed_and_run() {
         let settings = FrameAccelerometers { sigma_m_per_s2: 0.012, bias_sigma_m_per_s2: 0.05, spacing: Meters(0.112) };
-        let mounted = |run| settings.mounted_on(drive(), 1, run);
+        let mounted = |run| settings.add_to(drive(), 1, run);
         let count = |drive: &Drive| {
             let sensors = drive.arrivals.iter().map(|arrival| arrival.observation.sensor);
             sensors.filter(|sensor| *sensor == SensorId::ACCELEROMETER).count()

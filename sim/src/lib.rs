@@ -1,11 +1,12 @@
 //! A simulated robot: its physics, its sensors, its brick and an overhead camera, with the truth kept apart.
 //!
-//! A [`Scenario`] says what happens; a [`Simulation`] lets it happen, [`STEP`] by [`STEP`]. To a
-//! station the simulation is a robot behind a link: bytes out of [`Simulation::poll`], bytes into
-//! [`Simulation::receive`], the same MAVLink as a real brick. [`Simulation::truth`] is for scores and tests only.
+//! A [`Scenario`] configures a [`Simulation`], which advances [`STEP`] by [`STEP`]. To a station the simulation is a
+//! robot behind a link: bytes out of [`Simulation::poll`], bytes into [`Simulation::receive`], the same MAVLink as a
+//! real brick. [`Simulation::truth`] is for scores and tests only.
 //!
-//! This crate names neither the estimator nor the pipeline: nobody marks their own exam. It reads no clock, opens
-//! nothing, starts nothing, and all randomness comes from the scenario's seed: the same calls give the same bytes.
+//! This crate depends on neither the estimator nor the station, so that the simulated robot is independent of what it
+//! tests. It reads no clock and does no input or output, and all randomness comes from the scenario's seed: the same
+//! calls give the same bytes.
 //!
 //! ```
 //! use posebridge_sim::{Scenario, Simulation};
@@ -22,33 +23,36 @@
 //! # Ok::<(), posebridge_sim::ScenarioError>(())
 //! ```
 
-pub mod bench;
 mod bundled;
 mod camera;
 mod checks;
 mod clock;
+mod faults;
 mod firmware;
 pub mod frame_accelerometers;
+mod history;
 pub mod impairment;
-mod mishaps;
+mod mavlink_node;
 pub mod montecarlo;
 mod motor;
-mod node;
+pub mod motor_bench;
 pub mod overhead_view;
 mod path;
 mod personality;
 mod random;
+mod robot_body;
 pub mod scenario;
 mod sensors;
 mod simulation;
 mod thermometer;
+mod time_step;
 pub mod wall;
 mod wheels;
-mod world;
 
 pub use camera::{CAMERA, CameraFix};
 pub use firmware::BRICK;
+pub use history::{HISTORY_DURATION, HISTORY_TRIM_BLOCK};
 pub use personality::ev3_beacon;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
-pub use simulation::{Doer, FORGOTTEN_AT_ONCE, REMEMBERED, ReceivedEstimate, Simulation, TruthSample};
-pub use world::STEP;
+pub use simulation::{CommandExecutor, ReceivedEstimate, Simulation, TruthSample};
+pub use time_step::STEP;

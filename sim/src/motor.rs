@@ -11,7 +11,7 @@
 //! Pybricks `model_nxt` (servo_settings.c and motor_model.py), decoded into SI; it agrees with the measurements of
 //! philohome.com (170 rpm at 9 V without load, stall 0.50 N m). See docs/simulated-brick.md.
 
-use crate::world::STEP_S;
+use crate::time_step::STEP_S;
 
 /// What a motor is made of, at its output shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]

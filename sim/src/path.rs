@@ -147,7 +147,7 @@ impl Path {
                 let lap = square(start, *side_m, direction.sign() * FRAC_PI_2);
                 let lap_legs = lap.len();
                 let legs = lap.into_iter().cycle().take(laps * lap_legs).collect();
-                Self::of_legs(legs, lap_legs)
+                Self::from_legs(legs, lap_legs)
             }
             Course::Circle { radius_m, direction } => Self::smooth(start, smooth_laps, &[direction.sign() / radius_m]),
             Course::FigureEight { radius_m } => Self::smooth(start, smooth_laps, &[1.0 / radius_m, -1.0 / radius_m]),
@@ -157,7 +157,7 @@ impl Path {
     }
 
     /// Legs with a stop between them; the first `lap_legs` of them make a lap.
-    fn of_legs(legs: Vec<Leg>, lap_legs: usize) -> Self {
+    fn from_legs(legs: Vec<Leg>, lap_legs: usize) -> Self {
         let lap = legs.iter().take(lap_legs).flat_map(|leg| leg.segments.iter().copied()).collect();
         let first = legs.first().map(Leg::start).unwrap_or_default();
         let last = legs.last().map(Leg::end).unwrap_or_default();
@@ -166,9 +166,9 @@ impl Path {
 
     /// One leg of full circles with these curvatures, lap after lap.
     fn smooth(start: Pose<Arena>, laps: usize, curvatures_per_m: &[f64]) -> Self {
-        let mut pen = Pen::new(start);
+        let mut pen = PathBuilder::new(start);
         for curvature in curvatures_per_m {
-            pen.circle(*curvature);
+            pen.push_circle(*curvature);
         }
         let leg = Leg { segments: pen.segments.repeat(laps) };
         Self { legs: vec![leg], lap: pen.segments, lap_legs: 1, is_closed: true }
@@ -238,26 +238,26 @@ impl Path {
 }
 
 /// Draws segments one behind the other.
-struct Pen {
+struct PathBuilder {
     at: Pose<Arena>,
     segments: Vec<Segment>,
 }
 
-impl Pen {
+impl PathBuilder {
     const fn new(at: Pose<Arena>) -> Self {
         Self { at, segments: Vec::new() }
     }
 
-    fn piece(&mut self, length_m: f64, curvature_per_m: f64) {
+    fn push_segment(&mut self, length_m: f64, curvature_per_m: f64) {
         let segment = Segment { start: self.at, length_m, curvature_per_m };
         self.at = segment.at(length_m);
         self.segments.push(segment);
     }
 
     /// A full circle, in quarters, so that every projection on a piece is unique.
-    fn circle(&mut self, curvature_per_m: f64) {
+    fn push_circle(&mut self, curvature_per_m: f64) {
         for _ in 0..4 {
-            self.piece(TAU / 4.0 / curvature_per_m.abs(), curvature_per_m);
+            self.push_segment(TAU / 4.0 / curvature_per_m.abs(), curvature_per_m);
         }
     }
 }
@@ -267,8 +267,8 @@ fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
     let corner = Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
     (0..4)
         .map(|_| {
-            let mut pen = Pen::new(at);
-            pen.piece(side_m, 0.0);
+            let mut pen = PathBuilder::new(at);
+            pen.push_segment(side_m, 0.0);
             at = at * corner;
             Leg { segments: pen.segments }
         })
@@ -288,7 +288,7 @@ fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
         legs.extend(way_back.clone());
         legs.extend(lap.iter().cloned());
     }
-    Path::of_legs(legs, lap.len() + usize::from(way_back.is_some()))
+    Path::from_legs(legs, lap.len() + usize::from(way_back.is_some()))
 }
 
 /// Between the points and back to the first of them: a lap that can be driven again and again.
@@ -303,8 +303,8 @@ fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
 
 fn straight(from: Point2<Arena>, to: Point2<Arena>) -> Leg {
     let heading = Heading::from_rad(wrap_rad((to.y - from.y).0.atan2((to.x - from.x).0)));
-    let mut pen = Pen::new(Pose::new(from.x, from.y, heading));
-    pen.piece(from.distance(to).0, 0.0);
+    let mut pen = PathBuilder::new(Pose::new(from.x, from.y, heading));
+    pen.push_segment(from.distance(to).0, 0.0);
     Leg { segments: pen.segments }
 }
 

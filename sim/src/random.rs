@@ -9,9 +9,9 @@ use rand_pcg::Pcg64;
 
 /// One independent sequence of random numbers.
 #[derive(Clone, Debug)]
-pub(crate) struct Stream(Pcg64);
+pub(crate) struct RandomStream(Pcg64);
 
-impl Stream {
+impl RandomStream {
     /// The stream called `name` under the scenario's `seed`.
     pub(crate) fn new(seed: u64, name: &str) -> Self {
         Self(Pcg64::new(u128::from(seed), fnv1a(name)))
@@ -33,7 +33,7 @@ impl Stream {
     }
 
     /// True with this probability; always takes one draw, so that a changed probability shifts nothing else.
-    pub(crate) fn happens(&mut self, probability: f64) -> bool {
+    pub(crate) fn bernoulli(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
 }
@@ -51,7 +51,7 @@ mod tests {
 
     #[test]
     fn streams_differ_by_name_and_by_seed_and_repeat() {
-        let draw = |seed, name| Stream::new(seed, name).uniform(0.0, 1.0);
+        let draw = |seed, name| RandomStream::new(seed, name).uniform(0.0, 1.0);
         assert_eq!(draw(7, "gyro"), draw(7, "gyro"));
         assert_ne!(draw(7, "gyro"), draw(7, "camera"));
         assert_ne!(draw(7, "gyro"), draw(8, "gyro"));
@@ -65,8 +65,8 @@ mod tests {
 
     #[test]
     fn probabilities_hold_over_many_draws() {
-        let mut stream = Stream::new(3, "probability");
-        let hits = (0..20_000).filter(|_| stream.happens(0.1)).count();
+        let mut stream = RandomStream::new(3, "probability");
+        let hits = (0..20_000).filter(|_| stream.bernoulli(0.1)).count();
         // Binomial: mean 2000, sigma 42.
         assert!((1_830..=2_170).contains(&hits), "{hits} of 20000");
     }

@@ -1,12 +1,13 @@
-//! The sensors on board: what a brick can know of the world, with all their faults.
+//! The sensors on board, with all their errors.
 //!
-//! The firmware reads them through [`SensorBoard`]; the quantities behind them stay private.
+//! The firmware reads them through [`SensorBoard`]; the true quantities stay private.
 
-use crate::random::Stream;
+use crate::random::RandomStream;
+use crate::robot_body::RobotBody;
 use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario, TICK_RAD};
 use crate::thermometer::Thermometer;
-use crate::wheels::Pair;
-use crate::world::{Body, STEP_S};
+use crate::time_step::STEP_S;
+use crate::wheels::PerWheel;
 
 /// One reading of the inertial sensors: means since the reading before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,21 +17,21 @@ pub(crate) struct InertialReading {
     /// Sum of the turn rates times their intervals since power-up, in radians.
     pub(crate) turn_rad: f64,
     /// Forward acceleration at each wheel, in metres per second squared.
-    pub(crate) wheels_m_per_s2: Pair<f64>,
+    pub(crate) wheels_m_per_s2: PerWheel<f64>,
 }
 
 /// All sensors of the brick.
 #[derive(Clone, Debug)]
 pub(crate) struct SensorBoard {
-    encoders: Pair<Encoder>,
+    encoders: PerWheel<Encoder>,
     gyro: Gyro,
     accelerometers: Accelerometers,
     thermometer: Option<Thermometer>,
     turned_rad: f64,
-    wheel_speed_m_per_s: Pair<f64>,
+    wheel_speed_m_per_s: PerWheel<f64>,
     last: InertialReading,
     turned_at_last_rad: f64,
-    speed_at_last_m_per_s: Pair<f64>,
+    speed_at_last_m_per_s: PerWheel<f64>,
     steps_since_last: u32,
 }
 
@@ -38,22 +39,25 @@ impl SensorBoard {
     /// The sensors of a scenario, just powered up.
     pub(crate) fn new(scenario: &Scenario) -> Self {
         Self {
-            encoders: Pair::default(),
-            gyro: Gyro::new(scenario.gyro, Stream::new(scenario.seed, "gyro")),
-            accelerometers: Accelerometers::new(scenario.accelerometer, Stream::new(scenario.seed, "accelerometers")),
+            encoders: PerWheel::default(),
+            gyro: Gyro::new(scenario.gyro, RandomStream::new(scenario.seed, "gyro")),
+            accelerometers: Accelerometers::new(
+                scenario.accelerometer,
+                RandomStream::new(scenario.seed, "accelerometers"),
+            ),
             thermometer: scenario.thermometer.as_ref().map(|settings| Thermometer::new(settings, scenario.seed)),
             turned_rad: 0.0,
-            wheel_speed_m_per_s: Pair::default(),
+            wheel_speed_m_per_s: PerWheel::default(),
             last: InertialReading::default(),
             turned_at_last_rad: 0.0,
-            speed_at_last_m_per_s: Pair::default(),
+            speed_at_last_m_per_s: PerWheel::default(),
             steps_since_last: 0,
         }
     }
 
     /// Follows the body by one step of the world.
-    pub(crate) fn sense(&mut self, body: &Body) {
-        self.encoders.as_mut().zip(body.shaft_rad()).map(|(encoder, shaft_rad)| encoder.sense(shaft_rad));
+    pub(crate) fn sample(&mut self, body: &RobotBody) {
+        self.encoders.as_mut().zip(body.shaft_rad()).map(|(encoder, shaft_rad)| encoder.sample(shaft_rad));
         self.turned_rad = body.turned_rad();
         self.wheel_speed_m_per_s = body.wheel_speed_m_per_s();
         self.steps_since_last += 1;
@@ -63,7 +67,7 @@ impl SensorBoard {
     }
 
     /// Counts of both encoders since power-up.
-    pub(crate) fn counts(&self) -> Pair<i64> {
+    pub(crate) fn counts(&self) -> PerWheel<i64> {
         self.encoders.map(Encoder::count)
     }
 
@@ -122,7 +126,7 @@ struct Encoder {
 }
 
 impl Encoder {
-    fn sense(&mut self, shaft_rad: f64) {
+    fn sample(&mut self, shaft_rad: f64) {
         self.position_ticks = (shaft_rad / TICK_RAD).floor() as i64;
     }
 
@@ -139,12 +143,12 @@ impl Encoder {
 #[derive(Clone, Debug)]
 struct Gyro {
     settings: GyroSettings,
-    stream: Stream,
+    stream: RandomStream,
     bias_deg_per_s: f64,
 }
 
 impl Gyro {
-    fn new(settings: GyroSettings, stream: Stream) -> Self {
+    fn new(settings: GyroSettings, stream: RandomStream) -> Self {
         let mut gyro = Self { settings, stream, bias_deg_per_s: 0.0 };
         gyro.power_up();
         gyro
@@ -169,23 +173,23 @@ impl Gyro {
 #[derive(Clone, Debug)]
 struct Accelerometers {
     settings: AccelerometerSettings,
-    stream: Stream,
-    bias_m_per_s2: Pair<f64>,
+    stream: RandomStream,
+    bias_m_per_s2: PerWheel<f64>,
 }
 
 impl Accelerometers {
-    fn new(settings: AccelerometerSettings, stream: Stream) -> Self {
-        let mut accelerometers = Self { settings, stream, bias_m_per_s2: Pair::default() };
+    fn new(settings: AccelerometerSettings, stream: RandomStream) -> Self {
+        let mut accelerometers = Self { settings, stream, bias_m_per_s2: PerWheel::default() };
         accelerometers.power_up();
         accelerometers
     }
 
     fn power_up(&mut self) {
         let sigma = self.settings.bias_sigma_m_per_s2;
-        self.bias_m_per_s2 = Pair { left: sigma * self.stream.normal(), right: sigma * self.stream.normal() };
+        self.bias_m_per_s2 = PerWheel { left: sigma * self.stream.normal(), right: sigma * self.stream.normal() };
     }
 
-    fn read(&mut self, truth_m_per_s2: Pair<f64>) -> Pair<f64> {
+    fn read(&mut self, truth_m_per_s2: PerWheel<f64>) -> PerWheel<f64> {
         truth_m_per_s2.zip(self.bias_m_per_s2).map(|(truth, bias)| {
             let noise = self.settings.sigma_m_per_s2 * self.stream.normal();
             quantise(truth + bias + noise, self.settings.quantum_m_per_s2)
@@ -208,15 +212,15 @@ mod tests {
         let mut settings =
             GyroSettings { bias_sigma_deg_per_s: 0.0, bias_walk_deg_per_s_sqrt_s: 0.0, ..GyroSettings::default() };
         change(&mut settings);
-        Gyro::new(settings, Stream::new(11, "gyro"))
+        Gyro::new(settings, RandomStream::new(11, "gyro"))
     }
 
     #[test]
     fn an_encoder_floors_to_whole_degrees_on_both_sides_of_zero() {
         let mut encoder = Encoder::default();
-        encoder.sense(1.99_f64.to_radians());
+        encoder.sample(1.99_f64.to_radians());
         assert_eq!(encoder.count(), 1);
-        encoder.sense(-0.01_f64.to_radians());
+        encoder.sample(-0.01_f64.to_radians());
         assert_eq!(encoder.count(), -1);
         encoder.zero();
         assert_eq!(encoder.count(), 0);
@@ -244,12 +248,12 @@ mod tests {
 
     #[test]
     fn the_bias_at_power_up_has_its_sigma_and_walks() {
-        let bias = |seed| Gyro::new(GyroSettings::default(), Stream::new(seed, "gyro")).bias_deg_per_s;
+        let bias = |seed| Gyro::new(GyroSettings::default(), RandomStream::new(seed, "gyro")).bias_deg_per_s;
         let sigma = ((0..2_000).map(|seed| bias(seed).powi(2)).sum::<f64>() / 2_000.0).sqrt();
         assert!((sigma - 1.0).abs() < 0.07, "{sigma}");
 
         let walked = |seed| {
-            let mut gyro = Gyro::new(GyroSettings::default(), Stream::new(seed, "gyro"));
+            let mut gyro = Gyro::new(GyroSettings::default(), RandomStream::new(seed, "gyro"));
             let start = gyro.bias_deg_per_s;
             for _ in 0..100 {
                 gyro.read(0.0, 0.05);
@@ -264,10 +268,10 @@ mod tests {
     #[test]
     fn accelerometers_have_their_quantum_and_noise() {
         let settings = AccelerometerSettings { bias_sigma_m_per_s2: 0.0, ..AccelerometerSettings::default() };
-        let mut both = Accelerometers::new(settings, Stream::new(5, "accelerometers"));
+        let mut both = Accelerometers::new(settings, RandomStream::new(5, "accelerometers"));
         let mut sum_squares = 0.0;
         for _ in 0..5_000 {
-            let said = both.read(Pair::default()).left;
+            let said = both.read(PerWheel::default()).left;
             let counts = said / 0.049;
             assert!((counts - counts.round()).abs() < 1e-9, "{said}");
             sum_squares += said * said;
@@ -289,13 +293,13 @@ mod tests {
         };
         scenario.accelerometer =
             AccelerometerSettings { sigma_m_per_s2: 0.0, quantum_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0 };
-        let mut body = Body::new(&scenario, Pose::default());
+        let mut body = RobotBody::new(&scenario, Pose::default());
         let mut board = SensorBoard::new(&scenario);
         let (mut turned, mut speed) = (0.0, 0.0);
         for _ in 0..4 {
             for _ in 0..50 {
-                body.step(Pair { left: 0.1, right: 0.5 });
-                board.sense(&body);
+                body.step(PerWheel { left: 0.1, right: 0.5 });
+                board.sample(&body);
             }
             let reading = board.read_inertial();
             let rate = (body.turned_rad() - turned) / 0.05;
@@ -312,7 +316,7 @@ mod tests {
     fn two_readings_at_one_instant_are_the_same() {
         let scenario = Scenario::default();
         let mut board = SensorBoard::new(&scenario);
-        board.sense(&Body::new(&scenario, Pose::default()));
+        board.sample(&RobotBody::new(&scenario, Pose::default()));
         let first = board.read_inertial();
         assert_eq!(board.read_inertial(), first);
     }

@@ -1,40 +1,42 @@
-//! The simulated world as one value: robot, sensors, brick and camera behind their links, and the truth beside it.
+//! The simulated world: robot, sensors, brick and camera behind their links, and the truth.
 //!
-//! A brick that speaks MAVLink shares one link with the camera. The others have a link of their own, since their protocols have no place for
-//! a second speaker; the camera then speaks MAVLink on another one.
+//! A brick that sends MAVLink shares one link with the camera. Other bricks have a link of their own, because their
+//! protocols have no place for a second sender; the camera then sends MAVLink on another link.
 //!
-//! It advances only when [`Simulation::step`] is called and knows no other time. Bytes go in and come out; how they
-//! travel, and how fast the steps follow each other, is the caller's business.
+//! The world advances only with [`Simulation::step`]. Bytes go in and come out; the caller transports them and paces
+//! the steps.
 
-mod faults;
+mod commands;
 
 use std::collections::VecDeque;
 
 use posebridge_protocol::dialect;
-use posebridge_protocol::framing::{ScanCounters, Scanned, Scanner, ScannerConfig};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerCounters, FramerOutput};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{
     Address, Arena, BrickClock, DriveGeometry, HostClock, MetersPerSecond, Point2, Pose, RadiansPerSecond, SensorNoise,
-    Span, Stamp,
+    TimeDelta, Timestamp,
 };
 
-pub use self::faults::Doer;
+pub use self::commands::CommandExecutor;
 use crate::camera::{Camera, CameraFix};
 use crate::clock::SkewedClock;
+use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
-use crate::personality::{Brick, When};
+use crate::personality::{Brick, BrickTime};
+use crate::robot_body::RobotBody;
 use crate::scenario::{DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
-use crate::wheels::Pair;
-use crate::world::{Body, STEP};
+use crate::time_step::STEP;
+use crate::wheels::PerWheel;
 
 /// What really happened at one instant. It is never sent to the station.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
     /// World time.
-    pub world: Span,
+    pub sim_time: TimeDelta,
     /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
-    pub brick: Stamp<BrickClock>,
+    pub brick_time: Timestamp<BrickClock>,
     /// Where the robot was.
     pub pose: Pose<Arena>,
     /// Along the body's x axis, slip left out.
@@ -45,7 +47,7 @@ pub struct TruthSample {
     pub odometry: Pose<Arena>,
     /// Where the brick believed the robot to be: the last estimate that it used, carried forward by its own odometry. A brick that
     /// steers by odometry alone uses none.
-    pub belief: Pose<Arena>,
+    pub onboard_estimate: Pose<Arena>,
     /// Distance of the true position from the nearest place of the ideal path, in metres.
     pub cross_track_m: f64,
     /// What the brick steered by.
@@ -56,11 +58,11 @@ pub struct TruthSample {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReceivedEstimate {
     /// World time of its arrival.
-    pub world: Span,
+    pub sim_time: TimeDelta,
     /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
-    pub arrival: Stamp<BrickClock>,
+    pub arrival: Timestamp<BrickClock>,
     /// The instant of the brick's clock of which it speaks.
-    pub instant: Stamp<BrickClock>,
+    pub estimate_time: Timestamp<BrickClock>,
     /// Where it says the robot was, or will be, at that instant.
     pub pose: Pose<Arena>,
 }
@@ -68,65 +70,31 @@ pub struct ReceivedEstimate {
 impl ReceivedEstimate {
     /// How old it was when it arrived, in brick time; negative if it speaks of an instant yet to come.
     #[must_use]
-    pub fn age(&self) -> Span {
-        self.arrival - self.instant
+    pub fn age(&self) -> TimeDelta {
+        self.arrival - self.estimate_time
     }
-}
-
-/// A drive without an end remembers this much of what has been, and at most [`FORGOTTEN_AT_ONCE`] more.
-pub const REMEMBERED: Span = Span::from_millis(600_000);
-/// So much is forgotten at once: to move what stays for each item would cost more than it saves.
-pub const FORGOTTEN_AT_ONCE: Span = Span::from_millis(20_000);
-/// No list grows beyond so many items, however fast they come: more than come in that time at 200 per second, as often as a
-/// scenario can ask for.
-const MOST_ITEMS: usize = 130_000;
-
-/// Forgets the oldest items of a list that is in the order of the world's time.
-pub(crate) fn forget_oldest<T>(history: History, world: Span, list: &mut Vec<T>, world_of: fn(&T) -> Span) {
-    if history != History::Recent {
-        return;
-    }
-    let begins = world - REMEMBERED;
-    let oldest = list.first().map(world_of);
-    if oldest.is_some_and(|oldest| oldest < begins - FORGOTTEN_AT_ONCE) {
-        list.drain(..list.partition_point(|item| world_of(item) < begins));
-    }
-    if list.len() >= MOST_ITEMS {
-        list.drain(..MOST_ITEMS / 16);
-    }
-}
-
-/// Whether a simulation remembers what has been.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum History {
-    /// All of it.
-    Kept,
-    /// The last of it: [`REMEMBERED`].
-    Recent,
-    /// Nothing: a brick that runs for days must not fill the memory.
-    Forgotten,
 }
 
 /// A simulated robot with its brick and its camera.
 #[derive(Debug)]
 pub struct Simulation {
     scenario: Scenario,
-    world: Span,
+    world: TimeDelta,
     path: Path,
     polyline: Vec<Point2<Arena>>,
-    body: Body,
+    body: RobotBody,
     board: SensorBoard,
     brick_clock: SkewedClock,
     brick: Brick,
     /// What the motors run on until the brick says something else.
-    duty: Pair<f64>,
+    duty: PerWheel<f64>,
     camera: Option<Camera>,
-    scanner: Scanner,
+    scanner: Framer,
     /// Finds messages on the camera's own link.
-    camera_scanner: Scanner,
+    camera_scanner: Framer,
     outgoing: VecDeque<Vec<u8>>,
     camera_outgoing: VecDeque<Vec<u8>>,
-    history: History,
+    history: HistoryPolicy,
     /// Truth samples that were due so far.
     samples: u64,
     truth: Vec<TruthSample>,
@@ -139,23 +107,23 @@ impl Simulation {
     pub fn new(scenario: Scenario) -> Self {
         let path = Path::new(&scenario);
         let brick_clock = SkewedClock::new(scenario.brick.clock());
-        let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(Span::ZERO));
+        let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(TimeDelta::ZERO));
         let camera = scenario.camera.is_present.then(|| Camera::new(scenario.camera.clone(), scenario.seed));
         let history = match scenario.drive.end {
-            DriveEnd::LastLap => History::Kept,
-            DriveEnd::Never => History::Recent,
+            DriveEnd::LastLap => HistoryPolicy::All,
+            DriveEnd::Never => HistoryPolicy::Recent,
         };
         let mut simulation = Self {
-            world: Span::ZERO,
+            world: TimeDelta::ZERO,
             polyline: path.polyline(),
-            body: Body::new(&scenario, path.start()),
+            body: RobotBody::new(&scenario, path.start()),
             board: SensorBoard::new(&scenario),
             brick_clock,
             brick,
-            duty: Pair::default(),
+            duty: PerWheel::default(),
             camera,
-            scanner: Scanner::new(ScannerConfig::default()),
-            camera_scanner: Scanner::new(ScannerConfig::default()),
+            scanner: Framer::new(FramerConfig::default()),
+            camera_scanner: Framer::new(FramerConfig::default()),
             outgoing: VecDeque::new(),
             camera_outgoing: VecDeque::new(),
             history,
@@ -165,31 +133,31 @@ impl Simulation {
             path,
             scenario,
         };
-        simulation.remember(history);
+        simulation.set_history(history);
         simulation.log_truth();
         simulation
     }
 
-    const fn remember(&mut self, history: History) {
+    const fn set_history(&mut self, history: HistoryPolicy) {
         self.history = history;
         if let Some(camera) = &mut self.camera {
-            camera.remember(history);
+            camera.set_history(history);
         }
     }
 
     /// The same world, which keeps neither truth nor estimates nor camera fixes from here on: for runs without end.
     #[must_use]
     pub fn without_history(mut self) -> Self {
-        self.remember(History::Forgotten);
+        self.set_history(HistoryPolicy::Nothing);
         self
     }
 
     /// Advances the world by [`STEP`](crate::STEP). Call [`Self::poll`] and [`Self::poll_camera`] until they are empty afterwards.
     pub fn step(&mut self) {
         self.world += STEP;
-        let when = self.when();
+        let when = self.brick_time();
         self.body.step(self.duty);
-        self.board.sense(&self.body);
+        self.board.sample(&self.body);
         self.duty = self.brick.step(when, &mut self.board, &self.body);
         for (instant, pose) in self.brick.take_estimates() {
             self.log_estimate(instant, pose);
@@ -197,7 +165,7 @@ impl Simulation {
         if let Some(camera) = &mut self.camera {
             camera.step(self.world, self.body.pose());
         }
-        self.collect();
+        self.collect_output();
         self.log_truth();
     }
 
@@ -216,14 +184,14 @@ impl Simulation {
     #[must_use]
     pub fn with_images(mut self) -> Self {
         if let Some(camera) = &mut self.camera {
-            camera.show_images();
+            camera.enable_images();
         }
         self
     }
 
     /// The next image that the camera has taken, as a line of JSON without its end; `None` unless [`Self::with_images`].
     pub fn poll_image(&mut self) -> Option<String> {
-        self.camera.as_mut()?.take_image()
+        self.camera.as_mut()?.next_image()
     }
 
     /// Takes bytes that arrive from the station at this moment on the brick's link, in any pieces; damage is skipped.
@@ -231,18 +199,18 @@ impl Simulation {
     /// One call is one write of the station where that matters, as it does for an NXT behind a socket.
     pub fn receive(&mut self, bytes: &[u8]) {
         if self.shares_link() {
-            let messages = heard_in(&mut self.scanner, self.world, bytes);
+            let messages = decode_messages(&mut self.scanner, self.world, bytes);
             for (from, message) in messages {
                 let now = self.brick_clock.reading(self.world);
                 if let Some((instant, pose)) = self.brick.handle(now, from, &message) {
                     self.log_estimate(instant, pose);
                 }
-                self.tell_camera(from, &message);
+                self.send_to_camera(from, &message);
             }
         } else {
             self.brick.receive(self.world, bytes);
         }
-        self.collect();
+        self.collect_output();
     }
 
     /// Takes bytes that arrive from the station at this moment on the camera's own link, in any pieces; damage is skipped.
@@ -251,10 +219,10 @@ impl Simulation {
         if self.shares_link() {
             return;
         }
-        for (from, message) in heard_in(&mut self.camera_scanner, self.world, bytes) {
-            self.tell_camera(from, &message);
+        for (from, message) in decode_messages(&mut self.camera_scanner, self.world, bytes) {
+            self.send_to_camera(from, &message);
         }
-        self.collect();
+        self.collect_output();
     }
 
     /// Tells the brick that from here on somebody else is at the other end of its link: what was begun is forgotten, and what comes first may
@@ -268,19 +236,19 @@ impl Simulation {
     pub fn restart_brick(&mut self) {
         self.brick_clock.restart(self.world);
         self.board.restart();
-        let when = self.when();
+        let when = self.brick_time();
         self.brick.restart(when, &mut self.board, self.body.battery_v());
-        self.duty = Pair::default();
+        self.duty = PerWheel::default();
     }
 
     /// What brick and camera have found in the bytes that came: their counterpart to the station's link health. The firmware of a LEGO
     /// brick counts nothing.
-    pub const fn heard(&self) -> &ScanCounters {
+    pub const fn receive_counters(&self) -> &FramerCounters {
         self.scanner.counters()
     }
 
     /// World time since the beginning.
-    pub const fn elapsed(&self) -> Span {
+    pub const fn elapsed(&self) -> TimeDelta {
         self.world
     }
 
@@ -300,7 +268,7 @@ impl Simulation {
     }
 
     /// The truth at the beginning and after each telemetry period of world time; of a drive without an end the last of it
-    /// ([`REMEMBERED`]).
+    /// ([`HISTORY_DURATION`](crate::HISTORY_DURATION)).
     pub fn truth(&self) -> &[TruthSample] {
         &self.truth
     }
@@ -344,33 +312,33 @@ impl Simulation {
         self.scenario.brick.personality.shares_link_with_camera()
     }
 
-    fn when(&self) -> When {
-        When { world: self.world, now: self.brick_clock.reading(self.world) }
+    fn brick_time(&self) -> BrickTime {
+        BrickTime { sim_time: self.world, now: self.brick_clock.reading(self.world) }
     }
 
-    fn tell_camera(&mut self, from: Address, message: &Message) {
+    fn send_to_camera(&mut self, from: Address, message: &Message) {
         if let Some(camera) = &mut self.camera {
             camera.handle(self.world, from, message);
         }
     }
 
-    fn log_estimate(&mut self, instant: Stamp<BrickClock>, pose: Pose<Arena>) {
-        if self.history != History::Forgotten {
-            forget_oldest(self.history, self.world, &mut self.received, |heard| heard.world);
+    fn log_estimate(&mut self, instant: Timestamp<BrickClock>, pose: Pose<Arena>) {
+        if self.history != HistoryPolicy::Nothing {
+            trim_history(self.history, self.world, &mut self.received, |heard| heard.sim_time);
             self.received.push(ReceivedEstimate {
-                world: self.world,
+                sim_time: self.world,
                 arrival: self.brick_clock.exact(self.world),
-                instant,
+                estimate_time: instant,
                 pose,
             });
         }
     }
 
-    fn collect(&mut self) {
-        while let Some(bytes) = self.brick.take() {
+    fn collect_output(&mut self) {
+        while let Some(bytes) = self.brick.next_bytes() {
             self.outgoing.push_back(bytes);
         }
-        let seen = self.camera.as_mut().and_then(Camera::take);
+        let seen = self.camera.as_mut().and_then(Camera::next_frame);
         if self.shares_link() {
             self.outgoing.extend(seen);
         } else {
@@ -380,21 +348,21 @@ impl Simulation {
 
     fn log_truth(&mut self) {
         let period_s = 1.0 / self.scenario.brick.telemetry_hz;
-        let due = Span::from_secs_f64(self.samples as f64 * period_s);
-        if self.history == History::Forgotten || self.world < due {
+        let due = TimeDelta::from_secs_f64(self.samples as f64 * period_s);
+        if self.history == HistoryPolicy::Nothing || self.world < due {
             return;
         }
         self.samples += 1;
-        forget_oldest(self.history, self.world, &mut self.truth, |sample| sample.world);
+        trim_history(self.history, self.world, &mut self.truth, |sample| sample.sim_time);
         let pose = self.body.pose();
         self.truth.push(TruthSample {
-            world: self.world,
-            brick: self.brick_clock.exact(self.world),
+            sim_time: self.world,
+            brick_time: self.brick_clock.exact(self.world),
             pose,
             forward_speed: MetersPerSecond(self.body.forward_m_per_s()),
             turn_rate: RadiansPerSecond(self.body.turn_rad_per_s()),
             odometry: self.brick.odometry(self.path.start()),
-            belief: self.brick.belief(),
+            onboard_estimate: self.brick.estimated_pose(),
             cross_track_m: self.path.distance_m(pose.origin()),
             steering: self.brick.steering(self.brick_clock.reading(self.world)),
         });
@@ -402,23 +370,23 @@ impl Simulation {
 }
 
 /// The messages that a scanner finds complete when these bytes have come.
-fn heard_in(scanner: &mut Scanner, world: Span, bytes: &[u8]) -> Vec<(Address, Message)> {
-    let now = Stamp::<HostClock>::from_nanos(world.as_nanos());
+fn decode_messages(scanner: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(Address, Message)> {
+    let now = Timestamp::<HostClock>::from_nanos(world.as_nanos());
     let mut messages = Vec::new();
-    let mut sink = |scanned: Scanned<'_>| messages.extend(understood(&scanned));
+    let mut sink = |scanned: FramerOutput<'_>| messages.extend(decode_message(&scanned));
     scanner.tick(now, &mut sink);
     scanner.push(now, bytes, &mut sink);
     messages
 }
 
 /// The message of a whole frame, if this end knows it.
-fn understood(scanned: &Scanned<'_>) -> Option<(Address, Message)> {
+fn decode_message(scanned: &FramerOutput<'_>) -> Option<(Address, Message)> {
     match scanned {
-        Scanned::Frame(frame) => match dialect::decode(frame) {
+        FramerOutput::Frame(frame) => match dialect::decode(frame) {
             Ok(Some(message)) => Some((frame.source, message)),
             // A brick has nobody to complain to about a payload that makes no sense.
             Ok(None) | Err(_) => None,
         },
-        Scanned::Unknown(_) | Scanned::Defect(_) => None,
+        FramerOutput::UnknownFrame(_) | FramerOutput::Error(_) => None,
     }
 }

@@ -1,4 +1,4 @@
-//! A slow thermometer on the brick: what it shows is the bath's temperature, seen through its lags.
+//! A slow thermometer on the brick: the bath's temperature through the sensor's lags.
 //!
 //! # Model
 //! ```text
@@ -8,21 +8,21 @@
 //! # Sources
 //! Newton's law of cooling for each lag; two of them for a sensor in a sleeve.
 
-use crate::random::Stream;
+use crate::random::RandomStream;
 use crate::scenario::ThermometerSettings;
-use crate::world::STEP_S;
+use crate::time_step::STEP_S;
 
 /// One thermometer and its bath.
 #[derive(Clone, Debug)]
 pub(crate) struct Thermometer {
     settings: ThermometerSettings,
-    lags: Vec<Lag>,
-    noise: Stream,
+    lags: Vec<FirstOrderLag>,
+    noise: RandomStream,
     steps: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Lag {
+struct FirstOrderLag {
     share: f64,
     /// 1 - e^(-step / tau).
     approach: f64,
@@ -33,7 +33,7 @@ impl Thermometer {
     /// A thermometer that has rested in its first bath.
     pub(crate) fn new(settings: &ThermometerSettings, seed: u64) -> Self {
         let parts = settings.lags_s.iter().zip(&settings.shares);
-        let lag = |(tau_s, share): (&f64, &f64)| Lag {
+        let lag = |(tau_s, share): (&f64, &f64)| FirstOrderLag {
             share: *share,
             approach: -(-STEP_S / tau_s).exp_m1(),
             state_c: settings.before_c,
@@ -41,7 +41,7 @@ impl Thermometer {
         Self {
             lags: parts.map(lag).collect(),
             settings: settings.clone(),
-            noise: Stream::new(seed, "thermometer"),
+            noise: RandomStream::new(seed, "thermometer"),
             steps: 0,
         }
     }

@@ -2,28 +2,28 @@
 
 /// One value per wheel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Pair<T> {
+pub(crate) struct PerWheel<T> {
     /// The left wheel's.
     pub(crate) left: T,
     /// The right wheel's.
     pub(crate) right: T,
 }
 
-impl<T> Pair<T> {
+impl<T> PerWheel<T> {
     /// The same function on both sides.
-    pub(crate) fn map<U>(self, mut f: impl FnMut(T) -> U) -> Pair<U> {
-        Pair { left: f(self.left), right: f(self.right) }
+    pub(crate) fn map<U>(self, mut f: impl FnMut(T) -> U) -> PerWheel<U> {
+        PerWheel { left: f(self.left), right: f(self.right) }
     }
 
     /// Both sides together with those of another pair.
-    pub(crate) fn zip<U>(self, other: Pair<U>) -> Pair<(T, U)> {
-        Pair { left: (self.left, other.left), right: (self.right, other.right) }
+    pub(crate) fn zip<U>(self, other: PerWheel<U>) -> PerWheel<(T, U)> {
+        PerWheel { left: (self.left, other.left), right: (self.right, other.right) }
     }
 }
 
-impl<T> Pair<T> {
+impl<T> PerWheel<T> {
     /// Both sides by mutable reference.
-    pub(crate) const fn as_mut(&mut self) -> Pair<&mut T> {
-        Pair { left: &mut self.left, right: &mut self.right }
+    pub(crate) const fn as_mut(&mut self) -> PerWheel<&mut T> {
+        PerWheel { left: &mut self.left, right: &mut self.right }
     }
 }

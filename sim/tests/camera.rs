@@ -8,7 +8,7 @@ const RUN_S: f64 = 600.0;
 
 #[test]
 fn position_and_heading_have_their_sigmas() {
-    let fixes = seen(|_| ());
+    let fixes = camera_fixes(|_| ());
     let count = fixes.len() as f64;
     let sigma =
         |error: &dyn Fn(&CameraFix) -> f64| (fixes.iter().map(|f| error(f).powi(2)).sum::<f64>() / count).sqrt();
@@ -23,7 +23,7 @@ fn position_and_heading_have_their_sigmas() {
 
 #[test]
 fn latency_lies_within_its_jitter_around_its_mean() {
-    let fixes = seen(|_| ());
+    let fixes = camera_fixes(|_| ());
     let latencies: Vec<f64> = fixes.iter().map(|f| (f.sent - f.exposed).as_millis_f64()).collect();
     let mean = latencies.iter().sum::<f64>() / latencies.len() as f64;
     assert!((mean - 80.0).abs() < 1.5, "{mean} ms");
@@ -32,7 +32,7 @@ fn latency_lies_within_its_jitter_around_its_mean() {
 
 #[test]
 fn dropouts_and_outliers_come_at_their_rates() {
-    let fixes = seen(|camera| {
+    let fixes = camera_fixes(|camera| {
         camera.dropout = 0.1;
         camera.outlier = 0.05;
     });
@@ -54,8 +54,8 @@ fn dropouts_and_outliers_come_at_their_rates() {
 
 #[test]
 fn more_outliers_leave_the_noise_of_the_other_fixes_as_it_was() {
-    let without = seen(|camera| camera.outlier = 0.0);
-    let with = seen(|camera| camera.outlier = 0.2);
+    let without = camera_fixes(|camera| camera.outlier = 0.0);
+    let with = camera_fixes(|camera| camera.outlier = 0.2);
     for (a, b) in without.iter().zip(&with).filter(|(_, b)| !b.is_outlier) {
         assert_eq!(a, b);
     }
@@ -64,7 +64,7 @@ fn more_outliers_leave_the_noise_of_the_other_fixes_as_it_was() {
 #[test]
 fn fixes_queue_up_or_overtake_as_configured() {
     let overtaken = |order| {
-        let fixes = seen(|camera| {
+        let fixes = camera_fixes(|camera| {
             camera.order = order;
             camera.latency_ms = 150.0;
             camera.jitter_ms = 140.0;
@@ -78,7 +78,7 @@ fn fixes_queue_up_or_overtake_as_configured() {
 
 #[test]
 fn nothing_is_seen_in_a_blackout() {
-    let fixes = seen(|camera| {
+    let fixes = camera_fixes(|camera| {
         camera.blackouts = vec![Blackout { from_s: 60.0, to_s: 240.0 }];
     });
     assert!(!fixes.iter().any(|f| (60.0..240.0).contains(&f.exposed.as_secs_f64())));
@@ -87,18 +87,18 @@ fn nothing_is_seen_in_a_blackout() {
 
 #[test]
 fn stamps_are_the_exposures_by_the_cameras_own_clock() {
-    let fixes = seen(|camera| {
+    let fixes = camera_fixes(|camera| {
         camera.clock_start_micros = 7_000_000;
         camera.clock_skew_ppm = 500.0;
     });
     let last = fixes.last().unwrap();
     let expected_s = 7.0 + last.exposed.as_secs_f64() * 1.000_5;
-    assert!((last.stamp.as_secs_f64() - expected_s).abs() < 2e-6);
+    assert!((last.time.as_secs_f64() - expected_s).abs() < 2e-6);
 }
 
 #[test]
 fn a_tag_off_the_axle_is_seen_where_it_is() {
-    let fixes = seen(|camera| {
+    let fixes = camera_fixes(|camera| {
         camera.tag_x_m = 0.1;
         camera.position_sigma_m = 0.0;
     });
@@ -106,7 +106,7 @@ fn a_tag_off_the_axle_is_seen_where_it_is() {
 }
 
 /// What is seen of a robot that stands at the origin.
-fn seen(change: impl FnOnce(&mut CameraSettings)) -> Vec<CameraFix> {
+fn camera_fixes(change: impl FnOnce(&mut CameraSettings)) -> Vec<CameraFix> {
     let mut scenario = Scenario::default().with_seed(21);
     scenario.drive.rest_s = 2.0 * RUN_S;
     change(&mut scenario.camera);

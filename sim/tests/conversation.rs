@@ -2,14 +2,14 @@
 #![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 use posebridge_protocol::dialect::{self, Encoder, ids};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{
     Message, PlanarPose, PoseFlags, SetMessageInterval, TimeSync, WheelTicks, WireStamp,
 };
 use posebridge_sim::scenario::Wire;
 use posebridge_sim::{BRICK, CAMERA, Scenario, Simulation, Steering, TruthSample};
 use posebridge_telemetry::{
-    Address, Arena, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Span, Stamp,
+    Address, Arena, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 
@@ -17,7 +17,7 @@ const STATION: Address = Address::new(255, 190);
 
 #[test]
 fn brick_and_camera_introduce_themselves() {
-    let mut world = World::new(Scenario::default());
+    let mut world = BrickSession::new(Scenario::default());
     let heard = world.run(1_500);
     let types: Vec<(Address, u8)> = heard
         .iter()
@@ -38,7 +38,7 @@ fn brick_and_camera_introduce_themselves() {
 
 #[test]
 fn wheels_and_inertial_come_at_twenty_hertz_with_equal_stamps() {
-    let heard = World::new(Scenario::default()).run(1_990);
+    let heard = BrickSession::new(Scenario::default()).run(1_990);
     let wheels = stamps(&heard, |m| Some(wheel_ticks(m)?.stamp));
     let inertial = stamps(&heard, |m| {
         let Message::Inertial(inertial) = m else {
@@ -54,7 +54,7 @@ fn wheels_and_inertial_come_at_twenty_hertz_with_equal_stamps() {
 fn the_standard_wire_uses_standard_messages_only() {
     let mut scenario = Scenario::default();
     scenario.brick.wire = Wire::Standard;
-    let heard = World::new(scenario).run(1_990);
+    let heard = BrickSession::new(scenario).run(1_990);
     let count = |wanted: fn(&Message) -> bool| heard.iter().filter(|(_, m)| wanted(m)).count();
     assert_eq!(count(|m| matches!(m, Message::WheelDistance { .. })), 40);
     assert_eq!(count(|m| matches!(m, Message::ScaledImu(_))), 40);
@@ -70,7 +70,7 @@ fn each_answers_timesync_with_its_own_clock() {
     scenario.brick.clock_tick_micros = 1;
     scenario.camera.clock_start_micros = 9_000_000;
     scenario.camera.clock_skew_ppm = 0.0;
-    let mut world = World::new(scenario);
+    let mut world = BrickSession::new(scenario);
     world.run(1_234);
     world.send(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 77, target: None }));
     let answers: Vec<(Address, TimeSync)> = world
@@ -91,7 +91,7 @@ fn each_answers_timesync_with_its_own_clock() {
 
 #[test]
 fn a_station_can_change_stop_and_restore_intervals() {
-    let mut world = World::new(Scenario::default());
+    let mut world = BrickSession::new(Scenario::default());
     world.run(1_000);
     let mut count_after = |interval| {
         world.send(&Message::SetMessageInterval(SetMessageInterval {
@@ -103,18 +103,18 @@ fn a_station_can_change_stop_and_restore_intervals() {
         let ticks = heard.iter().filter(|(_, m)| matches!(m, Message::WheelTicks(_)));
         (ticks.count(), heard.iter().any(|(_, m)| matches!(m, Message::CommandAck(_))))
     };
-    assert_eq!(count_after(Some(Span::from_millis(10))), (100, true));
+    assert_eq!(count_after(Some(TimeDelta::from_millis(10))), (100, true));
     assert_eq!(count_after(None), (0, true));
-    assert_eq!(count_after(Some(Span::ZERO)), (20, true));
+    assert_eq!(count_after(Some(TimeDelta::ZERO)), (20, true));
 }
 
 #[test]
 fn a_station_can_slow_the_camera_down() {
-    let mut world = World::new(Scenario::default());
+    let mut world = BrickSession::new(Scenario::default());
     world.send(&Message::SetMessageInterval(SetMessageInterval {
         target: CAMERA,
         message_id: ids::VISION_POSITION_ESTIMATE,
-        interval: Some(Span::from_millis(500)),
+        interval: Some(TimeDelta::from_millis(500)),
     }));
     world.run(10_000);
     let fixes = world.simulation.camera_fixes().len();
@@ -126,13 +126,13 @@ fn a_wrapping_register_keeps_its_pace() {
     let mut scenario = Scenario::default();
     scenario.brick.clock_start_micros = (1 << 32) - 1_000_000;
     scenario.brick.clock_skew_ppm = -2_021.0;
-    let heard = World::new(scenario).run(3_000);
+    let heard = BrickSession::new(scenario).run(3_000);
     let stamps = stamps(&heard, |m| Some(wheel_ticks(m)?.stamp));
     let registers: Vec<u32> = stamps
         .iter()
         .map(|stamp| match stamp {
             WireStamp::Micros32(micros) => *micros,
-            WireStamp::Millis32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => 0,
+            WireStamp::Millis32(_) | WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => 0,
         })
         .collect();
     assert_eq!(registers.windows(2).filter(|w| w[1] < w[0]).count(), 1);
@@ -146,13 +146,13 @@ fn telemetry_agrees_with_the_truth_at_its_stamp() {
     let mut scenario = Scenario::bundled("straight").unwrap();
     scenario.brick.clock_skew_ppm = 0.0;
     scenario.robot.backlash_deg = 0.0;
-    let mut world = World::new(scenario);
+    let mut world = BrickSession::new(scenario);
     let ticks: Vec<WheelTicks> =
         world.run(6_000).into_iter().filter_map(|(_, message)| wheel_ticks(&message)).collect();
     let samples = world.simulation.truth();
     let mut compared = 0;
     for tick in ticks {
-        let same = |t: &&TruthSample| tick.stamp == WireStamp::Micros32(t.brick.as_micros() as u32);
+        let same = |t: &&TruthSample| tick.stamp == WireStamp::Micros32(t.brick_time.as_micros() as u32);
         let Some(sample) = samples.iter().find(same) else {
             continue;
         };
@@ -167,7 +167,7 @@ fn telemetry_agrees_with_the_truth_at_its_stamp() {
 
 #[test]
 fn a_restarted_brick_counts_from_zero_and_drives_on() {
-    let mut world = World::new(Scenario::bundled("square").unwrap());
+    let mut world = BrickSession::new(Scenario::bundled("square").unwrap());
     world.run(5_000);
     let progress = world.simulation.progress();
     world.simulation.restart_brick();
@@ -191,7 +191,7 @@ fn estimates_that_come_back_keep_the_robot_on_its_path() {
 
 #[test]
 fn without_fresh_estimates_the_brick_steers_by_odometry_again() {
-    let mut world = World::new(Scenario::bundled("square").unwrap());
+    let mut world = BrickSession::new(Scenario::bundled("square").unwrap());
     for _ in 0..100 {
         world.run(50);
         world.send_truth_of(60, VALID);
@@ -203,7 +203,7 @@ fn without_fresh_estimates_the_brick_steers_by_odometry_again() {
 
 #[test]
 fn estimates_flagged_invalid_are_ignored() {
-    let mut world = World::new(Scenario::bundled("square").unwrap());
+    let mut world = BrickSession::new(Scenario::bundled("square").unwrap());
     for _ in 0..20 {
         world.run(50);
         world.send_truth_of(60, PoseFlags::default());
@@ -214,7 +214,7 @@ fn estimates_flagged_invalid_are_ignored() {
 /// The largest distance from the path over a lap, with a perfect estimate that arrives 60 ms late, 20 times per second.
 fn worst_cross_track_m(steering: Steering) -> f64 {
     let scenario = Scenario::bundled("square").unwrap().with_steering(steering);
-    let mut world = World::new(scenario);
+    let mut world = BrickSession::new(scenario);
     while !world.simulation.is_finished() && world.simulation.elapsed().as_secs_f64() < 60.0 {
         world.run(50);
         world.send_truth_of(60, VALID);
@@ -238,9 +238,9 @@ proptest! {
 
     #[test]
     fn any_estimate_is_survived(x in any::<f64>(), heading in any::<f64>(), micros in any::<u32>()) {
-        let mut world = World::new(Scenario::bundled("square").unwrap());
+        let mut world = BrickSession::new(Scenario::bundled("square").unwrap());
         world.run(3_000);
-        let near = world.last_truth().brick.as_micros() as u32;
+        let near = world.last_truth().brick_time.as_micros() as u32;
         for stamp in [micros, near] {
             world.send(&planar_pose(stamp, Pose::new(
                 Meters(x),
@@ -286,12 +286,12 @@ const VALID: PoseFlags = PoseFlags {
 };
 
 /// A simulation and a station that knows how to speak.
-struct World {
+struct BrickSession {
     simulation: Simulation,
     encoder: Encoder,
 }
 
-impl World {
+impl BrickSession {
     fn new(scenario: Scenario) -> Self {
         Self { simulation: Simulation::new(scenario), encoder: Encoder::new(WireVersion::V2) }
     }
@@ -314,10 +314,10 @@ impl World {
 
     /// Sends the newest truth that is at least `age_ms` old as an estimate.
     fn send_truth_of(&mut self, age_ms: i64, flags: PoseFlags) {
-        let limit = self.simulation.elapsed() - Span::from_millis(age_ms);
-        let sample = self.simulation.truth().iter().rev().find(|t| t.world <= limit);
+        let limit = self.simulation.elapsed() - TimeDelta::from_millis(age_ms);
+        let sample = self.simulation.truth().iter().rev().find(|t| t.sim_time <= limit);
         if let Some(sample) = sample.copied() {
-            let stamp = sample.brick.as_micros() as u32;
+            let stamp = sample.brick_time.as_micros() as u32;
             self.send(&planar_pose(stamp, sample.pose, flags));
         }
     }
@@ -346,12 +346,12 @@ fn whole_output(simulation: &mut Simulation) -> Vec<u8> {
 
 fn messages(bytes: &[u8]) -> Vec<(Address, Message)> {
     let mut heard = Vec::new();
-    Scanner::new(ScannerConfig::default()).push(Stamp::<HostClock>::ZERO, bytes, &mut |scanned: Scanned<'_>| {
+    Framer::new(FramerConfig::default()).push(Timestamp::<HostClock>::ZERO, bytes, &mut |scanned: FramerOutput<'_>| {
         match scanned {
-            Scanned::Frame(frame) => {
+            FramerOutput::Frame(frame) => {
                 heard.extend(dialect::decode(&frame).unwrap().map(|m| (frame.source, m)));
             }
-            other @ (Scanned::Unknown(_) | Scanned::Defect(_)) => {
+            other @ (FramerOutput::UnknownFrame(_) | FramerOutput::Error(_)) => {
                 panic!("the simulation sent {other:?}")
             }
         }

@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test stops where its set-up is broken")]
 
 use posebridge_sim::scenario::ErrorSettings;
-use posebridge_sim::{Doer, FORGOTTEN_AT_ONCE, REMEMBERED, Scenario, Simulation};
-use posebridge_telemetry::{SimulatorCommand, SlippingWheel, Span, Switch};
+use posebridge_sim::{CommandExecutor, HISTORY_DURATION, HISTORY_TRIM_BLOCK, Scenario, Simulation};
+use posebridge_telemetry::{SensorSwitch, SimulatorCommand, SlippingWheel, TimeDelta};
 
 /// A robot without errors on a long straight way.
 fn exact() -> Scenario {
@@ -30,7 +30,7 @@ fn a_kidnapped_robot_is_where_it_was_put_and_its_odometry_knows_nothing_of_it() 
     run(&mut simulation, 3_000);
     let before = *simulation.truth().last().unwrap();
     let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.5, turn_rad: 0.0 };
-    assert_eq!(simulation.carry_out(&kidnap), Doer::World);
+    assert_eq!(simulation.execute(&kidnap), CommandExecutor::Simulation);
     run(&mut simulation, 100);
     let after = *simulation.truth().last().unwrap();
     assert!((after.pose.y.0 - before.pose.y.0 - 0.5).abs() < 1e-9);
@@ -47,7 +47,7 @@ fn a_kidnapped_robot_is_where_it_was_put_and_its_odometry_knows_nothing_of_it() 
 fn a_half_turn_may_go_either_way_round() {
     for turn_rad in [std::f64::consts::PI, -std::f64::consts::PI] {
         let mut simulation = Simulation::new(exact());
-        simulation.carry_out(&SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.0, turn_rad });
+        simulation.execute(&SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.0, turn_rad });
         run(&mut simulation, 50);
         let halfway = simulation.truth().last().unwrap().pose.heading.rad();
         assert!((halfway - 0.5 * turn_rad).abs() < 0.1, "{halfway} of {turn_rad}");
@@ -60,10 +60,10 @@ fn wheels_without_grip_count_and_move_nothing_for_as_long_as_it_was_said() {
         let mut simulation = Simulation::new(exact());
         run(&mut simulation, 3_000);
         let before = *simulation.truth().last().unwrap();
-        simulation.carry_out(&SimulatorCommand::Slip {
+        simulation.execute(&SimulatorCommand::Slip {
             wheel: SlippingWheel::Both,
             factor,
-            duration: Span::from_millis(1_000),
+            duration: TimeDelta::from_millis(1_000),
         });
         run(&mut simulation, 1_000);
         let after = *simulation.truth().last().unwrap();
@@ -81,10 +81,10 @@ fn wheels_without_grip_count_and_move_nothing_for_as_long_as_it_was_said() {
 fn one_wheel_without_grip_turns_the_robot_about_it() {
     let mut simulation = Simulation::new(exact());
     run(&mut simulation, 3_000);
-    simulation.carry_out(&SimulatorCommand::Slip {
+    simulation.execute(&SimulatorCommand::Slip {
         wheel: SlippingWheel::Left,
         factor: 1.0,
-        duration: Span::from_millis(500),
+        duration: TimeDelta::from_millis(500),
     });
     run(&mut simulation, 400);
     let turned = simulation.truth().last().unwrap();
@@ -95,16 +95,17 @@ fn one_wheel_without_grip_turns_the_robot_about_it() {
 
 #[test]
 fn a_covered_camera_sees_nothing_and_disturbs_nobody_elses_luck() {
-    let sent = |commands: &[(u32, Switch)]| {
+    let sent = |commands: &[(u32, SensorSwitch)]| {
         let mut simulation = Simulation::new(Scenario::default());
         for (millis, to) in commands {
             run(&mut simulation, *millis);
-            simulation.carry_out(&SimulatorCommand::Camera(*to));
+            simulation.execute(&SimulatorCommand::Camera(*to));
         }
         run(&mut simulation, 3_000);
         simulation.camera_fixes().to_vec()
     };
-    let (all, covered) = (sent(&[(4_000, Switch::On)]), sent(&[(2_000, Switch::Off), (2_000, Switch::On)]));
+    let (all, covered) =
+        (sent(&[(4_000, SensorSwitch::On)]), sent(&[(2_000, SensorSwitch::Off), (2_000, SensorSwitch::On)]));
     let dark = |millis: i64| (2_000..=4_000).contains(&millis);
     let in_the_dark = covered.iter().filter(|fix| dark(fix.exposed.as_nanos() / 1_000_000 - 1));
     assert_eq!(in_the_dark.count(), 0);
@@ -119,8 +120,8 @@ fn a_later_camera_is_later_by_what_was_said() {
     scenario.camera.jitter_ms = 0.0;
     let mut simulation = Simulation::new(scenario);
     run(&mut simulation, 1_000);
-    let delay = Span::from_millis(640);
-    simulation.carry_out(&SimulatorCommand::CameraDelay { delay });
+    let delay = TimeDelta::from_millis(640);
+    simulation.execute(&SimulatorCommand::CameraDelay { delay });
     run(&mut simulation, 3_000);
     let late = simulation.camera_fixes().iter().rev().take(10);
     for fix in late {
@@ -131,9 +132,9 @@ fn a_later_camera_is_later_by_what_was_said() {
 #[test]
 fn the_links_commands_are_left_to_who_owns_the_link() {
     let mut simulation = Simulation::new(exact());
-    let duration = Span::from_millis(100);
+    let duration = TimeDelta::from_millis(100);
     for command in [SimulatorCommand::LinkProfile(None), SimulatorCommand::PullCable { duration }] {
-        assert_eq!(simulation.carry_out(&command), Doer::Link);
+        assert_eq!(simulation.execute(&command), CommandExecutor::Link);
     }
 }
 
@@ -144,12 +145,12 @@ fn the_same_commands_give_the_same_bytes() {
         let mut sent = run(&mut simulation, 3_000);
         for command in [
             SimulatorCommand::Kidnap { forward_m: 0.1, left_m: 0.2, turn_rad: 1.0 },
-            SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: 0.5, duration: Span::from_millis(300) },
+            SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: 0.5, duration: TimeDelta::from_millis(300) },
             SimulatorCommand::GyroBiasStep { rad_per_s: 0.02 },
             SimulatorCommand::Drive { forward_m_per_s: 0.1, turn_rad_per_s: -0.5 },
             SimulatorCommand::Path,
         ] {
-            simulation.carry_out(&command);
+            simulation.execute(&command);
             sent.extend(run(&mut simulation, 1_000));
         }
         sent
@@ -170,20 +171,20 @@ fn remembers_ten_minutes_at(telemetry_hz: f64) {
     let mut scenario = Scenario::default().without_end();
     scenario.brick.telemetry_hz = telemetry_hz;
     let mut simulation = Simulation::new(scenario);
-    let mut longest = Span::ZERO;
+    let mut longest = TimeDelta::ZERO;
     for _ in 0..25 {
         run(&mut simulation, 60_000);
         let samples = simulation.truth();
-        let kept = samples.last().unwrap().world - samples.first().unwrap().world;
+        let kept = samples.last().unwrap().sim_time - samples.first().unwrap().sim_time;
         longest = longest.max(kept);
         let elapsed = simulation.elapsed();
-        assert!(kept >= REMEMBERED.min(elapsed) - Span::from_millis(1_000), "{kept:?} of {elapsed:?}");
+        assert!(kept >= HISTORY_DURATION.min(elapsed) - TimeDelta::from_millis(1_000), "{kept:?} of {elapsed:?}");
     }
-    let most = REMEMBERED + FORGOTTEN_AT_ONCE + Span::from_millis(1_000);
+    let most = HISTORY_DURATION + HISTORY_TRIM_BLOCK + TimeDelta::from_millis(1_000);
     assert!(longest <= most, "{longest:?}");
     let fixes = simulation.camera_fixes();
     let kept = fixes.last().unwrap().sent - fixes.first().unwrap().sent;
     assert!(kept <= most, "{kept:?} of fixes");
-    assert!(kept >= REMEMBERED - Span::from_millis(5_000), "{kept:?} of fixes");
+    assert!(kept >= HISTORY_DURATION - TimeDelta::from_millis(5_000), "{kept:?} of fixes");
     assert_eq!(simulation.truth_samples(), 25 * 60 * telemetry_hz as u64 + 1);
 }

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use posebridge_sim::impairment::{
-    BurstLoss, Cause, Delay, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment, LinkEvent,
-    LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    BurstLoss, ByteOutcome, Delay, DirectionProfile, Disconnects, Fragment, ImpairedDirection, ImpairedLink,
+    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, LossCause, PieceSizes, Rate, Reorder, Stall,
 };
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use proptest::prelude::*;
 
 proptest! {
@@ -14,33 +14,33 @@ proptest! {
 
     #[test]
     fn the_log_of_a_stream_tells_every_byte(profile in stream_profile(), traffic in traffic(), seed: u64) {
-        let run = Run::of(&profile, LinkKind::Stream, &traffic, seed);
+        let run = ImpairedRun::of(&profile, LinkKind::Stream, &traffic, seed);
         run.check_books()?;
         let mut told = Vec::new();
         for entry in &run.log {
-            if let Fate::Delivered { .. } = entry.fate {
+            if let ByteOutcome::Delivered { .. } = entry.outcome {
                 told.extend(entry.bytes.clone().map(|place| run.damaged(entry.unit, place)));
             }
         }
         let arrived: Vec<u8> = run.arrived.iter().flat_map(|(_, bytes)| bytes.clone()).collect();
         prop_assert_eq!(arrived, told);
-        let delivered: Vec<(u64, usize)> = run.places(|fate| matches!(fate, Fate::Delivered { .. }));
+        let delivered: Vec<(u64, usize)> = run.places(|fate| matches!(fate, ByteOutcome::Delivered { .. }));
         prop_assert!(delivered.is_sorted(), "a stream keeps its order");
-        prop_assert!(run.arrived.iter().all(|(at, _)| *at >= Stamp::ZERO));
+        prop_assert!(run.arrived.iter().all(|(at, _)| *at >= Timestamp::ZERO));
     }
 
     #[test]
     fn the_log_of_datagrams_tells_every_one(profile in datagram_profile(), traffic in traffic(), seed: u64) {
-        let run = Run::of(&profile, LinkKind::Datagram, &traffic, seed);
+        let run = ImpairedRun::of(&profile, LinkKind::Datagram, &traffic, seed);
         run.check_books()?;
         let mut told = Vec::new();
         for entry in &run.log {
             let whole = 0..run.units[entry.unit as usize].len();
-            if let Fate::Delivered { at } | Fate::Repeated { at } = entry.fate {
+            if let ByteOutcome::Delivered { at } | ByteOutcome::Duplicated { at } = entry.outcome {
                 prop_assert_eq!(&entry.bytes, &whole);
                 let bytes: Vec<u8> = whole.map(|place| run.damaged(entry.unit, place)).collect();
                 told.push((at, bytes));
-            } else if let Fate::Lost(_) = entry.fate {
+            } else if let ByteOutcome::Lost(_) = entry.outcome {
                 prop_assert_eq!(&entry.bytes, &whole, "whole or not at all");
             }
         }
@@ -49,17 +49,17 @@ proptest! {
 
     #[test]
     fn equal_seeds_give_equal_links_however_often_one_asks(profile in stream_profile(), traffic in traffic(), seed: u64) {
-        let whole = Run::of(&profile, LinkKind::Stream, &traffic, seed);
-        let again = Run::of(&profile, LinkKind::Stream, &traffic, seed);
+        let whole = ImpairedRun::of(&profile, LinkKind::Stream, &traffic, seed);
+        let again = ImpairedRun::of(&profile, LinkKind::Stream, &traffic, seed);
         prop_assert_eq!(&whole.arrived, &again.arrived);
         prop_assert_eq!(&whole.log, &again.log);
         // Asking at the end only: what arrives, and when, is the same.
-        let mut late = Impairment::new(&profile, LinkKind::Stream, seed, "test");
+        let mut late = ImpairedDirection::new(&profile, LinkKind::Stream, seed, "test");
         for (at, bytes) in &traffic {
             late.offer(*at, bytes);
         }
         let mut arrived = Vec::new();
-        while let Some(delivery) = late.poll(Stamp::from_millis(10_000_000)) {
+        while let Some(delivery) = late.poll(Timestamp::from_millis(10_000_000)) {
             arrived.push((delivery.at, delivery.bytes));
         }
         prop_assert_eq!(arrived, whole.arrived);
@@ -99,8 +99,8 @@ proptest! {
         let profile = DirectionProfile { burst_loss: Some(burst_loss), ..DirectionProfile::default() };
         let more = DirectionProfile { loss: 0.5, ..profile.clone() };
         check_subset(&profile, &more, LinkKind::Datagram, &traffic, seed)?;
-        let lost_in_bursts = |run: &Run| run.places(|fate| fate == Fate::Lost(Cause::Burst));
-        let [all, some] = [&profile, &more].map(|profile| Run::of(profile, LinkKind::Datagram, &traffic, seed));
+        let lost_in_bursts = |run: &ImpairedRun| run.places(|fate| fate == ByteOutcome::Lost(LossCause::Burst));
+        let [all, some] = [&profile, &more].map(|profile| ImpairedRun::of(profile, LinkKind::Datagram, &traffic, seed));
         let all = lost_in_bursts(&all);
         prop_assert!(lost_in_bursts(&some).iter().all(|place| all.contains(place)));
     }
@@ -114,37 +114,37 @@ proptest! {
             to_brick: profile,
             disconnects: Some(disconnects),
         };
-        let mut link = ImpairedLink::new(&profile, seed, Stamp::ZERO);
+        let mut link = ImpairedLink::new(&profile, seed, Timestamp::ZERO);
         let mut arrived = [0_u64; 2];
-        let mut last = Stamp::<HostClock>::ZERO;
+        let mut last = Timestamp::<HostClock>::ZERO;
         let mut is_up = true;
-        let mut take = |event: LinkEvent| {
+        let mut take = |event: ImpairedLinkEvent| {
             let at = match event {
-                LinkEvent::Arrived { end, delivery } => {
+                ImpairedLinkEvent::Arrived { end, delivery } => {
                     assert!(is_up, "nothing arrives over a link that is down");
-                    arrived[usize::from(end == End::Brick)] += delivery.bytes.len() as u64;
+                    arrived[usize::from(end == LinkEnd::Brick)] += delivery.bytes.len() as u64;
                     delivery.at
                 }
-                LinkEvent::Down { at } => { is_up = false; at }
-                LinkEvent::Up { at } => { is_up = true; at }
+                ImpairedLinkEvent::Down { at } => { is_up = false; at }
+                ImpairedLinkEvent::Up { at } => { is_up = true; at }
             };
             assert!(at >= last, "in the order of time");
             last = at;
         };
         for (index, (at, bytes)) in traffic.iter().enumerate() {
-            let from = if index % 2 == 0 { End::Brick } else { End::Station };
+            let from = if index % 2 == 0 { LinkEnd::Brick } else { LinkEnd::Station };
             while let Some(event) = link.poll(*at) {
                 take(event);
             }
             link.offer(from, *at, bytes);
         }
         for _ in 0..1_000 {
-            let next = link.deadline().unwrap_or(Stamp::ZERO);
+            let next = link.deadline().unwrap_or(Timestamp::ZERO);
             while let Some(event) = link.poll(next) {
                 take(event);
             }
         }
-        for (end, arrived) in [(End::Station, arrived[0]), (End::Brick, arrived[1])] {
+        for (end, arrived) in [(LinkEnd::Station, arrived[0]), (LinkEnd::Brick, arrived[1])] {
             let counters = link.counters(end);
             prop_assert_eq!(counters.bytes_delivered, arrived);
             prop_assert_eq!(counters.bytes_offered, arrived + counters.bytes_lost() + counters.bytes_on_the_way);
@@ -154,23 +154,23 @@ proptest! {
 
 #[test]
 fn an_instant_before_the_last_is_taken_for_the_last() {
-    let mut direction = Impairment::new(&DirectionProfile::default(), LinkKind::Stream, 1, "test");
-    direction.offer(Stamp::from_millis(100), b"first");
-    direction.offer(Stamp::from_millis(-5), b"second");
+    let mut direction = ImpairedDirection::new(&DirectionProfile::default(), LinkKind::Stream, 1, "test");
+    direction.offer(Timestamp::from_millis(100), b"first");
+    direction.offer(Timestamp::from_millis(-5), b"second");
     let mut arrived = Vec::new();
-    while let Some(delivery) = direction.poll(Stamp::ZERO) {
+    while let Some(delivery) = direction.poll(Timestamp::ZERO) {
         arrived.push((delivery.at, delivery.bytes));
     }
-    let at = Stamp::from_millis(100);
+    let at = Timestamp::from_millis(100);
     assert_eq!(arrived, [(at, b"first".to_vec()), (at, b"second".to_vec())]);
 }
 
 #[test]
 fn a_long_delay_does_not_fill_the_memory() {
     let profile = LinkProfile::default().with_extra(0.0, 600_000.0).to_station;
-    let mut direction = Impairment::new(&profile, LinkKind::Stream, 1, "test");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, 1, "test");
     for _ in 0..40 {
-        direction.offer(Stamp::ZERO, &vec![0; 1 << 20]);
+        direction.offer(Timestamp::ZERO, &vec![0; 1 << 20]);
     }
     let counters = direction.counters();
     assert_eq!(counters.bytes_on_the_way, 16 << 20);
@@ -183,15 +183,15 @@ fn an_outage_frees_the_line() {
         rate: Some(Rate { bytes_per_s: 100.0, buffer_bytes: 2_000, burst_bytes: 0 }),
         ..DirectionProfile::default()
     };
-    let mut direction = Impairment::new(&profile, LinkKind::Stream, 1, "test");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, 1, "test");
     // Ten seconds of bytes wait; after the outage the next ten bytes take a tenth of a second and not ten more.
-    direction.offer(Stamp::ZERO, &[0; 1_000]);
-    direction.cut(Stamp::from_millis(10));
-    direction.offer(Stamp::from_millis(15), b"unheard");
-    direction.restore(Stamp::from_millis(20));
-    direction.offer(Stamp::from_millis(20), b"ten bytes.");
+    direction.offer(Timestamp::ZERO, &[0; 1_000]);
+    direction.disconnect(Timestamp::from_millis(10));
+    direction.offer(Timestamp::from_millis(15), b"unheard");
+    direction.reconnect(Timestamp::from_millis(20));
+    direction.offer(Timestamp::from_millis(20), b"ten bytes.");
     let trickled = direction.deadline().unwrap();
-    assert_eq!(trickled, Stamp::from_millis(120));
+    assert_eq!(trickled, Timestamp::from_millis(120));
     assert_eq!(direction.counters().bytes_lost_to_outages, 1_007);
 }
 
@@ -202,12 +202,12 @@ fn an_outage_ends_a_long_delay() {
     // What was on the way is gone, so the next unit need not arrive behind it: of two long delays the second is the shorter one
     // in half of all cases.
     let arrives_sooner = |seed: &u64| {
-        let mut direction = Impairment::new(&profile, LinkKind::Stream, *seed, "test");
-        direction.offer(Stamp::ZERO, b"late");
+        let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, *seed, "test");
+        direction.offer(Timestamp::ZERO, b"late");
         let late = direction.deadline();
-        direction.cut(Stamp::ZERO);
-        direction.restore(Stamp::ZERO);
-        direction.offer(Stamp::ZERO, b"next");
+        direction.disconnect(Timestamp::ZERO);
+        direction.reconnect(Timestamp::ZERO);
+        direction.offer(Timestamp::ZERO, b"next");
         direction.deadline() < late
     };
     let sooner = (0..400).filter(arrives_sooner).count();
@@ -220,11 +220,11 @@ fn check_subset(
     profile: &DirectionProfile,
     more: &DirectionProfile,
     kind: LinkKind,
-    traffic: &[(Stamp<HostClock>, Vec<u8>)],
+    traffic: &[(Timestamp<HostClock>, Vec<u8>)],
     seed: u64,
 ) -> Result<(), TestCaseError> {
-    let before = Run::of(profile, kind, traffic, seed);
-    let after = Run::of(more, kind, traffic, seed);
+    let before = ImpairedRun::of(profile, kind, traffic, seed);
+    let after = ImpairedRun::of(more, kind, traffic, seed);
     let (arrivals, still) = (before.arrivals(), after.arrivals());
     for (place, arrival) in &still {
         prop_assert_eq!(Some(arrival), arrivals.get(place), "{:?}", place);
@@ -239,25 +239,25 @@ fn check_subset(
 #[derive(Debug, PartialEq, Eq)]
 struct Arrival {
     /// Once, or twice with a copy.
-    instants: Vec<Stamp<HostClock>>,
+    instants: Vec<Timestamp<HostClock>>,
     as_what: u8,
 }
 
 /// What went in and what came out of one direction.
-struct Run {
+struct ImpairedRun {
     units: Vec<Vec<u8>>,
-    arrived: Vec<(Stamp<HostClock>, Vec<u8>)>,
+    arrived: Vec<(Timestamp<HostClock>, Vec<u8>)>,
     log: Vec<LogEntry>,
     flips: BTreeMap<(u64, usize), u8>,
     delivered: u64,
     lost: u64,
 }
 
-impl Run {
-    fn of(profile: &DirectionProfile, kind: LinkKind, traffic: &[(Stamp<HostClock>, Vec<u8>)], seed: u64) -> Self {
-        let mut direction = Impairment::new(profile, kind, seed, "test");
+impl ImpairedRun {
+    fn of(profile: &DirectionProfile, kind: LinkKind, traffic: &[(Timestamp<HostClock>, Vec<u8>)], seed: u64) -> Self {
+        let mut direction = ImpairedDirection::new(profile, kind, seed, "test");
         let mut arrived = Vec::new();
-        let mut poll_until = |direction: &mut Impairment, now| {
+        let mut poll_until = |direction: &mut ImpairedDirection, now| {
             while let Some(delivery) = direction.poll(now) {
                 arrived.push((delivery.at, delivery.bytes));
             }
@@ -272,7 +272,7 @@ impl Run {
         let log = direction.take_log();
         let mut flips = BTreeMap::new();
         for entry in &log {
-            if let Fate::Flipped { bit } = entry.fate {
+            if let ByteOutcome::Flipped { bit } = entry.outcome {
                 *flips.entry((entry.unit, entry.bytes.start)).or_default() ^= 1 << bit;
             }
         }
@@ -296,7 +296,7 @@ impl Run {
     fn arrivals(&self) -> BTreeMap<(u64, usize), Arrival> {
         let mut arrivals = BTreeMap::new();
         for entry in &self.log {
-            let (Fate::Delivered { at } | Fate::Repeated { at }) = entry.fate else {
+            let (ByteOutcome::Delivered { at } | ByteOutcome::Duplicated { at }) = entry.outcome else {
                 continue;
             };
             for place in entry.bytes.clone() {
@@ -309,14 +309,14 @@ impl Run {
         arrivals
     }
 
-    fn places(&self, wanted: impl Fn(Fate) -> bool) -> Vec<(u64, usize)> {
-        let entries = self.log.iter().filter(|entry| wanted(entry.fate));
+    fn places(&self, wanted: impl Fn(ByteOutcome) -> bool) -> Vec<(u64, usize)> {
+        let entries = self.log.iter().filter(|entry| wanted(entry.outcome));
         entries.flat_map(|entry| entry.bytes.clone().map(|place| (entry.unit, place))).collect()
     }
 
     /// Every offered byte is delivered once or lost once, by the log and by the counters.
     fn check_books(&self) -> Result<(), TestCaseError> {
-        let mut places = self.places(|fate| matches!(fate, Fate::Delivered { .. } | Fate::Lost(_)));
+        let mut places = self.places(|fate| matches!(fate, ByteOutcome::Delivered { .. } | ByteOutcome::Lost(_)));
         places.sort_unstable();
         let offered: Vec<(u64, usize)> = self
             .units
@@ -331,12 +331,12 @@ impl Run {
 }
 
 /// Units of up to 300 bytes, up to 60 ms apart.
-fn traffic() -> impl Strategy<Value = Vec<(Stamp<HostClock>, Vec<u8>)>> {
+fn traffic() -> impl Strategy<Value = Vec<(Timestamp<HostClock>, Vec<u8>)>> {
     let unit = (0_i64..60_000, prop::collection::vec(any::<u8>(), 0..300));
     prop::collection::vec(unit, 1..40).prop_map(|units| {
-        let mut at = Stamp::ZERO;
+        let mut at = Timestamp::ZERO;
         let place = |(gap_micros, bytes): (i64, Vec<u8>)| {
-            at = at + Span::from_micros(gap_micros);
+            at = at + TimeDelta::from_micros(gap_micros);
             (at, bytes)
         };
         units.into_iter().map(place).collect()

@@ -3,10 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 use posebridge_sim::impairment::{
-    BurstLoss, Delay, Delivery, DirectionProfile, Disconnects, End, Fate, Fragment, ImpairedLink, Impairment,
-    LinkEvent, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    BurstLoss, ByteOutcome, Delay, Delivery, DirectionProfile, Disconnects, Fragment, ImpairedDirection, ImpairedLink,
+    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
 };
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 const SEED: u64 = 20;
 
@@ -16,7 +16,7 @@ fn jitter_is_exponential_above_the_base() {
         DirectionProfile { delay: Delay { base_ms: 15.0, jitter_mean_ms: 8.0 }, ..DirectionProfile::default() };
     let delays_ms = delays_ms(&profile, LinkKind::Stream, 4_000);
     assert!(delays_ms.iter().all(|delay| *delay >= 15.0));
-    follows(&delays_ms, |delay| 1.0 - (-(delay - 15.0) / 8.0).exp());
+    assert_distribution(&delays_ms, |delay| 1.0 - (-(delay - 15.0) / 8.0).exp());
 }
 
 #[test]
@@ -27,8 +27,8 @@ fn stalls_come_as_often_and_last_as_long_as_they_should() {
     };
     let delays_ms = delays_ms(&profile, LinkKind::Stream, 20_000);
     let stalls: Vec<f64> = delays_ms.into_iter().filter(|delay| *delay > 0.0).collect();
-    happens(stalls.len(), 20_000, 0.05);
-    follows(&stalls, |stall| (stall - 50.0) / 450.0);
+    assert_frequency(stalls.len(), 20_000, 0.05);
+    assert_distribution(&stalls, |stall| (stall - 50.0) / 450.0);
 }
 
 #[test]
@@ -38,7 +38,7 @@ fn a_saturated_line_carries_its_rate_and_drops_the_rest() {
         ..DirectionProfile::default()
     };
     for kind in [LinkKind::Stream, LinkKind::Datagram] {
-        let mut direction = Impairment::new(&profile, kind, SEED, "line");
+        let mut direction = ImpairedDirection::new(&profile, kind, SEED, "line");
         for millis in 0..10_000 {
             direction.offer(ms(millis), &[0x55; 40]);
         }
@@ -60,10 +60,10 @@ fn bursts_last_and_lie_apart_as_the_two_states_say() {
         burst_loss: Some(BurstLoss { mean_good_s: 0.5, mean_bad_s: 0.05, loss_good: 0.0, loss_bad: 1.0 }),
         ..DirectionProfile::default()
     };
-    let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "bursts");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Datagram, SEED, "bursts");
     // Ten looks per mean burst would hide the short ones: two hundred.
-    let look = Span::from_micros(250);
-    let mut now = Stamp::<HostClock>::ZERO;
+    let look = TimeDelta::from_micros(250);
+    let mut now = Timestamp::<HostClock>::ZERO;
     let mut is_lost = Vec::new();
     for _ in 0..800_000 {
         now = now + look;
@@ -79,8 +79,8 @@ fn bursts_last_and_lie_apart_as_the_two_states_say() {
             gaps_ms.push(length_ms);
         }
     }
-    follows(&bursts_ms, |length| 1.0 - (-(length - 0.125) / 50.0).exp());
-    follows(&gaps_ms, |length| 1.0 - (-(length - 0.125) / 500.0).exp());
+    assert_distribution(&bursts_ms, |length| 1.0 - (-(length - 0.125) / 50.0).exp());
+    assert_distribution(&gaps_ms, |length| 1.0 - (-(length - 0.125) / 500.0).exp());
     // About 360 pairs of gap and burst: the share of 1/11 has a sigma of 0.6 %.
     let share = is_lost.iter().filter(|lost| **lost).count() as f64 / is_lost.len() as f64;
     assert!((share - 1.0 / 11.0).abs() < 0.02, "{share}");
@@ -93,11 +93,11 @@ fn a_link_begins_in_either_state_as_often_as_it_is_in_it() {
         ..DirectionProfile::default()
     };
     let is_bad_at_first = |seed: &u64| {
-        let mut direction = Impairment::new(&profile, LinkKind::Datagram, *seed, "begin");
-        direction.offer(Stamp::ZERO, b"x");
+        let mut direction = ImpairedDirection::new(&profile, LinkKind::Datagram, *seed, "begin");
+        direction.offer(Timestamp::ZERO, b"x");
         direction.deadline().is_none()
     };
-    happens((0..3_000).filter(is_bad_at_first).count(), 3_000, 0.25);
+    assert_frequency((0..3_000).filter(is_bad_at_first).count(), 3_000, 0.25);
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn each_state_loses_with_its_own_probability() {
     for (good, bad) in [(0.1, 0.1), (0.0, 1.0), (0.2, 0.6)] {
         let kinds = [LinkKind::Stream, LinkKind::Datagram];
         for kind in kinds {
-            let mut direction = Impairment::new(&lossy(good, bad), kind, SEED, "states");
+            let mut direction = ImpairedDirection::new(&lossy(good, bad), kind, SEED, "states");
             for second in 0..8_000 {
                 direction.offer(ms(second * 1_000), b"x");
             }
@@ -127,13 +127,13 @@ fn bits_fail_at_their_rate_and_none_more_than_another() {
     let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
     let mut per_bit = [0_usize; 8];
     for entry in &log {
-        if let Fate::Flipped { bit } = entry.fate {
+        if let ByteOutcome::Flipped { bit } = entry.outcome {
             per_bit[usize::from(bit)] += 1;
         }
     }
     let flipped: usize = per_bit.iter().sum();
-    happens(flipped, 8_000_000, 1e-3);
-    are_equally_likely(&per_bit);
+    assert_frequency(flipped, 8_000_000, 1e-3);
+    assert_uniform(&per_bit);
     let ones: u32 = deliveries.iter().flat_map(|delivery| &delivery.bytes).map(|byte| byte.count_ones()).sum();
     assert_eq!(ones as usize, flipped, "what the log says is what arrived");
 }
@@ -142,9 +142,9 @@ fn bits_fail_at_their_rate_and_none_more_than_another() {
 fn single_bytes_go_missing_at_their_rate() {
     let profile = DirectionProfile { byte_loss: 0.002, ..DirectionProfile::default() };
     let (log, deliveries) = pass(&profile, LinkKind::Stream, 4_000, &[0; 250]);
-    let missing = log.iter().filter(|entry| matches!(entry.fate, Fate::Lost(_)));
+    let missing = log.iter().filter(|entry| matches!(entry.outcome, ByteOutcome::Lost(_)));
     let missing: usize = missing.map(|entry| entry.bytes.len()).sum();
-    happens(missing, 1_000_000, 0.002);
+    assert_frequency(missing, 1_000_000, 0.002);
     let arrived: usize = deliveries.iter().map(|delivery| delivery.bytes.len()).sum();
     assert_eq!(arrived + missing, 1_000_000);
 }
@@ -153,8 +153,8 @@ fn single_bytes_go_missing_at_their_rate() {
 fn whole_units_are_lost_at_their_rate() {
     let profile = LinkProfile::default().with_extra(0.1, 0.0).to_station;
     let (log, _) = pass(&profile, LinkKind::Stream, 20_000, b"frame");
-    let lost = log.iter().filter(|entry| matches!(entry.fate, Fate::Lost(_)));
-    happens(lost.count(), 20_000, 0.1);
+    let lost = log.iter().filter(|entry| matches!(entry.outcome, ByteOutcome::Lost(_)));
+    assert_frequency(lost.count(), 20_000, 0.1);
     assert!(log.iter().all(|entry| entry.bytes == (0..5)), "whole or not at all");
 }
 
@@ -165,7 +165,7 @@ fn datagrams_are_repeated_and_overtaken_at_their_rates() {
         reorder: Some(Reorder { probability: 0.1, from_ms: 2.0, to_ms: 6.0 }),
         ..DirectionProfile::default()
     };
-    let mut direction = Impairment::new(&profile, LinkKind::Datagram, SEED, "copies");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Datagram, SEED, "copies");
     for millis in 0..20_000 {
         direction.offer(ms(millis), &(millis as u32).to_le_bytes());
     }
@@ -177,18 +177,18 @@ fn datagrams_are_repeated_and_overtaken_at_their_rates() {
         .take_log()
         .iter()
         .filter_map(|entry| {
-            let Fate::HeldBack { by } = entry.fate else {
+            let ByteOutcome::HeldBack { by } = entry.outcome else {
                 return None;
             };
             Some(by.as_millis_f64())
         })
         .collect();
-    happens(waits_ms.len(), 20_000, 0.1);
-    follows(&waits_ms, |wait| (wait - 2.0) / 4.0);
+    assert_frequency(waits_ms.len(), 20_000, 0.1);
+    assert_distribution(&waits_ms, |wait| (wait - 2.0) / 4.0);
     let overtaken = arrived.windows(2).filter(|pair| pair[0] > pair[1]).count();
     assert!(overtaken > 1_000, "{overtaken}");
     let copies = arrived.len() - 20_000;
-    happens(copies, 20_000, 0.05);
+    assert_frequency(copies, 20_000, 0.05);
     assert_eq!(direction.counters().repeated as usize, copies);
     arrived.sort_unstable();
     arrived.dedup();
@@ -198,12 +198,12 @@ fn datagrams_are_repeated_and_overtaken_at_their_rates() {
 #[test]
 fn arrivals_lie_on_the_slots_and_wait_evenly_for_them() {
     let profile = DirectionProfile { slot_ms: Some(15.0), ..DirectionProfile::default() };
-    let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, SEED, "slots");
     let mut waits_ms = Vec::new();
     let mut phases = Vec::new();
     for unit in 0..3_000_i64 {
         // 97.003 ms are no multiple of the slot: the offers walk through it.
-        let now = Stamp::from_micros(unit * 97_003);
+        let now = Timestamp::from_micros(unit * 97_003);
         direction.offer(now, b"x");
         let at = direction.deadline().unwrap();
         waits_ms.push((at - now).as_millis_f64());
@@ -211,13 +211,13 @@ fn arrivals_lie_on_the_slots_and_wait_evenly_for_them() {
         direction.poll(at).unwrap();
     }
     assert!(phases.iter().all(|phase| *phase == phases[0]));
-    follows(&waits_ms, |wait| wait / 15.0);
+    assert_distribution(&waits_ms, |wait| wait / 15.0);
 }
 
 #[test]
 fn what_waits_for_one_slot_comes_together() {
     let profile = DirectionProfile { slot_ms: Some(15.0), ..DirectionProfile::default() };
-    let mut direction = Impairment::new(&profile, LinkKind::Stream, SEED, "slots");
+    let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, SEED, "slots");
     for millis in 0..300 {
         direction.offer(ms(millis), b"ab");
     }
@@ -239,7 +239,7 @@ fn pieces_of_random_size_are_equally_likely_up_to_the_largest() {
     for delivery in &deliveries {
         sizes[delivery.bytes.len() - 1] += 1;
     }
-    are_equally_likely(&sizes);
+    assert_uniform(&sizes);
     let fixed = DirectionProfile {
         fragment: Some(Fragment { most_bytes: 20, sizes: PieceSizes::Fixed }),
         ..DirectionProfile::default()
@@ -255,31 +255,31 @@ fn outages_come_exponentially_last_evenly_and_take_what_is_on_the_way() {
         disconnects: Some(Disconnects { mean_up_s: 12.0, down_from_s: 1.0, down_to_s: 10.0 }),
         ..LinkProfile::default().with_extra(0.0, 50.0)
     };
-    let mut link = ImpairedLink::new(&profile, SEED, Stamp::ZERO);
+    let mut link = ImpairedLink::new(&profile, SEED, Timestamp::ZERO);
     let (mut ups_s, mut downs_s) = (Vec::new(), Vec::new());
-    let mut changed = Stamp::<HostClock>::ZERO;
+    let mut changed = Timestamp::<HostClock>::ZERO;
     for step in 0..200_000_i64 {
         let now = ms(step * 100);
-        link.offer(End::Brick, now, b"to the station");
-        link.offer(End::Station, now, b"to the brick");
+        link.offer(LinkEnd::Brick, now, b"to the station");
+        link.offer(LinkEnd::Station, now, b"to the brick");
         while let Some(event) = link.poll(now) {
             match event {
-                LinkEvent::Down { at } => {
+                ImpairedLinkEvent::Down { at } => {
                     ups_s.push((at - changed).as_secs_f64());
                     changed = at;
                 }
-                LinkEvent::Up { at } => {
+                ImpairedLinkEvent::Up { at } => {
                     downs_s.push((at - changed).as_secs_f64());
                     changed = at;
                 }
-                LinkEvent::Arrived { .. } => {}
+                ImpairedLinkEvent::Arrived { .. } => {}
             }
         }
     }
-    follows(&ups_s, |up| 1.0 - (-up / 12.0).exp());
-    follows(&downs_s, |down| (down - 1.0) / 9.0);
+    assert_distribution(&ups_s, |up| 1.0 - (-up / 12.0).exp());
+    assert_distribution(&downs_s, |down| (down - 1.0) / 9.0);
     // A unit is lost if it is offered while the link is down or less than its 50 ms before: 5.5 s and 0.05 s of 17.5.
-    for end in [End::Station, End::Brick] {
+    for end in [LinkEnd::Station, LinkEnd::Brick] {
         let counters = link.counters(end);
         let share = counters.bytes_lost_to_outages as f64 / counters.bytes_offered as f64;
         assert!((share - 5.55 / 17.5).abs() < 0.03, "{end:?}: {share}");
@@ -288,7 +288,7 @@ fn outages_come_exponentially_last_evenly_and_take_what_is_on_the_way() {
 
 /// Log and deliveries of so many equal units a second apart.
 fn pass(profile: &DirectionProfile, kind: LinkKind, units: i64, bytes: &[u8]) -> (Vec<LogEntry>, Vec<Delivery>) {
-    let mut direction = Impairment::new(profile, kind, SEED, "test");
+    let mut direction = ImpairedDirection::new(profile, kind, SEED, "test");
     let mut deliveries = Vec::new();
     for unit in 0..units {
         direction.offer(ms(unit * 1_000), bytes);
@@ -301,7 +301,7 @@ fn pass(profile: &DirectionProfile, kind: LinkKind, units: i64, bytes: &[u8]) ->
 
 /// Delays of single units that lie so far apart that none waits for another.
 fn delays_ms(profile: &DirectionProfile, kind: LinkKind, units: i64) -> Vec<f64> {
-    let mut direction = Impairment::new(profile, kind, SEED, "test");
+    let mut direction = ImpairedDirection::new(profile, kind, SEED, "test");
     (0..units)
         .map(|unit| {
             let now = ms(unit * 60_000);
@@ -313,12 +313,12 @@ fn delays_ms(profile: &DirectionProfile, kind: LinkKind, units: i64) -> Vec<f64>
         .collect()
 }
 
-fn ms(millis: i64) -> Stamp<HostClock> {
-    Stamp::from_millis(millis)
+fn ms(millis: i64) -> Timestamp<HostClock> {
+    Timestamp::from_millis(millis)
 }
 
 /// Kolmogorov-Smirnov: the largest distance between sample and distribution stays below 1.95 / sqrt(n), its 0.1 % quantile.
-fn follows(sample: &[f64], distribution: impl Fn(f64) -> f64) {
+fn assert_distribution(sample: &[f64], distribution: impl Fn(f64) -> f64) {
     let mut sorted = sample.to_vec();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len() as f64;
@@ -336,7 +336,7 @@ fn follows(sample: &[f64], distribution: impl Fn(f64) -> f64) {
 }
 
 /// A binomial count lies within 3.3 sigma of its mean.
-fn happens(count: usize, trials: usize, probability: f64) {
+fn assert_frequency(count: usize, trials: usize, probability: f64) {
     let mean = trials as f64 * probability;
     let sigma = (mean * (1.0 - probability)).sqrt();
     let off = (count as f64 - mean).abs();
@@ -344,7 +344,7 @@ fn happens(count: usize, trials: usize, probability: f64) {
 }
 
 /// Chi-square with seven degrees of freedom: 24.3 is its 0.1 % quantile.
-fn are_equally_likely(counts: &[usize; 8]) {
+fn assert_uniform(counts: &[usize; 8]) {
     let mean = counts.iter().sum::<usize>() as f64 / 8.0;
     let chi_square: f64 = counts.iter().map(|count| (*count as f64 - mean).powi(2) / mean).sum();
     assert!(chi_square < 24.3, "{chi_square}: {counts:?}");

@@ -2,16 +2,16 @@
 #![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 use posebridge_protocol::dialect::{self, Encoder, ids};
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{Message, SetMessageInterval};
 use posebridge_sim::scenario::{BrickProgram, Personality};
 use posebridge_sim::{CAMERA, Scenario, Simulation, Steering};
-use posebridge_telemetry::{Address, Span, Stamp};
+use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 use proptest::prelude::*;
 
 const LEGO: [Personality; 3] = [Personality::Nxt, Personality::NxtPush, Personality::Ev3];
 /// The square takes half a minute.
-const LONGEST_LAP: Span = Span::from_millis(60_000);
+const LONGEST_LAP: TimeDelta = TimeDelta::from_millis(60_000);
 /// GETBATTERYLEVEL of the NXT, TIMER_READ_US of the EV3.
 const BATTERY: [u8; 4] = [2, 0, 0x00, 0x0B];
 const CLOCK: [u8; 9] = [7, 0, 1, 0, 0, 4, 0, 0x8F, 0x60];
@@ -40,13 +40,13 @@ fn listen(simulation: &mut Simulation, millis: usize) -> (Vec<Vec<u8>>, Vec<u8>)
 
 /// The messages in these bytes; nothing may be left over.
 fn messages(bytes: &[u8]) -> Vec<(Address, Message)> {
-    let mut scanner = Scanner::new(ScannerConfig::default());
+    let mut scanner = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Stamp::ZERO, bytes, &mut |scanned| match scanned {
-        Scanned::Frame(frame) => {
+    scanner.push(Timestamp::ZERO, bytes, &mut |scanned| match scanned {
+        FramerOutput::Frame(frame) => {
             found.push((frame.source, dialect::decode(&frame).unwrap().unwrap()));
         }
-        other @ (Scanned::Unknown(_) | Scanned::Defect(_)) => panic!("{other:?}"),
+        other @ (FramerOutput::UnknownFrame(_) | FramerOutput::Error(_)) => panic!("{other:?}"),
     });
     found
 }
@@ -76,7 +76,7 @@ fn the_camera_of_a_lego_brick_has_a_link_of_its_own() {
         let wish = Message::SetMessageInterval(SetMessageInterval {
             target: CAMERA,
             message_id: ids::VISION_POSITION_ESTIMATE,
-            interval: Some(Span::from_millis(500)),
+            interval: Some(TimeDelta::from_millis(500)),
         });
         Encoder::new(WireVersion::V2).encode(Address::new(255, 190), &wish, &mut bytes);
         simulation.receive_camera(&bytes);
@@ -120,7 +120,7 @@ fn a_pushing_program_takes_estimates_and_its_firmware_answers_between() {
     simulation.receive(&ESTIMATE);
     listen(&mut simulation, 100);
     assert_eq!(simulation.received_estimates().len(), 1);
-    assert_eq!(simulation.truth().last().unwrap().belief.x.0, 1.5);
+    assert_eq!(simulation.truth().last().unwrap().onboard_estimate.x.0, 1.5);
     simulation.receive(&BATTERY);
     let (telegrams, _) = listen(&mut simulation, 200);
     let is_answer = |telegram: &&Vec<u8>| telegram[2..4] == [0x02, 0x0B];
@@ -144,7 +144,7 @@ fn the_same_program_drives_the_same_way_whatever_the_brick_speaks() {
             listen(&mut simulation, 100);
             assert!(simulation.elapsed() < LONGEST_LAP, "{personality:?}");
         }
-        let poses = simulation.truth().iter().map(|sample| (sample.pose, sample.belief));
+        let poses = simulation.truth().iter().map(|sample| (sample.pose, sample.onboard_estimate));
         poses.collect::<Vec<_>>()
     };
     let expected = driven(Personality::Mavlink);

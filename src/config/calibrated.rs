@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result};
-use posebridge_telemetry::{Calibration, Known};
+use posebridge_telemetry::{Calibration, UncertainValue};
 
 use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
 use super::robot::RobotFile;
@@ -50,7 +50,7 @@ impl CalibratedRobot {
     fn profile_calibration(&self) -> Calibration {
         let bias = self.learned.gyro_bias_rad_per_s;
         Calibration {
-            gyro_bias_rad_per_s: Known { sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s), ..bias },
+            gyro_bias_rad_per_s: UncertainValue { sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s), ..bias },
             ..self.learned
         }
     }
@@ -83,7 +83,7 @@ impl CalibratedRobot {
         let _ = writeln!(page, "\n[robot.calibration]");
         let profile = self.profile_calibration();
         for entry in CALIBRATION_KEYS {
-            let Known { value, sigma } = (entry.read)(&profile);
+            let UncertainValue { value, sigma } = (entry.read)(&profile);
             let (value, sigma) = (toml::Value::Float(value), toml::Value::Float(sigma));
             let _ = writeln!(page, "{} = {{ value = {value}, sigma = {sigma} }}", entry.key);
         }
@@ -164,7 +164,7 @@ mod tests {
             ..RobotFile::default()
         };
         robot.noise.gyro_bias_rad_per_s = 0.03;
-        let known = |value, sigma| Known { value, sigma };
+        let known = |value, sigma| UncertainValue { value, sigma };
         CalibratedRobot {
             robot,
             learned: Calibration {

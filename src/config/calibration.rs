@@ -4,7 +4,7 @@
 //! can learn it do so. One table of keys, defaults and limits; the struct, its checks and the reports follow from it.
 
 use anyhow::{Result, ensure};
-use posebridge_telemetry::{Calibration, Known};
+use posebridge_telemetry::{Calibration, UncertainValue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -24,8 +24,8 @@ impl CalibrationEntry {
     }
 }
 
-impl From<Known> for CalibrationEntry {
-    fn from(Known { value, sigma }: Known) -> Self {
+impl From<UncertainValue> for CalibrationEntry {
+    fn from(UncertainValue { value, sigma }: UncertainValue) -> Self {
         Self { value, sigma }
     }
 }
@@ -44,12 +44,12 @@ impl Largest {
     /// The longest lever arm that a filter takes, and more than any radio's offset.
     const LENGTH: Self = Self(1e3);
 
-    fn check(self, key: &str, entry: CalibrationEntry) -> Result<Known> {
+    fn check(self, key: &str, entry: CalibrationEntry) -> Result<UncertainValue> {
         let CalibrationEntry { value, sigma } = entry;
         let Self(limit) = self;
         ensure!(value.abs() <= limit, "`robot.calibration.{key}.value` is {value}, must lie in {} to {limit}", -limit);
         ensure!((0.0..=limit).contains(&sigma), "`robot.calibration.{key}.sigma` is {sigma}, must lie in 0 to {limit}");
-        Ok(Known { value, sigma })
+        Ok(UncertainValue { value, sigma })
     }
 }
 
@@ -58,7 +58,7 @@ pub struct CalibrationKey {
     /// Its key in files and in the JSON object.
     pub key: &'static str,
     /// Reads it.
-    pub read: fn(&Calibration) -> Known,
+    pub read: fn(&Calibration) -> UncertainValue,
 }
 
 macro_rules! calibration_table {
@@ -91,7 +91,7 @@ macro_rules! calibration_table {
             pub fn checked(&self, power_up_bias: f64) -> Result<Calibration> {
                 let gyro_bias_rad_per_s = match self.gyro_bias_rad_per_s {
                     Some(entry) => Largest::TURN_RATE.check("gyro_bias_rad_per_s", entry)?,
-                    None => Known { value: 0.0, sigma: power_up_bias },
+                    None => UncertainValue { value: 0.0, sigma: power_up_bias },
                 };
                 Ok(Calibration {
                     $($key: Largest::$largest.check(stringify!($key), self.$key)?,)+
@@ -173,10 +173,10 @@ mod tests {
             calibration.checked(0.03).unwrap().gyro_bias_rad_per_s
         };
         let (value, sigma) = (0.0, 0.03);
-        assert_eq!(bias(None), Known { value, sigma });
+        assert_eq!(bias(None), UncertainValue { value, sigma });
         let (value, sigma) = (0.01, 0.002);
         let measured = Some(CalibrationEntry { value, sigma });
-        assert_eq!(bias(measured), Known { value, sigma });
+        assert_eq!(bias(measured), UncertainValue { value, sigma });
     }
 
     #[test]
@@ -190,7 +190,7 @@ mod tests {
         let calibration = file.checked(9.0).unwrap();
         for (row, entry) in CALIBRATION_KEYS.iter().enumerate() {
             let (value, sigma) = (value_of(row), 0.25);
-            assert_eq!((entry.read)(&calibration), Known { value, sigma }, "{}", entry.key);
+            assert_eq!((entry.read)(&calibration), UncertainValue { value, sigma }, "{}", entry.key);
         }
         assert_eq!(RobotCalibration::from(calibration), file);
     }

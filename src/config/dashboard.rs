@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use anyhow::{Context, Result};
-use posebridge_dashboard::Listen;
+use posebridge_dashboard::ListenAddress;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,11 +34,15 @@ impl DashboardSection {
     ///
     /// # Errors
     /// It is no IP address with a port.
-    pub fn checked(&self) -> Result<Listen> {
+    pub fn checked(&self) -> Result<ListenAddress> {
         let address: SocketAddr = self.listen.parse().with_context(|| {
             format!("`dashboard.listen` is `{}`; give an IP address and a port, such as {DEFAULT_LISTEN}", self.listen)
         })?;
-        Ok(if self.listen == DEFAULT_LISTEN { Listen::OrNext(address) } else { Listen::Exactly(address) })
+        Ok(if self.listen == DEFAULT_LISTEN {
+            ListenAddress::FirstFree(address)
+        } else {
+            ListenAddress::Exact(address)
+        })
     }
 }
 
@@ -53,9 +57,9 @@ mod tests {
             section.checked()
         };
         let default = DashboardSection::default().checked().unwrap();
-        assert_eq!(default, Listen::OrNext("127.0.0.1:4680".parse().unwrap()));
+        assert_eq!(default, ListenAddress::FirstFree("127.0.0.1:4680".parse().unwrap()));
         let other = "0.0.0.0:80".parse().unwrap();
-        assert_eq!(listen("0.0.0.0:80").unwrap(), Listen::Exactly(other));
+        assert_eq!(listen("0.0.0.0:80").unwrap(), ListenAddress::Exact(other));
         let error = listen("localhost").unwrap_err().to_string();
         assert!(error.starts_with("`dashboard.listen` is `localhost`; give"), "{error}");
     }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
-use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Params, Placing, filter_named};
-use posebridge_telemetry::World;
+use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter};
+use posebridge_telemetry::ArenaMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +34,7 @@ impl FilterSection {
     /// # Errors
     /// There is no such filter; the message lists those that there are.
     pub fn entry(&self) -> Result<&'static FilterEntry> {
-        filter_named(&self.name)
+        find_filter(&self.name)
             .ok_or_else(|| anyhow!("`filter.name` is `{}`; there are: {}", self.name, names_of_filters()))
     }
 
@@ -42,13 +42,15 @@ impl FilterSection {
     #[must_use]
     pub fn warning(&self, robot: &RobotFile) -> Option<String> {
         let name = &self.name;
-        match filter_named(name)?.placing {
-            Placing::Start if robot.start.is_none() => Some(format!(
+        match find_filter(name)?.initialization {
+            Initialization::Start if robot.start.is_none() => Some(format!(
                 "the filter `{name}` uses no fixes and is not told where the robot starts, so it knows no pose: give `[robot.start]` with x_m, \
                  y_m, heading_deg, position_sigma_m and heading_sigma_deg, or take another filter, such as `pose`"
             )),
-            Placing::Nowhere => Some(format!("the filter `{name}` estimates one quantity and no pose; `pose` does")),
-            Placing::Fix | Placing::Start => None,
+            Initialization::NotApplicable => {
+                Some(format!("the filter `{name}` estimates one quantity and no pose; `pose` does"))
+            }
+            Initialization::Fix | Initialization::Start => None,
         }
     }
 
@@ -77,13 +79,13 @@ pub fn names_of_filters() -> String {
 ///
 /// # Errors
 /// A value makes no sense; the message names its key.
-pub fn filter_config(robot: &RobotFile, filter: &FilterSection, world: World) -> Result<FilterConfig> {
+pub fn filter_config(robot: &RobotFile, filter: &FilterSection, world: ArenaMap) -> Result<FilterConfig> {
     Ok(FilterConfig {
         geometry: robot.geometry()?,
         noise: robot.noise()?,
         start: robot.start()?,
         params: filter.params()?,
         calibration: robot.calibration()?,
-        world: Arc::new(world),
+        arena_map: Arc::new(world),
     })
 }

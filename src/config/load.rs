@@ -3,8 +3,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::merge::Setting;
-use super::{Config, DEFAULT_TOML};
+use super::default_toml::DEFAULT_TOML;
+use super::robot_blocks::split_robot_list;
+use super::setting::Setting;
+use super::station::Config;
 
 /// A configuration and the text that it came from.
 #[derive(Clone, Debug)]
@@ -68,40 +70,44 @@ pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigE
 /// As [`load`].
 pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded, ConfigError> {
     let wrong = |why: String| ConfigError::Wrong { path: name.to_owned(), why };
-    let config: Config = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
-    let file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
-    Ok(Loaded { config: lay_over(&config, settings)?, file, settings: settings.to_vec() })
+    let mut file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
+    let config: Config = if split_robot_list(&mut file).map_err(&wrong)? {
+        file.clone().try_into().map_err(|error: toml::de::Error| wrong(error.message().to_owned()))?
+    } else {
+        toml::from_str(text).map_err(|error| wrong(located(&error, text)))?
+    };
+    Ok(Loaded { config: apply_overrides(&config, settings)?, file, settings: settings.to_vec() })
 }
 
 /// A configuration with some keys set. They are judged together: a section that has no default may be made of several.
 ///
 /// # Errors
 /// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if it cannot be told.
-pub fn lay_over(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
+pub fn apply_overrides(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
     let all: Vec<&Setting> = settings.iter().collect();
-    laid_over(config, &all).map_err(|why| {
-        let guilty = guilty_of(config, &all, &why);
+    with_overrides(config, &all).map_err(|why| {
+        let guilty = offending_settings(config, &all, &why);
         let names: Vec<String> = guilty.iter().map(ToString::to_string).collect();
         ConfigError::WrongSetting { setting: names.join(" --set "), why }
     })
 }
 
-fn laid_over(config: &Config, settings: &[&Setting]) -> Result<Config, String> {
+fn with_overrides(config: &Config, settings: &[&Setting]) -> Result<Config, String> {
     let mut table = toml::Table::try_from(config).map_err(|error| error.to_string())?;
     for setting in settings {
-        setting.lay_over(&mut table)?;
+        setting.apply_to(&mut table)?;
     }
     let laid = table.try_into();
     laid.map_err(|error: toml::de::Error| error.message().to_owned())
 }
 
 /// The one without which the others make sense; else the one whose key the error names; else all.
-fn guilty_of<'a>(config: &Config, settings: &[&'a Setting], why: &str) -> Vec<&'a Setting> {
+fn offending_settings<'a>(config: &Config, settings: &[&'a Setting], why: &str) -> Vec<&'a Setting> {
     let others = |guilty: usize| -> Vec<&Setting> {
         let others = settings.iter().enumerate().filter(|(at, _)| *at != guilty);
         others.map(|(_, setting)| *setting).collect()
     };
-    let innocent_without = |at: &usize| laid_over(config, &others(*at)).is_ok();
+    let innocent_without = |at: &usize| with_overrides(config, &others(*at)).is_ok();
     if let Some(setting) = (0..settings.len()).find(innocent_without).and_then(|at| settings.get(at)) {
         return vec![*setting];
     }

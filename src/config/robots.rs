@@ -1,7 +1,5 @@
 //! The robots of `config/robots/`, within the program.
 
-use super::template::first_line_of_comment;
-
 /// A robot that the program knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BundledRobot {
@@ -38,7 +36,7 @@ impl BundledRobot {
     ///
     /// # Errors
     /// There is none; the error lists all.
-    pub fn named(name: &str) -> Result<Self, UnknownRobot> {
+    pub fn from_name(name: &str) -> Result<Self, UnknownRobot> {
         let found = ROBOTS.iter().find(|robot| robot.name == name);
         found.copied().ok_or_else(|| UnknownRobot { name: name.to_owned() })
     }
@@ -55,6 +53,12 @@ impl BundledRobot {
 pub fn list() -> String {
     let lines = ROBOTS.iter().map(|robot| format!("  {:<15} {}", robot.name, robot.summary()));
     lines.collect::<Vec<_>>().join("\n")
+}
+
+/// The first line of a file that begins with a comment, without its mark; empty if it begins otherwise.
+fn first_line_of_comment(text: &'static str) -> &'static str {
+    let line = text.lines().next().unwrap_or_default();
+    line.strip_prefix("# ").unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -79,7 +83,7 @@ mod tests {
 
     #[test]
     fn an_unknown_robot_is_told_with_those_that_there_are() {
-        let error = BundledRobot::named("nxt").unwrap_err().to_string();
+        let error = BundledRobot::from_name("nxt").unwrap_err().to_string();
         assert!(error.starts_with("there is no robot `nxt`; there are:\n  arduino-2wd     The two-"), "{error}");
         assert_eq!(error.lines().count(), 1 + ROBOTS.len());
     }

@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_protocol::routing::{Choice, Forward, FrameFilter, LinkRules, RateLimits, message_id_named};
-use posebridge_telemetry::{ComponentId, Span, SystemId};
+use posebridge_protocol::routing::{AllowBlockList, FrameFilter, RateLimits, message_id_named};
+use posebridge_telemetry::{ComponentId, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use super::LinkSection;
 
 /// The largest message id, 24 bits.
 const LARGEST_ID: u32 = 0x00FF_FFFF;
@@ -87,82 +85,52 @@ impl RoutingSection {
     ///
     /// # Errors
     /// It is longer than a minute.
-    pub(super) fn window(self) -> Result<Span> {
+    pub(super) fn window(self) -> Result<TimeDelta> {
         ensure!(
             self.duplicate_window_ms <= LONGEST_WINDOW_MS,
             "`routing.duplicate_window_ms` is {}; at most {LONGEST_WINDOW_MS}",
             self.duplicate_window_ms
         );
-        Ok(Span::from_millis(i64::from(self.duplicate_window_ms)))
+        Ok(TimeDelta::from_millis(i64::from(self.duplicate_window_ms)))
     }
-}
-
-/// The rules of every link, in their order.
-///
-/// # Errors
-/// A value makes no sense; the message names its key.
-pub(super) fn rules_of(links: &[LinkSection]) -> Result<Vec<LinkRules>> {
-    let mut groups: Vec<&str> = Vec::new();
-    let mut rules = Vec::with_capacity(links.len());
-    for (index, link) in links.iter().enumerate() {
-        let group = link.group.as_deref().map(|name| {
-            let known = groups.iter().position(|group| *group == name);
-            known.unwrap_or_else(|| {
-                groups.push(name);
-                groups.len() - 1
-            }) as u16
-        });
-        let of_link = rules_of_link(link, group).with_context(|| format!("link {index} `{}`", link.url))?;
-        rules.push(of_link);
-    }
-    Ok(rules)
-}
-
-fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
-    ensure!(link.group.as_deref() != Some(""), "`group` is empty; leave it out where a link stands alone");
-    Ok(LinkRules {
-        group,
-        forward: match link.forward {
-            ForwardChoice::All => Forward::All,
-            ForwardChoice::Targeted => Forward::Targeted,
-            ForwardChoice::None => Forward::Nothing,
-        },
-        inward: link.filter_in.filter().context("`filter_in`")?,
-        outward: link.filter_out.filter().context("`filter_out`")?,
-        limits: link.limits.limits().context("`limits`")?,
-    })
 }
 
 impl FrameFilterSection {
-    fn filter(&self) -> Result<FrameFilter> {
+    pub(super) fn filter(&self) -> Result<FrameFilter> {
         Ok(FrameFilter {
-            messages: Choice {
+            messages: AllowBlockList {
                 allow: ids(&self.allow_messages).context("`allow_messages`")?,
                 block: ids(&self.block_messages).context("`block_messages`")?,
             },
-            systems: choice(&self.allow_systems, &self.block_systems, SystemId),
-            components: choice(&self.allow_components, &self.block_components, ComponentId),
+            systems: allow_block_list(&self.allow_systems, &self.block_systems, SystemId),
+            components: allow_block_list(&self.allow_components, &self.block_components, ComponentId),
         })
     }
 }
 
 impl LimitsSection {
-    fn limits(&self) -> Result<RateLimits> {
+    pub(super) fn limits(&self) -> Result<RateLimits> {
         let mut least_intervals = BTreeMap::new();
         for (name, millis) in &self.min_interval_ms {
             let id = id_of(name).context("`min_interval_ms`")?;
-            let interval = Span::from_millis(i64::from(*millis));
+            let interval = TimeDelta::from_millis(i64::from(*millis));
             ensure!(
                 least_intervals.insert(id, interval).is_none(),
                 "`min_interval_ms`: message {id} stands there by its name and by its number"
             );
         }
-        Ok(RateLimits { least_intervals, bytes_per_s: (self.bytes_per_s != 0).then_some(self.bytes_per_s) })
+        Ok(RateLimits {
+            min_intervals: least_intervals,
+            bytes_per_s: (self.bytes_per_s != 0).then_some(self.bytes_per_s),
+        })
     }
 }
 
-fn choice<T>(allow: &[u8], block: &[u8], typed: fn(u8) -> T) -> Choice<T> {
-    Choice { allow: allow.iter().copied().map(typed).collect(), block: block.iter().copied().map(typed).collect() }
+fn allow_block_list<T>(allow: &[u8], block: &[u8], typed: fn(u8) -> T) -> AllowBlockList<T> {
+    AllowBlockList {
+        allow: allow.iter().copied().map(typed).collect(),
+        block: block.iter().copied().map(typed).collect(),
+    }
 }
 
 fn ids(messages: &[MessageRef]) -> Result<Vec<u32>> {
@@ -193,12 +161,12 @@ fn checked(id: u32) -> Result<u32> {
 #[cfg(test)]
 mod tests {
     use crate::config::load_text;
-    use posebridge_protocol::routing::{Forward, LinkRules};
-    use posebridge_telemetry::{Span, SystemId};
+    use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
+    use posebridge_telemetry::{SystemId, TimeDelta};
 
     fn rules(text: &str) -> anyhow::Result<Vec<LinkRules>> {
         let config = load_text("test", text, &[])?.config;
-        Ok(config.pipeline()?.links.into_iter().map(|link| link.rules).collect())
+        Ok(config.station_config()?.links.into_iter().map(|link| link.rules).collect())
     }
 
     #[test]
@@ -223,7 +191,7 @@ mod tests {
         assert_eq!(links[0].group, links[2].group);
         assert!(links[0].group.is_some());
         assert_eq!(links[1], LinkRules::default());
-        assert_eq!(links[0].forward, Forward::Targeted);
+        assert_eq!(links[0].forward, ForwardPolicy::Targeted);
         assert_eq!(links[0].inward.messages.block, [30, 42_102]);
         assert_eq!(links[0].inward.systems.allow, [SystemId(1), SystemId(2)]);
         let out = &links[2].outward;
@@ -231,8 +199,8 @@ mod tests {
         assert_eq!((out.components.allow[0].0, out.components.block[0].0), (190, 1));
         let limits = &links[2].limits;
         assert_eq!(limits.bytes_per_s, Some(500));
-        let intervals: Vec<_> = limits.least_intervals.iter().collect();
-        assert_eq!(intervals, [(&30, &Span::from_millis(200)), (&42_102, &Span::from_millis(100))]);
+        let intervals: Vec<_> = limits.min_intervals.iter().collect();
+        assert_eq!(intervals, [(&30, &TimeDelta::from_millis(200)), (&42_102, &TimeDelta::from_millis(100))]);
     }
 
     #[test]

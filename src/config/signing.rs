@@ -1,15 +1,13 @@
 //! The signing of a link: which key, under which number, and what may come without.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use anyhow::{Result, ensure};
-use posebridge_protocol::signing::{Heard, Key, Memory, RADIO_STATUS, SigningConfig, StreamId, Timestamp, Unsigned};
+use posebridge_protocol::signing::{
+    Key, RADIO_STATUS, SignedStreamState, SigningConfig, SigningState, SigningTime, StreamId, UnsignedPolicy,
+};
 use posebridge_telemetry::Address;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use super::Config;
-use crate::link_target::LinkTarget;
 
 /// How the frames of a link are signed.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -31,7 +29,7 @@ pub struct SigningSection {
     pub begun: Option<MemoryRecord>,
 }
 
-/// A [`Memory`] in TOML, with the name of its key. Times are units of 10 µs since 2015-01-01 UTC.
+/// A [`SigningState`] in TOML, with the name of its key. Times are units of 10 µs since 2015-01-01 UTC.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct MemoryRecord {
@@ -78,13 +76,13 @@ const fn default_required() -> bool {
 impl SigningSection {
     /// What the pipeline needs, with the key and with what the link begins with.
     #[must_use]
-    pub fn pipeline(&self, key: Key, memory: Memory) -> SigningConfig {
+    pub fn pipeline(&self, key: Key, memory: SigningState) -> SigningConfig {
         let accepted: BTreeSet<u32> = self.accept_unsigned.iter().copied().collect();
         SigningConfig {
             key,
             link_id: self.link_id,
-            unsigned: if self.required { Unsigned::RefuseExcept(accepted) } else { Unsigned::Accept },
-            memory,
+            unsigned: if self.required { UnsignedPolicy::RejectExcept(accepted) } else { UnsignedPolicy::Accept },
+            state: memory,
         }
     }
 }
@@ -92,8 +90,8 @@ impl SigningSection {
 impl MemoryRecord {
     /// A memory as it is written down.
     #[must_use]
-    pub fn of(key: &Key, memory: &Memory) -> Self {
-        let stream = |(id, heard): (&StreamId, &Heard)| StreamRecord {
+    pub fn of(key: &Key, memory: &SigningState) -> Self {
+        let stream = |(id, heard): (&StreamId, &SignedStreamState)| StreamRecord {
             system: id.source.system.0,
             component: id.source.component.0,
             link_id: id.link_id,
@@ -102,60 +100,32 @@ impl MemoryRecord {
         };
         Self {
             key_name: key.name(),
-            date: memory.written.units(),
+            date: memory.written_at.units(),
             clock: memory.clock.units(),
-            own: memory.own.units(),
-            floor: memory.floor.map(Timestamp::units),
+            own: memory.last_sent.units(),
+            floor: memory.min_timestamp.map(SigningTime::units),
             streams: memory.streams.iter().map(stream).collect(),
         }
     }
 
     /// The memory that was written down.
     #[must_use]
-    pub fn memory(&self) -> Memory {
+    pub fn memory(&self) -> SigningState {
         let stream = |stream: &StreamRecord| {
             let id = StreamId { source: Address::new(stream.system, stream.component), link_id: stream.link_id };
-            let heard =
-                Heard { timestamp: Timestamp::from_units(stream.timestamp), date: Timestamp::from_units(stream.date) };
+            let heard = SignedStreamState {
+                timestamp: SigningTime::from_units(stream.timestamp),
+                date: SigningTime::from_units(stream.date),
+            };
             (id, heard)
         };
-        Memory {
-            written: Timestamp::from_units(self.date),
-            clock: Timestamp::from_units(self.clock),
-            own: Timestamp::from_units(self.own),
-            floor: self.floor.map(Timestamp::from_units),
+        SigningState {
+            written_at: SigningTime::from_units(self.date),
+            clock: SigningTime::from_units(self.clock),
+            last_sent: SigningTime::from_units(self.own),
+            min_timestamp: self.floor.map(SigningTime::from_units),
             streams: self.streams.iter().map(stream).collect(),
         }
-    }
-}
-
-impl Config {
-    /// Refuses signing that cannot work; reads no key.
-    ///
-    /// # Errors
-    /// The message names the link and what stands against it.
-    pub(super) fn check_signing(&self) -> Result<()> {
-        let mut used = BTreeMap::new();
-        for (index, link) in self.links.iter().enumerate() {
-            let Some(signing) = &link.signing else {
-                continue;
-            };
-            let name = format!("link {index} `{}`", link.url);
-            ensure!(!link.send_mavlink1, "{name}: MAVLink 1 cannot be signed; take away `send_mavlink1` or `signing`");
-            ensure!(
-                !matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))),
-                "{name}: the simulated brick does not sign; take away `signing`"
-            );
-            let before = used.insert((&signing.key_file, signing.link_id), index);
-            if let Some(other) = before {
-                ensure!(
-                    false,
-                    "{name}: link {other} uses the same key with the same `signing.link_id` {}; give each link its own",
-                    signing.link_id
-                );
-            }
-        }
-        Ok(())
     }
 }
 
@@ -166,7 +136,7 @@ mod tests {
 
     fn checked(links: &str) -> Result<(), String> {
         let config = load_text("test", links, &[]).unwrap().config;
-        config.pipeline().map(drop).map_err(|error| format!("{error:#}"))
+        config.station_config().map(drop).map_err(|error| format!("{error:#}"))
     }
 
     #[test]
@@ -192,13 +162,13 @@ mod tests {
     fn a_memory_survives_toml() {
         let key = Key::from_bytes([3; 32]);
         let stream = StreamId { source: Address::new(1, 2), link_id: 3 };
-        let heard = Heard { timestamp: Timestamp::MAX, date: Timestamp::from_units(4) };
-        for floor in [None, Some(Timestamp::from_units(9))] {
-            let memory = Memory {
-                written: Timestamp::from_units(5),
-                clock: Timestamp::from_units(6),
-                own: Timestamp::from_units(7),
-                floor,
+        let heard = SignedStreamState { timestamp: SigningTime::MAX, date: SigningTime::from_units(4) };
+        for floor in [None, Some(SigningTime::from_units(9))] {
+            let memory = SigningState {
+                written_at: SigningTime::from_units(5),
+                clock: SigningTime::from_units(6),
+                last_sent: SigningTime::from_units(7),
+                min_timestamp: floor,
                 streams: [(stream, heard)].into(),
             };
             let text = toml::to_string(&MemoryRecord::of(&key, &memory)).unwrap();

@@ -3,7 +3,7 @@
 //! Every comment comes from one of the two. What the robot's file says stands as it is; every other key stands there as a comment with its
 //! default, so that a reader sees what there is, and a later default is taken over. Lines are moved, values are not read.
 
-use super::DEFAULT_TOML;
+use super::default_toml::DEFAULT_TOML;
 use super::robots::BundledRobot;
 
 /// The link of a template.
@@ -53,13 +53,6 @@ pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String 
         }
     }
     text
-}
-
-/// The first line of a file that begins with a comment, without its mark; empty if it begins otherwise.
-#[must_use]
-pub(super) fn first_line_of_comment(text: &'static str) -> &'static str {
-    let line = text.lines().next().unwrap_or_default();
-    line.strip_prefix("# ").unwrap_or_default()
 }
 
 fn head_of(robot: BundledRobot, file: &str) -> String {

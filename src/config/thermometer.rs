@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_pipeline::ThermometerConfig;
+use posebridge_station::ThermometerConfig;
 use posebridge_telemetry::{ChannelName, SensorId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,7 +85,7 @@ mod tests {
 
     fn thermometers(text: &str) -> anyhow::Result<usize> {
         let loaded = load_text("test", text, &[])?;
-        Ok(loaded.config.pipeline()?.thermometers.len())
+        Ok(loaded.config.station_config()?.thermometers.len())
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Result, ensure};
-use posebridge_telemetry::{Arena, BeaconId, LandmarkId, Meters, Point2, Wall, World};
+use posebridge_telemetry::{Arena, ArenaMap, BeaconId, LandmarkId, Meters, Point2, Wall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -59,16 +59,16 @@ impl WorldConfig {
     ///
     /// # Errors
     /// A number is not finite, an id is there twice, or a wall has no length; the message names the key.
-    pub fn checked(&self) -> Result<World> {
-        let landmarks = places("landmarks", &self.landmarks)?;
-        let beacons = places("beacons", &self.beacons)?;
+    pub fn checked(&self) -> Result<ArenaMap> {
+        let landmarks = parse_points("landmarks", &self.landmarks)?;
+        let beacons = parse_points("beacons", &self.beacons)?;
         let walls = self.walls.iter().enumerate().map(|(index, place)| {
             let key = format!("walls, number {}", index + 1);
-            let (from, to) = (point(&key, place.from)?, point(&key, place.to)?);
+            let (from, to) = (parse_point(&key, place.from)?, parse_point(&key, place.to)?);
             ensure!(from != to, "`[world]` {key}: it has no length");
             Ok(Wall { from, to })
         });
-        Ok(World {
+        Ok(ArenaMap {
             landmarks: by_id(&landmarks, LandmarkId),
             beacons: by_id(&beacons, BeaconId),
             walls: walls.collect::<Result<_>>()?,
@@ -76,10 +76,10 @@ impl WorldConfig {
     }
 }
 
-fn places(key: &str, places: &[NumberedPlace]) -> Result<BTreeMap<u32, Point2<Arena>>> {
+fn parse_points(key: &str, places: &[NumberedPlace]) -> Result<BTreeMap<u32, Point2<Arena>>> {
     let mut known = BTreeMap::new();
     for &NumberedPlace { id, x_m, y_m } in places {
-        let at = point(&format!("{key}, id {id}"), PointPlace { x_m, y_m })?;
+        let at = parse_point(&format!("{key}, id {id}"), PointPlace { x_m, y_m })?;
         ensure!(known.insert(id, at).is_none(), "`[world]` {key}: the id {id} is there twice");
     }
     Ok(known)
@@ -89,7 +89,7 @@ fn by_id<K: Ord>(places: &BTreeMap<u32, Point2<Arena>>, id: fn(u32) -> K) -> BTr
     places.iter().map(|(key, at)| (id(*key), *at)).collect()
 }
 
-fn point(key: &str, place: PointPlace) -> Result<Point2<Arena>> {
+fn parse_point(key: &str, place: PointPlace) -> Result<Point2<Arena>> {
     let PointPlace { x_m, y_m } = place;
     ensure!(x_m.is_finite() && y_m.is_finite(), "`[world]` {key}: it lies at ({x_m}, {y_m}): both must be finite");
     Ok(Point2::new(Meters(x_m), Meters(y_m)))
@@ -99,7 +99,7 @@ fn point(key: &str, place: PointPlace) -> Result<Point2<Arena>> {
 mod tests {
     use super::*;
 
-    fn world(text: &str) -> Result<World> {
+    fn world(text: &str) -> Result<ArenaMap> {
         toml::from_str::<WorldConfig>(text).unwrap().checked()
     }
 

@@ -5,7 +5,6 @@ Nothing here sleeps: every wait is for bytes or for a line, with a deadline afte
 
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -271,15 +270,20 @@ def stamp_of(frame):
     return int.from_bytes(frame[-12:-6], "little")
 
 
+def events_named(lines, name):
+    """The events of this name, in their order."""
+    return [event for event in map(json.loads, lines) if event["event"] == name]
+
+
 def refusals(events):
     """The reasons of the events about refused frames, in their order."""
-    found = (re.search(r"Refused \{.*reason: (\w+)", event) for event in events)
-    return [match.group(1) for match in found if match]
+    found = (event for event in events_named(events, "receive_error") if event["error"] == "signature_rejected")
+    return [event["reason"] for event in found]
 
 
 def last_health(events, count):
     """One count of the last event about the link's health."""
-    health = [event for event in events if event.startswith("Health ")]
+    health = events_named(events, "link_health")
     if not health:
         raise AssertionError("no event about health")
-    return int(re.search(rf"\b{count}: (\d+)", health[-1]).group(1))
+    return health[-1][count]

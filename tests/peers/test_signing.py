@@ -5,7 +5,7 @@ import subprocess
 import tempfile
 import unittest
 
-from harness import Peer, Station, last_health, refusals, stamp_of, stamp_of_now
+from harness import Peer, Station, events_named, last_health, refusals, stamp_of, stamp_of_now
 
 MINUTE = 6_000_000
 SIGNING = '{ key_file = "station.key", link_id = 3 }'
@@ -57,8 +57,8 @@ class Signing(unittest.TestCase):
                 self.assertEqual(refusals(events), [])
                 self.assertEqual(last_health(events, "refused_frames"), 0)
                 self.assertEqual(last_health(events, "frames_lost"), 0)
-                self.assertTrue(any(event.startswith("RobotSeen") for event in events))
-                self.assertEqual(sum(event.startswith("Observed") for event in events), 10)
+                self.assertTrue(events_named(events, "robot_seen"))
+                self.assertEqual(len(events_named(events, "observed")), 10)
 
     def test_what_must_not_be_believed_is_refused_and_counted(self):
         for scheme in SCHEMES:
@@ -84,11 +84,11 @@ class Signing(unittest.TestCase):
                 peer.hear_seconds(2)
                 events = station.stop()
                 # Over TCP every client is a connection of its own, so what they sent may be read in another order.
-                expected = ["Replayed", "Stale", "Unsigned", "Unsigned", "WrongSignature"]
+                expected = ["invalid", "replayed", "stale", "unsigned", "unsigned"]
                 self.assertEqual(sorted(refusals(events)), expected)
                 self.assertEqual(last_health(events, "refused_frames"), 5)
                 self.assertEqual(last_health(events, "frames_lost"), 0)
-                self.assertEqual(sum(event.startswith("Observed") for event in events), 10)
+                self.assertEqual(len(events_named(events, "observed")), 10)
 
     def test_a_radio_may_speak_without_a_key(self):
         station = self.station()
@@ -100,7 +100,7 @@ class Signing(unittest.TestCase):
         radio.std.attitude_send(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         peer.hear_seconds(1)
         peer.ping()
-        self.assertEqual(refusals(station.stop()), ["Unsigned"])
+        self.assertEqual(refusals(station.stop()), ["unsigned"])
 
     def test_signing_that_is_not_required_refuses_only_wrong_signatures(self):
         station = self.station(signing='{ key_file = "station.key", required = false }')
@@ -111,7 +111,7 @@ class Signing(unittest.TestCase):
         wrong.heartbeat()
         peer.hear_seconds(1)
         peer.ping()
-        self.assertEqual(refusals(station.stop()), ["WrongSignature"])
+        self.assertEqual(refusals(station.stop()), ["invalid"])
 
     def restarted(self, end):
         """What a station refuses after its end and a new start, and how the stamps of both go on."""
@@ -137,7 +137,7 @@ class Signing(unittest.TestCase):
         self.drive(again)
         events = second.stop()
         self.assertEqual(again.failures, [])
-        self.assertEqual(set(refusals(events)), {"Replayed"})
+        self.assertEqual(set(refusals(events)), {"replayed"})
         self.assertEqual(len(refusals(events)), len(recorded))
         before = max(stamp_of(frame) for frame, _ in peer.heard)
         self.assertGreater(min(stamp_of(frame) for frame, _ in again.heard), before)

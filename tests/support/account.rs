@@ -6,24 +6,24 @@
 const UNSEEN_PER_HOUR: f64 = 0.2;
 
 /// Damaged frames that may have passed for whole ones in so many hours.
-pub(crate) fn unseen_at_most(hours: f64) -> f64 {
+pub(crate) fn max_unseen(hours: f64) -> f64 {
     1.0 + UNSEEN_PER_HOUR * hours
 }
 
 /// What became of the frames of one sender.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Account {
+pub(crate) struct FrameAccount {
     /// Frames that came, copies among them.
-    pub(crate) came: u64,
+    pub(crate) received: u64,
     /// Frames that are missing.
     pub(crate) lost: u64,
 }
 
-impl Account {
+impl FrameAccount {
     /// Whether the station's account is as good as that of the link: what came but for damage that nobody can see, and the sum but
     /// for frames that an 8-bit number does not date.
     pub(crate) fn agrees(self, made: Self, unseen: f64, undatable: u64) -> bool {
-        let [sum, sum_made] = [self, made].map(|account| account.came + account.lost);
-        self.came.abs_diff(made.came) as f64 <= unseen && sum.abs_diff(sum_made) <= undatable
+        let [sum, sum_made] = [self, made].map(|account| account.received + account.lost);
+        self.received.abs_diff(made.received) as f64 <= unseen && sum.abs_diff(sum_made) <= undatable
     }
 }

@@ -1,4 +1,4 @@
-//! Running `posebridge calibrate`, and reading what it says.
+//! RunningProgram `posebridge calibrate`, and reading what it says.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ pub(crate) fn calibrate(folder: &Path, args: &[&str]) -> Value {
 }
 
 /// Exit code and talk of a command that cannot do what it is asked.
-pub(crate) fn refused(folder: &Path, args: &[&str]) -> (i32, String) {
+pub(crate) fn calibrate_failing(folder: &Path, args: &[&str]) -> (i32, String) {
     let output = posebridge(folder).arg("calibrate").args(args).output().expect("the program starts");
     assert!(output.stdout.is_empty());
     let said = String::from_utf8(output.stderr).expect("it says text");

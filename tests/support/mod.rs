@@ -28,6 +28,12 @@ pub(crate) fn stdout_of(command: &mut Command) -> String {
     String::from_utf8(output.stdout).expect("stdout is text")
 }
 
+/// The events of an `--events` file that have this name, in their order.
+pub(crate) fn events_named(text: &str, name: &str) -> Vec<serde_json::Value> {
+    let events = text.lines().map(|line| serde_json::from_str(line).expect("an event is a line of JSON"));
+    events.filter(|event: &serde_json::Value| event["event"] == name).collect()
+}
+
 /// The number behind the first `name` of a line, up to its unit or the end of its field.
 pub(crate) fn number_after(line: &str, name: &str) -> f64 {
     let text = line.split(name).nth(1).expect("the field is there");
@@ -37,18 +43,18 @@ pub(crate) fn number_after(line: &str, name: &str) -> f64 {
 }
 
 /// A running program whose talk can be waited for; killed when dropped.
-pub(crate) struct Running {
+pub(crate) struct RunningProgram {
     child: Child,
     lines: BufReader<ChildStderr>,
-    heard: String,
+    output: String,
 }
 
-impl Running {
+impl RunningProgram {
     /// Starts a program.
     pub(crate) fn start(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
         let stderr = child.stderr.take().expect("stderr is piped");
-        Self { child, lines: BufReader::new(stderr), heard: String::new() }
+        Self { child, lines: BufReader::new(stderr), output: String::new() }
     }
 
     /// Its process.
@@ -61,8 +67,8 @@ impl Running {
         loop {
             let mut line = String::new();
             let read = self.lines.read_line(&mut line).expect("stderr is text");
-            assert!(read > 0, "it ended before it said `{text}`; it said:\n{}", self.heard);
-            self.heard.push_str(&line);
+            assert!(read > 0, "it ended before it said `{text}`; it said:\n{}", self.output);
+            self.output.push_str(&line);
             if line.contains(text) {
                 return line;
             }
@@ -85,7 +91,7 @@ impl Running {
 
     /// Asks it to end, as Ctrl-C does, and returns its standard output.
     pub(crate) fn interrupt(mut self) -> String {
-        self.ask_to_end();
+        self.send_interrupt();
         self.output()
     }
 
@@ -98,7 +104,7 @@ impl Running {
     /// The same, with its standard output before what it said.
     pub(crate) fn interrupted_with_output(mut self) -> (Option<i32>, String, String) {
         use std::io::Read as _;
-        self.ask_to_end();
+        self.send_interrupt();
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
         let (mut printed, mut said) = (String::new(), String::new());
         // Neither may fill up while the other one is read.
@@ -110,7 +116,7 @@ impl Running {
         (status.code(), printed, said)
     }
 
-    fn ask_to_end(&self) {
+    fn send_interrupt(&self) {
         let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
         nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).expect("it can be signalled");
     }
@@ -122,16 +128,16 @@ impl Running {
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
         // What it still says must be read, or it would wait for us.
         std::thread::scope(|scope| {
-            scope.spawn(|| self.lines.read_to_string(&mut self.heard).expect("stderr is text"));
+            scope.spawn(|| self.lines.read_to_string(&mut self.output).expect("stderr is text"));
             stdout.read_to_string(&mut text).expect("stdout is text");
         });
         let status = self.child.wait().expect("it can be waited for");
-        assert!(status.success(), "{status}; it said:\n{}", self.heard);
+        assert!(status.success(), "{status}; it said:\n{}", self.output);
         text
     }
 }
 
-impl Drop for Running {
+impl Drop for RunningProgram {
     fn drop(&mut self) {
         // Already gone is as good.
         drop(self.child.kill());
@@ -192,18 +198,18 @@ right = { column = "right", unit = "ticks" }
 "#;
 
 /// A simulated brick that waits to be called, and its URL.
-pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (Running, String) {
+pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (RunningProgram, String) {
     let path = folder.join("small.toml");
     std::fs::write(path, scenario).expect("the folder can be written");
     let sim = ["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"];
-    let mut brick = Running::start(posebridge(folder).args(sim));
+    let mut brick = RunningProgram::start(posebridge(folder).args(sim));
     let address = brick.listening_address("");
     (brick, format!("tcp://{address}"))
 }
 
 /// How far off the run in `run/recording.mcap` was, against `truth.csv`: what was recorded is what happened, and the truth says how far off
 /// that was.
-pub(crate) fn off_m(folder: &Path) -> f64 {
+pub(crate) fn error_to_truth_m(folder: &Path) -> f64 {
     let replay = ["replay", "run/recording.mcap"];
     let replay = replay.into_iter().chain(["--truth", "truth.csv", "--json"]);
     let replayed = stdout_of(posebridge(folder).args(replay));

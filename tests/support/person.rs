@@ -17,12 +17,12 @@ use nix::sys::termios::{Termios, tcgetattr};
 use nix::unistd::Pid;
 
 /// So long the program has for what is waited for, in seconds of its own session; far more than it needs.
-const PATIENCE_S: f64 = 120.0;
+const TIMEOUT_S: f64 = 120.0;
 /// So long it has to end once it was told to, in looks of a tenth of a second.
-const LOOKS: u32 = 600;
+const MAX_POLLS: u32 = 600;
 
 /// A terminal with a program on it.
-pub(crate) struct Person {
+pub(crate) struct TerminalUser {
     wire: File,
     /// Kept to look at its modes.
     terminal: OwnedFd,
@@ -30,16 +30,16 @@ pub(crate) struct Person {
     screen: vt100::Parser,
     /// Everything that the program has written.
     written: Vec<u8>,
-    before: Termios,
+    initial_settings: Termios,
 }
 
-impl Person {
+impl TerminalUser {
     /// Starts a program on a terminal of so many columns and lines.
     pub(crate) fn start(command: &mut Command, (columns, lines): (u16, u16)) -> Self {
         let size = Winsize { ws_row: lines, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
         let pty = openpty(Some(&size), None).expect("a pseudo-terminal");
         let (rows, width) = of_screen((columns, lines));
-        let before = tcgetattr(&pty.slave).expect("it has modes");
+        let initial_settings = tcgetattr(&pty.slave).expect("it has modes");
         let end = || pty.slave.try_clone().expect("it can be shared");
         let child = command.stdin(end()).stdout(end()).stderr(end()).spawn().expect("the program starts");
         Self {
@@ -48,7 +48,7 @@ impl Person {
             child,
             screen: vt100::Parser::new(rows, width, 0),
             written: Vec::new(),
-            before,
+            initial_settings,
         }
     }
 
@@ -81,22 +81,22 @@ impl Person {
     }
 
     /// Looks at the screen until it is as described.
-    pub(crate) fn until(&mut self, what: &str, is_so: impl Fn(&str) -> bool) -> String {
+    pub(crate) fn wait_until(&mut self, what: &str, is_so: impl Fn(&str) -> bool) -> String {
         loop {
             let text = self.text();
             if is_so(&text) {
                 return text;
             }
             let now_s = number_before(&text, " s  ").unwrap_or(0.0);
-            assert!(now_s < PATIENCE_S, "never seen: {what}; there stands\n{text}");
+            assert!(now_s < TIMEOUT_S, "never seen: {what}; there stands\n{text}");
             let ended = self.child.try_wait().expect("it can be asked");
             assert!(ended.is_none(), "it ended ({ended:?}) before {what}:\n{text}");
-            self.look();
+            self.read_output();
         }
     }
 
     /// Takes what the program has written, if it has within a tenth of a second.
-    fn look(&mut self) -> bool {
+    fn read_output(&mut self) -> bool {
         let mut asked = [PollFd::new(self.wire.as_fd(), PollFlags::POLLIN)];
         if poll(&mut asked, PollTimeout::from(100_u16)).expect("it can be waited for") == 0 {
             return false;
@@ -115,26 +115,26 @@ impl Person {
     }
 
     /// Reads on until the program has ended, and looks whether the terminal is as it was. Gives what the program left on it.
-    pub(crate) fn after_the_end(mut self) -> (ExitStatus, String) {
+    pub(crate) fn wait_for_exit(mut self) -> (ExitStatus, String) {
         let mut looks = 0;
         let status = loop {
             if let Some(status) = self.child.try_wait().expect("it can be asked") {
                 break status;
             }
-            looks += u32::from(!self.look());
-            assert!(looks < LOOKS, "it does not end; there stands\n{}", self.text());
+            looks += u32::from(!self.read_output());
+            assert!(looks < MAX_POLLS, "it does not end; there stands\n{}", self.text());
         };
-        while self.look() {}
+        while self.read_output() {}
         let after = tcgetattr(&self.terminal).expect("it has modes");
-        assert_eq!(after, self.before, "the modes are as they were");
+        assert_eq!(after, self.initial_settings, "the modes are as they were");
         let screen = self.screen.screen();
         assert!(!screen.alternate_screen(), "the other screen is back");
         assert!(!screen.hide_cursor(), "the cursor is seen");
-        (status, self.left())
+        (status, self.remaining_output())
     }
 
     /// What was written after the other screen was left.
-    fn left(&self) -> String {
+    fn remaining_output(&self) -> String {
         let all = String::from_utf8_lossy(&self.written);
         let left = all.rsplit("\u{1b}[?1049l").next().unwrap_or_default();
         left.replace('\r', "")
@@ -147,7 +147,7 @@ fn of_screen((columns, lines): (u16, u16)) -> (NonZeroU16, NonZeroU16) {
     (number(lines), number(columns))
 }
 
-impl Drop for Person {
+impl Drop for TerminalUser {
     fn drop(&mut self) {
         // Already gone is as good.
         drop(self.child.kill());

@@ -12,7 +12,7 @@ use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 
 /// A device that is plugged in until this value is dropped.
-pub(crate) struct Terminal {
+pub(crate) struct PseudoTerminal {
     /// The device's own side.
     pub(crate) wire: File,
     /// Kept open: without any reader the terminal would be hung up.
@@ -21,7 +21,7 @@ pub(crate) struct Terminal {
     name: Option<PathBuf>,
 }
 
-impl Terminal {
+impl PseudoTerminal {
     /// A device without echo and without any meaning in its bytes.
     pub(crate) fn open() -> Self {
         let pty = nix::pty::openpty(None, None).expect("a pseudo-terminal");
@@ -54,7 +54,7 @@ impl Terminal {
     }
 }
 
-impl Drop for Terminal {
+impl Drop for PseudoTerminal {
     fn drop(&mut self) {
         // The name goes before the device, as when a cable is pulled.
         if let Some(name) = &self.name {

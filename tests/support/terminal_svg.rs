@@ -30,9 +30,9 @@ pub(crate) fn svg(buffer: &Buffer) -> String {
             let (x, y) = (MARGIN + column * WIDTH, MARGIN + row * HEIGHT);
             let symbol = cell.symbol().chars().next().unwrap_or(' ');
             match kind_of(symbol) {
-                Kind::Braille(bits) => braille(bits, (x, y), dots.entry(colour(cell)).or_default()),
-                Kind::Frame(arms) => frame(arms, (x, y), &mut frames),
-                Kind::Letter => {}
+                CellKind::Braille(bits) => braille(bits, (x, y), dots.entry(colour(cell)).or_default()),
+                CellKind::Frame(arms) => frame(arms, (x, y), &mut frames),
+                CellKind::Letter => {}
             }
         }
     }
@@ -52,23 +52,23 @@ pub(crate) fn svg(buffer: &Buffer) -> String {
     all
 }
 
-enum Kind {
+enum CellKind {
     Braille(u32),
     /// Lines from the middle of the cell: left, right, up, down.
     Frame([bool; 4]),
     Letter,
 }
 
-fn kind_of(symbol: char) -> Kind {
+fn kind_of(symbol: char) -> CellKind {
     match symbol {
-        '\u{2800}'..='\u{28ff}' => Kind::Braille(u32::from(symbol) - 0x2800),
-        '─' => Kind::Frame([true, true, false, false]),
-        '│' => Kind::Frame([false, false, true, true]),
-        '┌' => Kind::Frame([false, true, false, true]),
-        '┐' => Kind::Frame([true, false, false, true]),
-        '└' => Kind::Frame([false, true, true, false]),
-        '┘' => Kind::Frame([true, false, true, false]),
-        _ => Kind::Letter,
+        '\u{2800}'..='\u{28ff}' => CellKind::Braille(u32::from(symbol) - 0x2800),
+        '─' => CellKind::Frame([true, true, false, false]),
+        '│' => CellKind::Frame([false, false, true, true]),
+        '┌' => CellKind::Frame([false, true, false, true]),
+        '┐' => CellKind::Frame([true, false, false, true]),
+        '└' => CellKind::Frame([false, true, true, false]),
+        '┘' => CellKind::Frame([true, false, true, false]),
+        _ => CellKind::Letter,
     }
 }
 
@@ -100,7 +100,7 @@ fn row_of_letters(cells: &[&Cell], row: u16) -> String {
     let mut text = String::new();
     let is_letter = |cell: &Cell| {
         let symbol = cell.symbol().chars().next().unwrap_or(' ');
-        symbol != ' ' && matches!(kind_of(symbol), Kind::Letter)
+        symbol != ' ' && matches!(kind_of(symbol), CellKind::Letter)
     };
     let look = |cell: &Cell| (colour(cell), cell.modifier.contains(Modifier::BOLD));
     let mut at = 0;

@@ -1,4 +1,4 @@
-//! The files of the page: in the program, or from a folder while somebody edits them.
+//! The files of the page: embedded in the program, or from a folder during development.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,11 +11,11 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use sha2::{Digest as _, Sha256};
 
-use crate::negotiation::{has_one, takes_gzip};
+use crate::negotiation::{accepts_gzip, matches_etag};
 
 macro_rules! assets {
     ($($path:literal),+ $(,)?) => {
-        /// Every file of the page. Adding one: a file in `web/` and a line here.
+        /// Every file of the page. A new one needs a file in `web/` and a line here.
         const EMBEDDED: &[(&str, &[u8])] = &[
             $(($path, include_bytes!(concat!("../../../web/", $path)))),+
         ];
@@ -67,7 +67,7 @@ assets![
 /// The page at `/`.
 const INDEX: &str = "index.html";
 
-/// What a browser is told that a file is, by the ending of its name. A file with another ending is not served.
+/// The content type of a file by the extension of its name. A file with another extension is not served.
 const TYPES: &[(&str, &str)] = &[
     ("html", "text/html; charset=utf-8"),
     ("css", "text/css; charset=utf-8"),
@@ -82,21 +82,21 @@ const TYPES: &[(&str, &str)] = &[
 pub(crate) struct Asset {
     path: String,
     kind: &'static str,
-    tag: HeaderValue,
+    etag: HeaderValue,
     plain: Bytes,
-    packed: Bytes,
+    gzipped: Bytes,
 }
 
-/// Where the files are.
+/// The source of the files.
 pub(crate) enum Assets {
-    /// In the program, packed once at its start.
+    /// Embedded in the program, compressed once at the start.
     Embedded(Vec<Asset>),
-    /// In this folder, read anew for each request.
+    /// In this folder, read again for each request.
     Folder(PathBuf),
 }
 
 impl Assets {
-    /// Those of the program, or of a folder.
+    /// The embedded files, or those of a folder.
     pub(crate) fn new(folder: Option<PathBuf>) -> Self {
         folder.map_or_else(
             || {
@@ -108,8 +108,8 @@ impl Assets {
         )
     }
 
-    /// The answer to a request for the file at this path; `None` if there is none.
-    pub(crate) fn answer(&self, path: &str, asked: &HeaderMap) -> Option<Response> {
+    /// The response to a request for the file at this path; `None` if there is none.
+    pub(crate) fn respond(&self, path: &str, headers: &HeaderMap) -> Option<Response> {
         let path = match path.trim_start_matches('/') {
             "" => INDEX,
             path => path,
@@ -117,17 +117,17 @@ impl Assets {
         match self {
             Self::Embedded(assets) => {
                 let asset = assets.iter().find(|asset| asset.path == path)?;
-                Some(asset.answer(asked))
+                Some(asset.respond(headers))
             }
             Self::Folder(folder) => {
                 let plain = read_below(folder, path)?;
-                Some(Asset::new(path, plain)?.answer(asked))
+                Some(Asset::new(path, plain)?.respond(headers))
             }
         }
     }
 }
 
-/// A file below a folder; none of another place, however it is spelt.
+/// A file below a folder, never one outside it.
 fn read_below(folder: &Path, path: &str) -> Option<Bytes> {
     let folder = folder.canonicalize().ok()?;
     let found = folder.join(path).canonicalize().ok()?;
@@ -147,18 +147,18 @@ impl Asset {
         Some(Self {
             path: path.to_owned(),
             kind,
-            tag: HeaderValue::from_str(&tag).ok()?,
-            packed: packed(&plain)?,
+            etag: HeaderValue::from_str(&tag).ok()?,
+            gzipped: compress(&plain)?,
             plain,
         })
     }
 
-    fn answer(&self, asked: &HeaderMap) -> Response {
-        let is_known = has_one(asked, &self.tag);
-        let takes_packed = takes_gzip(asked);
+    fn respond(&self, headers: &HeaderMap) -> Response {
+        let is_known = matches_etag(headers, &self.etag);
+        let takes_packed = accepts_gzip(headers);
         let body = match (is_known, takes_packed) {
             (true, _) => Body::empty(),
-            (false, true) => Body::from(self.packed.clone()),
+            (false, true) => Body::from(self.gzipped.clone()),
             (false, false) => Body::from(self.plain.clone()),
         };
         let mut response = Response::new(body);
@@ -167,8 +167,8 @@ impl Asset {
         }
         let headers = response.headers_mut();
         headers.insert(CONTENT_TYPE, HeaderValue::from_static(self.kind));
-        headers.insert(ETAG, self.tag.clone());
-        // Asked for each time: a station that was updated has other files at the same place.
+        headers.insert(ETAG, self.etag.clone());
+        // Revalidated each time: an updated station has other files at the same path.
         headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
         headers.insert(VARY, HeaderValue::from_static("accept-encoding"));
         if takes_packed && !is_known {
@@ -178,7 +178,7 @@ impl Asset {
     }
 }
 
-fn packed(plain: &[u8]) -> Option<Bytes> {
+fn compress(plain: &[u8]) -> Option<Bytes> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(plain).ok()?;
     encoder.finish().ok().map(Bytes::from)
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
     use axum::http::header::{ACCEPT_ENCODING, IF_NONE_MATCH};
 
-    /// Every file below a folder, as paths from it.
+    /// Every file below a folder, as relative paths.
     fn files(folder: &Path, prefix: &str) -> Vec<String> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -211,7 +211,7 @@ mod tests {
             let ending = path.rsplit_once('.').map(|(_, ending)| ending);
             TYPES.iter().any(|(known, _)| Some(*known) == ending)
         };
-        // Licences and notes beside them are read in the repository.
+        // Licences and notes beside them are not served.
         let mut there: Vec<String> = files(&web, "").into_iter().filter(is_served).collect();
         there.sort_unstable();
         let mut table: Vec<&str> = EMBEDDED.iter().map(|(path, _)| *path).collect();
@@ -227,16 +227,16 @@ mod tests {
     fn a_file_is_packed_for_who_takes_that_and_not_sent_to_who_has_it() {
         let assets = Assets::new(None);
         let mut asked = HeaderMap::new();
-        let plain = assets.answer("/", &asked).unwrap();
+        let plain = assets.respond("/", &asked).unwrap();
         assert_eq!(plain.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
         assert!(!plain.headers().contains_key(CONTENT_ENCODING));
         asked.insert(ACCEPT_ENCODING, HeaderValue::from_static("br, gzip;q=0.8"));
-        let packed = assets.answer("/index.html", &asked).unwrap();
+        let packed = assets.respond("/index.html", &asked).unwrap();
         assert_eq!(packed.headers()[CONTENT_ENCODING], "gzip");
         asked.insert(IF_NONE_MATCH, packed.headers()[ETAG].clone());
-        let known = assets.answer("/", &asked).unwrap();
+        let known = assets.respond("/", &asked).unwrap();
         assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
-        assert!(assets.answer("/../Cargo.toml", &asked).is_none());
+        assert!(assets.respond("/../Cargo.toml", &asked).is_none());
     }
 
     #[test]
@@ -250,7 +250,7 @@ mod tests {
         std::fs::write(web.join("notes"), "no ending").unwrap();
         std::os::unix::fs::symlink("../secret.txt", web.join("link.txt")).unwrap();
         let assets = Assets::new(Some(web));
-        let is_there = |path: &str| assets.answer(path, &HeaderMap::new()).is_some();
+        let is_there = |path: &str| assets.respond(path, &HeaderMap::new()).is_some();
         assert!(is_there("/") && is_there("/panels/map.js") && is_there("//index.html"));
         for path in ["/../secret.txt", "/panels/../../secret.txt", "/link.txt", "/notes", "/panels"] {
             assert!(!is_there(path), "{path}");

@@ -1,4 +1,4 @@
-//! Commands of somebody in this process, such as the terminal view.
+//! Commands from this process, such as those of the terminal view.
 
 use std::sync::Arc;
 
@@ -6,26 +6,26 @@ use posebridge_telemetry::Command;
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
-use crate::counts::{Count, Counts};
+use crate::counters::{ServerCounter, ServerCounters};
 
-/// Gives commands to the engine for somebody in this process.
+/// Sends commands of this process to the station.
 #[derive(Clone, Debug)]
-pub struct Commander {
+pub struct CommandSubmitter {
     pub(crate) commands: mpsc::Sender<Command>,
-    pub(crate) counts: Arc<Counts>,
+    pub(crate) counts: Arc<ServerCounters>,
 }
 
-impl Commander {
-    /// Gives a command, as the page's buttons do; false if too many wait or the station is ending. Never waits.
+impl CommandSubmitter {
+    /// Sends a command, as the page's buttons do; false if too many wait or the station is ending. Never waits.
     #[must_use]
-    pub fn give(&self, command: Command) -> bool {
+    pub fn send(&self, command: Command) -> bool {
         match self.commands.try_send(command) {
             Ok(()) => {
-                self.counts.one(Count::Commands);
+                self.counts.increment(ServerCounter::Commands);
                 true
             }
             Err(TrySendError::Full(_)) => {
-                self.counts.one(Count::CommandsFull);
+                self.counts.increment(ServerCounter::CommandsFull);
                 false
             }
             Err(TrySendError::Closed(_)) => false,

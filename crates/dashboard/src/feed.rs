@@ -1,111 +1,112 @@
-//! The shard's end of the channel to the dashboard.
+//! The channel from the station loop to the dashboard.
 
 use std::sync::Arc;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, TimeDelta, Timestamp};
 use tokio::sync::Notify;
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
-use crate::counts::{Count, Counts};
+use crate::counters::{ServerCounter, ServerCounters};
 use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
 
-/// So many batches wait before they are dropped and counted: half a minute of a brick that sends 200 times a second. The reader
-/// looks fifty times a second.
-const WAITING: usize = 6_000;
-/// When so many wait the reader is woken: what a stall has held back comes within a few milliseconds, and all of it would be in memory
-/// at once.
-const CROWDED: usize = 64;
+/// Most batches that wait before further ones are dropped and counted: half a minute of a brick that sends 200 times a
+/// second. The reader polls fifty times a second.
+const MAX_WAITING_BATCHES: usize = 6_000;
+/// The backlog at which the reader is woken: after a stall many batches come within a few milliseconds and should not
+/// fill the memory.
+const BACKLOG_THRESHOLD: usize = 64;
 
-/// What one input has led to.
+/// The results of one input.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Batch {
-    /// When the input was given to the pipeline.
-    pub now: Stamp<HostClock>,
-    /// From its arrival until everything that it led to was handed to the links.
-    pub took: Span,
-    /// What happened, as everybody is told who watches or records.
+pub struct EventBatch {
+    /// The time of the input.
+    pub now: Timestamp<HostClock>,
+    /// From its arrival until all its outputs were sent to the links.
+    pub latency: TimeDelta,
+    /// The events, shared by all viewers and the recorder.
     pub events: Arc<[Event]>,
-    /// What stands, now and then.
-    pub standing: Option<Standing>,
+    /// The current status, now and then.
+    pub status: Option<StationStatus>,
 }
 
-/// What holds until something else is said; told once a second and after commands.
+/// The status of the station; sent once a second and after commands.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Standing {
-    /// What was learned about it.
+pub struct StationStatus {
+    /// The estimated constants of each robot.
     pub calibration: Vec<CalibrationRow>,
     /// All tunables.
     pub parameters: Vec<ParameterValue>,
-    /// The file that is being recorded into.
+    /// The current recording.
     pub recording: Option<String>,
-    /// The numbers of the sources that are left out.
+    /// The ids of the sensors that are switched off.
     pub switched_off: Vec<u8>,
-    /// How the simulated brick was set last, if there is one.
+    /// The settings of the simulated brick, if there is one.
     pub simulator: Option<SimulatorNow>,
 }
 
-/// Where the simulated robot was at one instant.
+/// The true pose of the simulated robot at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TruthSample {
-    /// When, by the host's clock.
-    pub now: Stamp<HostClock>,
-    /// When, by the brick's clock, as estimates are stamped.
-    pub stamp: Stamp<BrickClock>,
-    /// Where it was.
+pub struct SimulatedTruth {
+    /// By the host's clock.
+    pub now: Timestamp<HostClock>,
+    /// By the brick's clock, as in estimates.
+    pub time: Timestamp<BrickClock>,
+    /// The true pose.
     pub pose: Pose<Arena>,
-    /// Where the brick's own dead reckoning believed it to be.
+    /// The pose of the brick's own dead reckoning.
     pub odometry: Option<Pose<Arena>>,
 }
 
-/// Tells the dashboard what happens, and never waits for it: what finds no room is dropped and counted.
+/// Sends events to the dashboard and never waits: a batch that does not fit is dropped and counted.
 #[derive(Debug)]
-pub struct Feed {
-    sender: Sender<Batch>,
-    counts: Arc<Counts>,
+pub struct EventFeed {
+    sender: Sender<EventBatch>,
+    counts: Arc<ServerCounters>,
+    backlog: Arc<Notify>,
+}
+
+/// The receiving end.
+#[derive(Debug)]
+pub(crate) struct EventBatches {
+    receiver: Receiver<EventBatch>,
     crowd: Arc<Notify>,
 }
 
-/// The reader's end of it.
-#[derive(Debug)]
-pub(crate) struct Batches {
-    receiver: Receiver<Batch>,
-    crowd: Arc<Notify>,
-}
-
-impl Batches {
-    /// The next one, if there is one.
-    pub(crate) fn try_recv(&mut self) -> Result<Batch, TryRecvError> {
+impl EventBatches {
+    /// The next batch, if there is one.
+    pub(crate) fn try_recv(&mut self) -> Result<EventBatch, TryRecvError> {
         self.receiver.try_recv()
     }
 
-    /// Until more wait than should.
-    pub(crate) async fn crowd(&self) {
+    /// Returns when the backlog is long.
+    pub(crate) async fn backlog(&self) {
         self.crowd.notified().await;
     }
 }
 
-impl Feed {
-    /// The two ends. Tokio's channel has memory for what waits; the standard library's would come to use room for all [`WAITING`].
-    pub(crate) fn pair(counts: Arc<Counts>) -> (Self, Batches) {
-        let (sender, receiver) = mpsc::channel(WAITING);
+impl EventFeed {
+    /// Both ends. Tokio's channel allocates for waiting batches only; the standard library's would allocate all
+    /// [`MAX_WAITING_BATCHES`].
+    pub(crate) fn pair(counts: Arc<ServerCounters>) -> (Self, EventBatches) {
+        let (sender, receiver) = mpsc::channel(MAX_WAITING_BATCHES);
         let crowd = Arc::new(Notify::new());
-        let batches = Batches { receiver, crowd: Arc::clone(&crowd) };
-        let feed = Self { sender, counts, crowd };
+        let batches = EventBatches { receiver, crowd: Arc::clone(&crowd) };
+        let feed = Self { sender, counts, backlog: crowd };
         (feed, batches)
     }
 
-    /// Tells what an input has led to. Whoever reads looks by itself: this only stores, and wakes nobody unless there is a crowd.
-    pub fn tell(&self, batch: Batch) {
+    /// Sends the results of an input. The reader polls, so this wakes it only if the backlog is long.
+    pub fn publish(&self, batch: EventBatch) {
         let wanted = |event: &&Event| event.is_for_viewers();
         let lost = batch.events.iter().filter(wanted).count() as u64;
-        if lost > 0 || batch.standing.is_some() {
+        if lost > 0 || batch.status.is_some() {
             let is_told = self.sender.try_send(batch).is_ok();
             if !is_told {
-                self.counts.add(Count::EventsDropped, lost.max(1));
+                self.counts.add(ServerCounter::EventsDropped, lost.max(1));
             }
-            if self.sender.capacity() == WAITING - CROWDED {
-                self.crowd.notify_one();
+            if self.sender.capacity() == MAX_WAITING_BATCHES - BACKLOG_THRESHOLD {
+                self.backlog.notify_one();
             }
         }
     }
@@ -120,33 +121,38 @@ mod tests {
     use super::*;
     use posebridge_telemetry::Address;
 
-    fn batch_of_two() -> Batch {
+    fn batch_of_two() -> EventBatch {
         let event = Event::Text { source: Address::new(1, 1), severity: 6, text: String::new() };
-        Batch { now: Stamp::ZERO, took: Span::ZERO, events: Arc::from([event.clone(), event]), standing: None }
+        EventBatch {
+            now: Timestamp::ZERO,
+            latency: TimeDelta::ZERO,
+            events: Arc::from([event.clone(), event]),
+            status: None,
+        }
     }
 
     #[test]
     fn a_crowd_wakes_the_reader_and_fewer_do_not() {
-        let (feed, receiver) = Feed::pair(Arc::default());
-        let mut crowd = pin!(receiver.crowd());
+        let (feed, receiver) = EventFeed::pair(Arc::default());
+        let mut crowd = pin!(receiver.backlog());
         let mut context = Context::from_waker(Waker::noop());
-        for _ in 1..CROWDED {
-            feed.tell(batch_of_two());
+        for _ in 1..BACKLOG_THRESHOLD {
+            feed.publish(batch_of_two());
             assert!(crowd.as_mut().poll(&mut context).is_pending());
         }
-        feed.tell(batch_of_two());
+        feed.publish(batch_of_two());
         assert!(crowd.as_mut().poll(&mut context).is_ready());
     }
 
     #[test]
     fn a_reader_that_hangs_costs_events_and_they_are_counted() {
-        let counts = Arc::new(Counts::default());
-        let (feed, mut receiver) = Feed::pair(Arc::clone(&counts));
-        for _ in 0..WAITING + 7 {
-            feed.tell(batch_of_two());
+        let counts = Arc::new(ServerCounters::default());
+        let (feed, mut receiver) = EventFeed::pair(Arc::clone(&counts));
+        for _ in 0..MAX_WAITING_BATCHES + 7 {
+            feed.publish(batch_of_two());
         }
-        assert_eq!(counts.of(Count::EventsDropped), 14);
+        assert_eq!(counts.value(ServerCounter::EventsDropped), 14);
         let told = std::iter::from_fn(|| receiver.try_recv().ok());
-        assert_eq!(told.count(), WAITING);
+        assert_eq!(told.count(), MAX_WAITING_BATCHES);
     }
 }

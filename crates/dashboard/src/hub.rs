@@ -1,98 +1,99 @@
-//! What the dashboard knows: everything that it was told, as the views see it.
+//! The hub: the state of all views.
 //!
-//! A value without clock and socket; the server's one task owns it and asks it fifty times a second what is new.
+//! A value without clock and socket; the hub task owns it and polls it for updates fifty times a second.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, SensorId, Stamp, Verdict};
+use posebridge_telemetry::{Event, FusionOutcome, HostClock, LinkHealth, LinkId, SensorId, Timestamp};
 
-use crate::counts::Counts;
-use crate::feed::{Batch, TruthSample};
-use crate::latency::Latency;
-use crate::limits::{HISTORY, HISTORY_POINTS, SECOND};
+use crate::api::StationInfo;
+use crate::counters::ServerCounters;
+use crate::feed::{EventBatch, SimulatedTruth};
+use crate::latency::LatencyHistogram;
+use crate::limits::{HISTORY_DURATION, MAX_HISTORY_POINTS, SECOND};
 use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of};
-use crate::state::Latest;
-use crate::thread::Facts;
-use crate::token::Token;
-use crate::views::{Keep, Pace, Setting, Told, VIEWS, View};
+use crate::state::LatestState;
+use crate::token::AccessToken;
+use crate::views::{FrameContent, RetentionPolicy, VIEWS, View, ViewConfig, ViewInput};
 
-/// So many kinds of records are counted apart; a robot has about a dozen.
-const MOST_TALLIES: usize = 512;
+/// Most kinds of records that are counted; a robot has about a dozen.
+const MAX_OUTCOME_COUNTS: usize = 512;
 
-/// How often which sensor's observations had which fate.
-pub(crate) type Tallies = BTreeMap<(SensorId, &'static str, &'static str), u64>;
+/// Counts of observations by sensor, kind and outcome.
+pub(crate) type OutcomeCounts = BTreeMap<(SensorId, &'static str, &'static str), u64>;
 
-/// Everything that is known.
 pub(crate) struct Hub {
-    facts: Facts,
+    info: StationInfo,
     needs_token: bool,
     views: Vec<Box<dyn View>>,
-    latest: Latest,
+    latest: LatestState,
     sources: BTreeSet<SourceRow>,
-    /// The file that is being recorded into.
+    /// The current recording.
     pub(crate) recording: Option<String>,
-    pub(crate) tallies: Tallies,
+    pub(crate) outcome_counts: OutcomeCounts,
     pub(crate) links: BTreeMap<LinkId, LinkHealth>,
-    pub(crate) latency: Latency,
-    next_second: Stamp<HostClock>,
+    pub(crate) latency: LatencyHistogram,
+    next_second: Timestamp<HostClock>,
 }
 
 impl Hub {
     /// With a token, readers need it.
-    pub(crate) fn new(facts: Facts, token: Option<&Token>) -> Self {
-        let setting =
-            Setting { links: facts.links.clone(), keep: Keep::Latest { span: HISTORY, most: HISTORY_POINTS } };
+    pub(crate) fn new(info: StationInfo, token: Option<&AccessToken>) -> Self {
+        let setting = ViewConfig {
+            links: info.links.clone(),
+            retention: RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS },
+        };
         Self {
             views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(),
-            facts,
+            info,
             needs_token: token.is_some(),
-            latest: Latest::default(),
+            latest: LatestState::default(),
             sources: BTreeSet::new(),
             recording: None,
-            tallies: BTreeMap::new(),
+            outcome_counts: BTreeMap::new(),
             links: BTreeMap::new(),
-            latency: Latency::default(),
-            next_second: Stamp::ZERO,
+            latency: LatencyHistogram::default(),
+            next_second: Timestamp::ZERO,
         }
     }
 
-    /// Takes what an input has led to.
-    pub(crate) fn take(&mut self, batch: &Batch) {
+    /// Applies the results of an input.
+    pub(crate) fn push_batch(&mut self, batch: &EventBatch) {
         for event in batch.events.iter().filter(|event| event.is_for_viewers()) {
-            self.count(event, batch);
-            self.tell(batch.now, Told::Event(event));
+            self.count_event(event, batch);
+            self.dispatch(batch.now, ViewInput::Event(event));
         }
-        if let Some(standing) = &batch.standing {
+        if let Some(standing) = &batch.status {
             self.recording.clone_from(&standing.recording);
-            if let (Some(facts), Some(now)) = (&mut self.facts.simulator, &standing.simulator) {
+            if let (Some(facts), Some(now)) = (&mut self.info.simulator, &standing.simulator) {
                 facts.steering.clone_from(&now.steering);
                 facts.link_profile.clone_from(&now.link_profile);
             }
-            self.tell(batch.now, Told::Standing(standing));
+            self.dispatch(batch.now, ViewInput::Status(standing));
         }
     }
 
-    /// Takes where the simulated robot was.
-    pub(crate) fn take_truth(&mut self, sample: &TruthSample) {
-        self.tell(sample.now, Told::Truth(sample));
+    /// Applies a sample of the truth.
+    pub(crate) fn push_truth(&mut self, sample: &SimulatedTruth) {
+        self.dispatch(sample.now, ViewInput::Truth(sample));
     }
 
-    /// The message with what is new; `None` if nothing is. `recording` looks at the file that is being recorded into.
-    pub(crate) fn news(
+    /// The message with the updates; `None` if there are none. `recording` gets the size of the current recording.
+    pub(crate) fn next_frame(
         &mut self,
-        now: Stamp<HostClock>,
+        now: Timestamp<HostClock>,
         recording: impl FnOnce(&str) -> RecordingNow,
     ) -> Option<Frame> {
-        let pace = if now >= self.next_second { Pace::Second } else { Pace::News };
+        let content = if now >= self.next_second { FrameContent::DeltaAndSummary } else { FrameContent::Delta };
         let mut frame = Frame { now_s: seconds_of(now), ..Frame::default() };
         for view in &mut self.views {
-            view.add_news(&mut frame, pace);
+            view.add_updates(&mut frame, content);
         }
-        if pace == Pace::Second {
+        if content == FrameContent::DeltaAndSummary {
             self.next_second = now + SECOND;
             frame.recording = Some(self.recording.as_deref().map(recording));
         }
-        self.latest.take(&frame);
+        self.latest.apply(&frame);
         (!frame.is_empty()).then_some(frame)
     }
 
@@ -103,10 +104,10 @@ impl Hub {
             view.add_history(&mut history);
         }
         Hello {
-            version: self.facts.version.clone(),
+            version: self.info.version.clone(),
             now_s: self.latest.now_s(),
             needs_token: self.needs_token,
-            simulator: self.facts.simulator.clone(),
+            simulator: self.info.simulator.clone(),
             sources: self.sources(),
             parameters: self.parameters(),
             robots: self.robots(),
@@ -115,73 +116,73 @@ impl Hub {
         }
     }
 
-    /// The latest of everything.
-    pub(crate) fn state(&self, counts: &Counts) -> State {
+    /// The latest values.
+    pub(crate) fn state(&self, counts: &ServerCounters) -> State {
         self.latest.state(self.latency.row(), counts, self.latency.count)
     }
 
-    /// Sensors that were heard.
+    /// The sources that were seen.
     pub(crate) fn sources(&self) -> Vec<SourceRow> {
         let off = self.latest.switched_off();
         let rows = self.sources.iter().map(|row| SourceRow { is_used: !off.contains(&row.id), ..row.clone() });
         rows.collect()
     }
 
-    /// Robots that were heard.
+    /// The robots that were seen.
     pub(crate) fn robots(&self) -> Vec<String> {
         self.latest.robots()
     }
 
-    /// Every tunable as it stands.
+    /// Every tunable with its current value.
     pub(crate) fn parameters(&self) -> Vec<ParameterRow> {
         let standing = self.latest.parameters();
-        let rows = self.facts.parameters.iter().map(|row| {
+        let rows = self.info.parameters.iter().map(|row| {
             let now = standing.iter().find(|value| value.name == row.name);
             ParameterRow { value: now.map_or(row.value, |now| now.value), ..row.clone() }
         });
         rows.collect()
     }
 
-    /// Points and robots that found no room.
+    /// The points and robots that were dropped.
     pub(crate) fn dropped(&self) -> u64 {
         self.views.iter().map(|view| view.dropped()).sum()
     }
 
-    fn tell(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
+    fn dispatch(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
         for view in &mut self.views {
-            view.take(now, told);
+            view.observe(now, input);
         }
     }
 
-    fn count(&mut self, event: &Event, batch: &Batch) {
+    fn count_event(&mut self, event: &Event, batch: &EventBatch) {
         match event {
-            Event::Fused { record, .. } => {
-                self.tally(record.sensor, record.kind, record.verdict);
+            Event::ObservationFused { record, .. } => {
+                self.count_outcome(record.sensor, record.kind, record.outcome);
             }
-            Event::Estimated { .. } => self.latency.take(batch.took),
+            Event::EstimateUpdated { .. } => self.latency.record(batch.latency),
             Event::Health { link, health, .. } => {
                 self.links.insert(*link, *health);
             }
-            Event::RobotSeen { .. }
+            Event::RobotDetected { .. }
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
-            | Event::Observed { .. }
+            | Event::ObservationAligned { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }
             | Event::Link { .. }
-            | Event::Defect { .. }
+            | Event::ReceiveError { .. }
             | Event::Text { .. } => {}
         }
     }
 
-    fn tally(&mut self, sensor: SensorId, kind: &'static str, verdict: Verdict) {
+    fn count_outcome(&mut self, sensor: SensorId, kind: &'static str, verdict: FusionOutcome) {
         let key = (sensor, kind, verdict.reason());
-        if self.tallies.len() >= MOST_TALLIES && !self.tallies.contains_key(&key) {
+        if self.outcome_counts.len() >= MAX_OUTCOME_COUNTS && !self.outcome_counts.contains_key(&key) {
             return;
         }
-        *self.tallies.entry(key).or_insert(0) += 1;
-        if self.sources.len() < MOST_TALLIES {
+        *self.outcome_counts.entry(key).or_insert(0) += 1;
+        if self.sources.len() < MAX_OUTCOME_COUNTS {
             self.sources.insert(SourceRow {
                 id: sensor.0,
                 name: sensor.name().to_owned(),

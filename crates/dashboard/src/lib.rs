@@ -1,43 +1,45 @@
-//! The page of the station: what fusion does, shown while it does it.
+//! The dashboard: the live page of the station.
 //!
-//! Gets what the shard tells through a bounded channel that drops and counts ([`Feed`]), turns it into messages for browsers and
-//! programs with views that are pure functions of events ([`views`]), and serves them over HTTP and WebSocket on a thread with a
-//! runtime of its own ([`Dashboard`]). Readers in this process, such as the terminal view, get the same messages as values
-//! ([`Taps`]), also when nobody listens for browsers. What people ask for goes back through a second bounded channel, as
-//! [`Command`](posebridge_telemetry::Command)s, and so into the recording. Nothing here is waited for by whoever steers a robot.
+//! Gets events from the station loop through a bounded channel that drops and counts ([`EventFeed`]), converts them to
+//! messages with views that are pure functions of events ([`views`]), and serves those over HTTP and WebSocket on its
+//! own thread and runtime ([`Dashboard`]). Readers in this process, such as the terminal view, get the same messages as
+//! values ([`FrameTaps`]), also without a server. Commands go back through a second bounded channel, as
+//! [`Command`](posebridge_telemetry::Command)s, and so into the recording. The station loop never waits for the
+//! dashboard.
 //!
-//! JSON for browsers is known here and nowhere else. The shapes stand in [`model`], in `schema/v1.json` and in docs/dashboard.md;
-//! units are SI, angles radians, space the arena, times seconds of the session by the host's clock.
+//! All JSON for browsers is defined here. Its structure is in [`model`], in `schema/v1.json` and in docs/dashboard.md;
+//! units are SI, angles radians, coordinates those of the arena, times seconds of the session by the host's clock.
 
+mod api;
 mod assets;
-mod bound;
 pub mod command;
 mod commander;
-mod counts;
+mod counters;
 mod feed;
-pub mod gather;
 mod hub;
 mod latency;
 mod limits;
+mod listener;
+mod local_addresses;
 mod metrics;
 pub mod model;
 mod negotiation;
-mod reach;
 mod recordings;
-pub mod room;
 mod schema;
 mod server;
+pub mod session_views;
 mod state;
 mod taps;
 mod thread;
 mod token;
 pub mod views;
 
-pub use bound::{Bound, Listen};
-pub use commander::Commander;
-pub use feed::{Batch, Feed, Standing, TruthSample};
-pub use gather::{Gatherer, Keep};
+pub use api::{DashboardInputs, DashboardStartError, StationInfo, TokenPolicy};
+pub use commander::CommandSubmitter;
+pub use feed::{EventBatch, EventFeed, SimulatedTruth, StationStatus};
+pub use listener::{BoundListener, ListenAddress};
 pub use schema::schema;
-pub use taps::{Found, FrameTap, Taps};
-pub use thread::{Dashboard, Facts, Sources, StartError, TokenPolicy};
-pub use token::Token;
+pub use session_views::{RetentionPolicy, SessionViews};
+pub use taps::{FrameTap, FrameTaps, TapPoll};
+pub use thread::Dashboard;
+pub use token::AccessToken;

@@ -5,9 +5,9 @@
 
 use std::fmt::Write as _;
 
-use posebridge_telemetry::{LinkHealth, Span};
+use posebridge_telemetry::{LinkHealth, TimeDelta};
 
-use crate::counts::{COUNTS, Counts};
+use crate::counters::{COUNTER_TABLE, ServerCounters};
 use crate::hub::Hub;
 
 /// The content type of the format.
@@ -21,40 +21,26 @@ struct LinkMetric {
     read: fn(&LinkHealth) -> Option<f64>,
 }
 
-const fn link_metric(
-    name: &'static str,
-    kind: &'static str,
-    help: &'static str,
-    read: fn(&LinkHealth) -> Option<f64>,
-) -> LinkMetric {
-    LinkMetric { name, kind, help, read }
-}
-
+#[rustfmt::skip]
 const LINK_METRICS: &[LinkMetric] = &[
-    link_metric("received_bytes_total", "counter", "Bytes received.", |of| Some(of.bytes_in as f64)),
-    link_metric("sent_bytes_total", "counter", "Bytes handed over for sending.", |of| Some(of.bytes_out as f64)),
-    link_metric("received_frames_total", "counter", "Frames received whole.", |of| Some(of.frames_in as f64)),
-    link_metric("sent_frames_total", "counter", "Frames sent.", |of| Some(of.frames_out as f64)),
-    // A frame that comes late is taken off again, so this is no counter.
-    link_metric("lost_frames", "gauge", "Frames missing in the sequence numbers.", |of| Some(of.frames_lost as f64)),
-    link_metric("checksum_errors_total", "counter", "Frames whose checksum was wrong.", |of| {
-        Some(of.checksum_errors as f64)
-    }),
-    link_metric("garbage_bytes_total", "counter", "Bytes outside every frame.", |of| Some(of.garbage_bytes as f64)),
-    link_metric("stalls_total", "counter", "Frames whose bytes stopped coming.", |of| Some(of.stalls as f64)),
-    link_metric("dropped_frames_total", "counter", "Outgoing frames dropped.", |of| Some(of.drops_out as f64)),
-    link_metric("reconnects_total", "counter", "Times the link came up again.", |of| Some(of.reconnects as f64)),
-    link_metric("queued_frames", "gauge", "Frames that wait to be sent.", |of| Some(f64::from(of.port.queued_frames))),
-    link_metric("round_trip_seconds", "gauge", "Round-trip time of the last answered time request.", |of| {
-        of.round_trip.map(Span::as_secs_f64)
-    }),
-    link_metric("clock_uncertainty_seconds", "gauge", "How far a converted stamp may be off.", |of| {
-        of.clock_uncertainty.map(Span::as_secs_f64)
-    }),
+    LinkMetric { name: "received_bytes_total", kind: "counter", help: "Bytes received.", read: |of| Some(of.bytes_in as f64) },
+    LinkMetric { name: "sent_bytes_total", kind: "counter", help: "Bytes handed over for sending.", read: |of| Some(of.bytes_out as f64) },
+    LinkMetric { name: "received_frames_total", kind: "counter", help: "Frames received whole.", read: |of| Some(of.frames_in as f64) },
+    LinkMetric { name: "sent_frames_total", kind: "counter", help: "Frames sent.", read: |of| Some(of.frames_out as f64) },
+    // A late frame is subtracted again, so this is no counter.
+    LinkMetric { name: "lost_frames", kind: "gauge", help: "Frames missing in the sequence numbers.", read: |of| Some(of.frames_lost as f64) },
+    LinkMetric { name: "checksum_errors_total", kind: "counter", help: "Frames whose checksum was wrong.", read: |of| Some(of.checksum_errors as f64) },
+    LinkMetric { name: "garbage_bytes_total", kind: "counter", help: "Bytes outside every frame.", read: |of| Some(of.garbage_bytes as f64) },
+    LinkMetric { name: "stalls_total", kind: "counter", help: "Frames whose bytes stopped coming.", read: |of| Some(of.timeouts as f64) },
+    LinkMetric { name: "dropped_frames_total", kind: "counter", help: "Outgoing frames dropped.", read: |of| Some(of.drops_out as f64) },
+    LinkMetric { name: "reconnects_total", kind: "counter", help: "Times the link came up again.", read: |of| Some(of.reconnects as f64) },
+    LinkMetric { name: "queued_frames", kind: "gauge", help: "Frames that wait to be sent.", read: |of| Some(f64::from(of.port.queued_frames)) },
+    LinkMetric { name: "round_trip_seconds", kind: "gauge", help: "Round-trip time of the last answered time request.", read: |of| of.round_trip.map(TimeDelta::as_secs_f64) },
+    LinkMetric { name: "clock_uncertainty_seconds", kind: "gauge", help: "How far a converted stamp may be off.", read: |of| of.clock_uncertainty.map(TimeDelta::as_secs_f64) },
 ];
 
 /// The whole page.
-pub(crate) fn page(hub: &Hub, counts: &Counts) -> String {
+pub(crate) fn page(hub: &Hub, counts: &ServerCounters) -> String {
     let mut page = String::with_capacity(8_192);
     robots(&mut page, hub, counts);
     latency(&mut page, hub);
@@ -63,10 +49,10 @@ pub(crate) fn page(hub: &Hub, counts: &Counts) -> String {
     page
 }
 
-fn robots(page: &mut String, hub: &Hub, counts: &Counts) {
+fn robots(page: &mut String, hub: &Hub, counts: &ServerCounters) {
     let name = "posebridge_observations_total";
     head(page, name, "counter", "Observations by what became of them.");
-    for ((sensor, kind, verdict), count) in &hub.tallies {
+    for ((sensor, kind, verdict), count) in &hub.outcome_counts {
         let sensor = sensor.name();
         line(page, format_args!("{name}{{sensor=\"{sensor}\",kind=\"{kind}\",verdict=\"{verdict}\"}} {count}"));
     }
@@ -118,15 +104,15 @@ fn links(page: &mut String, hub: &Hub) {
     }
 }
 
-fn server(page: &mut String, counts: &Counts) {
+fn server(page: &mut String, counts: &ServerCounters) {
     let mut last = "";
-    for row in COUNTS {
+    for row in COUNTER_TABLE {
         let name = format!("posebridge_dashboard_{}", row.name);
         if row.name != last {
             head(page, &name, row.kind, row.help);
             last = row.name;
         }
-        let count = counts.of(row.count);
+        let count = counts.value(row.count);
         match row.reason {
             Some(reason) => line(page, format_args!("{name}{{reason=\"{reason}\"}} {count}")),
             None => line(page, format_args!("{name} {count}")),

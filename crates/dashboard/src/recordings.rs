@@ -1,6 +1,6 @@
-//! The recordings of this run: what there is, and whole files of it.
+//! The recordings of this run: list and download.
 //!
-//! A name from outside is never made into a path: it is looked for among the names of the folder.
+//! A name from outside never becomes a path: it is looked up among the names in the folder.
 
 use std::fs::DirEntry;
 use std::path::PathBuf;
@@ -8,28 +8,27 @@ use std::time::UNIX_EPOCH;
 
 use crate::model::{RecordingNow, RecordingRow};
 
-/// So many are listed; a run that goes on in a new file every five minutes has a week in them.
-const MOST_LISTED: usize = 2_100;
-/// How their names end.
-const ENDING: &str = ".mcap";
+/// Most recordings in the list; with a new file every five minutes this is a week.
+const MAX_LISTED: usize = 2_100;
+const FILE_SUFFIX: &str = ".mcap";
 
 /// The folder of this run's recordings.
 #[derive(Clone, Debug)]
-pub(crate) struct Recordings {
+pub(crate) struct RecordingFolder {
     folder: PathBuf,
 }
 
-impl Recordings {
+impl RecordingFolder {
     pub(crate) const fn new(folder: PathBuf) -> Self {
         Self { folder }
     }
 
-    /// The recordings in the order in which they were begun, as their names tell, the latest if there are too many; `current` is being
-    /// written. A folder that is gone has none.
+    /// The recordings in the order of their start, by name; the latest ones if there are too many. `current` is being
+    /// written. A missing folder has none.
     pub(crate) fn list(&self, current: Option<&str>) -> Vec<RecordingRow> {
         let mut rows: Vec<RecordingRow> = self.rows(current).collect();
-        rows.sort_unstable_by(|one, other| order(&one.name).cmp(&order(&other.name)));
-        let surplus = rows.len().saturating_sub(MOST_LISTED);
+        rows.sort_unstable_by(|one, other| sort_key(&one.name).cmp(&sort_key(&other.name)));
+        let surplus = rows.len().saturating_sub(MAX_LISTED);
         rows.drain(..surplus);
         rows
     }
@@ -39,29 +38,30 @@ impl Recordings {
         entries.filter_map(move |entry| row_of(&entry.ok()?, current))
     }
 
-    /// The file of this name, if it is one of the recordings.
+    /// The path of a recording by its name.
     pub(crate) fn path(&self, name: &str) -> Option<PathBuf> {
         let row = self.rows(None).find(|row| row.name == name)?;
         Some(self.folder.join(&row.name))
     }
 
-    /// How large the file is that is being written.
-    pub(crate) fn now(&self, name: &str) -> RecordingNow {
+    /// The size of the file that is being written.
+    pub(crate) fn current(&self, name: &str) -> RecordingNow {
         let bytes = std::fs::metadata(self.folder.join(name)).map_or(0, |found| found.len());
         RecordingNow { name: name.to_owned(), bytes }
     }
 }
 
-/// Where a name stands: `recording.mcap`, its parts `recording.2.mcap` to `recording.10.mcap`, then `recording-2.mcap` and its parts.
-fn order(name: &str) -> (&str, u64, u64, &str) {
-    let base = name.strip_suffix(ENDING).unwrap_or(name);
-    let (base, part) = numbered(base, '.');
-    let (stem, number) = numbered(base, '-');
+/// The sort key of a name: `recording.mcap`, its parts `recording.2.mcap` to `recording.10.mcap`, then
+/// `recording-2.mcap` and its parts.
+fn sort_key(name: &str) -> (&str, u64, u64, &str) {
+    let base = name.strip_suffix(FILE_SUFFIX).unwrap_or(name);
+    let (base, part) = split_number(base, '.');
+    let (stem, number) = split_number(base, '-');
     (stem, number, part, name)
 }
 
-/// A text and the number at its end; the first one has none.
-fn numbered(text: &str, separator: char) -> (&str, u64) {
+/// Splits the number off the end of a text; the first one has none.
+fn split_number(text: &str, separator: char) -> (&str, u64) {
     let split = text.rsplit_once(separator);
     let numbered = split.and_then(|(head, number)| Some((head, number.parse().ok()?)));
     numbered.unwrap_or((text, 1))
@@ -69,9 +69,9 @@ fn numbered(text: &str, separator: char) -> (&str, u64) {
 
 fn row_of(entry: &DirEntry, current: Option<&str>) -> Option<RecordingRow> {
     let name = entry.file_name().into_string().ok()?;
-    // A link could lead anywhere.
+    // A symbolic link could lead anywhere.
     let is_file = entry.file_type().is_ok_and(|kind| kind.is_file());
-    if !is_file || !name.ends_with(ENDING) {
+    if !is_file || !name.ends_with(FILE_SUFFIX) {
         return None;
     }
     let found = entry.metadata().ok()?;
@@ -104,7 +104,7 @@ mod tests {
         for name in names.iter().rev() {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
-        let rows = Recordings::new(folder.path().to_owned()).list(None);
+        let rows = RecordingFolder::new(folder.path().to_owned()).list(None);
         let listed: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
         assert_eq!(listed, names);
     }
@@ -112,13 +112,13 @@ mod tests {
     #[test]
     fn of_too_many_the_latest_are_listed_and_all_can_be_had() {
         let folder = tempfile::tempdir().unwrap();
-        for part in 1..=MOST_LISTED + 3 {
+        for part in 1..=MAX_LISTED + 3 {
             let name = format!("recording.{part}.mcap");
             std::fs::write(folder.path().join(name), "").unwrap();
         }
-        let recordings = Recordings::new(folder.path().to_owned());
+        let recordings = RecordingFolder::new(folder.path().to_owned());
         let rows = recordings.list(None);
-        assert_eq!((rows.len(), rows[0].name.as_str()), (MOST_LISTED, "recording.4.mcap"));
+        assert_eq!((rows.len(), rows[0].name.as_str()), (MAX_LISTED, "recording.4.mcap"));
         assert!(recordings.path("recording.1.mcap").is_some());
     }
 
@@ -132,7 +132,7 @@ mod tests {
         std::fs::write(inner.join("parameters.toml"), "").unwrap();
         std::os::unix::fs::symlink("../outside.mcap", inner.join("link.mcap")).unwrap();
         std::fs::create_dir(inner.join("folder.mcap")).unwrap();
-        let recordings = Recordings::new(inner.clone());
+        let recordings = RecordingFolder::new(inner.clone());
         let rows = recordings.list(Some("recording.mcap"));
         assert_eq!(rows.len(), 1);
         assert_eq!((rows[0].bytes, rows[0].is_current), (5, true));

@@ -1,10 +1,10 @@
-//! The JSON schema of everything under `/v1`, made from the structs and from the table of commands.
+//! The JSON schema of everything under `/v1`, derived from the structs and the table of commands.
 
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
-use crate::command::{COMMANDS, CommandRow, Kind};
+use crate::command::{COMMANDS, CommandRow, FieldKind};
 use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, SourceRow, State};
 
 /// The schema; the file `schema/v1.json` holds it, and a test compares the two.
@@ -23,7 +23,7 @@ pub fn schema() -> Value {
         "refused": reference::<Refusal>(&mut generator),
     });
     reference::<Hello>(&mut generator);
-    let commands: Vec<Value> = COMMANDS.iter().map(command).collect();
+    let commands: Vec<Value> = COMMANDS.iter().map(command_schema).collect();
     let mut definitions = generator.take_definitions(true);
     definitions.insert("Command".to_owned(), json!({ "oneOf": commands }));
     json!({
@@ -39,7 +39,7 @@ fn reference<T: JsonSchema>(generator: &mut SchemaGenerator) -> Value {
     generator.subschema_for::<T>().to_value()
 }
 
-fn command(row: &CommandRow) -> Value {
+fn command_schema(row: &CommandRow) -> Value {
     let mut properties = Map::new();
     properties.insert("command".to_owned(), json!({ "const": row.name }));
     let mut required = vec!["command"];
@@ -56,21 +56,21 @@ fn command(row: &CommandRow) -> Value {
     })
 }
 
-fn field_schema(kind: Kind) -> Value {
+fn field_schema(kind: FieldKind) -> Value {
     match kind {
-        Kind::Number { least, most } => {
+        FieldKind::Number { least, most } => {
             json!({ "type": "number", "minimum": least, "maximum": most })
         }
-        Kind::Finite => json!({ "type": "number" }),
-        // No field of the table is left without a range; a test goes through it.
-        Kind::Simulated => json!(false),
-        Kind::Whole { least, most } => {
+        FieldKind::Finite => json!({ "type": "number" }),
+        // No field of the table is without a range; a test checks all.
+        FieldKind::Simulated => json!(false),
+        FieldKind::Integer { least, most } => {
             json!({ "type": "integer", "minimum": least, "maximum": most })
         }
-        Kind::Choice(words) => json!({ "enum": words }),
-        Kind::Switch => json!({ "type": "boolean" }),
-        Kind::Name => json!({ "type": "string", "minLength": 1, "maxLength": 16 }),
-        Kind::NameOrNull => {
+        FieldKind::Choice(words) => json!({ "enum": words }),
+        FieldKind::Switch => json!({ "type": "boolean" }),
+        FieldKind::Name => json!({ "type": "string", "minLength": 1, "maxLength": 16 }),
+        FieldKind::NameOrNull => {
             json!({ "type": ["string", "null"], "minLength": 1, "maxLength": 16 })
         }
     }

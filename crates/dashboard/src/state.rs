@@ -1,19 +1,19 @@
-//! The latest of everything, gathered from the messages, so that it never contradicts them.
+//! The latest values, collected from the messages, so that they always agree with them.
 
-use crate::counts::{Count, Counts};
+use crate::counters::{ServerCounter, ServerCounters};
 use crate::model::{Counters, Frame, LatencyRow, ParameterValue, RobotState, State};
 
-/// What the messages said last.
+/// The latest value of each kind.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Latest {
+pub(crate) struct LatestState {
     state: State,
     parameters: Vec<ParameterValue>,
     switched_off: Vec<u8>,
 }
 
-impl Latest {
-    /// Takes note of a message.
-    pub(crate) fn take(&mut self, frame: &Frame) {
+impl LatestState {
+    /// Applies a message.
+    pub(crate) fn apply(&mut self, frame: &Frame) {
         let state = &mut self.state;
         state.now_s = frame.now_s;
         for robot in &frame.robots {
@@ -64,17 +64,17 @@ impl Latest {
         robots.map(|robot| robot.id.clone()).collect()
     }
 
-    /// All of it, with what was counted.
-    pub(crate) fn state(&self, latency: LatencyRow, counts: &Counts, estimates: u64) -> State {
+    /// The latest values, with the counters.
+    pub(crate) fn state(&self, latency: LatencyRow, counts: &ServerCounters, estimates: u64) -> State {
         State {
             latency,
             counters: Counters {
                 estimates,
-                events_dropped: counts.of(Count::EventsDropped),
-                clients: counts.of(Count::Clients),
-                frames_missed: counts.of(Count::FramesMissed),
+                events_dropped: counts.value(ServerCounter::EventsDropped),
+                clients: counts.value(ServerCounter::Clients),
+                frames_missed: counts.value(ServerCounter::FramesMissed),
                 refused: counts.refused(),
-                commands: counts.of(Count::Commands),
+                commands: counts.value(ServerCounter::Commands),
             },
             ..self.state.clone()
         }

@@ -1,7 +1,7 @@
-//! Readers in this process: the same messages as those of the page, as values.
+//! Readers in this process: the messages of the page, as values.
 //!
-//! The hub makes one attempt to hand a message to each reader and never waits for it. What finds no room is dropped and counted: a
-//! reader that hangs misses messages and slows nobody.
+//! The hub makes one attempt to send a message to each reader and never waits. A message that does not fit is dropped
+//! and counted: a reader that hangs misses messages and delays nobody.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,53 +9,53 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 
 use crate::model::Frame;
 
-/// The hub's ends of the channels to readers in this process.
+/// The sending ends, owned by the hub.
 #[derive(Debug, Default)]
-pub struct Taps {
-    senders: Vec<Sender>,
+pub struct FrameTaps {
+    senders: Vec<TapSender>,
 }
 
 #[derive(Debug)]
-struct Sender {
+struct TapSender {
     frames: SyncSender<Arc<Frame>>,
     missed: Arc<AtomicU64>,
 }
 
-/// A reader's end.
+/// The receiving end of one reader.
 #[derive(Debug)]
 pub struct FrameTap {
     frames: Receiver<Arc<Frame>>,
     missed: Arc<AtomicU64>,
 }
 
-/// What a reader that does not wait has found.
+/// The result of a poll.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Found {
+pub enum TapPoll {
     /// A message.
     Frame(Arc<Frame>),
-    /// Nothing for now.
-    Nothing,
-    /// Nothing ever again: the station is ending.
-    End,
+    /// No message for now.
+    Empty,
+    /// No more messages: the station is ending.
+    Closed,
 }
 
-impl Taps {
-    /// A new reader, behind whom so many messages may wait; there are up to fifty a second.
-    pub fn add(&mut self, waiting: usize) -> FrameTap {
-        let (sender, receiver) = sync_channel(waiting);
+impl FrameTaps {
+    /// Adds a reader with a queue of `capacity` messages; there are up to fifty a second.
+    pub fn add(&mut self, capacity: usize) -> FrameTap {
+        let (sender, receiver) = sync_channel(capacity);
         let missed = Arc::new(AtomicU64::new(0));
-        self.senders.push(Sender { frames: sender, missed: Arc::clone(&missed) });
+        self.senders.push(TapSender { frames: sender, missed: Arc::clone(&missed) });
         FrameTap { frames: receiver, missed }
     }
 
-    /// Whether nobody reads.
+    /// Whether there are no readers.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.senders.is_empty()
     }
 
-    /// Hands a message to everybody who has room for it; gives how many had none.
-    pub(crate) fn tell(&mut self, frame: &Arc<Frame>) -> u64 {
+    /// Sends a message to every reader; returns how many had a full queue.
+    pub(crate) fn send(&mut self, frame: &Arc<Frame>) -> u64 {
         let mut missed = 0;
         self.senders.retain(|sender| match sender.frames.try_send(Arc::clone(frame)) {
             Ok(()) => true,
@@ -73,21 +73,21 @@ impl Taps {
 impl FrameTap {
     /// The next message; waits for it. `None` when the station ends.
     #[must_use]
-    pub fn wait(&self) -> Option<Arc<Frame>> {
+    pub fn recv(&self) -> Option<Arc<Frame>> {
         self.frames.recv().ok()
     }
 
     /// The next message, if there is one.
     #[must_use]
-    pub fn look(&self) -> Found {
+    pub fn try_recv(&self) -> TapPoll {
         match self.frames.try_recv() {
-            Ok(frame) => Found::Frame(frame),
-            Err(TryRecvError::Empty) => Found::Nothing,
-            Err(TryRecvError::Disconnected) => Found::End,
+            Ok(frame) => TapPoll::Frame(frame),
+            Err(TryRecvError::Empty) => TapPoll::Empty,
+            Err(TryRecvError::Disconnected) => TapPoll::Closed,
         }
     }
 
-    /// So many messages were missed because this reader was slow.
+    /// Messages missed because this reader was slow.
     #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
@@ -104,32 +104,32 @@ mod tests {
 
     #[test]
     fn a_reader_that_hangs_misses_messages_and_the_others_do_not() {
-        let mut taps = Taps::default();
+        let mut taps = FrameTaps::default();
         assert!(taps.is_empty());
         let hanging = taps.add(2);
         let quick = taps.add(2);
         let mut heard = 0;
         let mut missed = 0;
         for step in 0..10 {
-            missed += taps.tell(&frame(f64::from(step)));
-            while let Found::Frame(_) = quick.look() {
+            missed += taps.send(&frame(f64::from(step)));
+            while let TapPoll::Frame(_) = quick.try_recv() {
                 heard += 1;
             }
         }
         assert_eq!((heard, quick.missed()), (10, 0));
         assert_eq!((missed, hanging.missed()), (8, 8));
-        assert_eq!(hanging.wait().unwrap().now_s, 0.0);
+        assert_eq!(hanging.recv().unwrap().now_s, 0.0);
         drop(quick);
         drop(taps);
-        assert_eq!(hanging.look(), Found::Frame(frame(1.0)));
-        assert_eq!(hanging.look(), Found::End);
+        assert_eq!(hanging.try_recv(), TapPoll::Frame(frame(1.0)));
+        assert_eq!(hanging.try_recv(), TapPoll::Closed);
     }
 
     #[test]
     fn a_reader_that_is_gone_is_forgotten_and_not_counted() {
-        let mut taps = Taps::default();
+        let mut taps = FrameTaps::default();
         drop(taps.add(1));
-        assert_eq!(taps.tell(&frame(0.0)), 0);
+        assert_eq!(taps.send(&frame(0.0)), 0);
         assert!(taps.is_empty());
     }
 }

@@ -1,205 +1,114 @@
-//! The dashboard's own thread and runtime.
+//! The dashboard's thread and runtime.
 
-use std::io;
 use std::net::{IpAddr, SocketAddr, TcpListener};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use posebridge_telemetry::{Command, HostClock, Stamp};
+use posebridge_telemetry::Command;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
+use crate::api::{DashboardInputs, DashboardStartError, HostClockSource, StationInfo, TokenPolicy};
 use crate::assets::Assets;
-use crate::bound::Bound;
-use crate::command::Known;
-use crate::commander::Commander;
-use crate::counts::Counts;
-use crate::feed::{Feed, TruthSample};
+use crate::command::CommandContext;
+use crate::commander::CommandSubmitter;
+use crate::counters::ServerCounters;
+use crate::feed::EventFeed;
 use crate::hub::Hub;
-use crate::limits::{COMMANDS_AT_ONCE, COMMANDS_PER_S, MOST_CLIENTS, WAITING_COMMANDS, WAITING_QUESTIONS};
-use crate::model::{ParameterRow, SimulatorFacts};
-use crate::recordings::Recordings;
-use crate::room::Room;
-use crate::server::{App, Clock, Guard, Inlets, Rate, Replay, router, run_hub, serve};
-use crate::taps::Taps;
-use crate::token::Token;
-
-/// What the thread has in use from its start: trails of a robot and what a stall of ten seconds adds for a moment, measured.
-const ROOM_BYTES: usize = 1_500_000;
-
-/// The next free port is looked for among so many.
-pub(crate) const PORTS_TRIED: u16 = 20;
-
-/// Who needs the token.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum TokenPolicy {
-    /// Whoever reaches the station by another address than loopback.
-    #[default]
-    Elsewhere,
-    /// Everybody.
-    Always,
-}
-
-/// What does not change while the station runs.
-#[derive(Clone, Debug, Default)]
-pub struct Facts {
-    /// The program's version.
-    pub version: String,
-    /// The URL of each link, in their order.
-    pub links: Vec<String>,
-    /// Every tunable, as the run begins.
-    pub parameters: Vec<ParameterRow>,
-    /// The simulated brick, if the station has one of its own.
-    pub simulator: Option<SimulatorFacts>,
-    /// Who needs the token.
-    pub token: TokenPolicy,
-}
-
-/// What the dashboard needs of the program around it.
-pub struct Sources {
-    /// The session's clock.
-    pub clock: Box<dyn Fn() -> Stamp<HostClock> + Send + Sync>,
-    /// Where the simulated robot was; gives samples until there is none left for now.
-    pub truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
-    /// The folder of this run's recordings.
-    pub recordings: PathBuf,
-    /// Runs a recording through the engine.
-    pub replay: Box<Replay>,
-    /// Serves the page from there instead of from the program.
-    pub ui_dir: Option<PathBuf>,
-    /// Readers in this process.
-    pub taps: Taps,
-}
-
-/// Why there is no dashboard.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum StartError {
-    /// Somebody listens there already.
-    #[error(
-        "{address} is in use, perhaps by another station; choose another port with `--dashboard IP:PORT`, or `--no-dashboard`"
-    )]
-    Taken {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// Somebody listens at all ports that were tried.
-    #[error("{address} and the {PORTS_TRIED} ports behind it are in use; choose one with `--dashboard IP:PORT`")]
-    AllTaken {
-        /// The first.
-        address: SocketAddr,
-    },
-    /// The system does not let us listen there.
-    #[error("cannot listen on {address}")]
-    Bind {
-        /// The address.
-        address: SocketAddr,
-        /// What it says.
-        source: io::Error,
-    },
-    /// The system has no random bytes for a token.
-    #[error("no random bytes for a token")]
-    Token {
-        /// What it says.
-        source: getrandom::Error,
-    },
-    /// The thread could not be started.
-    #[error("starting the dashboard's thread")]
-    Thread {
-        /// What the system says.
-        source: io::Error,
-    },
-}
+use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_CLIENTS, MAX_WAITING_COMMANDS, MAX_WAITING_QUERIES};
+use crate::listener::BoundListener;
+use crate::recordings::RecordingFolder;
+use crate::server::{AppState, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
+use crate::token::AccessToken;
 
 /// A running dashboard. It ends when [`Self::finish`] is called or it is dropped.
 #[derive(Debug)]
 pub struct Dashboard {
     address: Option<SocketAddr>,
-    /// Where others find it.
+    /// The addresses at which others reach it.
     reachable: Vec<IpAddr>,
-    token: Option<Token>,
-    commander: Commander,
+    token: Option<AccessToken>,
+    commander: CommandSubmitter,
     stop: CancellationToken,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Dashboard {
-    /// Starts the thread, which answers at the address that was taken; without one it has readers in this process only. Gives the end into
-    /// which the shard tells what happens, and that from which it takes commands.
+    /// Starts the thread, which serves at the bound address; without one it has only readers in this process. Returns
+    /// the dashboard, the feed for events and the receiver of commands.
     ///
     /// # Errors
     /// There are no random bytes for a token, or the thread cannot be started.
     pub fn start(
-        bound: Option<Bound>,
-        facts: Facts,
-        sources: Sources,
-    ) -> Result<(Self, Feed, mpsc::Receiver<Command>), StartError> {
+        bound: Option<BoundListener>,
+        facts: StationInfo,
+        sources: DashboardInputs,
+    ) -> Result<(Self, EventFeed, mpsc::Receiver<Command>), DashboardStartError> {
         let address = bound.as_ref().map(|bound| bound.address);
-        let reachable = bound.as_ref().map_or_else(Vec::new, Bound::reachable);
+        let reachable = bound.as_ref().map_or_else(Vec::new, BoundListener::reachable_addresses);
         let token = token_for(address, facts.token)?;
-        let counts = Arc::new(Counts::default());
-        let (feed, batches) = Feed::pair(Arc::clone(&counts));
-        let (questions, asked) = mpsc::channel(WAITING_QUESTIONS);
-        let (commands, given) = mpsc::channel(WAITING_COMMANDS);
+        let counts = Arc::new(ServerCounters::default());
+        let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
+        let (questions, asked) = mpsc::channel(MAX_WAITING_QUERIES);
+        let (commands, given) = mpsc::channel(MAX_WAITING_COMMANDS);
         let stop = CancellationToken::new();
-        let recordings = Recordings::new(sources.recordings);
-        let known = Known::of(&facts);
-        let clock: Arc<Clock> = Arc::from(sources.clock);
+        let recordings = RecordingFolder::new(sources.recordings);
+        let known = CommandContext::from_info(&facts);
+        let clock: Arc<HostClockSource> = Arc::from(sources.clock);
         let hub = Hub::new(facts, token.as_ref());
         let served = bound.map(|bound| {
-            let app = App {
-                guard: Guard::new(bound.address, token.clone()),
+            let app = AppState {
+                guard: RequestGuard::new(bound.address, token.clone()),
                 counts: Arc::clone(&counts),
-                questions: questions.clone(),
+                queries: questions.clone(),
                 commands: commands.clone(),
-                command_rate: Rate::new(COMMANDS_PER_S, COMMANDS_AT_ONCE),
-                known,
+                command_rate: RateLimiter::new(COMMANDS_PER_S, COMMAND_BURST),
+                command_context: known,
                 clock: Arc::clone(&clock),
                 recordings: recordings.clone(),
                 assets: Assets::new(sources.ui_dir),
                 replay: sources.replay,
-                replaying: Arc::new(Semaphore::new(1)),
-                readers: Arc::new(Semaphore::new(MOST_CLIENTS)),
+                replay_slot: Arc::new(Semaphore::new(1)),
+                reader_slots: Arc::new(Semaphore::new(MAX_CLIENTS)),
                 stop: stop.clone(),
             };
             (bound.listener, app)
         });
-        let inlets = Inlets {
+        let inlets = HubInputs {
             batches,
             truth: sources.truth,
             clock,
-            questions: asked,
+            queries: asked,
             recordings,
             counts: Arc::clone(&counts),
             taps: sources.taps,
         };
-        let work = Work { served, hub, inlets, stop: stop.clone() };
+        let work = DashboardThread { server: served, hub, inputs: inlets, stop: stop.clone() };
         let dashboard = Self {
             address,
             reachable,
             token,
-            commander: Commander { commands, counts },
+            commander: CommandSubmitter { commands, counts },
             stop,
             thread: Some(work.start()?),
         };
         Ok((dashboard, feed, given))
     }
 
-    /// Where it listens, if it does.
+    /// The bound address, if it serves.
     #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
-    /// What to open in a browser of this computer: with the token, if one is needed, so it is to be shown once and to nobody else.
-    /// `None` if it does not listen.
+    /// The URL for a browser of this computer, with the token if one is needed: print it once and keep it secret.
+    /// `None` if it does not serve.
     #[must_use]
     pub fn url(&self) -> Option<String> {
         self.urls().pop()
     }
 
-    /// The same for each address at which it is found; that of this computer is the last one.
+    /// The URLs for all reachable addresses; that of this computer is the last one.
     #[must_use]
     pub fn urls(&self) -> Vec<String> {
         let Some(address) = self.address else {
@@ -211,18 +120,18 @@ impl Dashboard {
         found.map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port()))).collect()
     }
 
-    /// Gives commands for somebody in this process.
+    /// A sender of commands for this process.
     #[must_use]
-    pub fn commander(&self) -> Commander {
+    pub fn commander(&self) -> CommandSubmitter {
         self.commander.clone()
     }
 
-    /// Ends it and waits for its thread.
+    /// Stops it and waits for its thread.
     pub fn finish(mut self) {
-        self.end();
+        self.shut_down();
     }
 
-    fn end(&mut self) {
+    fn shut_down(&mut self) {
         self.stop.cancel();
         if let Some(Err(_panic)) = self.thread.take().map(JoinHandle::join) {
             tracing::error!("the dashboard's thread died");
@@ -232,39 +141,38 @@ impl Dashboard {
 
 impl Drop for Dashboard {
     fn drop(&mut self) {
-        self.end();
+        self.shut_down();
     }
 }
 
-/// The token that is needed there, if one is.
-fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<Token>, StartError> {
-    let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::Elsewhere;
+/// The token for this address, if one is needed.
+fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<AccessToken>, DashboardStartError> {
+    let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::RemoteOnly;
     if address.is_none_or(is_open) {
         return Ok(None);
     }
-    let token = Token::random().map_err(|source| StartError::Token { source })?;
+    let token = AccessToken::random().map_err(|source| DashboardStartError::Token { source })?;
     Ok(Some(token))
 }
 
-/// What the thread does.
-struct Work {
-    /// What it serves and where; without it, it has readers in this process only.
-    served: Option<(TcpListener, App)>,
+/// The thread's work.
+struct DashboardThread {
+    /// The listening socket and the state of its handlers; `None` with readers in this process only.
+    server: Option<(TcpListener, AppState)>,
     hub: Hub,
-    inlets: Inlets,
+    inputs: HubInputs,
     stop: CancellationToken,
 }
 
-impl Work {
-    fn start(self) -> Result<JoinHandle<()>, StartError> {
+impl DashboardThread {
+    fn start(self) -> Result<JoinHandle<()>, DashboardStartError> {
         std::thread::Builder::new()
             .name("dashboard".to_owned())
             .spawn(move || self.run())
-            .map_err(|source| StartError::Thread { source })
+            .map_err(|source| DashboardStartError::Thread { source })
     }
 
     fn run(self) {
-        let _room = Room::take(ROOM_BYTES);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(2)
@@ -279,19 +187,19 @@ impl Work {
         };
         let stop = self.stop;
         runtime.block_on(async {
-            let serving = serve_if_wanted(self.served, stop.clone());
+            let serving = serve_if_bound(self.server, stop.clone());
             tokio::select! {
-                () = run_hub(self.hub, self.inlets) => {}
+                () = run_hub(self.hub, self.inputs) => {}
                 () = serving => {}
             }
         });
-        // A replay that still runs must not keep the station alive.
+        // A replay that still runs must not keep the program alive.
         runtime.shutdown_background();
     }
 }
 
-/// Serves until it is told to stop.
-async fn serve_if_wanted(served: Option<(TcpListener, App)>, stop: CancellationToken) {
+/// Serves until it is stopped.
+async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: CancellationToken) {
     let Some((socket, app)) = served else {
         return stop.cancelled().await;
     };

@@ -1,24 +1,24 @@
-//! The secret that everybody needs who reaches the dashboard from another computer.
+//! The access token for other computers.
 
 use std::fmt::{self, Write as _};
 use std::hint::black_box;
 
-/// 128 random bits: nobody guesses them.
-const BYTES: usize = 16;
+/// 128 random bits.
+const TOKEN_BYTES: usize = 16;
 
 /// A token. `Debug` does not show it.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Token(String);
+pub struct AccessToken(String);
 
-impl Token {
-    /// A new one, from random bytes of the operating system.
+impl AccessToken {
+    /// A new token from random bytes of the operating system.
     ///
     /// # Errors
     /// The system has none.
     pub fn random() -> Result<Self, getrandom::Error> {
-        let mut bytes = [0; BYTES];
+        let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes)?;
-        let mut text = String::with_capacity(2 * BYTES);
+        let mut text = String::with_capacity(2 * TOKEN_BYTES);
         for byte in bytes {
             // Writing to a String cannot fail.
             let _ = write!(text, "{byte:02x}");
@@ -26,22 +26,22 @@ impl Token {
         Ok(Self(text))
     }
 
-    /// The token as it is printed once.
+    /// The token's text; it is printed once.
     #[must_use]
     pub fn expose(&self) -> &str {
         &self.0
     }
 
-    /// Whether somebody's token is this one. Takes as long for every wrong one of the same length, so that nobody finds it out digit
-    /// by digit.
-    pub(crate) fn is(&self, said: &str) -> bool {
-        let (own, said) = (self.0.as_bytes(), said.as_bytes());
+    /// Whether a client's token is this one. The time does not depend on where a wrong one of the same length differs,
+    /// so that it cannot be guessed digit by digit.
+    pub(crate) fn matches(&self, candidate: &str) -> bool {
+        let (own, said) = (self.0.as_bytes(), candidate.as_bytes());
         let differing = own.iter().zip(said).fold(0, |all, (a, b)| black_box(all | (a ^ b)));
         own.len() == said.len() && differing == 0
     }
 }
 
-impl fmt::Debug for Token {
+impl fmt::Debug for AccessToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Token(..)")
     }
@@ -53,10 +53,10 @@ mod tests {
 
     #[test]
     fn a_token_is_itself_and_no_other_and_is_never_printed_by_accident() {
-        let (one, other) = (Token::random().unwrap(), Token::random().unwrap());
-        assert_eq!(one.expose().len(), 2 * BYTES);
-        assert!(one.is(one.expose()) && !one.is(other.expose()));
-        assert!(!one.is("") && !one.is(&one.expose()[1..]) && !one.is(&format!("{}0", one.expose())));
+        let (one, other) = (AccessToken::random().unwrap(), AccessToken::random().unwrap());
+        assert_eq!(one.expose().len(), 2 * TOKEN_BYTES);
+        assert!(one.matches(one.expose()) && !one.matches(other.expose()));
+        assert!(!one.matches("") && !one.matches(&one.expose()[1..]) && !one.matches(&format!("{}0", one.expose())));
         assert_eq!(format!("{one:?}"), "Token(..)");
     }
 }

@@ -1,4 +1,4 @@
-//! What the server lets nobody have, over real sockets on loopback: each refusal is JSON, says what to do, and is counted.
+//! The limits of the server, over real sockets on loopback: each rejection is JSON, says what to do, and is counted.
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
@@ -11,18 +11,18 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use http::{Reader, connect, get, metric, post, refused, request};
-use played::{Clock, Played, says};
+use http::{StreamReader, connect, get, metric, post, refused, request};
+use played::{ManualClock, TestStation, text_event};
 use posebridge_dashboard::model::{ParameterRow, SimulatorFacts};
-use posebridge_dashboard::{Facts, TokenPolicy};
+use posebridge_dashboard::{StationInfo, TokenPolicy};
 use posebridge_telemetry::Command;
 use socket2::SockRef;
 
 const RESET: &str = r#"{"command":"reset-pose"}"#;
 
 /// A station with one tunable and a simulated brick.
-fn simulated() -> Facts {
-    Facts {
+fn simulated() -> StationInfo {
+    StationInfo {
         parameters: vec![ParameterRow {
             name: "gate_prob".to_owned(),
             value: 0.999,
@@ -34,13 +34,13 @@ fn simulated() -> Facts {
             link_profiles: vec!["usb".to_owned(), "bluetooth-spp".to_owned()],
             ..SimulatorFacts::default()
         }),
-        ..Facts::default()
+        ..StationInfo::default()
     }
 }
 
 #[test]
 fn commands_that_come_too_fast_are_refused_and_counted() {
-    let mut played = Played::with(Facts::default(), Clock::default());
+    let mut played = TestStation::with(StationInfo::default(), ManualClock::default());
     let address = played.address();
     let mut accepted = |count: usize| {
         let given = (0..count).map(|_| {
@@ -57,20 +57,20 @@ fn commands_that_come_too_fast_are_refused_and_counted() {
     assert_eq!(accepted(10), 5, "fifty a second");
     assert_eq!(refused(address, "command_rate"), 25.0);
     // A reader of the stream is told, and has no second limit of its own.
-    let mut reader = Reader::open(address);
+    let mut reader = StreamReader::open(address);
     reader.send(RESET);
-    let error = reader.until(|message| message["type"] == "error");
+    let error = reader.wait_for(|message| message["type"] == "error");
     assert_eq!(error["error"], "more than 50 commands a second come to this station; try again");
     assert_eq!(refused(address, "command_rate"), 26.0);
 }
 
 #[test]
 fn equal_lines_that_come_quickly_are_joined() {
-    let played = Played::start(TokenPolicy::Elsewhere);
-    let mut reader = Reader::open(played.address());
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
+    let mut reader = StreamReader::open(played.address());
     reader.next();
-    played.tell(vec![says("same"); 100]);
-    played.tell(vec![says("other")]);
+    played.publish(vec![text_event("same"); 100]);
+    played.publish(vec![text_event("other")]);
     let mut lines = Vec::new();
     while lines.last().is_none_or(|line| line != "1/1: other") {
         let message = reader.next();
@@ -82,7 +82,7 @@ fn equal_lines_that_come_quickly_are_joined() {
 
 #[test]
 fn what_the_station_cannot_do_is_refused_by_its_field() {
-    let played = Played::with(simulated(), Clock::default());
+    let played = TestStation::with(simulated(), ManualClock::default());
     let address = played.address();
     for (command, why) in [
         (
@@ -124,7 +124,7 @@ fn what_the_station_cannot_do_is_refused_by_its_field() {
 
 #[test]
 fn a_station_without_a_simulated_brick_refuses_what_is_for_one() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let answer = post(played.address(), r#"{"command":"camera","on":false}"#);
     assert_eq!(answer.status, 400);
     assert_eq!(answer.error(), "`camera` is for a simulated brick, and this station has none of its own");
@@ -133,7 +133,7 @@ fn a_station_without_a_simulated_brick_refuses_what_is_for_one() {
 }
 
 /// Asks for the stream without waiting for the answer.
-fn ask_for_the_stream(address: SocketAddr) -> TcpStream {
+fn request_stream(address: SocketAddr) -> TcpStream {
     let mut stream = connect(address);
     let request = format!(
         "GET /v1/stream HTTP/1.1\r\nhost: {address}\r\nconnection: upgrade\r\nupgrade: websocket\r\n\
@@ -151,10 +151,10 @@ fn status_of(stream: &mut TcpStream) -> String {
 
 #[test]
 fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let idle: Vec<TcpStream> = (0..100).map(|_| connect(address)).collect();
-    let mut asked: Vec<TcpStream> = (0..70).map(|_| ask_for_the_stream(address)).collect();
+    let mut asked: Vec<TcpStream> = (0..70).map(|_| request_stream(address)).collect();
     let statuses: Vec<String> = asked.iter_mut().map(status_of).collect();
     let of = |status: &str| statuses.iter().filter(|one| *one == status).count();
     assert_eq!((of("101"), of("503")), (64, 6));
@@ -165,14 +165,14 @@ fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
     assert!(connections >= 165.0, "{connections}");
     drop((idle, asked));
     // Whoever goes makes room.
-    while status_of(&mut ask_for_the_stream(address)) != "101" {}
+    while status_of(&mut request_stream(address)) != "101" {}
 }
 
 #[test]
 fn readers_that_just_go_are_not_counted_as_let_go() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
-    let mut readers: Vec<Reader> = (0..6).map(|_| Reader::open(address)).collect();
+    let mut readers: Vec<StreamReader> = (0..6).map(|_| StreamReader::open(address)).collect();
     for (index, reader) in readers.iter_mut().enumerate() {
         reader.next();
         // Every second one is torn off instead of closed.
@@ -187,7 +187,7 @@ fn readers_that_just_go_are_not_counted_as_let_go() {
 
 #[test]
 fn every_refusal_is_json_and_counted() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     played.record("recording.mcap", b"1234");
     for path in ["/v1/recordings/%FF", "/v1/recordings/%FF/replay"] {
@@ -199,7 +199,7 @@ fn every_refusal_is_json_and_counted() {
     for (request_line, status) in
         [("POST /", 405), ("DELETE /app.js", 405), ("DELETE /v1/state", 405), ("POST /nothing", 404)]
     {
-        let answer = request(address, request_line, ("", b""));
+        let answer = request(address, request_line, "", b"");
         assert_eq!(answer.status, status, "{request_line}");
         assert!(!answer.error().is_empty());
         let is_told = answer.header("allow").is_some_and(|allow| allow.contains("get"));
@@ -211,28 +211,28 @@ fn every_refusal_is_json_and_counted() {
 
 #[test]
 fn the_words_of_http_are_compared_without_case() {
-    let mut played = Played::start(TokenPolicy::Always);
+    let mut played = TestStation::start(TokenPolicy::Always);
     let address = played.address();
     let url = played.dashboard.url().unwrap();
     let (_, token) = url.split_once("?token=").unwrap();
     let headers = format!("authorization: bearer {token}\r\ncontent-type: Application/JSON; Charset=UTF-8\r\n");
-    let answer = request(address, "POST /v1/commands", (&headers, RESET.as_bytes()));
+    let answer = request(address, "POST /v1/commands", &headers, RESET.as_bytes());
     assert_eq!(answer.status, 202, "{}", answer.text());
     assert_eq!(played.commands.try_recv(), Ok(Command::ResetPose));
 }
 
 #[test]
 fn the_page_of_another_origin_starts_no_replay() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     played.record("recording.mcap", b"1234");
     let replay = "GET /v1/recordings/recording.mcap/replay";
     for site in ["cross-site", "same-site"] {
         let headers = format!("sec-fetch-site: {site}\r\nsec-fetch-mode: no-cors\r\n");
-        let answer = request(address, replay, (&headers, b""));
+        let answer = request(address, replay, &headers, b"");
         assert_eq!(answer.status, 403, "{site}");
     }
     assert_eq!(refused(address, "origin"), 2.0);
     let own = "sec-fetch-site: same-origin\r\nsec-fetch-mode: cors\r\n";
-    assert_eq!(request(address, replay, (own, b"")).status, 200);
+    assert_eq!(request(address, replay, own, b"").status, 200);
 }

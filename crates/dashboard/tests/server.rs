@@ -1,36 +1,39 @@
-//! The server over real sockets, on loopback, with a shard that the test plays.
+//! The server over real sockets on loopback; the test plays the station loop.
 
 #[path = "support/http.rs"]
 mod http;
 #[path = "support/played.rs"]
 mod played;
 
-use http::{Reader, exchange, get, post, refused, request};
-use played::{Clock, Played, says, sources};
+use http::{StreamReader, exchange, get, post, refused, request};
+use played::{ManualClock, TestStation, sources, text_event};
 use posebridge_dashboard::model::{Message, State};
-use posebridge_dashboard::{Batch, Bound, Dashboard, Facts, Found, Listen, Sources, StartError, Taps, TokenPolicy};
-use posebridge_telemetry::{Command, Span, Stamp};
+use posebridge_dashboard::{
+    BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, FrameTaps, ListenAddress, StationInfo,
+    TapPoll, TokenPolicy,
+};
+use posebridge_telemetry::{Command, TimeDelta, Timestamp};
 
 /// Whether a line of a message's log ends so.
-fn is_said(log: &serde_json::Value, text: &str) -> bool {
+fn log_contains(log: &serde_json::Value, text: &str) -> bool {
     let mut lines = log.as_array().into_iter().flatten();
     lines.any(|line| line["text"].as_str().is_some_and(|line| line.ends_with(text)))
 }
 
 #[test]
 fn a_reader_gets_what_was_before_it_and_then_what_is_new() {
-    let played = Played::start(TokenPolicy::Elsewhere);
-    let mut first = Reader::open(played.address());
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
+    let mut first = StreamReader::open(played.address());
     assert_eq!(first.next()["type"], "hello");
-    played.tell(vec![says("one")]);
-    first.until(|message| is_said(&message["log"], "1/1: one"));
-    let mut second = Reader::open(played.address());
+    played.publish(vec![text_event("one")]);
+    first.wait_for(|message| log_contains(&message["log"], "1/1: one"));
+    let mut second = StreamReader::open(played.address());
     let hello = second.next();
-    assert!(is_said(&hello["history"]["log"], "1/1: one"));
-    played.tell(vec![says("two")]);
+    assert!(log_contains(&hello["history"]["log"], "1/1: one"));
+    played.publish(vec![text_event("two")]);
     for reader in [&mut first, &mut second] {
-        let frame = reader.until(|message| is_said(&message["log"], "1/1: two"));
-        assert!(!is_said(&frame["log"], "one"), "told once");
+        let frame = reader.wait_for(|message| log_contains(&message["log"], "1/1: two"));
+        assert!(!log_contains(&frame["log"], "one"), "told once");
     }
     let state: State = serde_json::from_slice(&get(played.address(), "/v1/state").body).unwrap();
     assert_eq!(state.counters.clients, 2);
@@ -38,14 +41,14 @@ fn a_reader_gets_what_was_before_it_and_then_what_is_new() {
 
 #[test]
 fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
-    let mut played = Played::start(TokenPolicy::Elsewhere);
+    let mut played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let accepted = post(address, r#"{"command":"reset-pose"}"#);
     assert_eq!((accepted.status, accepted.json()["accepted"].as_str()), (202, Some("reset-pose")));
-    let mut reader = Reader::open(address);
+    let mut reader = StreamReader::open(address);
     reader.send(r#"{"command":"stop-recording"}"#);
     reader.send(r#"{"command":"stop"}"#);
-    let error = reader.until(|message| message["type"] == "error");
+    let error = reader.wait_for(|message| message["type"] == "error");
     let error: Message = serde_json::from_value(error).unwrap();
     assert!(matches!(error, Message::Error(why) if why.error.starts_with("`command` is `stop`; there are: ")));
     assert_eq!(played.commands.blocking_recv(), Some(Command::ResetPose));
@@ -58,7 +61,7 @@ fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
 
 #[test]
 fn commands_that_nobody_takes_are_refused_when_there_are_too_many() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let statuses: Vec<u16> = (0..70).map(|_| post(address, r#"{"command":"reset-pose"}"#).status).collect();
     assert!(statuses[..64].iter().all(|status| *status == 202));
@@ -68,7 +71,7 @@ fn commands_that_nobody_takes_are_refused_when_there_are_too_many() {
 
 #[test]
 fn every_answer_keeps_browsers_careful_and_allows_no_other_origin() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     for path in ["/", "/v1/state", "/nothing"] {
         let answer = get(played.address(), path);
         let policy = answer.header("content-security-policy").unwrap();
@@ -80,7 +83,7 @@ fn every_answer_keeps_browsers_careful_and_allows_no_other_origin() {
 
 #[test]
 fn foreign_hosts_and_origins_are_refused_and_counted() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let rebound = b"GET /v1/state HTTP/1.1\r\nhost: evil.example\r\nconnection: close\r\n\r\n";
     let answer = exchange(address, rebound).unwrap();
@@ -88,14 +91,14 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
     assert!(answer.error().contains("`evil.example` is not this station"));
     let foreign = "origin: http://evil.example\r\ncontent-type: application/json\r\n";
     let command = br#"{"command":"reset-pose"}"#;
-    let answer = request(address, "POST /v1/commands", (foreign, command));
+    let answer = request(address, "POST /v1/commands", foreign, command);
     assert_eq!(answer.status, 403);
     let upgrade = format!(
         "upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n{foreign}"
     );
-    assert_eq!(request(address, "GET /v1/stream", (&upgrade, b"")).status, 403);
+    assert_eq!(request(address, "GET /v1/stream", &upgrade, b"").status, 403);
     let form = "content-type: text/plain\r\n";
-    assert_eq!(request(address, "POST /v1/commands", (form, command)).status, 415);
+    assert_eq!(request(address, "POST /v1/commands", form, command).status, 415);
     assert_eq!((refused(address, "host"), refused(address, "origin")), (1.0, 2.0));
     assert_eq!(refused(address, "request"), 1.0);
     let mut commands = played.commands;
@@ -104,7 +107,7 @@ fn foreign_hosts_and_origins_are_refused_and_counted() {
 
 #[test]
 fn a_token_opens_the_station_and_a_wrong_one_does_not() {
-    let played = Played::start(TokenPolicy::Always);
+    let played = TestStation::start(TokenPolicy::Always);
     let address = played.address();
     let url = played.dashboard.url().unwrap();
     let token = url.split_once("?token=").unwrap().1;
@@ -114,30 +117,30 @@ fn a_token_opens_the_station_and_a_wrong_one_does_not() {
     let cookie = page.header("set-cookie").unwrap();
     assert!(cookie.ends_with("; path=/; httponly; samesite=strict"), "{cookie}");
     let cookie = format!("cookie: {}\r\n", cookie.split(';').next().unwrap());
-    assert_eq!(request(address, "GET /v1/state", (&cookie, b"")).status, 200);
+    assert_eq!(request(address, "GET /v1/state", &cookie, b"").status, 200);
     let bearer = format!("authorization: Bearer {token}\r\n");
-    let metrics = request(address, "GET /metrics", (&bearer, b"")).text();
+    let metrics = request(address, "GET /metrics", &bearer, b"").text();
     assert!(metrics.contains("refused_total{reason=\"token\"} 2\n"), "{metrics}");
-    let hello_needs = request(address, "GET /v1/stream", (&bearer, b""));
+    let hello_needs = request(address, "GET /v1/stream", &bearer, b"");
     assert_eq!(hello_needs.status, 400, "it is no upgrade, but it was let in");
 }
 
 #[test]
 fn a_browser_without_the_token_is_told_what_to_do() {
-    let played = Played::start(TokenPolicy::Always);
+    let played = TestStation::start(TokenPolicy::Always);
     let address = played.address();
     let accept = "accept: text/html,application/xhtml+xml\r\n";
-    let page = request(address, "GET /", (accept, b""));
+    let page = request(address, "GET /", accept, b"");
     assert_eq!((page.status, page.header("content-type")), (401, Some("text/html; charset=utf-8")));
     assert!(page.header("content-security-policy").is_some());
     assert!(page.text().contains("Open that address"), "{}", page.text());
-    let program = request(address, "GET /v1/robots", ("accept: */*\r\n", b""));
+    let program = request(address, "GET /v1/robots", "accept: */*\r\n", b"");
     assert!(program.error().contains("token"));
 }
 
 #[test]
 fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let bytes: Vec<u8> = (0..300_000_u32).map(|i| (i % 251) as u8).collect();
     played.record("recording.mcap", &bytes);
@@ -171,15 +174,15 @@ fn recordings_are_listed_sent_and_replayed_and_nothing_else_is() {
 
 #[test]
 fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
-    let played = Played::start(TokenPolicy::Elsewhere);
-    let mut slow = Reader::open(played.address());
-    let mut quick = Reader::open(played.address());
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
+    let mut slow = StreamReader::open(played.address());
+    let mut quick = StreamReader::open(played.address());
     quick.next();
     // A quarter of a megabyte a message: what the system keeps for the slow one, some 11 MB, is full after a third of them, and the server
     // keeps 64 messages more.
     for _ in 0..150 {
-        let said = (0..250).map(|line| says(&format!("{line:04}{}", "x".repeat(986))));
-        played.tell(said.collect());
+        let said = (0..250).map(|line| text_event(&format!("{line:04}{}", "x".repeat(986))));
+        played.publish(said.collect());
         let mut lines = 0;
         while lines < 250 {
             let message = quick.next();
@@ -187,7 +190,7 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
             lines += message["log"].as_array().map_or(0, Vec::len);
         }
     }
-    let late = slow.until(|message| message["dropped"].as_u64().is_some_and(|n| n > 0));
+    let late = slow.wait_for(|message| message["dropped"].as_u64().is_some_and(|n| n > 0));
     assert_eq!(late["type"], "frame");
     let missed = http::metric(played.address(), "posebridge_dashboard_frames_missed_total");
     assert!(missed > 0.0);
@@ -196,23 +199,23 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
 
 #[test]
 fn a_default_port_that_is_taken_moves_on_and_a_chosen_one_does_not() {
-    let played = Played::start(TokenPolicy::Elsewhere);
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
     let taken = played.address();
-    let error = Bound::new(Listen::Exactly(taken)).unwrap_err();
-    assert!(matches!(error, StartError::Taken { address } if address == taken));
+    let error = BoundListener::new(ListenAddress::Exact(taken)).unwrap_err();
+    assert!(matches!(error, DashboardStartError::AddressInUse { address } if address == taken));
     assert!(error.to_string().contains("is in use, perhaps by another station"));
     let folder = tempfile::tempdir().unwrap();
     let sources = sources(folder.path(), &played.clock);
-    let bound = Bound::new(Listen::OrNext(taken)).unwrap();
-    let (next, _feed, _commands) = Dashboard::start(Some(bound), Facts::default(), sources).unwrap();
+    let bound = BoundListener::new(ListenAddress::FirstFree(taken)).unwrap();
+    let (next, _feed, _commands) = Dashboard::start(Some(bound), StationInfo::default(), sources).unwrap();
     let steps = next.address().unwrap().port() - taken.port();
     assert!((1..=20).contains(&steps), "{steps}");
 }
 
 #[test]
 fn it_ends_when_the_shard_is_gone() {
-    let played = Played::start(TokenPolicy::Elsewhere);
-    let mut reader = Reader::open(played.address());
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
+    let mut reader = StreamReader::open(played.address());
     reader.next();
     drop(played.feed);
     reader.drain();
@@ -222,21 +225,26 @@ fn it_ends_when_the_shard_is_gone() {
 #[test]
 fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     let folder = tempfile::tempdir().unwrap();
-    let mut taps = Taps::default();
+    let mut taps = FrameTaps::default();
     let tap = taps.add(64);
-    let sources = Sources { taps, ..sources(folder.path(), &Clock::going()) };
-    let started = Dashboard::start(None, Facts::default(), sources);
+    let sources = DashboardInputs { taps, ..sources(folder.path(), &ManualClock::running()) };
+    let started = Dashboard::start(None, StationInfo::default(), sources);
     let (dashboard, feed, mut commands) = started.unwrap();
     assert_eq!((dashboard.address(), dashboard.url()), (None, None));
-    feed.tell(Batch { now: Stamp::from_millis(5), took: Span::ZERO, events: [says("hello")].into(), standing: None });
-    let heard = std::iter::from_fn(|| tap.wait()).find(|frame| !frame.log.is_empty());
+    feed.publish(EventBatch {
+        now: Timestamp::from_millis(5),
+        latency: TimeDelta::ZERO,
+        events: [text_event("hello")].into(),
+        status: None,
+    });
+    let heard = std::iter::from_fn(|| tap.recv()).find(|frame| !frame.log.is_empty());
     assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
-    assert!(dashboard.commander().give(Command::ResetPose));
+    assert!(dashboard.commander().send(Command::ResetPose));
     assert_eq!(commands.try_recv().unwrap(), Command::ResetPose);
     drop(commands);
-    assert!(!dashboard.commander().give(Command::ResetPose));
+    assert!(!dashboard.commander().send(Command::ResetPose));
     dashboard.finish();
     // What waits is still told, then comes the end.
-    while tap.wait().is_some() {}
-    assert_eq!(tap.look(), Found::End);
+    while tap.recv().is_some() {}
+    assert_eq!(tap.try_recv(), TapPoll::Closed);
 }

@@ -21,8 +21,8 @@ use std::time::{Duration, Instant};
 
 use bare::{Bare, learning};
 use criterion::{Criterion, Throughput};
-use posebridge_estimator::{Filter, filter_named};
-use posebridge_telemetry::Verdict;
+use posebridge_estimator::{Filter, find_filter};
+use posebridge_telemetry::FusionOutcome;
 use speed::{AGREEMENT, Input, STEPS, WAYS, recorded};
 use steady::{LATE_STEPS, fix, gyro, wheels};
 
@@ -171,7 +171,7 @@ struct Flagship {
 
 impl Flagship {
     fn new(camera: Camera) -> Self {
-        let Some(entry) = filter_named("pose") else { unreachable!("the flagship stands in the table") };
+        let Some(entry) = find_filter("pose") else { unreachable!("the flagship stands in the table") };
         let mut flagship = Self { filter: (entry.build)(&learning()), camera, step: 0 };
         for _ in 0..WARM_UP {
             flagship.drive_on();
@@ -198,9 +198,9 @@ impl Flagship {
     /// Uses the fix of 300 ms ago and returns how long that took.
     fn use_late_fix(&mut self) -> Duration {
         let fix = fix(self.step - LATE_STEPS);
-        let mut verdict = Verdict::Unused;
-        let elapsed = time(|| verdict = self.filter.observe(black_box(&fix)).verdict);
-        assert_eq!(verdict, Verdict::Accepted, "step {}", self.step);
+        let mut verdict = FusionOutcome::Unused;
+        let elapsed = time(|| verdict = self.filter.observe(black_box(&fix)).outcome);
+        assert_eq!(verdict, FusionOutcome::Accepted, "step {}", self.step);
         elapsed
     }
 

@@ -15,16 +15,23 @@
 //! d   distance along the path of the body's origin      dth  change of heading      b  track width
 //! ```
 
+#![warn(missing_docs)]
+
+mod filter;
 pub mod filters;
-pub mod gate;
+mod fusion_records;
+pub mod history;
 pub mod models;
 pub mod motion;
+pub mod numerics;
 pub mod observations;
-pub mod offline;
+pub mod papers;
 pub mod params;
+mod registry;
+pub mod smoother;
 pub mod update;
+mod validation;
 
-pub use filters::{
-    Adjustment, Estimates, FILTERS, Filter, FilterConfig, FilterEntry, Late, Placing, StartPose, filter_named,
-};
+pub use filter::{Filter, FilterCommand, FilterConfig, StartPose};
 pub use params::{PARAMS, Param, Params};
+pub use registry::{EstimatedQuantity, FILTERS, FilterEntry, Initialization, LateDataPolicy, find_filter};

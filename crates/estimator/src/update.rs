@@ -7,9 +7,12 @@ use std::array::from_fn;
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::numerics::cholesky::{lower_triangle, solve_lower};
+use crate::numerics::covariance::symmetrise;
+
 /// What is to be used: innovation, its derivative by the state, its noise.
 #[derive(Clone, Copy, Debug)]
-pub struct Measurement<const N: usize, const M: usize> {
+pub struct LinearizedMeasurement<const N: usize, const M: usize> {
     /// z - h(x), angles wrapped.
     pub innovation: SVector<f64, M>,
     /// dh/dx at x.
@@ -18,7 +21,7 @@ pub struct Measurement<const N: usize, const M: usize> {
     pub noise: SMatrix<f64, M, M>,
 }
 
-impl<const N: usize, const M: usize> Measurement<N, M> {
+impl<const N: usize, const M: usize> LinearizedMeasurement<N, M> {
     /// S = H P H' + R.
     #[must_use]
     pub fn innovation_covariance(&self, covariance: &SMatrix<f64, N, N>) -> SMatrix<f64, M, M> {
@@ -28,7 +31,7 @@ impl<const N: usize, const M: usize> Measurement<N, M> {
 
 /// Normalised innovation squared and log-likelihood of an innovation under N(0, S); `None` when S is not positive definite.
 #[must_use]
-pub fn consistency<const M: usize>(
+pub fn nis_and_log_likelihood<const M: usize>(
     innovation: &SVector<f64, M>,
     innovation_covariance: &SMatrix<f64, M, M>,
 ) -> Option<(f64, f64)> {
@@ -42,10 +45,10 @@ pub fn consistency<const M: usize>(
 
 /// Uses a measurement; `false` leaves state and covariance untouched because R is not positive definite.
 #[must_use]
-pub fn apply<const N: usize, const M: usize>(
+pub fn apply_measurement<const N: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
-    measurement: &Measurement<N, M>,
+    measurement: &LinearizedMeasurement<N, M>,
 ) -> bool {
     let Some(lower) = lower_triangle(&measurement.noise) else {
         return false;
@@ -73,24 +76,24 @@ pub fn apply<const N: usize, const M: usize>(
 
 /// One scalar observation of a few named rows of the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Scalar<const K: usize> {
+pub struct ScalarMeasurement<const K: usize> {
     /// z - h(x), angles wrapped.
     pub innovation: f64,
     /// The rows of the state that it depends on.
     pub rows: [usize; K],
     /// dh/dx of each of these rows.
-    pub by_row: [f64; K],
+    pub jacobian: [f64; K],
     /// R, more than zero.
     pub variance: f64,
 }
 
-impl<const K: usize> Scalar<K> {
+impl<const K: usize> ScalarMeasurement<K> {
     /// S = H P H' + R.
     #[must_use]
     pub fn innovation_variance<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> f64 {
         let mut s = self.variance;
-        for (&row, &by_row) in self.rows.iter().zip(&self.by_row) {
-            for (&column, &by_column) in self.rows.iter().zip(&self.by_row) {
+        for (&row, &by_row) in self.rows.iter().zip(&self.jacobian) {
+            for (&column, &by_column) in self.rows.iter().zip(&self.jacobian) {
                 s += by_row * by_column * covariance[(row, column)];
             }
         }
@@ -100,10 +103,10 @@ impl<const K: usize> Scalar<K> {
     /// P H'.
     #[inline]
     #[must_use]
-    pub fn cross<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> SVector<f64, N> {
+    pub fn cross_covariance<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> SVector<f64, N> {
         // Minus zero, because adding it changes nothing, so that the compiler may leave the first sum out.
         let mut cross = SVector::<f64, N>::repeat(-0.0);
-        for (&row, &by) in self.rows.iter().zip(&self.by_row) {
+        for (&row, &by) in self.rows.iter().zip(&self.jacobian) {
             for i in 0..N {
                 cross[i] += by * covariance[(i, row)];
             }
@@ -112,11 +115,11 @@ impl<const K: usize> Scalar<K> {
     }
 }
 
-impl<const K: usize> Scalar<K> {
+impl<const K: usize> ScalarMeasurement<K> {
     /// One row of P H', summed up as [`Self::cross`] does.
     #[inline]
-    fn cross_of<const N: usize>(&self, covariance: &SMatrix<f64, N, N>, i: usize) -> f64 {
-        let terms = self.rows.iter().zip(&self.by_row);
+    fn cross_covariance_at<const N: usize>(&self, covariance: &SMatrix<f64, N, N>, i: usize) -> f64 {
+        let terms = self.rows.iter().zip(&self.jacobian);
         terms.fold(-0.0, |sum, (&row, &by)| sum + by * covariance[(i, row)])
     }
 }
@@ -129,12 +132,12 @@ pub struct ScalarOutcome {
     /// Innovation squared over S.
     pub nis: f64,
     /// Whether it was used.
-    pub usage: Usage,
+    pub outcome: UpdateOutcome,
 }
 
 /// Whether a scalar observation was used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Usage {
+pub enum UpdateOutcome {
     /// State and covariance changed.
     Used,
     /// Its NIS exceeds the gate; nothing changed.
@@ -154,12 +157,12 @@ pub enum Usage {
 pub fn use_scalar<const N: usize, const K: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
-    scalar: &Scalar<K>,
+    scalar: &ScalarMeasurement<K>,
     gate: f64,
 ) -> ScalarOutcome {
-    let cross = scalar.cross(covariance);
+    let cross = scalar.cross_covariance(covariance);
     let mut s = scalar.variance;
-    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.jacobian) {
         s += by * cross[row];
     }
     // The only division: everything below waits for it.
@@ -168,15 +171,15 @@ pub fn use_scalar<const N: usize, const K: usize>(
     let nis = scalar.innovation * scaled_innovation;
     // An S of zero, below zero, without end or not a number gives an inverse or a NIS that fails here.
     let usage = if !(inverse > 0.0 && nis.is_finite()) {
-        Usage::Indefinite
+        UpdateOutcome::Indefinite
     } else if nis > gate {
-        Usage::Gated
+        UpdateOutcome::Gated
     } else {
         *mean += cross * scaled_innovation;
         subtract_outer_square(covariance, &cross, inverse);
-        Usage::Used
+        UpdateOutcome::Used
     };
-    ScalarOutcome { innovation_variance: s, nis, usage }
+    ScalarOutcome { innovation_variance: s, nis, outcome: usage }
 }
 
 /// What [`use_scalar`] without a gate would make of some rows, which must rise: their mean and their covariance; `None` if it would change
@@ -186,22 +189,22 @@ pub fn use_scalar<const N: usize, const K: usize>(
 /// A named row is N or more.
 #[inline]
 #[must_use]
-pub fn foretell_scalar<const N: usize, const K: usize, const R: usize>(
+pub fn preview_scalar<const N: usize, const K: usize, const R: usize>(
     mean: &SVector<f64, N>,
     covariance: &SMatrix<f64, N, N>,
-    scalar: &Scalar<K>,
+    scalar: &ScalarMeasurement<K>,
     rows: [usize; R],
 ) -> Option<([f64; R], [[f64; R]; R])> {
     let mut s = scalar.variance;
-    for (&row, &by) in scalar.rows.iter().zip(&scalar.by_row) {
-        s += by * scalar.cross_of(covariance, row);
+    for (&row, &by) in scalar.rows.iter().zip(&scalar.jacobian) {
+        s += by * scalar.cross_covariance_at(covariance, row);
     }
     let inverse = 1.0 / s;
     let scaled_innovation = scalar.innovation * inverse;
     if !(inverse > 0.0 && (scalar.innovation * scaled_innovation).is_finite()) {
         return None;
     }
-    let cross = rows.map(|row| scalar.cross_of(covariance, row));
+    let cross = rows.map(|row| scalar.cross_covariance_at(covariance, row));
     let scaled = cross.map(|cross| cross * inverse);
     let after = from_fn(|i| {
         from_fn(|j| {
@@ -227,77 +230,15 @@ fn subtract_outer_square<const N: usize>(p: &mut SMatrix<f64, N, N>, c: &SVector
     }
 }
 
-/// Makes a matrix exactly symmetric.
-pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
-    for i in 0..N {
-        for j in 0..i {
-            let mean = 0.5 * (matrix[(i, j)] + matrix[(j, i)]);
-            matrix[(i, j)] = mean;
-            matrix[(j, i)] = mean;
-        }
-    }
-}
-
-/// Cholesky's factor; `None` when the matrix is not positive definite.
-fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Option<SMatrix<f64, M, M>> {
-    let root_of = |_, pivot: f64| {
-        let is_positive = pivot > 0.0 && pivot.is_finite();
-        is_positive.then(|| pivot.sqrt()).ok_or(())
-    };
-    factorise(matrix, root_of).ok()
-}
-
-/// Cholesky's decomposition L L' of a symmetric matrix, of which the lower triangle is read. `root_of` says of a row and its pivot,
-/// what is left of the diagonal there, what the diagonal of L becomes; with zero the whole column does.
-///
-/// # Errors
-/// The first of `root_of`.
-pub fn factorise<const M: usize, E>(
-    matrix: &SMatrix<f64, M, M>,
-    root_of: impl Fn(usize, f64) -> Result<f64, E>,
-) -> Result<SMatrix<f64, M, M>, E> {
-    let mut lower = SMatrix::<f64, M, M>::zeros();
-    for j in 0..M {
-        let mut pivot = matrix[(j, j)];
-        for k in 0..j {
-            pivot -= lower[(j, k)] * lower[(j, k)];
-        }
-        let root = root_of(j, pivot)?;
-        if root == 0.0 {
-            continue;
-        }
-        lower[(j, j)] = root;
-        for i in j + 1..M {
-            let mut value = matrix[(i, j)];
-            for k in 0..j {
-                value -= lower[(i, k)] * lower[(j, k)];
-            }
-            lower[(i, j)] = value / root;
-        }
-    }
-    Ok(lower)
-}
-
-fn solve_lower<const M: usize>(lower: &SMatrix<f64, M, M>, right: &SVector<f64, M>) -> SVector<f64, M> {
-    let mut solved = *right;
-    for i in 0..M {
-        for k in 0..i {
-            solved[i] -= lower[(i, k)] * solved[k];
-        }
-        solved[i] /= lower[(i, i)];
-    }
-    solved
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
-    fn correlated() -> (Vector3<f64>, Matrix3<f64>, Measurement<3, 2>) {
+    fn correlated() -> (Vector3<f64>, Matrix3<f64>, LinearizedMeasurement<3, 2>) {
         let mean = Vector3::new(1.0, -2.0, 0.5);
         let covariance = Matrix3::new(2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5);
-        let measurement = Measurement {
+        let measurement = LinearizedMeasurement {
             innovation: Vector2::new(0.7, -0.4),
             jacobian: Matrix2x3::new(1.0, 0.0, 0.3, 0.0, 1.0, -0.8),
             noise: Matrix2::new(0.4, 0.15, 0.15, 0.2),
@@ -312,7 +253,7 @@ mod tests {
         let gain = covariance * measurement.jacobian.transpose() * s.try_inverse().unwrap();
         let batch_mean = mean + gain * measurement.innovation;
         let batch_covariance = (Matrix3::identity() - gain * measurement.jacobian) * covariance;
-        assert!(apply(&mut mean, &mut covariance, &measurement));
+        assert!(apply_measurement(&mut mean, &mut covariance, &measurement));
         assert!((mean - batch_mean).norm() < 1e-12);
         assert!((covariance - batch_covariance).norm() < 1e-12);
     }
@@ -321,7 +262,7 @@ mod tests {
     fn consistency_equals_the_formula_with_a_matrix_inverse() {
         let (_, covariance, measurement) = correlated();
         let s = measurement.innovation_covariance(&covariance);
-        let (nis, log_likelihood) = consistency(&measurement.innovation, &s).unwrap();
+        let (nis, log_likelihood) = nis_and_log_likelihood(&measurement.innovation, &s).unwrap();
         let expected = (measurement.innovation.transpose() * s.try_inverse().unwrap() * measurement.innovation)[0];
         assert!((nis - expected).abs() < 1e-12);
         let by_formula = -0.5 * (expected + ((std::f64::consts::TAU).powi(2) * s.determinant()).ln());
@@ -334,7 +275,7 @@ mod tests {
         let before = (mean, covariance);
         measurement.noise[(0, 1)] = 5.0;
         measurement.noise[(1, 0)] = 5.0;
-        assert!(!apply(&mut mean, &mut covariance, &measurement));
+        assert!(!apply_measurement(&mut mean, &mut covariance, &measurement));
         assert_eq!((mean, covariance), before);
     }
 }

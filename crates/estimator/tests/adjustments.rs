@@ -10,9 +10,9 @@ mod stamped;
 
 use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, RADIUS};
-use posebridge_estimator::{Adjustment, FILTERS, Filter, FilterConfig, PARAMS, Params};
-use posebridge_telemetry::{Calibration, Known, Learning, Verdict};
+use posebridge_estimator::filters::pose::state::{CORE_STATES, RADIUS};
+use posebridge_estimator::{FILTERS, Filter, FilterCommand, FilterConfig, PARAMS, Params};
+use posebridge_telemetry::{Calibration, FusionOutcome, OnlineCalibration, UncertainValue};
 use robot::{RADIUS_M, config};
 use stamped::{gyro, wheels};
 
@@ -25,8 +25,8 @@ fn tuned(key: &str, value: f64) -> Params {
 }
 
 /// A filter with constants to learn.
-fn learning() -> PoseFilter<CORE> {
-    let known = |sigma| Known { value: 0.0, sigma };
+fn learning() -> PoseFilter<CORE_STATES> {
+    let known = |sigma| UncertainValue { value: 0.0, sigma };
     PoseFilter::new(&FilterConfig {
         calibration: Calibration {
             radius_scale: known(0.05),
@@ -52,7 +52,7 @@ fn drive_on(filter: &mut dyn Filter, (from_ms, until_ms): (i64, i64)) {
     }
 }
 
-fn radius_scale(filter: &dyn Filter) -> Known {
+fn radius_scale(filter: &dyn Filter) -> UncertainValue {
     filter.calibration().expect("it learns").radius_scale
 }
 
@@ -62,8 +62,8 @@ fn every_filter_says_whether_it_takes_tunables_and_is_unchanged_where_it_does_no
         let mut filter = (entry.build)(&config());
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
-        let verdict = filter.adjust(&Adjustment::Params(tuned("gate_prob", 0.6)));
-        let expected = if TAKES_PARAMS.contains(&entry.name) { Verdict::Accepted } else { Verdict::Unused };
+        let verdict = filter.apply_command(&FilterCommand::SetParams(tuned("gate_prob", 0.6)));
+        let expected = if TAKES_PARAMS.contains(&entry.name) { FusionOutcome::Accepted } else { FusionOutcome::Unused };
         assert_eq!(verdict, expected, "{}", entry.name);
         // Neither loses what it knows.
         assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
@@ -79,7 +79,7 @@ fn tunables_that_are_set_first_are_those_that_a_filter_is_built_with() {
         for entry in FILTERS.iter().filter(|entry| TAKES_PARAMS.contains(&entry.name)) {
             let mut built = (entry.build)(&built);
             let mut set = (entry.build)(&config());
-            let _ = set.adjust(&Adjustment::Params(params));
+            let _ = set.apply_command(&FilterCommand::SetParams(params));
             for filter in [&mut built, &mut set] {
                 drive_on(filter.as_mut(), (0, 2_000));
                 // What came too late, too far and from wheels too fast is used or refused by the same rules.
@@ -98,17 +98,17 @@ fn a_gate_that_is_narrowed_refuses_the_next_fix_and_keeps_the_state() {
     let verdict_after = |probability: f64| {
         // With the noise as configured, so that 12 mm are a little more than two sigma.
         let unlearned = tuned("adapt_gain", 0.0);
-        let mut filter = PoseFilter::<CORE>::new(&FilterConfig { params: unlearned, ..config() });
+        let mut filter = PoseFilter::<CORE_STATES>::new(&FilterConfig { params: unlearned, ..config() });
         drive_straight(&mut filter, 2_000);
         filter.observe(&fix(2_000, fix_of(0.4, 0.0, 0.0)));
         let before = latest(&filter);
         let narrowed = Params { gate_probability: probability, ..unlearned };
-        let _ = filter.adjust(&Adjustment::Params(narrowed));
+        let _ = filter.apply_command(&FilterCommand::SetParams(narrowed));
         assert_eq!(latest(&filter), before);
-        filter.observe(&offset).verdict
+        filter.observe(&offset).outcome
     };
-    assert_eq!(verdict_after(0.999), Verdict::Accepted);
-    assert_eq!(verdict_after(0.5), Verdict::Gated);
+    assert_eq!(verdict_after(0.999), FusionOutcome::Accepted);
+    assert_eq!(verdict_after(0.5), FusionOutcome::Gated);
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let before = latest(filter.as_ref());
-        if filter.adjust(&Adjustment::ForgetPose) == Verdict::Unused {
+        if filter.apply_command(&FilterCommand::ResetPose) == FusionOutcome::Unused {
             assert_eq!(latest(filter.as_ref()), before, "{}", entry.name);
             return;
         }
@@ -124,14 +124,14 @@ fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
         assert!(!lost.validity.position && !lost.validity.heading);
         assert_eq!(lost.reset_counter, before.reset_counter.wrapping_add(1));
         assert_eq!(lost.stamp, before.stamp);
-        assert!(lost.last_jump.is_some(), "{}", entry.name);
+        assert!(lost.last_correction.is_some(), "{}", entry.name);
     });
     let mut filter = learning();
     drive_on(&mut filter, (0, 2_001));
-    let _ = filter.adjust(&Adjustment::ForgetPose);
+    let _ = filter.apply_command(&FilterCommand::ResetPose);
     filter.observe(&fix(1_980, fix_of(3.0, 2.0, 1.0)));
     assert!(!latest(&filter).validity.position, "it was seen before");
-    assert_eq!(filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).verdict, Verdict::Accepted);
+    assert_eq!(filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).outcome, FusionOutcome::Accepted);
     let found = latest(&filter);
     assert!(found.validity.position && found.validity.heading);
     assert!((found.pose.x.0 - 3.0).abs() < 1e-9 && (found.pose.heading.rad() - 1.0).abs() < 1e-9);
@@ -141,10 +141,10 @@ fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
 fn what_a_person_says_at_one_instant_holds_in_the_order_in_which_it_was_said() {
     let mut filter = learning();
     drive_on(&mut filter, (0, 1_000));
-    let _ = filter.adjust(&Adjustment::ForgetPose);
+    let _ = filter.apply_command(&FilterCommand::ResetPose);
     let _ = filter.set_pose(&start(1.0, 1.0, 0.0));
     assert!(latest(&filter).validity.position);
-    let _ = filter.adjust(&Adjustment::ForgetPose);
+    let _ = filter.apply_command(&FilterCommand::ResetPose);
     assert!(!latest(&filter).validity.position);
 }
 
@@ -154,13 +154,13 @@ fn frozen_constants_stay_what_they_are_and_are_learned_on_when_they_thaw() {
     drive_on(&mut filter, (0, 4_000));
     let learned = radius_scale(&filter);
     assert!(learned.value > 0.005 && learned.sigma < 0.05, "{learned:?}");
-    let _ = filter.adjust(&Adjustment::Learning(Learning::Frozen));
-    let _ = filter.adjust(&Adjustment::Learning(Learning::Frozen));
+    let _ = filter.apply_command(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Frozen));
+    let _ = filter.apply_command(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Frozen));
     drive_on(&mut filter, (4_000, 8_000));
     assert_eq!(radius_scale(&filter), learned);
     let row = filter.state().covariance.row(RADIUS).norm();
     assert_eq!(row, 0.0, "nothing else is told by it");
-    let _ = filter.adjust(&Adjustment::Learning(Learning::Free));
+    let _ = filter.apply_command(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Enabled));
     assert_eq!(radius_scale(&filter), learned, "with the doubt that it had");
     drive_on(&mut filter, (8_000, 16_000));
     let on = radius_scale(&filter);
@@ -175,12 +175,12 @@ fn a_calibration_that_is_forgotten_begins_with_what_was_configured() {
     drive_on(&mut filter, (0, 4_000));
     assert_ne!(filter.calibration(), configured);
     let pose = latest(&filter).pose;
-    let _ = filter.adjust(&Adjustment::ForgetCalibration);
+    let _ = filter.apply_command(&FilterCommand::ResetCalibration);
     assert_eq!(filter.calibration(), configured);
     assert_eq!(latest(&filter).pose, pose, "the robot is where it was");
     // Frozen it stays, whatever it is.
-    let _ = filter.adjust(&Adjustment::Learning(Learning::Frozen));
-    let _ = filter.adjust(&Adjustment::ForgetCalibration);
+    let _ = filter.apply_command(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Frozen));
+    let _ = filter.apply_command(&FilterCommand::ResetCalibration);
     drive_on(&mut filter, (4_000, 8_000));
     let frozen = filter.calibration().map(|learned| learned.radius_scale);
     assert_eq!(frozen, configured.map(|learned| learned.radius_scale));
@@ -195,7 +195,7 @@ fn a_late_observation_does_not_undo_what_a_person_said_after_it() {
             if what == 0 {
                 filter.observe(&fix(1_750, fix_of(0.35, 0.001, 0.0)));
             } else {
-                let _ = filter.adjust(&Adjustment::Learning(Learning::Frozen));
+                let _ = filter.apply_command(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Frozen));
                 let _ = filter.set_pose(&start(1.0, 1.0, 0.0));
             }
         }

@@ -15,8 +15,12 @@ use grid::{KIT, config_with, drive_on_grid};
 use nalgebra::{Matrix3, Vector3};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
-use posebridge_estimator::offline::{FixArrival, Sees, Smoothed, TrueRun, batch, bound};
-use posebridge_telemetry::{Arena, Heading, Meters, Observation, Observed, Pose, SensorId, quantities::wrap_rad};
+use posebridge_estimator::smoother::{
+    FixArrival, FixContent, GroundTruthRun, SmoothedTrajectory, batch, cramer_rao_bound,
+};
+use posebridge_telemetry::{
+    Arena, Heading, Meters, Observation, ObservationKind, Pose, SensorId, quantities::wrap_rad,
+};
 use robot::{RADIUS_M, config};
 
 /// 10 Hz, 150 ± 50 ms late.
@@ -27,7 +31,7 @@ fn observations(drive: &Drive) -> Vec<Observation> {
     arrivals.map(|arrival| arrival.observation).collect()
 }
 
-fn smooth(drive: &Drive, config: &FilterConfig) -> Smoothed {
+fn smooth(drive: &Drive, config: &FilterConfig) -> SmoothedTrajectory {
     batch(config, &observations(drive)).expect("it converges")
 }
 
@@ -41,7 +45,7 @@ struct Scores {
 }
 
 impl Scores {
-    fn add(&mut self, drive: &Drive, smoothed: &Smoothed) {
+    fn add(&mut self, drive: &Drive, smoothed: &SmoothedTrajectory) {
         assert_eq!(smoothed.poses.len(), drive.poses.len());
         let count = drive.poses.len() as f64;
         self.runs += 1.0;
@@ -125,8 +129,8 @@ fn half_metre_outliers_do_no_harm() {
     for seed in 0..10 {
         let drive = drive(&scenario, seed);
         let smoothed = smooth(&drive, &config());
-        let fixes = smoothed.fixes_used + smoothed.fixes_left_out;
-        let share = smoothed.fixes_left_out as f64 / fixes as f64;
+        let fixes = smoothed.fixes_used + smoothed.fixes_rejected;
+        let share = smoothed.fixes_rejected as f64 / fixes as f64;
         assert!((0.05..0.16).contains(&share), "seed {seed}: {share}");
         scores.add(&drive, &smoothed);
     }
@@ -173,13 +177,17 @@ fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
     let mut fixes = vec![];
     for arrival in &drive.arrivals {
         let observation = &arrival.observation;
-        if let Observed::WheelAngles { left, right } = observation.observed {
+        if let ObservationKind::WheelAngles { left, right } = observation.measurement {
             travel.push(WheelTravel { left_m: RADIUS_M * (left.0 - last.0), right_m: RADIUS_M * (right.0 - last.1) });
             last = (left.0, right.0);
         } else if observation.sensor == SensorId::CAMERA {
             let taken = (observation.stamp.as_secs_f64() / drive::STEP_S).round();
-            fixes.push(FixArrival { taken: taken as usize, arrives: arrival.step, sees: Sees::Pose });
+            fixes.push(FixArrival {
+                exposure_step: taken as usize,
+                arrival_step: arrival.step,
+                content: FixContent::Pose,
+            });
         }
     }
-    bound(config, &TrueRun { poses: &poses, travel: &travel, step_s: drive::STEP_S, fixes: &fixes })
+    cramer_rao_bound(config, &GroundTruthRun { poses: &poses, travel: &travel, step_s: drive::STEP_S, fixes: &fixes })
 }

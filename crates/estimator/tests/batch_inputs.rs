@@ -7,10 +7,10 @@ mod robot;
 
 use drive::{Camera, Drive, Scenario, drive, stamp};
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::offline::{OfflineError, Smoothed, batch};
+use posebridge_estimator::smoother::{OfflineError, SmoothedTrajectory, batch};
 use posebridge_telemetry::{
-    Heading, Meters, MetersPerSecond, Observation, Observed, Odom, Point2, Pose, Radians, RadiansPerSecond, SensorId,
-    Span, Stamp, quantities::wrap_rad,
+    Heading, Meters, MetersPerSecond, Observation, ObservationKind, Odom, Point2, Pose, Radians, RadiansPerSecond,
+    SensorId, TimeDelta, Timestamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -33,21 +33,21 @@ fn observations(drive: &Drive) -> Vec<Observation> {
     arrivals.map(|arrival| arrival.observation).collect()
 }
 
-fn position_rms_m(drive: &Drive, smoothed: &Smoothed) -> f64 {
+fn position_rms_m(drive: &Drive, smoothed: &SmoothedTrajectory) -> f64 {
     let pairs = smoothed.poses.iter().zip(&drive.poses);
     let squares: f64 =
         pairs.map(|(own, truth)| (own.pose.x.0 - truth.0).powi(2) + (own.pose.y.0 - truth.1).powi(2)).sum();
     (squares / drive.poses.len() as f64).sqrt()
 }
 
-fn position_sigma_m(smoothed: &Smoothed, reading: usize) -> f64 {
+fn position_sigma_m(smoothed: &SmoothedTrajectory, reading: usize) -> f64 {
     let covariance = smoothed.poses[reading].covariance;
     (covariance[0][0] + covariance[1][1]).sqrt()
 }
 
 /// Changes every fix of a run.
 fn each_fix(all: &mut [Observation], mut change: impl FnMut(&mut Observation)) {
-    let fixes = all.iter_mut().filter(|observation| matches!(observation.observed, Observed::Fix(_)));
+    let fixes = all.iter_mut().filter(|observation| matches!(observation.measurement, ObservationKind::Fix(_)));
     fixes.for_each(&mut change);
 }
 
@@ -72,16 +72,16 @@ fn what_is_damaged_repeated_or_of_no_use_changes_nothing() {
     for observation in all.iter().step_by(7) {
         dirty.push(*observation);
         let mut damaged = *observation;
-        damaged.observed = Observed::TurnRate(RadiansPerSecond(f64::NAN));
+        damaged.measurement = ObservationKind::TurnRate(RadiansPerSecond(f64::NAN));
         dirty.push(damaged);
-        damaged.observed = Observed::WheelAngles { left: Radians(f64::INFINITY), right: Radians(1e300) };
+        damaged.measurement = ObservationKind::WheelAngles { left: Radians(f64::INFINITY), right: Radians(1e300) };
         dirty.push(damaged);
-        damaged.observed = Observed::WallRange(Meters(1.0));
+        damaged.measurement = ObservationKind::WallRange(Meters(1.0));
         dirty.push(damaged);
         damaged = *observation;
-        damaged.stamp = Stamp::from_nanos(i64::MAX);
+        damaged.stamp = Timestamp::from_nanos(i64::MAX);
         dirty.push(damaged);
-        damaged.stamp_sigma = Span::from_nanos(-1);
+        damaged.stamp_sigma = TimeDelta::from_nanos(-1);
         dirty.push(damaged);
     }
     assert_eq!(batch(&config(), &dirty).unwrap(), clean);
@@ -92,9 +92,10 @@ fn without_motion_or_without_any_place_there_is_nothing_to_smooth() {
     let all = observations(&lap(Some(CAMERA)));
     let unplaced = FilterConfig { start: None, ..config() };
     let (fixes, others): (Vec<Observation>, Vec<Observation>) =
-        all.iter().partition(|one| matches!(one.observed, Observed::Fix(_)));
+        all.iter().partition(|one| matches!(one.measurement, ObservationKind::Fix(_)));
     let mut fixed_later = others.clone();
-    fixed_later.extend(fixes.iter().map(|fix| Observation { stamp: fix.stamp + Span::from_millis(1_000_000), ..*fix }));
+    fixed_later
+        .extend(fixes.iter().map(|fix| Observation { stamp: fix.stamp + TimeDelta::from_millis(1_000_000), ..*fix }));
     for (config, observations) in
         [(config(), vec![]), (config(), fixes), (unplaced.clone(), others), (unplaced, fixed_later)]
     {
@@ -134,8 +135,8 @@ fn a_delay_of_the_fixes_and_a_shifted_tag_are_found() {
     let mut all = observations(&drive);
     let tag = (0.04, -0.03);
     each_fix(&mut all, |observation| {
-        observation.stamp = observation.stamp + Span::from_millis(83);
-        if let Observed::Fix(fix) = &mut observation.observed {
+        observation.stamp = observation.stamp + TimeDelta::from_millis(83);
+        if let ObservationKind::Fix(fix) = &mut observation.measurement {
             let (sin, cos) = fix.heading.expect("this camera sees it").rad().sin_cos();
             fix.position.x.0 += cos * tag.0 - sin * tag.1;
             fix.position.y.0 += sin * tag.0 + cos * tag.1;
@@ -166,7 +167,7 @@ fn an_unknown_start_is_found_from_positions_alone() {
         let mut all = observations(&drive);
         let (sin, cos) = f64::to_radians(turned_deg).sin_cos();
         each_fix(&mut all, |observation| {
-            if let Observed::Fix(fix) = &mut observation.observed {
+            if let ObservationKind::Fix(fix) = &mut observation.measurement {
                 fix.heading = None;
                 let (x, y) = (fix.position.x.0, fix.position.y.0);
                 fix.position = Point2::new(Meters(cos * x - sin * y + 5.0), Meters(sin * x + cos * y - 2.0));
@@ -201,9 +202,11 @@ fn counters_that_restart_leave_a_gap_that_fixes_close() {
     let drive = lap(Some(CAMERA));
     let mut all = observations(&drive);
     // The brick counts on from zero and is silent for a second before.
-    all.retain(|one| matches!(one.observed, Observed::Fix(_)) || !(stamp(300)..stamp(320)).contains(&one.stamp));
+    all.retain(|one| {
+        matches!(one.measurement, ObservationKind::Fix(_)) || !(stamp(300)..stamp(320)).contains(&one.stamp)
+    });
     for observation in &mut all {
-        if let Observed::WheelAngles { left, right } = &mut observation.observed
+        if let ObservationKind::WheelAngles { left, right } = &mut observation.measurement
             && observation.stamp >= stamp(320)
         {
             (left.0, right.0) = (left.0 - 900.0, right.0 + 800.0);
@@ -214,7 +217,7 @@ fn counters_that_restart_leave_a_gap_that_fixes_close() {
     let truth = drive.poses[319];
     let error_m = (smoothed.poses[after].pose.x.0 - truth.0).hypot(smoothed.poses[after].pose.y.0 - truth.1);
     assert!(error_m < 0.02, "{error_m}");
-    all.retain(|one| !matches!(one.observed, Observed::Fix(_)));
+    all.retain(|one| !matches!(one.measurement, ObservationKind::Fix(_)));
     let unseen = batch(&config(), &all).unwrap();
     let (before, after) = (position_sigma_m(&unseen, after - 1), position_sigma_m(&unseen, after));
     assert!(before < 0.05 && after > 0.3, "{before} {after}");
@@ -239,14 +242,15 @@ fn a_foreign_odometer_and_held_speeds_move_the_robot_as_wheels_do() {
     let mut kinds = [vec![], vec![], vec![]];
     for k in 0..=100 {
         let (left, right) = wheels(k);
-        let speeds = Observed::BodyVelocity { forward: MetersPerSecond(d / 0.05), turn: RadiansPerSecond(turn / 0.05) };
-        let wheels = Observed::WheelAngles { left: Radians(left), right: Radians(right) };
-        for (kind, observed) in [wheels, Observed::OdometerPose(pose), speeds].into_iter().enumerate() {
+        let speeds =
+            ObservationKind::BodyVelocity { forward: MetersPerSecond(d / 0.05), turn: RadiansPerSecond(turn / 0.05) };
+        let wheels = ObservationKind::WheelAngles { left: Radians(left), right: Radians(right) };
+        for (kind, observed) in [wheels, ObservationKind::OdometerPose(pose), speeds].into_iter().enumerate() {
             kinds[kind].push(Observation {
                 sensor: SensorId::ODOMETER,
-                stamp: Stamp::from_millis(50 * k),
-                stamp_sigma: Span::ZERO,
-                observed,
+                stamp: Timestamp::from_millis(50 * k),
+                stamp_sigma: TimeDelta::ZERO,
+                measurement: observed,
             });
         }
         let chord = d * (0.5 * turn).sin() / (0.5 * turn);

@@ -10,10 +10,10 @@ mod robot;
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::offline::{Smoothed, batch};
+use posebridge_estimator::smoother::{SmoothedTrajectory, batch};
 use posebridge_telemetry::{
-    Fix, Heading, Known, Meters, Observation, Observed, Point2, Radians, RadiansPerSecond, SensorId, Span, Stamp,
-    quantities::wrap_rad,
+    Fix, Heading, Meters, Observation, ObservationKind, Point2, Radians, RadiansPerSecond, SensorId, TimeDelta,
+    Timestamp, UncertainValue, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -75,21 +75,21 @@ fn winding(seed: u64) -> Data {
     data
 }
 
-fn observation(at_ms: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation { sensor, stamp: Stamp::from_millis(at_ms), stamp_sigma: Span::ZERO, observed }
+fn observation(at_ms: i64, sensor: SensorId, observed: ObservationKind) -> Observation {
+    Observation { sensor, stamp: Timestamp::from_millis(at_ms), stamp_sigma: TimeDelta::ZERO, measurement: observed }
 }
 
 fn observations(data: &Data) -> Vec<Observation> {
     let mut all = vec![];
     for (k, (&(left, right), &rate)) in data.wheels.iter().zip(&data.gyro).enumerate() {
         let at_ms = STEP_MS * k as i64;
-        let wheels = Observed::WheelAngles { left: Radians(left), right: Radians(right) };
+        let wheels = ObservationKind::WheelAngles { left: Radians(left), right: Radians(right) };
         all.push(observation(at_ms, SensorId::WHEELS, wheels));
-        let rate = Observed::TurnRate(RadiansPerSecond(rate));
+        let rate = ObservationKind::TurnRate(RadiansPerSecond(rate));
         all.push(observation(at_ms, SensorId::GYRO, rate));
     }
     for &(at_ms, [x, y, heading]) in &data.fixes {
-        let fix = Observed::Fix(Fix {
+        let fix = ObservationKind::Fix(Fix {
             position: Point2::new(Meters(x), Meters(y)),
             heading: Some(Heading::from_rad(heading)),
             covariance: None,
@@ -104,7 +104,7 @@ fn observations(data: &Data) -> Vec<Observation> {
 /// The winding robot's configuration: five constants unknown, the gate wide open.
 fn winding_config() -> FilterConfig {
     let mut config = config();
-    let unknown = |sigma| Known { value: 0.0, sigma };
+    let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     config.calibration.radius_scale = unknown(0.005);
     config.calibration.radius_difference = unknown(0.005);
     config.calibration.track_scale = unknown(0.03);
@@ -289,7 +289,7 @@ impl<'a> Dense<'a> {
 fn a_dense_solution_with_numerical_derivatives_agrees() {
     let data = winding(11);
     let smoothed = batch(&winding_config(), &observations(&data)).unwrap();
-    assert_eq!((smoothed.fixes_left_out, smoothed.gyro_windows), (0, WINDOWS));
+    assert_eq!((smoothed.fixes_rejected, smoothed.gyro_windows), (0, WINDOWS));
     let own = &smoothed.calibration;
     let frozen = [own.radius_scale, own.radius_difference, own.track_scale];
     let dense = Dense::new(&data, frozen.map(|known| known.value));
@@ -318,7 +318,7 @@ fn a_dense_solution_with_numerical_derivatives_agrees() {
     }
 }
 
-fn check_constants(smoothed: &Smoothed, unknowns: &DVector<f64>) {
+fn check_constants(smoothed: &SmoothedTrajectory, unknowns: &DVector<f64>) {
     let own = &smoothed.calibration;
     let found = [own.radius_scale, own.radius_difference, own.track_scale, own.tag_forward_m, own.tag_left_m];
     for (i, found) in found.into_iter().enumerate() {
@@ -358,7 +358,7 @@ fn straight_config() -> FilterConfig {
     config.noise.travel_m_per_sqrt_m = TRAVEL;
     let start = config.start.as_mut().expect("it has a start");
     (start.position_sigma_m, start.heading_sigma_rad) = (0.01, 0.0);
-    config.calibration.radius_scale = Known { value: 0.01, sigma: 0.02 };
+    config.calibration.radius_scale = UncertainValue { value: 0.01, sigma: 0.02 };
     config
 }
 
@@ -434,7 +434,7 @@ fn on_a_straight_the_last_pose_is_that_of_a_kalman_filter() {
     let data = straight(5);
     let mut all = observations(&data);
     for observation in &mut all {
-        if let Observed::Fix(fix) = &mut observation.observed {
+        if let ObservationKind::Fix(fix) = &mut observation.measurement {
             (fix.heading, fix.tag_in_body) = (None, Point2::ORIGIN);
         }
     }

@@ -26,8 +26,8 @@ use std::path::PathBuf;
 
 use drive::{Camera, Drive, Scenario, drive, stamp};
 use grid::{KIT, config_with, drive_on_grid};
-use posebridge_estimator::{FilterConfig, filter_named};
-use posebridge_telemetry::{Estimate, Known, SensorId};
+use posebridge_estimator::{FilterConfig, find_filter};
+use posebridge_telemetry::{Estimate, SensorId, UncertainValue};
 use robot::config;
 use senses::{Senses, add, furnished, step_between};
 
@@ -41,7 +41,7 @@ const EVERY: usize = 20;
 
 const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.03 };
 
-fn row_of(estimate: &Estimate, learned: [Known; 3]) -> Vec<f64> {
+fn row_of(estimate: &Estimate, learned: [UncertainValue; 3]) -> Vec<f64> {
     vec![
         (estimate.stamp - stamp(0)).as_secs_f64(),
         estimate.pose.x.0,
@@ -60,7 +60,7 @@ fn row_of(estimate: &Estimate, learned: [Known; 3]) -> Vec<f64> {
 }
 
 fn rows_of(drive: &Drive, config: &FilterConfig) -> Vec<Vec<f64>> {
-    let mut filter = (filter_named("pose").expect("it is in the table").build)(config);
+    let mut filter = (find_filter("pose").expect("it is in the table").build)(config);
     let mut arrivals = drive.arrivals.iter().peekable();
     let mut rows = vec![];
     for step in 1..=drive.poses.len() {
@@ -141,7 +141,7 @@ fn late_fixes_and_an_unknown_geometry_are_followed_as_before() {
 
 #[test]
 fn every_sensor_and_every_state_are_followed_as_before() {
-    let unknown = |sigma| Known { value: 0.0, sigma };
+    let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     let mut config = furnished(&config_with(KIT));
     config.calibration.fix_delay_s = unknown(0.1);
     config.calibration.beacon_offset_m = unknown(0.3);

@@ -12,10 +12,10 @@ use std::f64::consts::PI;
 
 use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
 use nalgebra::Matrix5;
-use posebridge_estimator::{Filter, FilterConfig, Late, Placing, StartPose};
+use posebridge_estimator::{Filter, FilterConfig, Initialization, LateDataPolicy, StartPose};
 use posebridge_telemetry::{
-    Estimate, Fix, Heading, Meters, MetersPerSecond, Observed, Point2, PositionCovariance, Radians, RadiansPerSecond,
-    SensorId, Span, Verdict,
+    Estimate, Fix, FusionOutcome, Heading, Meters, MetersPerSecond, ObservationKind, Point2, PositionCovariance,
+    Radians, RadiansPerSecond, SensorId, TimeDelta,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -29,7 +29,7 @@ fn without_start() -> FilterConfig {
 #[test]
 fn before_the_first_observation_there_is_no_estimate() {
     for_each(&config(), |entry, filter| {
-        assert!(filter.latest().is_none(), "{}", entry.name);
+        assert!(filter.latest_time().is_none(), "{}", entry.name);
         assert!(filter.estimate_at(ms(0)).is_none(), "{}", entry.name);
     });
 }
@@ -62,7 +62,7 @@ fn a_fix_places_the_filters_that_say_so_and_no_others() {
             filter.observe(&wheels(millis, rad, rad));
         }
         let is_placed = latest(filter.as_ref()).validity.position;
-        assert_eq!(is_placed, entry.placing == Placing::Fix, "{}", entry.name);
+        assert_eq!(is_placed, entry.initialization == Initialization::Fix, "{}", entry.name);
     });
 }
 
@@ -76,13 +76,13 @@ fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
         // Set with so much doubt that the fix would pass the gate, were it to have the last word.
         let vague = StartPose { position_sigma_m: 3.0, heading_sigma_rad: 3.0, ..start(-1.0, 2.0, -3.0) };
         let verdict = filter.set_pose(&vague);
-        assert_eq!(verdict, Verdict::ResetTo, "{}", entry.name);
+        assert_eq!(verdict, FusionOutcome::PoseReset, "{}", entry.name);
         let after = latest(filter.as_ref());
         assert_eq!((after.pose.x.0, after.pose.y.0), (-1.0, 2.0), "{}", entry.name);
         assert_eq!(after.pose.heading.rad(), -3.0, "{}", entry.name);
         assert!((after.x_sigma_m() - 3.0).abs() < 1e-12, "{}", entry.name);
         assert_eq!(after.reset_counter, before.reset_counter.wrapping_add(1));
-        let jump = after.last_jump.expect("it is told");
+        let jump = after.last_correction.expect("it is told");
         assert_eq!(jump.dx_m, -1.0 - before.pose.x.0, "{}", entry.name);
         assert_eq!(jump.dy_m, 2.0 - before.pose.y.0, "{}", entry.name);
         assert!((jump.turn.0 + 3.0 + before.pose.heading.rad()).abs() < 1e-12);
@@ -101,14 +101,14 @@ fn a_pose_that_is_set_is_not_changed_by_what_happened_before() {
         let _ = filter.set_pose(&start(5.0, 5.0, 0.0));
         let believed_before = belief(filter.as_ref());
         filter.observe(&wheels(975, 0.25 / RADIUS_M, 0.1 / RADIUS_M));
-        assert_eq!(filter.latest(), Some(ms(1_000)), "{}", entry.name);
+        assert_eq!(filter.latest_time(), Some(ms(1_000)), "{}", entry.name);
         let rad = 0.21 / RADIUS_M;
         filter.observe(&wheels(1_050, rad, rad));
         let x_m = latest(filter.as_ref()).pose.x.0;
-        match entry.late {
-            Late::Replayed => assert!((x_m - 5.01).abs() < 1e-6, "{}: {x_m}", entry.name),
+        match entry.late_data {
+            LateDataPolicy::Replayed => assert!((x_m - 5.01).abs() < 1e-6, "{}: {x_m}", entry.name),
             // These smooth the counters, so the way after the jump is theirs; the past must not change it at all.
-            Late::OnArrival => {
+            LateDataPolicy::OnArrival => {
                 let mut untold = (entry.build)(&config());
                 drive_straight(untold.as_mut(), 1_000);
                 let _ = untold.set_pose(&start(5.0, 5.0, 0.0));
@@ -139,10 +139,10 @@ fn a_restart_of_the_bricks_clock_keeps_the_pose_with_more_doubt() {
         drive_straight(filter.as_mut(), 5_000);
         let before = latest(filter.as_ref());
         filter.restart_clock();
-        assert!(filter.latest().is_none(), "{}", entry.name);
+        assert!(filter.latest_time().is_none(), "{}", entry.name);
         assert!(filter.estimate_at(ms(5_000)).is_none(), "{}", entry.name);
         let record = filter.observe(&wheels(30, 0.0, 0.0));
-        assert_eq!(record.verdict, Verdict::Accepted, "{}", entry.name);
+        assert_eq!(record.outcome, FusionOutcome::Accepted, "{}", entry.name);
         let after = latest(filter.as_ref());
         assert_eq!(after.pose, before.pose, "{}", entry.name);
         assert_eq!(after.reset_counter, before.reset_counter, "{}", entry.name);
@@ -157,7 +157,7 @@ fn counters_that_jump_to_zero_are_a_new_base_and_not_motion() {
         drive_straight(filter.as_mut(), 10_000);
         let before = latest(filter.as_ref());
         let record = filter.observe(&wheels(10_050, 0.0, 0.0));
-        assert_eq!(record.verdict, Verdict::Rebased, "{}", entry.name);
+        assert_eq!(record.outcome, FusionOutcome::Rebased, "{}", entry.name);
         let rad = 0.01 / RADIUS_M;
         filter.observe(&wheels(10_100, rad, rad));
         // 1 cm after the jump, and at most another one that the filter makes up for the interval of the jump.
@@ -175,7 +175,7 @@ fn an_estimate_of_the_past_is_where_the_robot_was_as_far_as_the_history_reaches(
         for millis in [10_000, 9_990, 9_000, 7_010] {
             let estimate = filter.estimate_at(ms(millis)).expect("within the history");
             assert_eq!(estimate.stamp, ms(millis), "{}", entry.name);
-            if entry.late == Late::OnArrival {
+            if entry.late_data == LateDataPolicy::OnArrival {
                 let mut then = (entry.build)(&config());
                 drive_straight(then.as_mut(), millis);
                 let said = then.estimate_at(ms(millis)).expect("just observed");
@@ -210,15 +210,17 @@ fn an_estimate_of_the_future_is_no_surer_than_one_of_the_present() {
 }
 
 /// An observation of any kind that a robot with a camera sends, with a stamp that may be early, late or doubled.
-fn any_observation() -> impl Strategy<Value = (i64, Observed)> {
+fn any_observation() -> impl Strategy<Value = (i64, ObservationKind)> {
     let wheel = -400.0..400.0;
-    let wheels = (wheel.clone(), wheel)
-        .prop_map(|(left, right)| Observed::WheelAngles { left: Radians(left * 0.1), right: Radians(right * 0.1) });
-    let gyro = (-9.0..9.0).prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate)));
+    let wheels = (wheel.clone(), wheel).prop_map(|(left, right)| ObservationKind::WheelAngles {
+        left: Radians(left * 0.1),
+        right: Radians(right * 0.1),
+    });
+    let gyro = (-9.0..9.0).prop_map(|rate| ObservationKind::TurnRate(RadiansPerSecond(rate)));
     let place = (-5.0..5.0, -5.0..5.0, -PI..PI);
     let shape = (prop::option::of((1e-8..4.0, -0.99..0.99, 1e-8..4.0, 1e-8..4.0)), any::<bool>(), -0.5..0.5);
     let fix = (place, shape).prop_map(|((x, y, heading), (covariance, has_heading, lever))| {
-        Observed::Fix(Fix {
+        ObservationKind::Fix(Fix {
             heading: has_heading.then(|| Heading::from_rad(heading)),
             covariance: covariance.map(|(xx_m2, share, yy_m2, heading_rad2): (f64, f64, f64, f64)| {
                 PositionCovariance { xx_m2, xy_m2: share * (xx_m2 * yy_m2).sqrt(), yy_m2, heading_rad2 }
@@ -227,7 +229,7 @@ fn any_observation() -> impl Strategy<Value = (i64, Observed)> {
             ..fix_of(x, y, 0.0)
         })
     });
-    let velocity = (-1.0..1.0, -9.0..9.0).prop_map(|(forward, turn)| Observed::BodyVelocity {
+    let velocity = (-1.0..1.0, -9.0..9.0).prop_map(|(forward, turn)| ObservationKind::BodyVelocity {
         forward: MetersPerSecond(forward),
         turn: RadiansPerSecond(turn),
     });
@@ -276,9 +278,9 @@ proptest! {
                 millis += step_ms;
                 let record = filter.observe(&at(millis, SensorId(7), *observed));
                 assert!(record.nis >= 0.0 && record.log_likelihood.is_finite());
-                let Some(latest) = filter.latest() else { continue };
+                let Some(latest) = filter.latest_time() else { continue };
                 for ahead_ms in [-400, 0, 300, 100_000] {
-                    if let Some(estimate) = filter.estimate_at(latest + Span::from_millis(ahead_ms)) {
+                    if let Some(estimate) = filter.estimate_at(latest + TimeDelta::from_millis(ahead_ms)) {
                         assert_sound(entry.name, &estimate);
                     }
                 }
@@ -306,11 +308,11 @@ proptest! {
                 }
             }
             let error = error_of(filter.as_ref(), expected);
-            match entry.late {
-                Late::Replayed => assert!(error.abs() < DEGREE, "{}: {error}", entry.name),
+            match entry.late_data {
+                LateDataPolicy::Replayed => assert!(error.abs() < DEGREE, "{}: {error}", entry.name),
                 // A filter of a paper begins at rest. What it misses until it believes the speed it may never make up for, but
                 // it must not go on missing.
-                Late::OnArrival => {
+                LateDataPolicy::OnArrival => {
                     let since_midway = Heading::from_rad(error - error_midway).rad();
                     assert!(since_midway.abs() < DEGREE, "{}: {since_midway}", entry.name);
                 }

@@ -9,10 +9,10 @@ mod robot;
 mod stamped;
 
 use conformance::{belief, drive_straight, fix, fix_of, for_each, latest, start};
-use posebridge_estimator::{Late, StartPose};
+use posebridge_estimator::{LateDataPolicy, StartPose};
 use posebridge_telemetry::{
-    Fix, Heading, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, PositionCovariance, RadiansPerSecond,
-    SensorId, Span, Verdict,
+    Fix, FusionOutcome, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Point2, Pose,
+    PositionCovariance, RadiansPerSecond, SensorId, TimeDelta,
 };
 use robot::{RADIUS_M, config};
 use stamped::{at, gyro, wheels};
@@ -53,19 +53,19 @@ fn numbers_that_cannot_be_are_refused_and_change_nothing() {
         let forward = MetersPerSecond(bad);
         let turn = RadiansPerSecond(bad);
         for (forward, turn) in [(forward, RadiansPerSecond(0.0)), (MetersPerSecond(0.0), turn)] {
-            let velocity = Observed::BodyVelocity { forward, turn };
+            let velocity = ObservationKind::BodyVelocity { forward, turn };
             observations.push(at(1_010, SensorId::ODOMETER, velocity));
         }
         let pose = Pose::new(Meters(bad), Meters(0.0), Heading::default());
-        observations.push(at(1_010, SensorId::ODOMETER, Observed::OdometerPose(pose)));
+        observations.push(at(1_010, SensorId::ODOMETER, ObservationKind::OdometerPose(pose)));
     }
-    observations.push(Observation { stamp_sigma: Span::from_millis(-1), ..fix(1_000, fix_of(0.2, 0.0, 0.0)) });
+    observations.push(Observation { stamp_sigma: TimeDelta::from_millis(-1), ..fix(1_000, fix_of(0.2, 0.0, 0.0)) });
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
         for observation in &observations {
-            let verdict = filter.observe(observation).verdict;
-            assert_eq!(verdict, Verdict::Malformed, "{}: {observation:?}", entry.name);
+            let verdict = filter.observe(observation).outcome;
+            assert_eq!(verdict, FusionOutcome::Malformed, "{}: {observation:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });
@@ -77,14 +77,14 @@ fn a_reading_that_comes_twice_counts_once() {
         drive_straight(filter.as_mut(), 1_000);
         let before = belief(filter.as_ref());
         // One that looks back no further than its last reading cannot tell a copy of an older one from a late one.
-        let of_older: &[Verdict] = match entry.late {
-            Late::Replayed => &[Verdict::Malformed],
-            Late::OnArrival => &[Verdict::Malformed, Verdict::TooOld],
+        let of_older: &[FusionOutcome] = match entry.late_data {
+            LateDataPolicy::Replayed => &[FusionOutcome::Malformed],
+            LateDataPolicy::OnArrival => &[FusionOutcome::Malformed, FusionOutcome::TooOld],
         };
         for (again, expected) in
-            [(wheels(1_000, 99.0, 99.0), &[Verdict::Malformed][..]), (wheels(950, 0.0, 0.0), of_older)]
+            [(wheels(1_000, 99.0, 99.0), &[FusionOutcome::Malformed][..]), (wheels(950, 0.0, 0.0), of_older)]
         {
-            let verdict = filter.observe(&again).verdict;
+            let verdict = filter.observe(&again).outcome;
             assert!(expected.contains(&verdict), "{}: {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
@@ -96,11 +96,11 @@ fn a_fix_that_comes_twice_counts_once() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let seen = fix(990, fix_of(0.199, 0.001, 0.002));
-        let first = filter.observe(&seen).verdict;
-        assert!(matches!(first, Verdict::Accepted | Verdict::Unused), "{}: {first:?}", entry.name);
+        let first = filter.observe(&seen).outcome;
+        assert!(matches!(first, FusionOutcome::Accepted | FusionOutcome::Unused), "{}: {first:?}", entry.name);
         let before = belief(filter.as_ref());
-        let again = filter.observe(&seen).verdict;
-        let expected = if first == Verdict::Unused { Verdict::Unused } else { Verdict::Malformed };
+        let again = filter.observe(&seen).outcome;
+        let expected = if first == FusionOutcome::Unused { FusionOutcome::Unused } else { FusionOutcome::Malformed };
         assert_eq!(again, expected, "{}", entry.name);
         assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
     });
@@ -112,19 +112,19 @@ fn a_fix_that_comes_twice_counts_once() {
 fn a_reading_from_the_past_is_taken_at_its_own_time_and_the_latest_instant_stays() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
-        let (before, latest_before) = (latest(filter.as_ref()), filter.latest());
+        let (before, latest_before) = (latest(filter.as_ref()), filter.latest_time());
         let believed_before = belief(filter.as_ref());
         let rad = 0.2 * 0.525 / RADIUS_M;
         let record = filter.observe(&wheels(525, rad, rad));
-        match entry.late {
-            Late::Replayed => assert_eq!(record.verdict, Verdict::Accepted, "{}", entry.name),
-            Late::OnArrival => {
-                assert_eq!(record.verdict, Verdict::TooOld, "{}", entry.name);
+        match entry.late_data {
+            LateDataPolicy::Replayed => assert_eq!(record.outcome, FusionOutcome::Accepted, "{}", entry.name),
+            LateDataPolicy::OnArrival => {
+                assert_eq!(record.outcome, FusionOutcome::TooOld, "{}", entry.name);
                 assert_eq!(belief(filter.as_ref()), believed_before, "{}", entry.name);
             }
         }
-        assert_eq!(record.lag, Span::from_millis(475), "{}", entry.name);
-        assert_eq!(filter.latest(), latest_before, "{}", entry.name);
+        assert_eq!(record.lag, TimeDelta::from_millis(475), "{}", entry.name);
+        assert_eq!(filter.latest_time(), latest_before, "{}", entry.name);
         let moved_m = latest(filter.as_ref()).pose.x.0 - before.pose.x.0;
         assert!(moved_m.abs() < 1e-9, "{}: {moved_m}", entry.name);
     });
@@ -135,10 +135,12 @@ fn a_stamp_of_long_ago_or_of_next_year_is_refused_and_changes_nothing() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 10_000);
         let before = belief(filter.as_ref());
-        for (millis, expected) in
-            [(6_999, Verdict::TooOld), (-5_000_000, Verdict::TooOld), (31_536_000_000, Verdict::Malformed)]
-        {
-            let verdict = filter.observe(&wheels(millis, 50.0, 50.0)).verdict;
+        for (millis, expected) in [
+            (6_999, FusionOutcome::TooOld),
+            (-5_000_000, FusionOutcome::TooOld),
+            (31_536_000_000, FusionOutcome::Malformed),
+        ] {
+            let verdict = filter.observe(&wheels(millis, 50.0, 50.0)).outcome;
             assert_eq!(verdict, expected, "{} at {millis} ms", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
@@ -160,7 +162,7 @@ fn a_pose_that_cannot_be_is_not_set() {
         let before = belief(filter.as_ref());
         for start in &bad {
             let verdict = filter.set_pose(start);
-            assert_eq!(verdict, Verdict::Malformed, "{}: {start:?}", entry.name);
+            assert_eq!(verdict, FusionOutcome::Malformed, "{}: {start:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });
@@ -173,8 +175,8 @@ fn a_fix_that_does_not_fit_leaves_the_estimate_untouched() {
         let before = belief(filter.as_ref());
         let position_only = Fix { heading: None, ..fix_of(0.9, 0.2, 0.0) };
         for seen in [fix_of(0.4, 0.5, 0.0), fix_of(0.4, 0.0, 1.0), position_only] {
-            let verdict = filter.observe(&fix(1_990, seen)).verdict;
-            assert!(matches!(verdict, Verdict::Gated | Verdict::Unused), "{}: {verdict:?}", entry.name);
+            let verdict = filter.observe(&fix(1_990, seen)).outcome;
+            assert!(matches!(verdict, FusionOutcome::Gated | FusionOutcome::Unused), "{}: {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
     });

@@ -5,9 +5,10 @@ mod robot;
 #[path = "support/stamped.rs"]
 mod stamped;
 
-use posebridge_estimator::{Estimates, FILTERS, Filter, FilterEntry, StartPose};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterEntry, StartPose};
 use posebridge_telemetry::{
-    Celsius, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, RadiansPerSecond, SensorId, Span, Verdict,
+    Celsius, FusionOutcome, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Pose, RadiansPerSecond,
+    SensorId, TimeDelta,
 };
 use robot::config;
 use stamped::{at, gyro, ms, wheels};
@@ -16,7 +17,7 @@ const BAD: [f64; 5] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e12]
 
 fn for_each(check: impl Fn(&FilterEntry, Box<dyn Filter>)) {
     for entry in FILTERS {
-        if entry.estimates == Estimates::Scalar {
+        if entry.quantity == EstimatedQuantity::Scalar {
             check(entry, (entry.build)(&config()));
         }
     }
@@ -32,8 +33,9 @@ fn start(x_m: f64) -> StartPose {
 
 /// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
 fn belief(filter: &dyn Filter) -> String {
-    let latest = filter.latest();
-    let believed: Vec<_> = (-20..=20).filter_map(|k| filter.scalar_at(latest? + Span::from_millis(k * 100))).collect();
+    let latest = filter.latest_time();
+    let believed: Vec<_> =
+        (-20..=20).filter_map(|k| filter.scalar_at(latest? + TimeDelta::from_millis(k * 100))).collect();
     format!("{latest:?} {believed:?}")
 }
 
@@ -47,16 +49,17 @@ fn measure_scalars(filter: &mut dyn Filter, until_ms: i64) {
 }
 
 fn approach(millis: i64, forward_m_per_s: f64) -> Observation {
-    let observed = Observed::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
+    let observed =
+        ObservationKind::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
     at(millis, SensorId::ODOMETER, observed)
 }
 
 fn range(millis: i64, range_m: f64) -> Observation {
-    at(millis, SensorId::RANGE, Observed::WallRange(Meters(range_m)))
+    at(millis, SensorId::RANGE, ObservationKind::WallRange(Meters(range_m)))
 }
 
 fn temperature(millis: i64, celsius: f64) -> Observation {
-    let observed = Observed::Temperature(Celsius(celsius));
+    let observed = ObservationKind::Temperature(Celsius(celsius));
     at(millis, SensorId::THERMOMETER, observed)
 }
 
@@ -74,7 +77,7 @@ fn a_filter_of_one_quantity_gives_it_and_no_pose() {
         }
         assert!(filter.scalar_at(ms(1_000)).is_none(), "{}", entry.name);
         filter.restart_clock();
-        assert!(filter.latest().is_none(), "{}", entry.name);
+        assert!(filter.latest_time().is_none(), "{}", entry.name);
         assert!(filter.scalar_at(ms(5_000)).is_none(), "{}", entry.name);
     });
 }
@@ -84,29 +87,29 @@ fn what_a_filter_of_one_quantity_refuses_changes_nothing() {
     let bad = BAD.into_iter().flat_map(|bad| [range(5_010, bad), temperature(5_010, bad), approach(5_010, bad)]);
     let refused: Vec<_> = bad
         .chain([range(5_000, 2.0), temperature(5_000, 20.0), approach(5_000, 0.2)])
-        .map(|observation| (observation, Verdict::Malformed))
+        .map(|observation| (observation, FusionOutcome::Malformed))
         .chain([
-            (range(1_500, 2.7), Verdict::TooOld),
-            (temperature(4_950, 20.0), Verdict::TooOld),
-            (approach(1_500, 0.2), Verdict::TooOld),
-            (temperature(31_536_000_000, 20.0), Verdict::Malformed),
-            (wheels(5_010, 1.0, 1.0), Verdict::Unused),
-            (gyro(5_010, 0.1), Verdict::Unused),
+            (range(1_500, 2.7), FusionOutcome::TooOld),
+            (temperature(4_950, 20.0), FusionOutcome::TooOld),
+            (approach(1_500, 0.2), FusionOutcome::TooOld),
+            (temperature(31_536_000_000, 20.0), FusionOutcome::Malformed),
+            (wheels(5_010, 1.0, 1.0), FusionOutcome::Unused),
+            (gyro(5_010, 0.1), FusionOutcome::Unused),
         ])
         .collect();
     for_each(|entry, mut filter| {
         measure_scalars(filter.as_mut(), 5_000);
         let before = belief(filter.as_ref());
         for (observation, expected) in &refused {
-            let verdict = filter.observe(observation).verdict;
-            let is_expected = verdict == *expected || verdict == Verdict::Unused;
+            let verdict = filter.observe(observation).outcome;
+            let is_expected = verdict == *expected || verdict == FusionOutcome::Unused;
             assert!(is_expected, "{}: {observation:?} {verdict:?}", entry.name);
             assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
         }
         let verdict = filter.set_pose(&start(1.0));
-        assert_eq!(verdict, Verdict::Unused, "{}: it has none", entry.name);
+        assert_eq!(verdict, FusionOutcome::Unused, "{}: it has none", entry.name);
         let verdict = filter.set_pose(&start(f64::NAN));
-        assert_eq!(verdict, Verdict::Malformed, "{}", entry.name);
+        assert_eq!(verdict, FusionOutcome::Malformed, "{}", entry.name);
         assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
     });
 }

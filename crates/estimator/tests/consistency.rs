@@ -19,7 +19,7 @@ mod score;
 
 use drive::{Camera, Scenario, drive};
 use grid::{KIT, config_with, drive_on_grid};
-use posebridge_telemetry::{SensorId, Verdict};
+use posebridge_telemetry::{FusionOutcome, SensorId};
 use robot::config;
 use score::{Score, mean, play, score};
 
@@ -129,7 +129,7 @@ fn the_gyros_windows_have_the_innovations_that_they_should() {
         drive.arrivals.sort_by_key(|arrival| (arrival.step, arrival.observation.sensor != SensorId::GYRO));
         let played = play(&drive, &config_with(KIT));
         for record in &played.records {
-            if record.degrees_of_freedom == 1 && record.verdict == Verdict::Accepted {
+            if record.degrees_of_freedom == 1 && record.outcome == FusionOutcome::Accepted {
                 nis += record.nis;
                 count += 1.0;
             }

@@ -13,7 +13,8 @@ use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ROWS};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Celsius, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Span, Stamp, Verdict,
+    BrickClock, Celsius, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
+    TimeDelta, Timestamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -43,14 +44,14 @@ fn filter(sigma_k: f64, model: DynamicModel) -> DynamicFilter {
 fn give(filter: &mut DynamicFilter, sensor: SensorId, at_s: f64, celsius: f64) -> FusionRecord {
     filter.observe(&Observation {
         sensor,
-        stamp: Stamp::from_secs_f64(at_s),
-        stamp_sigma: Span::ZERO,
-        observed: Observed::Temperature(Celsius(celsius)),
+        stamp: Timestamp::from_secs_f64(at_s),
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: ObservationKind::Temperature(Celsius(celsius)),
     })
 }
 
 fn now(filter: &DynamicFilter) -> ScalarEstimate {
-    let latest: Stamp<BrickClock> = filter.latest().expect("it was given a sample");
+    let latest: Timestamp<BrickClock> = filter.latest_time().expect("it was given a sample");
     filter.scalar_at(latest).expect("it was given a sample")
 }
 
@@ -60,7 +61,7 @@ type Sample = (SensorId, f64, f64);
 fn play(sigma_k: f64, model: &DynamicModel, samples: &[Sample]) -> ScalarEstimate {
     let mut filter = filter(sigma_k, model.clone());
     for &(sensor, at_s, value) in samples {
-        assert_eq!(give(&mut filter, sensor, at_s, value).verdict, Verdict::Accepted);
+        assert_eq!(give(&mut filter, sensor, at_s, value).outcome, FusionOutcome::Accepted);
     }
     now(&filter)
 }

@@ -14,8 +14,8 @@ mod robot;
 use indirect::{ACCELEROMETER_M_PER_S2, STEP_S, built, latest};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    Arena, Fix, Heading, Known, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Verdict, quantities::wrap_rad,
+    Arena, Fix, FusionOutcome, Heading, Meters, MetersPerSecondSquared, Observation, ObservationKind, Point2, Radians,
+    RadiansPerSecond, SensorId, TimeDelta, Timestamp, UncertainValue, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -120,28 +120,28 @@ impl World {
         accelerations
     }
 
-    fn wheels(&self) -> Observed {
+    fn wheels(&self) -> ObservationKind {
         let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
-        Observed::WheelAngles { left: floored(self.wheels_rad[0]), right: floored(self.wheels_rad[1]) }
+        ObservationKind::WheelAngles { left: floored(self.wheels_rad[0]), right: floored(self.wheels_rad[1]) }
     }
 
     /// The accelerometers sit on the frame at the nominal track, which a ruler tells; the tyres' effective track is another.
-    fn accelerations(&mut self, (forward, turn): (f64, f64)) -> Observed {
+    fn accelerations(&mut self, (forward, turn): (f64, f64)) -> ObservationKind {
         let half = 0.5 * TRACK_M * turn;
         let left = forward - half + self.biases[0] + ACCELEROMETER_M_PER_S2 * self.normal();
         let right = forward + half + self.biases[1] + ACCELEROMETER_M_PER_S2 * self.normal();
-        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
+        ObservationKind::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
     }
 
-    fn gyro(&mut self, turned_rad: f64) -> Observed {
+    fn gyro(&mut self, turned_rad: f64) -> ObservationKind {
         let rate = turned_rad / STEP_S + self.biases[2] + 0.6 * DEGREE * self.normal();
-        Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
+        ObservationKind::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
     }
 
-    fn fix(&mut self) -> Observed {
+    fn fix(&mut self) -> ObservationKind {
         let (x, y, heading) = self.truth;
         let noise = [0.005, 0.005, DEGREE].map(|sigma| sigma * self.normal());
-        Observed::Fix(Fix {
+        ObservationKind::Fix(Fix {
             position: Point2::<Arena>::new(Meters(x + noise[0]), Meters(y + noise[1])),
             heading: Some(Heading::from_rad(heading + noise[2])),
             covariance: None,
@@ -163,7 +163,7 @@ fn drive(sensors: Sensors, seed: u64) -> Drive {
         let of_gyro = world.gyro(turned_rad);
         let of_camera = world.fix();
         let is_fixed = sensors.fixes_every.is_some_and(|every| index.is_multiple_of(every));
-        let stamp = Stamp::from_millis(50 * (index as i64 + 1));
+        let stamp = Timestamp::from_millis(50 * (index as i64 + 1));
         for (sensor, observed, is_used) in [
             (SensorId::ACCELEROMETER, of_accelerometers, sensors.has_accelerometers),
             (SensorId::GYRO, of_gyro, sensors.has_gyro),
@@ -171,7 +171,7 @@ fn drive(sensors: Sensors, seed: u64) -> Drive {
             (SensorId::CAMERA, of_camera, is_fixed),
         ] {
             if is_used {
-                observations.push(Observation { sensor, stamp, stamp_sigma: Span::ZERO, observed });
+                observations.push(Observation { sensor, stamp, stamp_sigma: TimeDelta::ZERO, measurement: observed });
             }
         }
     }
@@ -182,7 +182,7 @@ fn drive(sensors: Sensors, seed: u64) -> Drive {
 fn square_config() -> FilterConfig {
     let mut config = config();
     config.noise.accelerometer_m_per_s2 = ACCELEROMETER_M_PER_S2;
-    let doubt = |sigma| Known { value: 0.0, sigma };
+    let doubt = |sigma| UncertainValue { value: 0.0, sigma };
     config.calibration.radius_scale = doubt(SCALE_SIGMAS[0]);
     config.calibration.radius_difference = doubt(SCALE_SIGMAS[1]);
     config.calibration.track_scale = doubt(SCALE_SIGMAS[2]);
@@ -192,8 +192,11 @@ fn square_config() -> FilterConfig {
 fn played(name: &str, config: &FilterConfig, drive: &Drive) -> Box<dyn Filter> {
     let mut filter = built(name, config);
     for observation in &drive.observations {
-        let verdict = filter.observe(observation).verdict;
-        let is_fine = matches!(verdict, Verdict::Accepted | Verdict::Gated | Verdict::Unused | Verdict::ResetTo);
+        let verdict = filter.observe(observation).outcome;
+        let is_fine = matches!(
+            verdict,
+            FusionOutcome::Accepted | FusionOutcome::Gated | FusionOutcome::Unused | FusionOutcome::PoseReset
+        );
         assert!(is_fine, "{name}: {observation:?} {verdict:?}");
     }
     filter
@@ -310,7 +313,7 @@ fn feed_forward_and_feedback_agree_while_errors_are_small() {
             }
             let (a, b) = (latest(forward.as_ref()).pose, latest(back.as_ref()).pose);
             let differ_m = (a.x.0 - b.x.0).hypot(a.y.0 - b.y.0);
-            if observation.stamp <= Stamp::from_millis(10_000) {
+            if observation.stamp <= Timestamp::from_millis(10_000) {
                 small_m = small_m.max(differ_m);
             }
             grown_m = grown_m.max(differ_m);
@@ -330,7 +333,7 @@ fn every_comparison_is_told_with_its_innovation() {
         let (mut nis, mut count) = (0.0, 0.0);
         for observation in &drive.observations {
             let record = filter.observe(observation);
-            let is_first = observation.stamp < Stamp::from_millis(150);
+            let is_first = observation.stamp < Timestamp::from_millis(150);
             if observation.sensor == SensorId::WHEELS && !is_first {
                 assert_eq!(record.degrees_of_freedom, 3, "{name} {observation:?}");
                 assert!(record.innovation_covariance[2][2] > 0.0);

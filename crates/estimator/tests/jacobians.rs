@@ -7,23 +7,25 @@
 mod odd;
 
 use odd::{GEOMETRY, H, ms, odd_states, with_error};
+use posebridge_estimator::filters::pose::columns::{linearize, linearize_gyro_window};
 use posebridge_estimator::filters::pose::state::{
-    BEACONS, DELAY, MOST_BEACONS, PoseState, Speed, TAG_FORWARD, TAG_LEFT, WITH_RANGES,
+    BEACONS, DELAY, MAX_BEACONS, PoseState, RANGE_STATES, TAG_FORWARD, TAG_LEFT,
 };
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::motion::{GyroTurn, MotionReading, MotionTrack};
-use posebridge_estimator::observations::accelerometer::{Accelerations, drive_speeds};
+use posebridge_estimator::observations::accelerometer::{SpeedChange, WheelAccelerations, speed_change};
 use posebridge_estimator::observations::beacon::Beacon;
-use posebridge_estimator::observations::gyro_window::Rounded;
-use posebridge_estimator::observations::landmark::Sighting;
+use posebridge_estimator::observations::gyro_window::EndRounding;
+use posebridge_estimator::observations::landmark::RangeBearing;
+use posebridge_estimator::observations::model::ObservationModel;
 use posebridge_estimator::observations::{beacon, compass, fix, gyro_window, landmark, wall};
-use posebridge_estimator::update::Measurement;
+use posebridge_estimator::update::LinearizedMeasurement;
 use posebridge_telemetry::{
-    Arena, Body, Fix, Heading, Meters, Point2, Pose, SensorNoise, Span, Wall, quantities::wrap_rad,
+    Arena, Body, Fix, Heading, Meters, Point2, Pose, SensorNoise, TimeDelta, Wall, quantities::wrap_rad,
 };
 
-type State = PoseState<WITH_RANGES>;
-type Expected<const M: usize> = Measurement<WITH_RANGES, M>;
+type State = PoseState<RANGE_STATES>;
+type Expected<const M: usize> = LinearizedMeasurement<RANGE_STATES, M>;
 
 const QUIET: SensorNoise = SensorNoise {
     gyro_rad_per_s: 0.01,
@@ -37,11 +39,12 @@ const QUIET: SensorNoise = SensorNoise {
 const NEAR: f64 = 2e-8;
 
 /// Holds H against central differences of the innovation, which is z - h(x) and must be zero in the middle.
-fn check<const M: usize>(what: &str, state: &State, measure: impl Fn(&State) -> Expected<M>) {
+fn check<const M: usize>(what: &str, state: &State, model: impl Fn(&State) -> ObservationModel<M>) {
+    let measure = |state: &State| -> Expected<M> { linearize(&model(state)) };
     let middle = measure(state);
     let off = middle.innovation.amax();
     assert!(off < 1e-12, "{what}: the expectation is off by {off:e}");
-    for row in 0..WITH_RANGES {
+    for row in 0..RANGE_STATES {
         let ahead = measure(&with_error(state, row, H)).innovation;
         let behind = measure(&with_error(state, row, -H)).innovation;
         for component in 0..M {
@@ -76,8 +79,8 @@ fn seen_from(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
     }
 }
 
-fn circumstances(moved_since: Se2) -> fix::Circumstances {
-    fix::Circumstances { moved_since, stamp_sigma_s: 0.0, forward_m_per_s: 0.0, turn_rad_per_s: 0.0 }
+fn circumstances(moved_since: Se2) -> fix::FixContext {
+    fix::FixContext { moved_since, stamp_sigma_s: 0.0, forward_m_per_s: 0.0, turn_rad_per_s: 0.0 }
 }
 
 /// Told places of the tag: mid-axle, ahead, behind to the left, far off to the right.
@@ -87,12 +90,12 @@ const MOVED: [[f64; 3]; 3] = [[0.0; 3], [0.06, 0.0, 0.4], [-0.2, 0.0, 2.9]];
 
 #[test]
 fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         for (tag, moved) in TAGS.into_iter().flat_map(|tag| MOVED.map(|moved| (tag, moved))) {
             let at = circumstances(Se2::exp(moved));
-            let shown = state.pose.then(at.moved_since.inverse());
+            let shown = state.pose.compose(at.moved_since.inverse());
             let seen = seen_from(&state, point(tag.0, tag.1), shown);
-            let noise = fix::noise_of(&seen, &QUIET, [1.0, 1.0], &at);
+            let noise = fix::fix_noise(&seen, &QUIET, [1.0, 1.0], &at);
             check("position", &state, |state| fix::position(state, &seen, &noise, &at));
             check("pose", &state, |state| fix::pose(state, &seen, shown.heading_rad, &noise, &at));
         }
@@ -105,7 +108,7 @@ fn curved_track() -> MotionTrack {
     let (mut left_rad, mut right_rad) = (0.0, 0.0);
     for k in -8..=0_i64 {
         let reading = MotionReading::Wheels { left_rad, right_rad };
-        track.add(ms(50 * k), &reading);
+        track.insert(ms(50 * k), &reading);
         left_rad += 0.3 + 0.05 * k as f64;
         right_rad += 0.7 - 0.04 * k as f64;
     }
@@ -116,22 +119,22 @@ fn curved_track() -> MotionTrack {
 fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
     let (track, config) = (curved_track(), odd::config(QUIET));
     // Whole nanoseconds, so that the rounding of stamps does not disturb.
-    let h = Span::from_micros(10);
-    for state in odd_states::<WITH_RANGES>() {
-        for delay in [Span::from_millis(20), Span::from_micros(173_400)] {
-            let moved = |delay: Span| state.moved_since(ms(0) - delay, &track, &config);
-            let [forward_m, _, turn_rad] = moved(delay + h).then(moved(delay - h).inverse()).log();
+    let h = TimeDelta::from_micros(10);
+    for state in odd_states::<RANGE_STATES>() {
+        for delay in [TimeDelta::from_millis(20), TimeDelta::from_micros(173_400)] {
+            let moved = |delay: TimeDelta| state.motion_since(ms(0) - delay, &track, &config);
+            let [forward_m, _, turn_rad] = moved(delay + h).compose(moved(delay - h).inverse()).log();
             let twice_h_s = 2.0 * h.as_secs_f64();
-            let seen = seen_from(&state, point(0.3, -0.2), state.pose.then(moved(delay).inverse()));
-            let measured = |delay: Span| {
-                let at = fix::Circumstances {
+            let seen = seen_from(&state, point(0.3, -0.2), state.pose.compose(moved(delay).inverse()));
+            let measured = |delay: TimeDelta| {
+                let at = fix::FixContext {
                     forward_m_per_s: forward_m / twice_h_s,
                     turn_rad_per_s: turn_rad / twice_h_s,
                     ..circumstances(moved(delay))
                 };
-                let noise = fix::noise_of(&seen, &QUIET, [1.0, 1.0], &at);
+                let noise = fix::fix_noise(&seen, &QUIET, [1.0, 1.0], &at);
                 let heading_rad = seen.heading.map_or(0.0, Heading::rad);
-                fix::pose(&state, &seen, heading_rad, &noise, &at)
+                linearize::<RANGE_STATES, 3>(&fix::pose(&state, &seen, heading_rad, &noise, &at))
             };
             let middle = measured(delay);
             assert!(middle.innovation.amax() < 1e-12);
@@ -148,7 +151,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
 
 #[test]
 fn a_compass_has_the_derivative_of_its_prediction() {
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         let heading_rad = state.pose.heading_rad;
         check("compass", &state, |state| compass::measurement(state, heading_rad, 0.1));
     }
@@ -159,26 +162,26 @@ const ABOUT: [(f64, f64); 5] = [(0.3, 0.0), (2.0, -1.5), (-0.4, 3.0), (-1.0, 1e-
 
 #[test]
 fn a_landmark_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         for (forward_m, left_m) in ABOUT {
             let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
-            let seen = Sighting { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
+            let seen = RangeBearing { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
             check("landmark", &state, |state| {
-                landmark::measurement(state, place, seen, (0.01, 0.02)).expect("it is away")
+                landmark::measurement(state, place, seen, 0.01, 0.02).expect("it is away")
             });
         }
         let here = arena_from_body(state.pose).origin();
-        let seen = Sighting { range_m: 0.0, bearing_rad: 0.0 };
-        assert!(landmark::measurement(&state, here, seen, (0.01, 0.02)).is_none());
+        let seen = RangeBearing { range_m: 0.0, bearing_rad: 0.0 };
+        assert!(landmark::measurement(&state, here, seen, 0.01, 0.02).is_none());
     }
 }
 
 #[test]
 fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
-    for state in odd_states::<WITH_RANGES>() {
-        for (slot, (forward_m, left_m)) in [0, 3, MOST_BEACONS - 1, MOST_BEACONS, 700].into_iter().zip(ABOUT) {
+    for state in odd_states::<RANGE_STATES>() {
+        for (slot, (forward_m, left_m)) in [0, 3, MAX_BEACONS - 1, MAX_BEACONS, 700].into_iter().zip(ABOUT) {
             let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
-            let (offset_m, scale) = if slot < MOST_BEACONS {
+            let (offset_m, scale) = if slot < MAX_BEACONS {
                 let row = BEACONS + 2 * slot;
                 (state.mean[row], state.mean[row + 1])
             } else {
@@ -186,7 +189,7 @@ fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
             };
             let range_m = forward_m.hypot(left_m) * (1.0 + scale) + offset_m;
             check("beacon", &state, |state| {
-                beacon::measurement(state, Beacon { place, slot }, range_m, 0.01).expect("it is away")
+                beacon::measurement(state, Beacon { position: place, slot }, range_m, 0.01).expect("it is away")
             });
         }
     }
@@ -222,7 +225,7 @@ fn way_to(pose: Se2, wall: &Wall) -> f64 {
 
 #[test]
 fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];
             let range_m = way_to(state.pose, &walls[0]);
@@ -240,7 +243,7 @@ fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
 
 #[test]
 fn a_wall_that_is_not_met_is_not_expected() {
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         for (ends, what) in [
             ([(-1.0, -1.0), (-1.0, 1.0)], "behind"),
             ([(1.0, 0.2), (1.0, 1.0)], "to the left"),
@@ -256,18 +259,20 @@ fn a_wall_that_is_not_met_is_not_expected() {
 
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
-    for state in odd_states::<WITH_RANGES>() {
-        let moved = Rounded::Anew { variance_rad2: 1e-6 };
-        for rounded in [moved, Rounded::AsBefore] {
+    for state in odd_states::<RANGE_STATES>() {
+        let moved = EndRounding::Independent { variance_rad2: 1e-6 };
+        for rounded in [moved, EndRounding::Unchanged] {
             let window = gyro_window::GyroWindow { start: ms(1_000), until: ms(1_450), forward_m: 0.08 };
-            let turn = GyroTurn { turn_rad: 0.31, squared_secs: 0.02 };
-            let measure = |state: &State| gyro_window::measurement(state, &window, &turn, &QUIET, rounded);
+            let turn = GyroTurn { turn_rad: 0.31, squared_intervals_s2: 0.02 };
+            let measure = |state: &State| {
+                linearize_gyro_window(&gyro_window::measurement(state, &window, &turn, &QUIET, rounded))
+            };
             let scalar = measure(&state);
-            for row in 0..WITH_RANGES {
+            for row in 0..RANGE_STATES {
                 let ahead = measure(&with_error(&state, row, H)).innovation;
                 let behind = measure(&with_error(&state, row, -H)).innovation;
                 let numeric = (behind - ahead) / (2.0 * H);
-                let named = scalar.rows.iter().zip(scalar.by_row);
+                let named = scalar.rows.iter().zip(scalar.jacobian);
                 let analytic: f64 = named.filter(|(named, _)| **named == row).map(|(_, by)| by).sum();
                 assert!((numeric - analytic).abs() < NEAR, "row {row}: {analytic} but {numeric}");
             }
@@ -278,17 +283,15 @@ fn a_gyro_window_has_the_derivatives_of_its_prediction() {
 #[test]
 fn accelerations_change_the_speeds_as_their_noise_does() {
     let dt_s = 0.05;
-    let driven = |left_m_per_s2: f64, right_m_per_s2: f64| {
-        let (mut forward, mut turn) = (Speed::default(), Speed::default());
-        let felt = Accelerations { left_m_per_s2, right_m_per_s2 };
-        drive_speeds(&mut forward, &mut turn, felt, dt_s, (&GEOMETRY, &QUIET));
-        (forward, turn)
+    let driven = |left_m_per_s2: f64, right_m_per_s2: f64| -> SpeedChange {
+        let felt = WheelAccelerations { left_m_per_s2, right_m_per_s2 };
+        speed_change(felt, dt_s, &GEOMETRY, &QUIET)
     };
     let (none, by_left, by_right) = (driven(0.0, 0.0), driven(1.0, 0.0), driven(0.0, 1.0));
     let noise_var = QUIET.accelerometer_m_per_s2.powi(2);
-    let forward_var = (by_left.0.value.powi(2) + by_right.0.value.powi(2)) * noise_var;
-    let turn_var = (by_left.1.value.powi(2) + by_right.1.value.powi(2)) * noise_var;
-    assert!((by_left.0.value - 0.5 * dt_s).abs() < 1e-15 && by_left.1.value < 0.0);
-    assert!((none.0.variance - forward_var).abs() < 1e-12);
-    assert!((none.1.variance - turn_var).abs() < 1e-12);
+    let forward_var = (by_left.forward_m_per_s.powi(2) + by_right.forward_m_per_s.powi(2)) * noise_var;
+    let turn_var = (by_left.turn_rad_per_s.powi(2) + by_right.turn_rad_per_s.powi(2)) * noise_var;
+    assert!((by_left.forward_m_per_s - 0.5 * dt_s).abs() < 1e-15 && by_left.turn_rad_per_s < 0.0);
+    assert!((none.forward_variance - forward_var).abs() < 1e-12);
+    assert!((none.turn_variance - turn_var).abs() < 1e-12);
 }

@@ -8,9 +8,10 @@ mod odd;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use odd::{GEOMETRY, H, config, ms, odd_states, with_error};
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::filters::pose::motion::{Transition, Window};
+use posebridge_estimator::filters::pose::propagation::{GyroWindowStatus, Transition};
 use posebridge_estimator::filters::pose::state::{
-    CORE, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, ROUNDING, TRACK, WINDOW_TURN, WITH_RANGES,
+    CORE_STATES, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, RANGE_STATES, ROUNDING, TRACK,
+    WINDOW_TURN,
 };
 use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
 use posebridge_estimator::models::lie::Se2;
@@ -27,7 +28,7 @@ const TRAVELS: [WheelTravel; 4] = [
 /// What leads from one state to another, row by row.
 fn error_between<const N: usize>(from: &PoseState<N>, to: &PoseState<N>) -> SVector<f64, N> {
     let mut error = to.mean - from.mean;
-    let [forward_m, left_m, turn_rad] = from.pose.to(to.pose).log();
+    let [forward_m, left_m, turn_rad] = from.pose.between(to.pose).log();
     error[FORWARD] = forward_m;
     error[LEFT] = left_m;
     error[HEADING] = turn_rad;
@@ -41,7 +42,7 @@ fn composed<const N: usize>(state: &PoseState<N>, travel: WheelTravel) -> PoseSt
     let right_m = travel.right_m * (1.0 + of(RADIUS) + of(DIFFERENCE) / 2.0);
     let turn_rad = (right_m - left_m) / (GEOMETRY.track_width.0 * (1.0 + of(TRACK)));
     let mut moved = *state;
-    moved.pose = state.pose.then(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
+    moved.pose = state.pose.compose(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
     if state.window.is_some() {
         moved.mean[WINDOW_TURN] += turn_rad;
     }
@@ -86,10 +87,10 @@ fn check_transition<const N: usize>() {
                 let by_differences = numeric(&state, |state| composed(state, travel));
                 assert_near(&transition.matrix(), &by_differences, &what);
                 let end = composed(&state, travel);
-                let [expected_m, _, expected_rad] = state.pose.to(end.pose).log();
+                let [expected_m, _, expected_rad] = state.pose.between(end.pose).log();
                 assert!((forward_m - expected_m).abs() < 1e-12, "{what}");
                 assert!((turn_rad - expected_rad).abs() < 1e-12, "{what}");
-                assert_eq!(transition.window == Window::Open, is_open);
+                assert_eq!(transition.window == GyroWindowStatus::Open, is_open);
             }
         }
     }
@@ -97,17 +98,17 @@ fn check_transition<const N: usize>() {
 
 #[test]
 fn over_known_travel_errors_move_as_the_composed_motion_says() {
-    check_transition::<CORE>();
-    check_transition::<WITH_RANGES>();
+    check_transition::<CORE_STATES>();
+    check_transition::<RANGE_STATES>();
 }
 
 #[test]
 fn at_held_speeds_errors_move_as_the_composed_motion_says() {
-    for state in odd_states::<CORE>() {
+    for state in odd_states::<CORE_STATES>() {
         for (forward_m, turn_rad) in [(0.0, 0.0), (0.05, 0.3), (-0.02, 1e-5), (0.1, -2.8)] {
             let transition = Transition::at_speeds(forward_m, turn_rad);
             let expected = numeric(&state, |state| PoseState {
-                pose: state.pose.then(Se2::exp([forward_m, 0.0, turn_rad])),
+                pose: state.pose.compose(Se2::exp([forward_m, 0.0, turn_rad])),
                 ..*state
             });
             assert_near(&transition.matrix(), &expected, "held speeds");
@@ -119,7 +120,7 @@ fn at_held_speeds_errors_move_as_the_composed_motion_says() {
 fn numeric_g<const N: usize>(state: &PoseState<N>, (forward_m, turn_rad): (f64, f64)) -> SMatrix<f64, N, 2> {
     let moved = |forward_m: f64, turn_rad: f64| {
         let mut moved = *state;
-        moved.pose = state.pose.then(Se2::exp([forward_m, 0.0, turn_rad]));
+        moved.pose = state.pose.compose(Se2::exp([forward_m, 0.0, turn_rad]));
         if state.window.is_some() {
             moved.mean[WINDOW_TURN] += turn_rad;
         }
@@ -138,18 +139,18 @@ fn numeric_g<const N: usize>(state: &PoseState<N>, (forward_m, turn_rad): (f64, 
 fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
     let noise = StepNoise { forward_var_m2: 0.3, turn_var_rad2: 0.7, forward_turn_m_rad: -0.2 };
     let q = Matrix2::new(0.3, -0.2, -0.2, 0.7);
-    for state in odd_states::<WITH_RANGES>() {
+    for state in odd_states::<RANGE_STATES>() {
         for travel in TRAVELS {
             let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
             let g = numeric_g(&state, (forward_m, turn_rad));
-            let mut alone = SMatrix::<f64, WITH_RANGES, WITH_RANGES>::zeros();
-            transition.carry(&mut alone, &noise);
+            let mut alone = SMatrix::<f64, RANGE_STATES, RANGE_STATES>::zeros();
+            transition.propagate(&mut alone, &noise);
             assert_near(&alone, &(g * q * g.transpose()), "the noise alone");
 
             let f = numeric(&state, |state| composed(state, travel));
-            let p = correlated::<WITH_RANGES>();
+            let p = correlated::<RANGE_STATES>();
             let mut carried = p;
-            transition.carry(&mut carried, &noise);
+            transition.propagate(&mut carried, &noise);
             let expected = f * p * f.transpose() + g * q * g.transpose();
             assert_near(&carried, &expected, "covariance and noise");
             assert_eq!(carried, carried.transpose());
@@ -160,10 +161,10 @@ fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
 fn track_of(travel: WheelTravel) -> MotionTrack {
     let mut track = MotionTrack::new(GEOMETRY, 1e6);
     let reading = |left_rad, right_rad| MotionReading::Wheels { left_rad, right_rad };
-    track.add(ms(0), &reading(0.0, 0.0));
+    track.insert(ms(0), &reading(0.0, 0.0));
     let left_rad = travel.left_m / GEOMETRY.left_wheel_radius.0;
     let right_rad = travel.right_m / GEOMETRY.right_wheel_radius.0;
-    track.add(ms(100), &reading(left_rad, right_rad));
+    track.insert(ms(100), &reading(left_rad, right_rad));
     track
 }
 
@@ -176,7 +177,7 @@ fn advanced<const N: usize>(mut state: PoseState<N>, track: &MotionTrack, config
 fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
     let config = config(SensorNoise { wheel_travel_m_per_sqrt_m: 0.01, ..SensorNoise::EXACT });
     for travel in TRAVELS {
-        for mut state in odd_states::<CORE>() {
+        for mut state in odd_states::<CORE_STATES>() {
             // How noisy a step is follows from the nominal geometry.
             for row in [RADIUS, DIFFERENCE, TRACK] {
                 state.mean[row] = 0.0;
@@ -189,7 +190,7 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
             };
             let by_left = (by_wheel(H, 0.0) - by_wheel(-H, 0.0)) / (2.0 * H);
             let by_right = (by_wheel(0.0, H) - by_wheel(0.0, -H)) / (2.0 * H);
-            let g = SMatrix::<f64, CORE, 2>::from_columns(&[by_left, by_right]);
+            let g = SMatrix::<f64, CORE_STATES, 2>::from_columns(&[by_left, by_right]);
             let variances = Vector2::new(travel.left_m.abs(), travel.right_m.abs()) * 1e-4;
             let expected = g * Matrix2::from_diagonal(&variances) * g.transpose();
             assert_near(&end.covariance, &expected, &format!("{travel:?}"));
@@ -204,10 +205,10 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
 fn the_doubt_about_held_speeds_enters_the_pose_as_the_speeds_do() {
     let config = config(SensorNoise::EXACT);
     let nothing_read_since = MotionTrack::new(GEOMETRY, 1e6);
-    for mut state in odd_states::<CORE>() {
+    for mut state in odd_states::<CORE_STATES>() {
         state.covariance = correlated();
         (state.forward.variance, state.turn.variance) = (0.04, 0.5);
-        let moved = |start: &PoseState<CORE>| {
+        let moved = |start: &PoseState<CORE_STATES>| {
             let mut moved = *start;
             moved.advance(ms(250), &nothing_read_since, &config);
             moved
@@ -222,7 +223,7 @@ fn the_doubt_about_held_speeds_enters_the_pose_as_the_speeds_do() {
         let by_forward = (by_speeds(H, 0.0) - by_speeds(-H, 0.0)) / (2.0 * H);
         let by_turn = (by_speeds(0.0, H) - by_speeds(0.0, -H)) / (2.0 * H);
         assert!((by_forward.norm() - 0.25).abs() < 0.05, "it does move");
-        let g = SMatrix::<f64, CORE, 2>::from_columns(&[by_forward, by_turn]);
+        let g = SMatrix::<f64, CORE_STATES, 2>::from_columns(&[by_forward, by_turn]);
         let f = numeric(&state, moved);
         let variances = Matrix2::from_diagonal(&Vector2::new(0.04, 0.5));
         let expected = f * state.covariance * f.transpose() + g * variances * g.transpose();

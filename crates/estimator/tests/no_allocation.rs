@@ -13,8 +13,8 @@ use std::hint::black_box;
 
 use allocation_counter::measure;
 use arena::{furnished, others};
-use posebridge_estimator::{FILTERS, Filter, FilterConfig, filter_named};
-use posebridge_telemetry::{Known, Observed, Verdict};
+use posebridge_estimator::{FILTERS, Filter, FilterConfig, find_filter};
+use posebridge_telemetry::{FusionOutcome, ObservationKind, UncertainValue};
 use steady::{LATE_STEPS, fix, gyro, stamp, wheels};
 use unknown::all_unknown;
 
@@ -59,9 +59,9 @@ fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
 /// The flagship with every state, and with a heading that it never comes to know: the robot stands, and no fix tells it.
 #[test]
 fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_heading() {
-    let pose = filter_named("pose").unwrap();
+    let pose = find_filter("pose").unwrap();
     let mut config = FilterConfig { calibration: all_unknown(), ..furnished() };
-    config.calibration.fix_delay_s = Known { value: 0.12, sigma: 0.1 };
+    config.calibration.fix_delay_s = UncertainValue { value: 0.12, sigma: 0.1 };
     let mut filter = (pose.build)(&config);
     (0..WARM_UP).for_each(|k| step(filter.as_mut(), k));
     let counted = measure(|| {
@@ -74,12 +74,12 @@ fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_headi
     let mut look = |k: i64| {
         let mut seen = fix(0);
         seen.stamp = stamp(k);
-        if let Observed::Fix(fix) = &mut seen.observed {
+        if let ObservationKind::Fix(fix) = &mut seen.measurement {
             fix.heading = None;
         }
-        black_box(lost.observe(&seen)).verdict
+        black_box(lost.observe(&seen)).outcome
     };
-    (0..WARM_UP).for_each(|k| assert_ne!(look(k), Verdict::Malformed));
+    (0..WARM_UP).for_each(|k| assert_ne!(look(k), FusionOutcome::Malformed));
     let counted = measure(|| {
         (WARM_UP..WARM_UP + MEASURED).for_each(|k| {
             look(k);
@@ -111,11 +111,11 @@ fn a_wheel_reading_out_of_order_allocates_nothing_either() {
 fn the_counter_sees_an_allocation_and_the_flagship_uses_what_it_is_given() {
     let counted = measure(|| drop(black_box(vec![0_u8; 64])));
     assert_eq!(counted.count_total, 1);
-    let pose = filter_named("pose").unwrap();
+    let pose = find_filter("pose").unwrap();
     let mut filter = (pose.build)(&furnished());
     (0..WARM_UP).for_each(|k| step(filter.as_mut(), k));
-    assert_eq!(filter.observe(&gyro(WARM_UP)).verdict, Verdict::Accepted);
-    assert_eq!(filter.observe(&wheels(WARM_UP)).verdict, Verdict::Accepted);
+    assert_eq!(filter.observe(&gyro(WARM_UP)).outcome, FusionOutcome::Accepted);
+    assert_eq!(filter.observe(&wheels(WARM_UP)).outcome, FusionOutcome::Accepted);
     let seen = fix(WARM_UP - LATE_STEPS + 1);
-    assert_eq!(filter.observe(&seen).verdict, Verdict::Accepted);
+    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Accepted);
 }

@@ -2,7 +2,9 @@
 
 use adskalman::{CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Matrix4x2, U2, U4, Vector2, Vector4};
-use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, use_scalar};
+use posebridge_estimator::update::{
+    LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, use_scalar,
+};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -81,7 +83,7 @@ impl Own {
     fn predict(&mut self, system: &Linear) {
         self.mean = system.f * self.mean;
         self.covariance = system.f * self.covariance * system.ft + system.q;
-        posebridge_estimator::update::symmetrise(&mut self.covariance);
+        posebridge_estimator::numerics::covariance::symmetrise(&mut self.covariance);
     }
 
     fn distance(&self, other: &StateAndCovariance<f64, U4>) -> f64 {
@@ -111,20 +113,21 @@ fn scalar_updates_agree_with_a_foreign_filter_over_hundreds_of_random_steps() {
         let white_h = lower.solve_lower_triangular(&system.h).unwrap();
         for i in 0..2 {
             let row = white_h.row(i);
-            let one = Scalar {
+            let one = ScalarMeasurement {
                 innovation: white_z[i] - (row * scalar.mean)[0],
                 rows: [0, 1, 2, 3],
-                by_row: std::array::from_fn(|j| row[j]),
+                jacobian: std::array::from_fn(|j| row[j]),
                 variance: 1.0,
             };
             let outcome = use_scalar(&mut scalar.mean, &mut scalar.covariance, &one, f64::INFINITY);
-            assert_eq!(outcome.usage, Usage::Used, "step {step}");
+            assert_eq!(outcome.outcome, UpdateOutcome::Used, "step {step}");
         }
 
         // By the library's own whitening.
         whitened.predict(&system);
-        let measurement = Measurement { innovation: z - system.h * whitened.mean, jacobian: system.h, noise: system.r };
-        assert!(apply(&mut whitened.mean, &mut whitened.covariance, &measurement));
+        let measurement =
+            LinearizedMeasurement { innovation: z - system.h * whitened.mean, jacobian: system.h, noise: system.r };
+        assert!(apply_measurement(&mut whitened.mean, &mut whitened.covariance, &measurement));
 
         for (name, own) in [("use_scalar", &scalar), ("apply", &whitened)] {
             let distance = own.distance(&foreign);

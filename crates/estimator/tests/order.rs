@@ -12,10 +12,11 @@ mod unknown;
 
 use drive::{Camera, Scenario, drive, stamp};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Fix, Meters, Observation, Observed, PositionCovariance, Radians, SensorId, Span, Stamp, Verdict,
+    BrickClock, Fix, FusionOutcome, Meters, Observation, ObservationKind, PositionCovariance, Radians, SensorId,
+    TimeDelta, Timestamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -42,10 +43,10 @@ fn observations(seed: u64) -> Vec<Observation> {
 /// The observations as a link with random delays delivers them.
 fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
     let mut rng = Pcg64::seed_from_u64(seed);
-    let mut arrivals: Vec<(Stamp<BrickClock>, Observation)> = observations
+    let mut arrivals: Vec<(Timestamp<BrickClock>, Observation)> = observations
         .iter()
         .map(|observation| {
-            let delay = Span::from_millis(rng.random_range(0..LATEST_BY_MS));
+            let delay = TimeDelta::from_millis(rng.random_range(0..LATEST_BY_MS));
             (observation.stamp + delay, *observation)
         })
         .collect();
@@ -55,23 +56,23 @@ fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
 
 /// Everything that a filter believes at the end, in digits that tell any two numbers apart.
 fn belief(config: &FilterConfig, observations: &[Observation]) -> String {
-    belief_with::<CORE>(config, observations)
+    belief_with::<CORE_STATES>(config, observations)
 }
 
 fn belief_with<const N: usize>(config: &FilterConfig, observations: &[Observation]) -> String {
     let mut filter = PoseFilter::<N>::new(config);
     for observation in observations {
         let record = filter.observe(observation);
-        assert_ne!(record.verdict, Verdict::TooOld, "{observation:?}");
+        assert_ne!(record.outcome, FusionOutcome::TooOld, "{observation:?}");
     }
-    let latest = filter.latest().expect("something was observed");
-    let lately: Vec<_> = (-58..=10).map(|k| filter.estimate_at(latest + Span::from_millis(k * 50))).collect();
+    let latest = filter.latest_time().expect("something was observed");
+    let lately: Vec<_> = (-58..=10).map(|k| filter.estimate_at(latest + TimeDelta::from_millis(k * 50))).collect();
     assert!(lately.iter().all(Option::is_some));
     format!("{:?} {lately:?} {:?}", filter.state(), filter.calibration())
 }
 
 fn assert_order_does_not_matter(config: &FilterConfig, observations: &[Observation]) {
-    assert_order_does_not_matter_with::<CORE>(config, observations);
+    assert_order_does_not_matter_with::<CORE_STATES>(config, observations);
 }
 
 fn assert_order_does_not_matter_with<const N: usize>(config: &FilterConfig, observations: &[Observation]) {
@@ -84,7 +85,7 @@ fn assert_order_does_not_matter_with<const N: usize>(config: &FilterConfig, obse
     }
 }
 
-fn shift(observations: &mut [Observation], sensor: SensorId, by: Span) {
+fn shift(observations: &mut [Observation], sensor: SensorId, by: TimeDelta) {
     for observation in observations {
         if observation.sensor == sensor {
             observation.stamp = observation.stamp + by;
@@ -95,7 +96,7 @@ fn shift(observations: &mut [Observation], sensor: SensorId, by: Span) {
 #[test]
 fn in_order_the_robot_ends_where_the_truth_is() {
     let observations = observations(1);
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     for observation in &observations {
         filter.observe(observation);
     }
@@ -115,8 +116,8 @@ fn the_order_of_arrival_does_not_matter_when_all_sensors_share_their_instants() 
 #[test]
 fn the_order_of_arrival_does_not_matter_when_every_sensor_has_instants_of_its_own() {
     let mut observations = observations(3);
-    shift(&mut observations, SensorId::GYRO, Span::from_micros(13_337));
-    shift(&mut observations, SensorId::CAMERA, Span::from_micros(-21_123));
+    shift(&mut observations, SensorId::GYRO, TimeDelta::from_micros(13_337));
+    shift(&mut observations, SensorId::CAMERA, TimeDelta::from_micros(-21_123));
     observations.sort_by_key(|observation| observation.stamp);
     assert_order_does_not_matter(&config(), &observations);
 }
@@ -125,8 +126,8 @@ fn the_order_of_arrival_does_not_matter_when_every_sensor_has_instants_of_its_ow
 fn the_order_of_arrival_does_not_matter_while_the_heading_is_still_to_be_found() {
     let mut observations = observations(4);
     for observation in &mut observations {
-        if let Observed::Fix(fix) = observation.observed {
-            observation.observed = Observed::Fix(Fix { heading: None, ..fix });
+        if let ObservationKind::Fix(fix) = observation.measurement {
+            observation.measurement = ObservationKind::Fix(Fix { heading: None, ..fix });
         }
     }
     let mut config = config();
@@ -148,10 +149,11 @@ fn the_order_of_arrival_does_not_matter_across_holes_and_jumps_of_the_counters()
     });
     for observation in &mut observations {
         let is_after_the_jump = observation.stamp >= stamp(500);
-        if let Observed::WheelAngles { left, right } = observation.observed
+        if let ObservationKind::WheelAngles { left, right } = observation.measurement
             && is_after_the_jump
         {
-            observation.observed = Observed::WheelAngles { left: left - Radians(400.0), right: right + Radians(300.0) };
+            observation.measurement =
+                ObservationKind::WheelAngles { left: left - Radians(400.0), right: right + Radians(300.0) };
         }
     }
     assert_order_does_not_matter(&config(), &observations);
@@ -175,22 +177,22 @@ fn two_fixes_of_one_instant_count_in_either_order_and_one_that_comes_twice_count
     assert!(together([one, two]) == together([two, one]));
     assert!(together([one, two]) != belief(&config(), &[before.clone(), vec![one]].concat()));
 
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     for observation in before.iter().chain([&one]) {
         filter.observe(observation);
     }
     let once = format!("{:?}", filter.state());
-    assert_eq!(filter.observe(&one).verdict, Verdict::Malformed);
+    assert_eq!(filter.observe(&one).outcome, FusionOutcome::Malformed);
     assert_eq!(format!("{:?}", filter.state()), once);
 }
 
 /// The same fix, seen a little further east.
 fn moved_by(seen: &Observation, east_m: f64) -> Observation {
-    let Observed::Fix(mut fix) = seen.observed else {
+    let ObservationKind::Fix(mut fix) = seen.measurement else {
         return *seen;
     };
     fix.position.x += Meters(east_m);
-    Observation { observed: Observed::Fix(fix), ..*seen }
+    Observation { measurement: ObservationKind::Fix(fix), ..*seen }
 }
 
 #[test]
@@ -203,7 +205,7 @@ fn a_late_fix_does_what_the_same_fix_does_in_time() {
         .expect("the camera looks at every second step");
     let fix = late.remove(index);
     late.push(fix);
-    assert!(stamp(799) - fix.stamp > Span::from_millis(2_000), "it is late");
+    assert!(stamp(799) - fix.stamp > TimeDelta::from_millis(2_000), "it is late");
     assert!(belief(&config(), &in_time) == belief(&config(), &late));
     late.pop();
     assert!(belief(&config(), &in_time) != belief(&config(), &late));
@@ -211,20 +213,20 @@ fn a_late_fix_does_what_the_same_fix_does_in_time() {
 
 #[test]
 fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     let observations = observations(8);
     for observation in &observations {
         filter.observe(observation);
     }
-    let latest = filter.latest().expect("something was observed");
+    let latest = filter.latest_time().expect("something was observed");
     let before = format!("{:?} {:?}", filter.state(), filter.estimate_at(latest));
     for kind in [SensorId::CAMERA, SensorId::WHEELS, SensorId::GYRO] {
         let mut old = *observations.iter().find(|observation| observation.sensor == kind).expect("every sensor spoke");
-        old.stamp = latest - Span::from_millis(3_001);
+        old.stamp = latest - TimeDelta::from_millis(3_001);
         let record = filter.observe(&old);
-        assert_eq!(record.verdict, Verdict::TooOld);
-        assert_eq!(record.verdict.reason(), "too old");
-        assert_eq!(record.lag, Span::from_millis(3_001));
+        assert_eq!(record.outcome, FusionOutcome::TooOld);
+        assert_eq!(record.outcome.reason(), "too old");
+        assert_eq!(record.lag, TimeDelta::from_millis(3_001));
     }
     assert_eq!(format!("{:?} {:?}", filter.state(), filter.estimate_at(latest)), before);
 }
@@ -263,16 +265,16 @@ fn learning_everything() -> FilterConfig {
 fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
     let config = learning_everything();
     let observations = with_everything(&config, 11);
-    assert_order_does_not_matter_with::<WITH_RANGES>(&config, &observations);
+    assert_order_does_not_matter_with::<RANGE_STATES>(&config, &observations);
     let kinds = ["landmark", "beacon_range", "wall_range", "compass_heading"];
-    let mut filter = PoseFilter::<WITH_RANGES>::new(&config);
+    let mut filter = PoseFilter::<RANGE_STATES>::new(&config);
     let records: Vec<_> = observations.iter().map(|o| filter.observe(o)).collect();
     for kind in kinds {
         let of_kind = records.iter().filter(|record| record.kind == kind);
-        let used = of_kind.filter(|record| record.verdict == Verdict::Accepted);
+        let used = of_kind.filter(|record| record.outcome == FusionOutcome::Accepted);
         assert!(used.count() > 50, "{kind} is used");
     }
-    let gated = records.iter().filter(|r| r.verdict == Verdict::Gated);
+    let gated = records.iter().filter(|r| r.outcome == FusionOutcome::Gated);
     assert!(gated.count() > 20, "and some are not");
 }
 
@@ -281,20 +283,20 @@ fn the_order_of_arrival_does_not_matter_with_students_t() {
     let mut config = learning_everything();
     config.params.student_dof = 4.0;
     let observations = with_everything(&config, 13);
-    assert_order_does_not_matter_with::<WITH_RANGES>(&config, &observations);
+    assert_order_does_not_matter_with::<RANGE_STATES>(&config, &observations);
 }
 
 #[test]
 fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
     let mut config = learning_everything();
-    config.world = std::sync::Arc::default();
+    config.arena_map = std::sync::Arc::default();
     // A quarter of the camera's noise, so that the gate refuses and the scale learns.
     config.noise.fix_position_m *= 0.25;
-    for late in [Span::from_millis(150), Span::from_micros(-83_210)] {
+    for late in [TimeDelta::from_millis(150), TimeDelta::from_micros(-83_210)] {
         let mut observations = observations(14);
         shift(&mut observations, SensorId::CAMERA, late);
         observations.sort_by_key(|observation| observation.stamp);
-        assert_order_does_not_matter_with::<WITH_CAMERA>(&config, &observations);
+        assert_order_does_not_matter_with::<CAMERA_STATES>(&config, &observations);
     }
 }
 
@@ -302,12 +304,12 @@ fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
 fn two_fixes_of_one_instant_and_place_that_claim_other_noise_count_in_either_order() {
     let (before, one) = until_a_fix(observations(6));
     let claims = |variance: f64| {
-        let Observed::Fix(mut fix) = one.observed else {
+        let ObservationKind::Fix(mut fix) = one.measurement else {
             return one;
         };
         fix.covariance =
             Some(PositionCovariance { xx_m2: variance, xy_m2: 0.0, yy_m2: variance, heading_rad2: variance });
-        Observation { observed: Observed::Fix(fix), ..one }
+        Observation { measurement: ObservationKind::Fix(fix), ..one }
     };
     let together = |pair: [Observation; 2]| belief(&config(), &[before.clone(), pair.to_vec()].concat());
     let pair = [claims(1e-4), claims(4e-6)];

@@ -8,19 +8,19 @@ mod robot;
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use posebridge_estimator::Filter;
-use posebridge_estimator::filters::ekf5::{self, Fixes, SpeedOrder, process_noise};
-use posebridge_estimator::filters::paper1::{DEGREE, INTERVAL_S};
-use posebridge_estimator::filters::wheel_kf::{LEFT_VARIANCE, RIGHT_VARIANCE, Wheel};
-use posebridge_estimator::filters::{ekf5_corrected, ukf5};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration, Covariance, Mean};
-use posebridge_telemetry::{Stamp, Verdict, estimate::row};
+use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder, process_noise};
+use posebridge_estimator::papers::paper1::{DEGREE, SAMPLING_INTERVAL_S};
+use posebridge_estimator::papers::wheel_kf::{LEFT_VARIANCE, RIGHT_VARIANCE, SingleWheelFilter};
+use posebridge_estimator::papers::{ekf5_corrected, ukf5};
+use posebridge_telemetry::{FusionOutcome, Timestamp, estimate::row};
 use readings::{assert_near, covariance_in_paper_units, gyro, latest, named, wheels};
 use robot::{RADIUS_M, TRACK_M, config};
 
 /// A robot that stands for 500 of the paper's intervals: every gain is then the steady one.
 fn at_rest(mut filter: Box<dyn Filter>) -> Box<dyn Filter> {
     for k in 0..500 {
-        let secs = f64::from(k) * INTERVAL_S;
+        let secs = f64::from(k) * SAMPLING_INTERVAL_S;
         filter.observe(&wheels(secs, 0.0, 0.0));
         filter.observe(&gyro(secs, 0.0));
     }
@@ -32,16 +32,16 @@ fn the_wheel_filters_have_the_papers_steady_gains_and_poles() {
     for (variance, gain, real, imaginary) in
         [(RIGHT_VARIANCE, [0.3880, 1.5646], 0.767, 0.155), (LEFT_VARIANCE, [0.4353, 1.9403], 0.734, 0.162)]
     {
-        let mut wheel = Wheel::at_rest(variance);
+        let mut wheel = SingleWheelFilter::at_rest(variance);
         for _ in 0..500 {
-            wheel.predict(INTERVAL_S);
+            wheel.predict(SAMPLING_INTERVAL_S);
             assert!(wheel.update(0.0).is_some());
         }
         let k = wheel.covariance.column(0) / variance;
         assert_near("K of phi", k[0], gain[0], 5e-5);
         assert_near("K of phidot", k[1], gain[1], 5e-5);
         let closed = (Matrix2::identity() - Matrix2::from_columns(&[k.into_owned(), Vector2::zeros()]))
-            * Matrix2::new(1.0, INTERVAL_S, 0.0, 1.0);
+            * Matrix2::new(1.0, SAMPLING_INTERVAL_S, 0.0, 1.0);
         let pole = closed.complex_eigenvalues()[0];
         assert_near("pole", pole.re, real, 5e-4);
         assert_near("pole", pole.im.abs(), imaginary, 5e-4);
@@ -51,9 +51,9 @@ fn the_wheel_filters_have_the_papers_steady_gains_and_poles() {
 #[test]
 fn the_speeds_of_the_wheel_filter_are_as_doubtful_as_its_wheels() {
     let [left, right] = [LEFT_VARIANCE, RIGHT_VARIANCE].map(|variance| {
-        let mut wheel = Wheel::at_rest(variance);
+        let mut wheel = SingleWheelFilter::at_rest(variance);
         for _ in 0..500 {
-            wheel.predict(INTERVAL_S);
+            wheel.predict(SAMPLING_INTERVAL_S);
             assert!(wheel.update(0.0).is_some());
         }
         wheel.covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2)
@@ -101,7 +101,7 @@ fn the_corrected_filter_expects_of_its_first_step_what_rounding_and_speeds_leave
 fn a_change_of_speed_moves_the_corrected_filters_robot_within_the_interval() {
     let mut filter = named("ekf5-corrected", &config());
     filter.observe(&wheels(0.0, 0.0, 0.0));
-    let ahead = filter.estimate_at(Stamp::from_millis(50)).expect("a prediction");
+    let ahead = filter.estimate_at(Timestamp::from_millis(50)).expect("a prediction");
     let q = config().params.acceleration_m_per_s2.powi(2);
     // Heading zero: x is the way. 0.1 m/s is the speed's sigma at the start.
     let expected = 0.01 * 0.05 + q * 0.05_f64.powi(2) / 2.0;
@@ -140,10 +140,10 @@ fn the_velocity_filter_has_the_papers_steady_gains() {
 #[test]
 fn the_five_state_filter_has_the_papers_steady_gains_in_both_readings_of_the_order() {
     for (order, v, th, w) in [
-        (SpeedOrder::Printed, 0.527_31, [0.140_53, 0.397_05], [0.358_99, 1.014_26]),
-        (SpeedOrder::Swapped, 0.355_49, [0.151_04, 0.426_73], [0.594_16, 1.678_67]),
+        (SpeedVarianceOrder::Printed, 0.527_31, [0.140_53, 0.397_05], [0.358_99, 1.014_26]),
+        (SpeedVarianceOrder::Swapped, 0.355_49, [0.151_04, 0.426_73], [0.594_16, 1.678_67]),
     ] {
-        let filter = at_rest(ekf5::build(&config(), order, Fixes::Unused));
+        let filter = at_rest(ekf5::build(&config(), order, FixUsage::Unused));
         let p = covariance_in_paper_units(filter.as_ref());
         assert_near("K of v", p[(row::FORWARD, row::FORWARD)] / 5.1, v, 5e-6);
         for (i, variance) in [0.938, 0.332].into_iter().enumerate() {
@@ -158,7 +158,7 @@ fn the_five_state_filter_has_the_papers_steady_gains_in_both_readings_of_the_ord
 fn nothing_observes_the_position_so_its_variance_grows_by_the_papers_two_per_step() {
     let mut filter = at_rest(named("ekf5", &config()));
     let before = covariance_in_paper_units(filter.as_ref());
-    filter.observe(&wheels(500.0 * INTERVAL_S, 0.0, 0.0));
+    filter.observe(&wheels(500.0 * SAMPLING_INTERVAL_S, 0.0, 0.0));
     let grown = covariance_in_paper_units(filter.as_ref()) - before;
     assert!(grown[(row::X, row::X)] >= 2.0, "{grown}");
     assert_near("y, across the way", grown[(row::Y, row::Y)], 2.0, 1e-6);
@@ -216,7 +216,7 @@ fn a_step_follows_equations_13_and_24() {
     assert_near("th", next[2], 0.7, 1e-12);
     assert_near("v", next[3], 0.37, 1e-12);
     assert_near("w", next[4], 1.81, 1e-12);
-    let felt = Acceleration::of_wheels(0.2, 0.5, &robot::GEOMETRY);
+    let felt = Acceleration::from_wheels(0.2, 0.5, &robot::GEOMETRY);
     assert_near("a", felt.forward_m_per_s2, 0.35, 1e-12);
     assert_near("alpha", felt.turn_rad_per_s2, 0.3 / TRACK_M, 1e-9);
 }
@@ -245,7 +245,7 @@ fn sigma_points_see_that_a_doubtful_heading_shortens_the_way() {
 
 #[test]
 fn the_mean_heading_of_sigma_points_does_not_care_where_the_circle_is_cut() {
-    let p = process_noise(SpeedOrder::Printed, 0.05) * 20.0;
+    let p = process_noise(SpeedVarianceOrder::Printed, 0.05) * 20.0;
     let turned = |heading: f64| {
         let mean = Mean::from([0.0, 0.0, heading, 0.3, 1.0]);
         let (next, spread) = ukf5::predict(&mean, &p, FELT, 0.05).expect("a covariance");
@@ -291,7 +291,7 @@ fn every_update_leaves_a_full_record() {
         filter.observe(&gyro(0.0, 0.0));
         filter.observe(&wheels(0.05, 0.2, 0.3));
         let record = filter.observe(&wheels(0.10, 0.5, 0.4));
-        assert_eq!(record.verdict, Verdict::Accepted, "{name}");
+        assert_eq!(record.outcome, FusionOutcome::Accepted, "{name}");
         let used = |count: usize, record: &posebridge_telemetry::FusionRecord| {
             assert_eq!(usize::from(record.degrees_of_freedom), count, "{name}");
             let s = SMatrix::<f64, 3, 3>::from_fn(|i, j| record.innovation_covariance[i][j]);
@@ -308,7 +308,7 @@ fn every_update_leaves_a_full_record() {
         assert_eq!(usize::from(record.degrees_of_freedom), wheels_used);
         let record = filter.observe(&gyro(0.10, 0.1));
         if gyro_used == 0 {
-            assert_eq!(record.verdict, Verdict::Unused, "{name}");
+            assert_eq!(record.outcome, FusionOutcome::Unused, "{name}");
         } else {
             used(gyro_used, &record);
         }

@@ -9,10 +9,10 @@ mod stamped;
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Matrix5;
-use posebridge_estimator::{Filter, FilterConfig, StartPose, filter_named};
+use posebridge_estimator::{Filter, FilterConfig, StartPose, find_filter};
 use posebridge_telemetry::{
-    Estimate, Fix, Heading, Meters, MetersPerSecondSquared, Observation, Observed, Point2, Pose, SensorId, Span,
-    Verdict,
+    Estimate, Fix, FusionOutcome, Heading, Meters, MetersPerSecondSquared, Observation, ObservationKind, Point2, Pose,
+    SensorId, TimeDelta,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -22,8 +22,10 @@ use stamped::{at, gyro, ms, wheels};
 const ALL: [&str; 6] = ["wheel-kf", "velocity-kf", "ekf5", "ekf5-camera", "ekf5-corrected", "ukf5"];
 
 fn accelerations(millis: i64, left: f64, right: f64) -> Observation {
-    let observed =
-        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) };
+    let observed = ObservationKind::WheelAccelerations {
+        left: MetersPerSecondSquared(left),
+        right: MetersPerSecondSquared(right),
+    };
     at(millis, SensorId::ACCELEROMETER, observed)
 }
 
@@ -35,19 +37,19 @@ fn fix(millis: i64, x_m: f64, y_m: f64, heading_rad: Option<f64>) -> Observation
         tag_in_body: Point2::ORIGIN,
         reset_counter: 0,
     };
-    at(millis, SensorId::CAMERA, Observed::Fix(fix))
+    at(millis, SensorId::CAMERA, ObservationKind::Fix(fix))
 }
 
 fn with_tag(observation: Observation, forward_m: f64, left_m: f64) -> Observation {
-    let Observed::Fix(fix) = observation.observed else {
+    let ObservationKind::Fix(fix) = observation.measurement else {
         return observation;
     };
-    let observed = Observed::Fix(Fix { tag_in_body: Point2::new(Meters(forward_m), Meters(left_m)), ..fix });
-    Observation { observed, ..observation }
+    let observed = ObservationKind::Fix(Fix { tag_in_body: Point2::new(Meters(forward_m), Meters(left_m)), ..fix });
+    Observation { measurement: observed, ..observation }
 }
 
 fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
-    (filter_named(name).expect("it is in the table").build)(config)
+    (find_filter(name).expect("it is in the table").build)(config)
 }
 
 fn started_at(x_m: f64, y_m: f64, heading_rad: f64) -> FilterConfig {
@@ -62,7 +64,7 @@ fn started_at(x_m: f64, y_m: f64, heading_rad: f64) -> FilterConfig {
 }
 
 fn latest(filter: &dyn Filter) -> Estimate {
-    filter.latest().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
+    filter.latest_time().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
 /// Drives straight on at 0.2 m/s, wheels and gyro every 50 ms.
@@ -113,7 +115,7 @@ fn over_a_gap_the_robot_went_as_far_as_the_counters_say() {
         let before = latest(filter.as_ref());
         let rad = 0.2 * 6.0 / RADIUS_M;
         let record = filter.observe(&wheels(6_000, rad, rad));
-        assert_eq!(record.verdict, Verdict::Accepted, "{name}");
+        assert_eq!(record.outcome, FusionOutcome::Accepted, "{name}");
         let after = latest(filter.as_ref());
         let moved_m = after.pose.x.0 - before.pose.x.0;
         assert!((moved_m - 0.6).abs() < 0.02, "{name}: {moved_m}");
@@ -187,12 +189,12 @@ fn an_interval_of_no_length_or_into_the_past_is_refused_and_changes_nothing() {
         filter.observe(&accelerations(1_000, 0.1, 0.2));
         let before = format!("{:?}", latest(filter.as_ref()));
         for (observation, expected) in [
-            (gyro(1_000, 2.0), Verdict::Malformed),
-            (gyro(970, 2.0), Verdict::TooOld),
-            (accelerations(1_000, 9.0, 9.0), Verdict::Malformed),
-            (accelerations(930, 9.0, 9.0), Verdict::TooOld),
+            (gyro(1_000, 2.0), FusionOutcome::Malformed),
+            (gyro(970, 2.0), FusionOutcome::TooOld),
+            (accelerations(1_000, 9.0, 9.0), FusionOutcome::Malformed),
+            (accelerations(930, 9.0, 9.0), FusionOutcome::TooOld),
         ] {
-            assert_eq!(filter.observe(&observation).verdict, expected, "{name}");
+            assert_eq!(filter.observe(&observation).outcome, expected, "{name}");
             assert_eq!(format!("{:?}", latest(filter.as_ref())), before, "{name}");
         }
     }
@@ -211,8 +213,8 @@ fn counters_that_are_zeroed_after_a_turn_do_not_turn_the_robot_back() {
         }
         let before = latest(filter.as_ref());
         assert!((before.pose.heading.rad() - FRAC_PI_2).abs() < 0.15, "{name}");
-        let verdict = filter.observe(&wheels(2_050, 0.0, 0.0)).verdict;
-        assert_eq!(verdict, Verdict::Rebased, "{name}");
+        let verdict = filter.observe(&wheels(2_050, 0.0, 0.0)).outcome;
+        assert_eq!(verdict, FusionOutcome::Rebased, "{name}");
         for k in 42..80_i64 {
             filter.observe(&wheels(50 * k, 0.0, 0.0));
             filter.observe(&gyro(50 * k, 0.0));
@@ -229,7 +231,7 @@ fn a_fix_is_used_when_it_comes_with_its_lever_arm() {
     // The tag sits 10 cm ahead and 5 cm to the left: north and west of a robot that looks north.
     let exact = with_tag(fix(0, 0.95, 2.1, Some(FRAC_PI_2)), 0.1, 0.05);
     let record = filter.observe(&exact);
-    assert_eq!(record.verdict, Verdict::Accepted);
+    assert_eq!(record.outcome, FusionOutcome::Accepted);
     assert_eq!(record.degrees_of_freedom, 3);
     assert!(record.nis < 1e-20, "{record:?}");
     // Turned further to the left, the tag would be further west and further south.
@@ -243,7 +245,7 @@ fn a_fix_is_used_when_it_comes_with_its_lever_arm() {
     assert!((record.innovation[0] - 0.005).abs() < 1e-9, "{record:?}");
     let moved = latest(filter.as_ref());
     assert!((1.0..1.005).contains(&moved.pose.x.0), "{moved:?}");
-    assert_eq!(moved.fix_age, Some(Span::ZERO));
+    assert_eq!(moved.fix_age, Some(TimeDelta::ZERO));
     assert!(!moved.is_dead_reckoning);
 }
 
@@ -253,12 +255,12 @@ fn a_late_fix_is_held_against_the_present_and_pulls_the_robot_back() {
     drive_straight(filter.as_mut(), 0..=2_000);
     let before = latest(filter.as_ref()).pose.x.0;
     let record = filter.observe(&fix(1_800, 0.36, 0.0, Some(0.0)));
-    assert_eq!(record.verdict, Verdict::Accepted);
-    assert_eq!(record.lag, Span::from_millis(200));
+    assert_eq!(record.outcome, FusionOutcome::Accepted);
+    assert_eq!(record.lag, TimeDelta::from_millis(200));
     let after = latest(filter.as_ref()).pose.x.0;
     assert!((record.innovation[0] - (0.36 - before)).abs() < 1e-12);
     assert!(after < before - 0.02 && after > 0.35, "{before} {after}");
-    assert_eq!(filter.latest(), Some(ms(2_000)));
+    assert_eq!(filter.latest_time(), Some(ms(2_000)));
 }
 
 #[test]
@@ -266,11 +268,11 @@ fn a_fix_that_came_before_or_is_older_than_one_that_was_used_is_refused() {
     let mut filter = named("ekf5-camera", &config());
     drive_straight(filter.as_mut(), 0..=2_000);
     let seen = fix(1_900, 0.39, 0.0, Some(0.0));
-    assert_eq!(filter.observe(&seen).verdict, Verdict::Accepted);
+    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Accepted);
     let before = format!("{:?}", latest(filter.as_ref()));
-    assert_eq!(filter.observe(&seen).verdict, Verdict::Malformed);
+    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Malformed);
     let older = fix(1_800, 0.36, 0.0, Some(0.0));
-    assert_eq!(filter.observe(&older).verdict, Verdict::TooOld);
+    assert_eq!(filter.observe(&older).outcome, FusionOutcome::TooOld);
     assert_eq!(format!("{:?}", latest(filter.as_ref())), before);
 }
 
@@ -279,11 +281,11 @@ fn without_a_start_a_fix_with_a_heading_places_the_robot_and_one_without_does_no
     let nowhere = FilterConfig { start: None, ..config() };
     let mut filter = named("ekf5-camera", &nowhere);
     drive_straight(filter.as_mut(), 0..=1_000);
-    let verdict = filter.observe(&fix(1_000, 3.0, 4.0, None)).verdict;
-    assert_eq!(verdict, Verdict::Unused);
+    let verdict = filter.observe(&fix(1_000, 3.0, 4.0, None)).outcome;
+    assert_eq!(verdict, FusionOutcome::Unused);
     assert!(!latest(filter.as_ref()).validity.position);
     let seen = with_tag(fix(1_000, 3.0, 4.0, Some(FRAC_PI_2)), 0.1, 0.05);
-    assert_eq!(filter.observe(&seen).verdict, Verdict::Accepted);
+    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Accepted);
     let placed = latest(filter.as_ref());
     assert!(placed.validity.position && placed.validity.heading);
     assert!((placed.pose.x.0 - 3.05).abs() < 1e-12 && (placed.pose.y.0 - 3.9).abs() < 1e-12);
@@ -353,7 +355,7 @@ fn a_stamp_that_may_be_off_makes_a_fix_of_a_moving_robot_weaker() {
         let seen = Observation { stamp_sigma, ..fix(2_000, 0.39, 0.0, None) };
         filter.observe(&seen).innovation_covariance[0][0]
     };
-    let added_m2 = innovation_var_m2(Span::from_millis(100)) - innovation_var_m2(Span::ZERO);
+    let added_m2 = innovation_var_m2(TimeDelta::from_millis(100)) - innovation_var_m2(TimeDelta::ZERO);
     assert!((added_m2 - 0.02 * 0.02).abs() < 1e-5, "{added_m2}");
 }
 
@@ -423,8 +425,8 @@ fn a_new_base_of_the_counters_makes_no_filter_surer_of_its_pose() {
         let mut filter = named(name, &config());
         drive_straight(filter.as_mut(), 0..=2_000);
         let before = filter.estimate_at(ms(2_400)).expect("a prediction");
-        let verdict = filter.observe(&wheels(2_400, -500.0, -500.0)).verdict;
-        assert_eq!(verdict, Verdict::Rebased, "{name}");
+        let verdict = filter.observe(&wheels(2_400, -500.0, -500.0)).outcome;
+        assert_eq!(verdict, FusionOutcome::Rebased, "{name}");
         let after = latest(filter.as_ref());
         for (what, found, least) in [
             ("x", after.x_sigma_m(), before.x_sigma_m()),

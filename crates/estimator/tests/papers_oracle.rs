@@ -9,18 +9,20 @@ mod robot;
 use adskalman::{ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
 use nalgebra::{Matrix2, SMatrix, SVector, U1, U2, Vector1, Vector2};
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::filters::paper1::{CENTIMETRE, DEGREE};
-use posebridge_estimator::filters::wheel_kf::{RIGHT_VARIANCE, Wheel};
 use posebridge_estimator::models::planar_speeds::{Acceleration, Covariance, Mean};
-use posebridge_telemetry::{MetersPerSecondSquared, Observation, Observed, SensorId, estimate::row};
+use posebridge_estimator::papers::paper1::{CENTIMETRE, DEGREE};
+use posebridge_estimator::papers::wheel_kf::{RIGHT_VARIANCE, SingleWheelFilter};
+use posebridge_telemetry::{MetersPerSecondSquared, Observation, ObservationKind, SensorId, estimate::row};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use readings::{assert_near, at, covariance_in_paper_units, gyro, latest, named, wheels};
 use robot::{RADIUS_M, TRACK_M, config};
 
 fn accelerations(secs: f64, left: f64, right: f64) -> Observation {
-    let observed =
-        Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) };
+    let observed = ObservationKind::WheelAccelerations {
+        left: MetersPerSecondSquared(left),
+        right: MetersPerSecondSquared(right),
+    };
     at(secs, SensorId::ACCELEROMETER, observed)
 }
 
@@ -102,7 +104,7 @@ macro_rules! foreign_step {
 
 #[test]
 fn the_wheel_filter_equals_an_independent_kalman_filter() {
-    let mut wheel = Wheel::at_rest(RIGHT_VARIANCE);
+    let mut wheel = SingleWheelFilter::at_rest(RIGHT_VARIANCE);
     let mut foreign = StateAndCovariance::new(Vector2::zeros(), Matrix2::identity() * 10.0);
     let drive = uneven_drive(1);
     for pair in drive.windows(2) {
@@ -141,7 +143,7 @@ fn the_velocity_filter_equals_an_independent_kalman_filter() {
 
         let dt_s = pair[1].0 - pair[0].0;
         let [left_m, right_m] = [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
-        let felt = Acceleration::of_wheels(left, right, &robot::GEOMETRY);
+        let felt = Acceleration::from_wheels(left, right, &robot::GEOMETRY);
         let per_unit = Vector2::new(1.0 / CENTIMETRE, 1.0 / DEGREE);
         let model = Foreign::<2> {
             f: [Matrix2::identity(); 2],
@@ -221,7 +223,7 @@ fn ekf5_equals_the_paper_written_out_in_centimetres_and_degrees() {
         gyro_heading += rate * ts / DEGREE;
         let speed = 0.5 * (left_m + right_m) / ts / CENTIMETRE;
         let z = SVector::from([speed, wheel_heading, gyro_heading]);
-        let body = Acceleration::of_wheels(felt.0, felt.1, &robot::GEOMETRY);
+        let body = Acceleration::from_wheels(felt.0, felt.1, &robot::GEOMETRY);
         literal.step(&z, body, ts);
 
         let ours = latest(filter.as_ref());

@@ -18,8 +18,8 @@ mod robot;
 use accelerations::add_accelerations;
 use drive::{Drive, Scenario, drive, stamp};
 use nalgebra::{Matrix3, Vector3};
-use posebridge_estimator::{FilterConfig, filter_named};
-use posebridge_telemetry::{Known, Meters, Observed, quantities::wrap_rad};
+use posebridge_estimator::{FilterConfig, find_filter};
+use posebridge_telemetry::{Meters, ObservationKind, UncertainValue, quantities::wrap_rad};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -45,7 +45,7 @@ fn square(seed: u64) -> Drive {
 }
 
 fn score(name: &str, driven: &Drive, config: &FilterConfig) -> Score {
-    let mut filter = (filter_named(name).expect("it is in the table").build)(config);
+    let mut filter = (find_filter(name).expect("it is in the table").build)(config);
     let mut arrivals = driven.arrivals.iter().peekable();
     let (mut squares, mut heading_squares, mut nees, mut count) = (0.0, 0.0, 0.0, 0.0);
     for (index, truth) in driven.poses.iter().enumerate() {
@@ -78,13 +78,13 @@ fn with_known_bias(mut config: FilterConfig, driven: &Drive) -> FilterConfig {
         .iter()
         .filter(|arrival| arrival.step <= REST_STEPS)
         .filter_map(|arrival| {
-            let Observed::TurnRate(rate) = arrival.observation.observed else {
+            let ObservationKind::TurnRate(rate) = arrival.observation.measurement else {
                 return None;
             };
             Some(rate.0)
         })
         .collect();
-    config.calibration.gyro_bias_rad_per_s = Known {
+    config.calibration.gyro_bias_rad_per_s = UncertainValue {
         value: at_rest.iter().sum::<f64>() / at_rest.len() as f64,
         sigma: NOISE.gyro_rad_per_s / (at_rest.len() as f64).sqrt(),
     };
@@ -147,7 +147,7 @@ fn share(all: &[[Score; 6]], worse: usize, better: usize) -> f64 {
 /// What a long record at rest would tell: the bias at the start of the drive itself, which the drive draws first.
 fn with_exact_bias(mut config: FilterConfig, seed: u64) -> FilterConfig {
     let normal: f64 = Pcg64::seed_from_u64(seed).sample(StandardNormal);
-    config.calibration.gyro_bias_rad_per_s = Known { value: NOISE.gyro_bias_rad_per_s * normal, sigma: 1e-4 };
+    config.calibration.gyro_bias_rad_per_s = UncertainValue { value: NOISE.gyro_bias_rad_per_s * normal, sigma: 1e-4 };
     config
 }
 

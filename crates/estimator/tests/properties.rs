@@ -13,9 +13,9 @@ use std::f64::consts::PI;
 use any::{any_observation, damages, learning_everything, of, without_learning};
 use nalgebra::{DMatrix, Matrix5};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, WITH_CAMERA, WITH_RANGES};
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
 use posebridge_estimator::{Filter, FilterConfig};
-use posebridge_telemetry::{Estimate, Observation, SensorId, Span, Verdict};
+use posebridge_telemetry::{Estimate, FusionOutcome, Observation, SensorId, TimeDelta};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -26,7 +26,7 @@ struct Belief {
 }
 
 fn belief<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Belief {
-    let instants = (-10..=10).map(|k| about.stamp + Span::from_millis(k * 100));
+    let instants = (-10..=10).map(|k| about.stamp + TimeDelta::from_millis(k * 100));
     Belief {
         estimates: instants.map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}"))).collect(),
         learned: format!("{:?}", filter.calibration()),
@@ -46,8 +46,8 @@ fn assert_unchanged(before: &Belief, after: &Belief, what: &str) {
     assert!(newest.is_none() || after.estimates.last() == Some(&newest.cloned()), "{what}");
 }
 
-const fn leaves_all_as_it_was(verdict: Verdict) -> bool {
-    matches!(verdict, Verdict::Malformed | Verdict::TooOld | Verdict::Gated | Verdict::Unused)
+const fn leaves_all_as_it_was(verdict: FusionOutcome) -> bool {
+    matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld | FusionOutcome::Gated | FusionOutcome::Unused)
 }
 
 /// Every eigenvalue of the correlations is positive, but for rounding; rows that are certain are left out.
@@ -97,24 +97,24 @@ fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId,
         let record = filter.observe(&observation);
         assert!(record.nis >= 0.0 && record.nis.is_finite(), "{record:?}");
         assert!(record.log_likelihood.is_finite(), "{record:?}");
-        assert!(!record.verdict.reason().is_empty());
+        assert!(!record.outcome.reason().is_empty());
         let after = belief(&filter, &observation);
-        if leaves_all_as_it_was(record.verdict) {
-            let what = format!("{:?}: {observation:?}", record.verdict);
+        if leaves_all_as_it_was(record.outcome) {
+            let what = format!("{:?}: {observation:?}", record.outcome);
             assert_unchanged(&before, &after, &what);
         }
-        let again = filter.observe(&observation).verdict;
+        let again = filter.observe(&observation).outcome;
         assert!(leaves_all_as_it_was(again), "{again:?} twice: {observation:?}");
         let twice = belief(&filter, &observation);
         assert_unchanged(&after, &twice, &format!("twice: {observation:?}"));
         for damaged in damages(&observation) {
-            let verdict = filter.observe(&damaged).verdict;
-            assert!(matches!(verdict, Verdict::Malformed | Verdict::TooOld), "{verdict:?}: {damaged:?}");
+            let verdict = filter.observe(&damaged).outcome;
+            assert!(matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld), "{verdict:?}: {damaged:?}");
             let still = belief(&filter, &observation);
             assert_unchanged(&after, &still, &format!("{damaged:?}"));
         }
         assert_state_sound(&filter);
-        let latest = filter.latest().map(|latest| latest + Span::from_millis(300));
+        let latest = filter.latest_time().map(|latest| latest + TimeDelta::from_millis(300));
         if let Some(estimate) = latest.and_then(|latest| filter.estimate_at(latest)) {
             assert_sound(&estimate);
         }
@@ -142,8 +142,8 @@ proptest! {
         let mut config = learning_everything();
         config.start = config.start.filter(|_| has_start);
         config.params.student_dof = if has_students_t { 4.0 } else { 0.0 };
-        play_anything::<WITH_RANGES>(&config, &steps);
-        play_anything::<WITH_CAMERA>(&config, &steps);
+        play_anything::<RANGE_STATES>(&config, &steps);
+        play_anything::<CAMERA_STATES>(&config, &steps);
     }
 
     #[test]
@@ -153,7 +153,7 @@ proptest! {
     ) {
         let mut config = without_learning();
         config.start = config.start.filter(|_| has_start);
-        play_anything::<CORE>(&config, &steps);
+        play_anything::<CORE_STATES>(&config, &steps);
     }
 }
 
@@ -163,19 +163,19 @@ fn damage_is_found_in_every_kind() {
         .into_iter()
         .map(|observed| {
             let observation = of(0, SensorId(7), observed);
-            let mut filter = PoseFilter::<WITH_RANGES>::new(&learning_everything());
+            let mut filter = PoseFilter::<RANGE_STATES>::new(&learning_everything());
             assert!(damages(&observation).len() >= 3, "{observation:?}");
             for damaged in damages(&observation) {
                 let record = filter.observe(&damaged);
-                assert_eq!(record.verdict, Verdict::Malformed, "{damaged:?}");
+                assert_eq!(record.outcome, FusionOutcome::Malformed, "{damaged:?}");
                 assert_eq!(record.kind, observed.kind());
             }
-            assert!(filter.latest().is_none());
+            assert!(filter.latest_time().is_none());
             observed.kind()
         })
         .collect();
     kinds.dedup();
     assert_eq!(kinds.len(), 11, "{kinds:?}");
-    let estimate = PoseFilter::<CORE>::new(&without_learning());
+    let estimate = PoseFilter::<CORE_STATES>::new(&without_learning());
     assert!(estimate.estimate_at(of(0, SensorId(7), any::one_of_each()[0]).stamp).is_none());
 }

@@ -5,12 +5,12 @@
 mod robot;
 
 use nalgebra::{Matrix2, Vector2};
-use posebridge_estimator::filters::range_kf::{RangeFilter, Variant};
-use posebridge_estimator::models::wall_approach::WallApproach;
+use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::papers::range_kf::{RangeFilter, RangeFilterVariant};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    FusionRecord, Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, ScalarEstimate, SensorId, Span,
-    Stamp, Verdict,
+    FusionOutcome, FusionRecord, Meters, MetersPerSecond, Observation, ObservationKind, RadiansPerSecond,
+    ScalarEstimate, SensorId, TimeDelta, Timestamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -29,26 +29,27 @@ fn configured(process_sigma: f64) -> FilterConfig {
     config
 }
 
-fn give(filter: &mut RangeFilter, at_s: f64, observed: Observed) -> FusionRecord {
+fn give(filter: &mut RangeFilter, at_s: f64, observed: ObservationKind) -> FusionRecord {
     filter.observe(&Observation {
         sensor: SensorId::RANGE,
-        stamp: Stamp::from_secs_f64(at_s),
-        stamp_sigma: Span::ZERO,
-        observed,
+        stamp: Timestamp::from_secs_f64(at_s),
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: observed,
     })
 }
 
 fn command(filter: &mut RangeFilter, at_s: f64, forward_m_per_s: f64) -> FusionRecord {
-    let observed = Observed::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
+    let observed =
+        ObservationKind::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
     give(filter, at_s, observed)
 }
 
 fn range(filter: &mut RangeFilter, at_s: f64, range_m: f64) -> FusionRecord {
-    give(filter, at_s, Observed::WallRange(Meters(range_m)))
+    give(filter, at_s, ObservationKind::WallRange(Meters(range_m)))
 }
 
 fn at(filter: &RangeFilter, at_s: f64) -> ScalarEstimate {
-    let found = filter.scalar_at(Stamp::from_secs_f64(at_s));
+    let found = filter.scalar_at(Timestamp::from_secs_f64(at_s));
     found.expect("it was given a reading")
 }
 
@@ -58,7 +59,7 @@ fn is_reading(step: usize) -> bool {
 
 #[test]
 fn the_step_test_gives_the_papers_mass_and_drag() {
-    let found = WallApproach::from_step_test(1.225, 0.997);
+    let found = WallApproachModel::from_step_test(1.225, 0.997);
     assert!((found.drag_s_per_m - 0.816_33).abs() < 1e-5);
     assert!((found.mass_s2_per_m - 0.353_46).abs() < 1e-5);
     assert!((found.rate_per_s() - 2.309_5).abs() < 1e-4);
@@ -69,7 +70,7 @@ fn the_step_test_gives_the_papers_mass_and_drag() {
 
 #[test]
 fn the_discrete_matrices_are_the_papers_and_the_exact_ones() {
-    let model = WallApproach::from_step_test(1.225, 0.997);
+    let model = WallApproachModel::from_step_test(1.225, 0.997);
     let close = |found: Matrix2<f64>, expected: Matrix2<f64>, limit: f64| {
         assert!((found - expected).amax() < limit, "{found} {expected}");
     };
@@ -84,7 +85,7 @@ fn the_discrete_matrices_are_the_papers_and_the_exact_ones() {
 
 #[test]
 fn exact_steps_are_the_differential_equation() {
-    let model = WallApproach::from_step_test(1.225, 0.997);
+    let model = WallApproachModel::from_step_test(1.225, 0.997);
     let (mut x, parts) = (Vector2::new(2.0, 0.3), 200_000);
     let dt_s = 0.4 / f64::from(parts);
     for _ in 0..parts {
@@ -98,7 +99,7 @@ fn exact_steps_are_the_differential_equation() {
 
 /// Share of a reading in the distance, and the gate, in m, once they have settled: means over a pattern of readings.
 fn settled_gain_and_gate(process_sigma: f64, is_reading: fn(usize) -> bool) -> (f64, f64) {
-    let mut filter = RangeFilter::new(&configured(process_sigma), Variant::Paper);
+    let mut filter = RangeFilter::new(&configured(process_sigma), RangeFilterVariant::Paper);
     let (mut gain, mut gate, mut count) = (0.0, 0.0, 0.0);
     range(&mut filter, 0.0, 2.0);
     for step in 1..=20 * STEPS {
@@ -135,14 +136,14 @@ fn gains_and_gates_are_those_of_the_papers_three_sigmas() {
 
 #[test]
 fn most_of_the_steps_are_prediction_alone() {
-    let mut filter = RangeFilter::new(&configured(0.05), Variant::Paper);
+    let mut filter = RangeFilter::new(&configured(0.05), RangeFilterVariant::Paper);
     let mut used = 0;
     for step in 0..STEPS {
         let at_s = STEP_S * step as f64;
-        assert_eq!(command(&mut filter, at_s, 1.0).verdict, Verdict::Accepted);
+        assert_eq!(command(&mut filter, at_s, 1.0).outcome, FusionOutcome::Accepted);
         if is_reading(step) {
-            let verdict = range(&mut filter, at_s, 2.0 - at_s).verdict;
-            used += usize::from(verdict == Verdict::Accepted);
+            let verdict = range(&mut filter, at_s, 2.0 - at_s).outcome;
+            used += usize::from(verdict == FusionOutcome::Accepted);
         }
     }
     assert_eq!(used, READINGS);
@@ -152,7 +153,7 @@ fn most_of_the_steps_are_prediction_alone() {
 
 #[test]
 fn a_reading_beyond_the_gate_is_refused_and_one_within_the_least_gate_never() {
-    for variant in [Variant::Paper, Variant::Corrected] {
+    for variant in [RangeFilterVariant::Paper, RangeFilterVariant::Corrected] {
         let mut config = configured(0.002);
         config.params.wall_gate_m = 0.2;
         let mut filter = RangeFilter::new(&config, variant);
@@ -162,19 +163,19 @@ fn a_reading_beyond_the_gate_is_refused_and_one_within_the_least_gate_never() {
         }
         let before = at(&filter, 1.2);
         let refused = range(&mut filter, 1.2, 2.21);
-        assert_eq!(refused.verdict, Verdict::Gated, "{variant:?}");
+        assert_eq!(refused.outcome, FusionOutcome::Gated, "{variant:?}");
         assert!(refused.nis > 9.0 && refused.degrees_of_freedom == 1);
         assert_eq!(at(&filter, 1.2), before);
         let used = range(&mut filter, 1.2, 2.19);
         assert!(used.nis > 9.0, "three sigmas alone would refuse it: {}", used.nis);
-        assert_eq!(used.verdict, Verdict::Accepted, "{variant:?}");
+        assert_eq!(used.outcome, FusionOutcome::Accepted, "{variant:?}");
     }
 }
 
 #[test]
 fn the_gate_is_at_three_standard_deviations() {
-    for variant in [Variant::Paper, Variant::Corrected] {
-        for (sigmas, verdict) in [(2.95, Verdict::Accepted), (3.05, Verdict::Gated)] {
+    for variant in [RangeFilterVariant::Paper, RangeFilterVariant::Corrected] {
+        for (sigmas, verdict) in [(2.95, FusionOutcome::Accepted), (3.05, FusionOutcome::Gated)] {
             let mut config = configured(0.05);
             config.params.wall_gate_m = 0.0;
             let mut filter = RangeFilter::new(&config, variant);
@@ -183,7 +184,7 @@ fn the_gate_is_at_three_standard_deviations() {
             let predicted = at(&filter, 0.1);
             let s_m = predicted.sigma.hypot(0.02);
             let record = range(&mut filter, 0.1, predicted.value + sigmas * s_m);
-            assert_eq!(record.verdict, verdict, "{variant:?} at {sigmas}");
+            assert_eq!(record.outcome, verdict, "{variant:?} at {sigmas}");
         }
     }
 }
@@ -204,8 +205,8 @@ fn the_papers_matching_takes_a_reading_of_the_future_for_one_of_the_step() {
         range(&mut filter, 2.035, 3.0 - 1.1 * 2.035);
         at(&filter, 1.99).value - (3.0 - 1.1 * 1.99)
     };
-    let paper_m = run(Variant::Paper);
-    let corrected_m = run(Variant::Corrected);
+    let paper_m = run(RangeFilterVariant::Paper);
+    let corrected_m = run(RangeFilterVariant::Corrected);
     assert!((-0.055..-0.04).contains(&paper_m), "{paper_m}");
     assert!(corrected_m.abs() < 0.01, "{corrected_m}");
 }
@@ -228,16 +229,16 @@ fn the_corrected_row_does_not_depend_on_how_often_it_predicts() {
         }
         (at(&filter, 1.05).value, s_m2)
     };
-    let (rare, often) = (run(Variant::Corrected, 1), run(Variant::Corrected, 20));
+    let (rare, often) = (run(RangeFilterVariant::Corrected, 1), run(RangeFilterVariant::Corrected, 20));
     assert!((rare.0 - often.0).abs() < 1e-6, "{rare:?} {often:?}");
     assert!((rare.1 / often.1 - 1.0).abs() < 1e-6, "{rare:?} {often:?}");
-    let (rare, often) = (run(Variant::Paper, 1), run(Variant::Paper, 20));
+    let (rare, often) = (run(RangeFilterVariant::Paper, 1), run(RangeFilterVariant::Paper, 20));
     assert!(often.1 > 4.0 * rare.1, "noise per step: {rare:?} {often:?}");
 }
 
 #[test]
 fn a_late_reading_is_used_at_its_own_time_by_the_corrected_row() {
-    let mut filter = RangeFilter::new(&configured(0.01), Variant::Corrected);
+    let mut filter = RangeFilter::new(&configured(0.01), RangeFilterVariant::Corrected);
     let truth_m = |at_s: f64| 3.0 - 1.1 * at_s;
     for step in 0..200 {
         let at_s = 0.01 * f64::from(step);
@@ -249,16 +250,16 @@ fn a_late_reading_is_used_at_its_own_time_by_the_corrected_row() {
     let error_m = at(&filter, 1.99).value - truth_m(1.99);
     assert!(error_m.abs() < 0.005, "{error_m}");
     let late = range(&mut filter, 1.93, truth_m(1.93));
-    assert_eq!(late.verdict, Verdict::TooOld, "60 ms is beyond the matching");
+    assert_eq!(late.outcome, FusionOutcome::TooOld, "60 ms is beyond the matching");
     let again = range(&mut filter, 1.90, truth_m(1.90));
-    assert_eq!(again.verdict, Verdict::Malformed, "it was used before");
+    assert_eq!(again.outcome, FusionOutcome::Malformed, "it was used before");
 }
 
 #[test]
 fn a_drive_train_that_is_faster_than_the_loop_leaves_numbers() {
     let mut config = configured(0.05);
     config.params.wall_mass_s2_per_m = 1e-4;
-    let mut filter = RangeFilter::new(&config, Variant::Paper);
+    let mut filter = RangeFilter::new(&config, RangeFilterVariant::Paper);
     range(&mut filter, 0.0, 2.0);
     for step in 1..1_000 {
         command(&mut filter, STEP_S * f64::from(step), 0.1);
@@ -276,7 +277,7 @@ struct Drive {
 
 fn drive(seed: u64) -> Drive {
     let mut normals = Pcg64::seed_from_u64(seed);
-    let model = WallApproach::from_step_test(1.225, 0.997);
+    let model = WallApproachModel::from_step_test(1.225, 0.997);
     let step = model.exact(0.01);
     let mut x = Vector2::new(3.0, 0.0);
     let mut drive = Drive { truth_m: vec![], readings_m: vec![] };
@@ -302,8 +303,8 @@ fn between_readings_both_rows_are_closer_than_a_line_through_the_last_two() {
     let (mut by_line, mut by_paper, mut by_corrected) = (0.0, 0.0, 0.0);
     for seed in 0..20 {
         let drive = drive(seed);
-        let mut paper = RangeFilter::new(&configured(0.01), Variant::Paper);
-        let mut corrected = RangeFilter::new(&configured(0.01), Variant::Corrected);
+        let mut paper = RangeFilter::new(&configured(0.01), RangeFilterVariant::Paper);
+        let mut corrected = RangeFilter::new(&configured(0.01), RangeFilterVariant::Corrected);
         let mut readings = vec![];
         for (k, truth_m) in drive.truth_m.iter().enumerate() {
             let at_s = 0.01 * k as f64;
@@ -342,7 +343,7 @@ fn on_a_real_approach_readings_are_predicted_better_than_by_a_line() {
     config.params.wall_drag_s_per_m = 0.373;
     config.params.wall_mass_s2_per_m = 0.243;
     config.noise.wall_range_m = 0.037;
-    for variant in [Variant::Paper, Variant::Corrected] {
+    for variant in [RangeFilterVariant::Paper, RangeFilterVariant::Corrected] {
         let mut filter = RangeFilter::new(&config, variant);
         let mut readings: Vec<(f64, f64)> = vec![];
         let (mut predicted, mut line, mut count) = (0.0, 0.0, 0.0);

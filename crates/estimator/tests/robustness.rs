@@ -37,8 +37,10 @@ use alter::{
 use drive::{Camera, Drive, STEP_S, Scenario, drive, stamp};
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, GYRO_BIAS};
-use posebridge_telemetry::{Meters, Observation, Observed, Radians, RadiansPerSecond, SensorId, Span, Verdict};
+use posebridge_estimator::filters::pose::state::{CORE_STATES, GYRO_BIAS};
+use posebridge_telemetry::{
+    FusionOutcome, Meters, Observation, ObservationKind, Radians, RadiansPerSecond, SensorId, TimeDelta,
+};
 use robot::{DEGREE, RADIUS_M, TRACK_M, config};
 use score::{mean, play, score};
 
@@ -47,13 +49,14 @@ fn a_wrong_start_is_left_after_the_fixes_have_agreed_for_long_enough() {
     for seed in 0..10 {
         let drive = drive(&camera_10_hz(), seed);
         let played = play(&drive, &started_at(1.0, -0.5, 0.1));
-        let reset = played.records.iter().find(|record| record.verdict == Verdict::ResetTo).expect("the fixes agree");
+        let reset =
+            played.records.iter().find(|record| record.outcome == FusionOutcome::PoseReset).expect("the fixes agree");
         let waited = reset.stamp - stamp(2);
-        assert!(waited >= Span::from_millis(1_500), "seed {seed}: {waited:?}");
-        assert!(waited <= Span::from_millis(1_700), "seed {seed}: {waited:?}");
+        assert!(waited >= TimeDelta::from_millis(1_500), "seed {seed}: {waited:?}");
+        assert!(waited <= TimeDelta::from_millis(1_700), "seed {seed}: {waited:?}");
         let after = at(&played, 60);
         assert_eq!(after.reset_counter, 1, "seed {seed}");
-        let jump = after.last_jump.expect("it is told");
+        let jump = after.last_correction.expect("it is told");
         assert!((jump.dx_m + 1.0).abs() < 0.05 && (jump.dy_m - 0.5).abs() < 0.05);
         assert!((jump.turn.0 + 0.1).abs() < 4.0 * DEGREE, "{jump:?}");
         let end = drive.poses.len();
@@ -199,7 +202,7 @@ fn counters_that_begin_again_in_a_turn_cost_no_heading() {
     for seed in 0..10 {
         let jumped = with_slip(drive(&blind, seed), |step| if step < middle { (0.0, 0.0) } else { (-90.0, -70.0) });
         let played = play(&jumped, &config());
-        let rebased = played.records.iter().filter(|record| record.verdict == Verdict::Rebased);
+        let rebased = played.records.iter().filter(|record| record.outcome == FusionOutcome::Rebased);
         assert_eq!(rebased.count(), 1, "seed {seed}");
         let (_, heading_rad) = error_at(&jumped, &played, CORNER.end);
         println!("jump, seed {seed}: {:.2} degrees", heading_rad / DEGREE);
@@ -238,7 +241,7 @@ fn after_half_a_minute_without_fixes_the_first_one_is_believed() {
         let played = play(&drive, &config());
         let before = at(&played, 700);
         assert!(before.is_dead_reckoning, "seed {seed}");
-        assert!(before.fix_age.is_some_and(|age| age > Span::from_millis(29_000)));
+        assert!(before.fix_age.is_some_and(|age| age > TimeDelta::from_millis(29_000)));
         let after = at(&played, 710);
         assert!(!after.is_dead_reckoning && after.reset_counter == 0);
         assert!(share_accepted(&fixes(&played, &(700..760))) > 0.9, "seed {seed}");
@@ -249,7 +252,7 @@ fn after_half_a_minute_without_fixes_the_first_one_is_believed() {
 #[test]
 fn a_fix_whose_stamp_is_uncertain_weighs_less_while_the_robot_moves() {
     let drive = drive(&camera_10_hz(), 1);
-    let nis_with = |stamp_sigma: Span| {
+    let nis_with = |stamp_sigma: TimeDelta| {
         let doubtful = altered(
             Drive {
                 poses: drive.poses.clone(),
@@ -269,21 +272,26 @@ fn a_fix_whose_stamp_is_uncertain_weighs_less_while_the_robot_moves() {
         let driving = fixes(&played, &STRAIGHT);
         driving.iter().map(|record| record.nis).sum::<f64>() / driving.len() as f64
     };
-    let (sure, doubtful) = (nis_with(Span::ZERO), nis_with(Span::from_millis(50)));
+    let (sure, doubtful) = (nis_with(TimeDelta::ZERO), nis_with(TimeDelta::from_millis(50)));
     // 50 ms at 0.2 m/s are 10 mm beside the 5 mm of the camera.
     assert!(doubtful < 0.6 * sure, "{sure} {doubtful}");
 }
 
 /// Feeds wheels and gyro of a robot that turns in place at a rate, with a bias on the gyro, and returns the filter.
-fn turning(rate_rad_per_s: f64, bias_rad_per_s: f64, steps: usize) -> PoseFilter<CORE> {
-    let mut filter = PoseFilter::<CORE>::new(&config());
+fn turning(rate_rad_per_s: f64, bias_rad_per_s: f64, steps: usize) -> PoseFilter<CORE_STATES> {
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     for step in 0..steps {
         let turned_rad = rate_rad_per_s * step as f64 * STEP_S;
         let half_rad = 0.5 * turned_rad * TRACK_M / RADIUS_M;
-        let of = |sensor, observed| Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed };
+        let of = |sensor, observed| Observation {
+            sensor,
+            stamp: stamp(step),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: observed,
+        };
         let rate = RadiansPerSecond(rate_rad_per_s + bias_rad_per_s);
-        filter.observe(&of(SensorId::GYRO, Observed::TurnRate(rate)));
-        let wheels = Observed::WheelAngles { left: Radians(-half_rad), right: Radians(half_rad) };
+        filter.observe(&of(SensorId::GYRO, ObservationKind::TurnRate(rate)));
+        let wheels = ObservationKind::WheelAngles { left: Radians(-half_rad), right: Radians(half_rad) };
         filter.observe(&of(SensorId::WHEELS, wheels));
     }
     filter

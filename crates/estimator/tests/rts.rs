@@ -11,11 +11,11 @@ mod score;
 use drive::{Camera, Drive, Scenario, drive, stamp};
 use nalgebra::{Matrix3, Vector3};
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::CORE;
-use posebridge_estimator::offline::{OfflineError, Smoothed, batch, rts};
+use posebridge_estimator::filters::pose::state::CORE_STATES;
+use posebridge_estimator::smoother::{OfflineError, SmoothedTrajectory, batch, rts};
 use posebridge_estimator::{Filter, FilterConfig, Params};
 use posebridge_telemetry::{
-    Meters, MetersPerSecond, Observation, Observed, RadiansPerSecond, SensorId, Stamp, quantities::wrap_rad,
+    Meters, MetersPerSecond, Observation, ObservationKind, RadiansPerSecond, SensorId, Timestamp, quantities::wrap_rad,
 };
 use robot::config;
 use score::{mean, play, score};
@@ -31,7 +31,7 @@ fn lap(camera: Option<Camera>, seed: u64) -> Drive {
 fn blind(mut drive: Drive, steps: std::ops::Range<usize>) -> Drive {
     drive.arrivals.retain(|arrival| {
         let seen = arrival.observation;
-        let is_fix = matches!(seen.observed, Observed::Fix(_));
+        let is_fix = matches!(seen.measurement, ObservationKind::Fix(_));
         !(is_fix && stamp(steps.start) <= seen.stamp && seen.stamp < stamp(steps.end))
     });
     drive
@@ -42,12 +42,12 @@ fn observations(drive: &Drive) -> Vec<Observation> {
     arrivals.map(|arrival| arrival.observation).collect()
 }
 
-fn smoothed(drive: &Drive, config: &FilterConfig) -> Smoothed {
+fn smoothed(drive: &Drive, config: &FilterConfig) -> SmoothedTrajectory {
     rts(config, &observations(drive)).expect("the drive has a start")
 }
 
 /// Sums of squared position errors and of NEES over three, with the number of poses.
-fn squares(smoothed: &Smoothed, drive: &Drive) -> [f64; 3] {
+fn squares(smoothed: &SmoothedTrajectory, drive: &Drive) -> [f64; 3] {
     let mut sums = [0.0; 3];
     for at in &smoothed.poses {
         let step = at.stamp.as_nanos() / 50_000_000;
@@ -106,7 +106,7 @@ fn without_fixes_hindsight_does_no_harm() {
 #[test]
 fn the_last_pose_is_the_filters() {
     let drive = lap(Some(CAMERA), 3);
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     for seen in observations(&drive) {
         filter.observe(&seen);
     }
@@ -162,13 +162,13 @@ fn crowded() -> Vec<Observation> {
     let all = observations(&lap(Some(CAMERA), 1));
     let mut crowded = all.clone();
     for one in &all {
-        if let Observed::Fix(mut fix) = one.observed {
+        if let ObservationKind::Fix(mut fix) = one.measurement {
             fix.position.x.0 += 0.004;
-            crowded.push(Observation { observed: Observed::Fix(fix), ..*one });
-        } else if let Observed::WheelAngles { left, .. } = one.observed {
+            crowded.push(Observation { measurement: ObservationKind::Fix(fix), ..*one });
+        } else if let ObservationKind::WheelAngles { left, .. } = one.measurement {
             crowded.push(Observation {
                 sensor: SensorId::ODOMETER,
-                observed: Observed::BodyVelocity {
+                measurement: ObservationKind::BodyVelocity {
                     forward: MetersPerSecond(left.0.sin()),
                     turn: RadiansPerSecond(0.0),
                 },
@@ -194,8 +194,8 @@ fn what_is_damaged_or_comes_twice_changes_nothing() {
     let mut dirty = all.clone();
     for one in all.iter().step_by(5) {
         dirty.push(*one);
-        dirty.push(Observation { observed: Observed::TurnRate(RadiansPerSecond(f64::NAN)), ..*one });
-        dirty.push(Observation { stamp: Stamp::from_nanos(i64::MAX), ..*one });
+        dirty.push(Observation { measurement: ObservationKind::TurnRate(RadiansPerSecond(f64::NAN)), ..*one });
+        dirty.push(Observation { stamp: Timestamp::from_nanos(i64::MAX), ..*one });
     }
     assert!(rts(&config(), &dirty).expect("it has a start") == clean);
 }
@@ -221,11 +221,11 @@ fn fixes_that_come_twice_count_once_and_those_of_one_instant_in_either_order() {
     let second_views: Vec<Observation> = observations
         .iter()
         .filter_map(|seen| {
-            let Observed::Fix(mut fix) = seen.observed else {
+            let ObservationKind::Fix(mut fix) = seen.measurement else {
                 return None;
             };
             fix.position.x.0 += 0.004;
-            Some(Observation { observed: Observed::Fix(fix), ..*seen })
+            Some(Observation { measurement: ObservationKind::Fix(fix), ..*seen })
         })
         .collect();
     observations.extend(second_views);

@@ -12,7 +12,9 @@ use posebridge_estimator::Filter;
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_telemetry::{Celsius, Observation, Observed, ScalarEstimate, SensorId, Span, Stamp, Verdict};
+use posebridge_telemetry::{
+    Celsius, FusionOutcome, Observation, ObservationKind, ScalarEstimate, SensorId, TimeDelta, Timestamp,
+};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -69,16 +71,16 @@ fn with_noise(sigma_k: f64) -> Thermometer {
 fn observation(at_s: f64, shown_c: f64) -> Observation {
     Observation {
         sensor: SensorId::THERMOMETER,
-        stamp: Stamp::from_secs_f64(at_s),
-        stamp_sigma: Span::ZERO,
-        observed: Observed::Temperature(Celsius(shown_c)),
+        stamp: Timestamp::from_secs_f64(at_s),
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: ObservationKind::Temperature(Celsius(shown_c)),
     }
 }
 
-fn give(thermometer: &mut Thermometer, at_s: f64, shown_c: f64) -> (Verdict, ScalarEstimate) {
+fn give(thermometer: &mut Thermometer, at_s: f64, shown_c: f64) -> (FusionOutcome, ScalarEstimate) {
     let record = thermometer.observe(&observation(at_s, shown_c));
-    let settled = thermometer.settled().expect("it was read");
-    (record.verdict, settled)
+    let settled = thermometer.final_value().expect("it was read");
+    (record.outcome, settled)
 }
 
 /// Sensors of one and of two lags, slow and quick, into warm and cold baths.
@@ -178,14 +180,14 @@ fn at_rest_it_predicts_what_it_shows() {
     for k in 0..4_000 {
         let noise_k = 0.05 * random.sample::<f64, _>(StandardNormal);
         let (verdict, settled) = give(&mut thermometer, PERIOD_S * f64::from(k), 21.3 + noise_k);
-        assert_ne!(verdict, Verdict::ResetTo, "{k}");
+        assert_ne!(verdict, FusionOutcome::PoseReset, "{k}");
         // Sooner it might as well be a slow sensor that has only begun.
         if k > 80 {
             assert!((settled.value - 21.3).abs() < 0.3, "{k}: {settled:?}");
             assert!(settled.bound_95() < 1.0, "{k}: {settled:?}");
         }
     }
-    assert!(thermometer.settled().unwrap().bound_95() < 0.02);
+    assert!(thermometer.final_value().unwrap().bound_95() < 0.02);
 }
 
 #[test]
@@ -201,8 +203,8 @@ fn every_new_bath_is_found_and_a_damaged_reading_is_not_one() {
         let is_damaged = index % 97 == 50;
         let shown_c = if is_damaged { shown_c - 25.0 } else { shown_c };
         let (verdict, _) = give(&mut thermometer, at_s, shown_c);
-        assert!(!is_damaged || verdict == Verdict::Gated, "{at_s}: {verdict:?}");
-        if verdict == Verdict::ResetTo {
+        assert!(!is_damaged || verdict == FusionOutcome::Gated, "{at_s}: {verdict:?}");
+        if verdict == FusionOutcome::PoseReset {
             breaks.push(at_s);
         }
     }
@@ -210,7 +212,7 @@ fn every_new_bath_is_found_and_a_damaged_reading_is_not_one() {
     assert!((REST_S..REST_S + 2.0).contains(&breaks[0]), "{breaks:?}");
     let again_s = offset_s + REST_S;
     assert!((again_s..again_s + 2.0).contains(&breaks[1]), "{breaks:?}");
-    let settled = thermometer.settled().unwrap();
+    let settled = thermometer.final_value().unwrap();
     assert!((settled.value - BEFORE_C).abs() < 0.1, "{settled:?}");
 }
 
@@ -225,7 +227,7 @@ fn more_noise_than_was_told_widens_the_bound() {
         let at_s = PERIOD_S * f64::from(k);
         bounds[0] = give(&mut quiet, at_s, 20.0 + 0.05 * noise).1.bound_95();
         let (verdict, settled) = give(&mut loud, at_s, 20.0 + 0.15 * noise);
-        breaks += u32::from(verdict == Verdict::ResetTo);
+        breaks += u32::from(verdict == FusionOutcome::PoseReset);
         bounds[1] = settled.bound_95();
     }
     assert!(breaks <= 2, "{breaks} breaks");
@@ -245,11 +247,11 @@ fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
     let mut has_begun = false;
     for &(at_s, shown_c) in &readings {
         let (verdict, settled) = give(&mut live, at_s, shown_c);
-        if verdict == Verdict::ResetTo {
+        if verdict == FusionOutcome::PoseReset {
             paper.restart_clock();
             has_begun = true;
         }
-        if verdict != Verdict::Gated {
+        if verdict != FusionOutcome::Gated {
             paper.observe(&observation(at_s, shown_c));
             let theirs = paper.scalar_at(settled.stamp).unwrap();
             assert_eq!(settled.value, theirs.value, "{at_s}");
@@ -257,7 +259,7 @@ fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
         }
     }
     assert!(has_begun);
-    let settled = live.settled().unwrap();
+    let settled = live.final_value().unwrap();
     assert!((settled.value - dip.end_c()).abs() <= settled.bound_95(), "{settled:?}");
     assert!(settled.bound_95() < 0.5, "{settled:?}");
 }
@@ -268,8 +270,8 @@ fn a_restart_of_the_clock_forgets_the_approach() {
     give(&mut thermometer, 100.0, 20.0);
     give(&mut thermometer, 101.0, 25.0);
     thermometer.restart_clock();
-    assert!(thermometer.settled().is_none());
+    assert!(thermometer.final_value().is_none());
     let (verdict, settled) = give(&mut thermometer, 0.5, 30.0);
-    assert_eq!(verdict, Verdict::Accepted);
+    assert_eq!(verdict, FusionOutcome::Accepted);
     assert!((settled.value - 30.0).abs() < 1e-9, "{settled:?}");
 }

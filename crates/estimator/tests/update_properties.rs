@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Matrix5, SMatrix, Vector3, Vector5};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration};
-use posebridge_estimator::update::{Measurement, Scalar, Usage, apply, foretell_scalar, use_scalar};
+use posebridge_estimator::update::{
+    LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, preview_scalar, use_scalar,
+};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -32,13 +34,13 @@ fn vectors<const N: usize>() -> impl Strategy<Value = [f64; N]> {
 }
 
 /// A scalar observation of two different rows of five, its noise over six decades.
-fn scalars() -> impl Strategy<Value = Scalar<2>> {
+fn scalars() -> impl Strategy<Value = ScalarMeasurement<2>> {
     let rows = (0..5_usize, 1..5_usize).prop_map(|(first, offset)| [first, (first + offset) % 5]);
     let variance = (-5.0..1.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent));
-    (-2.0..2.0_f64, rows, vectors::<2>(), variance).prop_map(|(innovation, rows, by_row, variance)| Scalar {
+    (-2.0..2.0_f64, rows, vectors::<2>(), variance).prop_map(|(innovation, rows, by_row, variance)| ScalarMeasurement {
         innovation,
         rows,
-        by_row,
+        jacobian: by_row,
         variance,
     })
 }
@@ -47,7 +49,7 @@ fn scalars() -> impl Strategy<Value = Scalar<2>> {
 #[derive(Clone, Debug)]
 enum Step {
     Predict(f64, [f64; 2]),
-    Use(Scalar<2>, f64),
+    Use(ScalarMeasurement<2>, f64),
 }
 
 fn steps() -> impl Strategy<Value = Step> {
@@ -62,7 +64,7 @@ fn steps() -> impl Strategy<Value = Step> {
 fn batch(
     mean: &Vector5<f64>,
     covariance: &Matrix5<f64>,
-    measurement: &Measurement<5, 3>,
+    measurement: &LinearizedMeasurement<5, 3>,
 ) -> Option<(Vector5<f64>, Matrix5<f64>)> {
     let h = measurement.jacobian;
     let inverse = measurement.innovation_covariance(covariance).try_inverse()?;
@@ -71,12 +73,14 @@ fn batch(
     Some((mean + gain * measurement.innovation, keep * covariance))
 }
 
-fn measurements() -> impl Strategy<Value = Measurement<5, 3>> {
-    (vectors::<3>(), vectors::<15>(), covariances::<3>()).prop_map(|(innovation, jacobian, noise)| Measurement {
-        innovation: Vector3::from(innovation),
-        jacobian: SMatrix::<f64, 3, 5>::from_row_slice(&jacobian),
-        // Away from zero, so that the textbook's inverse keeps enough digits to be compared with.
-        noise: noise + Matrix3::identity() * 0.05,
+fn measurements() -> impl Strategy<Value = LinearizedMeasurement<5, 3>> {
+    (vectors::<3>(), vectors::<15>(), covariances::<3>()).prop_map(|(innovation, jacobian, noise)| {
+        LinearizedMeasurement {
+            innovation: Vector3::from(innovation),
+            jacobian: SMatrix::<f64, 3, 5>::from_row_slice(&jacobian),
+            // Away from zero, so that the textbook's inverse keeps enough digits to be compared with.
+            noise: noise + Matrix3::identity() * 0.05,
+        }
     })
 }
 
@@ -93,14 +97,14 @@ proptest! {
         for step in steps {
             match step {
                 Step::Predict(interval_s, [forward_m_per_s2, turn_rad_per_s2]) => {
-                    let motion = planar_speeds::Step { interval_s, variances: [1e-6; 5] };
+                    let motion = planar_speeds::PredictionStep { interval_s, variances: [1e-6; 5] };
                     let input = Acceleration { forward_m_per_s2, turn_rad_per_s2 };
                     motion.predict(&mut mean, &mut covariance, input);
                 }
                 Step::Use(scalar, gate) => {
                     let trace = covariance.trace();
                     let outcome = use_scalar(&mut mean, &mut covariance, &scalar, gate);
-                    prop_assert_ne!(outcome.usage, Usage::Indefinite);
+                    prop_assert_ne!(outcome.outcome, UpdateOutcome::Indefinite);
                     prop_assert!(outcome.innovation_variance >= scalar.variance);
                     prop_assert!(covariance.trace() <= trace, "an observation takes doubt away");
                 }
@@ -118,16 +122,16 @@ proptest! {
         is_indefinite in any::<bool>(),
     ) {
         let before = Vector5::from(at);
-        let scalar = Scalar {
+        let scalar = ScalarMeasurement {
             variance: if is_indefinite { -1e9 } else { scalar.variance },
             ..scalar
         };
         let rows = [0, 2, 3];
-        let foretold = foretell_scalar(&before, &covariance, &scalar, rows);
+        let foretold = preview_scalar(&before, &covariance, &scalar, rows);
         let (mut mean, mut after) = (before, covariance);
         let outcome = use_scalar(&mut mean, &mut after, &scalar, f64::INFINITY);
         let made = (rows.map(|row| mean[row]), rows.map(|i| rows.map(|j| after[(i, j)])));
-        let expected = (outcome.usage == Usage::Used).then_some(made);
+        let expected = (outcome.outcome == UpdateOutcome::Used).then_some(made);
         prop_assert_eq!(foretold, expected, "to the last bit");
     }
 
@@ -143,14 +147,14 @@ proptest! {
         let (mut mean, mut covariance) = (before, start);
         for i in 0..3 {
             let row = measurement.jacobian.row(i);
-            let scalar = Scalar {
+            let scalar = ScalarMeasurement {
                 innovation: measurement.innovation[i] - (row * (mean - before))[0],
                 rows: [0, 1, 2, 3, 4],
-                by_row: std::array::from_fn(|j| row[j]),
+                jacobian: std::array::from_fn(|j| row[j]),
                 variance: measurement.noise[(i, i)],
             };
             let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
-            prop_assert_eq!(outcome.usage, Usage::Used);
+            prop_assert_eq!(outcome.outcome, UpdateOutcome::Used);
         }
         prop_assert!((mean - expected.0).amax() < AGREEMENT);
         prop_assert!((covariance - expected.1).amax() < AGREEMENT);
@@ -165,7 +169,7 @@ proptest! {
         let before = Vector5::from(at);
         let expected = batch(&before, &start, &measurement).unwrap();
         let (mut mean, mut covariance) = (before, start);
-        prop_assert!(apply(&mut mean, &mut covariance, &measurement));
+        prop_assert!(apply_measurement(&mut mean, &mut covariance, &measurement));
         prop_assert!((mean - expected.0).amax() < AGREEMENT);
         prop_assert!((covariance - expected.1).amax() < AGREEMENT);
         prop_assert_eq!(covariance, covariance.transpose());
@@ -180,12 +184,12 @@ proptest! {
         let (mut sparse_mean, mut sparse) = (Vector5::from(at), start);
         let (mut full_mean, mut full) = (Vector5::from(at), start);
         let mut by_row = [0.0; 5];
-        by_row[scalar.rows[0]] = scalar.by_row[0];
-        by_row[scalar.rows[1]] = scalar.by_row[1];
-        let of_all_rows = Scalar {
+        by_row[scalar.rows[0]] = scalar.jacobian[0];
+        by_row[scalar.rows[1]] = scalar.jacobian[1];
+        let of_all_rows = ScalarMeasurement {
             innovation: scalar.innovation,
             rows: [0, 1, 2, 3, 4],
-            by_row,
+            jacobian: by_row,
             variance: scalar.variance,
         };
         let few = use_scalar(&mut sparse_mean, &mut sparse, &scalar, f64::INFINITY);
@@ -207,7 +211,7 @@ proptest! {
         prop_assume!(open.nis > 0.0);
         let (mut mean, mut covariance) = (Vector5::from(at), start);
         let shut = use_scalar(&mut mean, &mut covariance, &scalar, share * open.nis);
-        prop_assert_eq!(shut.usage, Usage::Gated);
+        prop_assert_eq!(shut.outcome, UpdateOutcome::Gated);
         prop_assert_eq!((shut.nis, shut.innovation_variance), (open.nis, open.innovation_variance));
         prop_assert_eq!((mean, covariance), (Vector5::from(at), start));
     }
@@ -225,11 +229,11 @@ proptest! {
             // -1e9 is a number like any other in an innovation, 1e300 squared is not.
             0 => scalar.innovation = if bad == -1e9 { 1e300 } else { bad },
             1 => scalar.variance = bad,
-            _ => scalar.by_row[1] = if bad == -1e9 { 1e300 } else { bad },
+            _ => scalar.jacobian[1] = if bad == -1e9 { 1e300 } else { bad },
         }
         let (mut mean, mut covariance) = (Vector5::from(at), start);
         let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
-        prop_assert_eq!(outcome.usage, Usage::Indefinite, "{:?}", outcome);
+        prop_assert_eq!(outcome.outcome, UpdateOutcome::Indefinite, "{:?}", outcome);
         prop_assert_eq!((mean, covariance), (Vector5::from(at), start));
     }
 }
@@ -241,9 +245,9 @@ fn a_covariance_that_is_none_changes_nothing() {
         covariance[(2, 2)] = bad;
         let before = covariance.map(f64::to_bits);
         let mut mean = Vector5::repeat(0.5);
-        let scalar = Scalar { innovation: 0.1, rows: [2], by_row: [1.0], variance: 0.01 };
+        let scalar = ScalarMeasurement { innovation: 0.1, rows: [2], jacobian: [1.0], variance: 0.01 };
         let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
-        assert_eq!(outcome.usage, Usage::Indefinite, "{bad}");
+        assert_eq!(outcome.outcome, UpdateOutcome::Indefinite, "{bad}");
         assert_eq!(covariance.map(f64::to_bits), before, "{bad}");
         assert_eq!(mean, Vector5::repeat(0.5), "{bad}");
     }

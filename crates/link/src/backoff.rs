@@ -1,11 +1,11 @@
-//! How long to wait before a link is opened again.
+//! Back-off: the delays before a lost link is opened again.
 //!
-//! Doubling from a quarter of a second to five seconds, with a little jitter so that the ports of a class that lost the
-//! same access point do not all knock in the same instant. A class is many processes, on one computer or on many, whose
-//! links have the same numbers: so the jitter is seeded by the process and the moment of its start as well. No replay needs
-//! it: links are there in live sessions only. It sleeps for nobody: it only says how long.
+//! The delays double from a quarter of a second to five seconds, with a little jitter, so that the links of a class
+//! that lost the same access point do not all reconnect at the same instant. Those links belong to many processes and
+//! have the same numbers, so the seed includes the process and its start time. A replay has no links and needs no
+//! reproducible jitter.
 
-use posebridge_telemetry::{LinkId, Span};
+use posebridge_telemetry::{LinkId, TimeDelta};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -14,14 +14,13 @@ use crate::host_timer::HostTimer;
 /// Largest relative deviation from the nominal wait.
 const JITTER: f64 = 0.1;
 
-/// What tells this session from every other one that may lose the same network: the process, and the microsecond of its
-/// start.
+/// The seed of this session's jitter: the process, and the microsecond of its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SessionSeed(u64);
 
 impl SessionSeed {
     /// The seed of this process in the session of `timer`.
-    pub(crate) fn of(timer: &HostTimer) -> Self {
+    pub(crate) fn from_timer(timer: &HostTimer) -> Self {
         Self::from_parts(std::process::id(), timer.utc_start())
     }
 
@@ -31,50 +30,49 @@ impl SessionSeed {
     }
 }
 
-/// The nominal waits of a link.
+/// The nominal delays of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Waits {
+pub struct BackoffDelays {
     /// After a loss.
-    pub first: Span,
+    pub initial: TimeDelta,
     /// Doubling ends here.
-    pub longest: Span,
+    pub maximum: TimeDelta,
 }
 
-impl Default for Waits {
-    /// A quarter of a second is short enough to hide a cable that was bumped, five seconds are what a person who
-    /// re-plugs a brick is ready to look at.
+impl Default for BackoffDelays {
+    /// A quarter of a second hides a loose contact; five seconds are a tolerable wait after plugging in a brick.
     fn default() -> Self {
-        Self { first: Span::from_millis(250), longest: Span::from_millis(5_000) }
+        Self { initial: TimeDelta::from_millis(250), maximum: TimeDelta::from_millis(5_000) }
     }
 }
 
-/// The waits of one link, in the order in which they are needed.
+/// The delays of one link.
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
-    waits: Waits,
-    nominal: Span,
+    delays: BackoffDelays,
+    nominal: TimeDelta,
     jitter: Pcg32,
 }
 
 impl Backoff {
-    /// The waits of the link `id` in a session.
-    pub(crate) fn new(id: LinkId, session: SessionSeed, waits: Waits) -> Self {
+    /// The delays of the link `id` in a session.
+    pub(crate) fn new(id: LinkId, session: SessionSeed, delays: BackoffDelays) -> Self {
         // Every number selects a sequence of its own.
         let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);
-        Self { waits, nominal: waits.first, jitter: Pcg32::seed_from_u64(seed) }
+        Self { delays, nominal: delays.initial, jitter: Pcg32::seed_from_u64(seed) }
     }
 
-    /// The next wait; each is nominally twice as long as the one before, up to the longest.
-    pub(crate) fn next_wait(&mut self) -> Span {
+    /// The next delay; each is nominally twice as long as the one before, up to the longest.
+    pub(crate) fn next_delay(&mut self) -> TimeDelta {
         let factor = 1.0 + self.jitter.random_range(-JITTER..=JITTER);
-        let wait = Span::from_secs_f64(self.nominal.as_secs_f64() * factor);
-        self.nominal = (self.nominal + self.nominal).min(self.waits.longest);
+        let wait = TimeDelta::from_secs_f64(self.nominal.as_secs_f64() * factor);
+        self.nominal = (self.nominal + self.nominal).min(self.delays.maximum);
         wait
     }
 
-    /// Starts again from the shortest wait, after the link was up for a while.
+    /// Starts again from the shortest delay, after the link was up for a while.
     pub(crate) fn reset(&mut self) {
-        self.nominal = self.waits.first;
+        self.nominal = self.delays.initial;
     }
 }
 
@@ -87,8 +85,8 @@ mod tests {
 
     fn waits(id: u16, process: u32, start: u64) -> Vec<f64> {
         let session = SessionSeed::from_parts(process, start);
-        let mut backoff = Backoff::new(LinkId(id), session, Waits::default());
-        (0..8).map(|_| backoff.next_wait().as_secs_f64()).collect()
+        let mut backoff = Backoff::new(LinkId(id), session, BackoffDelays::default());
+        (0..8).map(|_| backoff.next_delay().as_secs_f64()).collect()
     }
 
     #[test]
@@ -128,11 +126,11 @@ mod tests {
     #[test]
     fn a_reset_starts_from_the_shortest_wait() {
         let session = SessionSeed::from_parts(1, START);
-        let mut backoff = Backoff::new(LinkId(1), session, Waits::default());
+        let mut backoff = Backoff::new(LinkId(1), session, BackoffDelays::default());
         for _ in 0..6 {
-            assert!(backoff.next_wait() > Span::ZERO);
+            assert!(backoff.next_delay() > TimeDelta::ZERO);
         }
         backoff.reset();
-        assert!(backoff.next_wait().as_secs_f64() < 0.3);
+        assert!(backoff.next_delay().as_secs_f64() < 0.3);
     }
 }

@@ -1,26 +1,25 @@
-//! What an open link can do, and what a port counts about it.
+//! The interface of an open link, and its counters.
 //!
-//! A transport opens a [`Connection`]; the port drives it. A connection neither reopens itself nor waits between
-//! attempts: when it is lost it says so once, and the port drops it.
+//! A transport opens a [`Connection`], and [`crate::Link`] drives it. A connection does not reopen itself: it reports
+//! its loss once, and the link drops it.
 
 use std::net::SocketAddr;
 use std::path::Path;
 use std::task::{Context, Poll};
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Priority, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Priority, Recipients, Timestamp};
 
-use crate::error::LinkLoss;
+use crate::error::LinkError;
 
-/// Counts of one port since the session began; they only grow.
+/// Counters of one link since the session began; they only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PortCounters {
+pub struct LinkCounters {
     /// Bytes received.
     pub bytes_in: u64,
-    /// Bytes that the operating system took, once per peer.
+    /// Bytes that the operating system accepted, counted for each peer.
     pub bytes_out: u64,
-    /// Frames dropped because the link was slow or down: once per peer where each peer has a queue of its own, once in all
-    /// where they wait for the allowed rate of the whole link and where the link is down, since nobody knows then who would
-    /// have heard them.
+    /// Frames dropped because the link was slow or down: counted for each peer where each peer has its own queue, once where
+    /// they wait for the rate limit of the whole link and where the link is down, because the recipients are unknown then.
     pub drops_out: u64,
     /// Times the link came up again after it had been up before.
     pub reconnects: u64,
@@ -28,24 +27,24 @@ pub struct PortCounters {
 
 /// One whole frame on its way out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outgoing<'a> {
-    /// For whom.
-    pub to: Audience,
-    /// What may happen to it while the link backs up.
+pub struct OutgoingFrame<'a> {
+    /// The recipients.
+    pub to: Recipients,
+    /// The priority while the link backs up.
     pub priority: Priority,
     /// The frame.
     pub frame: &'a [u8],
 }
 
-/// What an open link delivers.
+/// A result of polling an open link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Incoming {
+pub enum ReceivedData {
     /// Bytes of one read, or one datagram.
     Bytes {
-        /// Who sent them.
+        /// The sender.
         peer: PeerId,
         /// When they were read.
-        arrival: Stamp<HostClock>,
+        arrival: Timestamp<HostClock>,
         /// The bytes, at least one.
         bytes: Vec<u8>,
     },
@@ -53,18 +52,18 @@ pub enum Incoming {
     Finished,
 }
 
-/// What has been given to an open link and not been written.
+/// The state of an open link's send queue.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outstanding {
+pub struct QueueStatus {
     /// Peers at the moment.
     pub peers: u32,
     /// Frames that wait to be written and are lost if the connection is dropped, counted like
-    /// [`PortCounters::drops_out`].
+    /// [`LinkCounters::drops_out`].
     pub frames: u64,
     /// Their unwritten bytes.
     pub bytes: u64,
-    /// What the link takes, bytes per second, measured while frames wait; `None` while it keeps up. Of several peers
-    /// the fastest counts, so that one that hangs does not make the link look slow.
+    /// Throughput in bytes per second, measured while frames wait; `None` while the link keeps up. Of several peers the fastest
+    /// counts, so that one that hangs does not make the link look slow.
     pub capacity_bytes_per_s: Option<f64>,
 }
 
@@ -73,38 +72,37 @@ pub trait Connection: Send {
     /// What was opened, for people, such as "/dev/ttyUSB0 at 115200 baud".
     fn detail(&self) -> String;
 
-    /// The local socket address; `None` where the transport has none. This is how a caller learns the port that the
-    /// system chose for port 0.
+    /// The local socket address, with the port that the system chose for port 0; `None` where the transport has none.
     fn local_address(&self) -> Option<SocketAddr> {
         None
     }
 
-    /// True if whoever reaches [`Connection::local_address`] is heard without having been called.
+    /// True if the connection accepts peers at [`Connection::local_address`] that it has not contacted.
     fn is_listening(&self) -> bool {
         false
     }
 
-    /// A path that leads to the same device after it was unplugged and came back under another number; `None` where the
-    /// link's own target is as good as any.
+    /// A path that leads to the same device after it was unplugged and came back with another number; `None` if the link's
+    /// target serves as well.
     fn stable_path(&self) -> Option<&Path> {
         None
     }
 
-    /// How many peers hear a frame for `to`.
-    fn reach(&self, to: Audience) -> u32 {
+    /// The number of peers among the recipients.
+    fn count_recipients(&self, to: Recipients) -> u32 {
         u32::from(to.includes(PeerId(0)))
     }
 
-    /// Offers one whole frame. What the system does not take at once waits in a bounded queue and is written by the
-    /// next calls of [`Connection::poll`]; a failure is told there too.
-    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters);
+    /// Sends one whole frame. Bytes that the system does not accept at once wait in a bounded queue; the next calls of
+    /// [`Connection::poll`] write them, and report failures.
+    fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters);
 
     /// Writes what waits and delivers what has arrived.
     ///
     /// # Errors
-    /// [`LinkLoss`] when the link is gone; the connection is of no use afterwards.
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>>;
+    /// [`LinkError`] when the link is lost; the connection cannot be used afterwards.
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>>;
 
-    /// What waits to be written, and how fast the link takes it.
-    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding;
+    /// The state of the send queue.
+    fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus;
 }

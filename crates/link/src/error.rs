@@ -1,6 +1,6 @@
 //! Why a link did not open, and why it was lost.
 //!
-//! The texts are for the person who has to act: what is wrong, with which path or address, and what to do.
+//! The messages name the fault, the path or address, and what to do about it.
 
 use std::fmt;
 use std::io;
@@ -53,14 +53,14 @@ pub enum OpenError {
         /// The link.
         url: String,
     },
-    /// What is at the other end does not open to this serial number.
+    /// The peer does not accept this serial number.
     #[error(
         "{peer} does not accept the serial number {serial_number}: compare it with what stands on the brick under Brick Info"
     )]
-    NotWelcome {
+    SerialNumberRejected {
         /// Host and port.
         peer: String,
-        /// The serial number that it was told.
+        /// The serial number that was sent.
         serial_number: String,
     },
     /// Another program has made a pseudo-terminal at the path and holds it open.
@@ -69,23 +69,23 @@ pub enum OpenError {
         .path.display(),
         .path.display()
     )]
-    LinkTaken {
+    PtyInUse {
         /// The symbolic link.
         path: PathBuf,
     },
     /// The path exists, but is something else.
     #[error("{} is {found}, not {wanted}", .path.display())]
-    WrongKind {
+    WrongFileKind {
         /// The path.
         path: PathBuf,
-        /// What stands there.
+        /// What exists there.
         found: FileKind,
         /// What the transport needs.
         wanted: &'static str,
     },
     /// The file to play, or the directory for a new entry, does not exist.
     #[error("{} does not exist: {advice}", .path.display())]
-    NoSuchFile {
+    FileNotFound {
         /// The path.
         path: PathBuf,
         /// What to do about it.
@@ -93,7 +93,7 @@ pub enum OpenError {
     },
     /// The device is not there yet.
     #[error("{} is not there: plug the device in or check the name", .path.display())]
-    Missing {
+    DeviceMissing {
         /// The device.
         path: PathBuf,
     },
@@ -123,13 +123,13 @@ pub enum OpenError {
     },
     /// This program was built without the transport.
     #[error("{what} is not built into this program: {advice}")]
-    NotBuilt {
+    TransportNotBuilt {
         /// What is missing.
         what: &'static str,
         /// How to get it, and what to use without it.
         advice: &'static str,
     },
-    /// Anything else that the system said.
+    /// Any other error of the system.
     #[error("cannot open {what}: {source}")]
     Io {
         /// The path or the address.
@@ -143,44 +143,43 @@ impl OpenError {
     /// True if waiting may help: a device that is not plugged in yet, a server that is not started yet. False if a
     /// person has to change something first.
     #[must_use]
-    pub const fn can_heal(&self) -> bool {
+    pub const fn is_transient(&self) -> bool {
         match self {
             Self::PermissionDenied { .. }
             | Self::AddressInUse { .. }
             | Self::AddressNotAvailable { .. }
             | Self::NoHost { .. }
             | Self::NoSerialNumber { .. }
-            | Self::LinkTaken { .. }
-            | Self::WrongKind { .. }
-            | Self::NotBuilt { .. }
-            | Self::NoSuchFile { .. } => false,
+            | Self::PtyInUse { .. }
+            | Self::WrongFileKind { .. }
+            | Self::TransportNotBuilt { .. }
+            | Self::FileNotFound { .. } => false,
             Self::PortInUse { .. }
-            | Self::Missing { .. }
+            | Self::DeviceMissing { .. }
             | Self::UnknownHost { .. }
             | Self::Unreachable { .. }
-            | Self::NotWelcome { .. }
+            | Self::SerialNumberRejected { .. }
             | Self::TimedOut { .. }
             | Self::Io { .. } => true,
         }
     }
 
-    /// True if a program should not start over it: whatever cannot heal, and a serial port that is in use. Two programs
-    /// on one port are a mistake when the second is started; later it may be somebody who only probes a device that has
-    /// just been plugged in again, and is waited for.
+    /// True if the program should not start: the error is permanent, or another program uses the serial port. At the start that
+    /// is a mistake; later the other program may only probe a device that has just been plugged in again, and the link waits.
     #[must_use]
-    pub const fn stops_start(&self) -> bool {
-        matches!(self, Self::PortInUse { .. }) || !self.can_heal()
+    pub const fn prevents_start(&self) -> bool {
+        matches!(self, Self::PortInUse { .. }) || !self.is_transient()
     }
 }
 
-/// What stands at a path, in words.
+/// The kind of a file that exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// A directory.
     Directory,
     /// A regular file.
     RegularFile,
-    /// A symbolic link that is not ours to replace.
+    /// A symbolic link that must not be replaced.
     SymbolicLink,
     /// A socket, a pipe, a block device or a character device.
     Special,
@@ -214,8 +213,8 @@ impl fmt::Display for FileKind {
 /// Why an open link was lost.
 #[derive(Debug, Error)]
 #[non_exhaustive]
-pub enum LinkLoss {
-    /// A read came to its end: the cable was pulled, or the program at the other end is gone.
+pub enum LinkError {
+    /// The end of the stream: the cable was unplugged, or the program at the other end has ended.
     #[error("the other end is gone (unplugged, switched off or closed)")]
     HungUp,
     /// A read or write failed.

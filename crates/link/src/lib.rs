@@ -1,24 +1,23 @@
-//! Links to the outside: transports, and the supervised ports that keep them alive.
+//! Links: transports, and connections that reopen by themselves.
 //!
-//! A [`LinkUrl`] names a link, a [`Port`] holds it open: it opens, reads, writes, notices a loss and comes back by
-//! itself. The shard loop that owns the pipelines owns the ports too, so no queue stands between a socket and the
-//! reply. This crate knows bytes and arrival times; frames, messages and robots are the business of others. It also
-//! holds the one place of the house that reads a clock, [`HostTimer`].
+//! A [`LinkUrl`] names a link. A [`Link`] opens it, reads, writes, detects a loss and reconnects. The loop that owns the
+//! station owns the links too, so no queue stands between a socket and the reply. This crate handles bytes and arrival
+//! times, not frames, messages or robots. [`HostTimer`] is the only code of posebridge that reads a clock.
 //!
 //! ```
-//! use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, Role};
+//! use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
 //! use posebridge_telemetry::LinkId;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! # tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(async {
-//! let config = PortConfig {
+//! let config = LinkOpenConfig {
 //!     id: LinkId(0),
 //!     url: LinkUrl::parse("udp://127.0.0.1:0")?,
-//!     role: Role::Listen,
+//!     role: ConnectRole::Listen,
 //! };
-//! let mut port = Port::new(config, HostTimer::start());
-//! port.open_first().await?;
-//! assert!(matches!(port.next().await, PortEvent::Up { .. }));
+//! let mut link = Link::new(config, HostTimer::start());
+//! link.try_open().await?;
+//! assert!(matches!(link.next_event().await, LinkEvent::Up { .. }));
 //! # Ok(())
 //! # })
 //! # }
@@ -29,23 +28,23 @@ pub mod capacity;
 pub mod connection;
 pub mod error;
 pub mod host_timer;
+pub mod link;
+pub mod link_set;
 mod pacer;
-pub mod port;
-pub mod port_set;
 mod send_queue;
 mod stream;
 mod token_bucket;
+pub mod transport;
 pub mod transports;
 pub mod url;
 
-pub use backoff::Waits;
+pub use backoff::BackoffDelays;
 pub use capacity::{Backlog, CapacityMeter};
-pub use connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
-pub use error::{LinkLoss, OpenError};
-pub use host_timer::{Alarm, HostTimer};
-pub use port::{Port, PortConfig, PortEvent, PortTuning};
-pub use port_set::PortSet;
-pub use transports::{
-    DeviceDirectories, LineSettings, OpenRequest, Role, TRANSPORTS, Transport, UDP_RECEIVE_BUFFER_BYTES,
-};
-pub use url::{BluetoothAddress, LinkUrl, OptionHelp, OptionKind, Target, UrlError};
+pub use connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+pub use error::{LinkError, OpenError};
+pub use host_timer::{DeadlineTimer, HostTimer};
+pub use link::{Link, LinkEvent, LinkOpenConfig, LinkTuning};
+pub use link_set::LinkSet;
+pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport};
+pub use transports::{ConnectRole, DeviceDirectories, LineSettingsPolicy, OpenRequest, UDP_RECEIVE_BUFFER_BYTES};
+pub use url::{BluetoothAddress, LinkUrl, Target, UrlError};

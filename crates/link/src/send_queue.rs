@@ -1,17 +1,17 @@
-//! Frames that the operating system did not take yet, the worthiest first.
+//! The queue of frames that the operating system has not accepted yet, by priority.
 //!
 //! ```text
-//! taken out:   rest of a begun frame > Command > Conversation > Forwarded > Estimate
-//! when full:   stalest Estimate < oldest Forwarded < oldest Conversation; never a Command
+//! sent first:    rest of a begun frame > Command > Session > Forwarded > Estimate
+//! dropped first: oldest Estimate < oldest Forwarded < oldest Session; never a Command
 //! ```
 //!
-//! Within a [`Priority`] frames keep their order. A new estimate of the same stream for the same destination takes the
-//! place of the one that waits, which counts as a drop: an old estimate is worth nothing. A frame of which a part has
-//! been written is always finished: the rest of it would look like damage to the peer.
+//! Frames of one [`Priority`] keep their order. A new estimate replaces a waiting one of the same stream and
+//! destination, which counts as a drop. A frame that is partly written is always finished: otherwise the peer would
+//! receive a damaged frame.
 //!
-//! Commands have a reserve of their own, so no flood of telemetry can push one out. When the reserve is full the *newest*
-//! command is refused: whoever sent it learns from the missing acknowledgement, while a command taken from the middle
-//! of a sequence that has been accepted would change what the others mean. It writes nothing itself.
+//! Commands have a reserve of their own, so that telemetry cannot displace them. When the reserve is full, the *newest*
+//! command is refused: its sender notices the missing acknowledgement, while a command removed from the middle of an
+//! accepted sequence would change the meaning of the others. The queue itself writes nothing.
 
 use std::collections::VecDeque;
 
@@ -26,55 +26,55 @@ mod tests;
 /// twice over, or fifty of the longest frames of any kind (280 bytes).
 pub(crate) const COMMAND_RESERVE_BYTES: usize = 16 * 1024;
 
-/// How many kinds of worth there are.
-const RANKS: usize = 4;
+/// The number of priorities.
+const PRIORITY_COUNT: usize = 4;
 
-/// The place of a priority among the others; 0 goes first.
-const fn rank(priority: Priority) -> usize {
+/// The rank of a priority; 0 goes first.
+const fn priority_rank(priority: Priority) -> usize {
     match priority {
         Priority::Command => 0,
-        Priority::Conversation => 1,
+        Priority::Session => 1,
         Priority::Forwarded => 2,
         Priority::Estimate { .. } => 3,
     }
 }
 
-/// One frame that waits.
+/// One waiting frame.
 #[derive(Debug)]
-struct Waiting<D> {
+struct QueuedFrame<D> {
     to: D,
     priority: Priority,
     frame: Vec<u8>,
-    /// How many frames had been offered before it; tells the stalest estimate.
-    age_mark: u64,
+    /// The number of frames pushed before it; identifies the oldest estimate.
+    sequence: u64,
 }
 
 /// The unwritten end of the frame that is being written.
 #[derive(Debug)]
-struct Begun<D> {
+struct PartialFrame<D> {
     to: D,
     frame: Vec<u8>,
-    sent: usize,
+    written: usize,
 }
 
-impl<D> Begun<D> {
-    fn rest(&self) -> &[u8] {
-        self.frame.get(self.sent..).unwrap_or_default()
+impl<D> PartialFrame<D> {
+    fn unwritten(&self) -> &[u8] {
+        self.frame.get(self.written..).unwrap_or_default()
     }
 }
 
 /// Frames waiting to be written, each with its destination `D`.
 #[derive(Debug)]
 pub(crate) struct SendQueue<D> {
-    begun: Option<Begun<D>>,
-    /// By rank, each in the order in which it leaves.
-    ranks: [VecDeque<Waiting<D>>; RANKS],
+    partial: Option<PartialFrame<D>>,
+    /// By rank, each in the order of sending.
+    queues: [VecDeque<QueuedFrame<D>>; PRIORITY_COUNT],
     /// Bytes of everything that waits except commands and the begun frame.
-    shared_bytes: usize,
+    telemetry_bytes: usize,
     command_bytes: usize,
     limit_bytes: usize,
     reserve_bytes: usize,
-    offered: u64,
+    offered_count: u64,
 }
 
 impl<D: PartialEq> SendQueue<D> {
@@ -86,61 +86,61 @@ impl<D: PartialEq> SendQueue<D> {
     /// As [`SendQueue::new`] with another reserve for commands.
     const fn with_reserve(limit_bytes: usize, reserve_bytes: usize) -> Self {
         Self {
-            begun: None,
-            ranks: [const { VecDeque::new() }; RANKS],
-            shared_bytes: 0,
+            partial: None,
+            queues: [const { VecDeque::new() }; PRIORITY_COUNT],
+            telemetry_bytes: 0,
             command_bytes: 0,
             limit_bytes,
             reserve_bytes,
-            offered: 0,
+            offered_count: 0,
         }
     }
 
-    /// True if nothing waits.
+    /// True if no frame waits.
     pub(crate) fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// How many frames wait, a begun one included.
     pub(crate) fn len(&self) -> usize {
-        let waiting: usize = self.ranks.iter().map(VecDeque::len).sum();
-        waiting + usize::from(self.begun.is_some())
+        let waiting: usize = self.queues.iter().map(VecDeque::len).sum();
+        waiting + usize::from(self.partial.is_some())
     }
 
-    /// Whether anything waits, as the meter of a link's capacity wants to know it.
+    /// Whether frames wait, for the capacity meter.
     pub(crate) fn backlog(&self) -> Backlog {
-        if self.is_empty() { Backlog::Empty } else { Backlog::Waiting }
+        if self.is_empty() { Backlog::Empty } else { Backlog::Pending }
     }
 
     /// How many bytes wait.
     pub(crate) fn bytes(&self) -> usize {
-        self.begun_bytes() + self.shared_bytes + self.command_bytes
+        self.partial_bytes() + self.telemetry_bytes + self.command_bytes
     }
 
-    fn begun_bytes(&self) -> usize {
-        self.begun.as_ref().map_or(0, |begun| begun.rest().len())
+    fn partial_bytes(&self) -> usize {
+        self.partial.as_ref().map_or(0, |begun| begun.unwritten().len())
     }
 
-    /// Adds a frame of which nothing has been written and returns how many frames had to go for it; the frame itself
-    /// goes if there is no room that it may take.
+    /// Adds a frame of which nothing has been written and returns the number of frames dropped for it, which includes the frame
+    /// itself if there is no space for its priority.
     pub(crate) fn push(&mut self, to: D, priority: Priority, frame: &[u8]) -> u64 {
-        self.offered += 1;
+        self.offered_count += 1;
         if priority == Priority::Command {
             return self.push_command(to, frame);
         }
         let mut dropped = 0;
         let mut place = None;
-        if let Some(older) = self.position_of_older(&to, priority) {
-            self.remove(rank(priority), older);
+        if let Some(older) = self.position_of_superseded(&to, priority) {
+            self.remove(priority_rank(priority), older);
             dropped += 1;
             place = Some(older);
         }
-        let Some(evicted) = self.make_room(frame.len(), rank(priority)) else {
+        let Some(evicted) = self.evict_for(frame.len(), priority_rank(priority)) else {
             return dropped + 1;
         };
-        self.shared_bytes += frame.len();
-        let waiting = self.waiting(to, priority, frame);
-        if let Some(queue) = self.ranks.get_mut(rank(priority)) {
+        self.telemetry_bytes += frame.len();
+        let waiting = self.queued_frame(to, priority, frame);
+        if let Some(queue) = self.queues.get_mut(priority_rank(priority)) {
             // Those before it may have been dropped for it in the meantime.
             let place = place.unwrap_or(queue.len()).min(queue.len());
             queue.insert(place, waiting);
@@ -153,121 +153,124 @@ impl<D: PartialEq> SendQueue<D> {
             return 1;
         }
         self.command_bytes += frame.len();
-        let waiting = self.waiting(to, Priority::Command, frame);
-        let [commands, ..] = &mut self.ranks;
+        let waiting = self.queued_frame(to, Priority::Command, frame);
+        let [commands, ..] = &mut self.queues;
         commands.push_back(waiting);
         0
     }
 
-    fn waiting(&self, to: D, priority: Priority, frame: &[u8]) -> Waiting<D> {
-        Waiting { to, priority, frame: frame.to_vec(), age_mark: self.offered }
+    fn queued_frame(&self, to: D, priority: Priority, frame: &[u8]) -> QueuedFrame<D> {
+        QueuedFrame { to, priority, frame: frame.to_vec(), sequence: self.offered_count }
     }
 
-    /// Where an estimate of the same stream for the same destination waits.
-    fn position_of_older(&self, to: &D, priority: Priority) -> Option<usize> {
+    /// The index of a waiting estimate of the same stream and destination.
+    fn position_of_superseded(&self, to: &D, priority: Priority) -> Option<usize> {
         let Priority::Estimate { .. } = priority else {
             return None;
         };
-        self.ranks.get(rank(priority))?.iter().position(|waiting| waiting.priority == priority && waiting.to == *to)
+        self.queues
+            .get(priority_rank(priority))?
+            .iter()
+            .position(|waiting| waiting.priority == priority && waiting.to == *to)
     }
 
-    /// Drops frames that are worth no more than `rank` until `bytes` fit, and returns how many; `None`, with nothing
-    /// dropped, if they cannot fit.
-    fn make_room(&mut self, bytes: usize, rank: usize) -> Option<u64> {
-        let spared: usize = self.ranks.iter().take(rank).skip(1).flatten().map(|waiting| waiting.frame.len()).sum();
-        if self.begun_bytes() + spared + bytes > self.limit_bytes {
+    /// Drops frames of `rank` and lower priorities until `bytes` fit, and returns their number; `None`, with nothing dropped, if
+    /// they cannot fit.
+    fn evict_for(&mut self, bytes: usize, rank: usize) -> Option<u64> {
+        let spared: usize = self.queues.iter().take(rank).skip(1).flatten().map(|waiting| waiting.frame.len()).sum();
+        if self.partial_bytes() + spared + bytes > self.limit_bytes {
             return None;
         }
         let mut dropped = 0;
-        while self.begun_bytes() + self.shared_bytes + bytes > self.limit_bytes {
-            let (rank, place) = self.least_worthy()?;
+        while self.partial_bytes() + self.telemetry_bytes + bytes > self.limit_bytes {
+            let (rank, place) = self.lowest_priority()?;
             self.remove(rank, place);
             dropped += 1;
         }
         Some(dropped)
     }
 
-    /// The frame that goes first when room is needed.
-    fn least_worthy(&self) -> Option<(usize, usize)> {
-        let (rank, queue) = self.ranks.iter().enumerate().skip(1).rfind(|(_, queue)| !queue.is_empty())?;
+    /// The frame to drop first.
+    fn lowest_priority(&self) -> Option<(usize, usize)> {
+        let (rank, queue) = self.queues.iter().enumerate().skip(1).rfind(|(_, queue)| !queue.is_empty())?;
         // Only estimates are out of order: each holds the place of the one that it replaced.
-        let (place, _) = queue.iter().enumerate().min_by_key(|(_, waiting)| waiting.age_mark)?;
+        let (place, _) = queue.iter().enumerate().min_by_key(|(_, waiting)| waiting.sequence)?;
         Some((rank, place))
     }
 
     /// Takes one frame other than a command out of the queue.
     fn remove(&mut self, rank: usize, place: usize) {
-        if let Some(old) = self.ranks.get_mut(rank).and_then(|queue| queue.remove(place)) {
-            self.shared_bytes -= old.frame.len();
+        if let Some(old) = self.queues.get_mut(rank).and_then(|queue| queue.remove(place)) {
+            self.telemetry_bytes -= old.frame.len();
         }
     }
 
     /// Adds the unwritten end of a frame, to an empty queue. It is never dropped.
-    pub(crate) fn push_rest(&mut self, to: D, rest: &[u8]) {
+    pub(crate) fn push_partial(&mut self, to: D, rest: &[u8]) {
         debug_assert!(self.is_empty(), "a frame is begun only when none waits");
-        self.begun = Some(Begun { to, frame: rest.to_vec(), sent: 0 });
+        self.partial = Some(PartialFrame { to, frame: rest.to_vec(), written: 0 });
     }
 
     /// The frame to write next: its destination and its unwritten bytes.
     pub(crate) fn head(&self) -> Option<(&D, &[u8])> {
-        if let Some(begun) = &self.begun {
-            return Some((&begun.to, begun.rest()));
+        if let Some(begun) = &self.partial {
+            return Some((&begun.to, begun.unwritten()));
         }
-        let first = self.ranks.iter().find_map(VecDeque::front)?;
+        let first = self.queues.iter().find_map(VecDeque::front)?;
         Some((&first.to, &first.frame))
     }
 
-    /// The frame to write next, if nothing has been written of it: its destination, its worth and its bytes.
-    pub(crate) fn first(&self) -> Option<(&D, Priority, &[u8])> {
-        if self.begun.is_some() {
+    /// The frame to write next, if nothing has been written of it: its destination, priority and bytes.
+    pub(crate) fn head_unstarted(&self) -> Option<(&D, Priority, &[u8])> {
+        if self.partial.is_some() {
             return None;
         }
-        let first = self.ranks.iter().find_map(VecDeque::front)?;
+        let first = self.queues.iter().find_map(VecDeque::front)?;
         Some((&first.to, first.priority, &first.frame))
     }
 
-    /// Notes that `count` bytes of the head frame have been written.
+    /// Records that `count` bytes of the head frame have been written.
     pub(crate) fn advance(&mut self, count: usize) {
         if count == 0 {
             return;
         }
-        if self.begun.is_none() {
-            self.begun = self.take_first();
+        if self.partial.is_none() {
+            self.partial = self.pop_first();
         }
-        if let Some(begun) = &mut self.begun {
-            begun.sent = begun.sent.saturating_add(count).min(begun.frame.len());
-            if begun.rest().is_empty() {
-                self.begun = None;
+        if let Some(begun) = &mut self.partial {
+            begun.written = begun.written.saturating_add(count).min(begun.frame.len());
+            if begun.unwritten().is_empty() {
+                self.partial = None;
             }
         }
     }
 
-    fn take_first(&mut self) -> Option<Begun<D>> {
-        let queue = self.ranks.iter_mut().find(|queue| !queue.is_empty())?;
+    fn pop_first(&mut self) -> Option<PartialFrame<D>> {
+        let queue = self.queues.iter_mut().find(|queue| !queue.is_empty())?;
         let first = queue.pop_front()?;
         if first.priority == Priority::Command {
             self.command_bytes -= first.frame.len();
         } else {
-            self.shared_bytes -= first.frame.len();
+            self.telemetry_bytes -= first.frame.len();
         }
-        Some(Begun { to: first.to, frame: first.frame, sent: 0 })
+        Some(PartialFrame { to: first.to, frame: first.frame, written: 0 })
     }
 
     /// Drops the head frame, begun or not.
-    pub(crate) fn drop_head(&mut self) {
-        if self.begun.take().is_none() {
-            drop(self.take_first());
+    pub(crate) fn pop_head(&mut self) {
+        if self.partial.take().is_none() {
+            drop(self.pop_first());
         }
     }
 
-    /// Drops everything and returns how many frames that were.
+    /// Drops all frames and returns their number.
     pub(crate) fn clear(&mut self) -> u64 {
         let count = self.len() as u64;
-        self.begun = None;
-        for queue in &mut self.ranks {
+        self.partial = None;
+        for queue in &mut self.queues {
             queue.clear();
         }
-        self.shared_bytes = 0;
+        self.telemetry_bytes = 0;
         self.command_bytes = 0;
         count
     }

@@ -1,11 +1,11 @@
 //! A byte stream with one peer as a [`Connection`]: serial port, pseudo-terminal or TCP.
 //!
-//! Any end of the stream, and any error of it, is a loss: a tty that is hung up answers every read at once with
-//! nothing, for ever, and to read on would be a busy loop. It knows nothing of frames beyond not tearing them.
+//! The end of the stream, and any error, is a loss: a tty that is hung up answers every read at once with no bytes, for
+//! ever, and reading on would be a busy loop. It knows frames only so far as not to tear them.
 //!
-//! The system's own buffers are first in, first out: what lies in them can be neither replaced nor overtaken. Where the
-//! system can be asked how much that is, no more than a fiftieth of a second of the line is left there, and the rest
-//! waits in our queue, where the newest estimate and the next command go first.
+//! The system's buffers are first in, first out: nothing in them can be replaced or overtaken. Where their fill level
+//! can be queried, at most a fiftieth of a second of line time is left in them, and the rest waits in our queue, where
+//! the newest estimate and the next command go first.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -14,12 +14,12 @@ use std::task::{Context, Poll, Waker, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
-use crate::capacity::{CapacityMeter, LUMPY_GAP};
-use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
-use crate::error::LinkLoss;
+use crate::capacity::{COARSE_WRITE_GAP, CapacityMeter};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::error::LinkError;
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
 
@@ -29,27 +29,27 @@ mod tests;
 /// Most bytes of one read: more than a tenth of a second of the fastest usual serial line (921600 baud).
 const READ_BYTES: usize = 16 * 1024;
 
-/// Least that may lie in the system, in bytes: a fifth of the longest frame, so that a line never runs dry over it.
-const LEAST_SYSTEM_BYTES: usize = 64;
-/// What may lie in the system, as time of the line: one turn of a 50 Hz telemetry stream.
-const SYSTEM_TIME: Span = Span::from_millis(20);
-/// Longest wait before the system is asked again. Some USB drivers report a whole transfer of a kilobyte for each that is
-/// under way (Linux, `acm_tty_chars_in_buffer`), so what is computed from their figure is too long.
-const LONGEST_RECHECK: Span = Span::from_millis(5);
+/// Smallest allowed fill level of the system's buffer, in bytes: a fifth of the longest frame, so that the line never idles.
+const MIN_KERNEL_BYTES: usize = 64;
+/// Allowed fill level of the system's buffer, as line time: one period of a 50 Hz telemetry stream.
+const KERNEL_BUFFER_TIME: TimeDelta = TimeDelta::from_millis(20);
+/// Longest wait before the fill level is queried again. Some USB drivers count each pending transfer as a whole kilobyte (Linux,
+/// `acm_tty_chars_in_buffer`), so a wait computed from their figure is too long.
+const MAX_RECHECK: TimeDelta = TimeDelta::from_millis(5);
 /// Shortest wait: the runtime's timers are no finer.
-const SHORTEST_RECHECK: Span = Span::from_millis(1);
+const MIN_RECHECK: TimeDelta = TimeDelta::from_millis(1);
 
-/// A byte stream that may know what the system still holds of it.
+/// A byte stream whose system buffer may be queried.
 pub(crate) trait ByteStream: AsyncRead + AsyncWrite + Unpin + Send {
-    /// Bytes that the system has taken and not sent yet; `None` where it cannot be asked.
-    fn system_bytes(&self) -> Option<usize> {
+    /// Bytes that the system has accepted and not sent yet; `None` if unknown.
+    fn kernel_queued_bytes(&self) -> Option<usize> {
         None
     }
 }
 
 impl ByteStream for tokio::net::TcpStream {}
 
-/// What is said about a stream and to whom it belongs.
+/// The description of a stream.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamLabel {
     /// See [`Connection::detail`].
@@ -58,7 +58,7 @@ pub(crate) struct StreamLabel {
     pub(crate) local_address: Option<SocketAddr>,
     /// See [`Connection::stable_path`].
     pub(crate) stable_path: Option<PathBuf>,
-    /// Who is at the other end.
+    /// The peer.
     pub(crate) peer: PeerId,
 }
 
@@ -69,24 +69,24 @@ impl StreamLabel {
     }
 }
 
-/// How much of a line's bytes may lie in the system, and when to ask again.
-struct SystemBound {
+/// The limit of the system's buffer for a line, and when to query it again.
+struct KernelQueueLimit {
     limit_bytes: usize,
     bytes_per_s: f64,
-    recheck: Option<Pin<Box<Sleep>>>,
+    recheck_timer: Option<Pin<Box<Sleep>>>,
 }
 
-impl SystemBound {
+impl KernelQueueLimit {
     fn new(bytes_per_s: f64) -> Self {
-        let limit_bytes = (bytes_per_s * SYSTEM_TIME.as_secs_f64()) as usize;
-        Self { limit_bytes: limit_bytes.max(LEAST_SYSTEM_BYTES), bytes_per_s, recheck: None }
+        let limit_bytes = (bytes_per_s * KERNEL_BUFFER_TIME.as_secs_f64()) as usize;
+        Self { limit_bytes: limit_bytes.max(MIN_KERNEL_BYTES), bytes_per_s, recheck_timer: None }
     }
 
-    /// How long it takes until the system holds no more than it may; `None` if that is so.
-    fn wait(&self, system_bytes: usize) -> Option<Span> {
+    /// Time until the system's buffer is below the limit; `None` if it is.
+    fn time_until_below(&self, system_bytes: usize) -> Option<TimeDelta> {
         let excess = system_bytes.checked_sub(self.limit_bytes + 1)? + 1;
-        let wait = Span::from_secs_f64(excess as f64 / self.bytes_per_s);
-        Some(wait.clamp(SHORTEST_RECHECK, LONGEST_RECHECK))
+        let wait = TimeDelta::from_secs_f64(excess as f64 / self.bytes_per_s);
+        Some(wait.clamp(MIN_RECHECK, MAX_RECHECK))
     }
 }
 
@@ -96,98 +96,98 @@ pub(crate) struct StreamConnection<S> {
     label: StreamLabel,
     timer: HostTimer,
     queue: SendQueue<()>,
-    bound: Option<SystemBound>,
+    kernel_limit: Option<KernelQueueLimit>,
     meter: CapacityMeter,
-    /// Told only after everything that the peer sent before has been read.
+    /// Reported only after everything that the peer sent before has been read.
     write_failure: Option<std::io::Error>,
     buffer: Box<[u8]>,
-    /// Fields are dropped in their order: this one when the stream is closed.
-    closing: Option<Box<dyn Send>>,
+    /// Fields are dropped in order: this one after the stream is closed.
+    on_close: Option<Box<dyn Send>>,
 }
 
 impl<S: ByteStream> StreamConnection<S> {
-    /// Takes over an open stream; at most `queue_bytes` of whole frames wait to be written, and commands beside them.
+    /// A connection over an open stream. At most `queue_bytes` of whole frames wait to be written, besides commands.
     pub(crate) fn new(stream: S, label: StreamLabel, timer: HostTimer, queue_bytes: usize) -> Self {
         Self {
             stream,
             label,
             timer,
             queue: SendQueue::new(queue_bytes),
-            bound: None,
-            meter: CapacityMeter::joining(LUMPY_GAP),
+            kernel_limit: None,
+            meter: CapacityMeter::with_longest_gap(COARSE_WRITE_GAP),
             write_failure: None,
             buffer: vec![0; READ_BYTES].into_boxed_slice(),
-            closing: None,
+            on_close: None,
         }
     }
 
-    /// Drops `closing` when the stream has been closed.
-    pub(crate) fn closing_with(mut self, closing: Box<dyn Send>) -> Self {
-        self.closing = Some(closing);
+    /// Drops `closing` after the stream is closed.
+    pub(crate) fn with_on_close(mut self, closing: Box<dyn Send>) -> Self {
+        self.on_close = Some(closing);
         self
     }
 
-    /// Leaves no more in the system than a line of `bytes_per_s` sends in a fiftieth of a second.
+    /// Limits the system's buffer to what a line of `bytes_per_s` sends in a fiftieth of a second.
     pub(crate) fn with_line_rate(mut self, bytes_per_s: f64) -> Self {
-        self.bound = Some(SystemBound::new(bytes_per_s));
+        self.kernel_limit = Some(KernelQueueLimit::new(bytes_per_s));
         self.meter = CapacityMeter::default();
         self
     }
 
-    /// Ready when the system holds so little that it may be given more.
-    fn poll_room(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        let Some(bound) = &mut self.bound else {
+    /// Ready when the system's buffer is below its limit.
+    fn poll_kernel_space(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        let Some(bound) = &mut self.kernel_limit else {
             return Poll::Ready(());
         };
         loop {
-            if let Some(recheck) = &mut bound.recheck {
+            if let Some(recheck) = &mut bound.recheck_timer {
                 ready!(recheck.as_mut().poll(cx));
-                bound.recheck = None;
+                bound.recheck_timer = None;
             }
-            let system_bytes = self.stream.system_bytes().unwrap_or(0);
-            let Some(wait) = bound.wait(system_bytes) else {
+            let system_bytes = self.stream.kernel_queued_bytes().unwrap_or(0);
+            let Some(wait) = bound.time_until_below(system_bytes) else {
                 return Poll::Ready(());
             };
             let at = self.timer.instant(self.timer.now() + wait);
-            bound.recheck = Some(Box::pin(tokio::time::sleep_until(at)));
+            bound.recheck_timer = Some(Box::pin(tokio::time::sleep_until(at)));
         }
     }
 
-    /// Writes what the system takes at once.
+    /// Writes what the system accepts at once.
     fn poll_write(&mut self, cx: &mut Context<'_>, frame: &[u8]) -> Poll<std::io::Result<usize>> {
-        ready!(self.poll_room(cx));
+        ready!(self.poll_kernel_space(cx));
         Pin::new(&mut self.stream).poll_write(cx, frame)
     }
 
-    /// Writes what waits until the system takes no more.
-    fn flush(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) {
+    /// Writes queued frames until the system accepts no more.
+    fn flush(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) {
         let mut taken = 0;
         while !self.queue.is_empty()
-            && self.poll_room(cx).is_ready()
+            && self.poll_kernel_space(cx).is_ready()
             && let Some(((), rest)) = self.queue.head()
         {
             match Pin::new(&mut self.stream).poll_write(cx, rest) {
                 Poll::Pending => break,
                 Poll::Ready(Ok(0)) => {
-                    return self.fail(std::io::ErrorKind::WriteZero.into(), counters);
+                    return self.record_write_failure(std::io::ErrorKind::WriteZero.into(), counters);
                 }
                 Poll::Ready(Ok(count)) => {
                     taken += count;
                     counters.bytes_out += count as u64;
                     self.queue.advance(count);
                 }
-                Poll::Ready(Err(error)) => return self.fail(error, counters),
+                Poll::Ready(Err(error)) => return self.record_write_failure(error, counters),
             }
         }
-        self.measure(taken);
+        self.record_write(taken);
     }
 
-    /// Notes what the system took while frames waited.
-    fn measure(&mut self, taken: usize) {
-        self.meter.note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
+    /// Records what the system accepted while frames waited.
+    fn record_write(&mut self, taken: usize) {
+        self.meter.record_write_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
-    fn fail(&mut self, error: std::io::Error, counters: &mut PortCounters) {
+    fn record_write_failure(&mut self, error: std::io::Error, counters: &mut LinkCounters) {
         counters.drops_out += self.queue.clear();
         self.write_failure = Some(error);
     }
@@ -206,11 +206,11 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         self.label.stable_path.as_deref()
     }
 
-    fn reach(&self, to: Audience) -> u32 {
+    fn count_recipients(&self, to: Recipients) -> u32 {
         u32::from(to.includes(self.label.peer))
     }
 
-    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+    fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
         let frame = out.frame;
         if !out.to.includes(self.label.peer) || frame.is_empty() {
             return;
@@ -221,7 +221,7 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         }
         if !self.queue.is_empty() {
             counters.drops_out += self.queue.push((), out.priority, frame);
-            return self.measure(0);
+            return self.record_write(0);
         }
         // Nobody has to be woken: what is left over is written by the next `poll`, which leaves its own waker.
         let mut cx = Context::from_waker(Waker::noop());
@@ -231,25 +231,25 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
                 taken = count;
                 counters.bytes_out += count as u64;
                 if let Some(rest) = frame.get(count..).filter(|rest| !rest.is_empty()) {
-                    self.queue.push_rest((), rest);
+                    self.queue.push_partial((), rest);
                 }
             }
             Poll::Pending => counters.drops_out += self.queue.push((), out.priority, frame),
             Poll::Ready(result) => {
                 counters.drops_out += 1;
                 let error = result.err().unwrap_or(std::io::ErrorKind::WriteZero.into());
-                self.fail(error, counters);
+                self.record_write_failure(error, counters);
             }
         }
-        self.measure(taken);
+        self.record_write(taken);
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
         self.flush(cx, counters);
         let mut buffer = ReadBuf::new(&mut self.buffer);
         match Pin::new(&mut self.stream).poll_read(cx, &mut buffer) {
-            Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(LinkLoss::HungUp)),
-            Poll::Ready(Ok(())) => Poll::Ready(Ok(Incoming::Bytes {
+            Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(LinkError::HungUp)),
+            Poll::Ready(Ok(())) => Poll::Ready(Ok(ReceivedData::Bytes {
                 peer: self.label.peer,
                 arrival: self.timer.now(),
                 bytes: buffer.filled().to_vec(),
@@ -262,8 +262,8 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         }
     }
 
-    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
-        Outstanding {
+    fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus {
+        QueueStatus {
             peers: 1,
             frames: self.queue.len() as u64,
             bytes: self.queue.bytes() as u64,

@@ -1,17 +1,17 @@
-//! A limit in bytes per second that lets single frames pass at once.
+//! A token bucket: a limit in bytes per second that lets single frames pass at once.
 //!
 //! ```text
 //! level' = min(burst, level + rate * dt)      level' = level - bytes, when a frame passes
 //! ```
 //!
-//! The usual token bucket, with debt: a frame passes whole when the level is not negative, and may take it below zero;
-//! the next one waits until the debt is paid. So over any time `t` at most `rate * t + burst + one frame` pass, however
-//! large the frames. It reads no clock and holds no frames.
+//! The bucket may go into debt: a frame passes whole when the level is not negative, and may take it below zero; the
+//! next one waits until the debt is paid. So over any time `t` at most `rate * t + burst + one frame` pass, whatever
+//! the size of the frames.
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-/// How much may pass at once after a pause, as time: what a screen refreshed 20 times a second cannot tell apart.
-const BURST: Span = Span::from_millis(50);
+/// The burst after a pause, as a duration at the limit: one period of a display with 20 updates per second.
+const BURST: TimeDelta = TimeDelta::from_millis(50);
 
 /// The level of one link.
 #[derive(Clone, Debug)]
@@ -20,34 +20,33 @@ pub(crate) struct TokenBucket {
     burst_bytes: f64,
     /// Bytes that may pass; a debt if negative.
     level_bytes: f64,
-    filled_at: Stamp<HostClock>,
+    filled_at: Timestamp<HostClock>,
 }
 
 impl TokenBucket {
     /// A full bucket that lets `bytes_per_s` pass, at least one.
-    pub(crate) fn new(bytes_per_s: u32, now: Stamp<HostClock>) -> Self {
+    pub(crate) fn new(bytes_per_s: u32, now: Timestamp<HostClock>) -> Self {
         let bytes_per_s = f64::from(bytes_per_s.max(1));
         let burst_bytes = bytes_per_s * BURST.as_secs_f64();
         Self { bytes_per_s, burst_bytes, level_bytes: burst_bytes, filled_at: now }
     }
 
-    /// How long to wait before the next frame may pass; zero if it may at once. A stamp before the last one fills
-    /// nothing.
-    pub(crate) fn wait(&mut self, now: Stamp<HostClock>) -> Span {
+    /// Time until the next frame may pass; zero if it may at once. A timestamp before the last one adds nothing.
+    pub(crate) fn time_until_ready(&mut self, now: Timestamp<HostClock>) -> TimeDelta {
         if now > self.filled_at {
             let filled = self.bytes_per_s * (now - self.filled_at).as_secs_f64();
             self.level_bytes = (self.level_bytes + filled).min(self.burst_bytes);
             self.filled_at = now;
         }
         if self.level_bytes >= 0.0 {
-            return Span::ZERO;
+            return TimeDelta::ZERO;
         }
         // One nanosecond more than computed, so that rounding cannot make a waiter wake a moment too early for ever.
-        Span::from_secs_f64(-self.level_bytes / self.bytes_per_s) + Span::from_nanos(1)
+        TimeDelta::from_secs_f64(-self.level_bytes / self.bytes_per_s) + TimeDelta::from_nanos(1)
     }
 
     /// Takes the bytes of a frame that passes.
-    pub(crate) fn take(&mut self, bytes: usize) {
+    pub(crate) fn consume(&mut self, bytes: usize) {
         self.level_bytes -= bytes as f64;
     }
 }
@@ -58,13 +57,13 @@ mod tests {
 
     /// Offers a frame whenever the bucket lets one pass and returns the stamps, in nanoseconds.
     fn passes(rate: u32, frame: usize, until_ms: i64) -> Vec<i64> {
-        let mut bucket = TokenBucket::new(rate, Stamp::ZERO);
-        let mut now = Stamp::ZERO;
+        let mut bucket = TokenBucket::new(rate, Timestamp::ZERO);
+        let mut now = Timestamp::ZERO;
         let mut stamps = Vec::new();
-        while now < Stamp::from_millis(until_ms) {
-            let wait = bucket.wait(now);
-            if wait == Span::ZERO {
-                bucket.take(frame);
+        while now < Timestamp::from_millis(until_ms) {
+            let wait = bucket.time_until_ready(now);
+            if wait == TimeDelta::ZERO {
+                bucket.consume(frame);
                 stamps.push(now.as_nanos());
             } else {
                 now = now + wait;
@@ -95,11 +94,11 @@ mod tests {
 
     #[test]
     fn a_pause_saves_up_no_more_than_the_burst() {
-        let mut bucket = TokenBucket::new(1_000, Stamp::ZERO);
-        let later = Stamp::from_millis(3_600_000);
+        let mut bucket = TokenBucket::new(1_000, Timestamp::ZERO);
+        let later = Timestamp::from_millis(3_600_000);
         let mut passed = 0;
-        while bucket.wait(later) == Span::ZERO {
-            bucket.take(10);
+        while bucket.time_until_ready(later) == TimeDelta::ZERO {
+            bucket.consume(10);
             passed += 10;
         }
         assert_eq!(passed, 60, "50 ms at 1000 bytes/s, and the frame that makes the debt");
@@ -107,11 +106,11 @@ mod tests {
 
     #[test]
     fn time_that_runs_backwards_fills_nothing() {
-        let mut bucket = TokenBucket::new(1_000, Stamp::from_millis(1_000));
-        bucket.take(150);
-        let wait = bucket.wait(Stamp::from_millis(1_000));
-        assert_eq!(bucket.wait(Stamp::ZERO), wait);
+        let mut bucket = TokenBucket::new(1_000, Timestamp::from_millis(1_000));
+        bucket.consume(150);
+        let wait = bucket.time_until_ready(Timestamp::from_millis(1_000));
+        assert_eq!(bucket.time_until_ready(Timestamp::ZERO), wait);
         assert!((wait.as_secs_f64() - 0.1).abs() < 1e-6, "{wait:?}");
-        assert_eq!(bucket.wait(Stamp::from_millis(1_101)), Span::ZERO);
+        assert_eq!(bucket.time_until_ready(Timestamp::from_millis(1_101)), TimeDelta::ZERO);
     }
 }

@@ -1,7 +1,7 @@
-//! Links as people write them: `scheme:target?option=value`.
+//! Links as URLs: `scheme:target?option=value`.
 //!
-//! What schemes and options exist stands in [`TRANSPORTS`] alone; this module reads the table. It opens nothing and
-//! resolves no names, so an address that parses may still not exist.
+//! The schemes and options are those of [`TRANSPORTS`]. Parsing opens nothing and resolves no names, so a valid URL may
+//! still name something that does not exist.
 
 use std::fmt;
 use std::net::Ipv6Addr;
@@ -10,29 +10,29 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::transports::{PTY, SERIAL, TRANSPORTS, Transport};
+use crate::transport::{OptionHelp, TRANSPORTS, TargetKind, Transport};
 
-/// A link, checked against the table of transports; prints as it was written.
+/// The URL of a link, checked against the table of transports; prints as it was written.
 ///
-/// A link that was [made from a path](LinkUrl::pty) prints for people only: a path with a question mark or with bytes that
-/// are no text does not survive [`LinkUrl::parse`].
+/// A URL that was [made from a path](LinkUrl::pty) cannot always be parsed again: the path may have a question mark, or bytes
+/// that are not UTF-8.
 #[derive(Clone)]
 pub struct LinkUrl {
     text: String,
-    transport: &'static dyn Transport,
+    transport: Transport,
     target: Target,
     options: Vec<(&'static str, String)>,
 }
 
-/// What a link leads to.
+/// The target of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A device, a pseudo-terminal's link or a file; relative to the working directory unless it begins with `/`.
     Path(PathBuf),
     /// A network address.
     Host {
-        /// A name, an IPv4 address or an IPv6 address without brackets; empty where none was given: whoever listens then
-        /// listens for this computer alone.
+        /// A name, an IPv4 address or an IPv6 address without brackets. Empty if none was given; a link that listens is then
+        /// reachable from this computer only.
         host: String,
         /// The port number; 0 lets the system choose when listening.
         port: u16,
@@ -49,85 +49,6 @@ impl fmt::Display for BluetoothAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [a, b, c, d, e, g] = self.0;
         write!(f, "{a:02X}:{b:02X}:{c:02X}:{d:02X}:{e:02X}:{g:02X}")
-    }
-}
-
-/// Which form the target of a transport has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TargetKind {
-    /// [`Target::Path`].
-    Path,
-    /// [`Target::Host`].
-    Host,
-    /// [`Target::Bluetooth`].
-    Bluetooth,
-}
-
-/// One option of a transport: help text and parser in one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OptionHelp {
-    /// Its name in the URL.
-    pub name: &'static str,
-    /// What it takes and what it takes by default.
-    pub kind: OptionKind,
-    /// What it does, units included.
-    pub help: &'static str,
-}
-
-/// The values of an option.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OptionKind {
-    /// A whole number.
-    Integer {
-        /// The smallest.
-        min: u32,
-        /// The largest.
-        max: u32,
-        /// Without the option.
-        default: u32,
-    },
-    /// One of some words.
-    Choice {
-        /// The words; the first is the default.
-        words: &'static [&'static str],
-    },
-    /// So many hexadecimal digits; nothing is the default.
-    HexDigits {
-        /// How many.
-        count: usize,
-    },
-}
-
-impl OptionKind {
-    fn accepts(self, value: &str) -> bool {
-        match self {
-            Self::Integer { min, max, .. } => value.parse::<u32>().is_ok_and(|number| (min..=max).contains(&number)),
-            Self::Choice { words } => words.contains(&value),
-            Self::HexDigits { count } => {
-                value.is_empty() || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
-            }
-        }
-    }
-
-    /// The value without the option, as it would be written.
-    #[must_use]
-    pub fn default_text(self) -> String {
-        match self {
-            Self::Integer { default, .. } => default.to_string(),
-            Self::Choice { words } => words.first().copied().unwrap_or_default().to_owned(),
-            Self::HexDigits { .. } => String::new(),
-        }
-    }
-}
-
-impl fmt::Display for OptionKind {
-    /// Says what is accepted, such as "a whole number from 50 to 4000000".
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Integer { min, max, .. } => write!(f, "a whole number from {min} to {max}"),
-            Self::Choice { words } => write!(f, "one of {}", words.join(", ")),
-            Self::HexDigits { count } => write!(f, "{count} hexadecimal digits"),
-        }
     }
 }
 
@@ -190,7 +111,7 @@ pub enum UrlError {
     BadBluetoothAddress {
         /// The text.
         text: String,
-        /// What stands in the address's place.
+        /// The text in place of the address.
         address: String,
         /// An example from the table.
         example: &'static str,
@@ -205,7 +126,7 @@ pub enum UrlError {
         /// The options that it has, as a sentence.
         valid: String,
     },
-    /// A value that the option does not take.
+    /// A value that the option does not accept.
     #[error("option {name}=`{value}` of {scheme} links must be {accepted}")]
     BadOption {
         /// The transport.
@@ -214,10 +135,10 @@ pub enum UrlError {
         name: &'static str,
         /// The value.
         value: String,
-        /// What it takes.
+        /// The accepted values.
         accepted: String,
     },
-    /// An option that stands there twice.
+    /// An option that is given twice.
     #[error("option `{name}` stands twice in `{text}`")]
     RepeatedOption {
         /// The text.
@@ -230,8 +151,8 @@ pub enum UrlError {
 impl LinkUrl {
     /// Reads a link such as `serial:///dev/rfcomm0?baud=57600`, `pty:brick.tty` or `udp://:14550`.
     ///
-    /// The last question mark begins the options, so that one before it may stand for a character of a serial port's
-    /// name: `serial:///dev/ttyUSB??baud=57600`.
+    /// The last question mark begins the options, so that a pattern of serial ports may use others:
+    /// `serial:///dev/ttyUSB??baud=57600`.
     ///
     /// # Errors
     /// [`UrlError`] names the part that is wrong and what is accepted there.
@@ -256,40 +177,40 @@ impl LinkUrl {
         Ok(Self { text: text.to_owned(), transport, target, options: parse_options(text, query, transport)? })
     }
 
-    /// A pseudo-terminal of our own at `path`, which is taken as it is: a question mark begins no options.
+    /// A pseudo-terminal that this program creates at `path`. The path is used literally: a question mark begins no options.
     ///
     /// # Errors
     /// [`UrlError::NoPath`] for an empty path or one with a zero byte.
     pub fn pty(path: &Path) -> Result<Self, UrlError> {
-        Self::from_path(PTY, path)
+        Self::from_path(Transport::Pty, path)
     }
 
-    /// The serial port at `path`, which is taken as it is, at the default speed.
+    /// The serial port at `path`, at the default speed. The path is used literally.
     ///
     /// # Errors
     /// [`UrlError::NoPath`] for an empty path or one with a zero byte.
     pub fn serial(path: &Path) -> Result<Self, UrlError> {
-        Self::from_path(SERIAL, path)
+        Self::from_path(Transport::Serial, path)
     }
 
-    fn from_path(transport: &'static dyn Transport, path: &Path) -> Result<Self, UrlError> {
+    fn from_path(transport: Transport, path: &Path) -> Result<Self, UrlError> {
         let text = format!("{}:{}", transport.scheme(), path.display());
         Ok(Self { target: check_path(&text, path, transport)?, text, transport, options: Vec::new() })
     }
 
     /// The transport that the scheme selects.
     #[must_use]
-    pub fn transport(&self) -> &'static dyn Transport {
+    pub const fn transport(&self) -> Transport {
         self.transport
     }
 
-    /// What the link leads to.
+    /// The target.
     #[must_use]
     pub const fn target(&self) -> &Target {
         &self.target
     }
 
-    /// The path of the target; empty for an address.
+    /// The target's path; empty for an address.
     #[must_use]
     pub fn path(&self) -> &Path {
         match &self.target {
@@ -298,7 +219,7 @@ impl LinkUrl {
         }
     }
 
-    /// Host and port of the target; an empty host and port 0 for a path.
+    /// The target's host and port; an empty host and port 0 for a path.
     #[must_use]
     pub fn host_and_port(&self) -> (&str, u16) {
         match &self.target {
@@ -307,13 +228,13 @@ impl LinkUrl {
         }
     }
 
-    /// The value of a whole-number option; its default where it was not given, 0 for an option of another kind.
+    /// The value of a whole-number option, or its default; 0 for an option of another kind.
     #[must_use]
     pub fn integer(&self, option: &OptionHelp) -> u32 {
         self.option_text(option).parse().unwrap_or_default()
     }
 
-    /// The value of an option as it stands in the URL, or its default.
+    /// The text of an option in the URL, or its default.
     #[must_use]
     pub fn option_text(&self, option: &OptionHelp) -> String {
         self.options
@@ -336,7 +257,7 @@ impl fmt::Debug for LinkUrl {
 }
 
 impl PartialEq for LinkUrl {
-    /// Links are equal when scheme, target and given options are; `serial:a` and `serial://a` are the same.
+    /// URLs are equal if scheme, target and given options are; `serial:a` and `serial://a` are equal.
     fn eq(&self, other: &Self) -> bool {
         self.transport.scheme() == other.transport.scheme()
             && self.target == other.target
@@ -358,7 +279,7 @@ fn known_schemes() -> String {
     schemes.join(", ")
 }
 
-fn check_path(text: &str, path: &Path, transport: &dyn Transport) -> Result<Target, UrlError> {
+fn check_path(text: &str, path: &Path, transport: Transport) -> Result<Target, UrlError> {
     let bytes = path.as_os_str().as_encoded_bytes();
     if bytes.is_empty() || bytes.contains(&0) {
         return Err(UrlError::NoPath { text: text.to_owned(), example: transport.example() });
@@ -366,13 +287,13 @@ fn check_path(text: &str, path: &Path, transport: &dyn Transport) -> Result<Targ
     Ok(Target::Path(path.to_owned()))
 }
 
-fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
+fn parse_host(text: &str, authority: &str, transport: Transport) -> Result<Target, UrlError> {
     let authority = authority.strip_suffix('/').unwrap_or(authority);
     let Some((host, port)) = authority.rsplit_once(':') else {
         return Err(UrlError::NoPort { text: text.to_owned(), example: transport.example() });
     };
     let bad_port = || UrlError::BadPort { text: text.to_owned(), port: port.to_owned() };
-    // `u16::from_str` also takes a plus sign, which nobody means in an address.
+    // `u16::from_str` also accepts a plus sign.
     if !port.bytes().all(|byte| byte.is_ascii_digit()) {
         return Err(bad_port());
     }
@@ -382,7 +303,7 @@ fn parse_host(text: &str, authority: &str, transport: &dyn Transport) -> Result<
     Ok(Target::Host { host, port })
 }
 
-fn parse_bluetooth(text: &str, address: &str, transport: &dyn Transport) -> Result<Target, UrlError> {
+fn parse_bluetooth(text: &str, address: &str, transport: Transport) -> Result<Target, UrlError> {
     let address = address.strip_suffix('/').unwrap_or(address);
     match bluetooth_address(address) {
         Some(address) => Ok(Target::Bluetooth(address)),
@@ -400,7 +321,7 @@ fn bluetooth_address(text: &str) -> Option<BluetoothAddress> {
     let mut parts = text.split(':');
     for byte in &mut bytes {
         let part = parts.next()?;
-        // `from_str_radix` also takes a plus sign.
+        // `from_str_radix` also accepts a plus sign.
         if part.len() != 2 || !part.bytes().all(|digit| digit.is_ascii_hexdigit()) {
             return None;
         }
@@ -418,7 +339,7 @@ fn parse_host_name(host: &str) -> Option<String> {
     host.bytes().all(is_name).then(|| host.to_owned())
 }
 
-fn parse_options(text: &str, query: &str, transport: &dyn Transport) -> Result<Vec<(&'static str, String)>, UrlError> {
+fn parse_options(text: &str, query: &str, transport: Transport) -> Result<Vec<(&'static str, String)>, UrlError> {
     let mut options: Vec<(&'static str, String)> = Vec::new();
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
         let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
@@ -445,7 +366,7 @@ fn parse_options(text: &str, query: &str, transport: &dyn Transport) -> Result<V
     Ok(options)
 }
 
-fn valid_options(transport: &dyn Transport) -> String {
+fn valid_options(transport: Transport) -> String {
     let names: Vec<_> = transport.options().iter().map(|option| option.name).collect();
     if names.is_empty() { "they take none".to_owned() } else { format!("use {}", names.join(", ")) }
 }

@@ -1,6 +1,6 @@
-//! A process that has no descriptor left: who is there goes on being heard, and nobody tries again with every packet.
+//! A process without a free descriptor: connected peers stay connected, and accepting is not retried with every packet.
 //!
-//! In one test alone in its process, because the limit belongs to the process.
+//! The only test of its process, because the limit belongs to the process.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
 #![expect(clippy::wildcard_enum_match_arm, reason = "a test that sees any other event fails and prints it")]
@@ -12,17 +12,17 @@ use std::task::Poll;
 use std::time::Duration;
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
-use posebridge_link::{HostTimer, Port, PortConfig, PortEvent, Role};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig};
 use posebridge_telemetry::LinkId;
 
 /// What makes a UDP peer loud: more than 500 datagrams within a tenth of a second.
 const LOUD: u32 = 600;
 
-async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
-    let config = PortConfig { id: LinkId(1), url: url.parse().expect("a link"), role: Role::Listen };
-    let mut port = Port::new(config, timer);
-    port.open_first().await.expect("a free port");
-    assert!(matches!(port.next().await, PortEvent::Up { .. }));
+async fn listening(url: &str, timer: HostTimer) -> (Link, SocketAddr) {
+    let config = LinkOpenConfig { id: LinkId(1), url: url.parse().expect("a link"), role: ConnectRole::Listen };
+    let mut port = Link::new(config, timer);
+    port.try_open().await.expect("a free port");
+    assert!(matches!(port.next_event().await, LinkEvent::Up { .. }));
     let address = port.local_address().expect("it listens");
     (port, address)
 }
@@ -33,16 +33,16 @@ fn client(address: SocketAddr) -> TcpStream {
     client
 }
 
-async fn heard(port: &mut Port) -> Vec<u8> {
-    match port.next().await {
-        PortEvent::Bytes { bytes, .. } => bytes,
+async fn heard(port: &mut Link) -> Vec<u8> {
+    match port.next_event().await {
+        LinkEvent::Bytes { bytes, .. } => bytes,
         event => panic!("{event:?} instead of bytes"),
     }
 }
 
-async fn is_quiet(port: &mut Port) -> bool {
+async fn is_quiet(port: &mut Link) -> bool {
     tokio::task::yield_now().await;
-    poll_fn(|cx| Poll::Ready(port.poll_next(cx).is_pending())).await
+    poll_fn(|cx| Poll::Ready(port.poll_event(cx).is_pending())).await
 }
 
 fn open_descriptors() -> usize {
@@ -73,7 +73,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
         assert_eq!(heard(&mut server).await, b"still");
         assert!(is_quiet(&mut server).await);
         assert!(server.is_up());
-        assert_eq!(server.counts().peers, 1);
+        assert_eq!(server.port_counts().peers, 1);
         server.send(b"hello");
         let mut hello = [0; 5];
         first.read_exact(&mut hello).expect("it is sent at once");
@@ -81,7 +81,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
     })
     .await;
     assert_eq!(heard(&mut server).await, b"second");
-    assert_eq!(server.counts().peers, 2);
+    assert_eq!(server.port_counts().peers, 2);
     assert_eq!(server.counters().reconnects, 0);
 
     let (mut station, address) = listening("udp://127.0.0.1:0", timer).await;
@@ -97,7 +97,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
 }
 
 /// Sends what makes a peer loud, and hears it.
-async fn flood(loud: &UdpSocket, address: SocketAddr, station: &mut Port) {
+async fn flood(loud: &UdpSocket, address: SocketAddr, station: &mut Link) {
     for number in 0..LOUD {
         loud.send_to(&number.to_be_bytes(), address).expect("loopback");
         if number % 100 == 99 {

@@ -1,8 +1,8 @@
-//! Five hundred robots on one UDP port, of which one is silent and one has gone mad.
+//! Five hundred robots on one UDP port; one is silent and one sends far too much.
 //!
-//! With real sockets in real time, alone in its process: the mad one sends as fast as a thread can, faster than the
-//! station reads, which has some work with each datagram. The robots speak in rounds and wait for the end of each, so
-//! that it is never they who are too fast. The figures that it prints (`--nocapture`) are those of this computer.
+//! With real sockets in real time, the only test of its process: the flooding robot sends as fast as a thread can,
+//! faster than the station reads, which works a little on each datagram. The other robots send in rounds and wait for
+//! the end of each, so that they are never too fast. The printed figures (`--nocapture`) are those of this computer.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
 
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use posebridge_link::{HostTimer, Port, PortConfig, PortEvent, Role};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig};
 use posebridge_telemetry::{LinkId, PeerId};
 
 const ROBOTS: u32 = 498;
@@ -92,10 +92,10 @@ impl Heard {
     }
 
     /// Listens until enough has been heard; gives up after 20 seconds.
-    async fn listen(&mut self, station: &mut Port, is_enough: impl Fn(&Self) -> bool) {
+    async fn listen(&mut self, station: &mut Link, is_enough: impl Fn(&Self) -> bool) {
         let all = async {
             while !is_enough(self) {
-                if let PortEvent::Bytes { peer, bytes, .. } = station.next().await {
+                if let LinkEvent::Bytes { peer, bytes, .. } = station.next_event().await {
                     self.take(peer, &bytes);
                 }
             }
@@ -108,9 +108,10 @@ impl Heard {
 #[tokio::test(flavor = "current_thread")]
 async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
     let timer = HostTimer::start();
-    let config = PortConfig { id: LinkId(1), url: "udp://127.0.0.1:0".parse().expect("a link"), role: Role::Listen };
-    let mut station = Port::new(config, timer);
-    station.open_first().await.expect("a free port");
+    let config =
+        LinkOpenConfig { id: LinkId(1), url: "udp://127.0.0.1:0".parse().expect("a link"), role: ConnectRole::Listen };
+    let mut station = Link::new(config, timer);
+    station.try_open().await.expect("a free port");
     let address = station.local_address().expect("it listens");
     let silent = socket();
     silent.connect(address).expect("loopback");
@@ -155,5 +156,5 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
     peers.sort_unstable();
     peers.dedup();
     assert_eq!(peers.len(), ROBOTS as usize, "each is a peer of its own");
-    assert_eq!(station.counts().peers, ROBOTS + 1, "the silent one is not known");
+    assert_eq!(station.port_counts().peers, ROBOTS + 1, "the silent one is not known");
 }

@@ -1,6 +1,7 @@
-//! A cable that is pulled a hundred times: back within the wait, without a busy loop, without half a frame.
+//! A cable that is unplugged a hundred times: the link is back within the delay, without a busy loop and without torn
+//! frames.
 //!
-//! In real time and alone in its process, because what is measured is the processor time of the process. The waits are
+//! In real time and the only test of its process, because it measures the processor time of the process. The delays are
 //! scaled down so that it takes seconds.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
@@ -9,25 +10,25 @@
 use std::path::Path;
 
 use nix::sys::resource::{UsageWho, getrusage};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortConfig, PortEvent, PortTuning, Role, Waits};
-use posebridge_telemetry::{HostClock, LinkId, Span, Stamp};
+use posebridge_link::{BackoffDelays, ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkTuning, LinkUrl};
+use posebridge_telemetry::{HostClock, LinkId, TimeDelta, Timestamp};
 
 const REPLUGS: u32 = 100;
 const FRAME_BYTES: usize = 64;
 /// How late a wait may end on a computer that has other things to do; the timers themselves are good to 2 ms.
-const LATE: Span = Span::from_millis(250);
-const WAITS: Waits = Waits { first: Span::from_millis(20), longest: Span::from_millis(80) };
+const LATE: TimeDelta = TimeDelta::from_millis(250);
+const WAITS: BackoffDelays = BackoffDelays { initial: TimeDelta::from_millis(20), maximum: TimeDelta::from_millis(80) };
 
-fn port(url: LinkUrl, role: Role, timer: HostTimer) -> Port {
-    let config = PortConfig { id: LinkId(1), url, role };
-    let tuning = PortTuning { waits: WAITS, ..PortTuning::default() };
-    Port::tuned(config, tuning, timer)
+fn port(url: LinkUrl, role: ConnectRole, timer: HostTimer) -> Link {
+    let config = LinkOpenConfig { id: LinkId(1), url, role };
+    let tuning = LinkTuning { backoff_delays: WAITS, ..LinkTuning::default() };
+    Link::with_tuning(config, tuning, timer)
 }
 
-async fn plugged(path: &Path, timer: HostTimer) -> Port {
-    let mut brick = port(LinkUrl::pty(path).expect("a path"), Role::Listen, timer);
-    brick.open_first().await.expect("a free name");
-    assert!(matches!(brick.next().await, PortEvent::Up { .. }));
+async fn plugged(path: &Path, timer: HostTimer) -> Link {
+    let mut brick = port(LinkUrl::pty(path).expect("a path"), ConnectRole::Listen, timer);
+    brick.try_open().await.expect("a free name");
+    assert!(matches!(brick.next_event().await, LinkEvent::Up { .. }));
     brick
 }
 
@@ -78,24 +79,24 @@ impl Scanner {
     }
 }
 
-fn processor_time() -> Span {
+fn processor_time() -> TimeDelta {
     let usage = getrusage(UsageWho::RUSAGE_SELF).expect("our own");
     [usage.user_time(), usage.system_time()]
-        .map(|time| Span::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec()))
+        .map(|time| TimeDelta::from_micros(time.tv_sec() * 1_000_000 + time.tv_usec()))
         .into_iter()
-        .fold(Span::ZERO, |sum, part| sum + part)
+        .fold(TimeDelta::ZERO, |sum, part| sum + part)
 }
 
 /// Time and processor time while the link was down.
 #[derive(Default)]
 struct Away {
-    wall: Span,
-    processor: Span,
-    latest: Span,
+    wall: TimeDelta,
+    processor: TimeDelta,
+    latest: TimeDelta,
 }
 
 struct Bench {
-    station: Port,
+    station: Link,
     timer: HostTimer,
     sent: u32,
     heard: Vec<u32>,
@@ -103,7 +104,7 @@ struct Bench {
 
 impl Bench {
     /// Both sides send a few frames and hear them; nothing but whole ones arrive.
-    async fn talk(&mut self, brick: &mut Port) {
+    async fn talk(&mut self, brick: &mut Link) {
         let wanted: Vec<u32> = (self.sent..self.sent + 3).collect();
         for number in &wanted {
             brick.send(&frame(*number));
@@ -114,8 +115,8 @@ impl Bench {
         let (mut heard, mut answered) = (Vec::new(), Vec::new());
         while heard.len() < 3 || answered.len() < 3 {
             tokio::select! {
-                event = self.station.next() => heard.extend(here.take(&bytes_of(event))),
-                event = brick.next() => answered.extend(there.take(&bytes_of(event))),
+                event = self.station.next_event() => heard.extend(here.take(&bytes_of(event))),
+                event = brick.next_event() => answered.extend(there.take(&bytes_of(event))),
             }
         }
         assert_eq!((&heard, here.garbage), (&wanted, 0));
@@ -124,20 +125,20 @@ impl Bench {
     }
 
     /// Reads to the loss; returns when it was noticed and how long the station wants to wait.
-    async fn lose(&mut self, scanner: &mut Scanner) -> (Stamp<HostClock>, Span) {
+    async fn lose(&mut self, scanner: &mut Scanner) -> (Timestamp<HostClock>, TimeDelta) {
         loop {
-            match self.station.next().await {
-                PortEvent::Bytes { bytes, .. } => self.heard.extend(scanner.take(&bytes)),
-                PortEvent::Down { at, retry_in, .. } => return (at, retry_in),
-                PortEvent::Up { .. } | PortEvent::Finished { .. } => panic!("it was up"),
+            match self.station.next_event().await {
+                LinkEvent::Bytes { bytes, .. } => self.heard.extend(scanner.take(&bytes)),
+                LinkEvent::Down { at, retry_in, .. } => return (at, retry_in),
+                LinkEvent::Up { .. } | LinkEvent::Finished { .. } => panic!("it was up"),
             }
         }
     }
 }
 
-fn bytes_of(event: PortEvent) -> Vec<u8> {
+fn bytes_of(event: LinkEvent) -> Vec<u8> {
     match event {
-        PortEvent::Bytes { bytes, .. } => bytes,
+        LinkEvent::Bytes { bytes, .. } => bytes,
         event => panic!("{event:?} on a quiet line"),
     }
 }
@@ -148,9 +149,9 @@ async fn a_hundred_replugs_leave_no_busy_loop_and_no_torn_frame() {
     let path = directory.path().join("brick.tty");
     let timer = HostTimer::start();
     let mut brick = plugged(&path, timer).await;
-    let station = port(LinkUrl::serial(&path).expect("a path"), Role::Dial, timer);
+    let station = port(LinkUrl::serial(&path).expect("a path"), ConnectRole::Dial, timer);
     let mut bench = Bench { station, timer, sent: 0, heard: Vec::new() };
-    assert!(matches!(bench.station.next().await, PortEvent::Up { .. }));
+    assert!(matches!(bench.station.next_event().await, LinkEvent::Up { .. }));
     let mut away = Away::default();
     for replug in 1..=REPLUGS {
         bench.talk(&mut brick).await;
@@ -166,7 +167,7 @@ async fn a_hundred_replugs_leave_no_busy_loop_and_no_torn_frame() {
             (down_at, retry_in) = bench.lose(&mut Scanner::default()).await;
         }
         brick = plugged(&path, timer).await;
-        let PortEvent::Up { at, .. } = bench.station.next().await else {
+        let LinkEvent::Up { at, .. } = bench.station.next_event().await else {
             panic!("not back");
         };
         away.wall += bench.timer.now() - begun;

@@ -1,24 +1,24 @@
-//! Trajectories as the TUM RGB-D benchmark writes them, which evo and most tools for SLAM read.
+//! Trajectories in the format of the TUM RGB-D benchmark, which evo and most tools for SLAM read.
 //!
 //! ```text
 //! line = t x y z qx qy qz qw        s, m, unit quaternion; z = 0 and a turn about z alone
 //! ```
-//! Seconds have six decimals: evo associates by time, and stamps of 10^9 s in the shortest notation would lose their fractions in other
-//! tools.
+//! Seconds have six decimals: evo associates by time, and in the shortest notation timestamps of 10^9 s would lose
+//! their fractions in other tools.
 //!
 //! # Sources
 //! TUM RGB-D benchmark, "File Formats", ground-truth trajectories.
 
 use std::fmt::Write as _;
 
-use posebridge_telemetry::{Arena, BrickClock, Pose, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Pose, Timestamp};
 
 /// One line, with its line feed.
 #[must_use]
-pub fn line(stamp: Stamp<BrickClock>, pose: Pose<Arena>) -> String {
+pub fn format_line(time: Timestamp<BrickClock>, pose: Pose<Arena>) -> String {
     let half_rad = 0.5 * pose.heading.rad();
     let mut line = String::new();
-    let micros = stamp.as_micros();
+    let micros = time.as_micros();
     let sign = if micros < 0 { "-" } else { "" };
     let (seconds, fraction) = (micros.unsigned_abs() / 1_000_000, micros.unsigned_abs() % 1_000_000);
     // Writing to a String cannot fail.
@@ -41,13 +41,13 @@ mod tests {
     #[test]
     fn a_line_has_whole_microseconds_and_a_turn_about_the_vertical() {
         let pose = Pose::new(Meters(1.5), Meters(-0.25), Heading::from_rad(std::f64::consts::FRAC_PI_2));
-        let text = line(Stamp::from_nanos(1_700_000_000_000_001_999), pose);
+        let text = format_line(Timestamp::from_nanos(1_700_000_000_000_001_999), pose);
         let root = std::f64::consts::FRAC_1_SQRT_2;
         let fields: Vec<&str> = text.split_whitespace().collect();
         assert_eq!(fields[..6], ["1700000000.000001", "1.5", "-0.25", "0", "0", "0"]);
         let [qz, qw] = [fields[6], fields[7]].map(|field| field.parse::<f64>().unwrap());
         assert!((qz - root).abs() < 1e-15 && (qw - root).abs() < 1e-15);
-        let before_zero = line(Stamp::from_millis(-1_500), pose);
+        let before_zero = format_line(Timestamp::from_millis(-1_500), pose);
         assert!(before_zero.starts_with("-1.500000 "), "{before_zero}");
     }
 }

@@ -1,22 +1,22 @@
-//! Every reason for which a row is left out: counted, named with file and line, and the run goes on.
+//! Every reason to drop a row: counted, named with file and line, and the run goes on.
 
 mod inline;
 #[path = "inline/rows.rs"]
 mod rows;
 
 use inline::{parse, try_load};
-use posebridge_recording::dataset::{Reason, Run};
-use posebridge_telemetry::Observed;
+use posebridge_recording::dataset::{BadRowReason, DatasetRun};
+use posebridge_telemetry::ObservationKind;
 use proptest::prelude::*;
-use rows::{load_rows, observed};
+use rows::{load_rows, observation_kinds};
 
 const GYRO: &str = "[[gyro]]\nfile = \"data\"\nturn_rate = 1";
 
 /// Checks the one bad row of a run and how many good ones are left.
-fn check(run: &Run, reason: Reason, named: &str, good: usize) {
+fn check(run: &DatasetRun, reason: BadRowReason, named: &str, good: usize) {
     assert_eq!(run.bad_rows.count(reason), 1, "{:?}", run.bad_rows);
     assert_eq!(run.bad_rows.total(), 1);
-    assert_eq!(run.bad_rows.named[0].to_string(), named);
+    assert_eq!(run.bad_rows.listed[0].to_string(), named);
     assert_eq!(run.observations.len() + run.truth.len(), good);
 }
 
@@ -25,39 +25,39 @@ fn what_is_not_a_number_is_left_out() {
     for bad in ["x", "", "nan", "inf", "1.5.2", "--"] {
         let run = load_rows(GYRO, &format!("0,1\n1,{bad}\n2,3\n"));
         let named = format!("data.csv:2: not a number: `{bad}`");
-        check(&run, Reason::NotNumeric, &named, 2);
+        check(&run, BadRowReason::NotNumeric, &named, 2);
     }
     let run = load_rows(GYRO, "0,1\nyesterday,2\n2,3\n");
     let named = "data.csv:2: not a number: `yesterday`";
-    check(&run, Reason::NotNumeric, named, 2);
+    check(&run, BadRowReason::NotNumeric, named, 2);
 }
 
 #[test]
 fn a_short_row_is_left_out() {
     let run = load_rows(GYRO, "0,1\n\n1\n2,3\n");
     let named = "data.csv:3: missing column: column 1 is wanted, the row has 1";
-    check(&run, Reason::MissingColumn, named, 2);
+    check(&run, BadRowReason::MissingColumn, named, 2);
 }
 
 #[test]
 fn time_that_goes_back_is_left_out_and_the_rest_goes_on() {
     let run = load_rows(GYRO, "0,1\n2,2\n1.5,3\n3,4\n");
     let named = "data.csv:3: time goes back: by 0.5 s";
-    check(&run, Reason::TimeBackwards, named, 3);
+    check(&run, BadRowReason::TimeBackwards, named, 3);
 }
 
 #[test]
 fn a_rate_without_an_interval_is_left_out() {
     let run = load_rows(GYRO, "0,1\n0,2\n1,3\n");
     let named = "data.csv:2: zero interval: the stamp of the row before";
-    check(&run, Reason::ZeroInterval, named, 2);
+    check(&run, BadRowReason::ZeroInterval, named, 2);
 }
 
 #[test]
 fn a_fix_that_repeats_a_stamp_is_left_out() {
     let run = load_rows("[[fixes]]\nfile = \"data\"\nx = 1\ny = 2", "0,1,1\n0,1,1\n1,1,1\n");
     let named = "data.csv:2: repeated stamp: the stamp of the fix before";
-    check(&run, Reason::RepeatedStamp, named, 2);
+    check(&run, BadRowReason::RepeatedTimestamp, named, 2);
 }
 
 #[test]
@@ -66,18 +66,18 @@ fn a_position_that_jumps_is_left_out() {
     let named = "data.csv:3: impossible jump: 50.00 m/s, the limit is 2";
     for kind in ["fixes", "truth"] {
         let run = load_rows(&format!("[[{kind}]]\nfile = \"data\"\n{limit}"), "0,0,0\n1,1,0\n2,51,0\n3,3,0\n");
-        check(&run, Reason::ImpossibleJump, named, 3);
+        check(&run, BadRowReason::ImpossibleJump, named, 3);
     }
     let run = load_rows(
         &format!("[[odometer]]\nfile = \"data\"\nheading = 3\n{limit}"),
         "0,0,0,0\n1,1,0,0\n2,51,0,0\n3,3,0,0\n",
     );
-    check(&run, Reason::ImpossibleJump, named, 3);
+    check(&run, BadRowReason::ImpossibleJump, named, 3);
     let run = load_rows(
         "[[odometer]]\nfile = \"data\"\ndistance = 1\nturn = 2\nmax_speed_m_per_s = 2",
         "0,0,0\n1,1,0\n2,50,0\n3,1,0\n",
     );
-    check(&run, Reason::ImpossibleJump, named, 3);
+    check(&run, BadRowReason::ImpossibleJump, named, 3);
 }
 
 #[test]
@@ -91,17 +91,17 @@ fn a_spike_of_a_counter_is_left_out_with_its_way_back() {
             rows,
         )
     };
-    let last = |run: &Run| {
-        let Some((_, Observed::WheelAngles { left, .. })) = observed(run).pop() else {
+    let last = |run: &DatasetRun| {
+        let Some((_, ObservationKind::WheelAngles { left, .. })) = observation_kinds(run).pop() else {
             panic!("{run:?}");
         };
         left.0
     };
     let absolute = wheels("absolute", "0,100\n1,101\n2,9000\n3,103\n4,104\n");
-    assert_eq!(absolute.bad_rows.count(Reason::ImpossibleJump), 2);
+    assert_eq!(absolute.bad_rows.count(BadRowReason::ImpossibleJump), 2);
     assert_eq!(last(&absolute), 102.0, "the motion of the two bad rows is unknown");
     let increments = wheels("increments", "0,0\n1,1\n2,9000\n3,1\n4,1\n");
-    assert_eq!(increments.bad_rows.count(Reason::ImpossibleJump), 1);
+    assert_eq!(increments.bad_rows.count(BadRowReason::ImpossibleJump), 1);
     assert_eq!(last(&increments), 3.0);
 }
 
@@ -110,19 +110,19 @@ fn a_stamp_that_leaps_is_left_out_but_a_gap_that_lasts_is_believed() {
     let rest = format!("max_gap_s = 5\n{GYRO}");
     let run = load_rows(&rest, "0,1\n1,2\n900,3\n2,4\n3,5\n");
     let named = "data.csv:3: impossible jump: the time leaps by 899 s";
-    check(&run, Reason::ImpossibleJump, named, 4);
+    check(&run, BadRowReason::ImpossibleJump, named, 4);
     let run = load_rows(&rest, "0,1\n1,2\n900,3\n901,4\n902,5\n");
-    check(&run, Reason::ImpossibleJump, named, 4);
+    check(&run, BadRowReason::ImpossibleJump, named, 4);
 }
 
 #[test]
 fn a_range_outside_its_limits_is_left_out() {
     let run = load_rows("[[wall_range]]\nfile = \"data\"\nrange = 1\nmin_m = 0.04\nmax_m = 4", "0,1\n1,0\n2,2\n");
     let named = "data.csv:2: out of range: 0 m, the limits are 0.04 to 4";
-    check(&run, Reason::OutOfRange, named, 2);
+    check(&run, BadRowReason::OutOfRange, named, 2);
     let run = load_rows("[[compass]]\nfile = \"data\"\nheading = { qz = 1, qw = 2 }", "0,0,1\n1,0,0\n");
     let named = "data.csv:2: out of range: a quaternion of zeros";
-    check(&run, Reason::OutOfRange, named, 1);
+    check(&run, BadRowReason::OutOfRange, named, 1);
 }
 
 #[test]
@@ -133,10 +133,10 @@ fn an_id_that_the_map_does_not_have_is_left_out() {
     );
     let files = [("data.csv", "0,1,2,0\n1,5,2,0\n"), ("map.csv", "1,1\n2,2\n")];
     let run = try_load(&descriptor, "only", &files).unwrap();
-    check(&run, Reason::UnknownId, "data.csv:2: unknown id: 5", 1);
+    check(&run, BadRowReason::UnknownId, "data.csv:2: unknown id: 5", 1);
     let halves = [("data.csv", "0,1,2,0\n1,0.5,2,0\n"), files[1]];
     let run = try_load(&descriptor, "only", &halves).unwrap();
-    check(&run, Reason::NotNumeric, "data.csv:2: not a number: `0.5`", 1);
+    check(&run, BadRowReason::NotNumeric, "data.csv:2: not a number: `0.5`", 1);
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn a_row_that_two_streams_refuse_counts_once_and_twenty_are_named() {
     let rows: Vec<String> = (0..100).map(|n| format!("{n},bad")).collect();
     let run = load_rows(&rest, &rows.join("\n"));
     assert_eq!(run.bad_rows.total(), 100);
-    assert_eq!(run.bad_rows.named.len(), 20);
+    assert_eq!(run.bad_rows.listed.len(), 20);
 }
 
 const EVERYTHING: &str = r#"max_gap_s = 100

@@ -1,4 +1,4 @@
-//! Every kind of stream, with rows that are good.
+//! Every kind of stream, with good rows.
 
 mod inline;
 #[path = "inline/rows.rs"]
@@ -7,20 +7,20 @@ mod rows;
 use std::f64::consts::PI;
 
 use inline::{GEOMETRY, parse, try_load};
-use posebridge_recording::dataset::{LoadOptions, Reason, load};
+use posebridge_recording::dataset::{BadRowReason, LoadOptions, load};
 use posebridge_telemetry::{
-    BeaconId, Celsius, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observed, Point2, Pose,
-    Radians, RadiansPerSecond, SensorId,
+    BeaconId, Celsius, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, ObservationKind, Point2,
+    Pose, Radians, RadiansPerSecond, SensorId,
 };
-use rows::{load_rows, observed};
+use rows::{load_rows, observation_kinds};
 
 const SECOND: i64 = 1_000_000_000;
 
 /// The wheel angles of a run, rounded to a microradian.
 fn wheels(rest: &str, rows: &str) -> Vec<(i64, [i64; 2])> {
     let run = load_rows(rest, rows);
-    let angles = observed(&run).into_iter().map(|(nanos, observed)| {
-        let Observed::WheelAngles { left, right } = observed else {
+    let angles = observation_kinds(&run).into_iter().map(|(nanos, observed)| {
+        let ObservationKind::WheelAngles { left, right } = observed else {
             panic!("{observed:?}");
         };
         let micros = |angle: Radians| (angle.0 * 1e6).round() as i64;
@@ -108,7 +108,7 @@ fn an_odometer_is_a_pose_with_a_quaternion_or_distances_and_turns() {
         heading = { qz = 3, qw = 4 }"#,
         &format!("0,1.5,50,{},{}\n", half.sin(), half.cos()),
     );
-    let Observed::OdometerPose(found) = observed(&pose)[0].1 else {
+    let ObservationKind::OdometerPose(found) = observation_kinds(&pose)[0].1 else {
         panic!("{pose:?}");
     };
     assert_eq!((found.x, found.y), (Meters(1.5), Meters(0.5)));
@@ -120,7 +120,7 @@ fn an_odometer_is_a_pose_with_a_quaternion_or_distances_and_turns() {
         turn = { column = 2, unit = "deg" }"#,
         "0,9,9\n1,1,0\n2,0,90\n3,2,0\n",
     );
-    let Some((_, Observed::OdometerPose(last))) = observed(&steps).pop() else {
+    let Some((_, ObservationKind::OdometerPose(last))) = observation_kinds(&steps).pop() else {
         panic!("{steps:?}");
     };
     assert!((last.x.0 - 1.0).abs() < 1e-12 && (last.y.0 - 2.0).abs() < 1e-12);
@@ -134,10 +134,10 @@ fn body_velocity_is_forward_and_turn_or_both_wheels() {
     );
     let forward = MetersPerSecond(0.25);
     let turn = RadiansPerSecond(-0.5);
-    assert_eq!(observed(&body), [(0, Observed::BodyVelocity { forward, turn })]);
+    assert_eq!(observation_kinds(&body), [(0, ObservationKind::BodyVelocity { forward, turn })]);
     let wheels = load_rows("[[body_velocity]]\nfile = \"data\"\nleft = 1\nright = 2", "0,0.125,0.375\n");
     let turn = RadiansPerSecond(0.5);
-    assert_eq!(observed(&wheels), [(0, Observed::BodyVelocity { forward, turn })]);
+    assert_eq!(observation_kinds(&wheels), [(0, ObservationKind::BodyVelocity { forward, turn })]);
 }
 
 #[test]
@@ -170,12 +170,15 @@ fn gyro_accelerometers_compass_and_temperature_are_read_in_si_units() {
         "0,180,1,-2,90,273.15\n",
     );
     let expected = [
-        Observed::TurnRate(RadiansPerSecond(-PI)),
-        Observed::WheelAccelerations { left: MetersPerSecondSquared(9.80665), right: MetersPerSecondSquared(-2.0) },
-        Observed::CompassHeading(Heading::from_rad(0.0)),
-        Observed::Temperature(Celsius(0.0)),
+        ObservationKind::TurnRate(RadiansPerSecond(-PI)),
+        ObservationKind::WheelAccelerations {
+            left: MetersPerSecondSquared(9.80665),
+            right: MetersPerSecondSquared(-2.0),
+        },
+        ObservationKind::CompassHeading(Heading::from_rad(0.0)),
+        ObservationKind::Temperature(Celsius(0.0)),
     ];
-    assert_eq!(observed(&run), expected.map(|observed| (0, observed)));
+    assert_eq!(observation_kinds(&run), expected.map(|observed| (0, observed)));
     let sensors: Vec<_> = run.observations.iter().map(|t| t.observation.sensor).collect();
     assert_eq!(sensors, [SensorId::GYRO, SensorId::ACCELEROMETER, SensorId::COMPASS, SensorId::THERMOMETER]);
 }
@@ -186,8 +189,8 @@ fn a_wall_range_that_is_only_repeated_says_nothing_new() {
         "[[wall_range]]\nfile = \"data\"\nrange = { column = 1, unit = \"mm\" }\nonly_changes = true",
         "0,4030\n0.01,4030\n0.02,4000\n0.03,4030\n",
     );
-    let ranges: Vec<_> = observed(&run).into_iter().map(|(_, range)| range).collect();
-    assert_eq!(ranges, [4.03, 4.0, 4.03].map(|range| Observed::WallRange(Meters(range))));
+    let ranges: Vec<_> = observation_kinds(&run).into_iter().map(|(_, range)| range).collect();
+    assert_eq!(ranges, [4.03, 4.0, 4.03].map(|range| ObservationKind::WallRange(Meters(range))));
     assert_eq!(run.bad_rows.total(), 0);
 }
 
@@ -219,9 +222,12 @@ fn sightings_go_through_the_map_of_ids_and_may_share_a_stamp() {
         ("codes.dat", "6 72\n7 9\n"),
     ];
     let run = try_load(&parse(MAPS), "only", &files).unwrap();
-    let sighting =
-        |id, range, bearing| Observed::Landmark { id: LandmarkId(id), range: Meters(range), bearing: Radians(bearing) };
-    assert_eq!(observed(&run), [(SECOND, sighting(6, 3.5, -0.25)), (SECOND, sighting(7, 1.0, 0.0))]);
+    let sighting = |id, range, bearing| ObservationKind::Landmark {
+        id: LandmarkId(id),
+        range: Meters(range),
+        bearing: Radians(bearing),
+    };
+    assert_eq!(observation_kinds(&run), [(SECOND, sighting(6, 3.5, -0.25)), (SECOND, sighting(7, 1.0, 0.0))]);
     assert_eq!(
         run.landmarks,
         [
@@ -240,7 +246,7 @@ fn sightings_of_what_is_no_landmark_are_dropped_and_no_bad_rows() {
     ];
     let run = try_load(&parse(&format!("{MAPS}ignore = [1]\n")), "only", &files).unwrap();
     assert_eq!(run.observations.len(), 1);
-    assert_eq!(run.bad_rows.count(Reason::UnknownId), 1, "only 55");
+    assert_eq!(run.bad_rows.count(BadRowReason::UnknownId), 1, "only 55");
     assert_eq!(run.bad_rows.total(), 1);
 }
 
@@ -258,8 +264,8 @@ fn beacons_may_stand_in_the_rows_of_the_ranges_and_a_filter_tells_rows_apart() {
     range = 2"#;
     let run = load_rows(rest, "1,range2,2.5,-0.02,-0.01,105\n1,odom2diff,0.1,0.2\n2,range2,2.25,-0.02,-0.01,105\n");
     let id = BeaconId(105);
-    let range = |range| Observed::BeaconRange { id, range: Meters(range) };
-    assert_eq!(observed(&run), [(SECOND, range(2.5)), (2 * SECOND, range(2.25))]);
+    let range = |range| ObservationKind::BeaconRange { id, range: Meters(range) };
+    assert_eq!(observation_kinds(&run), [(SECOND, range(2.5)), (2 * SECOND, range(2.25))]);
     assert_eq!(run.beacons, [(id, Point2::new(Meters(-0.02), Meters(-0.01)))]);
     assert_eq!(run.bad_rows.total(), 0);
 }
@@ -272,7 +278,7 @@ fn truth_may_have_no_heading() {
         panic!("{run:?}");
     };
     assert_eq!(truth.position, Point2::new(Meters(0.5), Meters(0.25)));
-    assert_eq!((truth.stamp.as_nanos(), truth.heading), (SECOND, None));
+    assert_eq!((truth.time.as_nanos(), truth.heading), (SECOND, None));
 }
 
 const FIXES: &str = r#"arrival = { column = 1 }
@@ -307,7 +313,7 @@ fn fixes_have_a_lever_arm_an_arrival_and_a_shifted_stamp() {
     assert_eq!(observation.stamp.as_nanos(), 11 * SECOND - SECOND / 5);
     assert_eq!(observation.stamp_sigma.as_nanos(), 5_000_000);
     assert_eq!(observation.sensor, SensorId(77));
-    let Observed::Fix(fix) = observation.observed else {
+    let ObservationKind::Fix(fix) = observation.measurement else {
         panic!("{observation:?}");
     };
     assert_eq!(fix.position, Point2::new(Meters(0.1), Meters(0.0)));
@@ -332,10 +338,10 @@ variance_y = { column = 4, unit = "mm2" }
 #[test]
 fn latitude_and_longitude_become_metres_with_the_receiver_s_own_variances() {
     let run = load_rows(GPS, "0,0,10,0.81,1000000\n1,0.001,9.999,0.64,490000\n");
-    let fixes: Vec<_> = observed(&run)
+    let fixes: Vec<_> = observation_kinds(&run)
         .into_iter()
         .map(|(_, observed)| {
-            let Observed::Fix(fix) = observed else {
+            let ObservationKind::Fix(fix) = observed else {
                 panic!("{observed:?}");
             };
             (fix.position, fix.covariance.unwrap())
@@ -354,7 +360,7 @@ fn latitude_and_longitude_become_metres_with_the_receiver_s_own_variances() {
 #[test]
 fn a_fix_that_claims_no_error_or_lies_behind_the_pole_is_a_bad_row() {
     let run = load_rows(GPS, "0,0,10,0,1\n1,0,10,1,-1\n2,90.5,10,1,1\n3,0,10,1,1000000\n");
-    assert_eq!(run.bad_rows.count(Reason::OutOfRange), 3);
+    assert_eq!(run.bad_rows.count(BadRowReason::OutOfRange), 3);
     assert_eq!((run.observations.len(), run.bad_rows.total()), (1, 3));
 }
 
@@ -369,7 +375,7 @@ fn every_third_fix_is_used_and_the_rest_withheld() {
         let options = LoadOptions { run: "only", geometry: GEOMETRY, use_every };
         let run = load(&parse(FIXES), options, &mut open).unwrap();
         let mut fixes = run.observations.iter().filter_map(|timed| {
-            let Observed::Fix(fix) = timed.observation.observed else {
+            let ObservationKind::Fix(fix) = timed.observation.measurement else {
                 return None;
             };
             Some(fix.position.x)
@@ -387,8 +393,8 @@ fn every_third_fix_is_used_and_the_rest_withheld() {
 fn observations_come_in_the_order_of_their_arrival() {
     let run =
         load_rows("arrival = { column = 1 }\n[[gyro]]\nfile = \"data\"\nturn_rate = 2", "1,9,0.1\n2,5,0.2\n3,9,0.3\n");
-    let rates: Vec<_> = observed(&run).into_iter().map(|(_, rate)| rate).collect();
-    assert_eq!(rates, [0.2, 0.1, 0.3].map(|rate| Observed::TurnRate(RadiansPerSecond(rate))));
+    let rates: Vec<_> = observation_kinds(&run).into_iter().map(|(_, rate)| rate).collect();
+    assert_eq!(rates, [0.2, 0.1, 0.3].map(|rate| ObservationKind::TurnRate(RadiansPerSecond(rate))));
 }
 
 #[test]
@@ -419,7 +425,7 @@ fn a_start_is_given_or_comes_from_the_truth_or_a_fix() {
     let run = try_load(&descriptor, "only", &files).unwrap();
     let pose = run.start.unwrap().pose;
     assert!((pose.x.0 - 1.0).abs() < 1e-12 && (pose.y.0 - 0.5).abs() < 1e-12);
-    assert_eq!(observed(&run).len(), 1, "what lies before the start is left out");
+    assert_eq!(observation_kinds(&run).len(), 1, "what lies before the start is left out");
     assert_eq!(run.withheld.len(), 1);
 }
 
@@ -437,6 +443,9 @@ fn times_may_have_two_columns_and_rows_another_order() {
     "#;
     let log = "a title\nrate\tsec\tnsec\n0.25\t1493325165\t641284114\n0.5\t1493325165\t7\n";
     let run = try_load(&parse(rest), "only", &[("log.txt", log)]).unwrap();
-    let rate = |rate| Observed::TurnRate(RadiansPerSecond(rate));
-    assert_eq!(observed(&run), [(1_493_325_165_000_000_007, rate(0.5)), (1_493_325_165_641_284_114, rate(0.25))]);
+    let rate = |rate| ObservationKind::TurnRate(RadiansPerSecond(rate));
+    assert_eq!(
+        observation_kinds(&run),
+        [(1_493_325_165_000_000_007, rate(0.5)), (1_493_325_165_641_284_114, rate(0.25))]
+    );
 }

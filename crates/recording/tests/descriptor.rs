@@ -1,4 +1,4 @@
-//! Descriptors: what they say about runs and robots, and errors that name the line and the key.
+//! Descriptors: runs, robots, and errors that name the line and the key.
 
 mod inline;
 

@@ -1,4 +1,4 @@
-//! What stands beside the inputs: every message is what its channel's schema says, and holds what the event said.
+//! The outputs of a recording: every message matches its channel's schema and its event.
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
@@ -8,14 +8,16 @@ mod protobuf;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 
-use posebridge_recording::container::{FORMAT, Gap, Header, INPUT_TOPIC, TruthSample, Writer};
+use posebridge_recording::container::{
+    FORMAT, INPUT_TOPIC, RecordingGap, RecordingHeader, RecordingWriter, TruthSample,
+};
 use posebridge_recording::foxglove::CHANNELS;
 use posebridge_telemetry::{
-    Address, Arena, Calibration, Celsius, ChannelName, Command, Estimate, Event, Fix, FusionRecord, Heading, Input,
-    LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, Observation, Observed, Point2, Pose, RadiansPerSecond,
-    RobotId, ScalarEstimate, SensorId, SourceHealth, Span, Stamp, Validity, Verdict,
+    Address, Arena, Calibration, Celsius, ChannelName, Command, Estimate, Event, Fix, FusionOutcome, FusionRecord,
+    Heading, Input, LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, Observation, ObservationKind, Point2, Pose,
+    RadiansPerSecond, RobotId, ScalarEstimate, SensorId, SourceHealth, TimeDelta, Timestamp, Validity,
 };
-use protobuf::Fields;
+use protobuf::DecodedFields;
 use serde_json::Value;
 
 const UTC_START_MICROS: u64 = 1_700_000_000_000_000;
@@ -34,26 +36,26 @@ fn estimate(brick_millis: i64) -> Estimate {
         }
     }
     Estimate {
-        stamp: Stamp::from_millis(brick_millis),
+        stamp: Timestamp::from_millis(brick_millis),
         pose: Pose::new(Meters(1.5), Meters(-0.25), Heading::from_rad(0.6)),
         forward_speed: MetersPerSecond(0.2),
         turn_rate: RadiansPerSecond(-0.5),
         covariance,
         validity: Validity { position: true, heading: true, speeds: true },
         is_dead_reckoning: false,
-        fix_age: Some(Span::from_millis(300)),
+        fix_age: Some(TimeDelta::from_millis(300)),
         reset_counter: 2,
-        last_jump: None,
+        last_correction: None,
     }
 }
 
-fn fused(verdict: Verdict, nis: f64) -> Event {
+fn fused_event(verdict: FusionOutcome, nis: f64) -> Event {
     let record = FusionRecord {
         sensor: SensorId(200),
         kind: "fix",
-        stamp: Stamp::from_millis(5_000),
-        lag: Span::from_millis(150),
-        verdict,
+        stamp: Timestamp::from_millis(5_000),
+        lag: TimeDelta::from_millis(150),
+        outcome: verdict,
         innovation: [0.01, -0.02, 0.0],
         innovation_covariance: [[4e-4, 1e-5, 0.0], [1e-5, 5e-4, 0.0], [0.0; 3]],
         nis,
@@ -61,23 +63,23 @@ fn fused(verdict: Verdict, nis: f64) -> Event {
         log_likelihood: 3.5,
     };
     let robot = robot();
-    Event::Fused { robot, record }
+    Event::ObservationFused { robot, record }
 }
 
 /// The brick's clock is 4 s ahead of the host's and a thousandth fast.
-fn aligned() -> Event {
+fn aligned_event() -> Event {
     Event::BrickClockAligned {
         robot: robot(),
-        offset: Span::from_millis(4_000),
+        offset: TimeDelta::from_millis(4_000),
         skew_ppm: 1_000.0,
-        uncertainty: Span::from_micros(700),
-        round_trip: Some(Span::from_millis(3)),
-        brick: Stamp::from_millis(5_000),
-        host: Stamp::from_millis(1_000),
+        uncertainty: TimeDelta::from_micros(700),
+        round_trip: Some(TimeDelta::from_millis(3)),
+        brick: Timestamp::from_millis(5_000),
+        host: Timestamp::from_millis(1_000),
     }
 }
 
-fn sightings() -> Vec<Event> {
+fn fix_events() -> Vec<Event> {
     let fix = Fix {
         position: Point2::new(Meters(1.4), Meters(-0.2)),
         heading: Some(Heading::from_rad(0.5)),
@@ -86,26 +88,26 @@ fn sightings() -> Vec<Event> {
         reset_counter: 0,
     };
     vec![
-        Event::Observed {
+        Event::ObservationAligned {
             robot: robot(),
             source: Address::new(1, 1),
-            arrival: Stamp::from_millis(1_100),
+            arrival: Timestamp::from_millis(1_100),
             observation: Observation {
                 sensor: SensorId(200),
-                stamp: Stamp::from_millis(5_000),
-                stamp_sigma: Span::ZERO,
-                observed: Observed::Fix(fix),
+                stamp: Timestamp::from_millis(5_000),
+                stamp_sigma: TimeDelta::ZERO,
+                measurement: ObservationKind::Fix(fix),
             },
         },
         Event::Temperature {
             brick: robot(),
             channel: ChannelName::from_bytes(b"temp1"),
-            arrival: Stamp::from_millis(1_100),
-            stamp: Stamp::from_millis(5_000),
+            arrival: Timestamp::from_millis(1_100),
+            stamp: Timestamp::from_millis(5_000),
             shown: Celsius(20.5),
-            verdict: Verdict::Accepted,
+            verdict: FusionOutcome::Accepted,
             settled: Some(ScalarEstimate {
-                stamp: Stamp::from_millis(5_000),
+                stamp: Timestamp::from_millis(5_000),
                 value: 24.0,
                 sigma: 0.5,
                 rate_per_s: 0.0,
@@ -114,37 +116,41 @@ fn sightings() -> Vec<Event> {
         },
         Event::CameraClockAligned {
             camera: Address::new(9, 1),
-            offset: Span::from_millis(-20),
-            uncertainty: Span::from_millis(2),
-            stamp: Stamp::from_millis(980),
-            host: Stamp::from_millis(1_000),
+            offset: TimeDelta::from_millis(-20),
+            uncertainty: TimeDelta::from_millis(2),
+            stamp: Timestamp::from_millis(980),
+            host: Timestamp::from_millis(1_000),
         },
     ]
 }
 
 /// One of every kind.
 fn events() -> Vec<Event> {
-    let health =
-        LinkHealth { bytes_in: 1_000, frames_lost: 3, round_trip: Some(Span::from_millis(3)), ..LinkHealth::default() };
+    let health = LinkHealth {
+        bytes_in: 1_000,
+        frames_lost: 3,
+        round_trip: Some(TimeDelta::from_millis(3)),
+        ..LinkHealth::default()
+    };
     let source = SourceHealth { source: Address::new(1, 1), frames: 40, lost: 3 };
     let (link, robot) = (LinkId(0), robot());
     let mut events = vec![
-        aligned(),
-        Event::RobotSeen { robot },
-        Event::RobotLost { robot, silence: Span::from_millis(3_000) },
+        aligned_event(),
+        Event::RobotDetected { robot },
+        Event::RobotLost { robot, silence: TimeDelta::from_millis(3_000) },
         Event::BrickRestarted { robot },
         Event::Link { link, state: LinkState::Down },
         Event::Health { link, health, sources: vec![source] },
         Event::Text { source: Address::new(1, 1), severity: 3, text: "motor hot".to_owned() },
-        fused(Verdict::ResetTo, 12.0),
-        Event::Estimated { robot, estimate: estimate(5_050) },
+        fused_event(FusionOutcome::PoseReset, 12.0),
+        Event::EstimateUpdated { robot, estimate: estimate(5_050) },
     ];
-    events.extend(sightings());
+    events.extend(fix_events());
     events
 }
 
 /// A message as another program finds it.
-struct Found {
+struct RecordedMessage {
     topic: String,
     encoding: String,
     schema: String,
@@ -153,16 +159,19 @@ struct Found {
     data: Vec<u8>,
 }
 
-fn written(spacing: Span, write: impl FnOnce(&mut Writer<Cursor<Vec<u8>>>)) -> Vec<Found> {
-    let header = Header { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..Header::default() };
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header).unwrap();
-    writer.space_outputs(spacing);
+fn write_messages(
+    spacing: TimeDelta,
+    write: impl FnOnce(&mut RecordingWriter<Cursor<Vec<u8>>>),
+) -> Vec<RecordedMessage> {
+    let header = RecordingHeader { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..RecordingHeader::default() };
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header).unwrap();
+    writer.set_output_spacing(spacing);
     write(&mut writer);
     let bytes = writer.finish().unwrap().into_inner();
     let found = mcap::MessageStream::new(&bytes).unwrap().map(|message| {
         let message = message.unwrap();
         let schema = message.channel.schema.as_ref().unwrap();
-        Found {
+        RecordedMessage {
             topic: message.channel.topic.clone(),
             encoding: schema.encoding.clone(),
             schema: schema.name.clone(),
@@ -175,9 +184,9 @@ fn written(spacing: Span, write: impl FnOnce(&mut Writer<Cursor<Vec<u8>>>)) -> V
 }
 
 /// Every channel has a message.
-fn one_of_each() -> Vec<Found> {
-    written(Span::ZERO, |writer| {
-        let now = Stamp::from_millis(1_100);
+fn one_message_of_each() -> Vec<RecordedMessage> {
+    write_messages(TimeDelta::ZERO, |writer| {
+        let now = Timestamp::from_millis(1_100);
         for event in events() {
             writer.record_event(now, &event).unwrap();
         }
@@ -189,10 +198,10 @@ fn one_of_each() -> Vec<Found> {
         writer.record(now, &Input::Command(set_pose)).unwrap();
         let learned = Calibration::default();
         writer.record_calibration(now, &learned).unwrap();
-        let gap = Gap { inputs: 7, from: now, to: Stamp::from_millis(1_200) };
+        let gap = RecordingGap { inputs: 7, from: now, to: Timestamp::from_millis(1_200) };
         writer.record_gap(&gap).unwrap();
         let truth = TruthSample {
-            stamp: Stamp::from_millis(5_100),
+            time: Timestamp::from_millis(5_100),
             pose: Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(3.0)),
             odometry: None,
         };
@@ -200,20 +209,20 @@ fn one_of_each() -> Vec<Found> {
     })
 }
 
-fn only<'a>(found: &'a [Found], topic: &str) -> &'a Found {
+fn only<'a>(found: &'a [RecordedMessage], topic: &str) -> &'a RecordedMessage {
     let mut of_topic = found.iter().filter(|found| found.topic == topic);
     let one = of_topic.next().unwrap();
     assert!(of_topic.next().is_none(), "{topic} has more than one");
     one
 }
 
-fn json(found: &Found) -> Value {
+fn json(found: &RecordedMessage) -> Value {
     serde_json::from_slice(&found.data).unwrap()
 }
 
 #[test]
 fn every_channel_is_written_with_the_schema_of_the_table() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     let topics: BTreeSet<&str> = found.iter().map(|found| found.topic.as_str()).collect();
     let table: BTreeSet<&str> = CHANNELS.iter().map(|channel| channel.topic).collect();
     assert_eq!(topics, table);
@@ -226,7 +235,7 @@ fn every_channel_is_written_with_the_schema_of_the_table() {
 
 #[test]
 fn every_protobuf_message_has_the_fields_of_its_descriptor() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     let mut checked = 0;
     for found in found.iter().filter(|found| found.encoding == "protobuf") {
         let fields = protobuf::read(&found.schema_data, &found.schema, &found.data);
@@ -269,7 +278,7 @@ fn assert_valid(value: &Value, schema: &Value, place: &str) {
 
 #[test]
 fn every_record_is_valid_by_its_own_schema() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     for found in found.iter().filter(|found| found.encoding == "jsonschema") {
         let schema: Value = serde_json::from_slice(&found.schema_data).unwrap();
         assert_valid(&json(found), &schema, &found.topic);
@@ -278,14 +287,14 @@ fn every_record_is_valid_by_its_own_schema() {
 
 #[test]
 fn a_number_that_is_none_is_left_out() {
-    let found = written(Span::ZERO, |writer| {
+    let found = write_messages(TimeDelta::ZERO, |writer| {
         let mut broken = estimate(5_000);
         broken.pose = Pose::<Arena>::new(Meters(f64::NAN), Meters(2.0), Heading::from_rad(0.0));
         broken.covariance[0][0] = f64::INFINITY;
-        let estimated = Event::Estimated { robot: robot(), estimate: broken };
-        writer.record_event(Stamp::ZERO, &estimated).unwrap();
-        let fused = fused(Verdict::Gated, f64::INFINITY);
-        writer.record_event(Stamp::ZERO, &fused).unwrap();
+        let estimated = Event::EstimateUpdated { robot: robot(), estimate: broken };
+        writer.record_event(Timestamp::ZERO, &estimated).unwrap();
+        let fused = fused_event(FusionOutcome::Gated, f64::INFINITY);
+        writer.record_event(Timestamp::ZERO, &fused).unwrap();
     });
     let estimate = json(only(&found, "posebridge/estimate"));
     assert!(estimate.get("x_m").is_none() && estimate.get("x_sigma_m").is_none());
@@ -303,13 +312,13 @@ fn near(found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-9, "{found} {expected}");
 }
 
-fn read(found: &Found) -> Fields {
+fn read(found: &RecordedMessage) -> DecodedFields {
     protobuf::read(&found.schema_data, &found.schema, &found.data)
 }
 
 #[test]
 fn an_estimate_is_an_odometry_at_its_own_instant() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     let message = only(&found, "/posebridge/odometry");
     let odometry = read(message);
     // When it came: 1.1 s after the start. For when it holds: 50 ms behind the alignment at 1 s, by a clock that is a thousandth fast.
@@ -342,14 +351,14 @@ fn an_estimate_is_an_odometry_at_its_own_instant() {
 
 #[test]
 fn the_ellipse_holds_95_percent() {
-    let found = written(Span::ZERO, |writer| {
+    let found = write_messages(TimeDelta::ZERO, |writer| {
         let mut round = estimate(5_000);
         round.covariance[0][1] = 0.0;
         round.covariance[1][0] = 0.0;
         round.covariance[0][0] = 4e-4;
         round.covariance[1][1] = 1e-4;
-        let estimated = Event::Estimated { robot: robot(), estimate: round };
-        writer.record_event(Stamp::ZERO, &estimated).unwrap();
+        let estimated = Event::EstimateUpdated { robot: robot(), estimate: round };
+        writer.record_event(Timestamp::ZERO, &estimated).unwrap();
     });
     let scene = read(only(&found, "/posebridge/ellipse"));
     let sigmas = (-2.0 * 0.05_f64.ln()).sqrt();
@@ -361,13 +370,13 @@ fn the_ellipse_holds_95_percent() {
 
 #[test]
 fn estimates_are_thinned_and_what_was_not_accepted_stays() {
-    let found = written(Span::from_millis(50), |writer| {
+    let found = write_messages(TimeDelta::from_millis(50), |writer| {
         for n in 0..100 {
-            let now = Stamp::from_millis(10 * n);
-            let estimated = Event::Estimated { robot: robot(), estimate: estimate(10 * n) };
+            let now = Timestamp::from_millis(10 * n);
+            let estimated = Event::EstimateUpdated { robot: robot(), estimate: estimate(10 * n) };
             writer.record_event(now, &estimated).unwrap();
-            let verdict = if n == 33 { Verdict::Gated } else { Verdict::Accepted };
-            writer.record_event(now, &fused(verdict, 1.0)).unwrap();
+            let verdict = if n == 33 { FusionOutcome::Gated } else { FusionOutcome::Accepted };
+            writer.record_event(now, &fused_event(verdict, 1.0)).unwrap();
         }
     });
     let count = |topic: &str| found.iter().filter(|found| found.topic == topic).count();
@@ -375,19 +384,19 @@ fn estimates_are_thinned_and_what_was_not_accepted_stays() {
     assert_eq!(count("posebridge/estimate"), 20);
     assert_eq!(count("posebridge/fusion"), 21);
     assert_eq!(count("/posebridge/path"), 1);
-    let gated = |found: &&Found| json(found)["verdict"] == "gated";
+    let gated = |found: &&RecordedMessage| json(found)["verdict"] == "gated";
     let fusions = found.iter().filter(|found| found.topic == "posebridge/fusion");
     assert_eq!(fusions.filter(gated).count(), 1);
 }
 
 #[test]
 fn the_path_stays_small_and_reaches_from_the_start_to_here() {
-    let found = written(Span::ZERO, |writer| {
+    let found = write_messages(TimeDelta::ZERO, |writer| {
         for n in 0..3_000_i64 {
             let mut moving = estimate(100 * n);
             moving.pose = Pose::new(Meters(n as f64), Meters(0.0), Heading::from_rad(0.0));
-            let estimated = Event::Estimated { robot: robot(), estimate: moving };
-            let now = Stamp::from_millis(100 * n);
+            let estimated = Event::EstimateUpdated { robot: robot(), estimate: moving };
+            let now = Timestamp::from_millis(100 * n);
             writer.record_event(now, &estimated).unwrap();
         }
     });
@@ -402,7 +411,7 @@ fn the_path_stays_small_and_reaches_from_the_start_to_here() {
 
 #[test]
 fn a_line_keeps_its_words_and_its_severity() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     let lines: Vec<(String, f64)> = found
         .iter()
         .filter(|found| found.topic == "/log")
@@ -424,7 +433,7 @@ fn a_line_keeps_its_words_and_its_severity() {
 
 #[test]
 fn the_truth_stands_where_the_brick_s_clock_was() {
-    let found = one_of_each();
+    let found = one_message_of_each();
     let at = only(&found, "posebridge/truth").log_time;
     // 100 ms behind the alignment, by a clock that is a thousandth fast.
     let since_s = (at - UTC_START_MICROS * 1_000) as f64 * 1e-9;

@@ -1,6 +1,6 @@
-//! The shipped descriptors read what they say, and what they read gives the published figures.
+//! The shipped descriptors can be read, and their recordings give the published figures.
 //!
-//! One set of optiodom lies in the repository. The other recordings may not be shipped: their tests run where
+//! One set of optiodom is in the repository. The other recordings may not be shipped: their tests run if
 //! `POSEBRIDGE_DATA` names the folder that holds them.
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
@@ -10,44 +10,47 @@ mod support;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use posebridge_recording::dataset::{Descriptor, LoadOptions, Reason, Run};
-use posebridge_telemetry::{BrickClock, DriveGeometry, Fix, Meters, Observed, Odom, Pose as OdomPose, Stamp};
+use posebridge_recording::dataset::{BadRowReason, DatasetRun, Descriptor, LoadOptions};
+use posebridge_telemetry::{
+    BrickClock, DriveGeometry, Fix, Meters, ObservationKind, Odom, Pose as OdomPose, Timestamp,
+};
 use support::{
-    Errors, Pose, advance, against_truth, dead_reckoning, descriptor, geometry, load_from, motion, repository,
+    PathErrorStatistics, Pose, advance, against_truth, dead_reckoning, descriptor, geometry, load_from, motion,
+    repository,
 };
 
 fn foreign_data() -> Option<PathBuf> {
     std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from)
 }
 
-fn load_with(data: &Path, descriptor: &Descriptor, run: &str, geometry: DriveGeometry) -> Run {
+fn load_with(data: &Path, descriptor: &Descriptor, run: &str, geometry: DriveGeometry) -> DatasetRun {
     let use_every = None;
     let options = LoadOptions { run, geometry, use_every };
     load_from(data, descriptor, options)
 }
 
-fn load_run(data: &Path, file: &str, run: &str) -> (DriveGeometry, Run) {
+fn load_run(data: &Path, file: &str, run: &str) -> (DriveGeometry, DatasetRun) {
     let descriptor = descriptor(file);
     let geometry = geometry(&descriptor.robot_for(run));
     (geometry, load_with(data, &descriptor, run, geometry))
 }
 
-fn kinds(run: &Run) -> BTreeMap<&'static str, usize> {
+fn count_by_kind(run: &DatasetRun) -> BTreeMap<&'static str, usize> {
     let mut kinds = BTreeMap::new();
     for timed in &run.observations {
-        *kinds.entry(timed.observation.observed.kind()).or_insert(0) += 1;
+        *kinds.entry(timed.observation.measurement.kind()).or_insert(0) += 1;
     }
     kinds
 }
 
 /// The errors as the published tables print them.
-fn printed(errors: &Errors) -> String {
+fn format_errors(errors: &PathErrorStatistics) -> String {
     format!("{:.4} / {:.4} / {:.4} / {:.2}", errors.rms_m, errors.max_m, errors.end_m, errors.heading_rms_deg)
 }
 
 /// The position errors as the coarser tables print them.
-fn in_centimetres(errors: &Errors) -> String {
-    let Errors { rms_m, max_m, end_m, .. } = errors;
+fn in_centimetres(errors: &PathErrorStatistics) -> String {
+    let PathErrorStatistics { rms_m, max_m, end_m, .. } = errors;
     format!("{rms_m:.2} / {max_m:.2} / {end_m:.2}")
 }
 
@@ -95,14 +98,14 @@ fn check_set(data: &Path, set: &str, runs: usize, expected: [&str; 2]) {
     let names = descriptor.select(set);
     assert_eq!(names.len(), runs, "{set}");
     let found = [nominal, calibration_c(nominal)].map(|geometry| {
-        let mut mean = Errors::default();
+        let mut mean = PathErrorStatistics::default();
         for name in &names {
             let run = load_with(data, &descriptor, name, geometry);
-            assert_eq!(run.bad_rows.total(), 0, "{name}: {:?}", run.bad_rows.named);
+            assert_eq!(run.bad_rows.total(), 0, "{name}: {:?}", run.bad_rows.listed);
             let errors = against_truth(&run, &dead_reckoning(&run, geometry));
             mean.add(&errors, 1.0 / runs as f64);
         }
-        printed(&mean)
+        format_errors(&mean)
     });
     assert_eq!(found, expected, "{set}");
 }
@@ -133,14 +136,14 @@ fn the_other_optiodom_sets_give_them_too() {
 }
 
 /// All fixes of a run, used and withheld, in order.
-fn all_fixes(run: &Run) -> Vec<(i64, Fix)> {
+fn all_fixes(run: &DatasetRun) -> Vec<(i64, Fix)> {
     let used = run.observations.iter().filter_map(|timed| {
-        if let Observed::Fix(fix) = timed.observation.observed {
+        if let ObservationKind::Fix(fix) = timed.observation.measurement {
             return Some((timed.observation.stamp.as_nanos(), fix));
         }
         None
     });
-    let withheld = run.withheld.iter().map(|w| (w.stamp.as_nanos(), w.fix));
+    let withheld = run.withheld.iter().map(|w| (w.time.as_nanos(), w.fix));
     let mut fixes: Vec<_> = used.chain(withheld).collect();
     fixes.sort_by_key(|(nanos, _)| *nanos);
     fixes
@@ -166,7 +169,7 @@ fn lego_dead_reckoning_gives_the_published_figures() {
         let errors: Vec<f64> = all_fixes(&run)[1..]
             .iter()
             .filter_map(|(nanos, fix)| {
-                let step = steps.iter().find(|step| step.holds(*nanos))?;
+                let step = steps.iter().find(|step| step.contains(*nanos))?;
                 Some(tag_error_mm(step.at(*nanos), fix))
             })
             .collect();
@@ -178,7 +181,7 @@ fn lego_dead_reckoning_gives_the_published_figures() {
     });
     let expected = [("597.4", "1172"), ("68.6", "149")];
     assert_eq!(found, expected.map(|(rms, max)| (rms.to_owned(), max.to_owned())));
-    assert_eq!(run.bad_rows.count(Reason::ZeroInterval), 61);
+    assert_eq!(run.bad_rows.count(BadRowReason::ZeroInterval), 61);
     assert_eq!(run.bad_rows.total(), 61);
     // 278 records, every fourth from the first; of those withheld, 207 lie between the encoder records.
     assert_eq!(run.withheld.len(), 208);
@@ -209,11 +212,11 @@ fn neato_streams_are_complete_and_repeated_stamps_are_counted() {
         "arrivals of their own"
     );
     let (_, square) = load_run(&data, file, "square_undisturbed");
-    assert_eq!(square.bad_rows.count(Reason::RepeatedStamp), 160);
+    assert_eq!(square.bad_rows.count(BadRowReason::RepeatedTimestamp), 160);
     assert_eq!(square.bad_rows.total(), 160);
     let (_, turning) = load_run(&data, file, "turning_180");
     assert!(turning.withheld.is_empty());
-    assert_eq!(kinds(&turning), BTreeMap::from([("odometer_pose", 207), ("turn_rate", 1373)]));
+    assert_eq!(count_by_kind(&turning), BTreeMap::from([("odometer_pose", 207), ("turn_rate", 1373)]));
 }
 
 #[test]
@@ -225,9 +228,9 @@ fn roomba_counts_and_gyro_give_the_published_turns() {
         let (geometry, run) = load_run(&data, "roomba-imu.toml", name);
         let poses = dead_reckoning(&run, geometry);
         let heading_deg = poses.last().unwrap().1[2].to_degrees();
-        let (mut gyro_rad, mut last) = (0.0, None::<Stamp<BrickClock>>);
+        let (mut gyro_rad, mut last) = (0.0, None::<Timestamp<BrickClock>>);
         for timed in &run.observations {
-            if let Observed::TurnRate(rate) = timed.observation.observed {
+            if let ObservationKind::TurnRate(rate) = timed.observation.measurement {
                 let now = timed.observation.stamp;
                 gyro_rad += last.map_or(0.0, |last| rate.0 * (now - last).as_secs_f64());
                 last = Some(now);
@@ -239,21 +242,21 @@ fn roomba_counts_and_gyro_give_the_published_turns() {
 }
 
 /// Poses at the observations of a foreign odometer or its speeds, each held until the next.
-fn odometer_poses(run: &Run) -> Vec<(i64, Pose)> {
+fn odometer_poses(run: &DatasetRun) -> Vec<(i64, Pose)> {
     let start = run.start.unwrap().pose;
     let mut pose = [start.x.0, start.y.0, start.heading.rad()];
-    let mut held: Option<(Stamp<BrickClock>, f64, f64)> = None;
+    let mut held: Option<(Timestamp<BrickClock>, f64, f64)> = None;
     let mut last_odometer: Option<OdomPose<Odom>> = None;
     let mut poses = Vec::new();
     for timed in &run.observations {
         let now = timed.observation.stamp;
-        if let Observed::BodyVelocity { forward, turn } = timed.observation.observed {
+        if let ObservationKind::BodyVelocity { forward, turn } = timed.observation.measurement {
             if let Some((since, forward, turn)) = held {
                 let interval_s = (now - since).as_secs_f64();
                 pose = advance(pose, forward * interval_s, turn * interval_s);
             }
             held = Some((now, forward.0, turn.0));
-        } else if let Observed::OdometerPose(odom) = timed.observation.observed {
+        } else if let ObservationKind::OdometerPose(odom) = timed.observation.measurement {
             if let Some(last) = last_odometer.replace(odom) {
                 let moved = last.inverse() * odom.origin();
                 let (sin, cos) = pose[2].sin_cos();
@@ -269,11 +272,11 @@ fn odometer_poses(run: &Run) -> Vec<(i64, Pose)> {
         poses.push((now.as_nanos(), pose));
     }
     if let (Some((since, forward, turn)), Some(end)) = (held, run.truth.last())
-        && end.stamp > since
+        && end.time > since
     {
-        let interval_s = (end.stamp - since).as_secs_f64();
+        let interval_s = (end.time - since).as_secs_f64();
         let last = advance(pose, forward * interval_s, turn * interval_s);
-        poses.push((end.stamp.as_nanos(), last));
+        poses.push((end.time.as_nanos(), last));
     }
     poses
 }
@@ -286,7 +289,7 @@ fn plaza_dead_reckoning_gives_the_published_figures() {
     let (_, run) = load_run(&data, "plaza1.toml", "plaza1");
     let errors = against_truth(&run, &odometer_poses(&run));
     assert_eq!(in_centimetres(&errors), "2.25 / 5.17 / 5.17");
-    assert_eq!(kinds(&run)["beacon_range"], 3529);
+    assert_eq!(count_by_kind(&run)["beacon_range"], 3529);
     assert_eq!((run.beacons.len(), run.bad_rows.total()), (4, 0));
 }
 
@@ -297,8 +300,8 @@ fn labyrinth_dead_reckoning_gives_the_published_figures() {
     };
     let (_, run) = load_run(&data, "uwb-labyrinth.toml", "labyrinth");
     let errors = against_truth(&run, &odometer_poses(&run));
-    assert_eq!(printed(&errors), "0.1101 / 0.2205 / 0.1781 / 0.00");
-    assert_eq!(kinds(&run), BTreeMap::from([("beacon_range", 233), ("body_velocity", 232)]));
+    assert_eq!(format_errors(&errors), "0.1101 / 0.2205 / 0.1781 / 0.00");
+    assert_eq!(count_by_kind(&run), BTreeMap::from([("beacon_range", 233), ("body_velocity", 232)]));
     assert_eq!((run.beacons.len(), run.bad_rows.total()), (4, 0));
 }
 
@@ -315,9 +318,9 @@ fn mrclam_sightings_are_those_of_known_landmarks() {
         let (_, run) = load_run(&data, "mrclam6.toml", name);
         let errors = against_truth(&run, &odometer_poses(&run));
         assert_eq!(in_centimetres(&errors), dead_reckoning, "{name}");
-        assert_eq!(kinds(&run)["landmark"], sightings, "{name}");
+        assert_eq!(count_by_kind(&run)["landmark"], sightings, "{name}");
         // Nobody carries bar code 43 or the like; the other robots are known and ignored.
-        assert!(run.bad_rows.total() <= 3, "{:?}", run.bad_rows.named);
+        assert!(run.bad_rows.total() <= 3, "{:?}", run.bad_rows.listed);
         assert_eq!(run.landmarks.len(), 15);
     }
 }
@@ -328,12 +331,12 @@ fn ranges_and_temperatures_are_read_in_their_units() {
         return;
     };
     let (_, car) = load_run(&data, "tof-wall.toml", "robotA-80-step");
-    let ranges: Vec<Observed> = car.observations.iter().map(|timed| timed.observation.observed).collect();
-    assert_eq!(ranges.first(), Some(&Observed::WallRange(Meters(4.03))));
-    assert_eq!(ranges.last(), Some(&Observed::WallRange(Meters(0.443))));
+    let ranges: Vec<ObservationKind> = car.observations.iter().map(|timed| timed.observation.measurement).collect();
+    assert_eq!(ranges.first(), Some(&ObservationKind::WallRange(Meters(4.03))));
+    assert_eq!(ranges.last(), Some(&ObservationKind::WallRange(Meters(0.443))));
     for (name, first) in [("KM", 25.0), ("KiS", 25.0), ("LG", 24.88)] {
         let (_, run) = load_run(&data, "ds18b20-step.toml", name);
-        let Observed::Temperature(found) = run.observations[0].observation.observed else {
+        let ObservationKind::Temperature(found) = run.observations[0].observation.measurement else {
             panic!("{name}: not a temperature");
         };
         assert_eq!((found.0, run.bad_rows.total()), (first, 0), "{name}");
@@ -348,7 +351,7 @@ fn husky_streams_are_complete_and_the_gps_draws_the_published_extent() {
     let (_, run) = load_run(&data, "husky-outdoor.toml", "husky");
     assert_eq!(run.bad_rows.total(), 0);
     assert_eq!((run.start, run.truth.len()), (None, 0));
-    assert_eq!(kinds(&run), BTreeMap::from([("body_velocity", 3951), ("fix", 494), ("turn_rate", 11_865)]));
+    assert_eq!(count_by_kind(&run), BTreeMap::from([("body_velocity", 3951), ("fix", 494), ("turn_rate", 11_865)]));
     let fixes = all_fixes(&run);
     let (first, last) = (&fixes[0].1, &fixes[fixes.len() - 1].1);
     assert!(first.position.x.0.hypot(first.position.y.0) < 1e-6);
@@ -364,7 +367,7 @@ fn husky_streams_are_complete_and_the_gps_draws_the_published_extent() {
     let (east_m, north_m) = (extent(|fix| fix.position.x.0), extent(|fix| fix.position.y.0));
     assert!((east_m - 57.61).abs() < 0.01, "{east_m}");
     assert!((north_m - 146.0).abs() < 0.5, "{north_m}");
-    let withheld_last = run.withheld.last().unwrap().stamp.as_nanos();
+    let withheld_last = run.withheld.last().unwrap().time.as_nanos();
     assert_eq!(withheld_last, fixes[fixes.len() - 1].0, "the end is not given");
     for (_, fix) in &fixes {
         let claims = fix.covariance.unwrap();
@@ -385,7 +388,7 @@ fn baths_and_centimetres_are_those_of_their_owners() {
             .observations
             .iter()
             .map(|timed| {
-                let Observed::Temperature(degrees) = timed.observation.observed else {
+                let ObservationKind::Temperature(degrees) = timed.observation.measurement else {
                     panic!("{name}: not a temperature");
                 };
                 degrees.0
@@ -399,6 +402,6 @@ fn baths_and_centimetres_are_those_of_their_owners() {
     }
     let (_, run) = load_run(&data, "nxt-ultrasonic.toml", "separation");
     assert_eq!((run.observations.len(), run.bad_rows.total()), (303, 0));
-    let first = run.observations[0].observation.observed;
-    assert_eq!(first, Observed::WallRange(Meters(0.21)));
+    let first = run.observations[0].observation.measurement;
+    assert_eq!(first, ObservationKind::WallRange(Meters(0.21)));
 }

@@ -1,8 +1,8 @@
-//! What a filter learns about a robot while it drives, and how well it knows it.
+//! The constants of a robot that a filter estimates, with their uncertainty.
 
-/// A number with one standard deviation; a sigma of zero means that it is taken as given and not estimated.
+/// A number with one standard deviation; a sigma of zero means that it is fixed and not estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Known {
+pub struct UncertainValue {
     /// The number.
     pub value: f64,
     /// One standard deviation, in the number's own unit.
@@ -18,25 +18,25 @@ pub struct Known {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
     /// Relative error of the mean wheel radius.
-    pub radius_scale: Known,
+    pub radius_scale: UncertainValue,
     /// Relative difference of the wheels' radii, right minus left.
-    pub radius_difference: Known,
+    pub radius_difference: UncertainValue,
     /// Relative error of the track width.
-    pub track_scale: Known,
+    pub track_scale: UncertainValue,
     /// Gyro bias, in rad/s.
-    pub gyro_bias_rad_per_s: Known,
-    /// How much earlier than its stamp a fix was true, in seconds.
-    pub fix_delay_s: Known,
-    /// Where the tag is, forward of where the fix says, in metres.
-    pub tag_forward_m: Known,
-    /// Where the tag is, to the left of where the fix says, in metres.
-    pub tag_left_m: Known,
-    /// A beacon's range reads long by this: an offset of each beacon for itself, in metres.
-    pub beacon_offset_m: Known,
+    pub gyro_bias_rad_per_s: UncertainValue,
+    /// Delay of a fix: how much earlier than its timestamp it was measured, in seconds.
+    pub fix_delay_s: UncertainValue,
+    /// Error of the tag's configured position, forward, in metres.
+    pub tag_forward_m: UncertainValue,
+    /// Error of the tag's configured position, to the left, in metres.
+    pub tag_left_m: UncertainValue,
+    /// Offset of each beacon's ranges, in metres; positive reads long.
+    pub beacon_offset_m: UncertainValue,
     /// Relative error of each beacon's ranges.
-    pub beacon_scale: Known,
-    /// The range to a landmark reads long by this: an offset of the robot's own camera, in metres.
-    pub landmark_offset_m: Known,
+    pub beacon_scale: UncertainValue,
+    /// Offset of the robot camera's ranges to landmarks, in metres; positive reads long.
+    pub landmark_offset_m: UncertainValue,
     /// Relative error of the camera's ranges to landmarks.
-    pub landmark_scale: Known,
+    pub landmark_scale: UncertainValue,
 }

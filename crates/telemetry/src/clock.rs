@@ -1,13 +1,13 @@
-//! Three clocks, three stamp types.
+//! Three clocks, three timestamp types.
 //!
 //! A brick counts from its own power-up, up to 2000 ppm wrong; the host counts monotonically from the start of the
-//! session; a camera has a clock of its own. Stamps of different clocks neither subtract nor compare; only
-//! `pipeline::clock` converts between them.
+//! session; a camera has its own clock. Timestamps of different clocks neither subtract nor compare; only the station's
+//! clock alignment converts between them.
 //!
 //! ```compile_fail
-//! use posebridge_telemetry::{BrickClock, HostClock, Stamp};
-//! let brick = Stamp::<BrickClock>::from_nanos(5);
-//! let host = Stamp::<HostClock>::from_nanos(3);
+//! use posebridge_telemetry::{BrickClock, HostClock, Timestamp};
+//! let brick = Timestamp::<BrickClock>::from_nanos(5);
+//! let host = Timestamp::<HostClock>::from_nanos(3);
 //! let nonsense = brick - host; // different clocks: this must not build
 //! ```
 
@@ -17,7 +17,7 @@ use std::hash::{Hash, Hasher};
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Neg, Sub};
 
-/// Marks a clock; implemented only by the three clocks of this module.
+/// A clock; implemented only by the three clocks of this module.
 pub trait Clock: Copy + fmt::Debug {
     /// The clock's name in messages to people.
     const NAME: &'static str;
@@ -43,14 +43,14 @@ impl Clock for CameraClock {
     const NAME: &'static str = "camera";
 }
 
-/// An instant on the clock `C`, in nanoseconds since that clock's zero. Which instant (middle of an exposure, arrival of
-/// the last byte) is said where the stamp is stored.
-pub struct Stamp<C> {
+/// An instant on the clock `C`, in nanoseconds since that clock's zero. The field that holds it says which instant is meant
+/// (middle of an exposure, arrival of the last byte).
+pub struct Timestamp<C> {
     nanos: i64,
     clock: PhantomData<C>,
 }
 
-impl<C: Clock> Stamp<C> {
+impl<C: Clock> Timestamp<C> {
     /// The clock's zero.
     pub const ZERO: Self = Self::from_nanos(0);
 
@@ -75,7 +75,7 @@ impl<C: Clock> Stamp<C> {
     /// An instant in seconds since the clock's zero, rounded to the nearest nanosecond; saturates, NaN gives zero.
     #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
-        Self::from_nanos(nearest(secs * 1e9))
+        Self::from_nanos(round_to_i64(secs * 1e9))
     }
 
     /// Nanoseconds since the clock's zero.
@@ -97,130 +97,130 @@ impl<C: Clock> Stamp<C> {
     }
 }
 
-impl<C> Clone for Stamp<C> {
+impl<C> Clone for Timestamp<C> {
     fn clone(&self) -> Self {
         *self
     }
 }
-impl<C> Copy for Stamp<C> {}
-impl<C> PartialEq for Stamp<C> {
+impl<C> Copy for Timestamp<C> {}
+impl<C> PartialEq for Timestamp<C> {
     fn eq(&self, other: &Self) -> bool {
         self.nanos == other.nanos
     }
 }
-impl<C> Eq for Stamp<C> {}
-impl<C> PartialOrd for Stamp<C> {
+impl<C> Eq for Timestamp<C> {}
+impl<C> PartialOrd for Timestamp<C> {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
-impl<C> Ord for Stamp<C> {
+impl<C> Ord for Timestamp<C> {
     fn cmp(&self, other: &Self) -> Ordering {
         self.nanos.cmp(&other.nanos)
     }
 }
-impl<C> Hash for Stamp<C> {
+impl<C> Hash for Timestamp<C> {
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.nanos.hash(state);
     }
 }
-impl<C: Clock> fmt::Debug for Stamp<C> {
+impl<C: Clock> fmt::Debug for Timestamp<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}@{:.9}s", C::NAME, self.as_secs_f64())
     }
 }
-impl<C> Sub for Stamp<C> {
-    type Output = Span;
-    fn sub(self, other: Self) -> Span {
-        Span(self.nanos.saturating_sub(other.nanos))
+impl<C> Sub for Timestamp<C> {
+    type Output = TimeDelta;
+    fn sub(self, other: Self) -> TimeDelta {
+        TimeDelta(self.nanos.saturating_sub(other.nanos))
     }
 }
-impl<C: Clock> Add<Span> for Stamp<C> {
+impl<C: Clock> Add<TimeDelta> for Timestamp<C> {
     type Output = Self;
-    fn add(self, span: Span) -> Self {
+    fn add(self, span: TimeDelta) -> Self {
         Self::from_nanos(self.nanos.saturating_add(span.0))
     }
 }
-impl<C: Clock> Sub<Span> for Stamp<C> {
+impl<C: Clock> Sub<TimeDelta> for Timestamp<C> {
     type Output = Self;
-    fn sub(self, span: Span) -> Self {
+    fn sub(self, span: TimeDelta) -> Self {
         Self::from_nanos(self.nanos.saturating_sub(span.0))
     }
 }
 
-/// A signed length of time, in nanoseconds. It belongs to no clock: skew over a span is below what matters.
+/// A signed duration, in nanoseconds. It belongs to no clock: the skew between clocks over one duration is negligible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Span(i64);
+pub struct TimeDelta(i64);
 
-impl Span {
-    /// No time at all.
+impl TimeDelta {
+    /// Zero.
     pub const ZERO: Self = Self(0);
 
-    /// A span in nanoseconds.
+    /// A duration in nanoseconds.
     #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
-    /// A span in microseconds; saturates.
+    /// A duration in microseconds; saturates.
     #[must_use]
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
-    /// A span in milliseconds; saturates.
+    /// A duration in milliseconds; saturates.
     #[must_use]
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }
-    /// A span in seconds, rounded to the nearest nanosecond; saturates, NaN gives zero.
+    /// A duration in seconds, rounded to the nearest nanosecond; saturates, NaN gives zero.
     #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
-        Self(nearest(secs * 1e9))
+        Self(round_to_i64(secs * 1e9))
     }
-    /// The span in nanoseconds.
+    /// The duration in nanoseconds.
     #[must_use]
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
-    /// The span in seconds.
+    /// The duration in seconds.
     #[must_use]
     pub fn as_secs_f64(self) -> f64 {
         self.0 as f64 * 1e-9
     }
-    /// The span in milliseconds, with fractions.
+    /// The duration in milliseconds, with fractions.
     #[must_use]
     pub fn as_millis_f64(self) -> f64 {
         self.0 as f64 * 1e-6
     }
 }
 
-impl Add for Span {
+impl Add for TimeDelta {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         Self(self.0.saturating_add(other.0))
     }
 }
-impl AddAssign for Span {
+impl AddAssign for TimeDelta {
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
 }
-impl Sub for Span {
+impl Sub for TimeDelta {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
         Self(self.0.saturating_sub(other.0))
     }
 }
-impl Neg for Span {
+impl Neg for TimeDelta {
     type Output = Self;
     fn neg(self) -> Self {
         Self(self.0.saturating_neg())
     }
 }
 
-/// The nearest whole number, halves away from zero; saturates, NaN gives zero. What `f64::round` gives, which is a call of the C library
-/// where the processor is not known to round by itself: a robot's every message is stamped a dozen times.
+/// The nearest whole number, halves away from zero; saturates, NaN gives zero. The same result as `f64::round`, which calls
+/// the C library on the baseline x86-64 target; this function runs a dozen times for each message.
 #[inline]
-fn nearest(value: f64) -> i64 {
+fn round_to_i64(value: f64) -> i64 {
     let whole = value as i64;
     // Exact: beyond 2^53 there is no fraction.
     let fraction = value - whole as f64;
@@ -260,26 +260,29 @@ mod tests {
             values.push((state >> 20) as f64 / 64.0 - 1e11);
         }
         for value in values {
-            assert_eq!(nearest(value), value.round() as i64, "{value:e}");
+            assert_eq!(round_to_i64(value), value.round() as i64, "{value:e}");
         }
     }
 
     #[test]
     fn stamps_of_one_clock_subtract_and_saturate() {
-        let late = Stamp::<BrickClock>::from_millis(1_500);
-        let early = Stamp::<BrickClock>::from_micros(250_000);
-        assert_eq!(late - early, Span::from_millis(1_250));
-        assert_eq!(Stamp::<BrickClock>::from_nanos(i64::MAX) + Span::from_nanos(1), Stamp::from_nanos(i64::MAX));
+        let late = Timestamp::<BrickClock>::from_millis(1_500);
+        let early = Timestamp::<BrickClock>::from_micros(250_000);
+        assert_eq!(late - early, TimeDelta::from_millis(1_250));
+        assert_eq!(
+            Timestamp::<BrickClock>::from_nanos(i64::MAX) + TimeDelta::from_nanos(1),
+            Timestamp::from_nanos(i64::MAX)
+        );
     }
 
     #[test]
     fn seconds_round_to_the_nearest_nanosecond() {
-        assert_eq!(Stamp::<HostClock>::from_secs_f64(0.05).as_nanos(), 50_000_000);
-        assert_eq!(Stamp::<HostClock>::from_secs_f64(f64::NAN).as_nanos(), 0);
+        assert_eq!(Timestamp::<HostClock>::from_secs_f64(0.05).as_nanos(), 50_000_000);
+        assert_eq!(Timestamp::<HostClock>::from_secs_f64(f64::NAN).as_nanos(), 0);
     }
 
     #[test]
     fn a_stamp_names_its_clock() {
-        assert_eq!(format!("{:?}", Stamp::<CameraClock>::from_millis(1)), "camera@0.001000000s");
+        assert_eq!(format!("{:?}", Timestamp::<CameraClock>::from_millis(1)), "camera@0.001000000s");
     }
 }

@@ -1,31 +1,34 @@
-//! What a person or another program asks of the pipeline, and what the pipeline asks of the program around it.
+//! Commands to the station, and requests from the station to the program that runs it.
 //!
-//! A [`Command`] comes from the dashboard, the command line or a program; one that comes over a link is in the link's bytes, and the
-//! engine makes a command of it itself. Both are inputs, so that a replay does the same at the same place.
+//! A [`Command`] comes from the dashboard, the command line or another program. A command that comes over a link is part of the link's
+//! bytes, and the station decodes it. Both are recorded inputs, so a replay repeats them at the same point.
 //!
-//! A [`Request`] is the other direction: the engine has no file, so whoever owns one carries it out and says what became of it with
+//! A [`Request`] is the other direction: the station opens no files, so the program carries the request out and reports the result with
 //! [`Input::Report`](crate::Input::Report).
 
+use std::fmt;
+
 use crate::ids::{ChannelName, SensorId};
+use crate::observation::SensorSwitch;
 use crate::simulator::SimulatorCommand;
 use crate::spaces::{Arena, Pose};
 
-/// The key of a tunable; it has the form of a channel's name, which is that of MAVLink's parameters.
+/// The key of a tunable; at most sixteen ASCII characters, as in MAVLink's parameters.
 pub type ParameterName = ChannelName;
 
-/// A request to the pipeline; part of its recorded inputs.
+/// A command to the station; part of its recorded inputs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// Put the robot there, with the given standard deviations; counted as a reset.
+    /// Set the pose, with the given standard deviations; counted as a reset.
     SetPose {
-        /// Where the robot is.
+        /// The robot's pose.
         pose: Pose<Arena>,
         /// One standard deviation of x and of y, in metres.
         position_sigma_m: f64,
         /// One standard deviation of the heading, in radians.
         heading_sigma_rad: f64,
     },
-    /// Forget where the robot is: it is where the configuration lets it start, or else where the next fix sees it.
+    /// Discard the pose: the filter starts again at the configured start pose, or else at the next fix.
     ResetPose,
     /// Set one tunable of the filter from now on.
     SetParameter {
@@ -36,28 +39,28 @@ pub enum Command {
     },
     /// Set all tunables at once.
     Parameters(ParameterStorage),
-    /// Whether the robot's constants are learned further: wheel radii, track, delay and place of the tag, errors of ranges. A gyro's
-    /// bias is none of them: it walks.
-    Learning(Learning),
-    /// Forget what was learned about the robot: begin again from what is configured.
+    /// Whether the filter goes on estimating the robot's constants: wheel radii, track width, delay of fixes, position of the tag, errors
+    /// of ranges. The gyro's bias is always estimated, because it drifts.
+    OnlineCalibration(OnlineCalibration),
+    /// Discard the estimated constants: start again from the configured calibration.
     ResetCalibration,
-    /// Use what a sensor says, or leave it out.
+    /// Use the observations of a sensor, or ignore them.
     SwitchSource {
         /// The sensor.
         sensor: SensorId,
         /// Whether it is used from now on.
-        to: Switch,
+        to: SensorSwitch,
     },
     /// Begin a new recording.
     StartRecording,
     /// End the recording.
     StopRecording,
-    /// Do something to the simulated brick.
+    /// A command to the simulated brick.
     Simulator(SimulatorCommand),
 }
 
 impl Command {
-    /// What is asked for in words, as records name it.
+    /// The command's name, as recordings spell it.
     #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
@@ -67,11 +70,11 @@ impl Command {
             Self::Parameters(ParameterStorage::Save) => "save parameters",
             Self::Parameters(ParameterStorage::Reload) => "reload parameters",
             Self::Parameters(ParameterStorage::Default) => "default parameters",
-            Self::Learning(Learning::Frozen) => "freeze calibration",
-            Self::Learning(Learning::Free) => "learn calibration",
+            Self::OnlineCalibration(OnlineCalibration::Frozen) => "freeze calibration",
+            Self::OnlineCalibration(OnlineCalibration::Enabled) => "learn calibration",
             Self::ResetCalibration => "reset calibration",
-            Self::SwitchSource { to: Switch::Off, .. } => "switch source off",
-            Self::SwitchSource { to: Switch::On, .. } => "switch source on",
+            Self::SwitchSource { to: SensorSwitch::Off, .. } => "switch source off",
+            Self::SwitchSource { to: SensorSwitch::On, .. } => "switch source on",
             Self::StartRecording => "start recording",
             Self::StopRecording => "stop recording",
             Self::Simulator(command) => command.name(),
@@ -79,50 +82,66 @@ impl Command {
     }
 }
 
-/// What happens to all tunables.
+impl fmt::Display for Command {
+    /// The name with the command's values, for people.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self.name();
+        match self {
+            Self::SetPose { pose, position_sigma_m, heading_sigma_rad } => write!(
+                f,
+                "{name}: x {} m, y {} m, heading {} rad, sigma {position_sigma_m} m and {heading_sigma_rad} rad",
+                pose.x.0,
+                pose.y.0,
+                pose.heading.rad()
+            ),
+            Self::SetParameter { name: parameter, value } => write!(f, "{name}: {parameter} = {value}"),
+            Self::SwitchSource { sensor, .. } => write!(f, "{name}: sensor {sensor}"),
+            Self::Simulator(command) => command.fmt(f),
+            Self::ResetPose
+            | Self::Parameters(_)
+            | Self::OnlineCalibration(_)
+            | Self::ResetCalibration
+            | Self::StartRecording
+            | Self::StopRecording => f.write_str(name),
+        }
+    }
+}
+
+/// An operation on all tunables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParameterStorage {
-    /// Keep them for the next start.
+    /// Store them for the next start.
     Save,
-    /// Go back to those that were saved last, or with which the run began.
+    /// Restore those that were saved last, or else those of the start.
     Reload,
-    /// Go back to the defaults.
+    /// Restore the defaults.
     Default,
 }
 
-/// Whether the robot's constants are learned.
+/// Whether the filter estimates the robot's constants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learning {
-    /// They are taken as they stand.
+pub enum OnlineCalibration {
+    /// They keep their values.
     Frozen,
-    /// Observations go on to correct them.
-    Free,
+    /// Observations correct them.
+    Enabled,
 }
 
-/// On or off.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Switch {
-    /// Used.
-    On,
-    /// Left out.
-    Off,
-}
-
-/// What only the program around the pipeline can do. A replay has nobody to ask and leaves it.
+/// A task for the program that runs the station. A replay ignores it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Request {
-    /// Write the tunables down, so that the next start can begin with them.
+    /// Store the tunables for the next start.
     SaveParameters {
-        /// All of them with their values, in the tunables' own units.
+        /// All tunables with their values, each in its own unit.
         values: Vec<(ParameterName, f64)>,
     },
-    /// Begin a new recording, if none is being written.
+    /// Begin a new recording, unless one is open.
     StartRecording {
-        /// The tunables as they are set, for the new recording's header.
+        /// The current tunables, for the new recording's header.
         values: Vec<(ParameterName, f64)>,
     },
-    /// End the recording, if one is being written.
+    /// End the recording, if one is open.
     StopRecording,
-    /// Do something to the simulated brick, if the program has one.
+    /// Carry out a command to the simulated brick, if the program has one.
     Simulator(SimulatorCommand),
 }

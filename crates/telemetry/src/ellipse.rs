@@ -10,7 +10,7 @@
 use crate::quantities::Meters;
 use crate::spaces::{Arena, Point2};
 
-/// Corners of the polygon that stands for an ellipse; 48 stay within 0.2 % of its axes.
+/// Corners of the polygon that approximates an ellipse; 48 stay within 0.2 % of its axes.
 const CORNERS: u32 = 48;
 
 /// An ellipse around an estimated position, in the arena.
@@ -25,10 +25,10 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The ellipse of so many standard deviations of a covariance given by its upper triangle, in m².
+    /// The ellipse of `sigmas` standard deviations of a covariance given by its upper triangle, in m².
     ///
     /// `None` if it is not finite or not positive semi-definite (beyond rounding).
-    pub fn of_covariance(xx_m2: f64, xy_m2: f64, yy_m2: f64, sigmas: f64) -> Option<Self> {
+    pub fn from_covariance(xx_m2: f64, xy_m2: f64, yy_m2: f64, sigmas: f64) -> Option<Self> {
         let mean = f64::midpoint(xx_m2, yy_m2);
         let half_difference = (xx_m2 - yy_m2) / 2.0;
         let radius = half_difference.hypot(xy_m2);
@@ -70,7 +70,7 @@ mod tests {
         // Eigenvalues 9 and 1, longer axis at 30 degrees: P = R diag(9, 1) R'.
         let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
         let ellipse =
-            Ellipse::of_covariance(9.0 * cos * cos + sin * sin, 8.0 * sin * cos, 9.0 * sin * sin + cos * cos, 2.0)
+            Ellipse::from_covariance(9.0 * cos * cos + sin * sin, 8.0 * sin * cos, 9.0 * sin * sin + cos * cos, 2.0)
                 .unwrap();
         assert!((ellipse.semi_major_m - 6.0).abs() < 1e-12);
         assert!((ellipse.semi_minor_m - 2.0).abs() < 1e-12);
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn an_upright_ellipse_points_along_y() {
-        let ellipse = Ellipse::of_covariance(1.0, 0.0, 4.0, 1.0).unwrap();
+        let ellipse = Ellipse::from_covariance(1.0, 0.0, 4.0, 1.0).unwrap();
         assert!((ellipse.direction_rad.abs() - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         let first = ellipse.corners(Point2::ORIGIN)[0];
         assert!(first.x.0.abs() < 1e-12 && (first.y.0.abs() - 2.0).abs() < 1e-12);
@@ -87,7 +87,7 @@ mod tests {
 
     #[test]
     fn corners_satisfy_the_quadratic_form() {
-        let ellipse = Ellipse::of_covariance(5.0, 2.0, 2.0, 2.0).unwrap();
+        let ellipse = Ellipse::from_covariance(5.0, 2.0, 2.0, 2.0).unwrap();
         for corner in ellipse.corners(Point2::ORIGIN) {
             // P^-1 = [2 -2; -2 5] / 6; a corner of the 2-sigma ellipse has p' P^-1 p = 4.
             let (x, y) = (corner.x.0, corner.y.0);
@@ -98,11 +98,11 @@ mod tests {
 
     #[test]
     fn a_line_is_an_ellipse_but_an_indefinite_matrix_is_not() {
-        let line = Ellipse::of_covariance(1.0, 1.0, 1.0, 1.0).unwrap();
+        let line = Ellipse::from_covariance(1.0, 1.0, 1.0, 1.0).unwrap();
         assert_eq!(line.semi_minor_m, 0.0);
-        assert_eq!(Ellipse::of_covariance(1.0, 2.0, 1.0, 1.0), None);
-        assert_eq!(Ellipse::of_covariance(-1.0, 0.0, -1.0, 1.0), None);
-        assert_eq!(Ellipse::of_covariance(f64::NAN, 0.0, 1.0, 1.0), None);
-        assert_eq!(Ellipse::of_covariance(f64::INFINITY, 0.0, 1.0, 1.0), None);
+        assert_eq!(Ellipse::from_covariance(1.0, 2.0, 1.0, 1.0), None);
+        assert_eq!(Ellipse::from_covariance(-1.0, 0.0, -1.0, 1.0), None);
+        assert_eq!(Ellipse::from_covariance(f64::NAN, 0.0, 1.0, 1.0), None);
+        assert_eq!(Ellipse::from_covariance(f64::INFINITY, 0.0, 1.0, 1.0), None);
     }
 }

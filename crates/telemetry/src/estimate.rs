@@ -1,6 +1,6 @@
-//! What the station believes about a robot at one instant, and how far it trusts it.
+//! Estimates: a robot's pose or a single quantity at one instant, with its uncertainty.
 
-use crate::clock::{BrickClock, Span, Stamp};
+use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
 use crate::spaces::{Arena, Pose};
 
@@ -22,8 +22,8 @@ pub mod row {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// The instant for which it holds.
-    pub stamp: Stamp<BrickClock>,
-    /// Where the robot is.
+    pub stamp: Timestamp<BrickClock>,
+    /// The robot's pose.
     pub pose: Pose<Arena>,
     /// Along the body's x axis.
     pub forward_speed: MetersPerSecond,
@@ -31,16 +31,16 @@ pub struct Estimate {
     pub turn_rate: RadiansPerSecond,
     /// 5 x 5, symmetric, SI units squared, rows and columns as in [`row`].
     pub covariance: [[f64; 5]; 5],
-    /// What of it may be used.
+    /// The parts that are valid.
     pub validity: Validity,
-    /// Nothing absolute has been used for longer than the configured limit.
+    /// No absolute observation was used for longer than the configured limit.
     pub is_dead_reckoning: bool,
     /// Time since the last fix that was used, at `stamp`; `None` before the first.
-    pub fix_age: Option<Span>,
+    pub fix_age: Option<TimeDelta>,
     /// Counts jumps of the estimate that are not motion.
     pub reset_counter: u8,
     /// The last such jump.
-    pub last_jump: Option<PoseJump>,
+    pub last_correction: Option<PoseCorrection>,
 }
 
 impl Estimate {
@@ -61,7 +61,7 @@ impl Estimate {
     }
 }
 
-/// Which parts of an estimate may be used.
+/// The valid parts of an estimate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Validity {
     /// The position in the arena has been observed or was given as a start.
@@ -74,7 +74,7 @@ pub struct Validity {
 
 /// A jump of the estimate that was not motion, from before to after.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseJump {
+pub struct PoseCorrection {
     /// Change of x, in metres.
     pub dx_m: f64,
     /// Change of y, in metres.
@@ -83,19 +83,19 @@ pub struct PoseJump {
     pub turn: Radians,
 }
 
-/// The 97.5 % point of the standard normal distribution: so many standard deviations to either side hold 95 %.
+/// The 97.5 % point of the standard normal distribution: 95 % lie within this many standard deviations of the mean.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// The belief of a filter that follows one quantity: a distance, a temperature.
+/// The estimate of a filter for one quantity, such as a distance or a temperature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarEstimate {
     /// The instant for which it holds.
-    pub stamp: Stamp<BrickClock>,
+    pub stamp: Timestamp<BrickClock>,
     /// The quantity.
     pub value: f64,
     /// One standard deviation of it.
     pub sigma: f64,
-    /// How fast it changes, per second; zero for what is constant.
+    /// Rate of change, per second; zero for a constant.
     pub rate_per_s: f64,
     /// Its unit, as it is printed.
     pub unit: &'static str,

@@ -1,18 +1,18 @@
-//! What happened, in the order in which it happened: the pipeline's output for people, recorders and dashboards.
+//! Events: the station's output for people, recorders and dashboards, in the order in which they happen.
 
-use crate::clock::{BrickClock, CameraClock, HostClock, Span, Stamp};
+use crate::clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
 use crate::estimate::{Estimate, ScalarEstimate};
-use crate::fusion::{FusionRecord, Verdict};
+use crate::fusion::{FusionOutcome, FusionRecord};
 use crate::ids::{Address, ChannelName, LinkId, RobotId};
 use crate::link_health::{LinkHealth, SourceHealth};
-use crate::observation::{Observation, Observed};
+use crate::observation::{Observation, ObservationKind};
 use crate::quantities::Celsius;
 
-/// One thing that happened.
+/// One event.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// A robot was heard for the first time, or again after it was lost.
-    RobotSeen {
+    RobotDetected {
         /// The robot.
         robot: RobotId,
     },
@@ -21,53 +21,53 @@ pub enum Event {
         /// The robot.
         robot: RobotId,
         /// Time since it was last heard.
-        silence: Span,
+        silence: TimeDelta,
     },
-    /// The brick's clock fell or leapt: it was restarted; counters and clock are re-based.
+    /// The brick's clock jumped: the brick was restarted; counters and clock are re-based.
     BrickRestarted {
         /// The robot.
         robot: RobotId,
     },
     /// An observation came in and was aligned to the brick's clock.
-    Observed {
-        /// The robot that it speaks of.
+    ObservationAligned {
+        /// The robot that was observed.
         robot: RobotId,
         /// Who sent it.
         source: Address,
         /// When its last byte arrived.
-        arrival: Stamp<HostClock>,
+        arrival: Timestamp<HostClock>,
         /// The observation.
         observation: Observation,
     },
     /// The filter tried to use an observation.
-    Fused {
+    ObservationFused {
         /// The robot.
         robot: RobotId,
-        /// What became of the observation.
+        /// The outcome.
         record: FusionRecord,
     },
-    /// The filter's belief after an observation.
-    Estimated {
+    /// The filter's estimate after an observation.
+    EstimateUpdated {
         /// The robot.
         robot: RobotId,
-        /// The belief.
+        /// The estimate.
         estimate: Estimate,
     },
-    /// A thermometer was read: what it shows, and what it will show in the end. It has a filter of its own beside the robot's.
+    /// A thermometer's reading, and the final value that its own filter predicts.
     Temperature {
-        /// Who sent it, the robot or any other brick.
+        /// The sender, the robot or any other brick.
         brick: RobotId,
-        /// Which of its thermometers.
+        /// The name of the thermometer.
         channel: ChannelName,
         /// When its last byte arrived.
-        arrival: Stamp<HostClock>,
+        arrival: Timestamp<HostClock>,
         /// When it was read, by the clock of that brick.
-        stamp: Stamp<BrickClock>,
-        /// What it shows.
+        stamp: Timestamp<BrickClock>,
+        /// The reading.
         shown: Celsius,
-        /// What became of it.
-        verdict: Verdict,
-        /// What it will show once it has settled; `None` before the first that could be used.
+        /// Whether the filter used it.
+        verdict: FusionOutcome,
+        /// The predicted final value; `None` before the first usable reading.
         settled: Option<ScalarEstimate>,
     },
     /// The clocks of host and brick were aligned anew.
@@ -75,30 +75,30 @@ pub enum Event {
         /// The robot.
         robot: RobotId,
         /// Brick time minus host time at `host`.
-        offset: Span,
+        offset: TimeDelta,
         /// Rate of the brick's clock against the host's, minus one, in parts per million.
         skew_ppm: f64,
         /// Half the distance between the bounds.
-        uncertainty: Span,
+        uncertainty: TimeDelta,
         /// Round-trip time of the exchange that led to it, if it was one.
-        round_trip: Option<Span>,
+        round_trip: Option<TimeDelta>,
         /// The brick instant at which it was evaluated.
-        brick: Stamp<BrickClock>,
+        brick: Timestamp<BrickClock>,
         /// The host instant at which it was evaluated.
-        host: Stamp<HostClock>,
+        host: Timestamp<HostClock>,
     },
     /// The clocks of host and camera were aligned anew.
     CameraClockAligned {
-        /// Who the camera is.
+        /// The camera.
         camera: Address,
         /// Camera time minus host time at `host`.
-        offset: Span,
+        offset: TimeDelta,
         /// Half the distance between the bounds.
-        uncertainty: Span,
+        uncertainty: TimeDelta,
         /// The camera instant at which it was evaluated.
-        stamp: Stamp<CameraClock>,
+        stamp: Timestamp<CameraClock>,
         /// The host instant at which it was evaluated.
-        host: Stamp<HostClock>,
+        host: Timestamp<HostClock>,
     },
     /// A link changed its state.
     Link {
@@ -117,15 +117,15 @@ pub enum Event {
         sources: Vec<SourceHealth>,
     },
     /// Damaged input was skipped.
-    Defect {
+    ReceiveError {
         /// The link on which it came.
         link: LinkId,
-        /// What was wrong.
-        defect: Defect,
+        /// The fault.
+        defect: ReceiveError,
     },
-    /// A peer sent a line for people.
+    /// A peer sent a status text.
     Text {
-        /// Who sent it.
+        /// The sender.
         source: Address,
         /// MAVLink severity, 0 emergency to 7 debug.
         severity: u8,
@@ -135,20 +135,20 @@ pub enum Event {
 }
 
 impl Event {
-    /// Whether it is shown beside the estimates, by a dashboard or in a recording. Of observations only fixes are shown by themselves;
-    /// what became of the others stands in their records. Each defect is counted in the health of its link.
+    /// Whether viewers show it beside the estimates, on a dashboard or in a recording. Of the observations they show only fixes; the
+    /// fusion records cover the others. Receive errors are counted in the health of their link.
     #[must_use]
     pub const fn is_for_viewers(&self) -> bool {
         match self {
-            Self::Observed { observation, .. } => {
-                matches!(observation.observed, Observed::Fix(_))
+            Self::ObservationAligned { observation, .. } => {
+                matches!(observation.measurement, ObservationKind::Fix(_))
             }
-            Self::Defect { .. } => false,
-            Self::RobotSeen { .. }
+            Self::ReceiveError { .. } => false,
+            Self::RobotDetected { .. }
             | Self::RobotLost { .. }
             | Self::BrickRestarted { .. }
-            | Self::Fused { .. }
-            | Self::Estimated { .. }
+            | Self::ObservationFused { .. }
+            | Self::EstimateUpdated { .. }
             | Self::Temperature { .. }
             | Self::BrickClockAligned { .. }
             | Self::CameraClockAligned { .. }
@@ -164,38 +164,51 @@ impl Event {
 pub enum LinkState {
     /// Bytes can flow.
     Up,
-    /// The peer, the device or the network went away; reconnecting.
+    /// The peer, the device or the network is lost; reconnecting.
     Down,
 }
 
 /// Why a frame's signature was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
-    /// It has none, and this link wants one.
+pub enum SignatureError {
+    /// It has none, and this link requires one.
     Unsigned,
     /// It was not made with our key, or the frame was changed.
-    WrongSignature,
+    Invalid,
     /// It was used before: its time is not later than that of the last frame of its stream.
     Replayed,
     /// Its stream is new, and its time lies more than a minute behind.
     Stale,
 }
 
-/// Damaged input: data, not an error; counted and never the end of a session.
+impl SignatureError {
+    /// The name in exports and event files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unsigned => "unsigned",
+            Self::Invalid => "invalid",
+            Self::Replayed => "replayed",
+            Self::Stale => "stale",
+        }
+    }
+}
+
+/// A fault in received data; counted, and it never ends a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Defect {
+pub enum ReceiveError {
     /// A candidate frame's checksum did not match.
     Checksum {
         /// Message id that the candidate claimed.
         message_id: u32,
-        /// The checksum that stood there.
+        /// The checksum in the frame.
         found: u16,
-        /// The checksum of the bytes.
+        /// The checksum computed from the bytes.
         expected: u16,
     },
     /// Bytes outside every frame.
-    Garbage {
-        /// How many.
+    UnframedBytes {
+        /// Their number.
         bytes: u32,
     },
     /// A header announced a length or flags that its message cannot have.
@@ -206,39 +219,57 @@ pub enum Defect {
         length: u8,
     },
     /// A candidate's bytes stopped coming.
-    Stall {
-        /// How many bytes had come.
+    Timeout {
+        /// The bytes received until then.
         bytes: u32,
     },
-    /// A frame was whole but its payload makes no sense.
+    /// A frame is whole, but its payload is invalid.
     Payload {
         /// The message's id.
         message_id: u32,
     },
     /// Frames are missing before this one, by the sequence numbers and stamps of its sender.
-    Lost {
-        /// Who sent it.
+    SequenceGap {
+        /// The sender.
         source: Address,
-        /// How many more than was known before.
+        /// Missing frames since the last report.
         frames: u32,
     },
-    /// A frame was refused for its signature.
-    Refused {
-        /// Who seems to have sent it.
+    /// A frame's signature was not accepted.
+    SignatureRejected {
+        /// The sender that the frame claims.
         source: Address,
-        /// Why.
-        reason: Refusal,
+        /// The reason.
+        reason: SignatureError,
     },
-    /// A frame bears the station's own address, but the station has not sent it: somebody else has the same one, and neither hears
-    /// the other.
-    Namesake {
+    /// A frame carries the station's own address, but the station has not sent it: another participant has the same address, and
+    /// both ignore each other's frames.
+    AddressConflict {
         /// The message's id.
         message_id: u32,
     },
-    /// The stamp of a message was refused, because its clock is not aligned yet or it is from before a restart; or it contradicts what
-    /// was known of its clock so much that the alignment begins anew.
-    Unaligned {
-        /// Who sent it.
+    /// A message's timestamp was not used: its clock is not aligned yet, or the timestamp is from before a restart, or it contradicts the
+    /// alignment so much that the alignment starts again.
+    ClockNotAligned {
+        /// The sender.
         source: Address,
     },
+}
+
+impl ReceiveError {
+    /// The name in exports and event files.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Checksum { .. } => "checksum",
+            Self::UnframedBytes { .. } => "unframed_bytes",
+            Self::ImpossibleHeader { .. } => "impossible_header",
+            Self::Timeout { .. } => "timeout",
+            Self::Payload { .. } => "payload",
+            Self::SequenceGap { .. } => "sequence_gap",
+            Self::SignatureRejected { .. } => "signature_rejected",
+            Self::AddressConflict { .. } => "address_conflict",
+            Self::ClockNotAligned { .. } => "clock_not_aligned",
+        }
+    }
 }

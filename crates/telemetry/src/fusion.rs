@@ -1,21 +1,21 @@
-//! One record for every attempt to use an observation, whatever the sensor and whatever the outcome.
+//! The record of one attempt to use an observation.
 
-use crate::clock::{BrickClock, Span, Stamp};
+use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ids::SensorId;
 
-/// What became of one observation.
+/// The outcome of one observation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FusionRecord {
     /// The sensor that made the observation.
     pub sensor: SensorId,
-    /// The observation's kind, as [`crate::Observed::kind`] names it.
+    /// The observation's kind, as [`crate::ObservationKind::kind`] names it.
     pub kind: &'static str,
-    /// The instant that it spoke of.
-    pub stamp: Stamp<BrickClock>,
+    /// The observation's timestamp.
+    pub stamp: Timestamp<BrickClock>,
     /// How far behind the filter's time it was.
-    pub lag: Span,
+    pub lag: TimeDelta,
     /// Whether it was used.
-    pub verdict: Verdict,
+    pub outcome: FusionOutcome,
     /// Observed minus predicted, SI units, up to three components; unused ones are zero.
     pub innovation: [f64; 3],
     /// Innovation covariance S, 3 x 3; the block of unused components is zero.
@@ -30,11 +30,11 @@ pub struct FusionRecord {
 
 /// Whether an observation was used, and why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum FusionOutcome {
     /// Used; state and covariance changed.
     Accepted,
-    /// Used, but what it tells of the motion contradicts the gyro beyond chance: wheels slipped, and the gyro was believed. The motion may
-    /// have begun before this observation; it is the first of its sensor after it was noticed.
+    /// Used, but the motion that it implies contradicts the gyro beyond chance: the wheels slipped, and the filter used the gyro instead. The
+    /// slip may have begun before this observation, which is the sensor's first one after the detection.
     Slip,
     /// Further from the prediction than the gate allows; state untouched.
     Gated,
@@ -45,13 +45,13 @@ pub enum Verdict {
     /// The counters jumped to another base: taken as the new base, not as motion.
     Rebased,
     /// The estimate was moved to this observation after a long disagreement.
-    ResetTo,
+    PoseReset,
     /// The filter has no use for this kind of observation.
     Unused,
 }
 
-impl Verdict {
-    /// The verdict in words, as logs and reports print it.
+impl FusionOutcome {
+    /// The outcome in words, as logs and reports print it.
     #[must_use]
     pub const fn reason(self) -> &'static str {
         match self {
@@ -61,7 +61,7 @@ impl Verdict {
             Self::TooOld => "too old",
             Self::Malformed => "malformed",
             Self::Rebased => "re-based",
-            Self::ResetTo => "reset to",
+            Self::PoseReset => "reset to",
             Self::Unused => "unused",
         }
     }

@@ -1,7 +1,7 @@
-//! Who is speaking: systems, components, links, sensors and things in the arena.
+//! Ids of systems, components, links, sensors and objects in the arena.
 //!
-//! Two bytes in a row are never just two bytes: MAVLink's system and component ids have types of their own, and a robot
-//! is known by its link as well, because classes have more robots than eight bits have names.
+//! A robot is identified by its link as well as by its MAVLink address: two robots on different links may have the same
+//! address.
 
 use std::fmt;
 
@@ -25,14 +25,14 @@ id!(/// A MAVLink component within a system. 0 means "all components".
     ComponentId(u8));
 id!(/// One link of this station, in the order in which the configuration names them.
     LinkId(u16));
-id!(/// One peer of a link, in the order in which the link met them. A link with a single peer calls it 0. A peer that was
-    /// forgotten and comes back has a new number, so whoever keeps half a frame per peer starts afresh.
+id!(/// One peer of a link, numbered in the order of first contact. The only peer of a link is 0. A peer that was
+    /// forgotten and comes back has a new number, so that no part of an old frame is joined to its bytes.
     PeerId(u32));
 id!(/// One sensor of a robot, as its wire messages number it.
     SensorId(u8));
-id!(/// A landmark with a known place in the arena.
+id!(/// A landmark at a known position in the arena.
     LandmarkId(u32));
-id!(/// A radio beacon with a known place in the arena.
+id!(/// A radio beacon at a known position in the arena.
     BeaconId(u32));
 
 impl SensorId {
@@ -57,14 +57,14 @@ impl SensorId {
     /// A compass.
     pub const COMPASS: Self = Self(9);
 
-    /// The first of the further cameras; those before it are taken.
+    /// The id of the second camera.
     const SECOND_CAMERA: u8 = 32;
-    /// The names of the further cameras.
+    /// The names of the second camera and those after it.
     const FURTHER_CAMERAS: [&'static str; 7] =
         ["camera 2", "camera 3", "camera 4", "camera 5", "camera 6", "camera 7", "camera 8"];
 
-    /// The camera with this place in the order in which they were first heard, from 0: [`Self::CAMERA`], then up to seven more. What
-    /// comes after them shares the last one.
+    /// The camera with this index, from 0, in the order of their first messages: [`Self::CAMERA`], then up to seven more. All
+    /// further ones share the last id.
     #[must_use]
     pub const fn camera(place: usize) -> Self {
         match place {
@@ -74,16 +74,15 @@ impl SensorId {
         }
     }
 
-    /// What a sensor is called that has no name of its own.
     const UNNAMED: &'static str = "sensor";
 
-    /// Whether it is one of those above: others never observe anything live.
+    /// Whether it is one of the ids above; live observations have no others.
     #[must_use]
     pub fn is_known(self) -> bool {
         self.name() != Self::UNNAMED
     }
 
-    /// The name under which people see this sensor.
+    /// The name for people.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -106,20 +105,20 @@ impl SensorId {
     }
 }
 
-/// The name of one channel of a sender, as people see it and as the configuration spells it: at most sixteen printable ASCII
-/// characters, held in place.
+/// The name of one channel of a sender, as the configuration spells it: at most sixteen printable ASCII characters, stored
+/// inline.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ChannelName {
-    /// Zero behind the end.
-    bytes: [u8; Self::LONGEST],
+    /// Zeros after the name.
+    bytes: [u8; Self::MAX_LEN],
 }
 
 impl ChannelName {
-    /// So many bytes are kept; MAVLink's own names have ten or sixteen.
-    pub const LONGEST: usize = 16;
+    /// The longest name, in bytes; MAVLink's own names have ten or sixteen.
+    pub const MAX_LEN: usize = 16;
 
-    /// The name that stands in these bytes: up to the first zero, or all of them where no terminator is. Whatever is not printable
-    /// ASCII becomes a question mark, because names end up on terminals.
+    /// The name in these bytes, up to the first zero or the longest length. Bytes that are not printable ASCII become question
+    /// marks, because names are printed on terminals.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut name = Self::default();
@@ -134,7 +133,7 @@ impl ChannelName {
     #[must_use]
     pub fn as_str(&self) -> &str {
         let end = self.bytes.iter().position(|byte| *byte == 0);
-        let said = self.bytes.get(..end.unwrap_or(Self::LONGEST));
+        let said = self.bytes.get(..end.unwrap_or(Self::MAX_LEN));
         // Every byte is ASCII, by construction.
         said.and_then(|said| std::str::from_utf8(said).ok()).unwrap_or_default()
     }
@@ -175,10 +174,10 @@ impl fmt::Display for Address {
     }
 }
 
-/// A robot as this station knows it: the address alone is not unique across links.
+/// A robot; the address alone is not unique across links.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RobotId {
-    /// The link on which the robot speaks.
+    /// The robot's link.
     pub link: LinkId,
     /// Its address on that link.
     pub address: Address,

@@ -1,35 +1,34 @@
-//! How well a link is doing, in counts that only grow; but a frame that was missing and comes late is taken off its count.
+//! Counters of links. They only grow, except that a missing frame which arrives late is subtracted again.
 
-use crate::clock::Span;
-
+use crate::clock::TimeDelta;
 use crate::ids::Address;
 
-/// What the port of a link knows and nobody else: what became of the bytes that it was given.
+/// The counters of a link's transport.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PortCounts {
-    /// Bytes that the operating system took, once per peer.
+pub struct LinkCounts {
+    /// Bytes that the operating system accepted, counted for each peer.
     pub bytes_out: u64,
-    /// Frames dropped because the link was slow or down: once per peer where each peer has a queue of its own, once in all
-    /// where they wait for the allowed rate of the whole link and where the link is down.
+    /// Frames dropped because the link was slow or down: counted for each peer where each peer has its own queue, once
+    /// where they wait for the rate limit of the whole link and where the link is down.
     pub drops_out: u64,
-    /// Peers at the moment.
+    /// Peers now.
     pub peers: u32,
-    /// Frames that wait at the moment.
+    /// Queued frames now.
     pub queued_frames: u32,
-    /// Bytes that wait at the moment.
+    /// Queued bytes now.
     pub queued_bytes: u32,
-    /// What the link takes, bytes per second, measured while frames wait; `None` while it has kept up.
+    /// Measured throughput while frames are queued, bytes per second; `None` while the link keeps up.
     pub capacity_bytes_per_s: Option<f64>,
 }
 
-/// What one sender has sent on a link.
+/// The counters of one sender on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SourceHealth {
-    /// Who.
+    /// The sender.
     pub source: Address,
     /// Frames received whole.
     pub frames: u64,
-    /// Frames missing in its sequence numbers; one that comes late is taken off again.
+    /// Frames missing in its sequence numbers; a late one is subtracted again.
     pub lost: u64,
 }
 
@@ -48,32 +47,32 @@ pub struct LinkHealth {
     pub checksum_errors: u64,
     /// Bytes outside every frame.
     pub garbage_bytes: u64,
-    /// Frames with a message id that we do not know (counted; their checksum cannot be verified).
+    /// Frames with an unknown message id; their checksum cannot be verified.
     pub unknown_ids: u64,
     /// Candidates given up because their bytes stopped coming.
-    pub stalls: u64,
-    /// Frames missing in the sequence numbers, summed over the senders; one that comes late is taken off again.
+    pub timeouts: u64,
+    /// Frames missing in the sequence numbers, summed over the senders; a late one is subtracted again.
     pub frames_lost: u64,
     /// Times the link came up again after a loss.
     pub reconnects: u64,
-    /// Outgoing messages dropped because the link was slow or down, or because it does not have them.
+    /// Outgoing messages dropped because the link was slow or down, or because its protocol does not have them.
     pub drops_out: u64,
     /// Frames refused because their signature is missing, wrong or old.
-    pub refused_frames: u64,
-    /// Frames that came a second time, by another way, and were not used again.
+    pub rejected_frames: u64,
+    /// Frames that came a second time over another link, and were not used again.
     pub duplicates: u64,
-    /// Frames under the station's own address that it has not sent: somebody else has the same one.
-    pub namesakes: u64,
-    /// Frames of others that were passed on to this link.
+    /// Frames with the station's own address that it has not sent: another participant has the same address.
+    pub address_conflicts: u64,
+    /// Frames forwarded to this link.
     pub forwarded: u64,
-    /// Frames that this link's inward filter kept out.
+    /// Frames rejected by this link's input filter.
     pub filtered: u64,
-    /// Frames of others and estimates of ours that this link's rate limits held back.
-    pub thinned: u64,
-    /// What the port has counted, as of its last word.
-    pub port: PortCounts,
+    /// Forwarded frames and own estimates dropped by this link's rate limits.
+    pub rate_limited: u64,
+    /// The last counters of the transport.
+    pub port: LinkCounts,
     /// Round-trip time of the last answered time request.
-    pub round_trip: Option<Span>,
-    /// Half the width of the clock bounds: how far a converted stamp may be off.
-    pub clock_uncertainty: Option<Span>,
+    pub round_trip: Option<TimeDelta>,
+    /// Half the width of the clock bounds: the largest error of a converted timestamp.
+    pub clock_uncertainty: Option<TimeDelta>,
 }

@@ -1,26 +1,35 @@
-//! What sensors say about a robot, in SI units and our spaces, free of wire formats.
+//! Observations of sensors in SI units and typed coordinate frames, independent of wire formats.
 
-use crate::clock::{BrickClock, Span, Stamp};
+use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ids::{BeaconId, LandmarkId, SensorId};
 use crate::quantities::{Celsius, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond};
 use crate::spaces::{Arena, Body, Odom, Point2, Pose};
 
-/// One observation, aligned to the brick's clock: what the estimator takes.
+/// One observation, aligned to the brick's clock: the estimator's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Which sensor made it.
+    /// The sensor.
     pub sensor: SensorId,
-    /// The instant that it speaks of: end of the interval for counters and rates, middle of the exposure for images.
-    pub stamp: Stamp<BrickClock>,
+    /// The instant of the measurement: end of the interval for counters and rates, middle of the exposure for images.
+    pub stamp: Timestamp<BrickClock>,
     /// How far `stamp` may be off (one standard deviation), from the alignment of the clocks.
-    pub stamp_sigma: Span,
-    /// What was observed.
-    pub observed: Observed,
+    pub stamp_sigma: TimeDelta,
+    /// The measurement.
+    pub measurement: ObservationKind,
+}
+
+/// Whether the observations of a sensor are used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SensorSwitch {
+    /// They are used.
+    On,
+    /// They are ignored.
+    Off,
 }
 
 /// The kinds of observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Observed {
+pub enum ObservationKind {
     /// Total rotation of each wheel since the counters were zeroed; a jump to zero re-bases, it is not motion.
     WheelAngles {
         /// The left wheel's total rotation, forward positive.
@@ -64,7 +73,7 @@ pub enum Observed {
         /// The distance as measured, bias and scale included.
         range: Meters,
     },
-    /// Range straight ahead to whatever is there.
+    /// Range straight ahead to the nearest object.
     WallRange(Meters),
     /// Heading against the arena, from a compass.
     CompassHeading(Heading),
@@ -72,7 +81,7 @@ pub enum Observed {
     Temperature(Celsius),
 }
 
-impl Observed {
+impl ObservationKind {
     /// The kind's name, as used in reports and in the configuration.
     #[must_use]
     pub const fn kind(&self) -> &'static str {
@@ -95,11 +104,11 @@ impl Observed {
 /// A position in the arena with an optional heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fix {
-    /// Where the observed point (the tag) is.
+    /// Position of the observed point (the tag).
     pub position: Point2<Arena>,
-    /// Where the body points, if the observer can tell.
+    /// Heading of the body, if the observer measures it.
     pub heading: Option<Heading>,
-    /// What the observer claims about its error; `None` takes the configured noise.
+    /// Covariance as reported by the observer; `None` means the configured noise.
     pub covariance: Option<PositionCovariance>,
     /// The observed point in the body's space: the lever arm from mid-axle to the tag.
     pub tag_in_body: Point2<Body>,

@@ -1,43 +1,43 @@
-//! For whom outgoing bytes are, and what may happen to them on a slow link.
+//! Recipients and priority of outgoing frames.
 
 use crate::ids::PeerId;
 
-/// For whom a frame is.
+/// The recipients of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Audience {
+pub enum Recipients {
     /// Every peer of the link.
     All,
-    /// One of them; nobody if it has gone.
+    /// One peer; nobody if it is no longer there.
     Peer(PeerId),
-    /// Every peer but one: the one that a forwarded frame came from.
-    AllBut(PeerId),
+    /// Every peer but the one from which a forwarded frame came.
+    AllExcept(PeerId),
 }
 
-impl Audience {
-    /// Whether a peer belongs to it.
+impl Recipients {
+    /// Whether a peer is among the recipients.
     #[must_use]
     pub fn includes(self, peer: PeerId) -> bool {
         match self {
             Self::All => true,
             Self::Peer(only) => only == peer,
-            Self::AllBut(origin) => origin != peer,
+            Self::AllExcept(origin) => origin != peer,
         }
     }
 }
 
-/// What a frame is worth while a slow link backs up: of an earlier variant more is kept, and it is sent before a later one.
+/// The priority of a frame while a slow link backs up. Earlier variants are sent first, and more of them are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
-    /// Somebody waits for it and will not ask twice: it goes first and makes room for nothing. It is given up only when too
-    /// many wait already, when the system refuses it, and when the connection breaks (docs/links.md).
+    /// A frame that is not sent again by itself. It goes first and is never displaced. It is dropped only when too many wait
+    /// already, when the system refuses it, or when the connection breaks (docs/links.md).
     Command,
-    /// Heartbeats and time requests: said again soon.
-    Conversation,
-    /// Telemetry of somebody else that is passed on.
+    /// Heartbeats and time requests: repeated soon.
+    Session,
+    /// Forwarded frames.
     Forwarded,
-    /// An estimate: worth nothing once the next one of the same stream is there.
+    /// An estimate; the next one of the same stream replaces it.
     Estimate {
-        /// Which stream of the link: the message id.
+        /// The stream: the message id.
         stream: u32,
     },
 }

@@ -1,7 +1,7 @@
 //! Physical quantities as newtypes over `f64`, for use at crate boundaries.
 //!
 //! Only the operators with a physical meaning exist: a heading minus a heading is an angle, but two headings do
-//! not add. Inside the filters the numbers are plain SI `f64`; these types guard the doors.
+//! not add. Inside the filters the numbers are plain SI `f64`.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;

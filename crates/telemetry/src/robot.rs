@@ -1,4 +1,4 @@
-//! What is known about a robot before it moves: its geometry and the noise of its sensors.
+//! The configured properties of a robot: its geometry and the noise of its sensors.
 
 use crate::quantities::{Meters, Radians};
 
@@ -55,7 +55,7 @@ pub struct SensorNoise {
 }
 
 impl SensorNoise {
-    /// No noise at all: what a robot's own numbers are filled into.
+    /// No noise: the base for a robot's own numbers.
     pub const EXACT: Self = Self {
         wheel_travel_m_per_sqrt_m: 0.0,
         travel_m_per_sqrt_m: 0.0,

@@ -1,23 +1,23 @@
-//! What a person may do to the simulated brick while it drives: faults, and who steers.
+//! Commands to the simulated brick while it drives: faults, and steering.
 //!
-//! Values only. They are [`Command`](crate::Command)s like the others and so part of a recording; the pipeline hands them on as a
-//! [`Request`](crate::Request), and whoever owns the simulated brick carries them out. docs/simulator-commands.md tells what each does.
+//! They are [`Command`](crate::Command)s like the others and so part of a recording; the station passes them on as a
+//! [`Request`](crate::Request), and the program that runs the simulated brick carries them out. docs/simulator-commands.md describes each.
 
 use std::f64::consts::PI;
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use crate::clock::Span;
-use crate::command::Switch;
+use crate::clock::TimeDelta;
 use crate::ids::ChannelName;
+use crate::observation::SensorSwitch;
 
 /// The name of a link profile: that of a file in `config/links/` without its ending.
 pub type ProfileName = ChannelName;
 
-/// Something that happens to the simulated brick.
+/// A command to the simulated brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SimulatorCommand {
-    /// The robot is lifted and put down elsewhere; its wheels spin in the air and count.
+    /// Carry the robot elsewhere; its wheels spin in the air, and the encoders count.
     Kidnap {
         /// How far along its own x axis it is carried, in metres.
         forward_m: f64,
@@ -26,52 +26,52 @@ pub enum SimulatorCommand {
         /// By how much it is turned there, counter-clockwise, in radians.
         turn_rad: f64,
     },
-    /// Wheels lose grip: they turn and count, and the floor does not follow.
+    /// Wheels lose grip: the encoders count, but the robot moves less.
     Slip {
-        /// Which.
+        /// The wheels that slip.
         wheel: SlippingWheel,
-        /// The share of their travel that is lost: 0 grips, 1 spins on the spot.
+        /// The share of their travel that is lost: 0 is full grip, 1 spins on the spot.
         factor: f64,
         /// For how long.
-        duration: Span,
+        duration: TimeDelta,
     },
-    /// The camera sees, or is covered.
-    Camera(Switch),
-    /// What the camera has seen is told so much later from here on.
+    /// Uncover or cover the camera.
+    Camera(SensorSwitch),
+    /// Set the latency of the camera's fixes.
     CameraDelay {
         /// From the middle of the exposure to the first byte.
-        delay: Span,
+        delay: TimeDelta,
     },
-    /// The gyro shows so much more from here on.
+    /// Add a step to the gyro's bias.
     GyroBiasStep {
         /// The step, in radians per second.
         rad_per_s: f64,
     },
-    /// The brick's link gets worse, or is as it was.
+    /// Impair the brick's link by a profile, or stop impairing it.
     LinkProfile(Option<ProfileName>),
-    /// The brick's cable is pulled out and put in again.
+    /// Disconnect the brick's cable for a while.
     PullCable {
-        /// For how long it is out.
-        duration: Span,
+        /// How long it is disconnected.
+        duration: TimeDelta,
     },
-    /// By what the brick steers from here on.
+    /// Select the pose by which the brick steers.
     Steering(SteeringSource),
-    /// A person drives; holds for [`HELD_FOR`].
+    /// Drive by hand; holds for [`DRIVE_HOLD_TIME`].
     Drive {
         /// Forward speed, in metres per second.
         forward_m_per_s: f64,
         /// Turn rate, counter-clockwise, in radians per second.
         turn_rad_per_s: f64,
     },
-    /// The brick drives its path again, from where the path is nearest.
+    /// Return to the path, at its nearest point.
     Path,
 }
 
-/// A speed that a person asked for holds for so long; then the brick stands, unless it was asked for again. Keyboards repeat a key that is held
-/// after 250 ms to 500 ms at first, so that a held key never lets the brick stop.
-pub const HELD_FOR: Span = Span::from_millis(500);
+/// How long the brick drives at a speed set by hand; then it stops, unless the command comes again. Keyboards repeat a held key after 250 ms to
+/// 500 ms, so the brick does not stop while a key is held.
+pub const DRIVE_HOLD_TIME: TimeDelta = TimeDelta::from_millis(500);
 
-/// Which wheels lose grip.
+/// The wheels that lose grip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlippingWheel {
     /// The left one.
@@ -83,12 +83,12 @@ pub enum SlippingWheel {
 }
 
 impl SlippingWheel {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 3] = [Self::Left, Self::Right, Self::Both];
 
     /// Its word, as a command's JSON spells it.
     #[must_use]
-    pub const fn word(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::Left => "left",
             Self::Right => "right",
@@ -97,7 +97,7 @@ impl SlippingWheel {
     }
 }
 
-/// By what the simulated brick steers.
+/// The pose by which the simulated brick steers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SteeringSource {
     /// Its own dead reckoning.
@@ -107,12 +107,12 @@ pub enum SteeringSource {
 }
 
 impl SteeringSource {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 2] = [Self::Odometry, Self::Estimate];
 
     /// Its word, as a command's JSON spells it.
     #[must_use]
-    pub const fn word(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::Odometry => "odometry",
             Self::Estimate => "estimate",
@@ -120,60 +120,56 @@ impl SteeringSource {
     }
 }
 
-/// A number of a command, as people and programs give it.
+/// A number of a command and its permitted range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NumberField {
     /// The command's name in JSON.
     pub command: &'static str,
     /// The field's name in JSON, with its unit.
     pub field: &'static str,
-    /// The least value that is taken.
-    pub least: f64,
-    /// The largest value that is taken.
-    pub most: f64,
+    /// The smallest permitted value.
+    pub minimum: f64,
+    /// The largest permitted value.
+    pub maximum: f64,
 }
 
 impl NumberField {
-    const fn new(command: &'static str, field: &'static str, range: (f64, f64)) -> Self {
-        Self { command, field, least: range.0, most: range.1 }
-    }
-
-    /// What may stand there.
+    /// The permitted range.
     #[must_use]
     pub const fn range(&self) -> RangeInclusive<f64> {
-        self.least..=self.most
+        self.minimum..=self.maximum
     }
 
-    fn check(&'static self, value: f64) -> Result<(), OutOfRange> {
-        // A number that is not finite is in no range.
+    fn validate(&'static self, value: f64) -> Result<(), OutOfRange> {
+        // NaN is in no range.
         if self.range().contains(&value) { Ok(()) } else { Err(OutOfRange { field: self, value }) }
     }
 }
 
-/// A number of a command that makes no sense.
+/// A number of a command that is out of its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutOfRange {
-    /// Which.
+    /// The number's field.
     pub field: &'static NumberField,
-    /// What stood there.
+    /// The value.
     pub value: f64,
 }
 
 impl fmt::Display for OutOfRange {
-    // Short, because it has to fit into a STATUSTEXT.
+    // At most 50 characters, the length of a STATUSTEXT.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NumberField { command, field, least, most } = self.field;
+        let NumberField { command, field, minimum: least, maximum: most } = self.field;
         write!(f, "{command}: {field} {:?} not in {least}..{most}", self.value)
     }
 }
 
 impl std::error::Error for OutOfRange {}
 
-/// Every number of every command, with what may stand there.
+/// Every number of every command, with its range.
 ///
-/// Lengths: the arenas of the bundled scenarios are smaller than 10 m. Times: a minute is as long as somebody watches; a tenth of a second is
-/// shorter than a hand pulls a cable. Delay: 5 s is older than the filter keeps late fixes for. Bias: 1 rad/s is ten times what a cheap gyro
-/// of docs/simulated-brick.md has. Speeds: beyond what the simulated motors can do, 0.44 m/s at 8 V, so that a key means "as fast as it can".
+/// Lengths: the arenas of the bundled scenarios are smaller than 10 m. Times: from a tenth of a second, shorter than a person unplugs a cable,
+/// to a minute. Delay: 5 s is longer than the filter keeps its history. Bias: 1 rad/s is ten times that of the cheap gyro of
+/// docs/simulated-brick.md. Speeds: more than the simulated motors reach (0.44 m/s at 8 V), so the limit means "full speed".
 pub const NUMBER_FIELDS: [&NumberField; 10] = [
     &KIDNAP_FORWARD,
     &KIDNAP_LEFT,
@@ -187,20 +183,25 @@ pub const NUMBER_FIELDS: [&NumberField; 10] = [
     &DRIVE_TURN,
 ];
 
-/// Divided by these, as the spans' own products are rounded: a minute is 60 s and not a bit more.
+/// A division is exact for whole seconds; the product in `TimeDelta::as_secs_f64` is not, and would put 60 s out of range.
 const NANOS_PER_SECOND: f64 = 1e9;
 const NANOS_PER_MILLISECOND: f64 = 1e6;
 
-static KIDNAP_FORWARD: NumberField = NumberField::new("kidnap", "forward_m", (-10.0, 10.0));
-static KIDNAP_LEFT: NumberField = NumberField::new("kidnap", "left_m", (-10.0, 10.0));
-static KIDNAP_TURN: NumberField = NumberField::new("kidnap", "turn_rad", (-PI, PI));
-static SLIP_FACTOR: NumberField = NumberField::new("slip", "factor", (0.0, 1.0));
-static SLIP_SECONDS: NumberField = NumberField::new("slip", "seconds", (0.1, 60.0));
-static CAMERA_DELAY: NumberField = NumberField::new("camera-delay", "delay_ms", (0.0, 5_000.0));
-static GYRO_BIAS: NumberField = NumberField::new("gyro-bias-step", "rad_per_s", (-1.0, 1.0));
-static CABLE_SECONDS: NumberField = NumberField::new("pull-cable", "seconds", (0.1, 60.0));
-static DRIVE_FORWARD: NumberField = NumberField::new("drive", "forward_m_per_s", (-1.0, 1.0));
-static DRIVE_TURN: NumberField = NumberField::new("drive", "turn_rad_per_s", (-6.3, 6.3));
+static KIDNAP_FORWARD: NumberField =
+    NumberField { command: "kidnap", field: "forward_m", minimum: -10.0, maximum: 10.0 };
+static KIDNAP_LEFT: NumberField = NumberField { command: "kidnap", field: "left_m", minimum: -10.0, maximum: 10.0 };
+static KIDNAP_TURN: NumberField = NumberField { command: "kidnap", field: "turn_rad", minimum: -PI, maximum: PI };
+static SLIP_FACTOR: NumberField = NumberField { command: "slip", field: "factor", minimum: 0.0, maximum: 1.0 };
+static SLIP_SECONDS: NumberField = NumberField { command: "slip", field: "seconds", minimum: 0.1, maximum: 60.0 };
+static CAMERA_DELAY: NumberField =
+    NumberField { command: "camera-delay", field: "delay_ms", minimum: 0.0, maximum: 5_000.0 };
+static GYRO_BIAS: NumberField =
+    NumberField { command: "gyro-bias-step", field: "rad_per_s", minimum: -1.0, maximum: 1.0 };
+static CABLE_SECONDS: NumberField =
+    NumberField { command: "pull-cable", field: "seconds", minimum: 0.1, maximum: 60.0 };
+static DRIVE_FORWARD: NumberField =
+    NumberField { command: "drive", field: "forward_m_per_s", minimum: -1.0, maximum: 1.0 };
+static DRIVE_TURN: NumberField = NumberField { command: "drive", field: "turn_rad_per_s", minimum: -6.3, maximum: 6.3 };
 
 impl SimulatorCommand {
     /// Its name in JSON.
@@ -220,39 +221,42 @@ impl SimulatorCommand {
         }
     }
 
-    /// Whether its numbers make sense.
+    /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// One of them is out of its range or not finite.
-    pub fn check(&self) -> Result<(), OutOfRange> {
+    /// A number is out of its range or not finite.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
         match *self {
             Self::Kidnap { forward_m, left_m, turn_rad } => {
-                KIDNAP_FORWARD.check(forward_m)?;
-                KIDNAP_LEFT.check(left_m)?;
-                KIDNAP_TURN.check(turn_rad)
+                KIDNAP_FORWARD.validate(forward_m)?;
+                KIDNAP_LEFT.validate(left_m)?;
+                KIDNAP_TURN.validate(turn_rad)
             }
             Self::Slip {
                 wheel: SlippingWheel::Left | SlippingWheel::Right | SlippingWheel::Both,
                 factor,
                 duration,
             } => {
-                SLIP_FACTOR.check(factor)?;
-                SLIP_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND)
+                SLIP_FACTOR.validate(factor)?;
+                SLIP_SECONDS.validate(duration.as_nanos() as f64 / NANOS_PER_SECOND)
             }
-            Self::CameraDelay { delay } => CAMERA_DELAY.check(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND),
-            Self::GyroBiasStep { rad_per_s } => GYRO_BIAS.check(rad_per_s),
-            Self::PullCable { duration } => CABLE_SECONDS.check(duration.as_nanos() as f64 / NANOS_PER_SECOND),
+            Self::CameraDelay { delay } => CAMERA_DELAY.validate(delay.as_nanos() as f64 / NANOS_PER_MILLISECOND),
+            Self::GyroBiasStep { rad_per_s } => GYRO_BIAS.validate(rad_per_s),
+            Self::PullCable { duration } => CABLE_SECONDS.validate(duration.as_nanos() as f64 / NANOS_PER_SECOND),
             Self::Drive { forward_m_per_s, turn_rad_per_s } => {
-                DRIVE_FORWARD.check(forward_m_per_s)?;
-                DRIVE_TURN.check(turn_rad_per_s)
+                DRIVE_FORWARD.validate(forward_m_per_s)?;
+                DRIVE_TURN.validate(turn_rad_per_s)
             }
-            Self::Camera(Switch::On | Switch::Off) | Self::LinkProfile(_) | Self::Steering(_) | Self::Path => Ok(()),
+            Self::Camera(SensorSwitch::On | SensorSwitch::Off)
+            | Self::LinkProfile(_)
+            | Self::Steering(_)
+            | Self::Path => Ok(()),
         }
     }
 }
 
 impl fmt::Display for SimulatorCommand {
-    /// What happens, for people: the name first.
+    /// The name with the command's values, for people.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.name();
         match self {
@@ -260,16 +264,16 @@ impl fmt::Display for SimulatorCommand {
                 write!(f, "{name}: {forward_m:.2} m forward, {left_m:.2} m left, {:.0} deg", turn_rad.to_degrees())
             }
             Self::Slip { wheel, factor, duration } => {
-                write!(f, "{name}: {} lost {:.0} % for {:.1} s", wheel.word(), factor * 100.0, duration.as_secs_f64())
+                write!(f, "{name}: {} lost {:.0} % for {:.1} s", wheel.as_str(), factor * 100.0, duration.as_secs_f64())
             }
-            Self::Camera(Switch::On) => write!(f, "{name}: on"),
-            Self::Camera(Switch::Off) => write!(f, "{name}: off"),
+            Self::Camera(SensorSwitch::On) => write!(f, "{name}: on"),
+            Self::Camera(SensorSwitch::Off) => write!(f, "{name}: off"),
             Self::CameraDelay { delay } => write!(f, "{name}: {:.0} ms", delay.as_millis_f64()),
             Self::GyroBiasStep { rad_per_s } => write!(f, "{name}: {rad_per_s} rad/s"),
             Self::LinkProfile(Some(profile)) => write!(f, "{name}: {profile}"),
             Self::LinkProfile(None) => write!(f, "{name}: none"),
             Self::PullCable { duration } => write!(f, "{name}: {:.1} s", duration.as_secs_f64()),
-            Self::Steering(source) => write!(f, "{name}: by {}", source.word()),
+            Self::Steering(source) => write!(f, "{name}: by {}", source.as_str()),
             Self::Drive { forward_m_per_s, turn_rad_per_s } => {
                 write!(f, "{name}: {forward_m_per_s:.2} m/s, {turn_rad_per_s:.2} rad/s")
             }
@@ -287,10 +291,10 @@ mod tests {
         let slip = |factor, millis| SimulatorCommand::Slip {
             wheel: SlippingWheel::Both,
             factor,
-            duration: Span::from_millis(millis),
+            duration: TimeDelta::from_millis(millis),
         };
-        assert_eq!(slip(1.0, 60_000).check(), Ok(()));
-        let told = |command: SimulatorCommand| command.check().unwrap_err().to_string();
+        assert_eq!(slip(1.0, 60_000).validate(), Ok(()));
+        let told = |command: SimulatorCommand| command.validate().unwrap_err().to_string();
         assert_eq!(told(slip(1.5, 1_000)), "slip: factor 1.5 not in 0..1");
         assert_eq!(told(slip(0.5, 0)), "slip: seconds 0.0 not in 0.1..60");
         let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: f64::NAN, turn_rad: 0.0 };

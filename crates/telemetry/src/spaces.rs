@@ -25,7 +25,7 @@ use std::ops::Mul;
 
 use crate::quantities::{Heading, Meters};
 
-/// Marks a space; implemented only by the five spaces of this module.
+/// A space; implemented only by the five spaces of this module.
 pub trait Space: Copy + fmt::Debug {
     /// The space's name in messages to people.
     const NAME: &'static str;
@@ -109,7 +109,7 @@ pub struct Transform2<Target, Source> {
     spaces: PhantomData<(Target, Source)>,
 }
 
-/// Where a body is in the space `S`, and where it points.
+/// Position and heading of a body in the space `S`.
 pub type Pose<S> = Transform2<S, Body>;
 
 impl<Target, Source> Transform2<Target, Source> {

@@ -1,13 +1,14 @@
-//! Any bytes to a brick: what it takes for an estimate is finite and lay there whole, what it answers the station understands.
+//! Any bytes to a brick: an accepted estimate is finite and was in the bytes as a whole, and the station understands
+//! every reply.
 
 use posebridge_brick::{Link, Received, Receiver};
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Scanned, Scanner, ScannerConfig};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::Stamp;
+use posebridge_telemetry::Timestamp;
 
 /// The shortest frame: one byte of payload.
-const SHORTEST: usize = 13;
+const MIN_ANSWER_BYTES: usize = 13;
 
 /// Input: the bytes of a link.
 pub(crate) fn check(data: &[u8]) {
@@ -28,22 +29,22 @@ pub(crate) fn check(data: &[u8]) {
             }
         }
     }
-    assert!(frames * SHORTEST <= data.len(), "{frames} frames");
+    assert!(frames * MIN_ANSWER_BYTES <= data.len(), "{frames} frames");
 }
 
 /// The answer is one frame, and in it the brick's 7 microseconds.
 fn assert_answer(answer: &[u8]) {
     let mut answers = 0;
-    let mut take = |found: Scanned<'_>| {
-        if let Scanned::Frame(frame) = found {
+    let mut take = |found: FramerOutput<'_>| {
+        if let FramerOutput::Frame(frame) = found {
             assert_eq!(frame.raw, answer);
             let message = decode(&frame).ok().flatten();
             assert!(matches!(message, Some(Message::TimeSync(sync)) if sync.answer_nanos == 7_000), "{message:?}");
             answers += 1;
         }
     };
-    let mut scanner = Scanner::new(ScannerConfig::default());
-    scanner.push(Stamp::ZERO, answer, &mut take);
+    let mut scanner = Framer::new(FramerConfig::default());
+    scanner.push(Timestamp::ZERO, answer, &mut take);
     scanner.finish(&mut take);
     assert_eq!(answers, 1);
 }

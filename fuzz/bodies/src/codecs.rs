@@ -1,5 +1,5 @@
-//! Any bytes and any time to the codecs of bricks that speak no MAVLink: they never stick, ask no more than they may, and what they believe
-//! is a number.
+//! Any bytes and any time to the codecs of bricks without MAVLink: they make progress, keep their limits of requests,
+//! and decode only finite numbers.
 
 #![expect(
     clippy::expect_used,
@@ -7,20 +7,22 @@
     reason = "a body stops at the first thing that must not be"
 )]
 
+use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroReading, GyroSettings, SensorPort,
 };
-use posebridge_protocol::bricks::fixes::FixSettings;
-use posebridge_protocol::bricks::line::{Checksum, Column, LineLayout, LineSettings, QUANTITIES, Separator};
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
-use posebridge_protocol::framing::Framing;
+use posebridge_protocol::bricks::text_line::{
+    ChecksumPolicy, Column, LineLayout, QUANTITIES, Separator, TextLineSettings,
+};
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, brick_protocol};
+use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 
 use crate::operands::Operands;
 
 /// Most questions of the EV3's codec that may leave at once: four that wait and one that opens the brick.
-const MOST_QUESTIONS: usize = 5;
+const MAX_REQUESTS: usize = 5;
 /// No gyro turns faster, rad/s.
 const FASTEST_RAD_PER_S: f64 = 100.0;
 
@@ -39,7 +41,7 @@ pub(crate) fn check_ev3(data: &[u8]) {
             .then_some(DistanceSettings { port: SensorPort::P4, kind: DistanceKind::Infrared }),
         ..Ev3Settings::default()
     };
-    run("ev3", &BrickSettings { ev3: settings, ..BrickSettings::default() }, operands);
+    run("ev3", &CodecSettings { ev3: settings, ..CodecSettings::default() }, operands);
 }
 
 /// Input: separator, checksum and columns, then operations as above.
@@ -50,7 +52,7 @@ pub(crate) fn check_line(data: &[u8]) {
     let separator = separators[usize::from(options & 3)];
     let which = operands.number();
     let chosen = QUANTITIES.iter().enumerate().filter(|(index, _)| which >> index & 1 == 1);
-    let columns: Vec<Column> = chosen.map(|(_, (_, quantity))| Column::of(*quantity)).collect();
+    let columns: Vec<Column> = chosen.map(|(_, (_, quantity))| Column::new(*quantity)).collect();
     let layout = if options & 4 == 0 {
         LineLayout::Columns { columns, separator }
     } else {
@@ -61,85 +63,86 @@ pub(crate) fn check_line(data: &[u8]) {
             key_separator: separators[usize::from(options >> 3 & 3)],
         }
     };
-    let settings = LineSettings {
+    let settings = TextLineSettings {
         layout,
-        checksum: if options & 32 == 0 { Checksum::Optional } else { Checksum::Required },
-        ..LineSettings::default()
+        checksum: if options & 32 == 0 { ChecksumPolicy::Optional } else { ChecksumPolicy::Required },
+        ..TextLineSettings::default()
     };
     // A layout that is refused is read all the same: nothing may break by it.
-    let _ = settings.check();
-    run("line", &BrickSettings { line: settings, ..BrickSettings::default() }, operands);
+    let _ = settings.validate();
+    run("line", &CodecSettings { line: settings, ..CodecSettings::default() }, operands);
 }
 
 /// Input: framing and quality, then operations as above; odd lengths come from another sender than even ones.
 pub(crate) fn check_camera_json(data: &[u8]) {
     let mut operands = Operands::new(data);
     let options = operands.byte();
-    let framing = if options & 1 == 0 { Framing::Stream } else { Framing::Datagram };
-    let fixes = FixSettings { framing, least_quality: f64::from(options >> 1 & 63), ..FixSettings::default() };
-    run("camera-json", &BrickSettings { fixes, ..BrickSettings::default() }, operands);
+    let framing = if options & 1 == 0 { TransportKind::Stream } else { TransportKind::Datagram };
+    let fixes =
+        CameraJsonSettings { framing, min_quality: f64::from(options >> 1 & 63), ..CameraJsonSettings::default() };
+    run("camera-json", &CodecSettings { fixes, ..CodecSettings::default() }, operands);
 }
 
-fn run(name: &str, settings: &BrickSettings, mut operands: Operands<'_>) {
+fn run(name: &str, settings: &CodecSettings, mut operands: Operands<'_>) {
     let protocol = brick_protocol(name).expect("there is a row of this name");
     let mut codec = (protocol.open)(settings);
-    let mut now = Stamp::ZERO;
+    let mut now = Timestamp::ZERO;
     let mut pushed = 0;
-    codec.begin(now);
-    questions(&mut *codec);
+    codec.on_link_up(now);
+    drain_requests(&mut *codec);
     while !operands.is_empty() {
         let operation = operands.byte();
         if operation < 128 {
-            let bytes = operands.part(usize::from(operation));
+            let bytes = operands.take_up_to(usize::from(operation));
             pushed += bytes.len() as u64;
             let peer = PeerId(u32::from(operation & 1));
-            codec.push_from(now, peer, bytes, &mut believe);
+            codec.push_from_peer(now, peer, bytes, &mut check_event);
         } else {
-            now = now + Span::from_millis(i64::from(operation - 127) * 9);
-            let is_due = |due: &Stamp<HostClock>| *due <= now;
+            now = now + TimeDelta::from_millis(i64::from(operation - 127) * 9);
+            let is_due = |due: &Timestamp<HostClock>| *due <= now;
             if codec.deadline().as_ref().is_some_and(is_due) {
-                codec.tick(now, &mut believe);
-                questions(&mut *codec);
+                codec.tick(now, &mut check_event);
+                drain_requests(&mut *codec);
                 assert!(codec.deadline().is_none_or(|due| due > now), "{name} is stuck");
             }
         }
-        questions(&mut *codec);
+        drain_requests(&mut *codec);
         let garbage = codec.counters().garbage_bytes;
         assert!(garbage <= pushed, "{garbage} of {pushed} bytes");
     }
     // After a silence nothing is held back any more but what is asked anew.
     for _ in 0..4 {
-        now = now + Span::from_millis(5_000);
-        codec.tick(now, &mut believe);
-        questions(&mut *codec);
+        now = now + TimeDelta::from_millis(5_000);
+        codec.tick(now, &mut check_event);
+        drain_requests(&mut *codec);
     }
-    codec.begin(now);
-    questions(&mut *codec);
+    codec.on_link_up(now);
+    drain_requests(&mut *codec);
 }
 
-fn questions(codec: &mut dyn BrickCodec) {
+fn drain_requests(codec: &mut dyn BrickCodec) {
     let mut questions = 0;
     while let Some(bytes) = codec.poll() {
         questions += 1;
         assert!(!bytes.is_empty());
-        assert!(questions <= MOST_QUESTIONS, "{questions} questions at once");
+        assert!(questions <= MAX_REQUESTS, "{questions} questions at once");
     }
 }
 
 /// What is said must be a number that can be.
-fn believe(heard: Heard<'_>) {
+fn check_event(heard: CodecEvent<'_>) {
     match heard {
-        Heard::Message { message, .. } => believe_message(&message),
-        Heard::Time { peer_nanos, .. } => assert!(peer_nanos >= 0),
-        Heard::Note { text, .. } => {
+        CodecEvent::Message { message, .. } => check_message(&message),
+        CodecEvent::ClockReply { peer_nanos, .. } => assert!(peer_nanos >= 0),
+        CodecEvent::StatusText { text, .. } => {
             assert!(text.bytes().all(|byte| matches!(byte, 0x20..=0x7E)), "{text:?}");
         }
-        Heard::Defect(_) => {}
-        Heard::Other(frame) => panic!("these bricks send no {frame:?}"),
+        CodecEvent::Error(_) => {}
+        CodecEvent::ForwardFrame(frame) => panic!("these bricks send no {frame:?}"),
     }
 }
 
-fn believe_message(message: &Message) {
+fn check_message(message: &Message) {
     match message {
         Message::Inertial(inertial) => {
             let rate = inertial.turn_rate.expect("a gyro says a rate");

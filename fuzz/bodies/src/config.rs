@@ -1,4 +1,4 @@
-//! Any text as a configuration: it is refused with a key or a line, or it can be printed, read again and built.
+//! Any text as a configuration: it is rejected with a key or a line, or it can be printed, read again and built.
 
 use posebridge::config::{Config, Loaded, load_text, print};
 
@@ -19,7 +19,7 @@ fn check_loaded(loaded: &Loaded) {
     if let Err(error) = config.targets() {
         assert_names_a_place(&format!("{error:#}"));
     }
-    if let Err(error) = config.pipeline() {
+    if let Err(error) = config.station_config() {
         assert_names_a_place(&format!("{error:#}"));
     }
     assert!(print(loaded).is_ok(), "a configuration cannot be printed");

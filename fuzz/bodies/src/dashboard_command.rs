@@ -1,9 +1,9 @@
-//! The JSON of a command of the dashboard, as any page or program may send it.
+//! Any JSON as a command of the dashboard.
 //!
-//! What is taken is of the row that it names, with every number in its range; what is refused says why in one short line without
-//! control characters, because the line goes to pages and terminals.
+//! An accepted command matches the row that it names, with every number in its range; a rejection gives its reason in
+//! one short line without control characters, because the line is shown on pages and terminals.
 
-use posebridge_dashboard::command::{COMMANDS, read};
+use posebridge_dashboard::command::{COMMANDS, parse};
 use posebridge_telemetry::Command;
 
 /// Longer than the longest refusal, which lists all commands.
@@ -11,14 +11,14 @@ const LONGEST_REFUSAL: usize = 1_000;
 
 /// Input: the text.
 pub(crate) fn check(data: &[u8]) {
-    match read(data) {
+    match parse(data) {
         Ok((name, command)) => {
             assert!(COMMANDS.iter().any(|row| row.name == name), "{name}");
             if let Command::Simulator(simulated) = command {
                 assert_eq!(simulated.name(), name);
-                assert_eq!(simulated.check(), Ok(()));
+                assert_eq!(simulated.validate(), Ok(()));
             }
-            assert_eq!(read(data), Ok((name, command)), "the same text twice");
+            assert_eq!(parse(data), Ok((name, command)), "the same text twice");
         }
         Err(error) => {
             let why = error.to_string();

@@ -1,8 +1,8 @@
-//! Any payload of any message that we understand: what decodes also encodes, scans and decodes again.
+//! Any payload of any known message: what decodes can be encoded, framed and decoded again.
 
 use posebridge_protocol::dialect::{Encoder, MESSAGES, decode};
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
-use posebridge_telemetry::{Address, Stamp};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion};
+use posebridge_telemetry::{Address, Timestamp};
 
 /// Input: one byte that chooses the message, then the payload.
 pub(crate) fn check(data: &[u8]) {
@@ -19,26 +19,26 @@ pub(crate) fn check(data: &[u8]) {
         payload: &payload[..payload.len().min(255)],
         raw: &[],
     };
-    numbered(data);
+    decode_numbered(data);
     let Ok(Some(message)) = decode(&frame) else {
         return;
     };
     let mut bytes = Vec::new();
     Encoder::new(WireVersion::V2).encode(source, &message, &mut bytes);
     let mut seen = 0;
-    Scanner::new(ScannerConfig::default()).push(Stamp::ZERO, &bytes, &mut |found| {
-        if let Scanned::Frame(frame) = found {
+    Framer::new(FramerConfig::default()).push(Timestamp::ZERO, &bytes, &mut |found| {
+        if let FramerOutput::Frame(frame) = found {
             assert_eq!(frame.message_id, info.id);
             assert!(matches!(decode(&frame), Ok(Some(_))), "{message:?}");
             seen += 1;
         }
     });
     assert_eq!(seen, 1);
-    assert!(numbered(&bytes), "{message:?}");
+    assert!(decode_numbered(&bytes), "{message:?}");
 }
 
 /// Whether bytes are a frame that can be given another number; then it is still a frame that says the same, else nothing was changed.
-fn numbered(bytes: &[u8]) -> bool {
+fn decode_numbered(bytes: &[u8]) -> bool {
     let mut renumbered = bytes.to_vec();
     let outcome = Encoder::new(WireVersion::V2).renumber(&mut renumbered);
     let differs = bytes.iter().zip(&renumbered).filter(|(a, b)| a != b);

@@ -1,9 +1,9 @@
-//! What must hold for any input, one module per untrusted input.
+//! Properties that hold for any input, one module for each untrusted input.
 //!
-//! A body takes bytes, gives them to one part of the program and panics when a promise of that part is broken. The bodies
-//! stand in a crate of their own so that two drivers share them: libFuzzer (`fuzz/`, which needs a nightly compiler) and
-//! the short run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic: the same bytes take
-//! the same way. They read no clock, file or network.
+//! A body takes bytes, gives them to one part of the program and panics when a property does not hold. The bodies are a
+//! crate of their own so that two drivers share them: libFuzzer (`fuzz/`, which needs a nightly compiler) and the short
+//! run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic and read no clock, file or
+//! network.
 
 mod brick;
 mod codecs;

@@ -1,4 +1,4 @@
-//! Reads the operands of a program of random operations from a fuzzer's bytes.
+//! Reads the operands of random operations from a fuzzer's bytes.
 
 /// What is left of the bytes. When they are used up, numbers are zero and parts are empty: the shortest input is a program, too.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +15,7 @@ impl<'a> Operands<'a> {
 
     /// One byte.
     pub(crate) fn byte(&mut self) -> u8 {
-        self.part(1).first().copied().unwrap_or(0)
+        self.take_up_to(1).first().copied().unwrap_or(0)
     }
 
     /// Two bytes, little-endian.
@@ -24,14 +24,14 @@ impl<'a> Operands<'a> {
     }
 
     /// The next bytes: at most so many.
-    pub(crate) fn part(&mut self, most: usize) -> &'a [u8] {
+    pub(crate) fn take_up_to(&mut self, most: usize) -> &'a [u8] {
         let (part, rest) = self.0.split_at(most.min(self.0.len()));
         self.0 = rest;
         part
     }
 
     /// All that is left.
-    pub(crate) const fn rest(self) -> &'a [u8] {
+    pub(crate) const fn remaining(self) -> &'a [u8] {
         self.0
     }
 }

@@ -1,13 +1,16 @@
-//! Any bytes as a recording: reading ends, errors stand where they say, and what was read can be written and read again.
+//! Any bytes as a recording: reading ends, errors have the right offset, and what was read can be written and read
+//! again.
 
 use std::io::Cursor;
 
 use flate2::Crc;
-use posebridge_recording::container::{Ending, Header, ReadError, Reader, Writer, truth};
-use posebridge_telemetry::{HostClock, Input, Stamp};
+use posebridge_recording::container::{
+    ReadError, RecordingEnd, RecordingHeader, RecordingReader, RecordingWriter, read_truth,
+};
+use posebridge_telemetry::{HostClock, Input, Timestamp};
 
 /// Bit of the first byte: mend the checksums of the messages, so that damage reaches what stands behind them.
-const MEND: u8 = 1;
+const REPAIR: u8 = 1;
 /// The magic at the start of an MCAP file.
 const MAGIC_BYTES: usize = 8;
 /// Opcode and length in front of every record, MCAP specification, "Records".
@@ -34,17 +37,17 @@ pub(crate) fn check(data: &[u8]) {
         return;
     };
     let mut file = file.to_vec();
-    if options & MEND != 0 {
-        mend_checksums(&mut file);
+    if options & REPAIR != 0 {
+        repair_checksums(&mut file);
     }
-    let mut reader = match Reader::open(&file) {
+    let mut reader = match RecordingReader::open(&file) {
         Ok(reader) => reader,
         Err(error) => return assert_inside(&error, file.len()),
     };
-    if let Ending::Torn { offset, .. } = reader.ending() {
+    if let RecordingEnd::Truncated { offset, .. } = reader.recording_end() {
         assert!(offset <= file.len() as u64);
     }
-    if let Err(error) = truth(&file) {
+    if let Err(error) = read_truth(&file) {
         assert_inside(&error, file.len());
     }
     let header = reader.header().clone();
@@ -53,7 +56,7 @@ pub(crate) fn check(data: &[u8]) {
     for _ in 0..=2 * file.len() {
         match reader.next() {
             Some(Ok((now, input))) => {
-                assert!(now >= Stamp::ZERO, "{now:?} is before the session");
+                assert!(now >= Timestamp::ZERO, "{now:?} is before the session");
                 inputs.push((now, input));
             }
             Some(Err(error)) => assert_inside(&error, file.len()),
@@ -79,21 +82,21 @@ fn assert_inside(error: &ReadError, length: usize) {
 }
 
 /// What was read is written and read again without loss.
-fn check_rewritten(header: &Header, inputs: &[(Stamp<HostClock>, Input)]) {
+fn check_rewritten(header: &RecordingHeader, inputs: &[(Timestamp<HostClock>, Input)]) {
     let once = write(header, inputs);
-    let Ok(reader) = Reader::open(&once) else {
+    let Ok(reader) = RecordingReader::open(&once) else {
         panic!("what was written is no recording");
     };
     assert_eq!(reader.header(), header);
-    assert_eq!(reader.ending(), Ending::Complete);
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete);
     let again: Vec<_> = reader.filter_map(Result::ok).collect();
     assert_eq!(again.len(), inputs.len());
     // Compared as bytes, because a number that is none differs from itself.
     assert_eq!(write(header, &again), once);
 }
 
-fn write(header: &Header, inputs: &[(Stamp<HostClock>, Input)]) -> Vec<u8> {
-    let written = Writer::create(Cursor::new(Vec::new()), header).and_then(|mut writer| {
+fn write(header: &RecordingHeader, inputs: &[(Timestamp<HostClock>, Input)]) -> Vec<u8> {
+    let written = RecordingWriter::create(Cursor::new(Vec::new()), header).and_then(|mut writer| {
         for (now, input) in inputs {
             writer.record(*now, input)?;
         }
@@ -106,16 +109,16 @@ fn write(header: &Header, inputs: &[(Stamp<HostClock>, Input)]) -> Vec<u8> {
 }
 
 /// Gives every whole message, and every chunk, the checksum that its bytes ask for.
-fn mend_checksums(file: &mut [u8]) {
+fn repair_checksums(file: &mut [u8]) {
     // Since format 3 the times in the file are UTC, and a message's checksum covers the time since the start of the session.
-    let zero = Reader::open(file).map_or(0, |reader| match reader.header().format {
+    let zero = RecordingReader::open(file).map_or(0, |reader| match reader.header().format {
         ..=2 => 0,
         _ => reader.header().utc_start_micros * 1_000,
     });
-    mend_records(file.get_mut(MAGIC_BYTES..).unwrap_or_default(), zero);
+    repair_records(file.get_mut(MAGIC_BYTES..).unwrap_or_default(), zero);
 }
 
-fn mend_records(mut rest: &mut [u8], zero: u64) {
+fn repair_records(mut rest: &mut [u8], zero: u64) {
     while let Some((header, content)) = rest.split_first_chunk_mut::<RECORD_HEADER_BYTES>() {
         let [opcode, length @ ..] = *header;
         let length = usize::try_from(u64::from_le_bytes(length)).unwrap_or(usize::MAX);
@@ -123,8 +126,8 @@ fn mend_records(mut rest: &mut [u8], zero: u64) {
             return;
         };
         match opcode {
-            MESSAGE => mend_message(body, zero),
-            CHUNK => mend_chunk(body, zero),
+            MESSAGE => repair_message(body, zero),
+            CHUNK => repair_chunk(body, zero),
             _ => {}
         }
         rest = behind;
@@ -132,17 +135,17 @@ fn mend_records(mut rest: &mut [u8], zero: u64) {
 }
 
 /// Of a chunk without compression: its records, then its checksum.
-fn mend_chunk(body: &mut [u8], zero: u64) {
+fn repair_chunk(body: &mut [u8], zero: u64) {
     let Some((head, records)) = body.split_at_mut_checked(CHUNK_HEADER_BYTES) else {
         return;
     };
-    mend_records(records, zero);
+    repair_records(records, zero);
     let mut crc = Crc::new();
     crc.update(records);
     head[CHUNK_CHECKSUM].copy_from_slice(&crc.sum().to_le_bytes());
 }
 
-fn mend_message(body: &mut [u8], zero: u64) {
+fn repair_message(body: &mut [u8], zero: u64) {
     let Some((head, data)) = body.split_at_mut_checked(MESSAGE_HEADER_BYTES) else {
         return;
     };

@@ -1,4 +1,4 @@
-//! Random operations on a session: it stops giving outputs, always has a deadline, and loses only peers it has seen.
+//! Random operations on a session: its outputs end, it always has a deadline, and it loses only peers that it has seen.
 
 use std::collections::BTreeSet;
 
@@ -6,42 +6,42 @@ use posebridge_protocol::dialect::{MESSAGES, decode};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::message::{CommandResult, Heartbeat};
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
-use posebridge_telemetry::{Address, BrickClock, Span, Stamp};
+use posebridge_telemetry::{Address, BrickClock, TimeDelta, Timestamp};
 
 /// Outputs of one operation beyond which something feeds itself.
-const MOST_OUTPUTS: usize = 1_000;
+const MAX_OUTPUTS: usize = 1_000;
 /// Bytes of one operation: kind, three operands.
 const OPERATION: usize = 4;
 
 /// Input: operations of four bytes each.
 pub(crate) fn check(data: &[u8]) {
-    let mut now = Stamp::<BrickClock>::ZERO;
+    let mut now = Timestamp::<BrickClock>::ZERO;
     let mut session = Session::new(config(), now);
     let mut present = BTreeSet::new();
     for operation in data.chunks_exact(OPERATION) {
         let [kind, a, b, c] = [operation[0], operation[1], operation[2], operation[3]];
-        let step = Span::from_micros(i64::from(u16::from_le_bytes([a, b])) * 100);
+        let step = TimeDelta::from_micros(i64::from(u16::from_le_bytes([a, b])) * 100);
         match kind % 5 {
             0 => now = now + step,
             1 => now = now - step,
             2 => session.peer_restarted(now, Address::new(a % 4, b % 4)),
             3 => session.tick(now),
-            _ => hear(&mut session, now, [a, b, c]),
+            _ => receive(&mut session, now, [a, b, c]),
         }
         let mut outputs = 0;
         while let Some(output) = session.poll() {
             outputs += 1;
-            assert!(outputs < MOST_OUTPUTS);
+            assert!(outputs < MAX_OUTPUTS);
             match output {
                 SessionOutput::PeerSeen { peer, .. } => assert!(present.insert(peer)),
                 SessionOutput::PeerLost { peer, .. } => assert!(present.remove(&peer)),
-                SessionOutput::Commanded { by, command } => {
-                    session.answer(by, command.command, CommandResult::Unsupported);
+                SessionOutput::CommandReceived { by, command } => {
+                    session.acknowledge_command(by, command.command, CommandResult::Unsupported);
                 }
                 SessionOutput::Send(_)
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. } => {}
-                SessionOutput::ParameterWish { .. }
+                SessionOutput::ParameterSetRequested { .. }
                 | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {
                     panic!("nothing was offered")
@@ -56,16 +56,16 @@ fn config() -> SessionConfig {
     SessionConfig {
         own: Address::new(1, 2),
         heartbeat: Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 },
-        heartbeat_period: Span::from_millis(1_000),
-        timesync_period: Some(Span::from_millis(500)),
-        peer_timeout: Span::from_millis(3_000),
-        wanted: vec![(42_100, Span::from_millis(50)), (42_101, Span::ZERO)],
-        offered: vec![30, 331, 42_102],
+        heartbeat_period: TimeDelta::from_millis(1_000),
+        timesync_period: Some(TimeDelta::from_millis(500)),
+        peer_timeout: TimeDelta::from_millis(3_000),
+        requested_messages: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::ZERO)],
+        offered_messages: vec![30, 331, 42_102],
     }
 }
 
 /// A message with a payload of repeated bytes from one of sixteen addresses.
-fn hear(session: &mut Session<BrickClock>, now: Stamp<BrickClock>, [who, what, fill]: [u8; 3]) {
+fn receive(session: &mut Session<BrickClock>, now: Timestamp<BrickClock>, [who, what, fill]: [u8; 3]) {
     let info = MESSAGES[usize::from(what) % MESSAGES.len()];
     let frame = FrameRef {
         version: WireVersion::V2,

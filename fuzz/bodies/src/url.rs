@@ -1,6 +1,6 @@
-//! Any text as a link: a link prints as what it is read from, and a refusal says what is wrong.
+//! Any text as a link: a URL prints as it was written, and an error names what is wrong.
 
-use posebridge::link_target::LinkTarget;
+use posebridge::config::LinkTarget;
 use posebridge_link::{LinkUrl, OptionKind};
 
 /// Input: the text; bytes that are none are replaced.

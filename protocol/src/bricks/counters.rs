@@ -27,61 +27,61 @@
 //! That a program's start resets all motors: documentation of nxt-python, "start_program". Sharpest change of speed: the EV3's large
 //! motor has 175 rpm within its time constant of 105 ms (Pybricks' identified model); the NXT's is slower (Philo's motor measurements).
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 /// Sharpest change of speed, counts per s^2.
-const SHARPEST_PER_S2: f64 = 10_000.0;
+const MAX_COUNTS_PER_S2: f64 = 10_000.0;
 /// Over longer times the sharpest change explains anything.
-const SHARP_FOR_S: f64 = 0.1;
+const MAX_ACCELERATION_TIME_S: f64 = 0.1;
 /// Steps of both samples, and backlash.
 const STEPS: f64 = 3.0;
 /// Part of what the speed leads to by which the wheels may have turned further, or back.
-const SWAY: f64 = 0.25;
+const SPEED_TOLERANCE: f64 = 0.25;
 /// A speed over less time than this is noise.
-const SHORTEST_S: f64 = 0.001;
+const MIN_INTERVAL_S: f64 = 0.001;
 
 /// Counts of the left and the right wheel's motor, and of a third where it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct MotorCounts {
     pub(super) wheels: [i32; 2],
     pub(super) third: Option<i32>,
 }
 
 /// What a motor can do.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Limits {
+pub(super) struct MotorLimits {
     /// Counts per second that none exceeds.
-    pub(super) fastest_per_s: f64,
+    pub(super) max_counts_per_s: f64,
     /// Counts that two samples may differ by besides.
     pub(super) margin: f64,
 }
 
 /// What became of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Counted {
+pub(super) enum CounterUpdate {
     /// The wheels have turned so far, left and right.
     Total([i64; 2]),
     /// So far; the counters were set to zero in between, or began anew somewhere else.
     Rebased([i64; 2]),
     /// It may be damaged, or the counters began anew; the next one tells.
-    Doubted,
+    Rejected,
 }
 
 /// The totals of both wheels.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Counters {
-    limits: Limits,
+pub(super) struct MotorCounters {
+    limits: MotorLimits,
     /// Time since the first sample, s.
     now_s: f64,
-    last: Option<Sample>,
-    doubted: Option<Sample>,
+    last: Option<CounterSample>,
+    doubtful: Option<CounterSample>,
     is_restarted: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct CounterSample {
     at_s: f64,
-    counts: Counts,
+    counts: MotorCounts,
     total: [i64; 2],
     /// Counts per second; `None` before there are two samples.
     speed: Option<[f64; 2]>,
@@ -89,16 +89,16 @@ struct Sample {
 
 /// What a sample means that follows a doubted one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Meaning {
+enum CounterInterpretation {
     Motion,
     FromZero,
-    FromDoubted,
-    Nothing,
+    FromDoubtful,
+    Unexplained,
 }
 
-impl Counters {
-    pub(super) const fn new(limits: Limits) -> Self {
-        Self { limits, now_s: 0.0, last: None, doubted: None, is_restarted: false }
+impl MotorCounters {
+    pub(super) const fn new(limits: MotorLimits) -> Self {
+        Self { limits, now_s: 0.0, last: None, doubtful: None, is_restarted: false }
     }
 
     /// The brick was switched off and on: its counters began at zero, wherever they stand when they are read next.
@@ -107,139 +107,143 @@ impl Counters {
     }
 
     /// Takes the counts that were read at most `since` after the ones before, doubted ones included.
-    pub(super) fn take(&mut self, since: Span, counts: Counts) -> Counted {
+    pub(super) fn push(&mut self, since: TimeDelta, counts: MotorCounts) -> CounterUpdate {
         self.now_s += since.as_secs_f64();
         let is_restarted = std::mem::take(&mut self.is_restarted);
         let Some(last) = self.last else {
-            return Counted::Total(self.keep(counts, counts.wheels.map(i64::from), None));
+            return CounterUpdate::Total(self.store(counts, counts.wheels.map(i64::from), None));
         };
         if is_restarted {
-            return Counted::Rebased(self.keep(counts, last.total_from([0; 2], counts), None));
+            return CounterUpdate::Rebased(self.store(counts, last.total_from([0; 2], counts), None));
         }
-        let now = Sample { at_s: self.now_s, counts, ..last };
-        let Some(doubted) = self.doubted else {
+        let now = CounterSample { at_s: self.now_s, counts, ..last };
+        let Some(doubted) = self.doubtful else {
             if self.is_motion(&last, &now) {
-                return Counted::Total(self.move_on(&last, &now));
+                return CounterUpdate::Total(self.accept_motion(&last, &now));
             }
-            self.doubted = Some(now);
-            return Counted::Doubted;
+            self.doubtful = Some(now);
+            return CounterUpdate::Rejected;
         };
-        match self.meaning(&last, &doubted, &now) {
-            Meaning::Motion => Counted::Total(self.move_on(&last, &now)),
-            Meaning::Nothing => {
-                self.doubted = Some(now);
-                Counted::Doubted
+        match self.interpret(&last, &doubted, &now) {
+            CounterInterpretation::Motion => CounterUpdate::Total(self.accept_motion(&last, &now)),
+            CounterInterpretation::Unexplained => {
+                self.doubtful = Some(now);
+                CounterUpdate::Rejected
             }
-            meaning @ (Meaning::FromZero | Meaning::FromDoubted) => {
-                let from = if meaning == Meaning::FromZero { [0; 2] } else { doubted.counts.wheels };
+            meaning @ (CounterInterpretation::FromZero | CounterInterpretation::FromDoubtful) => {
+                let from = if meaning == CounterInterpretation::FromZero { [0; 2] } else { doubted.counts.wheels };
                 let speed = doubted.speed_to(&now);
-                Counted::Rebased(self.keep(counts, last.total_from(from, counts), speed))
+                CounterUpdate::Rebased(self.store(counts, last.total_from(from, counts), speed))
             }
         }
     }
 
-    fn is_motion(&self, last: &Sample, now: &Sample) -> bool {
-        last.reaches(now, self.limits) && (!last.may_be_zeroed(now, self.limits) || last.explains(now))
+    fn is_motion(&self, last: &CounterSample, now: &CounterSample) -> bool {
+        last.is_reachable(now, self.limits) && (!last.may_have_been_zeroed(now, self.limits) || last.is_predicted(now))
     }
 
-    fn meaning(&self, last: &Sample, doubted: &Sample, now: &Sample) -> Meaning {
-        let runs_on = last.reaches(now, self.limits);
-        if !doubted.reaches(now, self.limits) {
-            return if runs_on { Meaning::Motion } else { Meaning::Nothing };
+    fn interpret(&self, last: &CounterSample, doubted: &CounterSample, now: &CounterSample) -> CounterInterpretation {
+        let runs_on = last.is_reachable(now, self.limits);
+        if !doubted.is_reachable(now, self.limits) {
+            return if runs_on { CounterInterpretation::Motion } else { CounterInterpretation::Unexplained };
         }
-        let is_zeroed = last.may_be_zeroed(doubted, self.limits);
+        let is_zeroed = last.may_have_been_zeroed(doubted, self.limits);
         match (runs_on, is_zeroed) {
-            (true, true) => last.less_surprising(doubted, now),
-            (true, false) => Meaning::Motion,
-            (false, true) => Meaning::FromZero,
-            (false, false) => Meaning::FromDoubted,
+            (true, true) => last.more_likely_meaning(doubted, now),
+            (true, false) => CounterInterpretation::Motion,
+            (false, true) => CounterInterpretation::FromZero,
+            (false, false) => CounterInterpretation::FromDoubtful,
         }
     }
 
-    fn move_on(&mut self, last: &Sample, now: &Sample) -> [i64; 2] {
+    fn accept_motion(&mut self, last: &CounterSample, now: &CounterSample) -> [i64; 2] {
         let total = last.total_from(last.counts.wheels, now.counts);
-        self.keep(now.counts, total, last.speed_to(now))
+        self.store(now.counts, total, last.speed_to(now))
     }
 
-    fn keep(&mut self, counts: Counts, total: [i64; 2], speed: Option<[f64; 2]>) -> [i64; 2] {
-        self.doubted = None;
-        self.last = Some(Sample { at_s: self.now_s, counts, total, speed });
+    fn store(&mut self, counts: MotorCounts, total: [i64; 2], speed: Option<[f64; 2]>) -> [i64; 2] {
+        self.doubtful = None;
+        self.last = Some(CounterSample { at_s: self.now_s, counts, total, speed });
         total
     }
 }
 
-impl Sample {
+impl CounterSample {
     /// Whether the fastest motor may have brought these counts.
-    fn reaches(&self, now: &Self, limits: Limits) -> bool {
-        let most = limits.fastest_per_s * (now.at_s - self.at_s) + limits.margin;
-        let changes = changes(self.counts.wheels, now.counts.wheels);
+    fn is_reachable(&self, now: &Self, limits: MotorLimits) -> bool {
+        let most = limits.max_counts_per_s * (now.at_s - self.at_s) + limits.margin;
+        let changes = count_changes(self.counts.wheels, now.counts.wheels);
         changes.iter().all(|change| (*change as f64).abs() <= most)
     }
 
     /// Whether the counters may have been set to zero in between.
-    fn may_be_zeroed(&self, now: &Self, limits: Limits) -> bool {
-        let zeroed = Self { counts: Counts { wheels: [0; 2], third: None }, ..*self };
+    fn may_have_been_zeroed(&self, now: &Self, limits: MotorLimits) -> bool {
+        let zeroed = Self { counts: MotorCounts { wheels: [0; 2], third: None }, ..*self };
         let pairs = self.counts.wheels.iter().zip(&now.counts.wheels);
         let is_nearer = pairs.into_iter().all(|(last, found)| found.unsigned_abs() <= last.unsigned_abs());
         let is_kept = now.counts.third.is_some_and(|third| third != 0) && now.counts.third == self.counts.third;
-        is_nearer && !is_kept && zeroed.reaches(now, limits)
+        is_nearer && !is_kept && zeroed.is_reachable(now, limits)
     }
 
     /// Whether the speed before leads to these counts.
-    fn explains(&self, now: &Self) -> bool {
+    fn is_predicted(&self, now: &Self) -> bool {
         let Some(speed) = self.speed else {
             return true;
         };
         let dt_s = now.at_s - self.at_s;
-        let sharp_s = dt_s.min(SHARP_FOR_S);
-        let sharp = 0.5 * SHARPEST_PER_S2 * sharp_s * sharp_s + STEPS;
-        let changes = changes(self.counts.wheels, now.counts.wheels);
+        let sharp_s = dt_s.min(MAX_ACCELERATION_TIME_S);
+        let sharp = 0.5 * MAX_COUNTS_PER_S2 * sharp_s * sharp_s + STEPS;
+        let changes = count_changes(self.counts.wheels, now.counts.wheels);
         changes.iter().zip(speed).all(|(change, speed)| {
             let led = speed * dt_s;
-            distance(*change as f64, [led, 0.0]) <= sharp + SWAY * led.abs()
+            distance_to_range(*change as f64, [led, 0.0]) <= sharp + SPEED_TOLERANCE * led.abs()
         })
     }
 
     /// Whether the change to a doubted sample is motion, or motion since zero, by the speeds before and after.
-    fn less_surprising(&self, doubted: &Self, now: &Self) -> Meaning {
+    fn more_likely_meaning(&self, doubted: &Self, now: &Self) -> CounterInterpretation {
         let dt_s = doubted.at_s - self.at_s;
         let before = self.speed.unwrap_or_default();
         let after = doubted.speed_to(now).unwrap_or_default();
         let surprise = |from: [i32; 2]| {
-            let changes = changes(from, doubted.counts.wheels);
+            let changes = count_changes(from, doubted.counts.wheels);
             let led = before.iter().zip(after);
             changes
                 .iter()
                 .zip(led)
-                .map(|(change, (before, after))| distance(*change as f64, [before * dt_s, after * dt_s]))
+                .map(|(change, (before, after))| distance_to_range(*change as f64, [before * dt_s, after * dt_s]))
                 .fold(0.0, f64::max)
         };
-        if surprise([0; 2]) < surprise(self.counts.wheels) { Meaning::FromZero } else { Meaning::Motion }
+        if surprise([0; 2]) < surprise(self.counts.wheels) {
+            CounterInterpretation::FromZero
+        } else {
+            CounterInterpretation::Motion
+        }
     }
 
     fn speed_to(&self, now: &Self) -> Option<[f64; 2]> {
         let dt_s = now.at_s - self.at_s;
-        if dt_s < SHORTEST_S {
+        if dt_s < MIN_INTERVAL_S {
             return self.speed;
         }
-        let changes = changes(self.counts.wheels, now.counts.wheels);
+        let changes = count_changes(self.counts.wheels, now.counts.wheels);
         Some(changes.map(|change| change as f64 / dt_s))
     }
 
-    fn total_from(&self, from: [i32; 2], to: Counts) -> [i64; 2] {
-        let [left, right] = changes(from, to.wheels);
+    fn total_from(&self, from: [i32; 2], to: MotorCounts) -> [i64; 2] {
+        let [left, right] = count_changes(from, to.wheels);
         [self.total[0] + left, self.total[1] + right]
     }
 }
 
 /// By how much the counters, which wrap, have changed.
-fn changes(from: [i32; 2], to: [i32; 2]) -> [i64; 2] {
+fn count_changes(from: [i32; 2], to: [i32; 2]) -> [i64; 2] {
     let [left, right] = to;
     [i64::from(left.wrapping_sub(from[0])), i64::from(right.wrapping_sub(from[1]))]
 }
 
 /// How far a change lies outside of what lies between nothing and these.
-fn distance(change: f64, led: [f64; 2]) -> f64 {
+fn distance_to_range(change: f64, led: [f64; 2]) -> f64 {
     let least = led.iter().copied().fold(0.0, f64::min);
     let most = led.iter().copied().fold(0.0, f64::max);
     (least - change).max(change - most).max(0.0)
@@ -249,24 +253,24 @@ fn distance(change: f64, led: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    const CYCLE: Span = Span::from_millis(30);
-    const LIMITS: Limits = Limits { fastest_per_s: 1_600.0, margin: 3.0 };
+    const CYCLE: TimeDelta = TimeDelta::from_millis(30);
+    const LIMITS: MotorLimits = MotorLimits { max_counts_per_s: 1_600.0, margin: 3.0 };
 
     /// Counts that are read each cycle, but for some silences.
     #[derive(Debug)]
-    struct Bench(Counters);
+    struct Bench(MotorCounters);
 
     impl Bench {
         const fn new() -> Self {
-            Self(Counters::new(LIMITS))
+            Self(MotorCounters::new(LIMITS))
         }
 
-        fn after(&mut self, since: Span, wheels: [i32; 2]) -> Counted {
+        fn after(&mut self, since: TimeDelta, wheels: [i32; 2]) -> CounterUpdate {
             let third = None;
-            self.0.take(since, Counts { wheels, third })
+            self.0.push(since, MotorCounts { wheels, third })
         }
 
-        fn take(&mut self, wheels: [i32; 2]) -> Counted {
+        fn take(&mut self, wheels: [i32; 2]) -> CounterUpdate {
             self.after(CYCLE, wheels)
         }
 
@@ -281,7 +285,7 @@ mod tests {
     }
 
     /// What becomes of counts that are read each cycle.
-    fn taken(samples: &[[i32; 2]]) -> Vec<Counted> {
+    fn taken(samples: &[[i32; 2]]) -> Vec<CounterUpdate> {
         let mut bench = Bench::new();
         samples.iter().map(|counts| bench.take(*counts)).collect()
     }
@@ -290,11 +294,11 @@ mod tests {
     fn a_program_that_sets_the_counters_to_zero_is_no_motion() {
         let taken = taken(&[[5_000, 4_000], [5_010, 4_010], [0, 0], [0, 0], [9, 8]]);
         let expected = [
-            Counted::Total([5_000, 4_000]),
-            Counted::Total([5_010, 4_010]),
-            Counted::Doubted,
-            Counted::Rebased([5_010, 4_010]),
-            Counted::Total([5_019, 4_018]),
+            CounterUpdate::Total([5_000, 4_000]),
+            CounterUpdate::Total([5_010, 4_010]),
+            CounterUpdate::Rejected,
+            CounterUpdate::Rebased([5_010, 4_010]),
+            CounterUpdate::Total([5_019, 4_018]),
         ];
         assert_eq!(taken, expected);
     }
@@ -303,26 +307,26 @@ mod tests {
     fn a_few_counts_that_fall_to_zero_are_no_motion_either() {
         for before in [[20, 9], [17, 7]] {
             let taken = taken(&[before, [20, 9], [0, 0], [0, 0], [0, 0]]);
-            assert_eq!(taken[2], Counted::Doubted);
-            assert_eq!(taken[3..], [Counted::Rebased([20, 9]), Counted::Total([20, 9])]);
+            assert_eq!(taken[2], CounterUpdate::Rejected);
+            assert_eq!(taken[3..], [CounterUpdate::Rebased([20, 9]), CounterUpdate::Total([20, 9])]);
         }
     }
 
     #[test]
     fn wheels_that_roll_back_through_zero_at_once_are_motion() {
         let samples: Vec<_> = (-6..=6).map(|k: i32| [-k * 20, -k * 20]).collect();
-        let expected: Vec<_> = samples.iter().map(|counts| Counted::Total(counts.map(i64::from))).collect();
+        let expected: Vec<_> = samples.iter().map(|counts| CounterUpdate::Total(counts.map(i64::from))).collect();
         assert_eq!(taken(&samples), expected);
     }
 
     #[test]
     fn a_third_motor_that_keeps_its_count_says_that_nothing_fell() {
-        for (third, expected) in [(90, Counted::Total([0, 0])), (0, Counted::Doubted)] {
-            let mut counters = Counters::new(LIMITS);
-            let reading = |left, third| Counts { wheels: [left, 0], third: Some(third) };
-            counters.take(CYCLE, reading(30, 90));
-            counters.take(CYCLE, reading(30, 90));
-            assert_eq!(counters.take(CYCLE, reading(0, third)), expected);
+        for (third, expected) in [(90, CounterUpdate::Total([0, 0])), (0, CounterUpdate::Rejected)] {
+            let mut counters = MotorCounters::new(LIMITS);
+            let reading = |left, third| MotorCounts { wheels: [left, 0], third: Some(third) };
+            counters.push(CYCLE, reading(30, 90));
+            counters.push(CYCLE, reading(30, 90));
+            assert_eq!(counters.push(CYCLE, reading(0, third)), expected);
         }
     }
 
@@ -330,24 +334,24 @@ mod tests {
     fn a_damaged_count_costs_one_sample_and_moves_nothing() {
         for bit in 6..32 {
             let taken = taken(&[[100, 90], [110, 100], [0x78 ^ (1 << bit), 110], [130, 120]]);
-            assert_eq!(taken[2], Counted::Doubted, "bit {bit}");
-            assert_eq!(taken[3], Counted::Total([130, 120]), "bit {bit}");
+            assert_eq!(taken[2], CounterUpdate::Rejected, "bit {bit}");
+            assert_eq!(taken[3], CounterUpdate::Total([130, 120]), "bit {bit}");
         }
     }
 
     #[test]
     fn a_leap_is_damage_once_and_a_new_base_twice() {
         let taken = taken(&[[0, 0], [70_000, 3], [5, 5], [9_000, 9_000], [9_010, 9_011]]);
-        assert_eq!(taken[1..3], [Counted::Doubted, Counted::Total([5, 5])]);
-        assert_eq!(taken[3..], [Counted::Doubted, Counted::Rebased([15, 16])]);
+        assert_eq!(taken[1..3], [CounterUpdate::Rejected, CounterUpdate::Total([5, 5])]);
+        assert_eq!(taken[3..], [CounterUpdate::Rejected, CounterUpdate::Rebased([15, 16])]);
     }
 
     #[test]
     fn motion_since_the_zero_counts_and_the_wrap_of_the_counter_is_none() {
         let reset = taken(&[[9_000, 9_000], [30, 28], [45, 42]]);
-        assert_eq!(reset[1..], [Counted::Doubted, Counted::Rebased([9_045, 9_042])]);
+        assert_eq!(reset[1..], [CounterUpdate::Rejected, CounterUpdate::Rebased([9_045, 9_042])]);
         let wrapped = taken(&[[i32::MAX - 4, -3], [i32::MIN + 5, 7]]);
-        let expected = Counted::Total([i64::from(i32::MAX) + 6, 7]);
+        let expected = CounterUpdate::Total([i64::from(i32::MAX) + 6, 7]);
         assert_eq!(wrapped[1], expected);
     }
 
@@ -356,19 +360,19 @@ mod tests {
         let mut bench = Bench::new();
         bench.take([30, 30]);
         bench.0.brick_restarted();
-        let after = bench.after(Span::from_millis(9_000), [34, 35]);
-        assert_eq!(after, Counted::Rebased([64, 65]));
+        let after = bench.after(TimeDelta::from_millis(9_000), [34, 35]);
+        assert_eq!(after, CounterUpdate::Rebased([64, 65]));
     }
 
     #[test]
     fn counters_that_fall_in_a_silence_of_a_robot_that_stands_are_no_motion() {
         for silence_millis in [100, 1_000, 2_500, 30_000] {
-            let silence = Span::from_millis(silence_millis);
+            let silence = TimeDelta::from_millis(silence_millis);
             for left in [0, 30, -20] {
                 let mut bench = Bench::moving(0, 1_750);
-                assert_eq!(bench.after(silence, [left, left]), Counted::Doubted);
+                assert_eq!(bench.after(silence, [left, left]), CounterUpdate::Rejected);
                 let total = 1_750 + i64::from(left);
-                assert_eq!(bench.take([left, left]), Counted::Rebased([total; 2]));
+                assert_eq!(bench.take([left, left]), CounterUpdate::Rebased([total; 2]));
             }
         }
     }
@@ -376,28 +380,28 @@ mod tests {
     #[test]
     fn a_robot_that_drives_on_through_a_silence_has_moved() {
         // 500 counts per second: on, slower, faster, stopped, and back by a little.
-        let silence = Span::from_millis(2_000);
+        let silence = TimeDelta::from_millis(2_000);
         for after in [2_000, 1_700, 2_300, 1_100, 1_000, 900] {
             let mut bench = Bench::moving(15, 1_000);
             let total = i64::from(after);
-            assert_eq!(bench.after(silence, [after; 2]), Counted::Total([total; 2]), "{after}");
+            assert_eq!(bench.after(silence, [after; 2]), CounterUpdate::Total([total; 2]), "{after}");
         }
     }
 
     #[test]
     fn a_robot_that_drives_on_with_counters_that_fell_in_a_silence_has_moved_since() {
         let mut bench = Bench::moving(15, 1_000);
-        let doubted = bench.after(Span::from_millis(2_000), [600; 2]);
-        assert_eq!(doubted, Counted::Doubted);
-        assert_eq!(bench.take([615; 2]), Counted::Rebased([1_615; 2]));
+        let doubted = bench.after(TimeDelta::from_millis(2_000), [600; 2]);
+        assert_eq!(doubted, CounterUpdate::Rejected);
+        assert_eq!(bench.take([615; 2]), CounterUpdate::Rebased([1_615; 2]));
     }
 
     #[test]
     fn the_speed_after_a_silence_tells_a_way_back_from_a_new_beginning() {
-        let silence = Span::from_millis(2_500);
-        for (next, expected) in [(380, Counted::Total([380; 2])), (420, Counted::Rebased([900 + 420; 2]))] {
+        let silence = TimeDelta::from_millis(2_500);
+        for (next, expected) in [(380, CounterUpdate::Total([380; 2])), (420, CounterUpdate::Rebased([900 + 420; 2]))] {
             let mut bench = Bench::moving(0, 900);
-            assert_eq!(bench.after(silence, [400; 2]), Counted::Doubted);
+            assert_eq!(bench.after(silence, [400; 2]), CounterUpdate::Rejected);
             assert_eq!(bench.take([next; 2]), expected);
         }
     }
@@ -406,7 +410,7 @@ mod tests {
     fn a_long_stall_at_full_speed_is_motion() {
         let mut bench = Bench::new();
         bench.take([0, 0]);
-        let after = bench.after(Span::from_millis(2_000), [2_100, -2_100]);
-        assert_eq!(after, Counted::Total([2_100, -2_100]));
+        let after = bench.after(TimeDelta::from_millis(2_000), [2_100, -2_100]);
+        assert_eq!(after, CounterUpdate::Total([2_100, -2_100]));
     }
 }

@@ -1,55 +1,55 @@
-//! MAVLink as a brick protocol: scanner, codec and sequence accounting put together.
+//! MAVLink as a brick protocol: framer, decoder and sequence tracking.
 
-use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Stamp};
+use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, Timestamp};
 
-use super::{BrickCodec, BrickSettings, Heard};
+use super::codec::{BrickCodec, CodecEvent, CodecSettings};
 use crate::dialect::{Encoder, decode};
-use crate::framing::{FrameRef, ScanCounters, Scanned, Scanner, ScannerConfig, SequenceTracker, WireVersion};
+use crate::framing::{FrameRef, Framer, FramerConfig, FramerCounters, FramerOutput, SequenceTracker, WireVersion};
 use crate::message::Message;
 
 /// The state of one link that speaks MAVLink.
 #[derive(Debug)]
-struct Mavlink {
-    config: ScannerConfig,
-    scanner: Scanner,
+struct MavlinkCodec {
+    config: FramerConfig,
+    scanner: Framer,
     /// What was counted before the link came up last.
-    before: ScanCounters,
+    previous_counters: FramerCounters,
     sequences: SequenceTracker,
     encoder: Encoder,
 }
 
-pub(super) fn open(settings: &BrickSettings) -> Box<dyn BrickCodec> {
-    Box::new(Mavlink {
+pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    Box::new(MavlinkCodec {
         config: settings.scanner,
-        scanner: Scanner::new(settings.scanner),
-        before: ScanCounters::default(),
+        scanner: Framer::new(settings.scanner),
+        previous_counters: FramerCounters::default(),
         sequences: SequenceTracker::new(),
         encoder: Encoder::new(WireVersion::V2),
     })
 }
 
-impl BrickCodec for Mavlink {
-    fn begin(&mut self, _now: Stamp<HostClock>) {
+impl BrickCodec for MavlinkCodec {
+    fn on_link_up(&mut self, _now: Timestamp<HostClock>) {
         let before = *self.scanner.counters();
-        self.scanner = Scanner::new(self.config);
-        self.before = self.before.plus(&before);
-        self.sequences.break_off();
+        self.scanner = Framer::new(self.config);
+        self.previous_counters = self.previous_counters.merged(&before);
+        self.sequences.handle_link_loss();
     }
 
-    fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let sequences = &mut self.sequences;
         self.scanner.push(now, bytes, &mut |found| {
-            hear((now, &mut *sequences), found, sink);
+            handle_frame(now, sequences, found, sink);
         });
     }
 
-    fn deadline(&self) -> Option<Stamp<HostClock>> {
+    fn deadline(&self) -> Option<Timestamp<HostClock>> {
         self.scanner.deadline()
     }
 
-    fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let sequences = &mut self.sequences;
-        self.scanner.tick(now, &mut |found| hear((now, &mut *sequences), found, sink));
+        self.scanner.tick(now, &mut |found| handle_frame(now, sequences, found, sink));
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
@@ -57,42 +57,43 @@ impl BrickCodec for Mavlink {
         None
     }
 
-    fn encode(&mut self, _now: Stamp<HostClock>, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+    fn encode(&mut self, _now: Timestamp<HostClock>, from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         self.encoder.encode(from, message, out)
     }
 
-    fn counters(&self) -> ScanCounters {
-        self.before.plus(self.scanner.counters())
+    fn counters(&self) -> FramerCounters {
+        self.previous_counters.merged(self.scanner.counters())
     }
 
-    fn sources(&self) -> Vec<SourceHealth> {
-        self.sequences.sources().collect()
+    fn source_health(&self) -> Vec<SourceHealth> {
+        self.sequences.source_health().collect()
     }
 }
 
-fn hear(
-    (now, sequences): (Stamp<HostClock>, &mut SequenceTracker),
-    found: Scanned<'_>,
-    sink: &mut dyn FnMut(Heard<'_>),
+fn handle_frame(
+    now: Timestamp<HostClock>,
+    sequences: &mut SequenceTracker,
+    found: FramerOutput<'_>,
+    sink: &mut dyn FnMut(CodecEvent<'_>),
 ) {
     match found {
-        Scanned::Defect(defect) => sink(Heard::Defect(defect)),
+        FramerOutput::Error(defect) => sink(CodecEvent::Error(defect)),
         // Unverified: its sequence number is not believed either.
-        Scanned::Unknown(frame) => sink(Heard::Other(frame)),
-        Scanned::Frame(frame) => {
-            let missing = sequences.take(&frame, now);
+        FramerOutput::UnknownFrame(frame) => sink(CodecEvent::ForwardFrame(frame)),
+        FramerOutput::Frame(frame) => {
+            let missing = sequences.record(&frame, now);
             if missing > 0 {
-                sink(Heard::Defect(Defect::Lost { source: frame.source, frames: missing }));
+                sink(CodecEvent::Error(ReceiveError::SequenceGap { source: frame.source, frames: missing }));
             }
-            sink(meaning(&frame));
+            sink(decode_frame(&frame));
         }
     }
 }
 
-fn meaning<'a>(frame: &FrameRef<'a>) -> Heard<'a> {
+fn decode_frame<'a>(frame: &FrameRef<'a>) -> CodecEvent<'a> {
     match decode(frame) {
-        Ok(Some(message)) => Heard::Message { from: frame.source, message },
-        Ok(None) => Heard::Other(*frame),
-        Err(error) => Heard::Defect(Defect::Payload { message_id: error.message_id() }),
+        Ok(Some(message)) => CodecEvent::Message { from: frame.source, message },
+        Ok(None) => CodecEvent::ForwardFrame(*frame),
+        Err(error) => CodecEvent::Error(ReceiveError::Payload { message_id: error.message_id() }),
     }
 }

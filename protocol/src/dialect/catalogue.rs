@@ -1,14 +1,14 @@
-//! What the scanner must know of every message of every dialect: CRC_EXTRA and the greatest length.
+//! CRC_EXTRA and the greatest length of every message of every dialect, for the framer.
 //!
-//! Built once from the generated types, so that it cannot disagree with them. An unknown id is `None`, never CRC_EXTRA 0:
-//! COMPONENT_INFORMATION (395) has the 0 lawfully.
+//! Built once from the generated types, so that it always agrees with them. An unknown id is `None`, never CRC_EXTRA 0:
+//! COMPONENT_INFORMATION (395) has CRC_EXTRA 0.
 
 use std::sync::LazyLock;
 
 use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 
-use super::foreign::FOREIGN;
+use super::foreign::FOREIGN_MESSAGES;
 use super::generated::posebridge;
 
 /// Ids are looked up by pages of so many: those of the standard dialects lie on four, ours on one.
@@ -19,15 +19,19 @@ const PAGES: usize = 1 << 16;
 const MAX_PAYLOAD: usize = 255;
 
 /// The catalogue of all dialects that this station speaks.
-pub(crate) static CATALOGUE: LazyLock<Catalogue> = LazyLock::new(|| Catalogue::build(spoken()));
+pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
+    LazyLock::new(|| MessageCatalogue::build(supported_messages()));
 /// The same with the messages of foreign dialects.
-pub(crate) static EVERYTHING: LazyLock<Catalogue> = LazyLock::new(|| {
-    let foreign = FOREIGN.iter().map(|message| {
-        let shape =
-            Shape { crc_extra: message.crc_extra, max_len_v1: message.max_len_v1, max_len_v2: message.max_len_v2 };
+pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
+    let foreign = FOREIGN_MESSAGES.iter().map(|message| {
+        let shape = MessageLayout {
+            crc_extra: message.crc_extra,
+            max_len_v1: message.max_len_v1,
+            max_len_v2: message.max_len_v2,
+        };
         (message.id, shape)
     });
-    Catalogue::build(spoken().chain(foreign))
+    MessageCatalogue::build(supported_messages().chain(foreign))
 });
 
 /// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` when nobody knows it.
@@ -36,24 +40,25 @@ pub fn message_name(id: u32) -> Option<&'static str> {
     let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
     let own = || posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name());
     let foreign = || {
-        let index = FOREIGN.binary_search_by_key(&id, |message| message.id);
-        index.ok().and_then(|index| FOREIGN.get(index))
+        let index = FOREIGN_MESSAGES.binary_search_by_key(&id, |message| message.id);
+        index.ok().and_then(|index| FOREIGN_MESSAGES.get(index))
     };
     standard().or_else(own).or_else(|| foreign().map(|message| message.name))
 }
 
 /// The messages that this station speaks, with their shapes.
-fn spoken() -> impl Iterator<Item = (u32, Shape)> {
+fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
     let standard =
-        common::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure::<common::MavMessage>(id)?)));
-    let own =
-        posebridge::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure::<posebridge::MavMessage>(id)?)));
+        common::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure_layout::<common::MavMessage>(id)?)));
+    let own = posebridge::MavMessage::all_ids()
+        .iter()
+        .filter_map(|&id| Some((id, measure_layout::<posebridge::MavMessage>(id)?)));
     standard.chain(own)
 }
 
 /// What a frame of one message must look like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Shape {
+pub(crate) struct MessageLayout {
     /// Seed of the checksum, from the message's definition.
     pub(crate) crc_extra: u8,
     /// Payload length without extension fields.
@@ -64,48 +69,48 @@ pub(crate) struct Shape {
 
 /// Every message that this station can verify.
 #[derive(Debug)]
-pub(crate) struct Catalogue {
+pub(crate) struct MessageCatalogue {
     /// Which page of `shapes` is that of the ids from `PAGE` times the index; page 0 is empty.
     pages: Vec<u8>,
-    shapes: Vec<[Option<Shape>; PAGE]>,
+    layouts: Vec<[Option<MessageLayout>; PAGE]>,
 }
 
-impl Catalogue {
-    fn build(shapes: impl Iterator<Item = (u32, Shape)>) -> Self {
-        let mut catalogue = Self { pages: vec![0; PAGES], shapes: vec![[None; PAGE]] };
+impl MessageCatalogue {
+    fn build(shapes: impl Iterator<Item = (u32, MessageLayout)>) -> Self {
+        let mut catalogue = Self { pages: vec![0; PAGES], layouts: vec![[None; PAGE]] };
         for (id, shape) in shapes {
             let id = id as usize;
             if catalogue.pages[id / PAGE] == 0 {
-                catalogue.pages[id / PAGE] = catalogue.shapes.len() as u8;
-                catalogue.shapes.push([None; PAGE]);
+                catalogue.pages[id / PAGE] = catalogue.layouts.len() as u8;
+                catalogue.layouts.push([None; PAGE]);
             }
             let page = usize::from(catalogue.pages[id / PAGE]);
-            catalogue.shapes[page][id % PAGE] = Some(shape);
+            catalogue.layouts[page][id % PAGE] = Some(shape);
         }
         catalogue
     }
 
     /// The shape of the message `id`; `None` when it is in no dialect.
     #[inline]
-    pub(crate) fn shape(&self, id: u32) -> Option<Shape> {
+    pub(crate) fn layout(&self, id: u32) -> Option<MessageLayout> {
         let id = id as usize;
         let page = *self.pages.get(id / PAGE)?;
-        self.shapes.get(usize::from(page))?[id % PAGE]
+        self.layouts.get(usize::from(page))?[id % PAGE]
     }
 }
 
-fn measure<M: Message>(id: u32) -> Option<Shape> {
+fn measure_layout<M: Message>(id: u32) -> Option<MessageLayout> {
     let message = M::default_message_from_id(id)?;
-    Some(Shape {
+    Some(MessageLayout {
         crc_extra: M::extra_crc(id),
-        max_len_v1: written(&message, MavlinkVersion::V1),
-        max_len_v2: written(&message, MavlinkVersion::V2),
+        max_len_v1: written_length(&message, MavlinkVersion::V1),
+        max_len_v2: written_length(&message, MavlinkVersion::V2),
     })
 }
 
 /// How many bytes a message writes, whatever it returns: MAVLink 2 returns the length without trailing zeros. Written
 /// bytes are those that do not depend on what stood there before.
-fn written<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
+fn written_length<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
     let mut over_zeros = [0x00; MAX_PAYLOAD];
     let mut over_ones = [0xFF; MAX_PAYLOAD];
     message.ser(version, &mut over_zeros);
@@ -121,14 +126,14 @@ mod tests {
 
     #[test]
     fn every_message_is_found_and_none_between_them() {
-        let foreign = FOREIGN.iter().map(|message| message.id);
-        let known: BTreeSet<u32> = spoken().map(|(id, _)| id).chain(foreign).collect();
+        let foreign = FOREIGN_MESSAGES.iter().map(|message| message.id);
+        let known: BTreeSet<u32> = supported_messages().map(|(id, _)| id).chain(foreign).collect();
         assert!(known.len() > 300);
         for id in (0..70_000).chain([0x00FF_FFFF, u32::MAX]) {
-            assert_eq!(EVERYTHING.shape(id).is_some(), known.contains(&id), "{id}");
+            assert_eq!(FULL_CATALOGUE.layout(id).is_some(), known.contains(&id), "{id}");
         }
-        for (id, shape) in spoken() {
-            assert_eq!(CATALOGUE.shape(id), Some(shape), "{id}");
+        for (id, shape) in supported_messages() {
+            assert_eq!(CATALOGUE.layout(id), Some(shape), "{id}");
         }
     }
 
@@ -145,28 +150,28 @@ mod tests {
             (331, 91, 230, 233),
             (9000, 113, 137, 137),
         ] {
-            let expected = Shape { crc_extra, max_len_v1, max_len_v2 };
-            assert_eq!(CATALOGUE.shape(id), Some(expected), "message {id}");
+            let expected = MessageLayout { crc_extra, max_len_v1, max_len_v2 };
+            assert_eq!(CATALOGUE.layout(id), Some(expected), "message {id}");
         }
     }
 
     #[test]
     fn a_seed_of_zero_is_not_an_unknown_message() {
-        assert_eq!(CATALOGUE.shape(395).map(|shape| shape.crc_extra), Some(0));
-        assert_eq!(CATALOGUE.shape(396 + 40_000), None);
-        assert_eq!(CATALOGUE.shape(u32::MAX), None);
+        assert_eq!(CATALOGUE.layout(395).map(|shape| shape.crc_extra), Some(0));
+        assert_eq!(CATALOGUE.layout(396 + 40_000), None);
+        assert_eq!(CATALOGUE.layout(u32::MAX), None);
     }
 
     #[test]
     fn foreign_messages_shadow_none_that_is_spoken_and_stand_in_the_order_of_their_ids() {
-        assert!(FOREIGN.is_sorted_by(|one, next| one.id < next.id));
-        for message in FOREIGN {
-            assert_eq!(CATALOGUE.shape(message.id), None, "{}", message.name);
+        assert!(FOREIGN_MESSAGES.is_sorted_by(|one, next| one.id < next.id));
+        for message in FOREIGN_MESSAGES {
+            assert_eq!(CATALOGUE.layout(message.id), None, "{}", message.name);
         }
         // RADIO of ArduPilot, as ardupilotmega.xml defines it.
-        let radio = EVERYTHING.shape(166).unwrap();
+        let radio = FULL_CATALOGUE.layout(166).unwrap();
         assert_eq!((radio.crc_extra, radio.max_len_v1), (21, 9));
-        assert_eq!(EVERYTHING.shape(0), CATALOGUE.shape(0));
+        assert_eq!(FULL_CATALOGUE.layout(0), CATALOGUE.layout(0));
     }
 
     #[test]
@@ -176,14 +181,14 @@ mod tests {
         assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
         assert_eq!(message_name(9_999_999), None);
         for id in 0..100_000 {
-            assert_eq!(EVERYTHING.shape(id).is_some(), message_name(id).is_some(), "{id}");
+            assert_eq!(FULL_CATALOGUE.layout(id).is_some(), message_name(id).is_some(), "{id}");
         }
     }
 
     #[test]
     fn no_message_of_ours_has_a_seed_of_zero_or_shadows_a_standard_one() {
         for &id in posebridge::MavMessage::all_ids() {
-            let shape = CATALOGUE.shape(id).unwrap();
+            let shape = CATALOGUE.layout(id).unwrap();
             assert_ne!(shape.crc_extra, 0, "message {id}");
             assert!(!common::MavMessage::all_ids().contains(&id), "message {id}");
         }

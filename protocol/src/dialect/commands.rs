@@ -1,4 +1,4 @@
-//! Commands over a link as requests to the engine: which MAV_CMD says what, and what their parameters mean.
+//! MAVLink commands as commands to the station: which MAV_CMD has which effect, and its parameters.
 //!
 //! # Model
 //! ```text
@@ -11,20 +11,22 @@
 //! 31012  MAV_CMD_USER_3             1: 0 freeze what is learned, 1 learn on, 2 forget what was learned
 //! 31013  MAV_CMD_USER_4             1: number of a sensor; 2: 0 off, 1 on
 //! ```
-//! The numbers of sensors are those of [`SensorId`]. common.xml has no command for the last four that needs no latitude and longitude;
-//! MAV_CMD_USER_1 to 5 are there for such.
+//! The numbers of sensors are those of [`SensorId`]. common.xml has no command without latitude and longitude for the
+//! last four; MAV_CMD_USER_1 to 5 are meant for such commands.
 //!
 //! # Source
 //! common.xml, MAV_CMD and PREFLIGHT_STORAGE_PARAMETER_ACTION; docs/parameters.md.
 
-use posebridge_telemetry::{Command, Heading, Learning, Meters, ParameterStorage, Pose, SensorId, Switch};
+use posebridge_telemetry::{
+    Command, Heading, Meters, OnlineCalibration, ParameterStorage, Pose, SensorId, SensorSwitch,
+};
 
+use super::frames::{PlanarPoint, turn_ned};
 use super::ids;
-use super::spaces::{Planar, turn_ned};
 use crate::message::CommandLong;
 
-/// The commands that [`understood`] knows, by rising number.
-pub const UNDERSTOOD: [u16; 7] = [
+/// The commands that [`decode_command`] knows, by rising number.
+pub const SUPPORTED_COMMANDS: [u16; 7] = [
     ids::COMMAND_PREFLIGHT_STORAGE,
     ids::COMMAND_LOGGING_START,
     ids::COMMAND_LOGGING_STOP,
@@ -36,13 +38,13 @@ pub const UNDERSTOOD: [u16; 7] = [
 
 /// Largest yaw that somebody means, degrees: a whole turn either way. What is far beyond is damage, and where in a turn it lies is an
 /// accident of rounding.
-const LARGEST_YAW_DEG: f32 = 360.0;
+const MAX_YAW_DEG: f32 = 360.0;
 
 /// Why a command says nothing that could be done.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CommandError {
-    /// Not one of [`UNDERSTOOD`].
+    /// Not one of [`SUPPORTED_COMMANDS`].
     #[error("command {command} is unknown here")]
     Unknown {
         /// MAV_CMD.
@@ -65,75 +67,75 @@ pub enum CommandError {
 /// What a command asks for.
 ///
 /// # Errors
-/// It is none of [`UNDERSTOOD`], or a parameter of it makes no sense.
-pub fn understood(command: &CommandLong) -> Result<Command, CommandError> {
+/// It is none of [`SUPPORTED_COMMANDS`], or a parameter of it makes no sense.
+pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
     match command.command {
-        ids::COMMAND_PREFLIGHT_STORAGE => storage(command),
+        ids::COMMAND_PREFLIGHT_STORAGE => decode_storage(command),
         ids::COMMAND_LOGGING_START => {
             // The only format that MAVLink names is another one; whoever asks for the first gets ours.
-            choice(command, 1, "0").and_then(|format| match format {
+            integer_parameter(command, 1, "0").and_then(|format| match format {
                 0 => Ok(Command::StartRecording),
-                _ => Err(nonsense(command, 1, "0")),
+                _ => Err(parameter_error(command, 1, "0")),
             })
         }
         ids::COMMAND_LOGGING_STOP => Ok(Command::StopRecording),
-        ids::COMMAND_SET_POSE => set_pose(command),
+        ids::COMMAND_SET_POSE => decode_set_pose(command),
         ids::COMMAND_RESET_POSE => Ok(Command::ResetPose),
-        ids::COMMAND_CALIBRATION => match choice(command, 1, "0, 1 or 2")? {
-            0 => Ok(Command::Learning(Learning::Frozen)),
-            1 => Ok(Command::Learning(Learning::Free)),
+        ids::COMMAND_CALIBRATION => match integer_parameter(command, 1, "0, 1 or 2")? {
+            0 => Ok(Command::OnlineCalibration(OnlineCalibration::Frozen)),
+            1 => Ok(Command::OnlineCalibration(OnlineCalibration::Enabled)),
             2 => Ok(Command::ResetCalibration),
-            _ => Err(nonsense(command, 1, "0, 1 or 2")),
+            _ => Err(parameter_error(command, 1, "0, 1 or 2")),
         },
         ids::COMMAND_SOURCE => {
             let wanted = "0 to 9, 32 to 38";
-            let sensor = SensorId(choice(command, 1, wanted)?);
+            let sensor = SensorId(integer_parameter(command, 1, wanted)?);
             if !sensor.is_known() {
-                return Err(nonsense(command, 1, wanted));
+                return Err(parameter_error(command, 1, wanted));
             }
-            match choice(command, 2, "0 or 1")? {
-                0 => Ok(Command::SwitchSource { sensor, to: Switch::Off }),
-                1 => Ok(Command::SwitchSource { sensor, to: Switch::On }),
-                _ => Err(nonsense(command, 2, "0 or 1")),
+            match integer_parameter(command, 2, "0 or 1")? {
+                0 => Ok(Command::SwitchSource { sensor, to: SensorSwitch::Off }),
+                1 => Ok(Command::SwitchSource { sensor, to: SensorSwitch::On }),
+                _ => Err(parameter_error(command, 2, "0 or 1")),
             }
         }
         command => Err(CommandError::Unknown { command }),
     }
 }
 
-fn storage(command: &CommandLong) -> Result<Command, CommandError> {
+fn decode_storage(command: &CommandLong) -> Result<Command, CommandError> {
     // Parameter 3 would start or stop a log: done in silence it would be a lie to say that it was accepted.
-    if parameter(command, 3) != 0.0 {
-        return Err(nonsense(command, 3, "0, or command 2510"));
+    if bounded_parameter(command, 3) != 0.0 {
+        return Err(parameter_error(command, 3, "0, or command 2510"));
     }
-    match choice(command, 1, "0 to 4")? {
+    match integer_parameter(command, 1, "0 to 4")? {
         0 => Ok(Command::Parameters(ParameterStorage::Reload)),
         1 => Ok(Command::Parameters(ParameterStorage::Save)),
         2 | 4 => Ok(Command::Parameters(ParameterStorage::Default)),
         3 => Ok(Command::ResetCalibration),
-        _ => Err(nonsense(command, 1, "0 to 4")),
+        _ => Err(parameter_error(command, 1, "0 to 4")),
     }
 }
 
-fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
-    let [north_m, east_m, yaw_deg] = [1, 2, 3].map(|index| parameter(command, index));
+fn decode_set_pose(command: &CommandLong) -> Result<Command, CommandError> {
+    let [north_m, east_m, yaw_deg] = [1, 2, 3].map(|index| bounded_parameter(command, index));
     for (index, value) in [(1, north_m), (2, east_m), (3, yaw_deg)] {
         if !value.is_finite() {
-            return Err(nonsense(command, index, "a number"));
+            return Err(parameter_error(command, index, "a number"));
         }
     }
-    if yaw_deg.abs() > LARGEST_YAW_DEG {
-        return Err(nonsense(command, 3, "-360 to 360"));
+    if yaw_deg.abs() > MAX_YAW_DEG {
+        return Err(parameter_error(command, 3, "-360 to 360"));
     }
-    let [position_sigma_m, yaw_sigma_deg] = [4, 5].map(|index| parameter(command, index));
+    let [position_sigma_m, yaw_sigma_deg] = [4, 5].map(|index| bounded_parameter(command, index));
     for (index, value) in [(4, position_sigma_m), (5, yaw_sigma_deg)] {
         // Fields that are left out are zero: nobody is that sure.
         if !(value.is_finite() && value > 0.0) {
-            return Err(nonsense(command, index, "a sigma above 0"));
+            return Err(parameter_error(command, index, "a sigma above 0"));
         }
     }
     let arena =
-        turn_ned(Planar { x: f64::from(north_m), y: f64::from(east_m), angle: f64::from(yaw_deg).to_radians() });
+        turn_ned(PlanarPoint { x: f64::from(north_m), y: f64::from(east_m), angle: f64::from(yaw_deg).to_radians() });
     Ok(Command::SetPose {
         pose: Pose::new(Meters(arena.x), Meters(arena.y), Heading::from_rad(arena.angle)),
         position_sigma_m: f64::from(position_sigma_m),
@@ -142,18 +144,18 @@ fn set_pose(command: &CommandLong) -> Result<Command, CommandError> {
 }
 
 /// A parameter that is one of few whole numbers.
-fn choice(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
-    let value = parameter(command, index);
+fn integer_parameter(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
+    let value = bounded_parameter(command, index);
     let whole = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
-    if whole { Ok(value as u8) } else { Err(nonsense(command, index, wanted)) }
+    if whole { Ok(value as u8) } else { Err(parameter_error(command, index, wanted)) }
 }
 
 /// One of the seven, from 1.
-fn parameter(command: &CommandLong, index: u8) -> f32 {
+fn bounded_parameter(command: &CommandLong, index: u8) -> f32 {
     let place = usize::from(index).wrapping_sub(1);
     command.params.get(place).copied().unwrap_or_default()
 }
 
-fn nonsense(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {
-    CommandError::Parameter { command: command.command, index, value: parameter(command, index), wanted }
+fn parameter_error(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {
+    CommandError::Parameter { command: command.command, index, value: bounded_parameter(command, index), wanted }
 }

@@ -1,12 +1,13 @@
-//! What components say of themselves when asked, and numbers to be plotted.
+//! Messages that describe a component, and numbers to be plotted.
 //!
-//! Written field by field in wire order (largest type first, extensions last). Source: MAVLink standard.xml and common.xml.
+//! Written field by field in wire order (largest type first, extensions last). Source: MAVLink standard.xml and
+//! common.xml.
 
 use posebridge_telemetry::ChannelName;
 
 use super::ids;
-use super::payload::{Payload, Reader, Writer, micros64, millis32};
-use super::sensors::NAME;
+use super::payload::{Payload, PayloadReader, PayloadWriter, micros64, millis32};
+use super::sensors::NAME_BYTES;
 use crate::framing::WireVersion;
 use crate::message::{
     AutopilotVersion, ComponentInformation, FloatArray, Message, MessageInterval, NamedValue, ProtocolVersion,
@@ -23,7 +24,7 @@ const SHORT_NAME: usize = 24;
 const NO_HARDWARE: [u8; 44] = [0; 44];
 
 pub(super) fn autopilot_version(payload: &[u8]) -> Message {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let capabilities = reader.u64();
     let _uid = reader.u64();
     Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.u32().to_be_bytes() })
@@ -31,14 +32,14 @@ pub(super) fn autopilot_version(payload: &[u8]) -> Message {
 
 fn write_autopilot_version(version: WireVersion, said: AutopilotVersion) -> Payload {
     let no_uid = 0;
-    let writer = Writer::new().u64(said.capabilities).u64(no_uid);
+    let writer = PayloadWriter::new().u64(said.capabilities).u64(no_uid);
     let writer = writer.u32(u32::from_be_bytes(said.software));
     let writer = writer.raw(&NO_HARDWARE[..40]).extensions();
     writer.raw(&NO_HARDWARE[..18]).finish(version)
 }
 
 pub(super) fn protocol_version(payload: &[u8]) -> Message {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     Message::ProtocolVersion(ProtocolVersion {
         version: reader.u16(),
         min_version: reader.u16(),
@@ -48,11 +49,11 @@ pub(super) fn protocol_version(payload: &[u8]) -> Message {
 
 fn write_protocol_version(version: WireVersion, said: ProtocolVersion) -> Payload {
     let no_hashes = [0; 16];
-    Writer::new().u16(said.version).u16(said.min_version).u16(said.max_version).raw(&no_hashes).finish(version)
+    PayloadWriter::new().u16(said.version).u16(said.min_version).u16(said.max_version).raw(&no_hashes).finish(version)
 }
 
 pub(super) fn component_information(payload: &[u8]) -> Message {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let capabilities = reader.u64();
     let stamp = WireStamp::Millis32(reader.u32());
     let _manufactured = reader.u32();
@@ -72,7 +73,7 @@ fn write_component_information(version: WireVersion, said: &ComponentInformation
     let unknown_date = 0;
     let no_hardware_version = [0; SHORT_NAME];
     let no_serial_number = [0; LONG_NAME];
-    Writer::new()
+    PayloadWriter::new()
         .u64(said.capabilities)
         .u32(millis32(said.stamp))
         .u32(unknown_date)
@@ -88,20 +89,24 @@ fn write_component_information(version: WireVersion, said: &ComponentInformation
 }
 
 pub(super) fn message_interval(payload: &[u8]) -> Message {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let interval_micros = reader.i32();
     Message::MessageInterval(MessageInterval { message_id: reader.u16(), interval_micros })
 }
 
 fn write_named_value(version: WireVersion, said: &NamedValue) -> Payload {
-    Writer::new().u32(millis32(said.stamp)).f32(said.value).text::<NAME>(said.name.as_str()).finish(version)
+    PayloadWriter::new()
+        .u32(millis32(said.stamp))
+        .f32(said.value)
+        .text::<NAME_BYTES>(said.name.as_str())
+        .finish(version)
 }
 
 pub(super) fn float_array(payload: &[u8]) -> Message {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Micros64(reader.u64());
     let id = reader.u16();
-    let name = ChannelName::from_bytes(&reader.bytes::<NAME>());
+    let name = ChannelName::from_bytes(&reader.bytes::<NAME_BYTES>());
     let mut values = reader.f32s::<ARRAY>().to_vec();
     while values.last().is_some_and(|value| value.to_bits() == 0) {
         values.pop();
@@ -111,10 +116,10 @@ pub(super) fn float_array(payload: &[u8]) -> Message {
 
 fn write_float_array(version: WireVersion, said: &FloatArray) -> Payload {
     let held = said.values.len().min(ARRAY);
-    Writer::new()
+    PayloadWriter::new()
         .u64(micros64(said.stamp))
         .u16(said.id)
-        .text::<NAME>(said.name.as_str())
+        .text::<NAME_BYTES>(said.name.as_str())
         .extensions()
         .f32s(&said.values[..held])
         .finish(version)
@@ -133,7 +138,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
             (ids::COMPONENT_INFORMATION_BASIC, write_component_information(version, said))
         }
         Message::MessageInterval(said) => {
-            let writer = Writer::new().i32(said.interval_micros);
+            let writer = PayloadWriter::new().i32(said.interval_micros);
             let writer = writer.u16(said.message_id);
             (ids::MESSAGE_INTERVAL, writer.finish(version))
         }

@@ -1,4 +1,4 @@
-//! Messages to frames, with the sequence numbers of one link.
+//! Encodes messages to frames, with the sequence numbers of one link.
 
 use std::collections::BTreeMap;
 
@@ -6,10 +6,10 @@ use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
-use super::{component, conversation, ids, own, poses, sensors};
-use crate::framing::{START_V1, START_V2, WireVersion, checksum, crc_extra_of};
+use super::{component, ids, posebridge, poses, sensors, services};
+use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
-use crate::signing::{FLAG_SIGNED, Seal};
+use crate::signing::{FLAG_SIGNED, FrameSigner};
 
 /// Writes frames for one link.
 ///
@@ -39,18 +39,24 @@ impl Encoder {
     /// Appends one whole frame with its signature to `out` and returns its length, signature included.
     ///
     /// Returns 0 and appends nothing for a MAVLink 1 encoder: those frames cannot be signed.
-    pub fn encode_signed(&mut self, from: Address, message: &Message, seal: &Seal<'_>, out: &mut Vec<u8>) -> usize {
+    pub fn encode_signed(
+        &mut self,
+        from: Address,
+        message: &Message,
+        seal: &FrameSigner<'_>,
+        out: &mut Vec<u8>,
+    ) -> usize {
         match self.version {
             WireVersion::V1 => 0,
             WireVersion::V2 => self.write(from, message, Some(seal), out),
         }
     }
 
-    fn write(&mut self, from: Address, message: &Message, seal: Option<&Seal<'_>>, out: &mut Vec<u8>) -> usize {
+    fn write(&mut self, from: Address, message: &Message, seal: Option<&FrameSigner<'_>>, out: &mut Vec<u8>) -> usize {
         let Some((message_id, payload)) = payload_of(self.version, message) else {
             return 0;
         };
-        let Some(shape) = CATALOGUE.shape(message_id) else {
+        let Some(shape) = CATALOGUE.layout(message_id) else {
             return 0;
         };
         let payload = payload.bytes();
@@ -58,10 +64,10 @@ impl Encoder {
         let start = out.len();
         match self.version {
             WireVersion::V1 if message_id > 0xFF => return 0,
-            WireVersion::V1 => out.extend_from_slice(&[START_V1, payload.len() as u8]),
+            WireVersion::V1 => out.extend_from_slice(&[START_BYTE_V1, payload.len() as u8]),
             WireVersion::V2 => {
                 let flags = seal.map_or(0, |_| FLAG_SIGNED);
-                out.extend_from_slice(&[START_V2, payload.len() as u8, flags, 0]);
+                out.extend_from_slice(&[START_BYTE_V2, payload.len() as u8, flags, 0]);
             }
         }
         let sequence = self.next_sequence(from);
@@ -73,7 +79,7 @@ impl Encoder {
         let sum = checksum(&out[start + 1..], shape.crc_extra);
         out.extend_from_slice(&sum.to_le_bytes());
         if let Some(seal) = seal {
-            seal.append(out, start);
+            seal.sign(out, start);
         }
         out.len() - start
     }
@@ -85,11 +91,11 @@ impl Encoder {
     /// # Errors
     /// A frame that cannot be numbered stays as it is.
     pub fn renumber(&mut self, frame: &mut [u8]) -> Result<(), RenumberError> {
-        let layout = Layout::of(frame).ok_or(RenumberError::NoFrame)?;
+        let layout = FrameLayout::parse(frame).ok_or(RenumberError::NoFrame)?;
         if layout.is_signed {
             return Err(RenumberError::Signed);
         }
-        let Layout { source, sequence_at, end, .. } = layout;
+        let FrameLayout { source, sequence_at, end, .. } = layout;
         let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
         let sum = match frame.get(end..end + 2) {
             Some(&[low, high]) => u16::from_le_bytes([low, high]),
@@ -103,7 +109,7 @@ impl Encoder {
     }
 
     /// Takes note that a frame of somebody else leaves under the number that it came with: his next one here is the next after that.
-    pub fn follow(&mut self, from: Address, sequence: u8) {
+    pub fn note_forwarded(&mut self, from: Address, sequence: u8) {
         self.sequences.insert(from, sequence.wrapping_add(1));
     }
 
@@ -132,11 +138,11 @@ pub enum RenumberError {
 /// Whether a whole frame bears a signature; false of what is no frame.
 #[must_use]
 pub fn is_signed(frame: &[u8]) -> bool {
-    Layout::of(frame).is_some_and(|layout| layout.is_signed)
+    FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
 }
 
 /// Where in a frame that is to be numbered the parts stand.
-struct Layout {
+struct FrameLayout {
     source: Address,
     sequence_at: usize,
     /// Where the payload ends and the checksum begins.
@@ -144,16 +150,16 @@ struct Layout {
     is_signed: bool,
 }
 
-impl Layout {
-    fn of(frame: &[u8]) -> Option<Self> {
+impl FrameLayout {
+    fn parse(frame: &[u8]) -> Option<Self> {
         match *frame {
-            [START_V2, len, flags, _, _, system, component, ..] => Some(Self {
+            [START_BYTE_V2, len, flags, _, _, system, component, ..] => Some(Self {
                 source: Address::new(system, component),
                 sequence_at: 4,
                 end: 10 + usize::from(len),
                 is_signed: flags & FLAG_SIGNED != 0,
             }),
-            [START_V1, len, _, system, component, ..] => Some(Self {
+            [START_BYTE_V1, len, _, system, component, ..] => Some(Self {
                 source: Address::new(system, component),
                 sequence_at: 2,
                 end: 6 + usize::from(len),
@@ -167,11 +173,11 @@ impl Layout {
 /// The payload of any message. The match is exhaustive so that a new message cannot be forgotten here.
 fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
     let payload = match message {
-        Message::WheelTicks(ticks) => (ids::PB_WHEEL_TICKS, own::write_ticks(version, ticks)),
-        Message::Inertial(inertial) => (ids::PB_INERTIAL, own::write_inertial(version, inertial)),
-        Message::PlanarPose(pose) => (ids::PB_PLANAR_POSE, own::write_pose(version, pose)),
-        Message::FusionHealth(health) => (ids::PB_FUSION_HEALTH, own::write_health(version, health)),
-        Message::RobotDescription(robot) => (ids::PB_ROBOT_DESCRIPTION, own::write_robot(version, robot)),
+        Message::WheelTicks(ticks) => (ids::PB_WHEEL_TICKS, posebridge::write_ticks(version, ticks)),
+        Message::Inertial(inertial) => (ids::PB_INERTIAL, posebridge::write_inertial(version, inertial)),
+        Message::PlanarPose(pose) => (ids::PB_PLANAR_POSE, posebridge::write_pose(version, pose)),
+        Message::FusionHealth(health) => (ids::PB_FUSION_HEALTH, posebridge::write_health(version, health)),
+        Message::RobotDescription(robot) => (ids::PB_ROBOT_DESCRIPTION, posebridge::write_robot(version, robot)),
         Message::AutopilotVersion(_)
         | Message::ProtocolVersion(_)
         | Message::ComponentInformation(_)
@@ -190,7 +196,7 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         | Message::ParamRequestRead { .. }
         | Message::ParamSet { .. }
         | Message::ParamSetUnsupported { .. }
-        | Message::ParamValue { .. } => return conversation::write(version, message),
+        | Message::ParamValue { .. } => return services::write(version, message),
         Message::WheelDistance { .. }
         | Message::ScaledImu(_)
         | Message::HighresImu(_)

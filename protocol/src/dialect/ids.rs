@@ -1,4 +1,4 @@
-//! The messages that this station understands, by number and name.
+//! The ids and names of the messages that the station decodes.
 
 /// A message that can be decoded and encoded here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

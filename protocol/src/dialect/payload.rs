@@ -1,13 +1,13 @@
-//! Payload bytes: the part of the codec that knows little-endian, trailing zeros and extension fields, and no message.
+//! Encoding of payloads: little-endian, trailing zeros and extension fields, for any message.
 //!
-//! Messages without enumerations go through the generated types. Those with enumerations are read and written here, field
-//! by field in wire order, because the generated code refuses a whole message for one value that its XML does not list,
-//! and an unknown command must still be answered.
+//! Messages without enumerations use the generated types. Those with enumerations are read and written field by field
+//! in wire order, because the generated code rejects a whole message for one value that its XML does not list, and an
+//! unknown command must still be answered.
 
 use mavlink_core::{MavlinkVersion, MessageData};
 use posebridge_telemetry::Address;
 
-use super::PayloadError;
+use super::error::PayloadError;
 use crate::framing::WireVersion;
 use crate::message::WireStamp;
 
@@ -27,7 +27,7 @@ impl Payload {
     }
 
     /// Writes a generated message; trailing zeros are cut off in version 2, extensions in version 1.
-    pub(super) fn of<D: MessageData>(version: WireVersion, data: &D) -> Self {
+    pub(super) fn encode<D: MessageData>(version: WireVersion, data: &D) -> Self {
         let mut bytes = [0; MAX_PAYLOAD];
         let len = data.ser(mavlink_version(version), &mut bytes);
         Self { bytes, len }
@@ -42,17 +42,17 @@ const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
 }
 
 /// Reads a generated message. Bytes that were cut off are zeros again; that holds for version 1 as well.
-pub(super) fn read<D: MessageData>(payload: &[u8]) -> Result<D, PayloadError> {
+pub(super) fn decode_generated<D: MessageData>(payload: &[u8]) -> Result<D, PayloadError> {
     D::deser(MavlinkVersion::V2, payload).map_err(|source| PayloadError::Layout { message_id: D::ID, source })
 }
 
 /// Reads fields one after the other; beyond the end there are zeros.
 #[derive(Debug)]
-pub(super) struct Reader<'a> {
+pub(super) struct PayloadReader<'a> {
     rest: &'a [u8],
 }
 
-impl<'a> Reader<'a> {
+impl<'a> PayloadReader<'a> {
     pub(super) const fn new(payload: &'a [u8]) -> Self {
         Self { rest: payload }
     }
@@ -122,14 +122,14 @@ impl<'a> Reader<'a> {
 
 /// Writes fields one after the other.
 #[derive(Debug)]
-pub(super) struct Writer {
+pub(super) struct PayloadWriter {
     bytes: [u8; MAX_PAYLOAD],
     len: usize,
     /// Where the extension fields begin, once they have begun.
     base_len: Option<usize>,
 }
 
-impl Writer {
+impl PayloadWriter {
     pub(super) const fn new() -> Self {
         Self { bytes: [0; MAX_PAYLOAD], len: 0, base_len: None }
     }
@@ -215,7 +215,7 @@ pub(super) fn text_to<const N: usize>(text: &str) -> [u8; N] {
 }
 
 /// The address, or `None` for 0/0, which means everybody.
-pub(super) fn somebody(address: Address) -> Option<Address> {
+pub(super) fn specific_address(address: Address) -> Option<Address> {
     (address != Address::new(0, 0)).then_some(address)
 }
 
@@ -228,7 +228,9 @@ pub(super) const fn micros32(stamp: WireStamp) -> u32 {
 pub(super) const fn millis32(stamp: WireStamp) -> u32 {
     match stamp {
         WireStamp::Millis32(millis) => millis,
-        WireStamp::Micros32(_) | WireStamp::Micros64(_) | WireStamp::Asked { .. } => (micros64(stamp) / 1_000) as u32,
+        WireStamp::Micros32(_) | WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => {
+            (micros64(stamp) / 1_000) as u32
+        }
     }
 }
 
@@ -251,15 +253,15 @@ mod tests {
 
     #[test]
     fn bytes_that_were_cut_off_read_as_zeros() {
-        let mut reader = Reader::new(&[0x34]);
+        let mut reader = PayloadReader::new(&[0x34]);
         assert_eq!((reader.u16(), reader.u32(), reader.u8()), (0x34, 0, 0));
     }
 
     #[test]
     fn version_2_keeps_one_byte_and_version_1_drops_extensions() {
-        let zeros = Writer::new().u32(0).finish(WireVersion::V2);
+        let zeros = PayloadWriter::new().u32(0).finish(WireVersion::V2);
         assert_eq!(zeros.bytes(), [0]);
-        let message = Writer::new().u8(7).u8(0).extensions().u8(9);
+        let message = PayloadWriter::new().u8(7).u8(0).extensions().u8(9);
         assert_eq!(message.finish(WireVersion::V1).bytes(), [7, 0]);
     }
 

@@ -1,10 +1,10 @@
-//! Standard messages of poses: fixes from outside, odometry, and what ground stations draw.
+//! Standard messages of poses: external fixes, odometry, and what ground stations draw.
 //!
-//! Positions and angles are north-east-down, or forward-right-down where a floor frame has no north; [`super::spaces`]
-//! turns them. ODOMETRY says in its own frame field which it is: MAV_FRAME_LOCAL_NED (1) is the arena, MAV_FRAME_LOCAL_FRD
-//! (20) with child MAV_FRAME_BODY_FRD (12) is a pose that drifts, unless the sender says that it looks from outside (estimator type
-//! vision or mocap): then forward is the arena's x. Trackers still send the frames of mocap and vision that are reserved since 2019.
-//! Source: MAVLink common.xml, MAV_FRAME and MAV_ESTIMATOR_TYPE, and their history.
+//! Positions and angles are north-east-down, or forward-right-down where a floor frame has no north; [`super::frames`]
+//! converts them. ODOMETRY names its frame: MAV_FRAME_LOCAL_NED (1) is the arena, MAV_FRAME_LOCAL_FRD (20) with child
+//! MAV_FRAME_BODY_FRD (12) is a pose that drifts, unless the sender is an external observer (estimator type vision or
+//! mocap): then forward is the arena's x. Trackers still send the frames of mocap and vision that are reserved since
+//! 2019. Source: MAVLink common.xml, MAV_FRAME and MAV_ESTIMATOR_TYPE, and their history.
 
 use mavlink::dialects::common::{
     ATT_POS_MOCAP_DATA, ATTITUDE_DATA, ESTIMATOR_STATUS_DATA, EstimatorStatusFlags, LOCAL_POSITION_NED_DATA,
@@ -12,12 +12,13 @@ use mavlink::dialects::common::{
 };
 use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond};
 
-use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
-use super::spaces::{
-    Planar, TRIANGLE, flip, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned, turn_ned_covariance,
-    yaw,
+use super::error::{Decoded, PayloadError, require_finite};
+use super::frames::{
+    PlanarPoint, TRIANGLE_LEN, negate, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
+    turn_ned_covariance, yaw,
 };
-use super::{Decoded, PayloadError, finite, ids};
+use super::ids;
+use super::payload::{Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32};
 use crate::framing::WireVersion;
 use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
 
@@ -47,18 +48,18 @@ const ESTIMATOR_VISION: u8 = 2;
 const ESTIMATOR_MOCAP: u8 = 6;
 
 pub(super) fn attitude(payload: &[u8]) -> Decoded {
-    let data: ATTITUDE_DATA = read(payload)?;
-    let yaw_rad = finite(ids::ATTITUDE, "yaw", f64::from(data.yaw))?;
+    let data: ATTITUDE_DATA = decode_generated(payload)?;
+    let yaw_rad = require_finite(ids::ATTITUDE, "yaw", f64::from(data.yaw))?;
     Ok(Some(Message::Attitude {
         stamp: WireStamp::Millis32(data.time_boot_ms),
         heading: heading_from_yaw(yaw_rad),
-        turn_rate: RadiansPerSecond(flip(f64::from(data.yawspeed))),
+        turn_rate: RadiansPerSecond(negate(f64::from(data.yawspeed))),
     }))
 }
 
 pub(super) fn local_position(payload: &[u8]) -> Decoded {
-    let data: LOCAL_POSITION_NED_DATA = read(payload)?;
-    let checked = |field, value: f32| finite(ids::LOCAL_POSITION_NED, field, f64::from(value));
+    let data: LOCAL_POSITION_NED_DATA = decode_generated(payload)?;
+    let checked = |field, value: f32| require_finite(ids::LOCAL_POSITION_NED, field, f64::from(value));
     Ok(Some(Message::LocalPosition {
         stamp: WireStamp::Millis32(data.time_boot_ms),
         x: Meters(checked("y", data.y)?),
@@ -69,8 +70,8 @@ pub(super) fn local_position(payload: &[u8]) -> Decoded {
 }
 
 pub(super) fn vision_position(payload: &[u8]) -> Decoded {
-    let data: VISION_POSITION_ESTIMATE_DATA = read(payload)?;
-    let checked = |field, value: f32| finite(ids::VISION_POSITION_ESTIMATE, field, f64::from(value));
+    let data: VISION_POSITION_ESTIMATE_DATA = decode_generated(payload)?;
+    let checked = |field, value: f32| require_finite(ids::VISION_POSITION_ESTIMATE, field, f64::from(value));
     Ok(Some(Message::VisionPosition(VisionFix {
         stamp: WireStamp::Micros64(data.usec),
         x: Meters(checked("y", data.y)?),
@@ -78,6 +79,7 @@ pub(super) fn vision_position(payload: &[u8]) -> Decoded {
         heading: data.yaw.is_finite().then(|| heading_from_yaw(f64::from(data.yaw))),
         covariance: fix_covariance(&data.covariance),
         reset_counter: data.reset_counter,
+        tag: None,
     })))
 }
 
@@ -93,13 +95,13 @@ fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
         covariance: fix_triangle(fix.covariance),
         reset_counter: fix.reset_counter,
     };
-    Payload::of(version, &data)
+    Payload::encode(version, &data)
 }
 
 /// ATT_POS_MOCAP has no reset counter: it reads as 0.
 pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
-    let data: ATT_POS_MOCAP_DATA = read(payload)?;
-    let checked = |field, value: f32| finite(ids::ATT_POS_MOCAP, field, f64::from(value));
+    let data: ATT_POS_MOCAP_DATA = decode_generated(payload)?;
+    let checked = |field, value: f32| require_finite(ids::ATT_POS_MOCAP, field, f64::from(value));
     Ok(Some(Message::MocapPosition(VisionFix {
         stamp: WireStamp::Micros64(data.time_usec),
         x: Meters(checked("y", data.y)?),
@@ -107,6 +109,7 @@ pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
         heading: yaw(data.q).map(heading_from_yaw),
         covariance: fix_covariance(&data.covariance),
         reset_counter: 0,
+        tag: None,
     })))
 }
 
@@ -119,31 +122,31 @@ fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
         z: 0.0,
         covariance: fix_triangle(fix.covariance),
     };
-    Payload::of(version, &data)
+    Payload::encode(version, &data)
 }
 
 pub(super) fn odometry(payload: &[u8]) -> Decoded {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Micros64(reader.u64());
     let [x, y, _z] = reader.f32s();
     let attitude: [f32; 4] = reader.f32s();
     let [forward, _side, _down] = reader.f32s();
     let [_roll_rate, _pitch_rate, yaw_rate] = reader.f32s();
-    let pose_covariance: [f32; TRIANGLE] = reader.f32s();
-    reader.skip::<{ 4 * TRIANGLE }>();
+    let pose_covariance: [f32; TRIANGLE_LEN] = reader.f32s();
+    reader.skip::<{ 4 * TRIANGLE_LEN }>();
     let (pose_frame, twist_frame) = (reader.u8(), reader.u8());
     let reset_counter = reader.u8();
     let estimator = reader.u8();
     let quality = reader.i8();
     if quality < 0 {
         let message_id = ids::ODOMETRY;
-        return Err(PayloadError::Failed { message_id });
+        return Err(PayloadError::SenderFailed { message_id });
     }
 
-    let wire = Planar {
-        x: finite(ids::ODOMETRY, "x", f64::from(x))?,
-        y: finite(ids::ODOMETRY, "y", f64::from(y))?,
-        angle: finite(ids::ODOMETRY, "q", yaw(attitude).unwrap_or(f64::NAN))?,
+    let wire = PlanarPoint {
+        x: require_finite(ids::ODOMETRY, "x", f64::from(x))?,
+        y: require_finite(ids::ODOMETRY, "y", f64::from(y))?,
+        angle: require_finite(ids::ODOMETRY, "q", yaw(attitude).unwrap_or(f64::NAN))?,
     };
     let (pose, covariance) = odometry_pose(pose_frame, wire, planar(&pose_covariance))?;
     let pose = match pose {
@@ -153,7 +156,7 @@ pub(super) fn odometry(payload: &[u8]) -> Decoded {
         pose @ (OdometryPose::Arena(_) | OdometryPose::Odom(_)) => pose,
     };
     let turn_rate = match twist_frame {
-        frame::BODY_FRD | frame::BODY_NED => flip(f64::from(yaw_rate)),
+        frame::BODY_FRD | frame::BODY_NED => negate(f64::from(yaw_rate)),
         frame::BODY_FLU => f64::from(yaw_rate),
         other => return Err(unknown_frame(other)),
     };
@@ -170,9 +173,13 @@ pub(super) fn odometry(payload: &[u8]) -> Decoded {
 
 type PoseAndCovariance = (OdometryPose, Option<[f64; 6]>);
 
-fn odometry_pose(frame: u8, wire: Planar, covariance: Option<[f64; 6]>) -> Result<PoseAndCovariance, PayloadError> {
-    let arena = |ours: Planar| OdometryPose::Arena(pose_from(ours));
-    let odom = |ours: Planar| OdometryPose::Odom(pose_from(ours));
+fn odometry_pose(
+    frame: u8,
+    wire: PlanarPoint,
+    covariance: Option<[f64; 6]>,
+) -> Result<PoseAndCovariance, PayloadError> {
+    let arena = |ours: PlanarPoint| OdometryPose::Arena(pose_from(ours));
+    let odom = |ours: PlanarPoint| OdometryPose::Odom(pose_from(ours));
     Ok(match frame {
         frame::LOCAL_NED | frame::MOCAP_NED | frame::VISION_NED => {
             (arena(turn_ned(wire)), covariance.map(turn_ned_covariance))
@@ -184,12 +191,12 @@ fn odometry_pose(frame: u8, wire: Planar, covariance: Option<[f64; 6]>) -> Resul
     })
 }
 
-fn pose_from<S>(planar: Planar) -> Pose<S> {
+fn pose_from<S>(planar: PlanarPoint) -> Pose<S> {
     Pose::new(Meters(planar.x), Meters(planar.y), Heading::from_rad(planar.angle))
 }
 
 const fn unknown_frame(frame: u8) -> PayloadError {
-    PayloadError::Space { message_id: ids::ODOMETRY, frame }
+    PayloadError::UnknownFrame { message_id: ids::ODOMETRY, frame }
 }
 
 fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
@@ -201,12 +208,12 @@ fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
             (frame::LOCAL_FRD, turn_frd(planar_from(pose)), odometry.covariance.map(turn_frd_covariance))
         }
     };
-    Writer::new()
+    PayloadWriter::new()
         .u64(micros64(odometry.stamp))
         .f32s(&[wire.x as f32, wire.y as f32, 0.0])
         .f32s(&quaternion(wire.angle))
         .f32s(&[odometry.forward_speed.0 as f32, 0.0, 0.0])
-        .f32s(&[0.0, 0.0, flip(odometry.turn_rate.0) as f32])
+        .f32s(&[0.0, 0.0, negate(odometry.turn_rate.0) as f32])
         .f32s(&triangle(covariance))
         .f32s(&triangle(None))
         .u8(frame)
@@ -218,12 +225,12 @@ fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
         .finish(version)
 }
 
-fn planar_from<S>(pose: Pose<S>) -> Planar {
-    Planar { x: pose.x.0, y: pose.y.0, angle: pose.heading.rad() }
+fn planar_from<S>(pose: Pose<S>) -> PlanarPoint {
+    PlanarPoint { x: pose.x.0, y: pose.y.0, angle: pose.heading.rad() }
 }
 
 pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
-    let data: ESTIMATOR_STATUS_DATA = read(payload)?;
+    let data: ESTIMATOR_STATUS_DATA = decode_generated(payload)?;
     let has = |flag| data.flags.contains(flag);
     let is_absolute = has(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS);
     let is_relative = has(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_REL);
@@ -261,7 +268,7 @@ fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Pay
         pos_vert_accuracy: 0.0,
         flags,
     };
-    Payload::of(version, &data)
+    Payload::encode(version, &data)
 }
 
 /// Writes the messages of this module; `None` for all others.
@@ -285,7 +292,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
                 vy: x_speed.0 as f32,
                 vz: 0.0,
             };
-            (ids::LOCAL_POSITION_NED, Payload::of(version, &data))
+            (ids::LOCAL_POSITION_NED, Payload::encode(version, &data))
         }
         Message::Attitude { stamp, heading, turn_rate } => {
             let data = ATTITUDE_DATA {
@@ -295,9 +302,9 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
                 yaw: yaw_from_heading(*heading) as f32,
                 rollspeed: 0.0,
                 pitchspeed: 0.0,
-                yawspeed: flip(turn_rate.0) as f32,
+                yawspeed: negate(turn_rate.0) as f32,
             };
-            (ids::ATTITUDE, Payload::of(version, &data))
+            (ids::ATTITUDE, Payload::encode(version, &data))
         }
         _ => return None,
     };
@@ -305,7 +312,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
 }
 
 fn heading_from_yaw(yaw_rad: f64) -> Heading {
-    let pose = Planar { x: 0.0, y: 0.0, angle: yaw_rad };
+    let pose = PlanarPoint { x: 0.0, y: 0.0, angle: yaw_rad };
     Heading::from_rad(turn_ned(pose).angle)
 }
 
@@ -314,12 +321,12 @@ fn yaw_from_heading(heading: Heading) -> f64 {
 }
 
 /// xx, xy, yy and heading variance in the arena from a north-east-down triangle.
-fn fix_covariance(wire: &[f32; TRIANGLE]) -> Option<[f64; 4]> {
+fn fix_covariance(wire: &[f32; TRIANGLE_LEN]) -> Option<[f64; 4]> {
     let [xx, xy, _, yy, _, hh] = turn_ned_covariance(planar(wire)?);
     Some([xx, xy, yy, hh])
 }
 
-fn fix_triangle(covariance: Option<[f64; 4]>) -> [f32; TRIANGLE] {
+fn fix_triangle(covariance: Option<[f64; 4]>) -> [f32; TRIANGLE_LEN] {
     triangle(covariance.map(|[xx, xy, yy, hh]| turn_ned_covariance([xx, xy, 0.0, yy, 0.0, hh])))
 }
 

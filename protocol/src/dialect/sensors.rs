@@ -1,13 +1,14 @@
 //! Standard messages of sensors: wheels, inertial units, range finders, thermometers.
 //!
-//! Body rates come as forward-right-down and turn their sign here. Source: MAVLink common.xml.
+//! Body rates are forward-right-down on the wire and change their sign here. Source: MAVLink common.xml.
 
 use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA};
 use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
-use super::payload::{Payload, Reader, Writer, micros64, millis32, read};
-use super::spaces::flip;
-use super::{Decoded, PayloadError, finite, ids};
+use super::error::{Decoded, PayloadError, require_finite};
+use super::frames::negate;
+use super::ids;
+use super::payload::{Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32};
 use crate::framing::WireVersion;
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
@@ -26,23 +27,23 @@ const QUALITY_INVALID: u8 = 1;
 /// Unit of SCALED_PRESSURE.temperature.
 const CENTIDEGREE_C: f64 = 1e-2;
 /// Bytes of NAMED_VALUE_FLOAT.name.
-pub(super) const NAME: usize = 10;
+pub(super) const NAME_BYTES: usize = 10;
 /// A named value whose name begins so is a temperature in degrees Celsius; the definition of the message leaves that to its sender.
 const TEMPERATURE_NAME: &[u8] = b"temp";
 /// Absolute zero (SI brochure, section 2.3.1).
-const COLDEST_C: f64 = -273.15;
+const MIN_TEMPERATURE_C: f64 = -273.15;
 /// Above the melting point of tungsten (3422 degrees): no thermometer of contact shows more.
-const HOTTEST_C: f64 = 3_500.0;
+const MAX_TEMPERATURE_C: f64 = 3_500.0;
 /// MAV_DISTANCE_SENSOR_UNKNOWN.
 const RANGER_UNKNOWN: u8 = 4;
 
 pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
-    let data: WHEEL_DISTANCE_DATA = read(payload)?;
+    let data: WHEEL_DISTANCE_DATA = decode_generated(payload)?;
     let [left, right, ..] = data.distance;
     if data.count < 2 {
         return Err(PayloadError::TooFewWheels { message_id: ids::WHEEL_DISTANCE, count: data.count });
     }
-    let checked = |value| finite(ids::WHEEL_DISTANCE, "distance", value);
+    let checked = |value| require_finite(ids::WHEEL_DISTANCE, "distance", value);
     Ok(Some(Message::WheelDistance {
         stamp: WireStamp::Micros64(data.time_usec),
         left: Meters(checked(left)?),
@@ -51,10 +52,10 @@ pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
 }
 
 pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
-    let data: SCALED_IMU_DATA = read(payload)?;
+    let data: SCALED_IMU_DATA = decode_generated(payload)?;
     Ok(Some(Message::ScaledImu(PlanarImu {
         stamp: WireStamp::Millis32(data.time_boot_ms),
-        turn_rate: Some(RadiansPerSecond(flip(f64::from(data.zgyro)) * MILLI_RAD_PER_S)),
+        turn_rate: Some(RadiansPerSecond(negate(f64::from(data.zgyro)) * MILLI_RAD_PER_S)),
         forward_acceleration: Some(MetersPerSecondSquared(f64::from(data.xacc) * MILLI_GRAVITY_M_PER_S2)),
     })))
 }
@@ -70,23 +71,23 @@ fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
         zacc: 0,
         xgyro: 0,
         ygyro: 0,
-        zgyro: (flip(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
+        zgyro: (negate(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
         xmag: 0,
         ymag: 0,
         zmag: 0,
         temperature: 0,
     };
-    Payload::of(version, &data)
+    Payload::encode(version, &data)
 }
 
 pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
-    let data: HIGHRES_IMU_DATA = read(payload)?;
+    let data: HIGHRES_IMU_DATA = decode_generated(payload)?;
     let has = |field| data.fields_updated.contains(field);
     let has_turn_rate = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO);
     let has_acceleration = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC);
     Ok(Some(Message::HighresImu(PlanarImu {
         stamp: WireStamp::Micros64(data.time_usec),
-        turn_rate: has_turn_rate.then(|| RadiansPerSecond(flip(f64::from(data.zgyro)))),
+        turn_rate: has_turn_rate.then(|| RadiansPerSecond(negate(f64::from(data.zgyro)))),
         forward_acceleration: has_acceleration.then(|| MetersPerSecondSquared(f64::from(data.xacc))),
     })))
 }
@@ -103,7 +104,7 @@ fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
         zacc: 0.0,
         xgyro: 0.0,
         ygyro: 0.0,
-        zgyro: flip(imu.turn_rate.unwrap_or_default().0) as f32,
+        zgyro: negate(imu.turn_rate.unwrap_or_default().0) as f32,
         xmag: 0.0,
         ymag: 0.0,
         zmag: 0.0,
@@ -114,12 +115,12 @@ fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
         fields_updated,
         id: 0,
     };
-    Payload::of(version, &data)
+    Payload::encode(version, &data)
 }
 
 /// Forward-looking ranges inside the sensor's own limits; everything else is of no use here.
 pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
     let min_cm = reader.u16();
     let max_cm = reader.u16();
@@ -150,7 +151,7 @@ fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: 
     // One below the limit: a range at the limit means that nothing was seen.
     let current_cm = ((range.0 / CENTIMETER_M).round() as u16).min(max_cm - 1);
     let id = 0;
-    Writer::new()
+    PayloadWriter::new()
         .u32(millis32(stamp))
         .u16(min_cm)
         .u16(max_cm)
@@ -164,33 +165,37 @@ fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: 
 
 /// The temperature beside the pressures, which are of no use here and are not looked at.
 pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
     reader.skip::<8>();
     let temperature_cdeg_c = reader.i16();
     Ok(Some(Message::Thermometer {
         stamp,
         channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
-        temperature: believable(ids::SCALED_PRESSURE, f64::from(temperature_cdeg_c) * CENTIDEGREE_C)?,
+        temperature: check_temperature(ids::SCALED_PRESSURE, f64::from(temperature_cdeg_c) * CENTIDEGREE_C)?,
     }))
 }
 
 /// Named values are for people; those that are temperatures by their names are those of a thermometer.
 pub(super) fn named_value(payload: &[u8]) -> Decoded {
-    let mut reader = Reader::new(payload);
+    let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
     let value = reader.f32();
-    let name = reader.bytes::<NAME>();
+    let name = reader.bytes::<NAME_BYTES>();
     let channel = ChannelName::from_bytes(&name);
     if !name.starts_with(TEMPERATURE_NAME) {
         return Ok(Some(Message::NamedValue(NamedValue { stamp, name: channel, value })));
     }
-    let degrees_c = finite(ids::NAMED_VALUE_FLOAT, "value", f64::from(value))?;
-    Ok(Some(Message::Thermometer { stamp, channel, temperature: believable(ids::NAMED_VALUE_FLOAT, degrees_c)? }))
+    let degrees_c = require_finite(ids::NAMED_VALUE_FLOAT, "value", f64::from(value))?;
+    Ok(Some(Message::Thermometer {
+        stamp,
+        channel,
+        temperature: check_temperature(ids::NAMED_VALUE_FLOAT, degrees_c)?,
+    }))
 }
 
-fn believable(message_id: u32, degrees_c: f64) -> Result<Celsius, PayloadError> {
-    if (COLDEST_C..=HOTTEST_C).contains(&degrees_c) {
+fn check_temperature(message_id: u32, degrees_c: f64) -> Result<Celsius, PayloadError> {
+    if (MIN_TEMPERATURE_C..=MAX_TEMPERATURE_C).contains(&degrees_c) {
         Ok(Celsius(degrees_c))
     } else {
         Err(PayloadError::Temperature { message_id, degrees_c })
@@ -203,7 +208,7 @@ fn write_thermometer(
     channel: &ChannelName,
     temperature: Celsius,
 ) -> (u32, Payload) {
-    let writer = Writer::new().u32(millis32(stamp));
+    let writer = PayloadWriter::new().u32(millis32(stamp));
     if channel.as_str().as_bytes() == SCALED_PRESSURE_CHANNEL {
         let (absolute_hpa, differential_hpa, of_differential_cdeg_c) = (0.0, 0.0, 0);
         let payload = writer
@@ -215,7 +220,7 @@ fn write_thermometer(
             .finish(version);
         (ids::SCALED_PRESSURE, payload)
     } else {
-        let payload = writer.f32(temperature.0 as f32).text::<NAME>(channel.as_str()).finish(version);
+        let payload = writer.f32(temperature.0 as f32).text::<NAME_BYTES>(channel.as_str()).finish(version);
         (ids::NAMED_VALUE_FLOAT, payload)
     }
 }
@@ -240,7 +245,7 @@ pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Pay
             distance[0] = left.0;
             distance[1] = right.0;
             let data = WHEEL_DISTANCE_DATA { time_usec: micros64(*stamp), distance, count: 2 };
-            (ids::WHEEL_DISTANCE, Payload::of(version, &data))
+            (ids::WHEEL_DISTANCE, Payload::encode(version, &data))
         }
         _ => return None,
     };

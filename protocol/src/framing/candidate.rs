@@ -7,8 +7,8 @@
 use posebridge_telemetry::Address;
 
 use super::crc::checksum;
-use super::{FrameRef, START_V1, START_V2, WireVersion};
-use crate::dialect::catalogue::{Catalogue, EVERYTHING, Shape};
+use super::{FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
+use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue, MessageLayout};
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
 const HEADER_V2: usize = 10;
@@ -23,7 +23,7 @@ const FLAG_SIGNED: u8 = 0x01;
 
 /// A header that can begin a frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Header {
+pub(super) struct FrameHeader {
     version: WireVersion,
     message_id: u32,
     source: Address,
@@ -35,41 +35,48 @@ pub(super) struct Header {
 
 /// What a start byte turned out to begin.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Candidate {
+pub(super) enum FrameCandidate {
     /// The header is not whole yet.
     Incomplete,
     /// The header says what no sender can mean.
     Impossible { message_id: u32, length: u8 },
     /// A header with an id of a dialect; the frame may not be whole yet.
-    Known { header: Header, crc_extra: u8 },
+    Supported { header: FrameHeader, crc_extra: u8 },
     /// A header with an id of no dialect; the frame may not be whole yet.
-    Unknown { header: Header },
+    Unknown { header: FrameHeader },
 }
 
 /// What the bytes of one supposed frame are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Verified<'a> {
+pub enum VerifiedFrame<'a> {
     /// A frame of any known dialect whose checksum matches.
     Frame(FrameRef<'a>),
     /// A whole frame by its length, with an id of no known dialect.
-    Unknown(FrameRef<'a>),
+    UnknownFrame(FrameRef<'a>),
     /// No frame.
-    Not,
+    Invalid,
 }
 
 /// Verifies bytes that something else has cut out, a record of a file for instance: they must be exactly one frame. Messages of
-/// foreign dialects are known here, as to [`super::Scanner::of_every_dialect`].
+/// foreign dialects are known here, as to [`super::Framer::with_all_dialects`].
 #[must_use]
-pub fn verify(raw: &[u8]) -> Verified<'_> {
-    match judge(raw, &EVERYTHING) {
-        Candidate::Known { header, crc_extra } if header.total == raw.len() => {
+pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
+    match classify(raw, &FULL_CATALOGUE) {
+        FrameCandidate::Supported { header, crc_extra } if header.total == raw.len() => {
             let (covered, found) = header.covered(raw);
-            if checksum(covered, crc_extra) == found { Verified::Frame(header.frame(raw)) } else { Verified::Not }
+            if checksum(covered, crc_extra) == found {
+                VerifiedFrame::Frame(header.frame(raw))
+            } else {
+                VerifiedFrame::Invalid
+            }
         }
-        Candidate::Unknown { header } if header.total == raw.len() => Verified::Unknown(header.frame(raw)),
-        Candidate::Known { .. } | Candidate::Unknown { .. } | Candidate::Incomplete | Candidate::Impossible { .. } => {
-            Verified::Not
+        FrameCandidate::Unknown { header } if header.total == raw.len() => {
+            VerifiedFrame::UnknownFrame(header.frame(raw))
         }
+        FrameCandidate::Supported { .. }
+        | FrameCandidate::Unknown { .. }
+        | FrameCandidate::Incomplete
+        | FrameCandidate::Impossible { .. } => VerifiedFrame::Invalid,
     }
 }
 
@@ -77,10 +84,10 @@ pub fn verify(raw: &[u8]) -> Verified<'_> {
 /// seen, which need not be summed up again.
 #[must_use]
 #[inline]
-pub fn verified_before(raw: &[u8]) -> Option<FrameRef<'_>> {
+pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
     let header = match raw {
-        [START_V2, rest @ ..] => header_v2(rest),
-        [START_V1, rest @ ..] => header_v1(rest),
+        [START_BYTE_V2, rest @ ..] => header_v2(rest),
+        [START_BYTE_V1, rest @ ..] => header_v1(rest),
         _ => None,
     };
     let header = header.filter(|header| header.total == raw.len())?;
@@ -89,41 +96,41 @@ pub fn verified_before(raw: &[u8]) -> Option<FrameRef<'_>> {
 
 /// Whether a whole frame bears a signature.
 pub(super) const fn is_signed(raw: &[u8]) -> bool {
-    matches!(*raw, [START_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
+    matches!(*raw, [START_BYTE_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
 }
 
 /// Judges `bytes`, which begin with a start byte of the version.
 #[inline]
-pub(super) fn judge(bytes: &[u8], catalogue: &Catalogue) -> Candidate {
+pub(super) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
     match bytes {
-        [START_V2, rest @ ..] => judge_v2(rest, catalogue),
-        [START_V1, rest @ ..] => judge_v1(rest, catalogue),
-        _ => Candidate::Incomplete,
+        [START_BYTE_V2, rest @ ..] => classify_v2(rest, catalogue),
+        [START_BYTE_V1, rest @ ..] => classify_v1(rest, catalogue),
+        _ => FrameCandidate::Incomplete,
     }
 }
 
 #[inline]
-fn judge_v2(rest: &[u8], catalogue: &Catalogue) -> Candidate {
+fn classify_v2(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
     if let [length, flags, ..] = *rest
         && flags & !FLAG_SIGNED != 0
     {
         // With unknown flags the place of the id is unknown too.
-        return Candidate::Impossible { message_id: 0, length };
+        return FrameCandidate::Impossible { message_id: 0, length };
     }
     let Some(header) = header_v2(rest) else {
-        return Candidate::Incomplete;
+        return FrameCandidate::Incomplete;
     };
-    with_shape(header, catalogue, |shape| header.payload_len <= usize::from(shape.max_len_v2))
+    with_layout(header, catalogue, |shape| header.payload_len <= usize::from(shape.max_len_v2))
 }
 
 #[inline]
-fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
+fn classify_v1(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
     let Some(header) = header_v1(rest) else {
-        return Candidate::Incomplete;
+        return FrameCandidate::Incomplete;
     };
     // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
     // sends them when it is told to speak version 1.
-    with_shape(header, catalogue, |shape| {
+    with_layout(header, catalogue, |shape| {
         let lengths = [shape.max_len_v1, shape.max_len_v2];
         lengths.map(usize::from).contains(&header.payload_len)
     })
@@ -131,13 +138,13 @@ fn judge_v1(rest: &[u8], catalogue: &Catalogue) -> Candidate {
 
 /// What stands behind the start byte of version 2; `None` if it is not whole.
 #[inline]
-fn header_v2(rest: &[u8]) -> Option<Header> {
+fn header_v2(rest: &[u8]) -> Option<FrameHeader> {
     let [length, flags, _, sequence, system, component, id0, id1, id2, ..] = *rest else {
         return None;
     };
     let payload_len = usize::from(length);
     let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE };
-    Some(Header {
+    Some(FrameHeader {
         version: WireVersion::V2,
         message_id: u32::from_le_bytes([id0, id1, id2, 0]),
         source: Address::new(system, component),
@@ -149,12 +156,12 @@ fn header_v2(rest: &[u8]) -> Option<Header> {
 
 /// What stands behind the start byte of version 1; `None` if it is not whole.
 #[inline]
-fn header_v1(rest: &[u8]) -> Option<Header> {
+fn header_v1(rest: &[u8]) -> Option<FrameHeader> {
     let [length, sequence, system, component, id, ..] = *rest else {
         return None;
     };
     let payload_len = usize::from(length);
-    Some(Header {
+    Some(FrameHeader {
         version: WireVersion::V1,
         message_id: u32::from(id),
         source: Address::new(system, component),
@@ -165,18 +172,22 @@ fn header_v1(rest: &[u8]) -> Option<Header> {
 }
 
 #[inline]
-fn with_shape(header: Header, catalogue: &Catalogue, fits: impl Fn(&Shape) -> bool) -> Candidate {
-    let Some(shape) = catalogue.shape(header.message_id) else {
-        return Candidate::Unknown { header };
+fn with_layout(
+    header: FrameHeader,
+    catalogue: &MessageCatalogue,
+    fits: impl Fn(&MessageLayout) -> bool,
+) -> FrameCandidate {
+    let Some(shape) = catalogue.layout(header.message_id) else {
+        return FrameCandidate::Unknown { header };
     };
     if !fits(&shape) {
-        return Candidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 };
+        return FrameCandidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 };
     }
-    Candidate::Known { header, crc_extra: shape.crc_extra }
+    FrameCandidate::Supported { header, crc_extra: shape.crc_extra }
 }
 
-impl Header {
-    /// The frame that begins with this header; `raw` holds exactly [`Header::total`] bytes.
+impl FrameHeader {
+    /// The frame that begins with this header; `raw` holds exactly [`FrameHeader::total`] bytes.
     #[inline]
     pub(super) fn frame<'a>(&self, raw: &'a [u8]) -> FrameRef<'a> {
         let at = self.header_len();
@@ -216,7 +227,7 @@ mod tests {
 
     /// A version 1 frame with a right checksum.
     fn v1(id: u8, crc_extra: u8, payload: usize) -> Vec<u8> {
-        let mut raw = vec![START_V1, payload as u8, 0, 1, 1, id];
+        let mut raw = vec![START_BYTE_V1, payload as u8, 0, 1, 1, id];
         raw.resize(HEADER_V1 + payload, 7);
         let sum = checksum(&raw[1..], crc_extra);
         raw.extend(sum.to_le_bytes());
@@ -224,7 +235,7 @@ mod tests {
     }
 
     fn is_frame(raw: &[u8]) -> bool {
-        matches!(verify(raw), Verified::Frame(_))
+        matches!(verify(raw), VerifiedFrame::Frame(_))
     }
 
     #[test]
@@ -241,14 +252,14 @@ mod tests {
         // RADIO of ardupilotmega.xml.
         let radio = v1(166, 21, 9);
         assert!(is_frame(&radio));
-        assert_eq!(verified_before(&radio).unwrap().message_id, 166);
-        assert_eq!(verify(&[&radio[..], &[0]].concat()), Verified::Not);
-        assert_eq!(verify(&radio[..radio.len() - 1]), Verified::Not);
-        assert_eq!(verify(&[]), Verified::Not);
+        assert_eq!(parse_verified(&radio).unwrap().message_id, 166);
+        assert_eq!(verify(&[&radio[..], &[0]].concat()), VerifiedFrame::Invalid);
+        assert_eq!(verify(&radio[..radio.len() - 1]), VerifiedFrame::Invalid);
+        assert_eq!(verify(&[]), VerifiedFrame::Invalid);
         let mut damaged = radio;
         damaged[7] ^= 1;
-        assert_eq!(verify(&damaged), Verified::Not);
+        assert_eq!(verify(&damaged), VerifiedFrame::Invalid);
         let unknown = v1(255, 0, 4);
-        assert!(matches!(verify(&unknown), Verified::Unknown(frame) if !frame.is_signed()));
+        assert!(matches!(verify(&unknown), VerifiedFrame::UnknownFrame(frame) if !frame.is_signed()));
     }
 }

@@ -15,22 +15,22 @@ mod candidate;
 mod crc;
 #[cfg(target_arch = "x86_64")]
 mod crc_clmul;
-mod scanner;
+mod framer;
 mod sequence;
-mod tentative;
+mod unknown_spans;
 
-pub use candidate::{Verified, verified_before, verify};
+pub use candidate::{VerifiedFrame, parse_verified, verify};
 pub(crate) use crc::crc_extra_of;
 pub use crc::{Crc, checksum};
-pub use scanner::Scanner;
+pub use framer::Framer;
 pub use sequence::{SequenceCounter, SequenceTracker};
 
-use posebridge_telemetry::{Address, Defect, Span};
+use posebridge_telemetry::{Address, ReceiveError, TimeDelta};
 
 /// Start byte of a MAVLink 2 frame.
-pub const START_V2: u8 = 0xFD;
+pub const START_BYTE_V2: u8 = 0xFD;
 /// Start byte of a MAVLink 1 frame.
-pub const START_V1: u8 = 0xFE;
+pub const START_BYTE_V1: u8 = 0xFE;
 
 /// Which of the two frame layouts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,7 +44,7 @@ pub enum WireVersion {
 
 /// How a link cuts what it delivers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Framing {
+pub enum TransportKind {
     /// A stream of bytes, cut anywhere.
     #[default]
     Stream,
@@ -52,30 +52,30 @@ pub enum Framing {
     Datagram,
 }
 
-/// How a [`Scanner`] works.
+/// How a [`Framer`] works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ScannerConfig {
+pub struct FramerConfig {
     /// Accept MAVLink 1 frames as well. Off by default: with an 8-bit start and a 16-bit checksum as the only
     /// redundancy, noise yields a false frame every few megabytes.
     pub accept_v1: bool,
     /// Silence after which a frame that is not yet whole is given up.
-    pub gap: Span,
+    pub gap: TimeDelta,
     /// How the link cuts its bytes.
-    pub transport: Framing,
+    pub transport: TransportKind,
 }
 
-impl Default for ScannerConfig {
+impl Default for FramerConfig {
     /// MAVLink 2 from a stream, with a gap of 50 ms: longer than the pauses of a Bluetooth serial link inside a frame,
     /// shorter than the period of the slowest telemetry that anybody steers by.
     fn default() -> Self {
-        Self { accept_v1: false, gap: Span::from_millis(50), transport: Framing::Stream }
+        Self { accept_v1: false, gap: TimeDelta::from_millis(50), transport: TransportKind::Stream }
     }
 }
 
 /// Counts of one scanner since it was made. Every byte ends up in exactly one of: a frame, an unknown frame, garbage, or
 /// the scanner's waiting tail.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ScanCounters {
+pub struct FramerCounters {
     /// Frames whose checksum matched.
     pub frames: u64,
     /// Candidates whose checksum did not match.
@@ -90,10 +90,10 @@ pub struct ScanCounters {
     pub impossible_headers: u64,
 }
 
-impl ScanCounters {
+impl FramerCounters {
     /// What two scanners have counted together.
     #[must_use]
-    pub const fn plus(self, other: &Self) -> Self {
+    pub const fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
             checksum_errors: self.checksum_errors + other.checksum_errors,
@@ -132,12 +132,12 @@ impl FrameRef<'_> {
 
 /// What a scanner finds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Scanned<'a> {
+pub enum FramerOutput<'a> {
     /// A frame whose checksum matched.
     Frame(FrameRef<'a>),
     /// A frame that is whole by its length but whose id is in no dialect, so that its checksum cannot be verified. Forward
     /// it untouched; do not believe it.
-    Unknown(FrameRef<'a>),
+    UnknownFrame(FrameRef<'a>),
     /// Something damaged was skipped.
-    Defect(Defect),
+    Error(ReceiveError),
 }

@@ -19,22 +19,22 @@
 //! Cumulative number of packets lost: RFC 3550, section 6.4.1 and appendix A.3.
 
 mod missing;
-mod pace;
+mod send_rate;
 mod sender;
 mod sequence_set;
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, HostClock, SourceHealth, Stamp};
+use posebridge_telemetry::{Address, HostClock, SourceHealth, Timestamp};
 
-use self::sender::{Dated, Sender};
+use self::sender::{SenderSequence, StampedArrival};
 use super::FrameRef;
 use crate::dialect;
 
 /// Remembers what came of every sender on one link, and counts.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceTracker {
-    senders: BTreeMap<Address, Sender>,
+    senders: BTreeMap<Address, SenderSequence>,
 }
 
 impl SequenceTracker {
@@ -46,32 +46,34 @@ impl SequenceTracker {
 
     /// Takes note of a frame that arrived at `arrival` and returns how many more frames of its sender are known to be missing.
     /// That can be more than those just before it: only a message with a stamp tells how long a silence was.
-    pub fn take(&mut self, frame: &FrameRef<'_>, arrival: Stamp<HostClock>) -> u32 {
+    pub fn record(&mut self, frame: &FrameRef<'_>, arrival: Timestamp<HostClock>) -> u32 {
         let sender = self.senders.entry(frame.source).or_default();
-        match dialect::stamp_of(frame) {
-            Some(stamp) => sender.take_dated(frame.sequence, Dated { message_id: frame.message_id, stamp, arrival }),
-            None => sender.take(frame.sequence),
+        match dialect::timestamp_of(frame) {
+            Some(stamp) => {
+                sender.record_stamped(frame.sequence, StampedArrival { message_id: frame.message_id, stamp, arrival });
+            }
+            None => sender.record(frame.sequence),
         }
-        sender.news()
+        sender.take_new_losses()
     }
 
     /// Takes note of a frame by its number alone and returns how many frames of its sender are missing before it: 0 to 127.
-    pub fn missing_before(&mut self, source: Address, sequence: u8) -> u8 {
+    pub fn record_number(&mut self, source: Address, sequence: u8) -> u8 {
         let sender = self.senders.entry(source).or_default();
-        sender.take(sequence);
-        u8::try_from(sender.news()).unwrap_or(u8::MAX)
+        sender.record(sequence);
+        u8::try_from(sender.take_new_losses()).unwrap_or(u8::MAX)
     }
 
     /// The link was away. A sender with stamps is followed across it; of the others nobody knows whether they are the same, and
     /// their next frame follows nothing.
-    pub fn break_off(&mut self) {
+    pub fn handle_link_loss(&mut self) {
         for sender in self.senders.values_mut() {
-            sender.break_off();
+            sender.handle_link_loss();
         }
     }
 
     /// What each sender has sent, in the order of their addresses.
-    pub fn sources(&self) -> impl Iterator<Item = SourceHealth> {
+    pub fn source_health(&self) -> impl Iterator<Item = SourceHealth> {
         self.senders.iter().map(|(source, sender)| SourceHealth {
             source: *source,
             frames: sender.frames(),
@@ -82,13 +84,13 @@ impl SequenceTracker {
 
 /// The frames of one sender by their numbers alone.
 #[derive(Clone, Debug, Default)]
-pub struct SequenceCounter(Sender);
+pub struct SequenceCounter(SenderSequence);
 
 impl SequenceCounter {
-    /// As [`SequenceTracker::missing_before`], of the one sender.
-    pub fn missing_before(&mut self, sequence: u8) -> u8 {
-        self.0.take(sequence);
-        u8::try_from(self.0.news()).unwrap_or(u8::MAX)
+    /// As [`SequenceTracker::record_number`], of the one sender.
+    pub fn record_number(&mut self, sequence: u8) -> u8 {
+        self.0.record(sequence);
+        u8::try_from(self.0.take_new_losses()).unwrap_or(u8::MAX)
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a component says of itself when it is asked, and numbers that a ground station plots.
+//! The description of a component, and numbers that a ground station plots.
 
 use posebridge_telemetry::ChannelName;
 

@@ -17,38 +17,38 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::Way;
+use super::Endpoint;
 use crate::framing::FrameRef;
 
 /// Most keys that are remembered; the oldest go first. A line of 115200 baud carries 8229 of the smallest telemetry frames (21 bytes)
 /// in 15 s.
-const MOST_KEYS: usize = 16_384;
+const MAX_KEYS: usize = 16_384;
 /// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
 /// should not grow by it.
 const RESERVED_KEYS: usize = 4_096;
 /// So many keys may wait to be sorted in.
-const MOST_WAITING: usize = 64;
+const MAX_WAITING: usize = 64;
 /// FNV-1a: offset basis for 64 bits.
-const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
+const FNV_BASIS: u64 = 0xCBF2_9CE4_8422_2325;
 /// FNV-1a: prime for 64 bits.
-const PRIME: u64 = 0x0000_0100_0000_01B3;
+const FNV_PRIME: u64 = 0x0000_0100_0000_01B3;
 
 /// Under what a frame is remembered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Key {
+pub(super) enum FrameKey {
     Frame(u64),
     Content(u64),
 }
 
 /// The key of a frame's bytes.
-pub(super) fn frame_key(frame: &[u8]) -> Key {
-    Key::Frame(hash(BASIS, frame))
+pub(super) fn frame_key(frame: &[u8]) -> FrameKey {
+    FrameKey::Frame(hash(FNV_BASIS, frame))
 }
 
 /// The key of what a frame says, within a group of redundant links.
-pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> Key {
+pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> FrameKey {
     let [id0, id1, id2, _] = frame.message_id.to_le_bytes();
     let [group0, group1] = group.to_le_bytes();
     let source = frame.source;
@@ -56,113 +56,113 @@ pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> Key {
     // MAVLink 1 does not cut off trailing zeros.
     let zeros = frame.payload.iter().rev().take_while(|byte| **byte == 0).count();
     let payload = &frame.payload[..frame.payload.len() - zeros];
-    Key::Content(hash(hash(BASIS, &head), payload))
+    FrameKey::Content(hash(hash(FNV_BASIS, &head), payload))
 }
 
 fn hash(start: u64, bytes: &[u8]) -> u64 {
-    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(PRIME);
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(FNV_PRIME);
     bytes.iter().fold(start, step)
 }
 
 /// A frame that came.
 #[derive(Clone, Copy, Debug)]
-struct Note {
-    at: Stamp<HostClock>,
-    way: Way,
+struct SeenFrame {
+    arrival: Timestamp<HostClock>,
+    endpoint: Endpoint,
 }
 
 /// Frames of the last while.
 ///
 /// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until nobody waits for an answer
-/// ([`Self::settle`]), and as long as frames come by a single way, of which none can be a repeat; what is not sorted in yet is known all
+/// ([`Self::sort_and_expire`]), and as long as frames come by a single way, of which none can be a repeat; what is not sorted in yet is known all
 /// the same.
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
-    window: Span,
-    noted: BTreeMap<Key, Note>,
+    window: TimeDelta,
+    seen: BTreeMap<FrameKey, SeenFrame>,
     /// Every note, oldest first; a key that was noted again stands here twice.
-    order: VecDeque<(Stamp<HostClock>, Key)>,
+    expiry_order: VecDeque<(Timestamp<HostClock>, FrameKey)>,
     /// Notes that are not sorted in, oldest first.
-    waiting: VecDeque<(Key, Note)>,
+    unsorted: VecDeque<(FrameKey, SeenFrame)>,
     /// By which way the last note came, and when one came last by another way than the one before it.
-    last_way: Option<Way>,
-    last_change: Stamp<HostClock>,
+    last_endpoint: Option<Endpoint>,
+    last_endpoint_change: Timestamp<HostClock>,
 }
 
 impl DuplicateGuard {
-    pub(super) fn new(window: Span) -> Self {
+    pub(super) fn new(window: TimeDelta) -> Self {
         Self {
             window,
-            noted: BTreeMap::new(),
-            order: VecDeque::with_capacity(RESERVED_KEYS),
-            waiting: VecDeque::with_capacity(MOST_WAITING),
-            last_way: None,
-            last_change: Stamp::ZERO,
+            seen: BTreeMap::new(),
+            expiry_order: VecDeque::with_capacity(RESERVED_KEYS),
+            unsorted: VecDeque::with_capacity(MAX_WAITING),
+            last_endpoint: None,
+            last_endpoint_change: Timestamp::ZERO,
         }
     }
 
     /// Notes a key that came by `way`, and returns by which other way it came first within the window.
-    pub(super) fn note(&mut self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
-        if self.waiting.len() >= MOST_WAITING {
-            self.settle(now);
+    pub(super) fn record(&mut self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
+        if self.unsorted.len() >= MAX_WAITING {
+            self.sort_and_expire(now);
         }
-        let first = self.noted_way(now, way, key).filter(|first| *first != way);
+        let first = self.endpoint_of(now, way, key).filter(|first| *first != way);
         if first.is_some() {
             return first;
         }
-        if self.last_way.replace(way) != Some(way) {
-            self.last_change = now;
+        if self.last_endpoint.replace(way) != Some(way) {
+            self.last_endpoint_change = now;
         }
-        self.waiting.push_back((key, Note { at: now, way }));
+        self.unsorted.push_back((key, SeenFrame { arrival: now, endpoint: way }));
         None
     }
 
     /// By which way a key came last within the window.
-    fn noted_way(&self, now: Stamp<HostClock>, way: Way, key: Key) -> Option<Way> {
-        if self.last_way == Some(way) && self.is_of_one_way(now) {
+    fn endpoint_of(&self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
+        if self.last_endpoint == Some(way) && self.is_single_endpoint(now) {
             return None;
         }
-        let waiting = self.waiting.iter().rev().find(|(other, _)| *other == key);
-        let note = waiting.map(|(_, note)| note).or_else(|| self.noted.get(&key))?;
-        (now - note.at < self.window).then_some(note.way)
+        let waiting = self.unsorted.iter().rev().find(|(other, _)| *other == key);
+        let note = waiting.map(|(_, note)| note).or_else(|| self.seen.get(&key))?;
+        (now - note.arrival < self.window).then_some(note.endpoint)
     }
 
     /// Whether all that came within the window came by the way by which the last came: none of it is a repeat.
-    fn is_of_one_way(&self, now: Stamp<HostClock>) -> bool {
-        now - self.last_change >= self.window
+    fn is_single_endpoint(&self, now: Timestamp<HostClock>) -> bool {
+        now - self.last_endpoint_change >= self.window
     }
 
     /// Sorts in what waits, and forgets what is too old.
-    pub(super) fn settle(&mut self, now: Stamp<HostClock>) {
-        if self.is_of_one_way(now) {
-            self.forget_waiting(now);
+    pub(super) fn sort_and_expire(&mut self, now: Timestamp<HostClock>) {
+        if self.is_single_endpoint(now) {
+            self.expire_unsorted(now);
         } else {
-            for (key, note) in self.waiting.drain(..) {
-                self.noted.insert(key, note);
-                self.order.push_back((note.at, key));
+            for (key, note) in self.unsorted.drain(..) {
+                self.seen.insert(key, note);
+                self.expiry_order.push_back((note.arrival, key));
             }
         }
-        self.forget_sorted(now);
+        self.expire_sorted(now);
     }
 
-    fn forget_waiting(&mut self, now: Stamp<HostClock>) {
+    fn expire_unsorted(&mut self, now: Timestamp<HostClock>) {
         while self
-            .waiting
+            .unsorted
             .front()
-            .is_some_and(|(_, note)| now - note.at >= self.window || self.waiting.len() > MOST_KEYS)
+            .is_some_and(|(_, note)| now - note.arrival >= self.window || self.unsorted.len() > MAX_KEYS)
         {
-            self.waiting.pop_front();
+            self.unsorted.pop_front();
         }
     }
 
-    fn forget_sorted(&mut self, now: Stamp<HostClock>) {
-        while let Some((noted, key)) = self.order.front().copied() {
-            if now - noted < self.window && self.order.len() <= MOST_KEYS {
+    fn expire_sorted(&mut self, now: Timestamp<HostClock>) {
+        while let Some((noted, key)) = self.expiry_order.front().copied() {
+            if now - noted < self.window && self.expiry_order.len() <= MAX_KEYS {
                 break;
             }
-            self.order.pop_front();
-            if self.noted.get(&key).is_some_and(|last| last.at == noted) {
-                self.noted.remove(&key);
+            self.expiry_order.pop_front();
+            if self.seen.get(&key).is_some_and(|last| last.arrival == noted) {
+                self.seen.remove(&key);
             }
         }
     }
@@ -173,36 +173,36 @@ mod tests {
     use super::*;
     use posebridge_telemetry::{LinkId, PeerId};
 
-    const WINDOW: Span = Span::from_millis(1_000);
+    const WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
 
-    fn at(millis: i64) -> Stamp<HostClock> {
-        Stamp::from_millis(millis)
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
     }
 
-    fn way(link: u16) -> Way {
-        Way { link: LinkId(link), peer: PeerId(0) }
+    fn way(link: u16) -> Endpoint {
+        Endpoint { link: LinkId(link), peer: PeerId(0) }
     }
 
     /// Vectors of the draft for 64 bits.
     #[test]
     fn the_hash_is_the_published_one() {
-        assert_eq!(hash(BASIS, b""), 0xCBF2_9CE4_8422_2325);
-        assert_eq!(hash(BASIS, b"a"), 0xAF63_DC4C_8601_EC8C);
-        assert_eq!(hash(BASIS, b"foobar"), 0x8594_4171_F739_67E8);
+        assert_eq!(hash(FNV_BASIS, b""), 0xCBF2_9CE4_8422_2325);
+        assert_eq!(hash(FNV_BASIS, b"a"), 0xAF63_DC4C_8601_EC8C);
+        assert_eq!(hash(FNV_BASIS, b"foobar"), 0x8594_4171_F739_67E8);
     }
 
     #[test]
     fn another_way_within_the_window_is_a_repeat_and_the_same_way_is_not() {
         let mut guard = DuplicateGuard::new(WINDOW);
-        let key = Key::Frame(7);
-        assert_eq!(guard.note(at(0), way(0), key), None);
-        assert_eq!(guard.note(at(10), way(1), key), Some(way(0)));
-        assert_eq!(guard.note(at(20), way(1), key), Some(way(0)));
-        assert_eq!(guard.note(at(500), way(0), key), None, "said again");
-        assert_eq!(guard.note(at(1_499), way(1), key), Some(way(0)));
-        assert_eq!(guard.note(at(1_500), way(1), key), None, "forgotten");
-        assert_eq!(guard.note(at(1_501), way(0), key), Some(way(1)));
-        assert_eq!(guard.note(at(1_502), way(0), Key::Content(7)), None);
+        let key = FrameKey::Frame(7);
+        assert_eq!(guard.record(at(0), way(0), key), None);
+        assert_eq!(guard.record(at(10), way(1), key), Some(way(0)));
+        assert_eq!(guard.record(at(20), way(1), key), Some(way(0)));
+        assert_eq!(guard.record(at(500), way(0), key), None, "said again");
+        assert_eq!(guard.record(at(1_499), way(1), key), Some(way(0)));
+        assert_eq!(guard.record(at(1_500), way(1), key), None, "forgotten");
+        assert_eq!(guard.record(at(1_501), way(0), key), Some(way(1)));
+        assert_eq!(guard.record(at(1_502), way(0), FrameKey::Content(7)), None);
     }
 
     #[test]
@@ -211,17 +211,17 @@ mod tests {
         let brought = (0..40_000_u64).map(|i| {
             let is_alone = (i / 5_000).is_multiple_of(2);
             let way = way(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
-            (at(i as i64), way, Key::Frame(i * 31 % 997))
+            (at(i as i64), way, FrameKey::Frame(i * 31 % 997))
         });
-        let run = |settles_every: usize| -> Vec<Option<Way>> {
+        let run = |settles_every: usize| -> Vec<Option<Endpoint>> {
             let mut guard = DuplicateGuard::new(WINDOW);
             let steps = brought.clone().enumerate();
             steps
                 .map(|(index, (now, way, key))| {
                     if index.is_multiple_of(settles_every) {
-                        guard.settle(now);
+                        guard.sort_and_expire(now);
                     }
-                    guard.note(now, way, key)
+                    guard.record(now, way, key)
                 })
                 .collect()
         };
@@ -233,16 +233,16 @@ mod tests {
 
     #[test]
     fn no_window_knows_nothing_again_and_the_memory_is_bounded() {
-        let mut off = DuplicateGuard::new(Span::ZERO);
-        assert_eq!(off.note(at(0), way(0), Key::Frame(1)), None);
-        assert_eq!(off.note(at(0), way(1), Key::Frame(1)), None);
+        let mut off = DuplicateGuard::new(TimeDelta::ZERO);
+        assert_eq!(off.record(at(0), way(0), FrameKey::Frame(1)), None);
+        assert_eq!(off.record(at(0), way(1), FrameKey::Frame(1)), None);
         let mut guard = DuplicateGuard::new(WINDOW);
         for key in 0..100_000 {
-            guard.note(at(0), way(0), Key::Frame(key));
+            guard.record(at(0), way(0), FrameKey::Frame(key));
         }
-        assert!(guard.noted.len() <= MOST_KEYS && guard.order.len() <= MOST_KEYS);
-        assert!(guard.waiting.len() <= MOST_WAITING);
-        assert_eq!(guard.note(at(0), way(1), Key::Frame(0)), None);
-        assert_eq!(guard.note(at(0), way(1), Key::Frame(99_999)), Some(way(0)));
+        assert!(guard.seen.len() <= MAX_KEYS && guard.expiry_order.len() <= MAX_KEYS);
+        assert!(guard.unsorted.len() <= MAX_WAITING);
+        assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(0)), None);
+        assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(99_999)), Some(way(0)));
     }
 }

@@ -10,90 +10,90 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, HostClock, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, TimeDelta, Timestamp};
 
 /// So much of the rate may leave at once: a quarter of a second is what people who steer notice.
-const BURST: Span = Span::from_millis(250);
+const BURST: TimeDelta = TimeDelta::from_millis(250);
 /// A MAVLink 2 frame with signature.
-const LARGEST_FRAME: i64 = 280;
+const MAX_FRAME_BYTES: i64 = 280;
 /// Most senders whose intervals are kept.
-const MOST_SENDERS: usize = super::MOST_PEERS;
+const MAX_SENDERS: usize = super::MAX_PEERS;
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// Limits of one link. The default limits nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RateLimits {
     /// Least time between two of a message of one sender, by message id.
-    pub least_intervals: BTreeMap<u32, Span>,
+    pub min_intervals: BTreeMap<u32, TimeDelta>,
     /// Bytes per second; `None` for no budget. A frame for several peers of the link is paid for once, and each of them gets it.
     pub bytes_per_s: Option<u32>,
 }
 
 /// Applies the limits of one link.
 #[derive(Clone, Debug)]
-pub struct Limiter {
+pub struct LinkRateLimiter {
     limits: RateLimits,
-    last: BTreeMap<(u32, Address), Stamp<HostClock>>,
+    last_sent: BTreeMap<(u32, Address), Timestamp<HostClock>>,
     /// What may leave, in bytes times nanoseconds per second: integers, so that no rounding adds up.
     budget: i64,
-    filled: Stamp<HostClock>,
+    refilled: Timestamp<HostClock>,
 }
 
-impl Limiter {
+impl LinkRateLimiter {
     /// A limiter with a full budget at `now`.
     #[must_use]
-    pub fn new(limits: RateLimits, now: Stamp<HostClock>) -> Self {
-        let mut limiter = Self { limits, last: BTreeMap::new(), budget: 0, filled: now };
-        limiter.budget = limiter.most();
+    pub fn new(limits: RateLimits, now: Timestamp<HostClock>) -> Self {
+        let mut limiter = Self { limits, last_sent: BTreeMap::new(), budget: 0, refilled: now };
+        limiter.budget = limiter.max_budget();
         limiter
     }
 
     /// Whether a frame of `bytes` bytes may leave at `now`; if so it has been paid for.
-    pub fn admits(&mut self, now: Stamp<HostClock>, source: Address, message_id: u32, bytes: usize) -> bool {
-        let interval = self.limits.least_intervals.get(&message_id).copied();
+    pub fn admits(&mut self, now: Timestamp<HostClock>, source: Address, message_id: u32, bytes: usize) -> bool {
+        let interval = self.limits.min_intervals.get(&message_id).copied();
         let key = (message_id, source);
-        let is_early = interval.zip(self.last.get(&key)).is_some_and(|(interval, last)| now - *last < interval);
-        self.fill(now);
+        let is_early = interval.zip(self.last_sent.get(&key)).is_some_and(|(interval, last)| now - *last < interval);
+        self.refill(now);
         if is_early || (self.limits.bytes_per_s.is_some() && self.budget <= 0) {
             return false;
         }
         if interval.is_some() {
-            if self.last.len() >= MOST_SENDERS {
+            if self.last_sent.len() >= MAX_SENDERS {
                 // Nobody has so many: somebody invents addresses. Beginning anew costs one message of each.
-                self.last.clear();
+                self.last_sent.clear();
             }
-            self.last.insert(key, now);
+            self.last_sent.insert(key, now);
         }
-        self.pay(bytes);
+        self.consume(bytes);
         true
     }
 
     /// A frame that is not held back leaves at `now`: it only pays.
-    pub fn charge(&mut self, now: Stamp<HostClock>, bytes: usize) {
-        self.fill(now);
-        self.pay(bytes);
+    pub fn charge(&mut self, now: Timestamp<HostClock>, bytes: usize) {
+        self.refill(now);
+        self.consume(bytes);
     }
 
-    fn pay(&mut self, bytes: usize) {
-        let bytes = i64::try_from(bytes).unwrap_or(LARGEST_FRAME);
+    fn consume(&mut self, bytes: usize) {
+        let bytes = i64::try_from(bytes).unwrap_or(MAX_FRAME_BYTES);
         // Never deeper than a burst, or a flood of commands would silence the rest for long.
-        self.budget = (self.budget - bytes.saturating_mul(NANOS_PER_SEC)).max(-self.most());
+        self.budget = (self.budget - bytes.saturating_mul(NANOS_PER_SEC)).max(-self.max_budget());
     }
 
-    fn fill(&mut self, now: Stamp<HostClock>) {
+    fn refill(&mut self, now: Timestamp<HostClock>) {
         let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
-        let most = self.most();
+        let most = self.max_budget();
         // Longer than this no bucket takes to fill, and the product stays within 64 bits.
-        let elapsed = (now - self.filled).max(Span::ZERO).min(Span::from_millis(2_000_000));
+        let elapsed = (now - self.refilled).max(TimeDelta::ZERO).min(TimeDelta::from_millis(2_000_000));
         let gained = i128::from(elapsed.as_nanos()) * i128::from(rate);
         let filled = i128::from(self.budget) + gained;
         self.budget = i64::try_from(filled).unwrap_or(most).min(most);
-        self.filled = self.filled.max(now);
+        self.refilled = self.refilled.max(now);
     }
 
-    fn most(&self) -> i64 {
+    fn max_budget(&self) -> i64 {
         let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
-        (rate * BURST.as_nanos()).max(LARGEST_FRAME * NANOS_PER_SEC)
+        (rate * BURST.as_nanos()).max(MAX_FRAME_BYTES * NANOS_PER_SEC)
     }
 }
 
@@ -103,14 +103,15 @@ mod tests {
 
     const ROBOT: Address = Address::new(1, 1);
 
-    fn at(millis: i64) -> Stamp<HostClock> {
-        Stamp::from_millis(millis)
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
     }
 
     #[test]
     fn a_message_is_thinned_to_its_interval_for_each_sender() {
-        let limits = RateLimits { least_intervals: BTreeMap::from([(30, Span::from_millis(100))]), bytes_per_s: None };
-        let mut limiter = Limiter::new(limits, at(0));
+        let limits =
+            RateLimits { min_intervals: BTreeMap::from([(30, TimeDelta::from_millis(100))]), bytes_per_s: None };
+        let mut limiter = LinkRateLimiter::new(limits, at(0));
         let mut passed = |source| {
             let times = (0..50).map(|k| at(k * 20));
             times.filter(|now| limiter.admits(*now, source, 30, 40)).count()
@@ -123,8 +124,8 @@ mod tests {
     #[test]
     fn the_budget_holds_over_time_for_small_and_for_large_frames() {
         for (rate, size) in [(1_000, 30), (1_000, 280), (100, 280), (1_000_000, 280)] {
-            let limits = RateLimits { least_intervals: BTreeMap::new(), bytes_per_s: Some(rate) };
-            let mut limiter = Limiter::new(limits, at(0));
+            let limits = RateLimits { min_intervals: BTreeMap::new(), bytes_per_s: Some(rate) };
+            let mut limiter = LinkRateLimiter::new(limits, at(0));
             let mut sent = 0;
             for k in 0..600_000 {
                 if limiter.admits(at(k / 10), ROBOT, 30, size) {
@@ -142,8 +143,8 @@ mod tests {
 
     #[test]
     fn commands_pay_but_a_flood_of_them_silences_the_rest_only_briefly() {
-        let limits = RateLimits { least_intervals: BTreeMap::new(), bytes_per_s: Some(1_000) };
-        let mut limiter = Limiter::new(limits, at(0));
+        let limits = RateLimits { min_intervals: BTreeMap::new(), bytes_per_s: Some(1_000) };
+        let mut limiter = LinkRateLimiter::new(limits, at(0));
         for _ in 0..1_000 {
             limiter.charge(at(0), 45);
         }

@@ -2,7 +2,7 @@
 //!
 //! Gets the frames that [`crate::framing`] finds, with the way by which each came, and says to which links and peers it goes
 //! on. It is a value: it sends nothing, reads no clock and changes no byte. What is believed and fused is not decided here,
-//! except that a frame that came before by another way is told from one that is new ([`Occurrence`]).
+//! except that a frame that came before by another way is told from one that is new ([`DuplicateStatus`]).
 //!
 //! # Model
 //! ```text
@@ -21,37 +21,37 @@
 
 mod duplicates;
 mod limits;
-mod own_words;
 mod routes;
 mod rules;
-mod stamped;
+mod sent_frames;
 mod targets;
+mod timestamped;
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
-pub use limits::{Limiter, RateLimits};
-pub use rules::{Choice, Forward, FrameFilter, LinkRules, message_id_named};
-pub use stamped::is_stamped;
-pub use targets::{Target, target_of};
+pub use limits::{LinkRateLimiter, RateLimits};
+pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRules, message_id_named};
+pub use targets::{MessageTarget, target_of};
+pub use timestamped::has_timestamp;
 
 use self::duplicates::{DuplicateGuard, content_key, frame_key};
-use self::own_words::OwnWords;
-use self::routes::Routes;
+use self::routes::RouteTable;
+use self::sent_frames::SentFrameLog;
 use crate::dialect::ids;
 use crate::framing::FrameRef;
 
 /// A way by which somebody was not heard for this long leads to him no more.
-pub const ROUTE_LIFETIME: Span = routes::LIFETIME;
+pub const ROUTE_LIFETIME: TimeDelta = routes::LIFETIME;
 /// Most peers of a link that are told apart, and as many routes and senders: what a UDP port remembers.
-pub const MOST_PEERS: usize = 4_096;
+pub const MAX_PEERS: usize = 4_096;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
 /// By which way a frame came: a peer of a link. The default is the only peer of the first link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Way {
+pub struct Endpoint {
     /// The link.
     pub link: LinkId,
     /// Which of its peers.
@@ -60,7 +60,7 @@ pub struct Way {
 
 /// Whether a frame's sender is who its header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Check {
+pub enum SenderCheck {
     /// He is: the checksum holds, and on a link with a key the signature.
     Verified,
     /// Nobody can tell: the message is in no dialect, so that its checksum cannot be verified, or it may come without the signature
@@ -70,96 +70,96 @@ pub enum Check {
 
 /// Whether somebody else is at the other end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sharing {
+pub enum LinkSharing {
     /// Only the peer itself: nothing goes back there.
-    Alone,
+    Exclusive,
     /// Others, too.
     Shared,
 }
 
 /// What is known of a frame's sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sender {
+pub struct SenderInfo {
     /// Whether he is who the header says.
-    pub check: Check,
+    pub check: SenderCheck,
     /// Whether he has the link for himself.
-    pub sharing: Sharing,
+    pub sharing: LinkSharing,
 }
 
 /// A sender on a link that others may share.
-impl From<Check> for Sender {
-    fn from(check: Check) -> Self {
-        Self { check, sharing: Sharing::Shared }
+impl From<SenderCheck> for SenderInfo {
+    fn from(check: SenderCheck) -> Self {
+        Self { check, sharing: LinkSharing::Shared }
     }
 }
 
 /// Whether a frame has come before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Occurrence {
+pub enum DuplicateStatus {
     /// It has not, or only by the very same way.
-    First,
+    New,
     /// It has, over a redundant link to the same sender: it says nothing new.
-    Redundant,
+    Duplicate,
     /// It has, by a link that has nothing to do with this one: somewhere the links form a loop. It goes nowhere, but only who
     /// knows for whom he waits on which link can say whether it is news.
-    Detour,
+    Loop,
     /// The station has said it itself: a link echoes, or it went round a loop. It goes nowhere and says nothing.
     Echo,
     /// It bears the station's address, but the station has not said it: somebody else has the same one. It goes nowhere.
-    Namesake,
+    AddressConflict,
 }
 
 /// What is to become of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Routed {
+pub struct RoutingDecision {
     /// Whether it has come before. If it has, it goes nowhere.
-    pub occurrence: Occurrence,
+    pub duplicate_status: DuplicateStatus,
     /// Where it goes on to, by rising link id.
-    pub to: Vec<(LinkId, Audience)>,
+    pub to: Vec<(LinkId, Recipients)>,
 }
 
-/// What a [`Router`] is built from.
+/// What a [`FrameRouter`] is built from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RouterConfig {
     /// The station's own address; what is meant for it alone goes nowhere else.
     pub own: Address,
     /// How long a frame is remembered to know it again; zero turns this off.
-    pub duplicate_window: Span,
+    pub duplicate_window: TimeDelta,
     /// The rules of each link.
     pub links: BTreeMap<LinkId, LinkRules>,
 }
 
 /// Knows who was heard where and which frames have come, and decides where each goes on to.
 #[derive(Clone, Debug)]
-pub struct Router {
+pub struct FrameRouter {
     config: RouterConfig,
-    routes: Routes,
+    routes: RouteTable,
     duplicates: DuplicateGuard,
-    own_words: OwnWords,
+    sent_frames: SentFrameLog,
 }
 
-impl Router {
+impl FrameRouter {
     /// A router that has heard nobody.
     #[must_use]
     pub fn new(config: RouterConfig) -> Self {
         Self {
-            routes: Routes::default(),
+            routes: RouteTable::default(),
             duplicates: DuplicateGuard::new(config.duplicate_window),
-            own_words: OwnWords::default(),
+            sent_frames: SentFrameLog::default(),
             config,
         }
     }
 
     /// The station itself says this frame, on whichever link.
-    pub fn say(&mut self, frame: &[u8]) {
-        self.own_words.say(frame);
+    pub fn record_sent(&mut self, frame: &[u8]) {
+        self.sent_frames.record(frame);
     }
 
     /// The station says this frame in the name of somebody who is heard by `way`: when it comes back by another way, it is a copy.
     ///
     /// His own frames stay his own, even one with the same bytes, as long as they come by that way.
-    pub fn say_for(&mut self, now: Stamp<HostClock>, way: Way, frame: &[u8]) {
-        self.duplicates.note(now, way, frame_key(frame));
+    pub fn record_sent_for(&mut self, now: Timestamp<HostClock>, way: Endpoint, frame: &[u8]) {
+        self.duplicates.record(now, way, frame_key(frame));
     }
 
     /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
@@ -173,32 +173,39 @@ impl Router {
     /// What bears the station's own address goes nowhere and teaches nothing, whoever has said it.
     pub fn route(
         &mut self,
-        now: Stamp<HostClock>,
-        from: Way,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
         frame: &FrameRef<'_>,
-        sender: impl Into<Sender>,
-    ) -> Routed {
-        let Sender { check, sharing } = sender.into();
+        sender: impl Into<SenderInfo>,
+    ) -> RoutingDecision {
+        let SenderInfo { check, sharing } = sender.into();
         if frame.source == self.config.own {
-            let occurrence = if self.own_words.contain(frame.raw) { Occurrence::Echo } else { Occurrence::Namesake };
+            let occurrence = if self.sent_frames.contains(frame.raw) {
+                DuplicateStatus::Echo
+            } else {
+                DuplicateStatus::AddressConflict
+            };
             let to = Vec::new();
-            return Routed { occurrence, to };
+            return RoutingDecision { duplicate_status: occurrence, to };
         }
-        let occurrence = self.occurrence(now, from, frame);
+        let occurrence = self.classify_duplicate(now, from, frame);
         // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
-        if check == Check::Verified && occurrence != Occurrence::Detour {
-            self.routes.learn(now, frame.source, from);
+        if check == SenderCheck::Verified && occurrence != DuplicateStatus::Loop {
+            self.routes.observe(now, frame.source, from);
         }
         let to = match occurrence {
-            Occurrence::First => self.destinations(now, (from, sharing), frame),
-            Occurrence::Redundant | Occurrence::Detour | Occurrence::Echo | Occurrence::Namesake => Vec::new(),
+            DuplicateStatus::New => self.destinations(now, (from, sharing), frame),
+            DuplicateStatus::Duplicate
+            | DuplicateStatus::Loop
+            | DuplicateStatus::Echo
+            | DuplicateStatus::AddressConflict => Vec::new(),
         };
-        Routed { occurrence, to }
+        RoutingDecision { duplicate_status: occurrence, to }
     }
 
     /// Does what nobody waits for; best called when an input's answers have left.
-    pub fn settle(&mut self, now: Stamp<HostClock>) {
-        self.duplicates.settle(now);
+    pub fn run_deferred_work(&mut self, now: Timestamp<HostClock>) {
+        self.duplicates.sort_and_expire(now);
     }
 
     /// Forgets who was heard on a link, because it was lost.
@@ -208,7 +215,7 @@ impl Router {
 
     /// Whether two links are one, or redundant links of one group: what is heard on either comes from the same robot.
     #[must_use]
-    pub fn lead_to_one(&self, a: LinkId, b: LinkId) -> bool {
+    pub fn are_redundant(&self, a: LinkId, b: LinkId) -> bool {
         a == b || (self.group(a).is_some() && self.group(a) == self.group(b))
     }
 
@@ -216,7 +223,7 @@ impl Router {
     #[must_use]
     pub fn first_of_group(&self, link: LinkId) -> LinkId {
         let mut ids = self.config.links.keys().copied();
-        ids.find(|id| self.lead_to_one(*id, link)).unwrap_or(link)
+        ids.find(|id| self.are_redundant(*id, link)).unwrap_or(link)
     }
 
     fn group(&self, link: LinkId) -> Option<u16> {
@@ -225,64 +232,75 @@ impl Router {
 
     /// Takes note of a frame and says whether it came by another way before. By the bytes and by what they say that may be two
     /// ways; what a redundant link has brought is no news, even if a detour was quicker still.
-    fn occurrence(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Occurrence {
-        let by_bytes = self.duplicates.note(now, from, frame_key(frame.raw));
+    fn classify_duplicate(
+        &mut self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+    ) -> DuplicateStatus {
+        let by_bytes = self.duplicates.record(now, from, frame_key(frame.raw));
         let by_content = self
             .group(from.link)
-            .filter(|_| is_stamped(frame.message_id))
-            .and_then(|group| self.duplicates.note(now, from, content_key(group, frame)));
-        let leads_here = |first: Way| self.lead_to_one(first.link, from.link);
+            .filter(|_| has_timestamp(frame.message_id))
+            .and_then(|group| self.duplicates.record(now, from, content_key(group, frame)));
+        let leads_here = |first: Endpoint| self.are_redundant(first.link, from.link);
         if by_bytes.is_some_and(leads_here) || by_content.is_some_and(leads_here) {
-            Occurrence::Redundant
+            DuplicateStatus::Duplicate
         } else if by_bytes.or(by_content).is_some() {
-            Occurrence::Detour
+            DuplicateStatus::Loop
         } else {
-            Occurrence::First
+            DuplicateStatus::New
         }
     }
 
     fn destinations(
         &self,
-        now: Stamp<HostClock>,
-        (from, sharing): (Way, Sharing),
+        now: Timestamp<HostClock>,
+        (from, sharing): (Endpoint, LinkSharing),
         frame: &FrameRef<'_>,
-    ) -> Vec<(LinkId, Audience)> {
-        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != Forward::Nothing);
+    ) -> Vec<(LinkId, Recipients)> {
+        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled);
         if !leaves {
             return Vec::new();
         }
         let target = target_of(frame.message_id, frame.payload);
-        let may_leave =
-            |link: LinkId| (sharing == Sharing::Shared || link != from.link) && self.may_leave(link, target, frame);
+        let may_leave = |link: LinkId| {
+            (sharing == LinkSharing::Shared || link != from.link) && self.is_allowed_out(link, target, frame)
+        };
         match target {
             // Nothing is collected before it is known that it leaves: of most links the frame has nowhere to go.
-            Target::Everybody => {
-                let all = self.everybody_but(from);
+            MessageTarget::Broadcast => {
+                let all = self.broadcast_destinations(from);
                 all.filter(|(link, _)| may_leave(*link)).collect()
             }
-            Target::Component(address) if address == self.config.own => Vec::new(),
-            Target::System(_) | Target::Component(_) => {
-                let mut to = self.heard_ways(now, from, target);
+            MessageTarget::Component(address) if address == self.config.own => Vec::new(),
+            MessageTarget::System(_) | MessageTarget::Component(_) => {
+                let mut to = self.known_endpoints(now, from, target);
                 to.retain(|(link, _)| may_leave(*link));
                 to
             }
         }
     }
 
-    fn everybody_but(&self, from: Way) -> impl Iterator<Item = (LinkId, Audience)> {
+    fn broadcast_destinations(&self, from: Endpoint) -> impl Iterator<Item = (LinkId, Recipients)> {
         let links = self.config.links.keys();
         links.filter_map(move |link| match *link {
-            link if link == from.link => Some((link, Audience::AllBut(from.peer))),
-            link if self.lead_to_one(link, from.link) => None,
-            link => Some((link, Audience::All)),
+            link if link == from.link => Some((link, Recipients::AllExcept(from.peer))),
+            link if self.are_redundant(link, from.link) => None,
+            link => Some((link, Recipients::All)),
         })
     }
 
-    fn heard_ways(&self, now: Stamp<HostClock>, from: Way, target: Target) -> Vec<(LinkId, Audience)> {
+    fn known_endpoints(
+        &self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        target: MessageTarget,
+    ) -> Vec<(LinkId, Recipients)> {
         let ways = match target {
-            Target::Everybody => return Vec::new(),
-            Target::System(system) => self.routes.to_system(now, system),
-            Target::Component(address) => {
+            MessageTarget::Broadcast => return Vec::new(),
+            MessageTarget::System(system) => self.routes.to_system(now, system),
+            MessageTarget::Component(address) => {
                 let exact = self.routes.to_component(now, address);
                 if exact.is_empty() && address.system != self.config.own.system {
                     self.routes.to_system(now, address.system)
@@ -291,18 +309,19 @@ impl Router {
                 }
             }
         };
-        let is_other = |way: &Way| *way != from && (way.link == from.link || !self.lead_to_one(way.link, from.link));
-        ways.into_iter().filter(is_other).map(|way| (way.link, Audience::Peer(way.peer))).collect()
+        let is_other =
+            |way: &Endpoint| *way != from && (way.link == from.link || !self.are_redundant(way.link, from.link));
+        ways.into_iter().filter(is_other).map(|way| (way.link, Recipients::Peer(way.peer))).collect()
     }
 
-    fn may_leave(&self, link: LinkId, target: Target, frame: &FrameRef<'_>) -> bool {
+    fn is_allowed_out(&self, link: LinkId, target: MessageTarget, frame: &FrameRef<'_>) -> bool {
         let Some(rules) = self.config.links.get(&link) else {
             return false;
         };
         let is_wanted = match rules.forward {
-            Forward::All => true,
-            Forward::Targeted => target != Target::Everybody,
-            Forward::Nothing => false,
+            ForwardPolicy::All => true,
+            ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
+            ForwardPolicy::Disabled => false,
         };
         is_wanted && rules.outward.admits(frame.source, frame.message_id)
     }
@@ -313,7 +332,7 @@ impl Router {
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
     let is_command =
         matches!(frame.message_id, ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL);
-    if is_command && target_of(frame.message_id, frame.payload) != Target::Everybody {
+    if is_command && target_of(frame.message_id, frame.payload) != MessageTarget::Broadcast {
         Priority::Command
     } else {
         Priority::Forwarded

@@ -2,40 +2,40 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, Span, Stamp, SystemId};
+use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, SystemId, TimeDelta, Timestamp};
 
-use super::Way;
+use super::Endpoint;
 
 /// A way by which somebody was not heard for this long leads to him no more: thirty missed heartbeats.
-pub(super) const LIFETIME: Span = Span::from_millis(30_000);
+pub(super) const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 /// Most routes.
-const MOST_ROUTES: usize = super::MOST_PEERS;
+const MAX_ROUTES: usize = super::MAX_PEERS;
 
 /// Behind one way no honest neighbourhood is larger than this: as many systems as eight bits name.
 const MANY_ROUTES: usize = 255;
 
 /// Routes that were learnt by listening.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Routes(BTreeMap<(Address, Way), Stamp<HostClock>>);
+pub(super) struct RouteTable(BTreeMap<(Address, Endpoint), Timestamp<HostClock>>);
 
-impl Routes {
+impl RouteTable {
     /// Somebody was heard.
-    pub(super) fn learn(&mut self, now: Stamp<HostClock>, source: Address, way: Way) {
-        if self.0.len() >= MOST_ROUTES && !self.0.contains_key(&(source, way)) {
-            self.make_room(now);
+    pub(super) fn observe(&mut self, now: Timestamp<HostClock>, source: Address, way: Endpoint) {
+        if self.0.len() >= MAX_ROUTES && !self.0.contains_key(&(source, way)) {
+            self.evict_routes(now);
         }
         self.0.insert((source, way), now);
     }
 
     /// The ways to one component, by rising link and peer.
-    pub(super) fn to_component(&self, now: Stamp<HostClock>, address: Address) -> BTreeSet<Way> {
-        self.between(now, address, address)
+    pub(super) fn to_component(&self, now: Timestamp<HostClock>, address: Address) -> BTreeSet<Endpoint> {
+        self.endpoints_in_range(now, address, address)
     }
 
     /// The ways to any component of a system.
-    pub(super) fn to_system(&self, now: Stamp<HostClock>, system: SystemId) -> BTreeSet<Way> {
+    pub(super) fn to_system(&self, now: Timestamp<HostClock>, system: SystemId) -> BTreeSet<Endpoint> {
         let component = |number| Address { system, component: ComponentId(number) };
-        self.between(now, component(0), component(u8::MAX))
+        self.endpoints_in_range(now, component(0), component(u8::MAX))
     }
 
     /// Nobody is heard on this link any more.
@@ -43,9 +43,9 @@ impl Routes {
         self.0.retain(|(_, way), _| way.link != link);
     }
 
-    fn between(&self, now: Stamp<HostClock>, first: Address, last: Address) -> BTreeSet<Way> {
-        let lowest = Way { link: LinkId(0), peer: PeerId(0) };
-        let highest = Way { link: LinkId(u16::MAX), peer: PeerId(u32::MAX) };
+    fn endpoints_in_range(&self, now: Timestamp<HostClock>, first: Address, last: Address) -> BTreeSet<Endpoint> {
+        let lowest = Endpoint { link: LinkId(0), peer: PeerId(0) };
+        let highest = Endpoint { link: LinkId(u16::MAX), peer: PeerId(u32::MAX) };
         self.0
             .range((first, lowest)..=(last, highest))
             .filter(|(_, heard)| now - **heard <= LIFETIME)
@@ -55,9 +55,9 @@ impl Routes {
 
     /// Whoever invents senders makes room for them: of the way with the most routes the older half goes, at once, so that a flood
     /// costs no search per frame. If no way has many, the flood comes by invented ways, and the link with the most loses as much.
-    fn make_room(&mut self, now: Stamp<HostClock>) {
+    fn evict_routes(&mut self, now: Timestamp<HostClock>) {
         self.0.retain(|_, heard| now - *heard <= LIFETIME);
-        if self.0.len() < MOST_ROUTES {
+        if self.0.len() < MAX_ROUTES {
             return;
         }
         let (mut of_ways, mut of_links) = (BTreeMap::new(), BTreeMap::new());
@@ -69,14 +69,14 @@ impl Routes {
         let loudest_link = of_links.into_iter().max_by_key(|(_, routes)| *routes);
         match (loudest_way, loudest_link) {
             (Some((way, routes)), _) if routes >= MANY_ROUTES => {
-                self.forget_older_half(|found| found == way);
+                self.evict_older_half(|found| found == way);
             }
-            (_, Some((link, _))) => self.forget_older_half(|found| found.link == link),
+            (_, Some((link, _))) => self.evict_older_half(|found| found.link == link),
             _ => {}
         }
     }
 
-    fn forget_older_half(&mut self, is_one: impl Fn(Way) -> bool) {
+    fn evict_older_half(&mut self, is_one: impl Fn(Endpoint) -> bool) {
         let found = self.0.iter().filter(|((_, way), _)| is_one(*way));
         let mut by_silence: Vec<_> = found.map(|(key, heard)| (*heard, *key)).collect();
         by_silence.sort_unstable();
@@ -90,20 +90,20 @@ impl Routes {
 mod tests {
     use super::*;
 
-    fn at(millis: i64) -> Stamp<HostClock> {
-        Stamp::from_millis(millis)
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
     }
 
-    fn way(link: u16, peer: u32) -> Way {
-        Way { link: LinkId(link), peer: PeerId(peer) }
+    fn way(link: u16, peer: u32) -> Endpoint {
+        Endpoint { link: LinkId(link), peer: PeerId(peer) }
     }
 
     #[test]
     fn who_falls_silent_is_forgotten_way_by_way() {
-        let mut routes = Routes::default();
+        let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.learn(at(0), robot, way(0, 0));
-        routes.learn(at(20_000), robot, way(1, 0));
+        routes.observe(at(0), robot, way(0, 0));
+        routes.observe(at(20_000), robot, way(1, 0));
         let ways = |now| routes.to_component(at(now), robot).into_iter();
         assert!(ways(30_000).eq([way(0, 0), way(1, 0)]));
         assert!(ways(30_001).eq([way(1, 0)]));
@@ -112,11 +112,11 @@ mod tests {
 
     #[test]
     fn a_system_is_where_any_of_its_components_is_and_nowhere_else() {
-        let mut routes = Routes::default();
-        routes.learn(at(0), Address::new(1, 0), way(0, 0));
-        routes.learn(at(0), Address::new(1, 255), way(1, 7));
-        routes.learn(at(0), Address::new(2, 1), way(2, 0));
-        routes.learn(at(0), Address::new(0, 255), way(3, 0));
+        let mut routes = RouteTable::default();
+        routes.observe(at(0), Address::new(1, 0), way(0, 0));
+        routes.observe(at(0), Address::new(1, 255), way(1, 7));
+        routes.observe(at(0), Address::new(2, 1), way(2, 0));
+        routes.observe(at(0), Address::new(0, 255), way(3, 0));
         let ways = routes.to_system(at(0), SystemId(1));
         assert!(ways.into_iter().eq([way(0, 0), way(1, 7)]));
         routes.forget_link(LinkId(0));
@@ -130,27 +130,27 @@ mod tests {
 
     #[test]
     fn who_invents_senders_pushes_out_his_own() {
-        let mut routes = Routes::default();
+        let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.learn(at(0), robot, way(0, 0));
-        routes.learn(at(0), robot, way(1, 0));
+        routes.observe(at(0), robot, way(0, 0));
+        routes.observe(at(0), robot, way(1, 0));
         for number in 0..60_000 {
-            routes.learn(at(1), sender(number + 512), way(1, 7));
-            assert!(routes.0.len() <= MOST_ROUTES);
+            routes.observe(at(1), sender(number + 512), way(1, 7));
+            assert!(routes.0.len() <= MAX_ROUTES);
         }
         assert!(routes.to_component(at(2), robot).into_iter().eq([way(0, 0), way(1, 0)]));
-        assert!(routes.0.len() > MOST_ROUTES / 4);
+        assert!(routes.0.len() > MAX_ROUTES / 4);
         assert_eq!(routes.to_component(at(2), sender(60_511)).len(), 1);
     }
 
     #[test]
     fn who_invents_ways_as_well_pushes_nobody_out_on_another_link() {
-        let mut routes = Routes::default();
+        let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.learn(at(0), robot, way(0, 0));
+        routes.observe(at(0), robot, way(0, 0));
         for number in 0..60_000 {
-            routes.learn(at(1), sender(number + 512), way(1, number));
-            assert!(routes.0.len() <= MOST_ROUTES);
+            routes.observe(at(1), sender(number + 512), way(1, number));
+            assert!(routes.0.len() <= MAX_ROUTES);
         }
         assert_eq!(routes.to_component(at(2), robot).len(), 1);
     }

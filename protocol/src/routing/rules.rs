@@ -13,7 +13,7 @@ pub struct LinkRules {
     /// Redundant links to one robot share a number; `None` for a link that stands alone.
     pub group: Option<u16>,
     /// What of the others' frames is passed on to it.
-    pub forward: Forward,
+    pub forward: ForwardPolicy,
     /// What is believed and passed on of what comes from it.
     pub inward: FrameFilter,
     /// What of the others' frames may leave on it.
@@ -24,25 +24,25 @@ pub struct LinkRules {
 
 /// What of the others' frames is passed on to a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Forward {
+pub enum ForwardPolicy {
     /// Everything that concerns it.
     #[default]
     All,
     /// Only what names a target that was heard there.
     Targeted,
     /// Nothing, and nothing that comes from it goes to another link: the link takes no part.
-    Nothing,
+    Disabled,
 }
 
 /// Lets frames pass or not, by message, system and component of their sender. The default lets all pass.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameFilter {
     /// By message id.
-    pub messages: Choice<u32>,
+    pub messages: AllowBlockList<u32>,
     /// By the sender's system.
-    pub systems: Choice<SystemId>,
+    pub systems: AllowBlockList<SystemId>,
     /// By the sender's component.
-    pub components: Choice<ComponentId>,
+    pub components: AllowBlockList<ComponentId>,
 }
 
 impl FrameFilter {
@@ -57,20 +57,20 @@ impl FrameFilter {
 
 /// Two lists that choose.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Choice<T> {
+pub struct AllowBlockList<T> {
     /// Only these; empty means all.
     pub allow: Vec<T>,
     /// But not these.
     pub block: Vec<T>,
 }
 
-impl<T> Default for Choice<T> {
+impl<T> Default for AllowBlockList<T> {
     fn default() -> Self {
         Self { allow: Vec::new(), block: Vec::new() }
     }
 }
 
-impl<T: PartialEq> Choice<T> {
+impl<T: PartialEq> AllowBlockList<T> {
     /// Whether `item` is chosen.
     #[must_use]
     pub fn admits(&self, item: &T) -> bool {
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn an_empty_choice_takes_all_and_a_block_beats_an_allow() {
-        let mut choice = Choice::default();
+        let mut choice = AllowBlockList::default();
         assert!(choice.admits(&7));
         choice.allow = vec![7, 8];
         assert!(choice.admits(&7) && !choice.admits(&9));
@@ -101,9 +101,9 @@ mod tests {
     #[test]
     fn every_condition_of_a_filter_must_hold() {
         let filter = FrameFilter {
-            messages: Choice { allow: vec![0, 30], block: vec![] },
-            systems: Choice { allow: vec![SystemId(1)], block: vec![] },
-            components: Choice { allow: vec![], block: vec![ComponentId(9)] },
+            messages: AllowBlockList { allow: vec![0, 30], block: vec![] },
+            systems: AllowBlockList { allow: vec![SystemId(1)], block: vec![] },
+            components: AllowBlockList { allow: vec![], block: vec![ComponentId(9)] },
         };
         assert!(filter.admits(Address::new(1, 1), 30));
         assert!(!filter.admits(Address::new(1, 1), 31));

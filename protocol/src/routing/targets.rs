@@ -22,9 +22,9 @@ const MAX_PAYLOAD: usize = 255;
 
 /// Whom a message is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
+pub enum MessageTarget {
     /// Everybody: it names no target, target 0, or its definition is not known.
-    Everybody,
+    Broadcast,
     /// All components of a system.
     System(SystemId),
     /// One component.
@@ -33,17 +33,17 @@ pub enum Target {
 
 /// Where the target fields of one message stand in its payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Offsets {
+struct TargetOffsets {
     message_id: u32,
     system: u8,
     component: Option<u8>,
 }
 
 /// By rising message id.
-static OFFSETS: LazyLock<Vec<Offsets>> = LazyLock::new(|| {
+static OFFSETS: LazyLock<Vec<TargetOffsets>> = LazyLock::new(|| {
     let standard = common::MavMessage::all_ids().iter();
     let own = posebridge::MavMessage::all_ids().iter();
-    let mut offsets: Vec<Offsets> = standard
+    let mut offsets: Vec<TargetOffsets> = standard
         .filter_map(|id| offsets_of::<common::MavMessage>(*id))
         .chain(own.filter_map(|id| offsets_of::<posebridge::MavMessage>(*id)))
         .collect();
@@ -53,24 +53,24 @@ static OFFSETS: LazyLock<Vec<Offsets>> = LazyLock::new(|| {
 
 /// Whom the message `message_id` with this payload is for. Trailing zeros of the payload may be cut off.
 #[must_use]
-pub fn target_of(message_id: u32, payload: &[u8]) -> Target {
+pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     let Ok(index) = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id) else {
-        return Target::Everybody;
+        return MessageTarget::Broadcast;
     };
-    let Offsets { system, component, .. } = OFFSETS[index];
+    let TargetOffsets { system, component, .. } = OFFSETS[index];
     let byte = |offset: u8| payload.get(usize::from(offset)).copied().unwrap_or(0);
     match (byte(system), component.map_or(0, byte)) {
-        (0, _) => Target::Everybody,
-        (system, 0) => Target::System(SystemId(system)),
+        (0, _) => MessageTarget::Broadcast,
+        (system, 0) => MessageTarget::System(SystemId(system)),
         (system, component) => {
-            Target::Component(Address { system: SystemId(system), component: ComponentId(component) })
+            MessageTarget::Component(Address { system: SystemId(system), component: ComponentId(component) })
         }
     }
 }
 
-fn offsets_of<M: Message>(message_id: u32) -> Option<Offsets> {
+fn offsets_of<M: Message>(message_id: u32) -> Option<TargetOffsets> {
     let mut message = M::default_message_from_id(message_id)?;
-    Some(Offsets {
+    Some(TargetOffsets {
         message_id,
         system: offset_of(&mut message, M::target_system_id_mut)?,
         component: offset_of(&mut message, M::target_component_id_mut),
@@ -98,19 +98,19 @@ mod tests {
     fn what_is_cut_off_is_zero() {
         // COMMAND_LONG: seven floats, the command, then target system and component.
         let payload = [0; 31];
-        assert_eq!(target_of(76, &payload[..30]), Target::Everybody);
+        assert_eq!(target_of(76, &payload[..30]), MessageTarget::Broadcast);
         let mut payload = [0; 32];
         payload[30] = 7;
-        assert_eq!(target_of(76, &payload[..31]), Target::System(SystemId(7)));
+        assert_eq!(target_of(76, &payload[..31]), MessageTarget::System(SystemId(7)));
         payload[31] = 9;
-        assert_eq!(target_of(76, &payload), Target::Component(Address::new(7, 9)));
-        assert_eq!(target_of(76, &[]), Target::Everybody);
+        assert_eq!(target_of(76, &payload), MessageTarget::Component(Address::new(7, 9)));
+        assert_eq!(target_of(76, &[]), MessageTarget::Broadcast);
     }
 
     #[test]
     fn a_message_without_target_and_one_of_no_dialect_are_for_everybody() {
-        assert_eq!(target_of(0, &[1; 9]), Target::Everybody);
-        assert_eq!(target_of(42_100, &[1; 13]), Target::Everybody);
-        assert_eq!(target_of(60_000, &[1; 255]), Target::Everybody);
+        assert_eq!(target_of(0, &[1; 9]), MessageTarget::Broadcast);
+        assert_eq!(target_of(42_100, &[1; 13]), MessageTarget::Broadcast);
+        assert_eq!(target_of(60_000, &[1; 255]), MessageTarget::Broadcast);
     }
 }

@@ -1,12 +1,12 @@
-//! Who else is on the link, and what we still have to ask of them.
+//! The other participants of the link, and the message intervals still to be requested from them.
 //!
-//! COMMAND_ACK names the command and not its parameters, so a robot is asked for one message interval at a time: otherwise
-//! nobody could tell which request was answered.
+//! COMMAND_ACK names the command and not its parameters, so a robot gets one request for a message interval at a time:
+//! otherwise an acknowledgement could not be assigned to its request.
 
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, Span, Stamp};
+use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 
 use crate::message::Heartbeat;
 
@@ -15,74 +15,75 @@ const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_TYPE_GCS: some ground stations claim an autopilot.
 const GROUND_STATION: u8 = 6;
 /// Times that one interval is requested before the next one gets its turn.
-const MOST_ATTEMPTS: u8 = 5;
+const MAX_ATTEMPTS: u8 = 5;
 /// Time between the attempts.
-const RETRY_PERIOD: Span = Span::from_millis(1_000);
+const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Where we are with the requests to one robot.
 #[derive(Clone, Copy, Debug)]
-struct Asking<C: Clock> {
+struct RequestProgress<C: Clock> {
     /// Which of the wanted messages.
     index: usize,
     attempts: u8,
-    next: Stamp<C>,
+    next: Timestamp<C>,
 }
 
-impl<C: Clock> Asking<C> {
-    const fn from_the_start(now: Stamp<C>) -> Self {
+impl<C: Clock> RequestProgress<C> {
+    const fn first(now: Timestamp<C>) -> Self {
         Self { index: 0, attempts: 0, next: now }
     }
 
-    const fn after(index: usize, now: Stamp<C>) -> Self {
+    const fn at_index(index: usize, now: Timestamp<C>) -> Self {
         Self { index: index + 1, attempts: 0, next: now }
     }
 }
 
 #[derive(Debug)]
-struct Peer<C: Clock> {
-    last_heard: Stamp<C>,
+struct SessionPeer<C: Clock> {
+    last_heard: Timestamp<C>,
     is_robot: bool,
-    asking: Option<Asking<C>>,
+    request_progress: Option<RequestProgress<C>>,
 }
 
 /// Everybody whose heartbeat was heard lately.
 #[derive(Debug)]
-pub(super) struct Peers<C: Clock> {
-    timeout: Span,
-    peers: BTreeMap<Address, Peer<C>>,
+pub(super) struct PeerTable<C: Clock> {
+    timeout: TimeDelta,
+    peers: BTreeMap<Address, SessionPeer<C>>,
 }
 
-impl<C: Clock> Peers<C> {
-    pub(super) const fn new(timeout: Span) -> Self {
+impl<C: Clock> PeerTable<C> {
+    pub(super) const fn new(timeout: TimeDelta) -> Self {
         Self { timeout, peers: BTreeMap::new() }
     }
 
     /// Any message keeps a known peer alive.
-    pub(super) fn heard(&mut self, now: Stamp<C>, from: Address) {
+    pub(super) fn record_activity(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
             peer.last_heard = now;
         }
     }
 
     /// Takes note of a heartbeat; true if its sender is new.
-    pub(super) fn introduce(&mut self, now: Stamp<C>, from: Address, heartbeat: Heartbeat) -> bool {
+    pub(super) fn record_heartbeat(&mut self, now: Timestamp<C>, from: Address, heartbeat: Heartbeat) -> bool {
         if self.peers.contains_key(&from) {
             return false;
         }
         let is_robot = heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
-        let peer = Peer { last_heard: now, is_robot, asking: is_robot.then(|| Asking::from_the_start(now)) };
+        let peer =
+            SessionPeer { last_heard: now, is_robot, request_progress: is_robot.then(|| RequestProgress::first(now)) };
         self.peers.insert(from, peer);
         true
     }
 
-    pub(super) fn request_again(&mut self, now: Stamp<C>, peer: Address) {
+    pub(super) fn restart_requests(&mut self, now: Timestamp<C>, peer: Address) {
         if let Some(peer) = self.peers.get_mut(&peer).filter(|peer| peer.is_robot) {
-            peer.asking = Some(Asking::from_the_start(now));
+            peer.request_progress = Some(RequestProgress::first(now));
         }
     }
 
     /// Removes and returns the peers that have been silent for too long, with their silence.
-    pub(super) fn take_lost(&mut self, now: Stamp<C>) -> Vec<(Address, Span)> {
+    pub(super) fn take_lost(&mut self, now: Timestamp<C>) -> Vec<(Address, TimeDelta)> {
         let mut lost = Vec::new();
         self.peers.retain(|&address, peer| {
             let silence = now - peer.last_heard;
@@ -96,48 +97,49 @@ impl<C: Clock> Peers<C> {
     }
 
     /// Whom to ask now for which of `wanted` messages.
-    pub(super) fn due_requests(&mut self, now: Stamp<C>, wanted: usize) -> Vec<(Address, usize)> {
+    pub(super) fn due_requests(&mut self, now: Timestamp<C>, wanted: usize) -> Vec<(Address, usize)> {
         self.peers.iter_mut().filter_map(|(&address, peer)| Some((address, peer.due_request(now, wanted)?))).collect()
     }
 
     /// The robot has answered the request that is open, whatever it said: on to the next one.
-    pub(super) fn request_answered(&mut self, now: Stamp<C>, from: Address) {
+    pub(super) fn record_response(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
-            peer.asking =
-                peer.asking.map(|asking| if asking.attempts == 0 { asking } else { Asking::after(asking.index, now) });
+            peer.request_progress = peer
+                .request_progress
+                .map(|asking| if asking.attempts == 0 { asking } else { RequestProgress::at_index(asking.index, now) });
         }
     }
 
-    pub(super) fn deadline(&self) -> Option<Stamp<C>> {
+    pub(super) fn deadline(&self) -> Option<Timestamp<C>> {
         let lost = self.peers.values().map(|peer| peer.last_heard + self.timeout);
-        let asking = self.peers.values().filter_map(|peer| Some(peer.asking?.next));
+        let asking = self.peers.values().filter_map(|peer| Some(peer.request_progress?.next));
         lost.chain(asking).min()
     }
 
-    pub(super) fn set_back(&mut self, fall: Span) {
+    pub(super) fn shift_clock(&mut self, fall: TimeDelta) {
         for peer in self.peers.values_mut() {
             peer.last_heard = peer.last_heard - fall;
-            if let Some(asking) = &mut peer.asking {
+            if let Some(asking) = &mut peer.request_progress {
                 asking.next = asking.next - fall;
             }
         }
     }
 }
 
-impl<C: Clock> Peer<C> {
-    fn due_request(&mut self, now: Stamp<C>, wanted: usize) -> Option<usize> {
-        let mut asking = self.asking.filter(|asking| now >= asking.next)?;
-        if asking.attempts == MOST_ATTEMPTS {
-            asking = Asking::after(asking.index, now);
+impl<C: Clock> SessionPeer<C> {
+    fn due_request(&mut self, now: Timestamp<C>, wanted: usize) -> Option<usize> {
+        let mut asking = self.request_progress.filter(|asking| now >= asking.next)?;
+        if asking.attempts == MAX_ATTEMPTS {
+            asking = RequestProgress::at_index(asking.index, now);
         }
         if asking.index >= wanted {
-            self.asking = None;
+            self.request_progress = None;
             return None;
         }
         let index = asking.index;
         asking.attempts += 1;
         asking.next = now + RETRY_PERIOD;
-        self.asking = Some(asking);
+        self.request_progress = Some(asking);
         Some(index)
     }
 }

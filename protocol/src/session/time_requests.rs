@@ -1,78 +1,83 @@
-//! Our time requests and the answers to them.
+//! Time requests of this participant, and the replies to them.
 //!
-//! Requests go to everybody; every peer answers once. An answer counts only if it echoes a stamp that we really sent a
-//! short while ago: late, doubled and invented answers would bend the clock.
+//! Requests go to everybody; every peer replies once. A reply counts only if it echoes the timestamp of a recent
+//! request: late, duplicate and forged replies would corrupt the clock alignment.
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, Span, Stamp};
+use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 
-use super::{SHORTEST_PERIOD, next_after};
+use super::period::{MIN_PERIOD, next_period};
 
 /// Requests at the start, and again for each new peer, that come in quick succession: ten exchanges give the hulls of the
 /// clock alignment their first bounds.
 const QUICK_REQUESTS: u8 = 10;
 /// Time between quick requests.
-const QUICK_PERIOD: Span = Span::from_millis(100);
+const QUICK_PERIOD: TimeDelta = TimeDelta::from_millis(100);
 /// An answer that comes later than this says nothing useful about the clock.
-const STALE: Span = Span::from_millis(5_000);
+const STALE: TimeDelta = TimeDelta::from_millis(5_000);
 /// The most requests that are remembered: five seconds of quick ones.
-const MOST_OPEN: usize = 50;
+const MAX_OPEN: usize = 50;
 
 /// One request of ours.
 #[derive(Debug)]
-struct Request<C: Clock> {
-    sent: Stamp<C>,
+struct OpenTimeRequest<C: Clock> {
+    sent: Timestamp<C>,
     answered_by: Vec<Address>,
 }
 
 /// The requests that may still be answered, and when the next one is due.
 #[derive(Debug)]
 pub(super) struct TimeRequests<C: Clock> {
-    period: Option<Span>,
-    next: Stamp<C>,
-    quick_left: u8,
-    open: VecDeque<Request<C>>,
+    period: Option<TimeDelta>,
+    next: Timestamp<C>,
+    quick_remaining: u8,
+    open: VecDeque<OpenTimeRequest<C>>,
 }
 
 impl<C: Clock> TimeRequests<C> {
-    pub(super) fn new(period: Option<Span>, now: Stamp<C>) -> Self {
+    pub(super) fn new(period: Option<TimeDelta>, now: Timestamp<C>) -> Self {
         Self {
-            period: period.map(|period| period.max(SHORTEST_PERIOD)),
+            period: period.map(|period| period.max(MIN_PERIOD)),
             next: now,
-            quick_left: QUICK_REQUESTS,
+            quick_remaining: QUICK_REQUESTS,
             open: VecDeque::new(),
         }
     }
 
     /// Starts a new series of quick requests.
-    pub(super) fn hurry(&mut self, now: Stamp<C>) {
-        self.quick_left = QUICK_REQUESTS;
+    pub(super) fn restart_quick(&mut self, now: Timestamp<C>) {
+        self.quick_remaining = QUICK_REQUESTS;
         self.next = self.next.min(now + QUICK_PERIOD);
     }
 
     /// The stamp to send in a request, if one is due.
-    pub(super) fn due(&mut self, now: Stamp<C>) -> Option<i64> {
+    pub(super) fn due(&mut self, now: Timestamp<C>) -> Option<i64> {
         let period = self.period?;
         if now < self.next {
             return None;
         }
-        self.forget_stale(now);
-        let is_quick = self.quick_left > 0;
-        self.quick_left = self.quick_left.saturating_sub(1);
+        self.expire_stale(now);
+        let is_quick = self.quick_remaining > 0;
+        self.quick_remaining = self.quick_remaining.saturating_sub(1);
         let wait = if is_quick { QUICK_PERIOD.min(period) } else { period };
-        self.next = next_after(self.next, wait, now);
-        if self.open.len() == MOST_OPEN {
+        self.next = next_period(self.next, wait, now);
+        if self.open.len() == MAX_OPEN {
             self.open.pop_front();
         }
-        self.open.push_back(Request { sent: now, answered_by: Vec::new() });
+        self.open.push_back(OpenTimeRequest { sent: now, answered_by: Vec::new() });
         Some(now.as_nanos())
     }
 
     /// When we asked, if this is the first answer of `peer` to a request that is still open.
-    pub(super) fn answered(&mut self, now: Stamp<C>, peer: Address, echoed_nanos: i64) -> Option<Stamp<C>> {
-        self.forget_stale(now);
+    pub(super) fn match_response(
+        &mut self,
+        now: Timestamp<C>,
+        peer: Address,
+        echoed_nanos: i64,
+    ) -> Option<Timestamp<C>> {
+        self.expire_stale(now);
         let request = self.open.iter_mut().find(|request| request.sent.as_nanos() == echoed_nanos)?;
         if request.answered_by.contains(&peer) {
             return None;
@@ -81,17 +86,17 @@ impl<C: Clock> TimeRequests<C> {
         Some(request.sent)
     }
 
-    pub(super) fn deadline(&self) -> Option<Stamp<C>> {
+    pub(super) fn deadline(&self) -> Option<Timestamp<C>> {
         self.period.map(|_| self.next)
     }
 
     /// The clock fell: what was stamped before cannot be compared any more.
-    pub(super) fn set_back(&mut self, fall: Span) {
+    pub(super) fn shift_clock(&mut self, fall: TimeDelta) {
         self.next = self.next - fall;
         self.open.clear();
     }
 
-    fn forget_stale(&mut self, now: Stamp<C>) {
+    fn expire_stale(&mut self, now: Timestamp<C>) {
         while self.open.front().is_some_and(|request| now - request.sent > STALE) {
             self.open.pop_front();
         }

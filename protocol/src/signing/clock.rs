@@ -1,28 +1,28 @@
 //! The time of signatures, which is the only use of the calendar in anything that is computed.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 /// 2015-01-01 00:00 UTC in microseconds since 1970: 1 420 070 400 s, MAVLink guide, "Timestamp Handling".
 const EPOCH_UNIX_MICROS: u64 = 1_420_070_400_000_000;
 /// One unit of a timestamp.
 const UNIT_NANOS: i64 = 10_000;
 /// 48 bits.
-const LARGEST: u64 = (1 << 48) - 1;
+const MAX_UNITS: u64 = (1 << 48) - 1;
 
 /// An instant as signatures state it: units of 10 µs since 2015-01-01 UTC, 48 bits, which last until 2104.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Timestamp(u64);
+pub struct SigningTime(u64);
 
-impl Timestamp {
+impl SigningTime {
     /// The beginning of 2015.
     pub const ZERO: Self = Self(0);
     /// The last one that there is.
-    pub const MAX: Self = Self(LARGEST);
+    pub const MAX: Self = Self(MAX_UNITS);
 
     /// That many units; the last one there is for more than 48 bits.
     #[must_use]
     pub const fn from_units(units: u64) -> Self {
-        if units > LARGEST { Self::MAX } else { Self(units) }
+        if units > MAX_UNITS { Self::MAX } else { Self(units) }
     }
 
     /// The instant that many microseconds after 1970 UTC; [`Self::ZERO`] for what lies before 2015.
@@ -39,16 +39,16 @@ impl Timestamp {
 
     /// The instant a span later, cut to whole units; saturates, and a negative span changes nothing.
     #[must_use]
-    pub fn later(self, span: Span) -> Self {
+    pub fn saturating_add(self, span: TimeDelta) -> Self {
         let units = u64::try_from(span.as_nanos() / UNIT_NANOS).unwrap_or(0);
         Self::from_units(self.0.saturating_add(units))
     }
 
     /// How much later than `earlier`; zero if it is not.
     #[must_use]
-    pub fn since(self, earlier: Self) -> Span {
+    pub fn since(self, earlier: Self) -> TimeDelta {
         let units = i64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(i64::MAX);
-        Span::from_nanos(units.saturating_mul(UNIT_NANOS))
+        TimeDelta::from_nanos(units.saturating_mul(UNIT_NANOS))
     }
 
     /// The smallest that is later; `None` after the last.
@@ -77,27 +77,27 @@ mod tests {
     #[test]
     fn the_epoch_is_the_beginning_of_2015() {
         // `date -u -d 2015-01-01 +%s` says 1420070400.
-        assert_eq!(Timestamp::from_unix_micros(1_420_070_400_000_000), Timestamp::ZERO);
-        assert_eq!(Timestamp::from_unix_micros(1_420_070_401_000_019).units(), 100_001);
-        assert_eq!(Timestamp::from_unix_micros(0), Timestamp::ZERO);
-        assert_eq!(Timestamp::from_unix_micros(u64::MAX), Timestamp::MAX);
+        assert_eq!(SigningTime::from_unix_micros(1_420_070_400_000_000), SigningTime::ZERO);
+        assert_eq!(SigningTime::from_unix_micros(1_420_070_401_000_019).units(), 100_001);
+        assert_eq!(SigningTime::from_unix_micros(0), SigningTime::ZERO);
+        assert_eq!(SigningTime::from_unix_micros(u64::MAX), SigningTime::MAX);
     }
 
     #[test]
     fn spans_are_counted_in_whole_units_and_never_backwards() {
-        let start = Timestamp::from_units(7);
-        assert_eq!(start.later(Span::from_nanos(19_999)).units(), 8);
-        assert_eq!(start.later(Span::from_millis(-1)), start);
-        assert_eq!(Timestamp::MAX.later(Span::from_millis(1)), Timestamp::MAX);
-        assert_eq!(Timestamp::from_units(107).since(start), Span::from_millis(1));
-        assert_eq!(start.since(Timestamp::MAX), Span::ZERO);
-        assert_eq!(Timestamp::MAX.next(), None);
+        let start = SigningTime::from_units(7);
+        assert_eq!(start.saturating_add(TimeDelta::from_nanos(19_999)).units(), 8);
+        assert_eq!(start.saturating_add(TimeDelta::from_millis(-1)), start);
+        assert_eq!(SigningTime::MAX.saturating_add(TimeDelta::from_millis(1)), SigningTime::MAX);
+        assert_eq!(SigningTime::from_units(107).since(start), TimeDelta::from_millis(1));
+        assert_eq!(start.since(SigningTime::MAX), TimeDelta::ZERO);
+        assert_eq!(SigningTime::MAX.next(), None);
     }
 
     #[test]
     fn six_bytes_hold_it_whole() {
-        let stamp = Timestamp::from_units(0x1234_5678_9ABC);
+        let stamp = SigningTime::from_units(0x1234_5678_9ABC);
         assert_eq!(stamp.to_wire(), [0xBC, 0x9A, 0x78, 0x56, 0x34, 0x12]);
-        assert_eq!(Timestamp::from_wire(stamp.to_wire()), stamp);
+        assert_eq!(SigningTime::from_wire(stamp.to_wire()), stamp);
     }
 }

@@ -1,8 +1,8 @@
 //! Message signing of MAVLink 2: who holds the key may speak, and what was said once cannot be said again.
 //!
 //! Gets verified frames from [`crate::framing`] and says whether their signatures hold; gives the frames of
-//! [`crate::dialect::Encoder`] their signatures. One [`LinkSigning`] per link. It reads no clock and no file: the time is
-//! an argument, and what must survive a restart is a value ([`Memory`]). It hides nothing: signed frames are readable.
+//! [`crate::dialect::Encoder`] their signatures. One [`LinkSigner`] per link. It reads no clock and no file: the time is
+//! an argument, and what must survive a restart is a value ([`SigningState`]). It hides nothing: signed frames are readable.
 //!
 //! # Model
 //! ```text
@@ -25,17 +25,17 @@
 
 mod clock;
 mod key;
-mod link;
-mod memory;
 mod signature;
+mod signer;
+mod state;
 mod verifier;
 
-pub use clock::Timestamp;
+pub use clock::SigningTime;
 pub use key::{Key, KeyError};
-pub use link::{LinkSigning, SigningConfig};
-pub use memory::{Ending, Heard, Memory, StreamId};
-pub use signature::Seal;
-pub use verifier::Unsigned;
+pub use signature::FrameSigner;
+pub use signer::{LinkSigner, SigningConfig};
+pub use state::{ShutdownKind, SignedStreamState, SigningState, StreamId};
+pub use verifier::UnsignedPolicy;
 
 /// Incompatibility flag of a frame that a signature follows.
 pub const FLAG_SIGNED: u8 = 0x01;

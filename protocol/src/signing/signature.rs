@@ -2,9 +2,9 @@
 
 use sha2::{Digest, Sha256};
 
-use super::clock::Timestamp;
+use super::clock::SigningTime;
 use super::key::Key;
-use crate::framing::{FrameRef, START_V2};
+use crate::framing::{FrameRef, START_BYTE_V2};
 
 /// Bytes of the hash that a signature holds.
 const MAC: usize = 6;
@@ -13,16 +13,16 @@ const LENGTH: usize = 1 + 6 + MAC;
 
 /// What one frame of our own is signed with; its timestamp is used up.
 #[derive(Clone, Copy, Debug)]
-pub struct Seal<'k> {
+pub struct FrameSigner<'k> {
     pub(super) key: &'k Key,
     pub(super) link_id: u8,
-    pub(super) timestamp: Timestamp,
+    pub(super) timestamp: SigningTime,
 }
 
-impl Seal<'_> {
+impl FrameSigner<'_> {
     /// Appends the signature of the frame that begins at `start` and ends with its checksum at the end of `out`. The
     /// frame's header must have [`super::FLAG_SIGNED`] set, or no receiver will look for the signature.
-    pub fn append(&self, out: &mut Vec<u8>, start: usize) {
+    pub fn sign(&self, out: &mut Vec<u8>, start: usize) {
         out.push(self.link_id);
         out.extend_from_slice(&self.timestamp.to_wire());
         let mac = mac(self.key, out.get(start..).unwrap_or_default());
@@ -34,16 +34,16 @@ impl Seal<'_> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signature<'a> {
     pub(super) link_id: u8,
-    pub(super) timestamp: Timestamp,
+    pub(super) timestamp: SigningTime,
     mac: [u8; MAC],
     /// Everything before the hash.
-    covered: &'a [u8],
+    signed_bytes: &'a [u8],
 }
 
 impl<'a> Signature<'a> {
     /// The signature of a frame, if it has one.
-    pub(super) fn of(frame: &FrameRef<'a>) -> Option<Self> {
-        let [START_V2, _, flags, ..] = *frame.raw else {
+    pub(super) fn parse(frame: &FrameRef<'a>) -> Option<Self> {
+        let [START_BYTE_V2, _, flags, ..] = *frame.raw else {
             return None;
         };
         if flags & super::FLAG_SIGNED == 0 {
@@ -52,12 +52,12 @@ impl<'a> Signature<'a> {
         let (covered, mac) = frame.raw.split_last_chunk::<MAC>()?;
         let (_, said) = covered.split_last_chunk::<{ LENGTH - MAC }>()?;
         let [link_id, a, b, c, d, e, f] = *said;
-        Some(Self { link_id, timestamp: Timestamp::from_wire([a, b, c, d, e, f]), mac: *mac, covered })
+        Some(Self { link_id, timestamp: SigningTime::from_wire([a, b, c, d, e, f]), mac: *mac, signed_bytes: covered })
     }
 
     /// Whether it was made with this key over these bytes.
-    pub(super) fn holds(&self, key: &Key) -> bool {
-        is_equal(mac(key, self.covered), self.mac)
+    pub(super) fn is_valid(&self, key: &Key) -> bool {
+        is_equal(mac(key, self.signed_bytes), self.mac)
     }
 }
 

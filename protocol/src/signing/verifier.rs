@@ -2,83 +2,87 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_telemetry::{Refusal, Span};
+use posebridge_telemetry::{SignatureError, TimeDelta};
 
-use super::clock::Timestamp;
+use super::clock::SigningTime;
 use super::key::Key;
-use super::memory::{Heard, StreamId};
 use super::signature::Signature;
+use super::state::{SignedStreamState, StreamId};
 use crate::framing::FrameRef;
 
 /// Most streams that are remembered. Only holders of the key make streams; a class of robots has a few hundred.
-const MOST_STREAMS: usize = 1_024;
+const MAX_STREAMS: usize = 1_024;
 /// A new stream may be this far behind: 6 million units, MAVLink guide, "Timestamp Handling".
-const LARGEST_LAG: Span = Span::from_millis(60_000);
+const MAX_LAG: TimeDelta = TimeDelta::from_millis(60_000);
 
 /// What becomes of frames without a signature.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Unsigned {
+pub enum UnsignedPolicy {
     /// They are believed. Those that have a signature must still have a right one.
     Accept,
     /// They are refused, except these message ids.
-    RefuseExcept(BTreeSet<u32>),
+    RejectExcept(BTreeSet<u32>),
 }
 
 /// Remembers how far every stream of a link is.
 #[derive(Clone, Debug)]
-pub(super) struct Verifier {
-    unsigned: Unsigned,
-    streams: BTreeMap<StreamId, Heard>,
-    floor: Option<Timestamp>,
+pub(super) struct SignatureVerifier {
+    unsigned: UnsignedPolicy,
+    streams: BTreeMap<StreamId, SignedStreamState>,
+    floor: Option<SigningTime>,
     met: u64,
 }
 
-impl Verifier {
-    pub(super) const fn new(unsigned: Unsigned, streams: BTreeMap<StreamId, Heard>, floor: Option<Timestamp>) -> Self {
+impl SignatureVerifier {
+    pub(super) const fn new(
+        unsigned: UnsignedPolicy,
+        streams: BTreeMap<StreamId, SignedStreamState>,
+        floor: Option<SigningTime>,
+    ) -> Self {
         Self { unsigned, streams, floor, met: 0 }
     }
 
     /// The timestamp of a frame that is to be believed, `None` if it comes without; takes note of it. `clock` is the time of
     /// signatures, `date` the computer's.
-    pub(super) fn judge(
+    pub(super) fn verify(
         &mut self,
-        (clock, date): (Timestamp, Timestamp),
+        (clock, date): (SigningTime, SigningTime),
         key: &Key,
         frame: &FrameRef<'_>,
-    ) -> Result<Option<Timestamp>, Refusal> {
-        let Some(signature) = Signature::of(frame) else {
+    ) -> Result<Option<SigningTime>, SignatureError> {
+        let Some(signature) = Signature::parse(frame) else {
             return match &self.unsigned {
-                Unsigned::Accept => Ok(None),
-                Unsigned::RefuseExcept(ids) if ids.contains(&frame.message_id) => Ok(None),
-                Unsigned::RefuseExcept(_) => Err(Refusal::Unsigned),
+                UnsignedPolicy::Accept => Ok(None),
+                UnsignedPolicy::RejectExcept(ids) if ids.contains(&frame.message_id) => Ok(None),
+                UnsignedPolicy::RejectExcept(_) => Err(SignatureError::Unsigned),
             };
         };
-        if !signature.holds(key) {
-            return Err(Refusal::WrongSignature);
+        if !signature.is_valid(key) {
+            return Err(SignatureError::Invalid);
         }
         let timestamp = signature.timestamp;
         let stream = StreamId { source: frame.source, link_id: signature.link_id };
         if let Some(last) = self.streams.get_mut(&stream) {
             if timestamp <= last.timestamp {
-                return Err(Refusal::Replayed);
+                return Err(SignatureError::Replayed);
             }
-            *last = Heard { timestamp, date };
+            *last = SignedStreamState { timestamp, date };
         } else {
-            if self.has_gone(timestamp) || timestamp.later(LARGEST_LAG) < clock {
-                return Err(Refusal::Stale);
+            if self.may_be_replayed(timestamp) || timestamp.saturating_add(MAX_LAG) < clock {
+                return Err(SignatureError::Stale);
             }
-            self.begin(stream, Heard { timestamp, date });
+            self.add_stream(stream, SignedStreamState { timestamp, date });
         }
         Ok(Some(timestamp))
     }
 
     /// Whether a frame needs no signature, whatever its message.
-    pub(super) fn believes_everybody(&self) -> bool {
-        self.unsigned == Unsigned::Accept
+    pub(super) fn accepts_unsigned(&self) -> bool {
+        self.unsigned == UnsignedPolicy::Accept
     }
 
-    fn begin(&mut self, stream: StreamId, heard: Heard) {
-        if self.streams.len() >= MOST_STREAMS {
+    fn add_stream(&mut self, stream: StreamId, heard: SignedStreamState) {
+        if self.streams.len() >= MAX_STREAMS {
             let oldest = self.streams.iter().min_by_key(|(_, last)| last.timestamp);
             if let Some((oldest, last)) = oldest.map(|(oldest, last)| (*oldest, last.timestamp)) {
                 self.streams.remove(&oldest);
@@ -91,20 +95,20 @@ impl Verifier {
     }
 
     /// Whether a stream that is not remembered may have said this.
-    fn has_gone(&self, timestamp: Timestamp) -> bool {
+    fn may_be_replayed(&self, timestamp: SigningTime) -> bool {
         self.floor.is_some_and(|floor| timestamp <= floor)
     }
 
-    pub(super) const fn streams(&self) -> &BTreeMap<StreamId, Heard> {
+    pub(super) const fn streams(&self) -> &BTreeMap<StreamId, SignedStreamState> {
         &self.streams
     }
 
-    pub(super) const fn floor(&self) -> Option<Timestamp> {
+    pub(super) const fn min_timestamp(&self) -> Option<SigningTime> {
         self.floor
     }
 
     /// How many streams have begun.
-    pub(super) const fn met(&self) -> u64 {
+    pub(super) const fn streams_seen(&self) -> u64 {
         self.met
     }
 }

@@ -1,20 +1,20 @@
 //! A codec and a double of the brick in virtual time.
 
 use posebridge_protocol::bricks::nxt::NxtSettings;
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, brick_protocol};
 use posebridge_protocol::message::{Message, WireStamp};
-use posebridge_telemetry::{Defect, HostClock, Stamp};
+use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 
-use crate::brick::Brick;
+use crate::brick::SimulatedNxt;
 
 /// What was heard and when, without what the codec only passes on.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Noted {
+pub(crate) enum RecordedEvent {
     Message(Message),
     /// When the question left, and the brick's clock, nanoseconds.
-    Time(i64, i64),
-    Note(String),
-    Defect(Defect),
+    ClockReply(i64, i64),
+    StatusText(String),
+    Error(ReceiveError),
 }
 
 /// What happens to the bytes of the n-th reply.
@@ -22,9 +22,9 @@ pub(crate) type Damage = Box<dyn FnMut(usize, Vec<u8>) -> Vec<u8>>;
 
 pub(crate) struct Bench {
     pub(crate) codec: Box<dyn BrickCodec>,
-    pub(crate) brick: Brick,
+    pub(crate) brick: SimulatedNxt,
     pub(crate) now_micros: i64,
-    pub(crate) heard: Vec<(i64, Noted)>,
+    pub(crate) events: Vec<(i64, RecordedEvent)>,
     pub(crate) damage: Damage,
     /// Bytes of each chunk in which a reply arrives.
     pub(crate) chunk: usize,
@@ -34,18 +34,18 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    pub(crate) fn new(settings: NxtSettings, brick: Brick) -> Self {
+    pub(crate) fn new(settings: NxtSettings, brick: SimulatedNxt) -> Self {
         Self::of("nxt", settings, brick)
     }
 
-    pub(crate) fn of(protocol: &str, nxt: NxtSettings, brick: Brick) -> Self {
-        let settings = BrickSettings { nxt, ..BrickSettings::default() };
+    pub(crate) fn of(protocol: &str, nxt: NxtSettings, brick: SimulatedNxt) -> Self {
+        let settings = CodecSettings { nxt, ..CodecSettings::default() };
         let protocol = brick_protocol(protocol).expect("the row is there");
         Self {
             codec: (protocol.open)(&settings),
             brick,
             now_micros: 0,
-            heard: Vec::new(),
+            events: Vec::new(),
             damage: Box::new(|_, reply| reply),
             chunk: usize::MAX,
             is_cut: false,
@@ -53,19 +53,19 @@ impl Bench {
         }
     }
 
-    pub(crate) fn now(&self) -> Stamp<HostClock> {
-        Stamp::from_micros(self.now_micros)
+    pub(crate) fn now(&self) -> Timestamp<HostClock> {
+        Timestamp::from_micros(self.now_micros)
     }
 
     pub(crate) fn begin(&mut self) {
-        self.codec.begin(self.now());
+        self.codec.on_link_up(self.now());
         self.deliver();
     }
 
     /// Runs until then; `each` sees the brick before every reply that arrives.
-    pub(crate) fn run_to_with(&mut self, end_micros: i64, each: &mut dyn FnMut(i64, &mut Brick)) {
+    pub(crate) fn run_to_with(&mut self, end_micros: i64, each: &mut dyn FnMut(i64, &mut SimulatedNxt)) {
         loop {
-            let deadline = self.codec.deadline().map(Stamp::as_micros);
+            let deadline = self.codec.deadline().map(Timestamp::as_micros);
             let next = [deadline, self.brick.next_reply()].into_iter().flatten().min().unwrap_or(i64::MAX);
             if next > end_micros {
                 break;
@@ -73,11 +73,11 @@ impl Bench {
             // A deadline between two microseconds is met at the later one.
             self.now_micros = self.now_micros.max(next + i64::from(deadline == Some(next)));
             each(self.now_micros, &mut self.brick);
-            if let Some(reply) = self.brick.say(self.now_micros) {
-                self.arrive(reply);
+            if let Some(reply) = self.brick.queue_reply(self.now_micros) {
+                self.deliver_replies(reply);
             } else {
-                let (now, heard, at) = (self.now(), &mut self.heard, self.now_micros);
-                self.codec.tick(now, &mut |item| note(heard, at, item));
+                let (now, heard, at) = (self.now(), &mut self.events, self.now_micros);
+                self.codec.tick(now, &mut |item| record(heard, at, item));
             }
             self.deliver();
         }
@@ -88,7 +88,7 @@ impl Bench {
         self.run_to_with(end_micros, &mut |_, _| {});
     }
 
-    fn arrive(&mut self, reply: Vec<u8>) {
+    fn deliver_replies(&mut self, reply: Vec<u8>) {
         if self.is_cut {
             return;
         }
@@ -101,32 +101,32 @@ impl Bench {
 
     /// Bytes from the brick.
     pub(crate) fn push(&mut self, bytes: &[u8]) {
-        let (now, heard, at) = (self.now(), &mut self.heard, self.now_micros);
-        self.codec.push(now, bytes, &mut |item| note(heard, at, item));
+        let (now, heard, at) = (self.now(), &mut self.events, self.now_micros);
+        self.codec.push(now, bytes, &mut |item| record(heard, at, item));
         self.deliver();
     }
 
     pub(crate) fn deliver(&mut self) {
         while let Some(bytes) = self.codec.poll() {
             if !self.is_cut {
-                self.brick.hear(self.now_micros, &bytes);
+                self.brick.push_bytes(self.now_micros, &bytes);
             }
         }
     }
 
     pub(crate) fn messages(&self) -> impl Iterator<Item = &Message> {
-        self.heard.iter().filter_map(|(_, item)| match item {
-            Noted::Message(message) => Some(message),
-            Noted::Time(..) | Noted::Note(_) | Noted::Defect(_) => None,
+        self.events.iter().filter_map(|(_, item)| match item {
+            RecordedEvent::Message(message) => Some(message),
+            RecordedEvent::ClockReply(..) | RecordedEvent::StatusText(_) | RecordedEvent::Error(_) => None,
         })
     }
 
     pub(crate) fn notes(&self) -> Vec<&str> {
-        self.heard
+        self.events
             .iter()
             .filter_map(|(_, item)| match item {
-                Noted::Note(text) => Some(text.as_str()),
-                Noted::Message(_) | Noted::Time(..) | Noted::Defect(_) => None,
+                RecordedEvent::StatusText(text) => Some(text.as_str()),
+                RecordedEvent::Message(_) | RecordedEvent::ClockReply(..) | RecordedEvent::Error(_) => None,
             })
             .collect()
     }
@@ -142,10 +142,10 @@ impl Bench {
     }
 
     pub(crate) fn lost(&self) -> u32 {
-        self.heard
+        self.events
             .iter()
             .map(|(_, item)| match item {
-                Noted::Defect(Defect::Lost { frames, .. }) => *frames,
+                RecordedEvent::Error(ReceiveError::SequenceGap { frames, .. }) => *frames,
                 _ => 0,
             })
             .sum()
@@ -154,19 +154,19 @@ impl Bench {
 
 /// When the question left and when the answer was there, milliseconds.
 pub(crate) fn asked_millis(stamp: WireStamp) -> (f64, f64) {
-    let WireStamp::Asked { sent, answered } = stamp else {
+    let WireStamp::HostInterval { sent, answered } = stamp else {
         panic!("{stamp:?} is no answer");
     };
     (sent.as_secs_f64() * 1e3, answered.as_secs_f64() * 1e3)
 }
 
-fn note(heard: &mut Vec<(i64, Noted)>, at: i64, item: Heard<'_>) {
+fn record(heard: &mut Vec<(i64, RecordedEvent)>, at: i64, item: CodecEvent<'_>) {
     let noted = match item {
-        Heard::Message { message, .. } => Noted::Message(message),
-        Heard::Time { sent, peer_nanos, .. } => Noted::Time(sent.as_nanos(), peer_nanos),
-        Heard::Note { text, .. } => Noted::Note(text),
-        Heard::Defect(defect) => Noted::Defect(defect),
-        Heard::Other(_) => return,
+        CodecEvent::Message { message, .. } => RecordedEvent::Message(message),
+        CodecEvent::ClockReply { sent, peer_nanos, .. } => RecordedEvent::ClockReply(sent.as_nanos(), peer_nanos),
+        CodecEvent::StatusText { text, .. } => RecordedEvent::StatusText(text),
+        CodecEvent::Error(defect) => RecordedEvent::Error(defect),
+        CodecEvent::ForwardFrame(_) => return,
     };
     heard.push((at, noted));
 }

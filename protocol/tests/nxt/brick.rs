@@ -11,7 +11,7 @@ const OTHER_COUNTS: [i32; 3] = [0, 1_000, 2_000];
 
 /// What a brick allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Maps {
+pub(crate) enum IoMapLimit {
     /// Data bytes of one read of an IO map; more give status 91.
     UpTo(u16),
     /// The firmware does not know the command: status BE.
@@ -31,7 +31,7 @@ pub(crate) struct Port {
     pub(crate) prepared: Vec<u8>,
 }
 
-impl Default for Brick {
+impl Default for SimulatedNxt {
     fn default() -> Self {
         Self::new()
     }
@@ -39,14 +39,14 @@ impl Default for Brick {
 
 /// The brick.
 #[derive(Clone, Debug)]
-pub(crate) struct Brick {
+pub(crate) struct SimulatedNxt {
     pub(crate) tick_offset_ms: i64,
     /// The motors' true angles at an instant in microseconds, degrees.
     pub(crate) drive: fn(i64) -> [i32; 3],
     /// Where they were when the counters were zeroed.
     pub(crate) base: [i32; 3],
     pub(crate) ports: [Port; 4],
-    pub(crate) maps: Maps,
+    pub(crate) io_map_limit: IoMapLimit,
     /// Replies that its transmitter holds at the same time; more are dropped.
     pub(crate) most_replies: usize,
     pub(crate) has_program: bool,
@@ -60,14 +60,14 @@ pub(crate) struct Brick {
     pub(crate) free_at: i64,
 }
 
-impl Brick {
+impl SimulatedNxt {
     pub(crate) fn new() -> Self {
         Self {
             tick_offset_ms: 5_000,
             drive: |_| [0; 3],
             base: [0; 3],
             ports: Default::default(),
-            maps: Maps::UpTo(119),
+            io_map_limit: IoMapLimit::UpTo(119),
             most_replies: 2,
             has_program: false,
             mailbox: Vec::new(),
@@ -80,7 +80,7 @@ impl Brick {
     }
 
     /// Bytes from the host: each telegram behind its length.
-    pub(crate) fn hear(&mut self, now_micros: i64, bytes: &[u8]) {
+    pub(crate) fn push_bytes(&mut self, now_micros: i64, bytes: &[u8]) {
         self.inbox.extend_from_slice(bytes);
         while self.inbox.len() >= 2 {
             let length = usize::from(self.inbox[0]) + 256 * usize::from(self.inbox[1]);
@@ -116,7 +116,7 @@ impl Brick {
     }
 
     /// The next reply that has arrived.
-    pub(crate) fn say(&mut self, now_micros: i64) -> Option<Vec<u8>> {
+    pub(crate) fn queue_reply(&mut self, now_micros: i64) -> Option<Vec<u8>> {
         if self.next_reply()? > now_micros {
             return None;
         }
@@ -248,7 +248,7 @@ impl Brick {
     }
 
     fn io_map(&mut self, at_micros: i64, telegram: &[u8]) -> Vec<u8> {
-        let Maps::UpTo(most) = self.maps else {
+        let IoMapLimit::UpTo(most) = self.io_map_limit else {
             return vec![0xBE];
         };
         let number = |at: usize| u16::from(telegram[at]) + 256 * u16::from(telegram[at + 1]);

@@ -1,12 +1,12 @@
 //! Bytes of LEGO's developer kit and of the firmware's interface files, written by hand from their tables.
 
 use posebridge_protocol::bricks::nxt::{
-    Answer, MotorPort, NxtSensor, NxtSettings, OutputState, framed, message_write, set_output_state, start_program,
-    stop_program,
+    MotorPort, NxtSensor, NxtSettings, OutputState, ReplyRequest, framed, message_write, set_output_state,
+    start_program, stop_program,
 };
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, brick_protocol};
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, brick_protocol};
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{EncoderTicks, Stamp};
+use posebridge_telemetry::{EncoderTicks, Timestamp};
 
 const VERSION_REQUEST: &[u8] = &[0x02, 0x00, 0x01, 0x88];
 /// Protocol 1.124, firmware 1.31.
@@ -83,10 +83,10 @@ fn transcript() -> Vec<(Vec<&'static [u8]>, Vec<u8>)> {
 fn codec() -> Box<dyn BrickCodec> {
     let nxt = NxtSettings {
         sensors: [NxtSensor::None, NxtSensor::HtGyro, NxtSensor::None, NxtSensor::HtCompass],
-        gyro_rest: Some(600.0),
+        gyro_rest_counts: Some(600.0),
         ..NxtSettings::default()
     };
-    let settings = BrickSettings { nxt, ..BrickSettings::default() };
+    let settings = CodecSettings { nxt, ..CodecSettings::default() };
     (brick_protocol("nxt").expect("the row is there").open)(&settings)
 }
 
@@ -101,17 +101,17 @@ struct Played {
 fn play(chunk: usize) -> Played {
     let mut codec = codec();
     let (mut asked, mut messages, mut times) = (Vec::new(), Vec::new(), Vec::new());
-    codec.begin(Stamp::ZERO);
+    codec.on_link_up(Timestamp::ZERO);
     for (step, (_, reply)) in transcript().iter().enumerate() {
         while let Some(bytes) = codec.poll() {
             asked.push(bytes);
         }
-        let now = Stamp::from_millis(30 * (step as i64 + 1));
+        let now = Timestamp::from_millis(30 * (step as i64 + 1));
         for part in reply.chunks(chunk) {
             codec.push(now, part, &mut |heard| match heard {
-                Heard::Message { message, .. } => messages.push(message),
-                Heard::Time { sent, peer_nanos, .. } => times.push((sent.as_nanos(), peer_nanos)),
-                Heard::Note { .. } => {}
+                CodecEvent::Message { message, .. } => messages.push(message),
+                CodecEvent::ClockReply { sent, peer_nanos, .. } => times.push((sent.as_nanos(), peer_nanos)),
+                CodecEvent::StatusText { .. } => {}
                 other => panic!("{other:?}"),
             });
         }
@@ -164,34 +164,34 @@ fn every_answer_means_this_in_chunks_of_every_size() {
 fn commands_to_drive_are_these_bytes() {
     // Motor C at 75 per cent, regulated speed, for 360 degrees: layout of SETOUTPUTSTATE.
     let state = OutputState { tacho_limit: 360, ..OutputState::run(MotorPort::C, 75) };
-    let bytes = framed(&set_output_state(&state, Answer::Unwanted));
+    let bytes = framed(&set_output_state(&state, ReplyRequest::NotRequired));
     let expected = [0x0C, 0x00, 0x80, 0x04, 0x02, 0x4B, 0x07, 0x01, 0x00, 0x20, 0x68, 0x01, 0x00, 0x00];
     assert_eq!(bytes, expected);
 
     let back = OutputState::run(MotorPort::A, -100);
-    let bytes = set_output_state(&back, Answer::Wanted);
+    let bytes = set_output_state(&back, ReplyRequest::Required);
     let expected = [0x00, 0x04, 0x00, 0x9C, 0x07, 0x01, 0x00, 0x20, 0, 0, 0, 0];
     assert_eq!(bytes, expected);
 
-    let all = set_output_state(&OutputState::coast(), Answer::Unwanted);
+    let all = set_output_state(&OutputState::coast(), ReplyRequest::NotRequired);
     assert_eq!(all, [0x80, 0x04, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
 }
 
 #[test]
 fn commands_to_programs_are_these_bytes() {
-    let start = framed(&start_program("pose.rxe", Answer::Wanted));
+    let start = framed(&start_program("pose.rxe", ReplyRequest::Required));
     let mut expected = vec![0x16, 0x00, 0x00, 0x00];
     expected.extend_from_slice(b"pose.rxe");
     expected.extend_from_slice(&[0; 12]);
     assert_eq!(start, expected);
     // A name that is too long keeps its final zero.
-    let long = start_program("a-name-of-more-than-nineteen-bytes.rxe", Answer::Unwanted);
+    let long = start_program("a-name-of-more-than-nineteen-bytes.rxe", ReplyRequest::NotRequired);
     assert_eq!((long.len(), long[0], long[21]), (22, 0x80, 0));
-    assert_eq!(stop_program(Answer::Unwanted), [0x80, 0x01]);
+    assert_eq!(stop_program(ReplyRequest::NotRequired), [0x80, 0x01]);
 
-    let message = message_write(3, b"hi", Answer::Unwanted).unwrap();
+    let message = message_write(3, b"hi", ReplyRequest::NotRequired).unwrap();
     let bytes = framed(&message);
     assert_eq!(bytes, [0x07, 0x00, 0x80, 0x09, 0x03, 0x03, b'h', b'i', 0x00]);
-    assert!(message_write(3, &[0; 58], Answer::Wanted).is_some());
-    assert!(message_write(3, &[0; 59], Answer::Wanted).is_none());
+    assert!(message_write(3, &[0; 58], ReplyRequest::Required).is_some());
+    assert!(message_write(3, &[0; 59], ReplyRequest::Required).is_none());
 }

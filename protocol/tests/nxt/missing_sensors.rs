@@ -4,7 +4,7 @@ use posebridge_protocol::bricks::nxt::{NxtSensor, NxtSettings};
 use posebridge_protocol::message::Message;
 
 use crate::bench::Bench;
-use crate::brick::{Brick, Maps};
+use crate::brick::{IoMapLimit, SimulatedNxt};
 use crate::session::{SECOND, equipped, equipped_brick, moving_brick};
 
 /// A gyro at port 1, whose rest value has to be learnt.
@@ -16,9 +16,9 @@ fn gyro_alone() -> NxtSettings {
 
 #[test]
 fn a_sensor_that_is_not_plugged_in_is_told_of_once_and_the_others_go_on() {
-    for maps in [Maps::UpTo(119), Maps::Unknown] {
+    for maps in [IoMapLimit::UpTo(119), IoMapLimit::Unknown] {
         let mut brick = equipped_brick();
-        brick.maps = maps;
+        brick.io_map_limit = maps;
         brick.ports[1].is_plugged = false;
         let mut bench = Bench::new(equipped(), brick);
         bench.begin();
@@ -35,7 +35,7 @@ fn a_sensor_that_is_not_plugged_in_is_told_of_once_and_the_others_go_on() {
 fn a_missing_sensor_takes_no_turn_of_the_wheels_with_single_commands() {
     let wheels = |is_plugged| {
         let mut brick = equipped_brick();
-        brick.maps = Maps::Unknown;
+        brick.io_map_limit = IoMapLimit::Unknown;
         brick.ports[1].is_plugged = is_plugged;
         let mut bench = Bench::new(equipped(), brick);
         bench.begin();
@@ -49,7 +49,7 @@ fn a_missing_sensor_takes_no_turn_of_the_wheels_with_single_commands() {
 
 #[test]
 fn the_gyros_rest_is_learnt_before_the_robot_moves() {
-    let mut brick = Brick::new();
+    let mut brick = SimulatedNxt::new();
     brick.ports[0].raw = 597;
     brick.drive = |at| [0, (at.max(4_000_000) / 2_000 - 2_000) as i32, 0];
     let mut bench = Bench::new(gyro_alone(), brick);
@@ -72,7 +72,7 @@ fn the_gyros_rest_is_learnt_before_the_robot_moves() {
 
 #[test]
 fn a_gyro_that_is_unplugged_is_told_of_and_turns_nothing() {
-    let mut brick = Brick::new();
+    let mut brick = SimulatedNxt::new();
     brick.ports[0].raw = 597;
     let mut bench = Bench::new(gyro_alone(), brick);
     bench.begin();

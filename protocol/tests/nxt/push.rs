@@ -4,8 +4,8 @@ use posebridge_protocol::bricks::nxt::NxtSettings;
 use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks};
 
-use crate::bench::{Bench, Noted};
-use crate::brick::Brick;
+use crate::bench::{Bench, RecordedEvent};
+use crate::brick::SimulatedNxt;
 
 /// PB_WHEEL_TICKS of system 1, component 1, as pymavlink encodes it (`pb_wheel_ticks` of protocol/tests/data/golden.json).
 const FRAME: [u8; 25] = [
@@ -27,7 +27,7 @@ fn ticks() -> Message {
 }
 
 fn bench() -> Bench {
-    Bench::of("nxt-push", NxtSettings::default(), Brick::new())
+    Bench::of("nxt-push", NxtSettings::default(), SimulatedNxt::new())
 }
 
 fn pushed(bench: &Bench) -> usize {
@@ -47,9 +47,9 @@ fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
             }
         }
         assert_eq!(pushed(&bench), 200, "chunks of {chunk}");
-        assert_eq!(bench.codec.sources()[0].source, Address::new(1, 1));
+        assert_eq!(bench.codec.source_health()[0].source, Address::new(1, 1));
         // The clock is asked all the while: three times at connect, then once a second.
-        let times = bench.heard.iter().filter(|(_, item)| matches!(item, Noted::Time(..))).count();
+        let times = bench.events.iter().filter(|(_, item)| matches!(item, RecordedEvent::ClockReply(..))).count();
         assert_eq!(times, 4, "chunks of {chunk}");
     }
 }
@@ -91,8 +91,10 @@ fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
             assert!((1..=2).contains(&lost), "without byte {at}, chunks of {chunk}: {lost} lost");
             // The clock is asked again: the fence is answered, and a tick.
             let damaged_at = 50 * 20_000;
-            let is_time = |(when, item): &(i64, Noted)| *when > damaged_at + 100_000 && matches!(item, Noted::Time(..));
-            assert!(bench.heard.iter().any(is_time), "without byte {at}");
+            let is_time = |(when, item): &(i64, RecordedEvent)| {
+                *when > damaged_at + 100_000 && matches!(item, RecordedEvent::ClockReply(..))
+            };
+            assert!(bench.events.iter().any(is_time), "without byte {at}");
         }
     }
 }
@@ -100,7 +102,7 @@ fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
 #[test]
 fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_silent() {
     for is_answering in [true, false] {
-        let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+        let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
         bench.is_cut = !is_answering;
         bench.begin();
         for step in 1..=500 {
@@ -124,7 +126,7 @@ fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_sile
 #[test]
 fn a_program_that_writes_something_else_costs_no_question() {
     for period_millis in [12, 83, 250] {
-        let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+        let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
         bench.begin();
         let mut step = 0;
         while bench.now_micros < 10 * SECOND {
@@ -178,8 +180,8 @@ fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
 }
 
 fn is_clock_known(bench: &Bench) -> bool {
-    let is_time = |(_, item): &(i64, Noted)| matches!(item, Noted::Time(..));
-    bench.heard.iter().any(is_time)
+    let is_time = |(_, item): &(i64, RecordedEvent)| matches!(item, RecordedEvent::ClockReply(..));
+    bench.events.iter().any(is_time)
 }
 
 #[test]

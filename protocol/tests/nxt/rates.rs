@@ -1,10 +1,10 @@
 //! How many states per second, side by side: IO maps against single commands, at 30 ms for each transaction.
 
-use posebridge_protocol::bricks::nxt::{NxtSensor, NxtSettings, Outstanding};
+use posebridge_protocol::bricks::nxt::{MaxOutstanding, NxtSensor, NxtSettings};
 use posebridge_protocol::message::Message;
 
 use crate::bench::Bench;
-use crate::brick::{Brick, Maps};
+use crate::brick::{IoMapLimit, SimulatedNxt};
 use crate::session::{assert_true, moving_brick};
 
 const SECOND: i64 = 1_000_000;
@@ -13,25 +13,27 @@ const FROM: i64 = SECOND;
 const SECONDS: i64 = 20;
 
 /// States, wheels with the gyro of the same round, in a second.
-fn states_per_second(maps: Maps, outstanding: Outstanding) -> f64 {
+fn states_per_second(maps: IoMapLimit, outstanding: MaxOutstanding) -> f64 {
     let settings = NxtSettings {
         sensors: [NxtSensor::HtGyro, NxtSensor::None, NxtSensor::None, NxtSensor::None],
-        gyro_rest: Some(600.0),
+        gyro_rest_counts: Some(600.0),
         outstanding,
         ..NxtSettings::default()
     };
     let mut brick = moving_brick();
     brick.ports[0].raw = 610;
-    brick.maps = maps;
+    brick.io_map_limit = maps;
     let mut bench = Bench::new(settings, brick);
     bench.begin();
     bench.run_to(FROM + SECONDS * SECOND);
-    assert_true(&bench, (0, 0));
+    assert_true(&bench);
     let count = |is: fn(&Message) -> bool| {
         bench
-            .heard
+            .events
             .iter()
-            .filter(|(at, item)| *at >= FROM && matches!(item, crate::bench::Noted::Message(message) if is(message)))
+            .filter(|(at, item)| {
+                *at >= FROM && matches!(item, crate::bench::RecordedEvent::Message(message) if is(message))
+            })
             .count()
     };
     let wheels = count(|message| matches!(message, Message::WheelTicks(_)));
@@ -42,13 +44,13 @@ fn states_per_second(maps: Maps, outstanding: Outstanding) -> f64 {
 /// What two IO maps hold, three motors and four ports, read by the seven single commands that it takes; and the clock, which no single
 /// command tells, left out.
 fn seven_commands_per_second() -> f64 {
-    let mut brick = Brick::new();
+    let mut brick = SimulatedNxt::new();
     let (mut now, mut states) = (0, 0);
     while now < SECONDS * SECOND {
         for (opcode, port) in [(6, 0), (6, 1), (6, 2), (7, 0), (7, 1), (7, 2), (7, 3)] {
-            brick.hear(now, &[0x03, 0x00, 0x00, opcode, port]);
+            brick.push_bytes(now, &[0x03, 0x00, 0x00, opcode, port]);
             now = brick.next_reply().expect("a reply is on its way");
-            let reply = brick.say(now).expect("it has arrived");
+            let reply = brick.queue_reply(now).expect("it has arrived");
             assert_eq!(reply[2..6], [0x02, opcode, 0x00, port]);
         }
         states += 1;
@@ -58,10 +60,10 @@ fn seven_commands_per_second() -> f64 {
 
 #[test]
 fn io_maps_give_at_least_fourteen_states_a_second_and_three_times_single_commands() {
-    let whole = states_per_second(Maps::UpTo(119), Outstanding::One);
-    let two = states_per_second(Maps::UpTo(119), Outstanding::Two);
-    let short = states_per_second(Maps::UpTo(55), Outstanding::One);
-    let single = states_per_second(Maps::Unknown, Outstanding::One);
+    let whole = states_per_second(IoMapLimit::UpTo(119), MaxOutstanding::One);
+    let two = states_per_second(IoMapLimit::UpTo(119), MaxOutstanding::Two);
+    let short = states_per_second(IoMapLimit::UpTo(55), MaxOutstanding::One);
+    let single = states_per_second(IoMapLimit::Unknown, MaxOutstanding::One);
     let seven = seven_commands_per_second();
     println!("states per second at 30 ms for each transaction");
     println!("  IO maps, 119 bytes     3 motors + 4 ports  {whole:5.2}");

@@ -1,13 +1,13 @@
 //! From connect to disconnect: what is found out, what is told, what is survived.
 
 use posebridge_protocol::bricks::nxt::{
-    AccelerometerPlace, ForwardAxis, MotorPort, Mounting, NxtSensor, NxtSettings, Outstanding, WheelMotor,
+    AccelerometerMounting, ForwardAxis, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings, WheelMotor,
 };
 use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{Address, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Stamp};
+use posebridge_telemetry::{Address, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Timestamp};
 
-use crate::bench::{Bench, Noted, asked_millis};
-use crate::brick::{Brick, Maps};
+use crate::bench::{Bench, RecordedEvent, asked_millis};
+use crate::brick::{IoMapLimit, SimulatedNxt};
 
 pub(crate) const SECOND: i64 = 1_000_000;
 
@@ -16,18 +16,18 @@ pub(crate) fn drive(at_micros: i64) -> [i32; 3] {
     [0, (at_micros / 2_000) as i32, -(at_micros / 4_000) as i32]
 }
 
-pub(crate) fn moving_brick() -> Brick {
-    Brick { drive, ..Brick::new() }
+pub(crate) fn moving_brick() -> SimulatedNxt {
+    SimulatedNxt { drive, ..SimulatedNxt::new() }
 }
 
-/// Each count was the motor's between question and answer; `base` is added to what the brick shows.
-pub(crate) fn assert_true(bench: &Bench, base: (i64, i64)) {
+/// Each count was the motor's between question and answer.
+pub(crate) fn assert_true(bench: &Bench) {
     for message in bench.messages() {
         let Message::WheelTicks(ticks) = message else {
             continue;
         };
         let (sent, answered) = asked_millis(ticks.stamp);
-        let (left, right) = (ticks.left.0 + base.0, ticks.right.0 + base.1);
+        let (left, right) = (ticks.left.0, ticks.right.0);
         let least = (sent / 2.0 - 1.0, answered / 2.0 + 1.0);
         assert!((least.0..=least.1).contains(&(left as f64)), "{ticks:?}");
         let least = (-answered / 4.0 - 1.0, -sent / 4.0 + 1.0);
@@ -39,7 +39,7 @@ fn every_sensor() -> [NxtSensor; 4] {
     [NxtSensor::HtGyro, NxtSensor::HtCompass, NxtSensor::Ultrasonic, NxtSensor::Temperature]
 }
 
-pub(crate) fn equipped_brick() -> Brick {
+pub(crate) fn equipped_brick() -> SimulatedNxt {
     let mut brick = moving_brick();
     brick.ports[0].raw = 610;
     for port in &mut brick.ports {
@@ -52,7 +52,12 @@ pub(crate) fn equipped_brick() -> Brick {
 }
 
 pub(crate) fn equipped() -> NxtSettings {
-    NxtSettings { sensors: every_sensor(), gyro_rest: Some(600.0), compass_zero_deg: 90.0, ..NxtSettings::default() }
+    NxtSettings {
+        sensors: every_sensor(),
+        gyro_rest_counts: Some(600.0),
+        compass_zero_deg: 90.0,
+        ..NxtSettings::default()
+    }
 }
 
 fn pose(micros: u32) -> Message {
@@ -73,7 +78,7 @@ fn encode(bench: &mut Bench, micros: u32) -> usize {
     let now = bench.now();
     let length = bench.codec.encode(now, Address::new(1, 197), &pose(micros), &mut bytes);
     assert_eq!(length, bytes.len());
-    bench.brick.hear(bench.now_micros, &bytes);
+    bench.brick.push_bytes(bench.now_micros, &bytes);
     length
 }
 
@@ -111,19 +116,19 @@ fn assert_all_senses(bench: &Bench) {
 #[test]
 fn every_sensor_is_heard_however_much_of_a_map_comes_at_once() {
     for (maps, note) in [
-        (Maps::UpTo(119), None),
-        (Maps::UpTo(55), Some("only in pieces")),
-        (Maps::UpTo(4), Some("no IO maps")),
-        (Maps::Unknown, Some("no IO maps")),
+        (IoMapLimit::UpTo(119), None),
+        (IoMapLimit::UpTo(55), Some("only in pieces")),
+        (IoMapLimit::UpTo(4), Some("no IO maps")),
+        (IoMapLimit::Unknown, Some("no IO maps")),
     ] {
         let mut brick = equipped_brick();
-        brick.maps = maps;
+        brick.io_map_limit = maps;
         let mut bench = Bench::new(equipped(), brick);
         bench.begin();
         bench.run_to(5 * SECOND);
         print!("{maps:?} ");
         assert_all_senses(&bench);
-        assert_true(&bench, (0, 0));
+        assert_true(&bench);
         assert_eq!(bench.lost(), 0, "{maps:?}");
         let notes = bench.notes();
         match note {
@@ -141,10 +146,10 @@ fn the_clock_is_asked_three_times_and_then_about_every_twentieth() {
     bench.begin();
     bench.run_to(10 * SECOND);
     let times: Vec<(i64, i64)> = bench
-        .heard
+        .events
         .iter()
         .filter_map(|(_, item)| match item {
-            Noted::Time(sent, peer) => Some((*sent, *peer)),
+            RecordedEvent::ClockReply(sent, peer) => Some((*sent, *peer)),
             _ => None,
         })
         .collect();
@@ -160,13 +165,13 @@ fn the_clock_is_asked_three_times_and_then_about_every_twentieth() {
 
 #[test]
 fn a_brick_without_a_clock_lives_by_the_stations() {
-    let brick = Brick { maps: Maps::Unknown, ..moving_brick() };
+    let brick = SimulatedNxt { io_map_limit: IoMapLimit::Unknown, ..moving_brick() };
     let mut bench = Bench::new(NxtSettings::default(), brick);
     bench.begin();
     bench.run_to(2 * SECOND);
     let mut times = 0;
-    for (at, item) in &bench.heard {
-        if let Noted::Time(sent, peer) = item {
+    for (at, item) in &bench.events {
+        if let RecordedEvent::ClockReply(sent, peer) = item {
             times += 1;
             assert_eq!(*peer, (sent + at * 1_000) / 2);
         }
@@ -178,13 +183,17 @@ fn a_brick_without_a_clock_lives_by_the_stations() {
 
 #[test]
 fn motors_may_sit_at_any_ports_and_either_way() {
-    for maps in [Maps::UpTo(119), Maps::UpTo(55), Maps::Unknown] {
+    for maps in [IoMapLimit::UpTo(119), IoMapLimit::UpTo(55), IoMapLimit::Unknown] {
         let settings = NxtSettings {
-            left_motor: WheelMotor { port: MotorPort::C, mounting: Mounting::Backward },
-            right_motor: WheelMotor { port: MotorPort::A, mounting: Mounting::Forward },
+            left_motor: WheelMotor { port: MotorPort::C, mounting: MotorMounting::Backward },
+            right_motor: WheelMotor { port: MotorPort::A, mounting: MotorMounting::Forward },
             ..NxtSettings::default()
         };
-        let brick = Brick { maps, drive: |at| [(at / 10_000) as i32, 7, -(at / 5_000) as i32], ..Brick::new() };
+        let brick = SimulatedNxt {
+            io_map_limit: maps,
+            drive: |at| [(at / 10_000) as i32, 7, -(at / 5_000) as i32],
+            ..SimulatedNxt::new()
+        };
         let mut bench = Bench::new(settings, brick);
         bench.begin();
         bench.run_to(3 * SECOND);
@@ -197,12 +206,13 @@ fn motors_may_sit_at_any_ports_and_either_way() {
 #[test]
 fn two_accelerometers_are_one_message() {
     let place = |place| NxtSensor::HtAccelerometer { forward: ForwardAxis::X, place };
-    let mut brick = Brick::new();
+    let mut brick = SimulatedNxt::new();
     for (port, high) in [(0, 0x32), (1, 0xCE)] {
         brick.ports[port].is_plugged = true;
         brick.ports[port].registers = [high, 0, 0, 0, 0, 0];
     }
-    let sensors = [place(AccelerometerPlace::Left), place(AccelerometerPlace::Right), NxtSensor::None, NxtSensor::None];
+    let sensors =
+        [place(AccelerometerMounting::Left), place(AccelerometerMounting::Right), NxtSensor::None, NxtSensor::None];
     let mut bench = Bench::new(NxtSettings { sensors, ..NxtSettings::default() }, brick);
     bench.begin();
     bench.run_to(3 * SECOND);
@@ -284,12 +294,12 @@ fn a_silent_brick_is_told_of_once_and_its_heart_stops() {
     }
     // One data question was on its way; what was asked in the silence were fences.
     assert_eq!(bench.lost(), 1);
-    assert_true(&bench, (0, 0));
+    assert_true(&bench);
 }
 
 #[test]
 fn a_brick_that_never_answers_is_asked_forever_and_never_twice_at_once() {
-    let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+    let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
     bench.is_cut = true;
     bench.begin();
     bench.run_to(60 * SECOND);
@@ -310,7 +320,7 @@ fn answers_that_come_too_late_are_counted_and_never_used() {
         bench.brick.stall(start + 700_000 + 13_000 * stall);
     }
     bench.run_to(44 * SECOND);
-    assert_true(&bench, (0, 0));
+    assert_true(&bench);
     assert_eq!(bench.lost(), 20);
     assert!(bench.notes().iter().any(|text| text.contains("came later than 500 ms")));
     // 27 states a second, but for the 20 stalls of 700 to 970 ms.
@@ -325,20 +335,20 @@ fn a_stall_within_the_time_out_costs_nothing() {
     bench.brick.stall(2 * SECOND + 450_000);
     bench.run_to(4 * SECOND);
     assert_eq!(bench.lost(), 0);
-    assert_true(&bench, (0, 0));
+    assert_true(&bench);
 }
 
 #[test]
 fn two_outstanding_are_used_only_where_both_are_answered() {
     let mut rates = Vec::new();
-    for (outstanding, most_replies) in [(Outstanding::One, 2), (Outstanding::Two, 2), (Outstanding::Two, 1)] {
+    for (outstanding, most_replies) in [(MaxOutstanding::One, 2), (MaxOutstanding::Two, 2), (MaxOutstanding::Two, 1)] {
         let mut brick = equipped_brick();
         brick.most_replies = most_replies;
         let settings = NxtSettings { outstanding, ..equipped() };
         let mut bench = Bench::new(settings, brick);
         bench.begin();
         bench.run_to(10 * SECOND);
-        assert_true(&bench, (0, 0));
+        assert_true(&bench);
         let is_refused = bench.notes().iter().any(|text| text.contains("one by one"));
         assert_eq!(is_refused, most_replies == 1);
         assert_eq!(bench.lost(), u32::from(most_replies == 1));
@@ -393,10 +403,10 @@ fn the_brick_is_kept_awake_once_a_minute() {
 
 #[test]
 fn nothing_is_asked_before_the_link_is_up() {
-    let mut bench = Bench::new(NxtSettings::default(), Brick::new());
+    let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
     bench.push(&[0x07, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01]);
     assert_eq!(bench.codec.deadline(), None);
     assert_eq!(bench.codec.poll(), None);
-    bench.codec.tick(Stamp::from_millis(5), &mut |_| {});
+    bench.codec.tick(Timestamp::from_millis(5), &mut |_| {});
     assert_eq!(bench.codec.poll(), None);
 }

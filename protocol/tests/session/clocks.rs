@@ -2,14 +2,14 @@
 
 use posebridge_protocol::message::Message;
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
-use posebridge_telemetry::{BrickClock, HostClock, Span, Stamp};
+use posebridge_telemetry::{BrickClock, HostClock, TimeDelta, Timestamp};
 
 use crate::{CAMERA, Output, ROBOT, ROVER, STATION, at, quiet};
 
 #[test]
 fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
     let wrap = 1_i64 << 32;
-    let micros = |total: i64| Stamp::<BrickClock>::from_micros(total % wrap);
+    let micros = |total: i64| Timestamp::<BrickClock>::from_micros(total % wrap);
     let start = wrap - 1_500_000;
     let mut session = Session::new(SessionConfig { own: ROBOT, ..quiet() }, micros(start));
     let mut beats = 0;
@@ -26,12 +26,12 @@ fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
 #[test]
 fn two_sessions_measure_each_other() {
     // A brick whose clock is 2 s behind, on a link that takes 5 ms each way.
-    let offset = Span::from_millis(-2_000);
+    let offset = TimeDelta::from_millis(-2_000);
     let mut station = Session::<HostClock>::new(
-        SessionConfig { timesync_period: Some(Span::from_millis(1_000)), ..quiet() },
+        SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() },
         at(3_000),
     );
-    let brick_time = |host: Stamp<HostClock>| Stamp::<BrickClock>::from_nanos((host + offset).as_nanos());
+    let brick_time = |host: Timestamp<HostClock>| Timestamp::<BrickClock>::from_nanos((host + offset).as_nanos());
     let mut brick =
         Session::<BrickClock>::new(SessionConfig { own: ROBOT, heartbeat: ROVER, ..quiet() }, brick_time(at(3_000)));
     station.tick(at(3_000));
@@ -57,8 +57,8 @@ fn two_sessions_measure_each_other() {
 #[test]
 fn where_nothing_is_due_a_tick_does_nothing_and_where_something_is_it_is_known() {
     let config = SessionConfig {
-        timesync_period: Some(Span::from_millis(700)),
-        wanted: vec![(30, Span::from_millis(50)), (31, Span::from_millis(50))],
+        timesync_period: Some(TimeDelta::from_millis(700)),
+        requested_messages: vec![(30, TimeDelta::from_millis(50)), (31, TimeDelta::from_millis(50))],
         ..quiet()
     };
     // One that is asked before each tick, and one that is ticked whatever it is asked.

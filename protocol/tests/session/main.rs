@@ -8,7 +8,7 @@ use posebridge_protocol::message::{
     CommandAck, CommandInt, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TextPart, TimeSync,
 };
 use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
-use posebridge_telemetry::{Address, BrickClock, HostClock, Span, Stamp};
+use posebridge_telemetry::{Address, BrickClock, HostClock, TimeDelta, Timestamp};
 
 const STATION: Address = Address::new(1, 197);
 const ROBOT: Address = Address::new(1, 1);
@@ -20,26 +20,26 @@ const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 
 
 type Output = SessionOutput<HostClock>;
 
-fn at(millis: i64) -> Stamp<HostClock> {
-    Stamp::from_millis(millis)
+fn at(millis: i64) -> Timestamp<HostClock> {
+    Timestamp::from_millis(millis)
 }
 
 fn quiet() -> SessionConfig {
     SessionConfig {
         own: STATION,
         heartbeat: ONBOARD,
-        heartbeat_period: Span::from_millis(1_000),
+        heartbeat_period: TimeDelta::from_millis(1_000),
         timesync_period: None,
-        peer_timeout: Span::from_millis(3_000),
-        wanted: Vec::new(),
-        offered: vec![],
+        peer_timeout: TimeDelta::from_millis(3_000),
+        requested_messages: Vec::new(),
+        offered_messages: vec![],
     }
 }
 
 /// A station and its clock, stepped from deadline to deadline.
 struct Station {
     session: Session<HostClock>,
-    now: Stamp<HostClock>,
+    now: Timestamp<HostClock>,
 }
 
 impl Station {
@@ -48,7 +48,7 @@ impl Station {
     }
 
     /// Lets time pass, waking at every deadline; returns what came out, with its time in milliseconds.
-    fn run_until(&mut self, end: Stamp<HostClock>) -> Vec<(i64, Output)> {
+    fn run_until(&mut self, end: Timestamp<HostClock>) -> Vec<(i64, Output)> {
         let mut outputs = Vec::new();
         while let Some(deadline) = self.session.deadline()
             && deadline <= end
@@ -64,7 +64,7 @@ impl Station {
     }
 
     /// Hears a message at the present time; returns what came out.
-    fn hear(&mut self, from: Address, message: &Message) -> Vec<Output> {
+    fn receive(&mut self, from: Address, message: &Message) -> Vec<Output> {
         self.session.handle(self.now, from, message);
         std::iter::from_fn(|| self.session.poll()).collect()
     }
@@ -92,7 +92,7 @@ fn request(nanos: i64, target: Option<Address>) -> Message {
     Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: nanos, target })
 }
 
-fn answer(peer_nanos: i64, echoed: Stamp<HostClock>, target: Option<Address>) -> Message {
+fn answer(peer_nanos: i64, echoed: Timestamp<HostClock>, target: Option<Address>) -> Message {
     Message::TimeSync(TimeSync { answer_nanos: peer_nanos, request_nanos: echoed.as_nanos(), target })
 }
 
@@ -118,24 +118,24 @@ fn missed_heartbeats_are_not_made_up_for() {
 fn peers_are_seen_lost_and_seen_again() {
     let mut station = Station::new(quiet());
     let seen = Output::PeerSeen { peer: ROBOT, heartbeat: ROVER };
-    assert_eq!(station.hear(ROBOT, &Message::Heartbeat(ROVER)), std::slice::from_ref(&seen));
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), std::slice::from_ref(&seen));
     station.run_until(at(2_000));
     // Anything keeps it alive.
     let text = Message::StatusText { severity: 6, text: String::new(), part: TextPart::default() };
-    assert!(station.hear(ROBOT, &text).is_empty());
+    assert!(station.receive(ROBOT, &text).is_empty());
     let outputs = station.run_until(at(6_000));
     let lost: Vec<_> = outputs.iter().filter(|(_, output)| matches!(output, SessionOutput::PeerLost { .. })).collect();
-    let expected = Output::PeerLost { peer: ROBOT, silence: Span::from_millis(3_000) };
+    let expected = Output::PeerLost { peer: ROBOT, silence: TimeDelta::from_millis(3_000) };
     assert_eq!(lost, [&(5_000, expected)]);
-    assert_eq!(station.hear(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
-    assert!(station.hear(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
+    assert!(station.receive(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
 }
 
 #[test]
 fn our_own_echo_is_ignored() {
     let mut station = Station::new(quiet());
-    assert!(station.hear(STATION, &Message::Heartbeat(ONBOARD)).is_empty());
-    assert!(station.hear(STATION, &request(5, None)).is_empty());
+    assert!(station.receive(STATION, &Message::Heartbeat(ONBOARD)).is_empty());
+    assert!(station.receive(STATION, &request(5, None)).is_empty());
 }
 
 #[test]
@@ -146,17 +146,17 @@ fn time_requests_for_us_or_everybody_are_answered() {
         Output::Send(Message::TimeSync(TimeSync { answer_nanos: 250_000_000, request_nanos, target: Some(ROBOT) }))
     };
     for target in [None, Some(STATION), Some(Address::new(1, 0))] {
-        assert_eq!(station.hear(ROBOT, &request(77, target)), [answered(77)]);
+        assert_eq!(station.receive(ROBOT, &request(77, target)), [answered(77)]);
     }
     for target in [CAMERA, Address::new(2, 197)] {
-        assert!(station.hear(ROBOT, &request(77, Some(target))).is_empty());
+        assert!(station.receive(ROBOT, &request(77, Some(target))).is_empty());
     }
 }
 
 #[test]
 fn an_answer_is_never_a_request() {
-    let mut session = Session::<BrickClock>::new(quiet(), Stamp::ZERO);
-    session.handle(Stamp::ZERO, CAMERA, &request(1, None));
+    let mut session = Session::<BrickClock>::new(quiet(), Timestamp::ZERO);
+    session.handle(Timestamp::ZERO, CAMERA, &request(1, None));
     let output = session.poll();
     let Some(SessionOutput::Send(Message::TimeSync(sync))) = output else {
         panic!("{output:?}");
@@ -166,7 +166,7 @@ fn an_answer_is_never_a_request() {
 
 #[test]
 fn ten_quick_time_requests_then_the_period() {
-    let mut station = Station::new(SessionConfig { timesync_period: Some(Span::from_millis(1_000)), ..quiet() });
+    let mut station = Station::new(SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() });
     let times = times_of(&station.run_until(at(4_000)), is_time_request);
     let quick = (0..10).map(|index| index * 100);
     let expected: Vec<i64> = quick.chain([1_000, 2_000, 3_000, 4_000]).collect();
@@ -175,9 +175,9 @@ fn ten_quick_time_requests_then_the_period() {
 
 #[test]
 fn a_new_peer_starts_the_quick_requests_again() {
-    let mut station = Station::new(SessionConfig { timesync_period: Some(Span::from_millis(1_000)), ..quiet() });
+    let mut station = Station::new(SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() });
     station.run_until(at(5_050));
-    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
     let times = times_of(&station.run_until(at(7_500)), is_time_request);
     let quick = (0..10).map(|index| 5_150 + index * 100);
     let expected: Vec<i64> = quick.chain([6_150, 7_150]).collect();
@@ -186,25 +186,28 @@ fn a_new_peer_starts_the_quick_requests_again() {
 
 #[test]
 fn only_true_fresh_and_first_answers_count() {
-    let mut station = Station::new(SessionConfig { timesync_period: Some(Span::from_millis(1_000)), ..quiet() });
+    let mut station = Station::new(SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() });
     station.run_until(at(104));
     let exchanged = |peer| Output::TimeExchanged { peer, sent: at(100), received: at(104), peer_nanos: 9_000 };
     let good = answer(9_000, at(100), Some(STATION));
-    assert_eq!(station.hear(ROBOT, &good), [exchanged(ROBOT)]);
-    assert!(station.hear(ROBOT, &good).is_empty(), "a duplicate");
+    assert_eq!(station.receive(ROBOT, &good), [exchanged(ROBOT)]);
+    assert!(station.receive(ROBOT, &good).is_empty(), "a duplicate");
     let broadcast = answer(9_000, at(100), None);
-    assert_eq!(station.hear(CAMERA, &broadcast), [exchanged(CAMERA)]);
+    assert_eq!(station.receive(CAMERA, &broadcast), [exchanged(CAMERA)]);
     let invented = answer(9_000, at(101), Some(STATION));
-    assert!(station.hear(ROBOT, &invented).is_empty(), "never asked");
+    assert!(station.receive(ROBOT, &invented).is_empty(), "never asked");
     let foreign = answer(9_000, at(0), Some(CAMERA));
-    assert!(station.hear(ROBOT, &foreign).is_empty(), "for somebody else");
+    assert!(station.receive(ROBOT, &foreign).is_empty(), "for somebody else");
     station.run_until(at(5_101));
     let stale = answer(9_000, at(100), Some(STATION));
-    assert!(station.hear(Address::new(7, 7), &stale).is_empty(), "stale");
+    assert!(station.receive(Address::new(7, 7), &stale).is_empty(), "stale");
 }
 
 fn wanted_intervals() -> SessionConfig {
-    SessionConfig { wanted: vec![(42_100, Span::from_millis(20)), (42_101, Span::from_millis(50))], ..quiet() }
+    SessionConfig {
+        requested_messages: vec![(42_100, TimeDelta::from_millis(20)), (42_101, TimeDelta::from_millis(50))],
+        ..quiet()
+    }
 }
 
 fn requested_ids(outputs: &[(i64, Output)]) -> Vec<(i64, u32)> {
@@ -227,21 +230,22 @@ fn ack(result: u8) -> Message {
 #[test]
 fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
     let mut station = Station::new(wanted_intervals());
-    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
     assert_eq!(requested_ids(&station.run_until(at(1_500))), [(0, 42_100), (1_000, 42_100)]);
-    station.hear(ROBOT, &ack(1));
+    station.receive(ROBOT, &ack(1));
     assert_eq!(requested_ids(&station.run_until(at(2_200))), [(2_000, 42_100)], "for the time being rejected");
-    station.hear(ROBOT, &ack(0));
+    station.receive(ROBOT, &ack(0));
     assert_eq!(requested_ids(&station.run_until(at(2_300))), [(2_200, 42_101)]);
-    station.hear(ROBOT, &ack(0));
-    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    station.receive(ROBOT, &ack(0));
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
     assert!(requested_ids(&station.run_until(at(5_000))).is_empty());
 }
 
 #[test]
 fn a_deaf_robot_is_asked_five_times() {
-    let mut station = Station::new(SessionConfig { peer_timeout: Span::from_millis(60_000), ..wanted_intervals() });
-    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    let mut station =
+        Station::new(SessionConfig { peer_timeout: TimeDelta::from_millis(60_000), ..wanted_intervals() });
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
     let asked = requested_ids(&station.run_until(at(30_000)));
     let first = (0..5).map(|attempt| (attempt * 1_000, 42_100));
     let second = (5..10).map(|attempt| (attempt * 1_000, 42_101));
@@ -251,18 +255,19 @@ fn a_deaf_robot_is_asked_five_times() {
 #[test]
 fn cameras_and_ground_stations_are_not_asked() {
     let mut station = Station::new(wanted_intervals());
-    station.hear(CAMERA, &Message::Heartbeat(ONBOARD));
+    station.receive(CAMERA, &Message::Heartbeat(ONBOARD));
     let ground = Heartbeat { vehicle_type: 6, ..ROVER };
-    station.hear(Address::new(255, 190), &Message::Heartbeat(ground));
+    station.receive(Address::new(255, 190), &Message::Heartbeat(ground));
     assert!(requested_ids(&station.run_until(at(2_500))).is_empty());
 }
 
 #[test]
 fn a_restarted_robot_is_asked_again() {
-    let mut station = Station::new(SessionConfig { wanted: vec![(42_100, Span::from_millis(20))], ..quiet() });
-    station.hear(ROBOT, &Message::Heartbeat(ROVER));
+    let mut station =
+        Station::new(SessionConfig { requested_messages: vec![(42_100, TimeDelta::from_millis(20))], ..quiet() });
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
     station.run_until(at(100));
-    station.hear(ROBOT, &ack(0));
+    station.receive(ROBOT, &ack(0));
     assert!(requested_ids(&station.run_until(at(500))).is_empty());
     station.session.peer_restarted(at(500), ROBOT);
     assert_eq!(requested_ids(&station.run_until(at(600))), [(500, 42_100)]);
@@ -270,12 +275,13 @@ fn a_restarted_robot_is_asked_again() {
 
 #[test]
 fn a_brick_accepts_intervals_that_are_meant_for_it() {
-    let mut brick = Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered: vec![42_101], ..quiet() });
+    let mut brick =
+        Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered_messages: vec![42_101], ..quiet() });
     let wanted = |target| {
         Message::SetMessageInterval(SetMessageInterval {
             target,
             message_id: 42_101,
-            interval: Some(Span::from_millis(50)),
+            interval: Some(TimeDelta::from_millis(50)),
         })
     };
     let accepted = [
@@ -284,29 +290,30 @@ fn a_brick_accepts_intervals_that_are_meant_for_it() {
             result: 0,
             target: Some(STATION),
         })),
-        Output::IntervalRequested { by: STATION, message_id: 42_101, interval: Some(Span::from_millis(50)) },
+        Output::IntervalRequested { by: STATION, message_id: 42_101, interval: Some(TimeDelta::from_millis(50)) },
     ];
-    assert_eq!(brick.hear(STATION, &wanted(ROBOT)), accepted);
-    assert_eq!(brick.hear(STATION, &wanted(Address::new(1, 0))), accepted);
+    assert_eq!(brick.receive(STATION, &wanted(ROBOT)), accepted);
+    assert_eq!(brick.receive(STATION, &wanted(Address::new(1, 0))), accepted);
     for other in [Address::new(0, 0), CAMERA, Address::new(2, 1)] {
-        assert!(brick.hear(STATION, &wanted(other)).is_empty(), "{other}");
+        assert!(brick.receive(STATION, &wanted(other)).is_empty(), "{other}");
     }
 }
 
 #[test]
 fn an_interval_of_a_message_that_is_not_offered_is_refused() {
-    let mut brick = Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered: vec![42_100], ..quiet() });
+    let mut brick =
+        Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered_messages: vec![42_100], ..quiet() });
     let wanted = Message::SetMessageInterval(SetMessageInterval {
         target: ROBOT,
         message_id: 42_101,
-        interval: Some(Span::from_millis(50)),
+        interval: Some(TimeDelta::from_millis(50)),
     });
     let unsupported = Output::Send(Message::CommandAck(CommandAck {
         command: SET_MESSAGE_INTERVAL,
         result: 3,
         target: Some(STATION),
     }));
-    assert_eq!(brick.hear(STATION, &wanted), [unsupported]);
+    assert_eq!(brick.receive(STATION, &wanted), [unsupported]);
 }
 
 #[test]
@@ -314,34 +321,36 @@ fn other_commands_reach_us_only_when_meant_for_us_alone() {
     let mut station = Station::new(quiet());
     let gcs = Address::new(255, 190);
     let command = |target| Message::Command(CommandLong { target, command: 65_000, params: [0.0; 7] });
-    let commanded =
-        Output::Commanded { by: gcs, command: CommandLong { target: STATION, command: 65_000, params: [0.0; 7] } };
-    assert_eq!(station.hear(gcs, &command(STATION)), [commanded]);
-    station.session.answer(gcs, 65_000, CommandResult::Unsupported);
+    let commanded = Output::CommandReceived {
+        by: gcs,
+        command: CommandLong { target: STATION, command: 65_000, params: [0.0; 7] },
+    };
+    assert_eq!(station.receive(gcs, &command(STATION)), [commanded]);
+    station.session.acknowledge_command(gcs, 65_000, CommandResult::Unsupported);
     let unsupported = Output::Send(Message::CommandAck(CommandAck { command: 65_000, result: 3, target: Some(gcs) }));
     assert_eq!(station.session.poll(), Some(unsupported));
-    assert!(station.hear(gcs, &command(Address::new(1, 0))).is_empty());
-    assert!(station.hear(gcs, &command(ROBOT)).is_empty());
+    assert!(station.receive(gcs, &command(Address::new(1, 0))).is_empty());
+    assert!(station.receive(gcs, &command(ROBOT)).is_empty());
 }
 
 #[test]
 fn a_command_with_integer_coordinates_is_the_same_command() {
-    let mut station = Station::new(SessionConfig { offered: vec![331], ..quiet() });
+    let mut station = Station::new(SessionConfig { offered_messages: vec![331], ..quiet() });
     let gcs = Address::new(255, 190);
     let whole = |command, frame, params| {
         Message::CommandInt(CommandInt { target: STATION, frame, command, params, x: 15_000, y: -20_000, z: 0.5 })
     };
-    let commanded = |p5, p6| Output::Commanded {
+    let commanded = |p5, p6| Output::CommandReceived {
         by: gcs,
         command: CommandLong { target: STATION, command: 65_000, params: [1.0, 2.0, 3.0, 4.0, p5, p6, 0.5] },
     };
     let params = [1.0, 2.0, 3.0, 4.0];
     // Local coordinates are 1e-4 m, global ones 1e-7 degrees; a mission's are what they are.
     for (frame, p5, p6) in [(1, 1.5, -2.0), (20, 1.5, -2.0), (6, 0.0015, -0.002), (2, 15_000.0, -20_000.0)] {
-        let heard = station.hear(gcs, &whole(65_000, frame, params));
+        let heard = station.receive(gcs, &whole(65_000, frame, params));
         assert_eq!(heard, [commanded(p5, p6)], "frame {frame}");
     }
-    let heard = station.hear(gcs, &whole(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
-    let requested = Output::IntervalRequested { by: gcs, message_id: 331, interval: Some(Span::from_millis(200)) };
+    let heard = station.receive(gcs, &whole(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
+    let requested = Output::IntervalRequested { by: gcs, message_id: 331, interval: Some(TimeDelta::from_millis(200)) };
     assert_eq!(heard[1..], [requested]);
 }

@@ -4,7 +4,7 @@ use posebridge_protocol::message::{
     AutopilotVersion, CommandAck, CommandInt, CommandLong, ComponentInformation, FloatArray, Heartbeat, Message,
     MessageInterval, NamedValue, ProtocolVersion, SetMessageInterval, TextPart, TimeSync,
 };
-use posebridge_telemetry::{ChannelName, Span};
+use posebridge_telemetry::{ChannelName, TimeDelta};
 use proptest::prelude::*;
 
 use crate::{address, stamp_millis, stamp64};
@@ -24,7 +24,7 @@ pub(crate) fn conversation() -> BoxedStrategy<Message> {
             Message::SetMessageInterval(SetMessageInterval {
                 target,
                 message_id,
-                interval: micros.map(Span::from_micros),
+                interval: micros.map(TimeDelta::from_micros),
             })
         });
     let ack = (any::<u16>(), any::<u8>(), prop::option::of(address()))

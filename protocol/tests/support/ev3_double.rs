@@ -4,11 +4,11 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 /// A sensor as the firmware sees it.
 #[derive(Clone, Copy)]
-pub(crate) struct Plugged {
+pub(crate) struct PluggedSensor {
     pub(crate) kind: u8,
     pub(crate) mode: u8,
     pub(crate) values: [f32; 2],
@@ -22,20 +22,20 @@ pub(crate) struct Ev3Double {
     pub(crate) skew: f64,
     /// The counts of motors A to D at an instant of the host.
     pub(crate) counts: fn(f64) -> [i32; 4],
-    pub(crate) sensors: [Option<Plugged>; 4],
+    pub(crate) sensors: [Option<PluggedSensor>; 4],
     /// Sensors that are not there make a command fail; otherwise they show no number.
-    pub(crate) fails: Fails,
+    pub(crate) failure: FailureMode,
     pub(crate) telegrams: usize,
     pub(crate) is_waiting: bool,
 }
 
 /// What a sensor does that is not there.
 #[derive(Clone, Copy, PartialEq)]
-pub(crate) enum Fails {
-    WithAnError,
-    WithNoNumber,
+pub(crate) enum FailureMode {
+    ErrorReply,
+    NanValue,
     /// It waits for the sensor, and answers only the next command.
-    InSilence,
+    NoReply,
 }
 
 /// Counts of a robot that drives a gentle curve: 300 degrees per second left, 330 right; no step falls on a multiple of a millisecond.
@@ -47,13 +47,13 @@ pub(crate) fn curve(host_s: f64) -> [i32; 4] {
 
 impl Default for Ev3Double {
     fn default() -> Self {
-        let gyro = Plugged { kind: 32, mode: 0, values: [12.0, 0.0] };
+        let gyro = PluggedSensor { kind: 32, mode: 0, values: [12.0, 0.0] };
         Self {
             start_micros: 7_000_000,
             skew: 0.0,
             counts: curve,
             sensors: [None, Some(gyro), None, None],
-            fails: Fails::WithNoNumber,
+            failure: FailureMode::NanValue,
             telegrams: 0,
             is_waiting: false,
         }
@@ -61,19 +61,19 @@ impl Default for Ev3Double {
 }
 
 impl Ev3Double {
-    pub(crate) fn micros(&self, host: Stamp<HostClock>) -> u32 {
+    pub(crate) fn micros(&self, host: Timestamp<HostClock>) -> u32 {
         let ran = host.as_secs_f64() * 1e6 * (1.0 + self.skew);
         (self.start_micros + ran as u64) as u32
     }
 
     /// The host instant at which the clock showed this, near another.
-    pub(crate) fn host_s(&self, micros: u32, near: Stamp<HostClock>) -> f64 {
+    pub(crate) fn host_s(&self, micros: u32, near: Timestamp<HostClock>) -> f64 {
         let behind = self.micros(near).wrapping_sub(micros) as i32;
         near.as_secs_f64() - f64::from(behind) * 1e-6 / (1.0 + self.skew)
     }
 
     /// What the brick answers to a whole telegram that it handles at `now`.
-    pub(crate) fn answer(&mut self, now: Stamp<HostClock>, telegram: &[u8]) -> Option<Vec<u8>> {
+    pub(crate) fn answer(&mut self, now: Timestamp<HostClock>, telegram: &[u8]) -> Option<Vec<u8>> {
         let length = usize::from(u16::from_le_bytes([telegram[0], telegram[1]]));
         assert_eq!(telegram.len(), length + 2, "one telegram: {telegram:02x?}");
         self.telegrams += 1;
@@ -95,7 +95,7 @@ impl Ev3Double {
         Some(reply)
     }
 
-    fn run(&mut self, now: Stamp<HostClock>, mut code: &[u8], memory: &mut [u8]) -> Option<()> {
+    fn run(&mut self, now: Timestamp<HostClock>, mut code: &[u8], memory: &mut [u8]) -> Option<()> {
         while let Some((opcode, rest)) = code.split_first() {
             code = rest;
             match opcode {
@@ -109,7 +109,7 @@ impl Ev3Double {
                 0x99 => {
                     assert_eq!(take(&mut code), 0x1D, "READY_SI");
                     let values = self.select(&mut code);
-                    self.is_waiting = values.is_none() && self.fails == Fails::InSilence;
+                    self.is_waiting = values.is_none() && self.failure == FailureMode::NoReply;
                     let values = values?;
                     for value in values.iter().take(constant(&mut code) as usize) {
                         store(memory, variable(&mut code), value.to_le_bytes());
@@ -130,7 +130,7 @@ impl Ev3Double {
         assert_eq!(constant(code), 0, "layer");
         let (port, kind, mode) = (constant(code) as usize, constant(code), constant(code));
         let Some(sensor) = &mut self.sensors[port] else {
-            return (self.fails == Fails::WithNoNumber).then_some([f32::NAN; 2]);
+            return (self.failure == FailureMode::NanValue).then_some([f32::NAN; 2]);
         };
         if kind != 0 {
             assert_eq!(kind, i32::from(sensor.kind), "type at port {port}");
@@ -169,41 +169,41 @@ fn store(memory: &mut [u8], at: usize, bytes: [u8; 4]) {
 }
 
 /// The way to the brick and back: it handles a telegram half a turn-around after it was sent; answers keep their order.
-pub(crate) struct Way {
-    pub(crate) turn_around: Span,
+pub(crate) struct DelayLine {
+    pub(crate) latency: TimeDelta,
     /// Answers on their way, with their arrival.
-    coming: VecDeque<(Stamp<HostClock>, Vec<u8>)>,
+    in_flight: VecDeque<(Timestamp<HostClock>, Vec<u8>)>,
     /// Nothing moves between these instants.
-    pub(crate) stall: Option<(Stamp<HostClock>, Stamp<HostClock>)>,
+    pub(crate) stall: Option<(Timestamp<HostClock>, Timestamp<HostClock>)>,
 }
 
-impl Way {
-    pub(crate) fn new(turn_around: Span) -> Self {
-        Self { turn_around, coming: VecDeque::new(), stall: None }
+impl DelayLine {
+    pub(crate) fn new(latency: TimeDelta) -> Self {
+        Self { latency, in_flight: VecDeque::new(), stall: None }
     }
 
     /// A telegram of the station leaves.
-    pub(crate) fn send(&mut self, brick: &mut Ev3Double, now: Stamp<HostClock>, bytes: &[u8]) {
-        let half = Span::from_nanos(self.turn_around.as_nanos() / 2);
-        let handled = self.released(now + half);
+    pub(crate) fn send(&mut self, brick: &mut Ev3Double, now: Timestamp<HostClock>, bytes: &[u8]) {
+        let half = TimeDelta::from_nanos(self.latency.as_nanos() / 2);
+        let handled = self.release_time(now + half);
         let Some(answer) = brick.answer(handled, bytes) else {
             return;
         };
-        let arrival = self.released(handled + half);
-        let arrival = self.coming.back().map_or(arrival, |last| last.0.max(arrival));
-        self.coming.push_back((arrival, answer));
+        let arrival = self.release_time(handled + half);
+        let arrival = self.in_flight.back().map_or(arrival, |last| last.0.max(arrival));
+        self.in_flight.push_back((arrival, answer));
     }
 
     /// When the next answer arrives.
-    pub(crate) fn next(&self) -> Option<Stamp<HostClock>> {
-        self.coming.front().map(|(arrival, _)| *arrival)
+    pub(crate) fn next(&self) -> Option<Timestamp<HostClock>> {
+        self.in_flight.front().map(|(arrival, _)| *arrival)
     }
 
     pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        self.coming.pop_front().map(|(_, bytes)| bytes)
+        self.in_flight.pop_front().map(|(_, bytes)| bytes)
     }
 
-    fn released(&self, instant: Stamp<HostClock>) -> Stamp<HostClock> {
+    fn release_time(&self, instant: Timestamp<HostClock>) -> Timestamp<HostClock> {
         match self.stall {
             Some((from, until)) if from <= instant && instant < until => until,
             _ => instant,

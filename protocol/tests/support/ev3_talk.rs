@@ -1,39 +1,39 @@
 //! Station and brick in virtual time: the codec's questions go to the double, its answers come back when the link lets them.
 
 use posebridge_protocol::bricks::ev3::Ev3Settings;
-use posebridge_protocol::bricks::{BrickCodec, BrickSettings, Heard, ONLY_BRICK, brick_protocol};
+use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS, brick_protocol};
 use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
-use posebridge_telemetry::{Defect, EncoderTicks, HostClock, SourceHealth, Span, Stamp};
+use posebridge_telemetry::{EncoderTicks, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
-use super::ev3_double::{Ev3Double, Way, curve};
+use super::ev3_double::{DelayLine, Ev3Double, curve};
 
-pub(crate) const TURN_AROUND: Span = Span::from_millis(30);
+pub(crate) const TURN_AROUND: TimeDelta = TimeDelta::from_millis(30);
 
 /// What was heard, owned.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Item {
+pub(crate) enum TalkEvent {
     Message(Message),
-    Time { sent: Stamp<HostClock>, peer_nanos: i64 },
-    Note(String),
-    Defect(Defect),
+    ClockReply { sent: Timestamp<HostClock>, peer_nanos: i64 },
+    StatusText(String),
+    Error(ReceiveError),
 }
 
-pub(crate) fn item(heard: Heard<'_>) -> Item {
+pub(crate) fn item(heard: CodecEvent<'_>) -> TalkEvent {
     match heard {
-        Heard::Message { from, message } => {
-            assert_eq!(from, ONLY_BRICK);
-            Item::Message(message)
+        CodecEvent::Message { from, message } => {
+            assert_eq!(from, DEFAULT_BRICK_ADDRESS);
+            TalkEvent::Message(message)
         }
-        Heard::Time { sent, peer_nanos, .. } => Item::Time { sent, peer_nanos },
-        Heard::Note { text, .. } => Item::Note(text),
-        Heard::Defect(defect) => Item::Defect(defect),
-        Heard::Other(frame) => panic!("an EV3 sends no {frame:?}"),
+        CodecEvent::ClockReply { sent, peer_nanos, .. } => TalkEvent::ClockReply { sent, peer_nanos },
+        CodecEvent::StatusText { text, .. } => TalkEvent::StatusText(text),
+        CodecEvent::Error(defect) => TalkEvent::Error(defect),
+        CodecEvent::ForwardFrame(frame) => panic!("an EV3 sends no {frame:?}"),
     }
 }
 
 pub(crate) fn codec(settings: Ev3Settings) -> Box<dyn BrickCodec> {
     let protocol = brick_protocol("ev3").expect("there is a row");
-    (protocol.open)(&BrickSettings { ev3: settings, ..BrickSettings::default() })
+    (protocol.open)(&CodecSettings { ev3: settings, ..CodecSettings::default() })
 }
 
 pub(crate) fn without_gyro() -> Ev3Settings {
@@ -41,57 +41,57 @@ pub(crate) fn without_gyro() -> Ev3Settings {
 }
 
 /// Damages one answer.
-pub(crate) type Spoil = Box<dyn Fn(Vec<u8>) -> Vec<u8>>;
+pub(crate) type ReplyCorruption = Box<dyn Fn(Vec<u8>) -> Vec<u8>>;
 
 /// What happens to the bytes of an answer on their way, by its number.
 pub(crate) type Damage<'a> = &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>;
 
 /// Station and brick in virtual time.
-pub(crate) struct Talk {
+pub(crate) struct Ev3Session {
     pub(crate) codec: Box<dyn BrickCodec>,
     pub(crate) brick: Ev3Double,
-    pub(crate) way: Way,
-    pub(crate) now: Stamp<HostClock>,
-    pub(crate) answers: usize,
-    pub(crate) heard: Vec<(Stamp<HostClock>, Item)>,
+    pub(crate) delay_line: DelayLine,
+    pub(crate) now: Timestamp<HostClock>,
+    pub(crate) replies: usize,
+    pub(crate) events: Vec<(Timestamp<HostClock>, TalkEvent)>,
 }
 
-impl Talk {
+impl Ev3Session {
     pub(crate) fn new(settings: Ev3Settings, brick: Ev3Double) -> Self {
         let mut talk = Self {
             codec: codec(settings),
             brick,
-            way: Way::new(TURN_AROUND),
-            now: Stamp::ZERO,
-            answers: 0,
-            heard: vec![],
+            delay_line: DelayLine::new(TURN_AROUND),
+            now: Timestamp::ZERO,
+            replies: 0,
+            events: vec![],
         };
-        talk.codec.begin(talk.now);
+        talk.codec.on_link_up(talk.now);
         talk.send();
         talk
     }
 
     pub(crate) fn send(&mut self) {
         while let Some(bytes) = self.codec.poll() {
-            self.way.send(&mut self.brick, self.now, &bytes);
+            self.delay_line.send(&mut self.brick, self.now, &bytes);
         }
     }
 
-    pub(crate) fn run_until(&mut self, until: Stamp<HostClock>, damage: Damage<'_>) {
+    pub(crate) fn run_until(&mut self, until: Timestamp<HostClock>, damage: Damage<'_>) {
         loop {
-            let next = [self.way.next(), self.codec.deadline()];
+            let next = [self.delay_line.next(), self.codec.deadline()];
             let Some(next) = next.into_iter().flatten().min().filter(|next| *next <= until) else {
                 self.now = until;
                 return;
             };
             assert!(next >= self.now, "{next:?} is past at {:?}", self.now);
             self.now = next;
-            let (now, heard) = (self.now, &mut self.heard);
-            let mut sink = |found: Heard<'_>| heard.push((now, item(found)));
-            if self.way.next() == Some(next) {
-                let bytes = self.way.take().expect("it is there");
-                let bytes = damage(self.answers, bytes);
-                self.answers += 1;
+            let (now, heard) = (self.now, &mut self.events);
+            let mut sink = |found: CodecEvent<'_>| heard.push((now, item(found)));
+            if self.delay_line.next() == Some(next) {
+                let bytes = self.delay_line.take().expect("it is there");
+                let bytes = damage(self.replies, bytes);
+                self.replies += 1;
                 self.codec.push(now, &bytes, &mut sink);
             } else {
                 self.codec.tick(now, &mut sink);
@@ -102,30 +102,29 @@ impl Talk {
     }
 
     pub(crate) fn run_for(&mut self, seconds: f64) {
-        self.run_until(self.now + Span::from_secs_f64(seconds), &|_, bytes| bytes);
+        self.run_until(self.now + TimeDelta::from_secs_f64(seconds), &|_, bytes| bytes);
     }
 
-    pub(crate) fn ticks(&self) -> impl Iterator<Item = (Stamp<HostClock>, &WheelTicks)> {
-        self.heard.iter().filter_map(|(now, item)| {
-            if let Item::Message(Message::WheelTicks(ticks)) = item { Some((*now, ticks)) } else { None }
+    pub(crate) fn ticks(&self) -> impl Iterator<Item = (Timestamp<HostClock>, &WheelTicks)> {
+        self.events.iter().filter_map(|(now, item)| {
+            if let TalkEvent::Message(Message::WheelTicks(ticks)) = item { Some((*now, ticks)) } else { None }
         })
     }
 
     pub(crate) fn notes(&self) -> Vec<&str> {
-        let notes = self.heard.iter().filter_map(
-            |(_, item)| {
-                if let Item::Note(text) = item { Some(text.as_str()) } else { None }
-            },
-        );
+        let notes = self
+            .events
+            .iter()
+            .filter_map(|(_, item)| if let TalkEvent::StatusText(text) = item { Some(text.as_str()) } else { None });
         notes.collect()
     }
 
     pub(crate) fn source(&self) -> SourceHealth {
-        self.codec.sources()[0]
+        self.codec.source_health()[0]
     }
 
     /// How far the counts that were heard last are from those of the brick at the instant of their stamp.
-    pub(crate) fn error(&self, (now, ticks): (Stamp<HostClock>, &WheelTicks)) -> i64 {
+    pub(crate) fn error(&self, (now, ticks): (Timestamp<HostClock>, &WheelTicks)) -> i64 {
         let WireStamp::Micros32(micros) = ticks.stamp else {
             panic!("the brick's own clock: {ticks:?}");
         };

@@ -1,7 +1,7 @@
 //! Scanning to owned values.
 
-use posebridge_protocol::framing::{ScanCounters, Scanned, Scanner, ScannerConfig};
-use posebridge_telemetry::{Defect, Span, Stamp};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerCounters, FramerOutput};
+use posebridge_telemetry::{ReceiveError, TimeDelta, Timestamp};
 
 /// What a scanner handed out, owned.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,26 +11,26 @@ pub(crate) enum Found {
     /// An unknown frame.
     Unknown(Vec<u8>),
     /// A defect.
-    Defect(Defect),
+    Defect(ReceiveError),
 }
 
 /// Copies what a scanner found.
-pub(crate) fn owned(found: Scanned<'_>) -> Found {
+pub(crate) fn owned(found: FramerOutput<'_>) -> Found {
     match found {
-        Scanned::Frame(frame) => Found::Frame(frame.raw.to_vec()),
-        Scanned::Unknown(frame) => Found::Unknown(frame.raw.to_vec()),
-        Scanned::Defect(defect) => Found::Defect(defect),
+        FramerOutput::Frame(frame) => Found::Frame(frame.raw.to_vec()),
+        FramerOutput::UnknownFrame(frame) => Found::Unknown(frame.raw.to_vec()),
+        FramerOutput::Error(defect) => Found::Defect(defect),
     }
 }
 
 /// Scans `bytes` in chunks at one instant, lets the gap pass, and ends.
-pub(crate) fn scan(config: ScannerConfig, bytes: &[u8], chunk: usize) -> (Vec<Found>, ScanCounters) {
-    let mut scanner = Scanner::new(config);
+pub(crate) fn scan(config: FramerConfig, bytes: &[u8], chunk: usize) -> (Vec<Found>, FramerCounters) {
+    let mut scanner = Framer::new(config);
     let mut found = Vec::new();
     for part in bytes.chunks(chunk) {
-        scanner.push(Stamp::ZERO, part, &mut |item| found.push(owned(item)));
+        scanner.push(Timestamp::ZERO, part, &mut |item| found.push(owned(item)));
     }
-    let late = Stamp::ZERO + config.gap + Span::from_millis(1);
+    let late = Timestamp::ZERO + config.gap + TimeDelta::from_millis(1);
     scanner.tick(late, &mut |item| found.push(owned(item)));
     assert_eq!(scanner.deadline(), None, "nothing may wait after the gap");
     scanner.finish(&mut |item| found.push(owned(item)));

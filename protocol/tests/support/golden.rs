@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use posebridge_protocol::dialect::{Encoder, PayloadError, decode};
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::Stamp;
+use posebridge_telemetry::Timestamp;
 
 /// The frames by name.
 pub(crate) fn golden() -> BTreeMap<String, Vec<u8>> {
@@ -26,10 +26,10 @@ fn from_hex(hex: &str) -> Vec<u8> {
 
 /// Scans the bytes, which must be exactly one verified frame, and looks at it.
 pub(crate) fn with_frame<T>(bytes: &[u8], look: impl Fn(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Scanner::new(ScannerConfig { accept_v1: true, ..ScannerConfig::default() });
+    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let mut seen = Vec::new();
-    scanner.push(Stamp::ZERO, bytes, &mut |found| {
-        if let Scanned::Frame(frame) = found {
+    scanner.push(Timestamp::ZERO, bytes, &mut |found| {
+        if let FramerOutput::Frame(frame) = found {
             seen.push(look(&frame));
         }
     });

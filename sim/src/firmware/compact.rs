@@ -1,12 +1,12 @@
-//! What the brick's sensors say, as the brick SDK sends it: whole numbers in the units of the wire.
+//! Sensor readings as the brick SDK sends them: whole numbers in the units of the wire.
 //!
-//! The simulated brick speaks through the SDK that real robots use, so that each run of the simulator tries it out. The
-//! station decodes by `protocol`, which was written apart from it.
+//! The simulated brick uses the SDK of real robots, so that each run of the simulator tests it. The station decodes
+//! with `protocol`, which is an independent implementation.
 
 use posebridge_brick::{Inertial, InertialParts, Sides, WheelTicks};
 
 use crate::sensors::InertialReading;
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// Unit of PB_INERTIAL.turn_rate, rad/s.
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
@@ -16,7 +16,7 @@ const TURN_UNIT_RAD: f64 = 1e-6;
 const ACCELERATION_UNIT_M_PER_S2: f64 = 1e-3;
 
 /// Total counts, read at `time_us`; they wrap.
-pub(super) const fn wheel_ticks(time_us: u32, counts: Pair<i64>) -> WheelTicks {
+pub(super) const fn wheel_ticks(time_us: u32, counts: PerWheel<i64>) -> WheelTicks {
     WheelTicks { time_us, left: counts.left as i32, right: counts.right as i32, valid: Sides::BOTH }
 }
 
@@ -62,7 +62,7 @@ mod tests {
                 right: EncoderTicks(right),
             });
             let [ours, theirs] = both(&message, |link, out| {
-                let ticks = wheel_ticks(4_294_967_290, Pair { left, right });
+                let ticks = wheel_ticks(4_294_967_290, PerWheel { left, right });
                 link.wheel_ticks(&ticks, &mut |bytes: &[u8]| out.extend_from_slice(bytes));
             });
             assert_eq!(ours, theirs, "{left} {right}");
@@ -77,7 +77,7 @@ mod tests {
             let reading = InertialReading {
                 turn_rate_rad_per_s: rate,
                 turn_rad: turn,
-                wheels_m_per_s2: Pair { left: acceleration, right: -acceleration },
+                wheels_m_per_s2: PerWheel { left: acceleration, right: -acceleration },
             };
             let message = Message::Inertial(message::Inertial {
                 stamp: WireStamp::Micros32(77),

@@ -1,13 +1,14 @@
-//! Follows the path: rests, turns in place, drives legs. It knows a believed pose and the path, nothing of the truth.
+//! Follows the path: rests, turns in place, drives legs. Uses the estimated pose and the path, never the truth.
 //!
 //! # Model
 //! ```text
 //! turn rate = v (curvature - a heading error - b lateral error)      along a leg, v the commanded speed
 //! ```
-//! With a = 8/m and b = 16/m² both errors die out critically damped over a length of 0.25 m. A robot that is far from its path
-//! approaches it at no more than an angle of one radian, and one that points elsewhere turns in place first: people lift robots.
+//! With a = 8/m and b = 16/m² both errors are critically damped over a length of 0.25 m. A robot far from its path
+//! approaches it at an angle of at most one radian, and one that points elsewhere turns in place first, as after being
+//! carried.
 
-use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, TimeDelta, Timestamp};
 
 use super::speed_control::PERIOD_S;
 use crate::path::{Leg, Path};
@@ -49,7 +50,7 @@ pub(crate) struct Twist {
 /// One thing to do.
 #[derive(Clone, Copy, Debug)]
 enum Manoeuvre {
-    Rest(Span),
+    Rest(TimeDelta),
     Turn(Heading),
     Drive { leg: usize },
 }
@@ -61,16 +62,16 @@ pub(crate) struct Follower {
     path: Path,
     program: Vec<Manoeuvre>,
     next: usize,
-    begun: Option<Stamp<BrickClock>>,
+    begun: Option<Timestamp<BrickClock>>,
     /// How far along the leg in hand, in metres; never falls.
     along_m: f64,
     /// Length of the legs that are done, in metres.
-    done_m: f64,
+    completed_m: f64,
     /// Laps that are done, where the drive has no end.
     laps_done: u64,
     command: Twist,
     /// What a person wants, and until when. Without anybody who says more the robot stands, until it is sent back to its path.
-    by_hand: Option<(Twist, Stamp<BrickClock>)>,
+    manual_command: Option<(Twist, Timestamp<BrickClock>)>,
 }
 
 impl Follower {
@@ -84,16 +85,16 @@ impl Follower {
             next: 0,
             begun: None,
             along_m: 0.0,
-            done_m: 0.0,
+            completed_m: 0.0,
             laps_done: 0,
             command: Twist::default(),
-            by_hand: None,
+            manual_command: None,
         }
     }
 
     /// What to do for the next control period, given where the brick believes to be.
-    pub(crate) fn command(&mut self, now: Stamp<BrickClock>, believed: Pose<Arena>) -> Twist {
-        let wanted = match self.by_hand {
+    pub(crate) fn command(&mut self, now: Timestamp<BrickClock>, believed: Pose<Arena>) -> Twist {
+        let wanted = match self.manual_command {
             Some((twist, until)) if now < until => twist,
             Some(_) => Twist::default(),
             None => self.follow(now, believed),
@@ -114,13 +115,13 @@ impl Follower {
     }
 
     /// A person wants this motion until then.
-    pub(crate) const fn drive_by_hand(&mut self, wanted: Twist, until: Stamp<BrickClock>) {
-        self.by_hand = Some((wanted, until));
+    pub(crate) const fn drive_manually(&mut self, wanted: Twist, until: Timestamp<BrickClock>) {
+        self.manual_command = Some((wanted, until));
     }
 
     /// The person lets go: on from where the lap in hand is next to where the brick believes to be.
     pub(crate) fn rejoin(&mut self, believed: Pose<Arena>) {
-        self.by_hand = None;
+        self.manual_command = None;
         let in_hand = self.program.iter().skip(self.next).find_map(leg_of);
         let Some(in_hand) = in_hand.or(self.program.iter().rev().find_map(leg_of)) else {
             return;
@@ -132,7 +133,7 @@ impl Follower {
         let laps = if self.path.legs().len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
         self.next = place.unwrap_or(self.next);
         self.begun = None;
-        self.done_m = self.path.legs().iter().take(leg).map(Leg::length_m).sum();
+        self.completed_m = self.path.legs().iter().take(leg).map(Leg::length_m).sum();
         self.along_m = along_m + laps * lap_m;
     }
 
@@ -147,7 +148,7 @@ impl Follower {
             DriveEnd::LastLap => self.path.length_m(),
             DriveEnd::Never => self.path.lap_length_m(),
         };
-        ((self.done_m + self.along_m) / whole_m).clamp(0.0, 1.0)
+        ((self.completed_m + self.along_m) / whole_m).clamp(0.0, 1.0)
     }
 
     /// Laps that are done, where the drive has no end.
@@ -160,10 +161,10 @@ impl Follower {
         self.begun = None;
         self.command = Twist::default();
         // The instant until which the hand held is one of the clock of before.
-        self.by_hand = self.by_hand.map(|(twist, _)| (twist, Stamp::ZERO));
+        self.manual_command = self.manual_command.map(|(twist, _)| (twist, Timestamp::ZERO));
     }
 
-    fn follow(&mut self, now: Stamp<BrickClock>, believed: Pose<Arena>) -> Twist {
+    fn follow(&mut self, now: Timestamp<BrickClock>, believed: Pose<Arena>) -> Twist {
         match self.program.get(self.next).copied() {
             Some(Manoeuvre::Rest(span)) => self.rest(now, span),
             Some(Manoeuvre::Turn(heading)) => self.turn((heading - believed.heading).0),
@@ -172,7 +173,7 @@ impl Follower {
         }
     }
 
-    fn rest(&mut self, now: Stamp<BrickClock>, span: Span) -> Twist {
+    fn rest(&mut self, now: Timestamp<BrickClock>, span: TimeDelta) -> Twist {
         let begun = *self.begun.get_or_insert(now);
         if now - begun >= span {
             self.advance();
@@ -204,10 +205,10 @@ impl Follower {
             return Twist::default();
         };
         self.along_m = self.along_m.max(here.along_m);
-        self.begin_lap_anew();
+        self.restart_lap();
         let remaining_m = length_m - self.along_m;
         if remaining_m < LEG_END_M {
-            self.done_m += length_m;
+            self.completed_m += length_m;
             self.advance();
             return Twist::default();
         }
@@ -225,7 +226,7 @@ impl Follower {
     }
 
     /// A path without a stop that is driven for ever: beyond its first lap the same place lies one lap back.
-    fn begin_lap_anew(&mut self) {
+    fn restart_lap(&mut self) {
         let lap_m = self.path.lap_length_m();
         let is_endless = self.settings.end == DriveEnd::Never && self.path.legs().len() == 1;
         if is_endless && self.path.length_m() > lap_m && self.along_m > lap_m + WELL_INTO_M {
@@ -241,7 +242,7 @@ impl Follower {
         if self.settings.end == DriveEnd::Never && self.next >= self.program.len() {
             // The first rest is for who listens at the beginning.
             self.next = FIRST_LEG;
-            self.done_m = 0.0;
+            self.completed_m = 0.0;
             self.laps_done += 1;
         }
     }
@@ -262,8 +263,8 @@ const fn leg_of(manoeuvre: &Manoeuvre) -> Option<usize> {
 
 /// Rests, legs and the turns between them; a closed path ends as it began.
 fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
-    let pause = Manoeuvre::Rest(Span::from_secs_f64(settings.pause_s));
-    let mut program = vec![Manoeuvre::Rest(Span::from_secs_f64(settings.rest_s))];
+    let pause = Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.pause_s));
+    let mut program = vec![Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.rest_s))];
     let legs = path.legs();
     for (index, _) in legs.iter().enumerate() {
         program.extend([Manoeuvre::Drive { leg: index }, pause]);
@@ -297,7 +298,7 @@ mod tests {
     /// Drives as commanded without any lag, for `secs` seconds from `pose`; returns where that led.
     fn obeyed(follower: &mut Follower, mut pose: Pose<Arena>, secs: f64) -> Pose<Arena> {
         for step in 0..(secs / PERIOD_S) as i64 {
-            let twist = follower.command(Stamp::from_millis(step * 10), pose);
+            let twist = follower.command(Timestamp::from_millis(step * 10), pose);
             let turn_rad = twist.turn_rad_per_s * PERIOD_S;
             pose = pose
                 * Transform2::new(Meters(twist.forward_m_per_s * PERIOD_S), Meters(0.0), Heading::from_rad(turn_rad));
@@ -332,7 +333,7 @@ mod tests {
             // A believed pose that jumps about.
             let y_m = if step % 7 == 0 { 0.2 } else { -0.1 };
             let pose = Pose::new(Meters(0.0), Meters(y_m), Heading::default());
-            let twist = follower.command(Stamp::from_millis(step * 10), pose);
+            let twist = follower.command(Timestamp::from_millis(step * 10), pose);
             let change = (twist.turn_rad_per_s - last.turn_rad_per_s).abs();
             assert!(change <= ACCELERATION_RAD_PER_S2 * PERIOD_S + 1e-12);
             assert!(twist.forward_m_per_s - last.forward_m_per_s <= 0.005 + 1e-12);

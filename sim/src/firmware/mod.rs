@@ -1,20 +1,20 @@
-//! The brick: what runs on the robot itself.
+//! The brick: the program on the robot.
 //!
-//! It has its own clock, its encoder counts and inertial readings, the nominal geometry, and whatever the station sends. The
-//! [`Program`] drives, the same on every brick; [`Talk`] is what it says where it speaks MAVLink. Other ways of speaking are
-//! [personalities](crate::personality). Nothing here sees the world.
+//! It has its own clock, encoder counts and inertial readings, the nominal geometry, and the station's messages. The
+//! [`Program`] drives, the same on every brick; [`BrickMessenger`] sends its MAVLink messages. Other protocols are
+//! [personalities](crate::personality). Nothing here reads the true state.
 
-mod belief;
 mod compact;
 mod follower;
+mod messages;
 mod odometry;
+mod onboard_pose;
 mod program;
 mod schedule;
 mod speed_control;
-mod talk;
 
 pub(crate) use self::follower::Twist;
+pub use self::messages::BRICK;
+pub(crate) use self::messages::BrickMessenger;
 pub(crate) use self::program::Program;
 pub(crate) use self::speed_control::SpeedControl;
-pub use self::talk::BRICK;
-pub(crate) use self::talk::Talk;

@@ -1,15 +1,15 @@
-//! The brick's own dead reckoning: encoder counts and the geometry that it believes in, nothing else.
+//! The brick's own dead reckoning: encoder counts and the nominal geometry.
 
 use posebridge_telemetry::{DriveGeometry, Heading, Meters, Odom, Pose};
 
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// A pose integrated from encoder counts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DeadReckoning {
-    metres_per_count: Pair<f64>,
+    metres_per_count: PerWheel<f64>,
     track_m: f64,
-    last: Pair<i64>,
+    last: PerWheel<i64>,
     pose: Pose<Odom>,
 }
 
@@ -17,18 +17,18 @@ impl DeadReckoning {
     /// Dead reckoning from the origin, with counters at zero.
     pub(crate) fn new(geometry: &DriveGeometry) -> Self {
         Self {
-            metres_per_count: Pair {
+            metres_per_count: PerWheel {
                 left: geometry.left_wheel_radius.0 * geometry.tick.0,
                 right: geometry.right_wheel_radius.0 * geometry.tick.0,
             },
             track_m: geometry.track_width.0,
-            last: Pair::default(),
+            last: PerWheel::default(),
             pose: Pose::default(),
         }
     }
 
     /// Takes the counters' totals and returns the pose.
-    pub(crate) fn update(&mut self, counts: Pair<i64>) -> Pose<Odom> {
+    pub(crate) fn update(&mut self, counts: PerWheel<i64>) -> Pose<Odom> {
         let travel = counts
             .zip(self.last)
             .zip(self.metres_per_count)
@@ -48,7 +48,7 @@ impl DeadReckoning {
 
     /// The counters were zeroed: the pose stays, the next totals count from zero.
     pub(crate) fn counters_zeroed(&mut self) {
-        self.last = Pair::default();
+        self.last = PerWheel::default();
     }
 
     /// The pose since the beginning.
@@ -66,7 +66,7 @@ mod tests {
     fn one_update_over_a_bend_goes_along_the_middle_of_it() {
         let mut reckoning = DeadReckoning::new(&Scenario::default().drive_geometry());
         // 90 degrees of the right wheel are 14 pi mm: a turn of pi/8 over 112 mm, half that way forward.
-        let pose = reckoning.update(Pair { left: 0, right: 90 });
+        let pose = reckoning.update(PerWheel { left: 0, right: 90 });
         let turn_rad = std::f64::consts::PI / 8.0;
         assert!((pose.heading.rad() - turn_rad).abs() < 1e-12);
         assert!((pose.y.0.atan2(pose.x.0) - 0.5 * turn_rad).abs() < 1e-12);
@@ -76,8 +76,8 @@ mod tests {
     #[test]
     fn zeroed_counters_are_no_motion() {
         let mut reckoning = DeadReckoning::new(&Scenario::default().drive_geometry());
-        let before = reckoning.update(Pair { left: 100, right: 100 });
+        let before = reckoning.update(PerWheel { left: 100, right: 100 });
         reckoning.counters_zeroed();
-        assert_eq!(reckoning.update(Pair::default()), before);
+        assert_eq!(reckoning.update(PerWheel::default()), before);
     }
 }

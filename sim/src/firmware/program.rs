@@ -1,59 +1,59 @@
-//! The program that drives: odometry, path following and speed control, with the estimate that comes back.
+//! The driving program: odometry, path following and speed control, with the estimates of the station.
 //!
-//! It runs every 10 ms and is the same whatever the brick speaks. Without a running program nobody drives, but the odometry is kept, so
-//! that the truth log can say what dead reckoning would have made of the counts.
+//! It runs every 10 ms and is the same on every brick. While it is stopped the robot does not drive, but the odometry
+//! is updated, so that the truth log contains the dead reckoning of the counts.
 
 use posebridge_protocol::message::WireStamp;
-use posebridge_telemetry::simulator::HELD_FOR;
-use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Pose, Span, Stamp, Transform2};
+use posebridge_telemetry::simulator::DRIVE_HOLD_TIME;
+use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Pose, TimeDelta, Timestamp, Transform2};
 
-use super::belief::Belief;
 use super::follower::{Follower, Twist};
 use super::odometry::DeadReckoning;
+use super::onboard_pose::OnboardPose;
 use super::speed_control::SpeedControl;
 use crate::clock::register_micros;
 use crate::path::Path;
 use crate::scenario::{Scenario, Steering};
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// Time between two control steps.
-const CONTROL_PERIOD: Span = Span::from_millis(10);
+const CONTROL_PERIOD: TimeDelta = TimeDelta::from_millis(10);
 
 /// The program and its state.
 #[derive(Debug)]
 pub(crate) struct Program {
     geometry: DriveGeometry,
-    reckoning: DeadReckoning,
-    belief: Belief,
+    dead_reckoning: DeadReckoning,
+    belief: OnboardPose,
     follower: Follower,
-    control: Pair<SpeedControl>,
-    control_due: Stamp<BrickClock>,
-    duty: Pair<f64>,
+    control: PerWheel<SpeedControl>,
+    control_due: Timestamp<BrickClock>,
+    duty: PerWheel<f64>,
     fresh_control: SpeedControl,
     /// Where the counters stood when the speed control began.
-    control_zero: Pair<i64>,
+    control_zero: PerWheel<i64>,
 }
 
 impl Program {
     /// A program that is ready at `now` with the robot at the beginning of `path`.
-    pub(crate) fn new(scenario: &Scenario, path: Path, now: Stamp<BrickClock>) -> Self {
+    pub(crate) fn new(scenario: &Scenario, path: Path, now: Timestamp<BrickClock>) -> Self {
         let geometry = scenario.drive_geometry();
         let control = SpeedControl::new(&scenario.robot);
         Self {
             geometry,
-            reckoning: DeadReckoning::new(&geometry),
-            belief: Belief::new(scenario.steering, path.start()),
+            dead_reckoning: DeadReckoning::new(&geometry),
+            belief: OnboardPose::new(scenario.steering, path.start()),
             follower: Follower::new(scenario.drive, path),
-            control: Pair { left: control.clone(), right: control.clone() },
+            control: PerWheel { left: control.clone(), right: control.clone() },
             control_due: now,
-            duty: Pair::default(),
+            duty: PerWheel::default(),
             fresh_control: control,
-            control_zero: Pair::default(),
+            control_zero: PerWheel::default(),
         }
     }
 
     /// One pass of a running program at `now`, with the counters' totals; returns the duty of both motors.
-    pub(crate) fn step(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) -> Pair<f64> {
+    pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) -> PerWheel<f64> {
         if self.is_due(now) {
             self.drive(now, counts);
         }
@@ -61,66 +61,66 @@ impl Program {
     }
 
     /// One pass while no program runs: the odometry goes on, nobody steers.
-    pub(crate) fn watch(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
+    pub(crate) fn observe_odometry(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         if self.is_due(now) {
-            self.reckon(now, counts);
+            self.update_odometry(now, counts);
         }
     }
 
     /// Takes an estimate that speaks of `stamp`; returns the instant of the brick's clock that this means.
-    pub(crate) fn take_estimate(
+    pub(crate) fn apply_estimate(
         &mut self,
-        now: Stamp<BrickClock>,
+        now: Timestamp<BrickClock>,
         stamp: WireStamp,
         pose: Pose<Arena>,
-    ) -> Stamp<BrickClock> {
+    ) -> Timestamp<BrickClock> {
         let instant = unwrap_near(stamp, now);
-        self.belief.take(now, instant, pose);
+        self.belief.apply_estimate(now, instant, pose);
         instant
     }
 
     /// A power cycle: clock and counters begin anew. The program's place on the path and its odometry are kept, as a program
     /// that stores its progress would keep them.
-    pub(crate) fn restart(&mut self, now: Stamp<BrickClock>) {
-        self.reckoning.counters_zeroed();
+    pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>) {
+        self.dead_reckoning.counters_zeroed();
         self.belief.clock_restarted();
-        self.begin(now, Pair::default());
+        self.begin(now, PerWheel::default());
     }
 
     /// The program is started, at rest, with the totals of the counters that it is given at `counts`. Its place on the path, its
     /// odometry and its clock are kept.
-    pub(crate) fn begin(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
+    pub(crate) fn begin(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         self.follower.clock_restarted();
-        self.control = Pair { left: self.fresh_control.clone(), right: self.fresh_control.clone() };
+        self.control = PerWheel { left: self.fresh_control.clone(), right: self.fresh_control.clone() };
         self.control_due = now;
         self.control_zero = counts;
-        self.duty = Pair::default();
+        self.duty = PerWheel::default();
     }
 
     /// Where dead reckoning alone believes to be, if it began at `start`.
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
-        let moved = self.reckoning.pose();
+        let moved = self.dead_reckoning.pose();
         start * Transform2::new(moved.x, moved.y, moved.heading)
     }
 
     /// Where the program believes the robot to be.
-    pub(crate) fn belief(&self) -> Pose<Arena> {
+    pub(crate) fn estimated_pose(&self) -> Pose<Arena> {
         self.belief.pose()
     }
 
     /// What the program steers by at this moment.
-    pub(crate) fn steering(&self, now: Stamp<BrickClock>) -> Steering {
+    pub(crate) fn steering(&self, now: Timestamp<BrickClock>) -> Steering {
         self.belief.steering(now)
     }
 
     /// From here on it steers by something else. By odometry it goes on from the last estimate.
-    pub(crate) const fn steer_by(&mut self, steering: Steering) {
-        self.belief.steer_by(steering);
+    pub(crate) const fn set_steering(&mut self, steering: Steering) {
+        self.belief.set_steering(steering);
     }
 
     /// A person wants this motion, for a while.
-    pub(crate) fn drive_by_hand(&mut self, now: Stamp<BrickClock>, wanted: Twist) {
-        self.follower.drive_by_hand(wanted, now + HELD_FOR);
+    pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, wanted: Twist) {
+        self.follower.drive_manually(wanted, now + DRIVE_HOLD_TIME);
     }
 
     /// Back to the path.
@@ -143,7 +143,7 @@ impl Program {
         self.follower.is_finished()
     }
 
-    fn is_due(&mut self, now: Stamp<BrickClock>) -> bool {
+    fn is_due(&mut self, now: Timestamp<BrickClock>) -> bool {
         let is_due = now >= self.control_due;
         if is_due {
             self.control_due = self.control_due + CONTROL_PERIOD;
@@ -151,13 +151,13 @@ impl Program {
         is_due
     }
 
-    fn reckon(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
-        let odom = self.reckoning.update(counts);
+    fn update_odometry(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
+        let odom = self.dead_reckoning.update(counts);
         self.belief.record(now, odom);
     }
 
-    fn drive(&mut self, now: Stamp<BrickClock>, counts: Pair<i64>) {
-        self.reckon(now, counts);
+    fn drive(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
+        self.update_odometry(now, counts);
         let twist = self.follower.command(now, self.belief.pose());
         self.duty = self
             .control
@@ -169,27 +169,27 @@ impl Program {
 }
 
 /// Wheel speeds in radians per second for a motion of the body, by the nominal geometry.
-fn wheel_speeds(twist: Twist, geometry: &DriveGeometry) -> Pair<f64> {
+fn wheel_speeds(twist: Twist, geometry: &DriveGeometry) -> PerWheel<f64> {
     let half_track_m = 0.5 * geometry.track_width.0;
-    Pair {
+    PerWheel {
         left: (twist.forward_m_per_s - twist.turn_rad_per_s * half_track_m) / geometry.left_wheel_radius.0,
         right: (twist.forward_m_per_s + twist.turn_rad_per_s * half_track_m) / geometry.right_wheel_radius.0,
     }
 }
 
 /// The instant next to `now` that a stamp of this brick's own clock can mean.
-fn unwrap_near(stamp: WireStamp, now: Stamp<BrickClock>) -> Stamp<BrickClock> {
+fn unwrap_near(stamp: WireStamp, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
     match stamp {
         WireStamp::Micros32(micros) => {
-            now - Span::from_nanos(now.as_nanos().rem_euclid(1_000))
-                + Span::from_micros(i64::from(micros.wrapping_sub(register_micros(now)) as i32))
+            now - TimeDelta::from_nanos(now.as_nanos().rem_euclid(1_000))
+                + TimeDelta::from_micros(i64::from(micros.wrapping_sub(register_micros(now)) as i32))
         }
         WireStamp::Millis32(millis) => {
             let own = (now.as_micros() / 1_000) as u32;
-            now + Span::from_millis(i64::from(millis.wrapping_sub(own) as i32))
+            now + TimeDelta::from_millis(i64::from(millis.wrapping_sub(own) as i32))
         }
-        WireStamp::Micros64(_) | WireStamp::Asked { .. } => {
-            Stamp::from_micros(i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX))
+        WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => {
+            Timestamp::from_micros(i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX))
         }
     }
 }
@@ -200,9 +200,9 @@ mod tests {
 
     #[test]
     fn a_register_stamp_means_the_instant_next_to_now() {
-        let now = Stamp::<BrickClock>::from_micros((1 << 32) + 40);
-        assert_eq!(unwrap_near(WireStamp::Micros32(u32::MAX - 9), now), now - Span::from_micros(50));
-        assert_eq!(unwrap_near(WireStamp::Micros32(140), now), now + Span::from_micros(100));
+        let now = Timestamp::<BrickClock>::from_micros((1 << 32) + 40);
+        assert_eq!(unwrap_near(WireStamp::Micros32(u32::MAX - 9), now), now - TimeDelta::from_micros(50));
+        assert_eq!(unwrap_near(WireStamp::Micros32(140), now), now + TimeDelta::from_micros(100));
     }
 
     #[test]

@@ -1,15 +1,15 @@
-//! When the brick sends which message: its own defaults, and the intervals that a station asked for.
+//! The schedule of the brick's messages: its defaults, and the intervals that a station requested.
 
 use posebridge_protocol::dialect::ids;
-use posebridge_telemetry::{BrickClock, Span, Stamp};
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
-use crate::node::IntervalRequest;
+use crate::mavlink_node::IntervalRequest;
 use crate::scenario::{BrickSettings, ThermometerSettings, Wire};
 
 /// The description comes this often, so that a station that starts late has it soon.
-const DESCRIPTION_PERIOD: Span = Span::from_millis(5_000);
+const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 /// No message comes more often than the world moves.
-const SHORTEST: Span = Span::from_millis(1);
+const SHORTEST: TimeDelta = TimeDelta::from_millis(1);
 
 /// What the brick has to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,18 +25,18 @@ pub(crate) enum Topic {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Slot {
+struct ScheduledMessage {
     topic: Topic,
     message_id: u32,
-    default: Span,
-    interval: Option<Span>,
-    due: Stamp<BrickClock>,
+    default: TimeDelta,
+    interval: Option<TimeDelta>,
+    due: Timestamp<BrickClock>,
 }
 
 /// All messages with their intervals.
 #[derive(Clone, Debug)]
 pub(crate) struct Schedule {
-    slots: Vec<Slot>,
+    slots: Vec<ScheduledMessage>,
 }
 
 impl Schedule {
@@ -44,17 +44,23 @@ impl Schedule {
     pub(crate) fn new(
         settings: &BrickSettings,
         thermometer: Option<&ThermometerSettings>,
-        now: Stamp<BrickClock>,
+        now: Timestamp<BrickClock>,
     ) -> Self {
-        let telemetry = Span::from_secs_f64(1.0 / settings.telemetry_hz);
+        let telemetry = TimeDelta::from_secs_f64(1.0 / settings.telemetry_hz);
         let (wheels, inertial) = match settings.wire {
             Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
             Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
         };
-        let slot = |topic, message_id, default| Slot { topic, message_id, default, interval: Some(default), due: now };
+        let slot = |topic, message_id, default| ScheduledMessage {
+            topic,
+            message_id,
+            default,
+            interval: Some(default),
+            due: now,
+        };
         let thermometer = thermometer.map(|settings| {
             let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
-            let period = Span::from_secs_f64(1.0 / settings.rate_hz);
+            let period = TimeDelta::from_secs_f64(1.0 / settings.rate_hz);
             slot(Topic::Thermometer, message_id, period)
         });
         Self {
@@ -75,13 +81,13 @@ impl Schedule {
     }
 
     /// Follows a request; one for a message that the brick does not have changes nothing.
-    pub(crate) fn follow(&mut self, request: IntervalRequest, now: Stamp<BrickClock>) {
+    pub(crate) fn apply_request(&mut self, request: IntervalRequest, now: Timestamp<BrickClock>) {
         for slot in &mut self.slots {
             if slot.message_id != request.message_id {
                 continue;
             }
             slot.interval = match request.interval {
-                Some(span) if span <= Span::ZERO => Some(slot.default),
+                Some(span) if span <= TimeDelta::ZERO => Some(slot.default),
                 Some(span) => Some(span.max(SHORTEST)),
                 None => None,
             };
@@ -90,7 +96,7 @@ impl Schedule {
     }
 
     /// The next topic that is due at `now`; each comes once per interval.
-    pub(crate) fn next(&mut self, now: Stamp<BrickClock>) -> Option<Topic> {
+    pub(crate) fn next(&mut self, now: Timestamp<BrickClock>) -> Option<Topic> {
         for slot in &mut self.slots {
             let Some(interval) = slot.interval else {
                 continue;
@@ -115,7 +121,7 @@ mod tests {
     fn count(schedule: &mut Schedule, topic: Topic, from_ms: i64, to_ms: i64) -> usize {
         let mut found = 0;
         for ms in from_ms..to_ms {
-            while let Some(due) = schedule.next(Stamp::from_millis(ms)) {
+            while let Some(due) = schedule.next(Timestamp::from_millis(ms)) {
                 found += usize::from(due == topic);
             }
         }
@@ -124,21 +130,21 @@ mod tests {
 
     #[test]
     fn defaults_requests_and_stops_are_kept() {
-        let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
+        let mut schedule = Schedule::new(&BrickSettings::default(), None, Timestamp::ZERO);
         assert_eq!(count(&mut schedule, Topic::Wheels, 0, 1_000), 20);
         let ask = |interval| IntervalRequest { message_id: ids::PB_WHEEL_TICKS, interval };
-        schedule.follow(ask(Some(Span::from_millis(100))), Stamp::from_millis(1_000));
+        schedule.apply_request(ask(Some(TimeDelta::from_millis(100))), Timestamp::from_millis(1_000));
         assert_eq!(count(&mut schedule, Topic::Wheels, 1_000, 2_000), 10);
-        schedule.follow(ask(None), Stamp::from_millis(2_000));
+        schedule.apply_request(ask(None), Timestamp::from_millis(2_000));
         assert_eq!(count(&mut schedule, Topic::Wheels, 2_000, 3_000), 0);
-        schedule.follow(ask(Some(Span::ZERO)), Stamp::from_millis(3_000));
+        schedule.apply_request(ask(Some(TimeDelta::ZERO)), Timestamp::from_millis(3_000));
         assert_eq!(count(&mut schedule, Topic::Wheels, 3_000, 4_000), 20);
     }
 
     #[test]
     fn a_request_for_a_foreign_message_changes_nothing() {
-        let mut schedule = Schedule::new(&BrickSettings::default(), None, Stamp::ZERO);
-        schedule.follow(IntervalRequest { message_id: ids::HEARTBEAT, interval: None }, Stamp::ZERO);
+        let mut schedule = Schedule::new(&BrickSettings::default(), None, Timestamp::ZERO);
+        schedule.apply_request(IntervalRequest { message_id: ids::HEARTBEAT, interval: None }, Timestamp::ZERO);
         assert_eq!(count(&mut schedule, Topic::Inertial, 0, 1_000), 20);
     }
 }

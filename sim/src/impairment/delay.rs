@@ -1,77 +1,77 @@
-//! How long a unit is on the way.
+//! The delay of a unit.
 //!
 //! # Model
 //! ```text
 //! delay = base + Exp(jitter mean) + sum over the kinds of stall: U(from, to) with probability p
 //! arrival = max(departure + delay, arrival of the unit before)        order is kept
 //! ```
-//! One delay is drawn for each unit, so that a write that the line cuts into pieces stays together. A unit that is lost holds
-//! up the others as if it were not, so that a loss changes nobody else's arrival.
+//! One delay is drawn for each unit, so that a write that the line splits stays together. A lost unit delays the others
+//! as if it were not lost, so that a loss changes no other arrival.
 //!
 //! # Sources
 //! docs/impairment.md, section 2; the shape of the jitter is our choice.
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::draws::{exponential, millis, uniform};
 use super::settings::{DirectionProfile, Stall};
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// What was drawn for one unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Drawn {
+pub(super) struct DelayDraw {
     /// The whole delay.
-    pub(super) delay: Span,
+    pub(super) delay: TimeDelta,
     /// The share of stalls in it.
-    pub(super) stalled: Span,
+    pub(super) stalled: TimeDelta,
 }
 
 /// Draws delays and keeps the order.
 #[derive(Clone, Debug)]
 pub(super) struct Delays {
-    base: Span,
-    jitter_mean: Span,
+    base: TimeDelta,
+    jitter_mean: TimeDelta,
     stalls: Vec<Stall>,
-    jitter: Stream,
-    stalling: Stream,
-    last_arrival: Stamp<HostClock>,
+    jitter: RandomStream,
+    stalling: RandomStream,
+    last_arrival: Timestamp<HostClock>,
 }
 
 impl Delays {
-    pub(super) fn new(profile: &DirectionProfile, jitter: Stream, stalling: Stream) -> Self {
+    pub(super) fn new(profile: &DirectionProfile, jitter: RandomStream, stalling: RandomStream) -> Self {
         Self {
             base: millis(profile.delay.base_ms),
             jitter_mean: millis(profile.delay.jitter_mean_ms),
             stalls: profile.stalls.clone(),
             jitter,
             stalling,
-            last_arrival: Stamp::from_nanos(i64::MIN),
+            last_arrival: Timestamp::from_nanos(i64::MIN),
         }
     }
 
     /// The delay of the next unit.
-    pub(super) fn draw(&mut self) -> Drawn {
-        let mut stalled = Span::ZERO;
+    pub(super) fn draw(&mut self) -> DelayDraw {
+        let mut stalled = TimeDelta::ZERO;
         for stall in &self.stalls {
             // Both draws are always taken, so that a changed probability shifts nothing else.
-            let happens = self.stalling.happens(stall.probability);
+            let happens = self.stalling.bernoulli(stall.probability);
             let length = uniform(&mut self.stalling, millis(stall.from_ms), millis(stall.to_ms));
             if happens {
                 stalled += length;
             }
         }
         let jitter = exponential(&mut self.jitter, self.jitter_mean);
-        Drawn { delay: self.base + jitter + stalled, stalled }
+        DelayDraw { delay: self.base + jitter + stalled, stalled }
     }
 
     /// When something arrives that does not pass what is before it.
-    pub(super) fn arrival(&mut self, sent: Stamp<HostClock>, delay: Span) -> Stamp<HostClock> {
+    pub(super) fn arrival(&mut self, sent: Timestamp<HostClock>, delay: TimeDelta) -> Timestamp<HostClock> {
         self.last_arrival = self.last_arrival.max(sent + delay);
         self.last_arrival
     }
 
     /// Nothing is on the way any more.
-    pub(super) fn clear(&mut self, now: Stamp<HostClock>) {
+    pub(super) fn clear(&mut self, now: Timestamp<HostClock>) {
         self.last_arrival = self.last_arrival.min(now);
     }
 }

@@ -1,48 +1,48 @@
-//! One direction of a link: bytes are offered with the instant of their departure and polled at that of their arrival.
+//! One direction of a link: bytes are offered with the time of departure and polled at the time of arrival.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::account::{Account, Cause, Counters, Fate, LogEntry};
 use super::burst_loss::GilbertElliott;
-use super::chances::{Chances, Drawn};
+use super::byte_log::{ByteAccount, ByteOutcome, Counters, LogEntry, LossCause};
 use super::delay::Delays;
 use super::fragments::Fragments;
-use super::line::{Line, Sent};
-use super::outages::Presence;
+use super::outages::OutageState;
+use super::rate_limiter::{RateLimiter, SentRange};
 use super::settings::{DirectionProfile, LinkKind};
 use super::slots::Slots;
-use crate::random::Stream;
+use super::unit_draws::{UnitDraw, UnitDraws};
+use crate::random::RandomStream;
 
 /// Most bytes on the way; what is offered beyond is dropped as by a full buffer. A long delay must not fill the memory.
-const ON_THE_WAY_BYTES: u64 = 16 * 1024 * 1024;
+const MAX_IN_TRANSIT_BYTES: u64 = 16 * 1024 * 1024;
 
 /// Bytes that arrive together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery {
     /// When.
-    pub at: Stamp<HostClock>,
+    pub at: Timestamp<HostClock>,
     /// The bytes, at least one.
     pub bytes: Vec<u8>,
 }
 
 /// A unit that is being offered.
-struct Unit<'a> {
+struct OfferedUnit<'a> {
     number: u64,
     bytes: &'a [u8],
-    drawn: Drawn,
+    draw: UnitDraw,
 }
 
 /// Bytes of one unit that travel together.
 #[derive(Clone, Debug)]
-struct Piece {
+struct TransitChunk {
     unit: u64,
     /// Which of the unit's bytes they are; there are gaps where bytes were lost.
     runs: Vec<Range<usize>>,
     bytes: Vec<u8>,
-    is_copy: bool,
+    is_duplicate: bool,
 }
 
 /// One direction of a link, as a value.
@@ -51,106 +51,106 @@ struct Piece {
 /// arrive. Instants must not fall; one that does is taken for the latest before it.
 ///
 /// ```
-/// use posebridge_sim::impairment::{Delay, DirectionProfile, Impairment, LinkKind};
-/// use posebridge_telemetry::Stamp;
+/// use posebridge_sim::impairment::{Delay, DirectionProfile, ImpairedDirection, LinkKind};
+/// use posebridge_telemetry::Timestamp;
 /// let profile = DirectionProfile { delay: Delay { base_ms: 15.0, jitter_mean_ms: 0.0 }, ..DirectionProfile::default() };
-/// let mut direction = Impairment::new(&profile, LinkKind::Stream, 7, "to station");
-/// direction.offer(Stamp::ZERO, b"frame");
-/// assert_eq!(direction.deadline(), Some(Stamp::from_millis(15)));
-/// assert_eq!(direction.poll(Stamp::from_millis(14)), None);
-/// assert_eq!(direction.poll(Stamp::from_millis(15)).map(|delivery| delivery.bytes), Some(b"frame".to_vec()));
+/// let mut direction = ImpairedDirection::new(&profile, LinkKind::Stream, 7, "to station");
+/// direction.offer(Timestamp::ZERO, b"frame");
+/// assert_eq!(direction.deadline(), Some(Timestamp::from_millis(15)));
+/// assert_eq!(direction.poll(Timestamp::from_millis(14)), None);
+/// assert_eq!(direction.poll(Timestamp::from_millis(15)).map(|delivery| delivery.bytes), Some(b"frame".to_vec()));
 /// ```
 #[derive(Clone, Debug)]
-pub struct Impairment {
+pub struct ImpairedDirection {
     kind: LinkKind,
-    presence: Presence,
-    line: Line,
-    chances: Chances,
+    link_state: OutageState,
+    rate_limiter: RateLimiter,
+    unit_draws: UnitDraws,
     burst_loss: Option<GilbertElliott>,
     delays: Delays,
     slots: Option<Slots>,
     fragments: Option<Fragments>,
     /// By arrival, then in the order of offering.
-    on_the_way: BTreeMap<(Stamp<HostClock>, u64), Piece>,
+    in_transit: BTreeMap<(Timestamp<HostClock>, u64), TransitChunk>,
     next_order: u64,
     arrived: VecDeque<Delivery>,
-    latest: Stamp<HostClock>,
-    account: Account,
+    latest: Timestamp<HostClock>,
+    account: ByteAccount,
 }
 
-impl Impairment {
+impl ImpairedDirection {
     /// A direction on which nothing travels yet. Its randomness derives from `seed` and `name`, so that the two directions of one
     /// link differ.
     #[must_use]
     pub fn new(profile: &DirectionProfile, kind: LinkKind, seed: u64, name: &str) -> Self {
-        let stream = |stage: &str| Stream::new(seed, &format!("link {name} {stage}"));
+        let stream = |stage: &str| RandomStream::new(seed, &format!("link {name} {stage}"));
         Self {
             kind,
-            presence: Presence::Up,
-            line: Line::new(profile.rate, kind),
-            chances: Chances::new(profile, kind, stream),
+            link_state: OutageState::Up,
+            rate_limiter: RateLimiter::new(profile.rate, kind),
+            unit_draws: UnitDraws::new(profile, kind, stream),
             burst_loss: profile.burst_loss.map(|settings| GilbertElliott::new(settings, stream("burst states"))),
             delays: Delays::new(profile, stream("jitter"), stream("stalls")),
             slots: profile.slot_ms.map(|period| Slots::new(period, stream("slots"))),
             fragments: profile.fragment.map(|settings| Fragments::new(settings, stream("fragments"))),
-            on_the_way: BTreeMap::new(),
+            in_transit: BTreeMap::new(),
             next_order: 0,
             arrived: VecDeque::new(),
-            latest: Stamp::from_nanos(i64::MIN / 2),
-            account: Account::default(),
+            latest: Timestamp::from_nanos(i64::MIN / 2),
+            account: ByteAccount::default(),
         }
     }
 
     /// Offers a unit that is sent at `now`: a datagram, or one write to a stream. Returns its number, by which the log names it.
-    pub fn offer(&mut self, now: Stamp<HostClock>, bytes: &[u8]) -> u64 {
-        let now = self.pass_to(now);
+    pub fn offer(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) -> u64 {
+        let now = self.advance_to(now);
         let unit = self.account.counters.units_offered;
         let on_the_way = self.account.counters.bytes_on_the_way;
-        self.account.offered(bytes.len());
-        let drawn = self.chances.draw(bytes.len());
+        self.account.on_offered(bytes.len());
+        let drawn = self.unit_draws.draw(bytes.len());
         let delay = self.delays.draw();
         if let Some(burst_loss) = &mut self.burst_loss {
-            burst_loss.pass_to(now);
+            burst_loss.advance_to(now);
         }
-        if self.presence == Presence::Down {
-            self.lose(unit, 0..bytes.len(), Cause::LinkDown);
+        if self.link_state == OutageState::Down {
+            self.record_loss(unit, 0..bytes.len(), LossCause::LinkDown);
             return unit;
         }
-        let sent = if on_the_way.saturating_add(bytes.len() as u64) > ON_THE_WAY_BYTES {
+        let sent = if on_the_way.saturating_add(bytes.len() as u64) > MAX_IN_TRANSIT_BYTES {
             Vec::new()
         } else {
-            self.line.send(now, bytes.len())
+            self.rate_limiter.send(now, bytes.len())
         };
         let left = sent.last().map_or(0, |piece| piece.bytes.end);
-        self.lose(unit, left..bytes.len(), Cause::BufferFull);
+        self.record_loss(unit, left..bytes.len(), LossCause::BufferFull);
         if drawn.is_lost {
-            self.lose(unit, 0..left, Cause::Alone);
-        } else if delay.stalled > Span::ZERO {
+            self.record_loss(unit, 0..left, LossCause::Unit);
+        } else if delay.stalled > TimeDelta::ZERO {
             let by = delay.stalled;
-            self.account.note(unit, 0..left, Fate::Stalled { by });
+            self.account.record(unit, 0..left, ByteOutcome::Stalled { by });
         }
-        let unit = Unit { number: unit, bytes, drawn };
+        let unit = OfferedUnit { number: unit, bytes, draw: drawn };
         for piece in sent {
             // A link that stalls holds up what comes behind, even if the unit of the stall is lost.
             let at = self.delays.arrival(piece.at, delay.delay);
-            if !unit.drawn.is_lost {
-                self.carry(&unit, &piece, at);
+            if !unit.draw.is_lost {
+                self.send(&unit, &piece, at);
             }
         }
         unit.number
     }
 
     /// The next bytes that have arrived by `now`, in the order of their arrival.
-    pub fn poll(&mut self, now: Stamp<HostClock>) -> Option<Delivery> {
-        self.pass_to(now);
+    pub fn poll(&mut self, now: Timestamp<HostClock>) -> Option<Delivery> {
+        self.advance_to(now);
         self.arrived.pop_front()
     }
 
     /// When the next bytes arrive, if nothing else is offered.
     #[must_use]
-    pub fn deadline(&self) -> Option<Stamp<HostClock>> {
+    pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waiting = self.arrived.front().map(|delivery| delivery.at);
-        waiting.or_else(|| self.on_the_way.first_key_value().map(|((at, _), _)| *at))
+        waiting.or_else(|| self.in_transit.first_key_value().map(|((at, _), _)| *at))
     }
 
     /// Counts since the direction was made.
@@ -164,47 +164,47 @@ impl Impairment {
         self.account.take_log()
     }
 
-    /// The link goes down: what is on the way is lost, and so is what is offered until [`Self::restore`].
-    pub fn cut(&mut self, now: Stamp<HostClock>) {
-        let now = self.pass_to(now);
-        self.presence = Presence::Down;
-        for piece in std::mem::take(&mut self.on_the_way).into_values() {
+    /// The link goes down: what is on the way is lost, and so is what is offered until [`Self::reconnect`].
+    pub fn disconnect(&mut self, now: Timestamp<HostClock>) {
+        let now = self.advance_to(now);
+        self.link_state = OutageState::Down;
+        for piece in std::mem::take(&mut self.in_transit).into_values() {
             // A copy is no byte that was offered.
-            if !piece.is_copy {
+            if !piece.is_duplicate {
                 for run in piece.runs {
-                    self.lose(piece.unit, run, Cause::LinkDown);
+                    self.record_loss(piece.unit, run, LossCause::LinkDown);
                 }
             }
         }
-        self.line.clear(now);
+        self.rate_limiter.clear(now);
         self.delays.clear(now);
     }
 
     /// The link is up again.
-    pub fn restore(&mut self, now: Stamp<HostClock>) {
-        self.pass_to(now);
-        self.presence = Presence::Up;
+    pub fn reconnect(&mut self, now: Timestamp<HostClock>) {
+        self.advance_to(now);
+        self.link_state = OutageState::Up;
     }
 
     /// Lets time pass: what arrives by then is handed over. Returns the present instant, which never falls.
-    fn pass_to(&mut self, now: Stamp<HostClock>) -> Stamp<HostClock> {
+    fn advance_to(&mut self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
         self.latest = self.latest.max(now);
-        while let Some(entry) = self.on_the_way.first_entry() {
+        while let Some(entry) = self.in_transit.first_entry() {
             let at = entry.key().0;
             if at > self.latest {
                 break;
             }
             let piece = entry.remove();
-            self.hand_over(at, piece);
+            self.deliver(at, piece);
         }
         self.latest
     }
 
     /// Hands a piece over, with all that share its slot.
-    fn hand_over(&mut self, at: Stamp<HostClock>, piece: Piece) {
+    fn deliver(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) {
         let mut bytes = self.arrive(at, piece);
         if self.slots.is_some() && self.kind == LinkKind::Stream {
-            while let Some(entry) = self.on_the_way.first_entry() {
+            while let Some(entry) = self.in_transit.first_entry() {
                 if entry.key().0 != at {
                     break;
                 }
@@ -213,7 +213,7 @@ impl Impairment {
             }
         }
         let pieces = match &mut self.fragments {
-            Some(fragments) => fragments.cut(bytes),
+            Some(fragments) => fragments.split(bytes),
             None => vec![bytes],
         };
         self.account.counters.chunks_delivered += pieces.len() as u64;
@@ -222,80 +222,80 @@ impl Impairment {
     }
 
     /// Notes the arrival of a piece and returns its bytes.
-    fn arrive(&mut self, at: Stamp<HostClock>, piece: Piece) -> Vec<u8> {
+    fn arrive(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) -> Vec<u8> {
         for run in piece.runs {
-            let fate = if piece.is_copy { Fate::Repeated { at } } else { Fate::Delivered { at } };
-            self.account.note(piece.unit, run, fate);
+            let fate = if piece.is_duplicate { ByteOutcome::Duplicated { at } } else { ByteOutcome::Delivered { at } };
+            self.account.record(piece.unit, run, fate);
         }
         piece.bytes
     }
 
     /// Takes a piece of a unit through loss and damage and puts what is left on the way, to arrive at `at`.
-    fn carry(&mut self, unit: &Unit<'_>, sent: &Sent, at: Stamp<HostClock>) {
-        let causes = self.losses(sent, &unit.drawn);
+    fn send(&mut self, unit: &OfferedUnit<'_>, sent: &SentRange, at: Timestamp<HostClock>) {
+        let causes = self.losses(sent, &unit.draw);
         let data = self.damaged(unit, sent, &causes);
         let (runs, bytes) = self.survivors(unit.number, sent, &causes, &data);
         if bytes.is_empty() {
             return;
         }
         let mut at = at;
-        if let Some(by) = unit.drawn.held_back {
+        if let Some(by) = unit.draw.held_back {
             at = at + by;
-            self.account.note(unit.number, sent.bytes.clone(), Fate::HeldBack { by });
+            self.account.record(unit.number, sent.bytes.clone(), ByteOutcome::HeldBack { by });
         }
         if let Some(slots) = self.slots {
             at = slots.next(at);
         }
-        let piece = Piece { unit: unit.number, runs, bytes, is_copy: false };
-        let copy = unit.drawn.is_repeated.then(|| Piece { is_copy: true, ..piece.clone() });
-        self.put(at, piece);
+        let piece = TransitChunk { unit: unit.number, runs, bytes, is_duplicate: false };
+        let copy = unit.draw.is_duplicated.then(|| TransitChunk { is_duplicate: true, ..piece.clone() });
+        self.enqueue(at, piece);
         if let Some(copy) = copy {
-            self.put(at, copy);
+            self.enqueue(at, copy);
         }
     }
 
-    fn put(&mut self, at: Stamp<HostClock>, piece: Piece) {
-        self.on_the_way.insert((at, self.next_order), piece);
+    fn enqueue(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) {
+        self.in_transit.insert((at, self.next_order), piece);
         self.next_order += 1;
     }
 
     /// What becomes of each byte of a piece; `None` travels on.
-    fn losses(&mut self, sent: &Sent, drawn: &Drawn) -> Vec<Option<Cause>> {
-        let mut causes: Vec<Option<Cause>> = vec![None; sent.bytes.len()];
-        for place in within(&drawn.missing, &sent.bytes, 1) {
+    fn losses(&mut self, sent: &SentRange, drawn: &UnitDraw) -> Vec<Option<LossCause>> {
+        let mut causes: Vec<Option<LossCause>> = vec![None; sent.bytes.len()];
+        for place in within(&drawn.missing_bytes, &sent.bytes, 1) {
             if let Some(cause) = causes.get_mut(place as usize) {
-                *cause = Some(Cause::Byte);
+                *cause = Some(LossCause::Byte);
             }
         }
         let Some(burst_loss) = &mut self.burst_loss else {
             return causes;
         };
         if self.kind == LinkKind::Datagram {
-            let luck = drawn.burst_luck.first().copied().unwrap_or_default();
-            if burst_loss.takes(sent.at, luck) {
-                causes.fill(Some(Cause::Burst));
+            let luck = drawn.burst_draws.first().copied().unwrap_or_default();
+            if burst_loss.is_lost(sent.at, luck) {
+                causes.fill(Some(LossCause::Burst));
             }
             return causes;
         }
-        let luck = drawn.burst_luck.get(sent.bytes.clone());
+        let luck = drawn.burst_draws.get(sent.bytes.clone());
         for (cause, luck) in causes.iter_mut().zip(luck.unwrap_or_default()) {
-            if burst_loss.takes(sent.at, *luck) {
-                *cause = Some(Cause::Burst);
+            if burst_loss.is_lost(sent.at, *luck) {
+                *cause = Some(LossCause::Burst);
             }
         }
         causes
     }
 
     /// The bytes of a piece with bits turned over, except in bytes that are lost.
-    fn damaged(&mut self, unit: &Unit<'_>, sent: &Sent, causes: &[Option<Cause>]) -> Vec<u8> {
+    fn damaged(&mut self, unit: &OfferedUnit<'_>, sent: &SentRange, causes: &[Option<LossCause>]) -> Vec<u8> {
         let data = unit.bytes.get(sent.bytes.clone()).unwrap_or_default();
         let mut data = data.to_vec();
-        for hit in within(&unit.drawn.failing, &sent.bytes, 8) {
+        for hit in within(&unit.draw.flipped_bits, &sent.bytes, 8) {
             let (index, bit) = ((hit / 8) as usize, (hit % 8) as u8);
             if let (Some(byte), Some(None)) = (data.get_mut(index), causes.get(index)) {
                 *byte ^= 1 << bit;
                 let place = sent.bytes.start + index;
-                self.account.note(unit.number, place..place + 1, Fate::Flipped { bit });
+                self.account.record(unit.number, place..place + 1, ByteOutcome::Flipped { bit });
             }
         }
         data
@@ -305,8 +305,8 @@ impl Impairment {
     fn survivors(
         &mut self,
         unit: u64,
-        sent: &Sent,
-        causes: &[Option<Cause>],
+        sent: &SentRange,
+        causes: &[Option<LossCause>],
         data: &[u8],
     ) -> (Vec<Range<usize>>, Vec<u8>) {
         let mut runs = Vec::new();
@@ -316,7 +316,7 @@ impl Impairment {
             let end = start + group.len();
             let run = sent.bytes.start + start..sent.bytes.start + end;
             if let Some(cause) = group.first().copied().flatten() {
-                self.lose(unit, run, cause);
+                self.record_loss(unit, run, cause);
             } else {
                 runs.push(run);
                 bytes.extend_from_slice(data.get(start..end).unwrap_or_default());
@@ -326,8 +326,8 @@ impl Impairment {
         (runs, bytes)
     }
 
-    fn lose(&mut self, unit: u64, bytes: Range<usize>, cause: Cause) {
-        self.account.note(unit, bytes, Fate::Lost(cause));
+    fn record_loss(&mut self, unit: u64, bytes: Range<usize>, cause: LossCause) {
+        self.account.record(unit, bytes, ByteOutcome::Lost(cause));
     }
 }
 

@@ -1,22 +1,22 @@
-//! How a stream is cut where it is handed over: a reader must not take one read for one frame.
+//! Fragmentation of a stream at delivery: a reader must not treat one read as one frame.
 
 use super::settings::{Fragment, PieceSizes};
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// Cuts chunks.
 #[derive(Clone, Debug)]
 pub(super) struct Fragments {
     settings: Fragment,
-    stream: Stream,
+    stream: RandomStream,
 }
 
 impl Fragments {
-    pub(super) const fn new(settings: Fragment, stream: Stream) -> Self {
+    pub(super) const fn new(settings: Fragment, stream: RandomStream) -> Self {
         Self { settings, stream }
     }
 
     /// The pieces of a chunk, in their order; none is empty.
-    pub(super) fn cut(&mut self, mut chunk: Vec<u8>) -> Vec<Vec<u8>> {
+    pub(super) fn split(&mut self, mut chunk: Vec<u8>) -> Vec<Vec<u8>> {
         let mut pieces = Vec::new();
         loop {
             let size = self.size();

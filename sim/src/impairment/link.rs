@@ -1,25 +1,25 @@
-//! Both directions of a link and the outages that they share, in the order of time.
+//! Both directions of a link and their common outages, in the order of time.
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{HostClock, Timestamp};
 
-use super::account::{Counters, LogEntry};
-use super::direction::{Delivery, Impairment};
-use super::outages::{Outages, Presence};
+use super::byte_log::{Counters, LogEntry};
+use super::direction::{Delivery, ImpairedDirection};
+use super::outages::{OutageState, Outages};
 use super::profile::LinkProfile;
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// An end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
+pub enum LinkEnd {
     /// The robot's.
     Brick,
     /// The station's.
     Station,
 }
 
-impl End {
+impl LinkEnd {
     /// The end that hears this one.
     #[must_use]
     pub const fn other(self) -> Self {
@@ -32,128 +32,132 @@ impl End {
 
 /// What happens on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LinkEvent {
+pub enum ImpairedLinkEvent {
     /// Bytes arrive.
     Arrived {
         /// Where.
-        end: End,
+        end: LinkEnd,
         /// Which, and when.
         delivery: Delivery,
     },
     /// Both directions are gone, with all that was on the way.
     Down {
         /// Since when.
-        at: Stamp<HostClock>,
+        at: Timestamp<HostClock>,
     },
     /// Both directions are back.
     Up {
         /// Since when.
-        at: Stamp<HostClock>,
+        at: Timestamp<HostClock>,
     },
 }
 
-/// Both directions of a link, as a value; used like an [`Impairment`].
+/// Both directions of a link, as a value; used like an [`ImpairedDirection`].
 #[derive(Clone, Debug)]
 pub struct ImpairedLink {
-    to_station: Impairment,
-    to_brick: Impairment,
+    to_station: ImpairedDirection,
+    to_brick: ImpairedDirection,
     outages: Option<Outages>,
-    events: VecDeque<LinkEvent>,
+    events: VecDeque<ImpairedLinkEvent>,
 }
 
 impl ImpairedLink {
     /// A link that is up at `now`.
     #[must_use]
-    pub fn new(profile: &LinkProfile, seed: u64, now: Stamp<HostClock>) -> Self {
-        let outages = |settings| Outages::new(settings, Stream::new(seed, "link outages"), now);
+    pub fn new(profile: &LinkProfile, seed: u64, now: Timestamp<HostClock>) -> Self {
+        let outages = |settings| Outages::new(settings, RandomStream::new(seed, "link outages"), now);
         Self {
-            to_station: Impairment::new(&profile.to_station, profile.kind, seed, "to station"),
-            to_brick: Impairment::new(&profile.to_brick, profile.kind, seed, "to brick"),
+            to_station: ImpairedDirection::new(&profile.to_station, profile.kind, seed, "to station"),
+            to_brick: ImpairedDirection::new(&profile.to_brick, profile.kind, seed, "to brick"),
             outages: profile.disconnects.map(outages),
             events: VecDeque::new(),
         }
     }
 
-    /// Offers a unit that the end `from` sends at `now`; see [`Impairment::offer`].
-    pub fn offer(&mut self, from: End, now: Stamp<HostClock>, bytes: &[u8]) -> u64 {
-        self.pass_to(now);
-        self.towards(from.other()).offer(now, bytes)
+    /// Offers a unit that the end `from` sends at `now`; see [`ImpairedDirection::offer`].
+    pub fn offer(&mut self, from: LinkEnd, now: Timestamp<HostClock>, bytes: &[u8]) -> u64 {
+        self.advance_to(now);
+        self.direction_mut(from.other()).offer(now, bytes)
     }
 
     /// The next thing that has happened by `now`, in the order of time.
-    pub fn poll(&mut self, now: Stamp<HostClock>) -> Option<LinkEvent> {
-        self.pass_to(now);
+    pub fn poll(&mut self, now: Timestamp<HostClock>) -> Option<ImpairedLinkEvent> {
+        self.advance_to(now);
         self.events.pop_front()
     }
 
     /// When the next thing happens, if nothing else is offered.
     #[must_use]
-    pub fn deadline(&self) -> Option<Stamp<HostClock>> {
+    pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let told = self.events.front().map(|event| match event {
-            LinkEvent::Arrived { delivery, .. } => delivery.at,
-            LinkEvent::Down { at } | LinkEvent::Up { at } => *at,
+            ImpairedLinkEvent::Arrived { delivery, .. } => delivery.at,
+            ImpairedLinkEvent::Down { at } | ImpairedLinkEvent::Up { at } => *at,
         });
         told.or_else(|| self.next().map(|(at, _)| at))
     }
 
     /// Counts of the direction that ends at `end`.
     #[must_use]
-    pub const fn counters(&self, end: End) -> Counters {
+    pub const fn counters(&self, end: LinkEnd) -> Counters {
         match end {
-            End::Station => self.to_station.counters(),
-            End::Brick => self.to_brick.counters(),
+            LinkEnd::Station => self.to_station.counters(),
+            LinkEnd::Brick => self.to_brick.counters(),
         }
     }
 
-    /// The log of the direction that ends at `end`; see [`Impairment::take_log`].
-    pub fn take_log(&mut self, end: End) -> Vec<LogEntry> {
-        self.towards(end).take_log()
+    /// The log of the direction that ends at `end`; see [`ImpairedDirection::take_log`].
+    pub fn take_log(&mut self, end: LinkEnd) -> Vec<LogEntry> {
+        self.direction_mut(end).take_log()
     }
 
-    const fn towards(&mut self, end: End) -> &mut Impairment {
+    const fn direction_mut(&mut self, end: LinkEnd) -> &mut ImpairedDirection {
         match end {
-            End::Station => &mut self.to_station,
-            End::Brick => &mut self.to_brick,
+            LinkEnd::Station => &mut self.to_station,
+            LinkEnd::Brick => &mut self.to_brick,
         }
     }
 
     /// What happens next, and when. What arrives at the very instant of an outage has arrived.
-    fn next(&self) -> Option<(Stamp<HostClock>, Next)> {
-        let arrival = |end, deadline: Option<Stamp<HostClock>>| deadline.map(|at| (at, Next::Arrival(end)));
-        let outage = self.outages.as_ref().map(|outages| (outages.changes_at(), Next::Outage));
-        [arrival(End::Station, self.to_station.deadline()), arrival(End::Brick, self.to_brick.deadline()), outage]
-            .into_iter()
-            .flatten()
-            .min_by_key(|(at, _)| *at)
+    fn next(&self) -> Option<(Timestamp<HostClock>, NextChange)> {
+        let arrival = |end, deadline: Option<Timestamp<HostClock>>| deadline.map(|at| (at, NextChange::Arrival(end)));
+        let outage = self.outages.as_ref().map(|outages| (outages.changes_at(), NextChange::Outage));
+        [
+            arrival(LinkEnd::Station, self.to_station.deadline()),
+            arrival(LinkEnd::Brick, self.to_brick.deadline()),
+            outage,
+        ]
+        .into_iter()
+        .flatten()
+        .min_by_key(|(at, _)| *at)
     }
 
-    fn pass_to(&mut self, now: Stamp<HostClock>) {
+    fn advance_to(&mut self, now: Timestamp<HostClock>) {
         while let Some((at, next)) = self.next().filter(|(at, _)| *at <= now) {
             match next {
-                Next::Arrival(end) => {
-                    let delivery = self.towards(end).poll(at);
-                    let event = delivery.map(|delivery| LinkEvent::Arrived { end, delivery });
+                NextChange::Arrival(end) => {
+                    let delivery = self.direction_mut(end).poll(at);
+                    let event = delivery.map(|delivery| ImpairedLinkEvent::Arrived { end, delivery });
                     self.events.extend(event);
                 }
-                Next::Outage => self.change(at),
+                NextChange::Outage => self.toggle_outage(at),
             }
         }
     }
 
-    fn change(&mut self, at: Stamp<HostClock>) {
+    fn toggle_outage(&mut self, at: Timestamp<HostClock>) {
         let Some(outages) = &mut self.outages else {
             return;
         };
-        let event = match outages.change() {
-            Presence::Down => {
-                self.to_station.cut(at);
-                self.to_brick.cut(at);
-                LinkEvent::Down { at }
+        let event = match outages.toggle() {
+            OutageState::Down => {
+                self.to_station.disconnect(at);
+                self.to_brick.disconnect(at);
+                ImpairedLinkEvent::Down { at }
             }
-            Presence::Up => {
-                self.to_station.restore(at);
-                self.to_brick.restore(at);
-                LinkEvent::Up { at }
+            OutageState::Up => {
+                self.to_station.reconnect(at);
+                self.to_brick.reconnect(at);
+                ImpairedLinkEvent::Up { at }
             }
         };
         self.events.push_back(event);
@@ -162,9 +166,9 @@ impl ImpairedLink {
 
 /// What happens next on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Next {
+enum NextChange {
     /// Bytes arrive at this end.
-    Arrival(End),
+    Arrival(LinkEnd),
     /// The link goes away or comes back.
     Outage,
 }

@@ -1,47 +1,47 @@
-//! What a link does to the bytes that travel on it: it delays, gathers, cuts, loses, damages, repeats, and goes away.
+//! Link impairment: delays, batches, fragments, loses, damages and duplicates bytes, and interrupts the link.
 //!
-//! An [`Impairment`] is one direction of a link, an [`ImpairedLink`] both with their common outages. Bytes are offered with the
-//! instant at which they were sent and polled with the instant at which they arrive; there is no clock, no socket and no thread,
+//! An [`ImpairedDirection`] is one direction of a link, an [`ImpairedLink`] both with their common outages. Bytes are
+//! offered with the time of sending and polled with the time of arrival; there is no clock, no socket and no thread,
 //! and all randomness comes from one seed. The simulator drives it in virtual time, `posebridge relay` in real time. A
-//! [`LinkProfile`] says what a link is like; the bundled ones stand in [`PROFILES`].
+//! [`LinkProfile`] configures a link; the bundled ones are in [`PROFILES`].
 //!
 //! # Model
 //! ```text
 //! offered ▸ line (rate, buffer) ▸ lost whole ▸ burst loss, lost bytes ▸ bit errors ▸ delay + jitter + stall ▸ held back, repeated
 //!         ▸ slot ▸ cut ▸ delivered            an outage loses what is on the way and what is offered meanwhile
 //! ```
-//! What is offered at once is a *unit*: a datagram, or one write to a stream. A datagram is lost, repeated and overtaken whole; a
-//! stream keeps its order and loses bytes. Every stage has a sequence of random numbers of its own and draws for every unit and
-//! byte that is offered, whatever became of it before, so that a changed value shifts nothing else. A log says what became of
-//! every byte, a [`FrameLedger`] what that means for the frames.
+//! The bytes of one offer are a *unit*: a datagram, or one write to a stream. A datagram is lost, duplicated and
+//! reordered as a whole; a stream keeps its order and loses bytes. Every stage has its own random stream and draws for
+//! every offered unit and byte, whatever happened to it before, so that a changed value shifts nothing else. A log
+//! records the fate of every byte, a [`FrameLedger`] that of the frames.
 //!
 //! # Sources
 //! docs/impairment.md, with the formulas and the origin of the profiles' values.
 
-mod account;
 mod bundled;
 mod burst_loss;
-mod chances;
+mod byte_log;
 mod checks;
-mod copies;
-mod damage;
 mod delay;
 mod direction;
 mod draws;
+mod duplication;
+mod error_gaps;
 mod fragments;
-mod frames;
-mod line;
+mod frame_ledger;
 mod link;
 mod outages;
 mod profile;
+mod rate_limiter;
 mod settings;
 mod slots;
+mod unit_draws;
 
-pub use account::{Cause, Counters, Fate, LogEntry};
 pub use bundled::PROFILES;
-pub use direction::{Delivery, Impairment};
-pub use frames::{FrameCounts, FrameLedger};
-pub use link::{End, ImpairedLink, LinkEvent};
+pub use byte_log::{ByteOutcome, Counters, LogEntry, LossCause};
+pub use direction::{Delivery, ImpairedDirection};
+pub use frame_ledger::{FrameCounts, FrameLedger};
+pub use link::{ImpairedLink, ImpairedLinkEvent, LinkEnd};
 pub use profile::{LinkProfile, ProfileError};
 pub use settings::{
     BurstLoss, Delay, DirectionProfile, Disconnects, Fragment, LinkKind, PieceSizes, Rate, Reorder, Stall,

@@ -69,7 +69,7 @@ impl LinkProfile {
     /// out of its range, or of no use on this kind of link.
     pub fn from_toml(text: &str) -> Result<Self, ProfileError> {
         let read: ProfileText = toml::from_str(text).map_err(ProfileError::Toml)?;
-        if let Some((path, reason)) = fault(&read) {
+        if let Some((path, reason)) = profile_error(&read) {
             return Err(ProfileError::Misplaced { line: line_of(text, &path), key: path.join("."), reason });
         }
         let both = read.both.unwrap_or_default();
@@ -115,13 +115,13 @@ fn within(value: f64, most: f64) -> f64 {
 }
 
 /// The first key that does not go together with the others, and why.
-fn fault(read: &ProfileText) -> Option<(Vec<&'static str>, &'static str)> {
+fn profile_error(read: &ProfileText) -> Option<(Vec<&'static str>, &'static str)> {
     let directions = [("both", &read.both), ("to_station", &read.to_station), ("to_brick", &read.to_brick)];
     if read.both.is_some() && (read.to_station.is_some() || read.to_brick.is_some()) {
         return Some((vec!["both"], "says what to_station or to_brick says too; remove one of them"));
     }
     for (name, direction) in directions {
-        let found = direction.as_ref().and_then(|direction| fault_of(read.kind, direction));
+        let found = direction.as_ref().and_then(|direction| direction_error(read.kind, direction));
         if let Some((key, reason)) = found {
             return Some((vec![name, key], reason));
         }
@@ -131,7 +131,7 @@ fn fault(read: &ProfileText) -> Option<(Vec<&'static str>, &'static str)> {
         .then_some((vec!["disconnects", "down_from_s"], "is more than down_to_s; exchange them"))
 }
 
-fn fault_of(kind: LinkKind, direction: &DirectionProfile) -> Option<(&'static str, &'static str)> {
+fn direction_error(kind: LinkKind, direction: &DirectionProfile) -> Option<(&'static str, &'static str)> {
     const FOR_DATAGRAMS: &str = "is of no use on a stream, which keeps its order; remove it";
     const FOR_STREAMS: &str = "is of no use for datagrams, which stay whole; remove it";
     const REVERSED: &str = "has a from_ms of more than its to_ms; exchange them";

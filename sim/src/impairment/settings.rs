@@ -1,4 +1,4 @@
-//! What a link does in one direction, as plain numbers: the tables of a profile.
+//! The impairments of one direction of a link, as plain numbers: the tables of a profile.
 
 use serde::Deserialize;
 

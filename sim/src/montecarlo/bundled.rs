@@ -1,4 +1,4 @@
-//! The scenarios of the accuracy experiment that come with the program, in the order of its table.
+//! The bundled scenarios of the accuracy experiment, in the order of its table.
 
 macro_rules! bundled {
     ($($name:literal),* $(,)?) => {

@@ -1,9 +1,9 @@
 //! Drives for Monte-Carlo experiments: truth and sensors on a fixed grid of steps, without brick, link or clock.
 //!
-//! The [`Simulation`](crate::Simulation) speaks to a station as a robot does, byte by byte. An experiment over thousands of
-//! drives wants less and more: the observations themselves, in the order in which they arrive, the truth at each step, and
-//! a noise that is exactly what a file says. A [`Scenario`] holds every number; [`Scenario::drive`] draws one run of it. It
-//! knows no estimator: it says what a filter is [`Told`], and somebody else builds one from that.
+//! The [`Simulation`](crate::Simulation) sends bytes to a station as a robot does. An experiment over thousands of
+//! drives needs the observations themselves, in the order of arrival, the truth at each step, and exactly the noise of
+//! a file. A [`Scenario`] holds every number; [`Scenario::drive`] draws one run of it. The experiment builds a filter
+//! from its [`FilterPrior`]; this module has no estimator.
 //!
 //! # Model
 //! ```text
@@ -13,23 +13,29 @@
 //! (x, y) <- the chord of an exact arc of length (s_L + s_R) / 2 and turn dth
 //! n   standard normal, drawn anew each time
 //! ```
-//! Encoders see `dphi_i`, so they see neither slip nor kick; the gyro sees the true turn.
+//! Encoders measure `dphi_i`, without slip and kicks; the gyro measures the true turn.
 //!
-//! Every run draws from its own seed, made of the scenario's seed and the run's number; each sensor has a stream of its own
-//! ([`crate`]'s rule for all its randomness). So a run can be repeated alone, and scenarios with the same seed, path and
-//! robot share their truth, whatever their camera.
+//! Every run draws from its own seed, derived from the scenario's seed and the run's number; each sensor has its own
+//! random stream, as everywhere in [`crate`]. So a run can be repeated alone, and scenarios with the same seed, path
+//! and robot share their truth, whatever their camera.
 
 mod bundled;
 mod camera;
+mod course;
 mod drive;
+mod grid;
 mod path;
+mod plan;
+mod pose;
 mod robot;
 mod scenario;
 mod spline;
 
 pub use bundled::SCENARIOS;
-pub use drive::{Arrival, Drive, Told, WheelTurn};
+pub use course::{Course, Laps, Spline, Weave};
+pub use drive::{Arrival, Drive, FilterPrior};
+pub use robot::WheelTurn;
 pub use scenario::{
-    Accelerometer, Blackout, Camera, CameraSees, Course, Errors, Gyro, Kicks, Laps, MAX_RUNS, Motion, Nominal,
-    Outliers, Prior, Scenario, ScenarioError, Spline, ToldGeometry, Weave,
+    Accelerometer, Blackout, Camera, CameraSees, GeometryErrors, Gyro, Kicks, MAX_RUNS, MotionNoise, NominalRobot,
+    Outliers, PriorSettings, Scenario, ScenarioError, ToldGeometry,
 };

@@ -1,112 +1,75 @@
-//! What the robot is commanded to do, step by step.
+//! The plan of a drive: laps of a square, or a weave.
 
 use std::f64::consts::FRAC_PI_2;
 
 use posebridge_telemetry::quantities::wrap_rad;
 
-use super::scenario::{Course, Laps, Weave};
+use super::course::{Course, Laps, Weave};
+use super::plan::{DrivePlan, LineTracker, StepCommand};
+use super::pose::PlanarPose;
 use super::spline;
 
-/// The command of one step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Command {
-    /// Distance, in metres.
-    pub(super) forward_m: f64,
-    /// Turn, in radians.
-    pub(super) turn_rad: f64,
-    /// The line to keep to; only on a side.
-    pub(super) side: Option<Side>,
-}
-
-/// A directed line on the floor, and how hard the controller keeps to it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Side {
-    from_m: (f64, f64),
-    heading_rad: f64,
-    heading_gain: f64,
-    lateral_gain_rad_per_m: f64,
-    most_turn_rad: f64,
-}
-
-impl Side {
-    /// What the controller adds to the turn of this step.
-    pub(super) fn correction_rad(&self, (x_m, y_m, heading_rad): (f64, f64, f64)) -> f64 {
-        let (sin, cos) = self.heading_rad.sin_cos();
-        let left_of_line_m = cos * (y_m - self.from_m.1) - sin * (x_m - self.from_m.0);
-        let wanted_rad =
-            self.heading_gain * wrap_rad(self.heading_rad - heading_rad) - self.lateral_gain_rad_per_m * left_of_line_m;
-        wanted_rad.clamp(-self.most_turn_rad, self.most_turn_rad)
-    }
-}
-
-/// The commands of a whole drive, with the pose (x, y, heading) at which it begins.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Plan {
-    pub(super) start: (f64, f64, f64),
-    pub(super) commands: Vec<Command>,
-}
-
-impl Plan {
+impl DrivePlan {
     /// The plan of a course on a grid of `step_s`.
-    pub(super) fn of(course: &Course, step_s: f64) -> Self {
+    pub(super) fn new(course: &Course, step_s: f64) -> Self {
         match course {
-            Course::Laps(laps) => Self::of_laps(laps, step_s),
-            Course::Weave(weave) => Self::of_weave(weave, step_s),
+            Course::Laps(laps) => Self::from_laps(laps, step_s),
+            Course::Weave(weave) => Self::from_weave(weave, step_s),
             Course::Spline(spline) => spline::plan(spline, step_s),
         }
     }
 
-    fn of_laps(laps: &Laps, step_s: f64) -> Self {
-        let mut route = Route { laps: *laps, step_s, at_m: (0.0, 0.0), heading_rad: 0.0, commands: Vec::new() };
-        route.rest(laps.rest_s);
+    fn from_laps(laps: &Laps, step_s: f64) -> Self {
+        let mut route = LapPlanner { laps: *laps, step_s, at_m: (0.0, 0.0), heading_rad: 0.0, commands: Vec::new() };
+        route.push_rest(laps.rest_s);
         for lap in 0..laps.laps {
             // Left and right in turn, so that a wrong track width and unequal wheels do not look alike.
             let left = if lap % 2 == 0 { 1.0 } else { -1.0 };
             for _ in 0..4 {
-                route.side();
-                route.rest(laps.rest_after_side_s);
-                route.turn(left * FRAC_PI_2);
-                route.rest(laps.rest_after_turn_s);
+                route.push_side();
+                route.push_rest(laps.rest_after_side_s);
+                route.push_turn(left * FRAC_PI_2);
+                route.push_rest(laps.rest_after_turn_s);
             }
-            route.turn(left * FRAC_PI_2);
-            route.rest(laps.rest_after_lap_s);
+            route.push_turn(left * FRAC_PI_2);
+            route.push_rest(laps.rest_after_lap_s);
         }
-        Self { start: (0.0, 0.0, 0.0), commands: route.commands }
+        Self { start: PlanarPose::default(), commands: route.commands }
     }
 
-    fn of_weave(weave: &Weave, step_s: f64) -> Self {
+    fn from_weave(weave: &Weave, step_s: f64) -> Self {
         let steps = (weave.duration_s / step_s).round() as usize;
         let commands = (0..steps).map(|step| {
             let middle_s = (step as f64 + 0.5) * step_s;
             let rate = (weave.turn_pulsation_rad_per_s * middle_s).sin();
-            Command {
+            StepCommand {
                 forward_m: weave.speed_m_per_s * step_s,
                 turn_rad: weave.turn_amplitude_rad_per_s * rate * step_s,
                 side: None,
             }
         });
-        Self { start: (0.0, 0.0, 0.0), commands: commands.collect() }
+        Self { start: PlanarPose::default(), commands: commands.collect() }
     }
 }
 
 /// A plan of laps while it is made: where the robot ideally is.
-struct Route {
+struct LapPlanner {
     laps: Laps,
     step_s: f64,
     at_m: (f64, f64),
     heading_rad: f64,
-    commands: Vec<Command>,
+    commands: Vec<StepCommand>,
 }
 
-impl Route {
-    fn rest(&mut self, rest_s: f64) {
+impl LapPlanner {
+    fn push_rest(&mut self, rest_s: f64) {
         let steps = (rest_s / self.step_s).round() as usize;
-        self.commands.extend(std::iter::repeat_n(Command::default(), steps));
+        self.commands.extend(std::iter::repeat_n(StepCommand::default(), steps));
     }
 
-    fn side(&mut self) {
+    fn push_side(&mut self) {
         let laps = self.laps;
-        let side = Side {
+        let side = LineTracker {
             from_m: self.at_m,
             heading_rad: self.heading_rad,
             heading_gain: laps.heading_gain,
@@ -114,16 +77,20 @@ impl Route {
             most_turn_rad: laps.most_turn_rad,
         };
         let parts = ramped(laps.side_m, laps.speed_m_per_s * self.step_s, laps.ramp_steps);
-        self.commands.extend(parts.into_iter().map(|forward_m| Command { forward_m, turn_rad: 0.0, side: Some(side) }));
+        self.commands.extend(parts.into_iter().map(|forward_m| StepCommand {
+            forward_m,
+            turn_rad: 0.0,
+            side: Some(side),
+        }));
         let (sin, cos) = self.heading_rad.sin_cos();
         self.at_m.0 += laps.side_m * cos;
         self.at_m.1 += laps.side_m * sin;
     }
 
-    fn turn(&mut self, turn_rad: f64) {
+    fn push_turn(&mut self, turn_rad: f64) {
         let parts = ramped(turn_rad.abs(), self.laps.turn_rate_rad_per_s * self.step_s, self.laps.ramp_steps);
         let sign = turn_rad.signum();
-        self.commands.extend(parts.into_iter().map(|part| Command {
+        self.commands.extend(parts.into_iter().map(|part| StepCommand {
             forward_m: 0.0,
             turn_rad: sign * part,
             side: None,
@@ -139,21 +106,6 @@ fn ramped(amount: f64, per_step: f64, ramp_steps: u32) -> Vec<f64> {
     let share = |step: usize| ((step + 1).min(total - step) as f64 / (ramp + 1) as f64).min(1.0);
     let whole: f64 = (0..total).map(share).sum();
     (0..total).map(|step| share(step) * amount / whole).collect()
-}
-
-/// About how many steps a course takes, to be checked before anything is drawn.
-pub(super) fn steps_estimate(course: &Course, step_s: f64) -> f64 {
-    match course {
-        Course::Laps(laps) => {
-            let ramp_s = f64::from(laps.ramp_steps) * step_s;
-            let side_s = laps.side_m / laps.speed_m_per_s + ramp_s + laps.rest_after_side_s;
-            let turn_s = FRAC_PI_2 / laps.turn_rate_rad_per_s + ramp_s;
-            let lap_s = 4.0 * (side_s + turn_s + laps.rest_after_turn_s) + turn_s + laps.rest_after_lap_s;
-            (laps.rest_s + f64::from(laps.laps) * lap_s) / step_s
-        }
-        Course::Weave(weave) => weave.duration_s / step_s,
-        Course::Spline(spline) => spline::duration_estimate_s(spline) / step_s,
-    }
 }
 
 #[cfg(test)]
@@ -181,7 +133,7 @@ mod tests {
 
     #[test]
     fn left_of_the_line_the_controller_turns_right() {
-        let side = Side {
+        let side = LineTracker {
             from_m: (3.0, 0.0),
             heading_rad: FRAC_PI_2,
             heading_gain: 0.1,
@@ -189,8 +141,11 @@ mod tests {
             most_turn_rad: 0.03,
         };
         // Heading north, 0.1 m west of the line: left of it.
-        assert!((side.correction_rad((2.9, 1.0, FRAC_PI_2)) + 0.01).abs() < 1e-12);
-        assert!((side.correction_rad((3.0, 1.0, FRAC_PI_2 - 0.2)) - 0.02).abs() < 1e-12);
-        assert!((side.correction_rad((3.0, 1.0, 0.0)) - 0.03).abs() < 1e-12);
+        assert!((side.correction_rad(&PlanarPose { x_m: 2.9, y_m: 1.0, heading_rad: FRAC_PI_2 }) + 0.01).abs() < 1e-12);
+        assert!(
+            (side.correction_rad(&PlanarPose { x_m: 3.0, y_m: 1.0, heading_rad: FRAC_PI_2 - 0.2 }) - 0.02).abs()
+                < 1e-12
+        );
+        assert!((side.correction_rad(&PlanarPose { x_m: 3.0, y_m: 1.0, heading_rad: 0.0 }) - 0.03).abs() < 1e-12);
     }
 }

@@ -1,16 +1,16 @@
 //! The true robot of one run: its geometry, its motion and the sensors on board.
 
 use posebridge_telemetry::{
-    DriveGeometry, Meters, MetersPerSecondSquared, Observed, Radians, RadiansPerSecond, quantities::wrap_rad,
+    DriveGeometry, Meters, MetersPerSecondSquared, ObservationKind, Radians, RadiansPerSecond, quantities::wrap_rad,
 };
 
-use super::drive::WheelTurn;
-use super::path::Command;
-use super::scenario::{Accelerometer, Gyro, Kicks, Motion, Nominal, Scenario};
-use crate::random::Stream;
+use super::plan::StepCommand;
+use super::pose::PlanarPose;
+use super::scenario::{Accelerometer, Gyro, Kicks, MotionNoise, NominalRobot, Scenario};
+use crate::random::RandomStream;
 
 /// The nominal geometry.
-pub(super) fn nominal(robot: &Nominal) -> DriveGeometry {
+pub(super) fn nominal_geometry(robot: &NominalRobot) -> DriveGeometry {
     DriveGeometry {
         left_wheel_radius: Meters(robot.wheel_radius_m),
         right_wheel_radius: Meters(robot.wheel_radius_m),
@@ -20,8 +20,8 @@ pub(super) fn nominal(robot: &Nominal) -> DriveGeometry {
 }
 
 /// The true geometry of a run.
-pub(super) fn drawn_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
-    let mut stream = Stream::new(seed, "geometry");
+pub(super) fn draw_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
+    let mut stream = RandomStream::new(seed, "geometry");
     let errors = &scenario.errors;
     let mean = errors.radius_scale_sigma * stream.normal();
     let difference = errors.radius_difference_sigma * stream.normal();
@@ -38,18 +38,26 @@ pub(super) fn drawn_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
 /// Where the robot is, what its wheels have done, and what pushes it.
 pub(super) struct Robot {
     geometry: DriveGeometry,
-    motion: Motion,
-    /// x in m, y in m, heading in rad.
-    pub(super) pose: (f64, f64, f64),
+    motion: MotionNoise,
+    pub(super) pose: PlanarPose,
     left_rad: f64,
     right_rad: f64,
-    kicker: Option<Kicker>,
-    slip: Stream,
+    kicker: Option<KickSource>,
+    slip: RandomStream,
+}
+
+/// The rotation of both wheels over one step, as encoders without counts would tell it: free of rounding, blind to slip.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WheelTurn {
+    /// Of the left wheel, forward positive.
+    pub left: Radians,
+    /// Of the right wheel, forward positive.
+    pub right: Radians,
 }
 
 /// What one step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Moved {
+pub(super) struct RobotMotion {
     /// The true turn, in radians.
     pub(super) turn_rad: f64,
     /// Travel of the left wheel, in metres.
@@ -61,22 +69,22 @@ pub(super) struct Moved {
 }
 
 impl Robot {
-    pub(super) fn new(scenario: &Scenario, geometry: DriveGeometry, start: (f64, f64, f64), seed: u64) -> Self {
+    pub(super) fn new(scenario: &Scenario, geometry: DriveGeometry, start: PlanarPose, seed: u64) -> Self {
         Self {
             geometry,
             motion: scenario.motion,
             pose: start,
             left_rad: 0.0,
             right_rad: 0.0,
-            kicker: scenario.kicks.map(|kicks| Kicker::new(kicks, scenario.step_s, seed)),
-            slip: Stream::new(seed, "slip"),
+            kicker: scenario.kicks.map(|kicks| KickSource::new(kicks, scenario.step_s, seed)),
+            slip: RandomStream::new(seed, "slip"),
         }
     }
 
     /// Obeys a command for one step.
-    pub(super) fn advance(&mut self, command: &Command) -> Moved {
+    pub(super) fn advance(&mut self, command: &StepCommand) -> RobotMotion {
         let side = command.side.as_ref();
-        let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(self.pose));
+        let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(&self.pose));
         let track_m = self.geometry.track_width.0;
         let left_m = command.forward_m - 0.5 * commanded_rad * track_m;
         let right_m = command.forward_m + 0.5 * commanded_rad * track_m;
@@ -86,64 +94,65 @@ impl Robot {
         };
         self.left_rad += wheels.left.0;
         self.right_rad += wheels.right.0;
-        let left_m = self.slipped(left_m);
-        let right_m = self.slipped(right_m);
+        let left_m = self.draw_slip(left_m);
+        let right_m = self.draw_slip(right_m);
         let rolled_rad = (right_m - left_m) / track_m;
         let noise_rad = self.motion.turn_rad_per_sqrt_rad * rolled_rad.abs().sqrt();
-        let kick_rad = self.kicker.as_mut().filter(|_| side.is_some()).map_or(0.0, Kicker::next_rad);
-        let moved = Moved { turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad, left_m, right_m, wheels };
+        let kick_rad = self.kicker.as_mut().filter(|_| side.is_some()).map_or(0.0, KickSource::next_rad);
+        let moved =
+            RobotMotion { turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad, left_m, right_m, wheels };
         self.displace(&moved);
         moved
     }
 
-    fn slipped(&mut self, travel_m: f64) -> f64 {
+    fn draw_slip(&mut self, travel_m: f64) -> f64 {
         let sigma_m = self.motion.wheel_travel_m_per_sqrt_m * travel_m.abs().sqrt();
         travel_m + sigma_m * self.slip.normal()
     }
 
-    fn displace(&mut self, moved: &Moved) {
+    fn displace(&mut self, moved: &RobotMotion) {
         let half_rad = 0.5 * moved.turn_rad;
         // sin(x)/x; its series below a turn at which the quotient would lose digits.
         let chord = if half_rad.abs() < 1e-4 { 1.0 - half_rad * half_rad / 6.0 } else { half_rad.sin() / half_rad };
         let forward_m = chord * 0.5 * (moved.left_m + moved.right_m);
-        let (sin, cos) = (self.pose.2 + half_rad).sin_cos();
-        self.pose.0 += forward_m * cos;
-        self.pose.1 += forward_m * sin;
-        self.pose.2 = wrap_rad(self.pose.2 + moved.turn_rad);
+        let (sin, cos) = (self.pose.heading_rad + half_rad).sin_cos();
+        self.pose.x_m += forward_m * cos;
+        self.pose.y_m += forward_m * sin;
+        self.pose.heading_rad = wrap_rad(self.pose.heading_rad + moved.turn_rad);
     }
 
     /// What the encoders say: rotation since the start, floored to whole counts.
-    pub(super) fn wheel_angles(&self) -> Observed {
+    pub(super) fn wheel_angles(&self) -> ObservationKind {
         let tick_rad = self.geometry.tick.0;
         let floored = |angle_rad: f64| Radians((angle_rad / tick_rad).floor() * tick_rad);
-        Observed::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
+        ObservationKind::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
     }
 }
 
 /// Turns the robot on its sides, unseen by the encoders.
-struct Kicker {
+struct KickSource {
     kicks: Kicks,
     per_step: f64,
     left_over: u32,
     part_rad: f64,
-    stream: Stream,
+    stream: RandomStream,
 }
 
-impl Kicker {
+impl KickSource {
     fn new(kicks: Kicks, step_s: f64, seed: u64) -> Self {
         Self {
             kicks,
             per_step: kicks.probability_per_s * step_s,
             left_over: 0,
             part_rad: 0.0,
-            stream: Stream::new(seed, "kicks"),
+            stream: RandomStream::new(seed, "kicks"),
         }
     }
 
     /// The turn of this step on a side; a kick runs to its end before another can begin, on the next side if this one ends.
     fn next_rad(&mut self) -> f64 {
         if self.left_over == 0 {
-            if !self.stream.happens(self.per_step) {
+            if !self.stream.bernoulli(self.per_step) {
                 return 0.0;
             }
             let size_deg = self.stream.uniform(self.kicks.least_deg, self.kicks.most_deg);
@@ -160,31 +169,31 @@ pub(super) struct GyroSensor {
     gyro: Gyro,
     step_s: f64,
     bias_deg_per_s: f64,
-    noise: Stream,
-    walk: Stream,
+    noise: RandomStream,
+    walk: RandomStream,
 }
 
 impl GyroSensor {
     pub(super) fn new(gyro: Gyro, step_s: f64, seed: u64) -> Self {
-        let mut walk = Stream::new(seed, "gyro bias");
+        let mut walk = RandomStream::new(seed, "gyro bias");
         Self {
             gyro,
             step_s,
             bias_deg_per_s: gyro.bias_sigma_deg_per_s * walk.normal(),
-            noise: Stream::new(seed, "gyro"),
+            noise: RandomStream::new(seed, "gyro"),
             walk,
         }
     }
 
     /// What it says of a step with this true turn.
-    pub(super) fn observe(&mut self, turn_rad: f64) -> Observed {
+    pub(super) fn observe(&mut self, turn_rad: f64) -> ObservationKind {
         let rate_deg_per_s =
             turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
         self.bias_deg_per_s += self.gyro.bias_walk_deg_per_s_sqrt_s * self.step_s.sqrt() * self.walk.normal();
         let resolution = self.gyro.resolution_deg_per_s;
         let rounded =
             if resolution > 0.0 { (rate_deg_per_s / resolution).round() * resolution } else { rate_deg_per_s };
-        Observed::TurnRate(RadiansPerSecond(rounded.to_radians()))
+        ObservationKind::TurnRate(RadiansPerSecond(rounded.to_radians()))
     }
 }
 
@@ -192,8 +201,8 @@ impl GyroSensor {
 pub(super) struct Accelerometers {
     sigma_m_per_s2: f64,
     step_s: f64,
-    before: Moved,
-    noise: Stream,
+    before: RobotMotion,
+    noise: RandomStream,
 }
 
 impl Accelerometers {
@@ -201,17 +210,17 @@ impl Accelerometers {
         Self {
             sigma_m_per_s2: settings.sigma_m_per_s2,
             step_s,
-            before: Moved::default(),
-            noise: Stream::new(seed, "accelerometers"),
+            before: RobotMotion::default(),
+            noise: RandomStream::new(seed, "accelerometers"),
         }
     }
 
-    pub(super) fn observe(&mut self, moved: &Moved) -> Observed {
+    pub(super) fn observe(&mut self, moved: &RobotMotion) -> ObservationKind {
         let mut of_wheel = |now_m: f64, before_m: f64| {
             let mean = (now_m - before_m) / (self.step_s * self.step_s);
             MetersPerSecondSquared(mean + self.sigma_m_per_s2 * self.noise.normal())
         };
-        let observed = Observed::WheelAccelerations {
+        let observed = ObservationKind::WheelAccelerations {
             left: of_wheel(moved.left_m, self.before.left_m),
             right: of_wheel(moved.right_m, self.before.right_m),
         };

@@ -1,12 +1,14 @@
-//! Everything that a Monte-Carlo scenario says, as its TOML file says it.
+//! A Monte-Carlo scenario, as its TOML file says it.
 //!
 //! There are no defaults for numbers: a file is the whole experiment. Only the tables `[camera]`, `[kicks]` and
 //! `[accelerometer]` may be missing, and mean that there is none.
 
 use serde::Deserialize;
 
-use super::{SCENARIOS, drive, path, spline};
+use super::bundled::SCENARIOS;
+use super::course::Course;
 use crate::bundled::text_of;
+use crate::checks::whole;
 use crate::scenario::checks;
 
 /// Most steps of one drive; ten times the longest bundled one.
@@ -33,11 +35,11 @@ pub struct Scenario {
     /// What is driven.
     pub path: Course,
     /// The robot as its maker describes it.
-    pub robot: Nominal,
+    pub robot: NominalRobot,
     /// How far the true robot is from that.
-    pub errors: Errors,
+    pub errors: GeometryErrors,
     /// The noise of its motion.
-    pub motion: Motion,
+    pub motion: MotionNoise,
     /// The gyro.
     pub gyro: Gyro,
     /// The camera; none without it.
@@ -47,102 +49,13 @@ pub struct Scenario {
     /// Accelerometers at both wheels; none without it.
     pub accelerometer: Option<Accelerometer>,
     /// What a filter is told.
-    pub told: Prior,
-}
-
-/// What is driven.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Course {
-    /// Laps of a square with turns in place, left and right in turn, with a controller that knows the truth.
-    Laps(Laps),
-    /// A constant speed with a turn rate that swings.
-    Weave(Weave),
-    /// Splines through poses, at a trapezoidal speed.
-    Spline(Spline),
-}
-
-/// Laps of a square.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Laps {
-    /// How many.
-    #[serde(deserialize_with = "checks::laps")]
-    pub laps: u32,
-    /// Length of a side, in metres.
-    #[serde(deserialize_with = "checks::positive")]
-    pub side_m: f64,
-    /// Speed on a side, in metres per second.
-    #[serde(deserialize_with = "checks::positive")]
-    pub speed_m_per_s: f64,
-    /// Turn rate of a turn in place, in radians per second.
-    #[serde(deserialize_with = "checks::positive")]
-    pub turn_rate_rad_per_s: f64,
-    /// Steps over which the speed rises and falls at the ends of each side and turn.
-    #[serde(deserialize_with = "ramp_steps")]
-    pub ramp_steps: u32,
-    /// Rest before the first lap, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub rest_s: f64,
-    /// Rest after each side, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub rest_after_side_s: f64,
-    /// Rest after each turn, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub rest_after_turn_s: f64,
-    /// Rest after the extra turn that ends a lap, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub rest_after_lap_s: f64,
-    /// The controller on a side: turn per step for each radian of heading error.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub heading_gain: f64,
-    /// The controller on a side: turn per step for each metre beside the line, in radians.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub lateral_gain_rad_per_m: f64,
-    /// The most that the controller turns in a step, in radians.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub most_turn_rad: f64,
-}
-
-/// A constant speed with the turn rate `amplitude sin(pulsation t)`.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Weave {
-    /// How long, in seconds.
-    #[serde(deserialize_with = "checks::positive")]
-    pub duration_s: f64,
-    /// Forward speed, in metres per second.
-    #[serde(deserialize_with = "checks::positive")]
-    pub speed_m_per_s: f64,
-    /// Largest turn rate, in radians per second.
-    #[serde(deserialize_with = "checks::finite")]
-    pub turn_amplitude_rad_per_s: f64,
-    /// How fast the turn rate swings, in radians per second.
-    #[serde(deserialize_with = "checks::finite")]
-    pub turn_pulsation_rad_per_s: f64,
-}
-
-/// Quintic splines from pose to pose, driven as one way with a trapezoidal speed.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Spline {
-    /// The poses (x in m, y in m, heading in degrees), from the first to the last.
-    pub poses_m_deg: [[f64; 3]; 5],
-    /// Length of the tangents at both ends of a leg, as a multiple of the straight distance between them.
-    #[serde(deserialize_with = "checks::positive")]
-    pub tangent_scale: f64,
-    /// Largest speed, in metres per second.
-    #[serde(deserialize_with = "checks::positive")]
-    pub speed_m_per_s: f64,
-    /// Acceleration at the start and at the end, in metres per second squared.
-    #[serde(deserialize_with = "checks::positive")]
-    pub acceleration_m_per_s2: f64,
+    pub told: PriorSettings,
 }
 
 /// The robot as its maker describes it: the nominal geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Nominal {
+pub struct NominalRobot {
     /// Radius of both wheels, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
@@ -157,7 +70,7 @@ pub struct Nominal {
 /// Standard deviations of the relative errors of the geometry, drawn once per run.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Errors {
+pub struct GeometryErrors {
     /// Of the mean wheel radius.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_scale_sigma: f64,
@@ -172,7 +85,7 @@ pub struct Errors {
 /// The noise of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Motion {
+pub struct MotionNoise {
     /// Of each wheel's travel, in metres per square root of a metre.
     #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
@@ -303,7 +216,7 @@ pub enum ToldGeometry {
 /// What a filter is told besides the noise of the sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Prior {
+pub struct PriorSettings {
     /// Which geometry.
     pub geometry: ToldGeometry,
     /// Standard deviation of the error of the mean wheel radius; 0 for "take it as given".
@@ -361,26 +274,20 @@ impl Scenario {
         self
     }
 
-    /// Draws run number `run`. The same scenario and number give the same drive, bit for bit, whatever was drawn before.
-    #[must_use]
-    pub fn drive(&self, run: u32) -> super::Drive {
-        drive::draw(self, run)
-    }
-
     fn check(&self) -> Result<(), ScenarioError> {
         if let Course::Spline(spline) = &self.path {
             let is_bearable = |value: &f64| value.abs() <= checks::LARGEST;
             if !spline.poses_m_deg.iter().flatten().all(is_bearable) {
                 return Err(impossible("poses_m_deg holds a number that is not finite or too large".to_owned()));
             }
-            if let Some(leg) = spline::leg_without_length(spline) {
+            if let Some(leg) = spline.leg_without_length() {
                 return Err(impossible(format!(
                     "poses_m_deg: poses {leg} and {} stand at the same place; a spline has no direction between them",
                     leg + 1
                 )));
             }
         }
-        let steps = path::steps_estimate(&self.path, self.step_s);
+        let steps = self.path.steps_estimate(self.step_s);
         if !(1.0..=MAX_STEPS).contains(&steps) {
             return Err(impossible(format!(
                 "[path] takes {steps:.0} steps of {} s; give a path of 1 to {MAX_STEPS:.0} steps",
@@ -453,19 +360,6 @@ fn count<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Er
 /// Under a minute at any sensible step: all fixes on their way are kept.
 fn delay<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     whole(deserializer, 0, 1_000)
-}
-
-fn ramp_steps<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, 1_000)
-}
-
-fn whole<'de, D: serde::Deserializer<'de>>(deserializer: D, low: u32, high: u32) -> Result<u32, D::Error> {
-    let value = u32::deserialize(deserializer)?;
-    if (low..=high).contains(&value) {
-        Ok(value)
-    } else {
-        Err(serde::de::Error::custom(format!("{value} is outside {low} to {high}")))
-    }
 }
 
 #[cfg(test)]

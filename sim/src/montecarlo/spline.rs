@@ -1,4 +1,4 @@
-//! A way through poses by quintic splines, driven at a trapezoidal speed.
+//! A path through poses by quintic splines, driven at a trapezoidal speed.
 //!
 //! ```text
 //! p(u) = p0 h(u) + p1 (1 - h(u)) + t0 a(u) - t1 a(1 - u)        u from 0 to 1, second derivatives zero at both ends
@@ -8,14 +8,12 @@
 
 use posebridge_telemetry::quantities::wrap_rad;
 
-use super::path::{Command, Plan};
-use super::scenario::Spline;
+use super::course::{Spline, distance_m};
+use super::plan::{DrivePlan, StepCommand};
+use super::pose::PlanarPose;
 
 /// Points that stand for a leg of some metres; a millimetre apart.
 const POINTS_PER_LEG: usize = 4_000;
-
-/// Poses closer than this have no direction between them, in metres.
-const SHORTEST_LEG_M: f64 = 1e-3;
 
 /// A point of the way.
 #[derive(Clone, Copy, Debug)]
@@ -27,49 +25,28 @@ struct Waypoint {
 }
 
 /// The commands that follow a spline.
-pub(super) fn plan(spline: &Spline, step_s: f64) -> Plan {
-    let way = way(spline);
+pub(super) fn plan(spline: &Spline, step_s: f64) -> DrivePlan {
+    let way = sample_waypoints(spline);
     let length_m = way.last().map_or(0.0, |point| point.along_m);
-    let profile = Profile::new(length_m, spline);
+    let profile = SpeedProfile::new(length_m, spline);
     let steps = (profile.duration_s() / step_s).ceil() as usize;
     let mut before = (0.0, heading_at(&way, 0.0));
     let commands = (1..=steps).map(|step| {
         let along_m = profile.along_m(step as f64 * step_s);
         let after = (along_m, heading_at(&way, along_m));
-        let command = Command { forward_m: after.0 - before.0, turn_rad: after.1 - before.1, side: None };
+        let command = StepCommand { forward_m: after.0 - before.0, turn_rad: after.1 - before.1, side: None };
         before = after;
         command
     });
     let commands = commands.collect();
     let [x_m, y_m, heading_deg] = spline.poses_m_deg[0];
-    Plan { start: (x_m, y_m, wrap_rad(heading_deg.to_radians())), commands }
+    DrivePlan { start: PlanarPose { x_m, y_m, heading_rad: wrap_rad(heading_deg.to_radians()) }, commands }
 }
 
-/// About how long it takes, from the straight distances and the lengths of the tangents, in seconds.
-pub(super) fn duration_estimate_s(spline: &Spline) -> f64 {
-    let straight_m: f64 = legs(spline).map(|(from, to)| distance_m(from, to)).sum();
-    let length_m = straight_m * (1.0 + spline.tangent_scale);
-    length_m / spline.speed_m_per_s + spline.speed_m_per_s / spline.acceleration_m_per_s2
-}
-
-/// The number, from 1, of the first leg whose ends are less than a millimetre apart.
-pub(super) fn leg_without_length(spline: &Spline) -> Option<usize> {
-    let is_short = |(from, to)| distance_m(from, to) < SHORTEST_LEG_M;
-    legs(spline).position(is_short).map(|index| index + 1)
-}
-
-fn legs(spline: &Spline) -> impl Iterator<Item = ([f64; 3], [f64; 3])> + '_ {
-    spline.poses_m_deg.windows(2).map(|pair| (pair[0], pair[1]))
-}
-
-fn distance_m(from: [f64; 3], to: [f64; 3]) -> f64 {
-    (to[0] - from[0]).hypot(to[1] - from[1])
-}
-
-fn way(spline: &Spline) -> Vec<Waypoint> {
+fn sample_waypoints(spline: &Spline) -> Vec<Waypoint> {
     let first_rad = spline.poses_m_deg[0][2].to_radians();
     let mut way = vec![Waypoint { along_m: 0.0, heading_rad: wrap_rad(first_rad) }];
-    for (from, to) in legs(spline) {
+    for (from, to) in spline.legs() {
         let tangent_m = spline.tangent_scale * distance_m(from, to);
         let mut last_m = (from[0], from[1]);
         for index in 1..=POINTS_PER_LEG {
@@ -128,13 +105,13 @@ fn heading_at(way: &[Waypoint], along_m: f64) -> f64 {
 }
 
 /// The distance over time: constant acceleration, constant speed, constant deceleration to rest.
-struct Profile {
+struct SpeedProfile {
     length_m: f64,
     speed_m_per_s: f64,
     acceleration_m_per_s2: f64,
 }
 
-impl Profile {
+impl SpeedProfile {
     /// On a way that is too short for the full speed the fastest that can be reached.
     fn new(length_m: f64, spline: &Spline) -> Self {
         let reachable = (length_m * spline.acceleration_m_per_s2).sqrt();
@@ -193,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_trapezoid_covers_its_length_in_its_time() {
-        let profile = Profile { length_m: 10.0, speed_m_per_s: 2.0, acceleration_m_per_s2: 2.0 };
+        let profile = SpeedProfile { length_m: 10.0, speed_m_per_s: 2.0, acceleration_m_per_s2: 2.0 };
         // 1 s and 1 m for each ramp, 8 m at 2 m/s between them.
         assert!((profile.duration_s() - 6.0).abs() < 1e-12);
         assert!((profile.along_m(1.0) - 1.0).abs() < 1e-12);

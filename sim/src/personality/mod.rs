@@ -1,34 +1,36 @@
 //! What a simulated brick speaks: MAVLink, or what LEGO's bricks speak as they come out of the box.
 //!
-//! A [`Brick`] is the program that drives and the [`Voice`] around it. The voices of the LEGO bricks are emulations of their firmware, which
+//! A [`Brick`] is the program that drives and the [`BrickEmulation`] around it. The voices of the LEGO bricks are emulations of their firmware, which
 //! also decides whether the program runs at all, and what the motors do when it does not. They are written from the makers' documents and
 //! know nothing of the station's codecs: nobody marks their own exam.
 
 mod estimate;
 mod ev3;
+mod firmware_pass;
 mod nxt;
+mod plugged_sensors;
 mod radio;
-mod senses;
 
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{Address, Arena, BrickClock, Pose, Span, Stamp};
+use posebridge_telemetry::{Address, Arena, BrickClock, Pose, TimeDelta, Timestamp};
 
 use self::ev3::Ev3;
+use self::firmware_pass::FirmwarePass;
 use self::nxt::Nxt;
-use self::senses::Senses;
-use crate::firmware::{Program, Talk};
+use self::plugged_sensors::PluggedSensors;
+use crate::firmware::{BrickMessenger, Program};
 use crate::path::Path;
+use crate::robot_body::RobotBody;
 use crate::scenario::{Personality, Scenario, Steering};
 use crate::sensors::SensorBoard;
-use crate::wheels::Pair;
-use crate::world::Body;
+use crate::wheels::PerWheel;
 
 pub use self::ev3::beacon as ev3_beacon;
 
 /// How a brick speaks.
 #[derive(Debug)]
-enum Voice {
-    Mavlink(Box<Talk>),
+enum BrickEmulation {
+    Mavlink(Box<BrickMessenger>),
     Nxt(Box<Nxt>),
     Ev3(Box<Ev3>),
 }
@@ -37,93 +39,69 @@ enum Voice {
 #[derive(Debug)]
 pub(crate) struct Brick {
     program: Program,
-    senses: Senses,
-    voice: Voice,
+    senses: PluggedSensors,
+    emulation: BrickEmulation,
     /// What the motors run on.
-    duty: Pair<f64>,
+    duty: PerWheel<f64>,
     /// How often the program is stopped and started, and when next, by the world's time.
-    program_restarts: Option<(Span, Span)>,
-}
-
-/// One pass of a brick's firmware, and everything that it can reach then.
-struct Moment<'a> {
-    /// Time since the beginning of the world, as a part on the board would count it.
-    world: Span,
-    /// The brick's clock.
-    now: Stamp<BrickClock>,
-    board: &'a mut SensorBoard,
-    senses: &'a Senses,
-    battery_v: f64,
-    program: &'a mut Program,
-}
-
-impl Moment<'_> {
-    /// What the encoders have counted since power-up.
-    fn counts(&self) -> Pair<i64> {
-        self.board.counts()
-    }
-
-    /// The brick's clock in its register of milliseconds.
-    const fn tick_ms(&self) -> u32 {
-        (self.now.as_micros() / 1_000) as u32
-    }
+    program_restarts: Option<(TimeDelta, TimeDelta)>,
 }
 
 /// When something happens to a brick: by the world's time, and by its own clock.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct When {
+pub(crate) struct BrickTime {
     /// Time since the beginning of the world.
-    pub(crate) world: Span,
+    pub(crate) sim_time: TimeDelta,
     /// The brick's clock.
-    pub(crate) now: Stamp<BrickClock>,
+    pub(crate) now: Timestamp<BrickClock>,
 }
 
 impl Brick {
     /// A brick that is switched on at `now` with the robot at the beginning of `path`.
-    pub(crate) fn new(scenario: &Scenario, path: Path, now: Stamp<BrickClock>) -> Self {
-        let voice = match scenario.brick.personality {
-            Personality::Mavlink => Voice::Mavlink(Box::new(Talk::new(scenario, now))),
-            Personality::Nxt | Personality::NxtPush => Voice::Nxt(Box::new(Nxt::new(scenario, now))),
-            Personality::Ev3 => Voice::Ev3(Box::new(Ev3::new(scenario))),
+    pub(crate) fn new(scenario: &Scenario, path: Path, now: Timestamp<BrickClock>) -> Self {
+        let emulation = match scenario.brick.personality {
+            Personality::Mavlink => BrickEmulation::Mavlink(Box::new(BrickMessenger::new(scenario, now))),
+            Personality::Nxt | Personality::NxtPush => BrickEmulation::Nxt(Box::new(Nxt::new(scenario, now))),
+            Personality::Ev3 => BrickEmulation::Ev3(Box::new(Ev3::new(scenario))),
         };
         Self {
             program: Program::new(scenario, path, now),
-            senses: Senses::new(scenario),
-            voice,
-            duty: Pair::default(),
+            senses: PluggedSensors::new(scenario),
+            emulation,
+            duty: PerWheel::default(),
             program_restarts: scenario.brick.program_restart_s.map(|period_s| {
-                let period = Span::from_secs_f64(period_s);
+                let period = TimeDelta::from_secs_f64(period_s);
                 (period, period)
             }),
         }
     }
 
     /// One pass; returns the duty of both motors.
-    pub(crate) fn step(&mut self, when: When, board: &mut SensorBoard, body: &Body) -> Pair<f64> {
-        if let Voice::Mavlink(talk) = &mut self.voice {
+    pub(crate) fn step(&mut self, when: BrickTime, board: &mut SensorBoard, body: &RobotBody) -> PerWheel<f64> {
+        if let BrickEmulation::Mavlink(talk) = &mut self.emulation {
             self.duty = self.program.step(when.now, board.counts());
             talk.step(when.now, board);
             return self.duty;
         }
         self.senses.step(body, 0.5 * (self.duty.left + self.duty.right));
-        let mut moment = Moment {
-            world: when.world,
+        let mut moment = FirmwarePass {
+            sim_time: when.sim_time,
             now: when.now,
             board,
             senses: &self.senses,
             battery_v: body.battery_v(),
             program: &mut self.program,
         };
-        let is_restarted = program_restarts(&mut self.program_restarts, when.world);
-        self.duty = match &mut self.voice {
-            Voice::Mavlink(_) => self.duty,
-            Voice::Nxt(nxt) => {
+        let is_restarted = program_restarts(&mut self.program_restarts, when.sim_time);
+        self.duty = match &mut self.emulation {
+            BrickEmulation::Mavlink(_) => self.duty,
+            BrickEmulation::Nxt(nxt) => {
                 if is_restarted {
                     nxt.restart_program(&mut moment);
                 }
                 nxt.step(&mut moment)
             }
-            Voice::Ev3(ev3) => {
+            BrickEmulation::Ev3(ev3) => {
                 if is_restarted {
                     ev3.restart_program(&mut moment);
                 }
@@ -136,70 +114,70 @@ impl Brick {
     /// Takes a MAVLink message, where that is spoken. If it is a usable estimate, returns the instant and the pose of which it speaks.
     pub(crate) fn handle(
         &mut self,
-        now: Stamp<BrickClock>,
+        now: Timestamp<BrickClock>,
         from: Address,
         message: &Message,
-    ) -> Option<(Stamp<BrickClock>, Pose<Arena>)> {
-        let Voice::Mavlink(talk) = &mut self.voice else {
+    ) -> Option<(Timestamp<BrickClock>, Pose<Arena>)> {
+        let BrickEmulation::Mavlink(talk) = &mut self.emulation else {
             return None;
         };
         let (stamp, pose) = talk.handle(now, from, message)?;
-        Some((self.program.take_estimate(now, stamp, pose), pose))
+        Some((self.program.apply_estimate(now, stamp, pose), pose))
     }
 
     /// Takes bytes, where no MAVLink is spoken.
-    pub(crate) fn receive(&mut self, world: Span, bytes: &[u8]) {
-        match &mut self.voice {
-            Voice::Mavlink(_) => {}
-            Voice::Nxt(nxt) => nxt.receive(world, bytes),
-            Voice::Ev3(ev3) => ev3.receive(world, bytes),
+    pub(crate) fn receive(&mut self, world: TimeDelta, bytes: &[u8]) {
+        match &mut self.emulation {
+            BrickEmulation::Mavlink(_) => {}
+            BrickEmulation::Nxt(nxt) => nxt.receive(world, bytes),
+            BrickEmulation::Ev3(ev3) => ev3.receive(world, bytes),
         }
     }
 
     /// Somebody else is at the other end of the link.
     pub(crate) fn reopen(&mut self) {
-        match &mut self.voice {
-            Voice::Mavlink(_) => {}
-            Voice::Nxt(nxt) => nxt.reopen(),
-            Voice::Ev3(ev3) => ev3.reopen(),
+        match &mut self.emulation {
+            BrickEmulation::Mavlink(_) => {}
+            BrickEmulation::Nxt(nxt) => nxt.reopen(),
+            BrickEmulation::Ev3(ev3) => ev3.reopen(),
         }
     }
 
     /// Switched off and on, the sensors with it.
-    pub(crate) fn restart(&mut self, when: When, board: &mut SensorBoard, battery_v: f64) {
-        self.duty = Pair::default();
+    pub(crate) fn restart(&mut self, when: BrickTime, board: &mut SensorBoard, battery_v: f64) {
+        self.duty = PerWheel::default();
         self.senses.restart();
         self.program.restart(when.now);
-        let mut moment = Moment {
-            world: when.world,
+        let mut moment = FirmwarePass {
+            sim_time: when.sim_time,
             now: when.now,
             board,
             senses: &self.senses,
             battery_v,
             program: &mut self.program,
         };
-        match &mut self.voice {
-            Voice::Mavlink(talk) => talk.restart(when.now, Pair::default()),
-            Voice::Nxt(nxt) => nxt.restart(&mut moment),
-            Voice::Ev3(ev3) => ev3.restart(&mut moment),
+        match &mut self.emulation {
+            BrickEmulation::Mavlink(talk) => talk.restart(when.now, PerWheel::default()),
+            BrickEmulation::Nxt(nxt) => nxt.restart(&mut moment),
+            BrickEmulation::Ev3(ev3) => ev3.restart(&mut moment),
         }
     }
 
     /// The bytes that go to the station next: whole frames, or one telegram.
-    pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
-        match &mut self.voice {
-            Voice::Mavlink(talk) => talk.take(),
-            Voice::Nxt(nxt) => nxt.take(),
-            Voice::Ev3(ev3) => ev3.take(),
+    pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
+        match &mut self.emulation {
+            BrickEmulation::Mavlink(talk) => talk.next_bytes(),
+            BrickEmulation::Nxt(nxt) => nxt.next_bytes(),
+            BrickEmulation::Ev3(ev3) => ev3.next_bytes(),
         }
     }
 
     /// The estimates that the program took since it was asked last, where no MAVLink is spoken.
-    pub(crate) fn take_estimates(&mut self) -> Vec<(Stamp<BrickClock>, Pose<Arena>)> {
-        match &mut self.voice {
-            Voice::Mavlink(_) => Vec::new(),
-            Voice::Nxt(nxt) => nxt.take_estimates(),
-            Voice::Ev3(ev3) => ev3.take_estimates(),
+    pub(crate) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
+        match &mut self.emulation {
+            BrickEmulation::Mavlink(_) => Vec::new(),
+            BrickEmulation::Nxt(nxt) => nxt.take_estimates(),
+            BrickEmulation::Ev3(ev3) => ev3.take_estimates(),
         }
     }
 
@@ -219,12 +197,12 @@ impl Brick {
     }
 
     /// Where the program believes the robot to be.
-    pub(crate) fn belief(&self) -> Pose<Arena> {
-        self.program.belief()
+    pub(crate) fn estimated_pose(&self) -> Pose<Arena> {
+        self.program.estimated_pose()
     }
 
     /// What the program steers by at this moment.
-    pub(crate) fn steering(&self, now: Stamp<BrickClock>) -> Steering {
+    pub(crate) fn steering(&self, now: Timestamp<BrickClock>) -> Steering {
         self.program.steering(now)
     }
 
@@ -245,7 +223,7 @@ impl Brick {
 }
 
 /// Whether the program begins anew now; then also the next time is set.
-fn program_restarts(restarts: &mut Option<(Span, Span)>, world: Span) -> bool {
+fn program_restarts(restarts: &mut Option<(TimeDelta, TimeDelta)>, world: TimeDelta) -> bool {
     let Some((period, next)) = restarts else {
         return false;
     };

@@ -10,13 +10,13 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 /// How a radio is built.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RadioSettings {
     /// Time from receiving to sending.
-    pub(super) turn_around: Span,
+    pub(super) turn_around: TimeDelta,
     /// Time of a byte, in seconds.
     pub(super) byte_s: f64,
     /// Telegrams that it holds, the one on the air included.
@@ -25,9 +25,9 @@ pub(super) struct RadioSettings {
 
 /// What is being sent, and when it has been.
 #[derive(Clone, Debug)]
-struct OnAir {
+struct RadioTransmission {
     bytes: Vec<u8>,
-    done: Span,
+    done: TimeDelta,
 }
 
 /// See the module.
@@ -36,7 +36,7 @@ pub(super) struct Radio {
     settings: RadioSettings,
     /// Something was received since it turned to sending.
     must_turn: bool,
-    on_air: Option<OnAir>,
+    on_air: Option<RadioTransmission>,
     queued: VecDeque<Vec<u8>>,
 }
 
@@ -69,14 +69,14 @@ impl Radio {
     }
 
     /// What has gone over the air at `now`, the time since the beginning of the world.
-    pub(super) fn step(&mut self, now: Span) -> Option<Vec<u8>> {
+    pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         if self.on_air.is_none()
             && let Some(bytes) = self.queued.pop_front()
         {
-            let turn = if std::mem::take(&mut self.must_turn) { self.settings.turn_around } else { Span::ZERO };
-            let sending = Span::from_secs_f64(bytes.len() as f64 * self.settings.byte_s);
+            let turn = if std::mem::take(&mut self.must_turn) { self.settings.turn_around } else { TimeDelta::ZERO };
+            let sending = TimeDelta::from_secs_f64(bytes.len() as f64 * self.settings.byte_s);
             let done = now + turn + sending;
-            self.on_air = Some(OnAir { bytes, done });
+            self.on_air = Some(RadioTransmission { bytes, done });
         }
         let sent = self.on_air.take_if(|on_air| on_air.done <= now)?;
         Some(sent.bytes)
@@ -89,9 +89,9 @@ mod tests {
 
     #[test]
     fn the_first_telegram_waits_for_the_turn_the_second_does_not_and_the_third_is_lost() {
-        let mut radio = Radio::new(RadioSettings { turn_around: Span::from_millis(30), byte_s: 1e-3, buffers: 2 });
+        let mut radio = Radio::new(RadioSettings { turn_around: TimeDelta::from_millis(30), byte_s: 1e-3, buffers: 2 });
         let sent_at = |radio: &mut Radio| -> Vec<(i64, Vec<u8>)> {
-            let pass = |at: i64| Some((at, radio.step(Span::from_millis(at))?));
+            let pass = |at: i64| Some((at, radio.step(TimeDelta::from_millis(at))?));
             (0..100).filter_map(pass).collect()
         };
         for number in 1..=3 {

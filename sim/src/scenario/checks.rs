@@ -12,6 +12,15 @@ pub(crate) const LARGEST: f64 = 1e6;
 /// Smallest size of anything that must not be zero.
 const SMALLEST: f64 = 1e-6;
 
+/// Most laps of one run; keeps the list of manoeuvres small.
+pub(super) const MAX_LAPS: u32 = 10_000;
+/// A path needs two points.
+const MIN_WAYPOINTS: usize = 2;
+/// Most way-points; keeps the list of manoeuvres small.
+pub(super) const MAX_WAYPOINTS: usize = 10_000;
+/// Way-points closer than this have no direction between them, in metres.
+const MIN_SPACING_M: f64 = 1e-3;
+
 /// Anything finite.
 pub(crate) fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, -LARGEST, LARGEST)
@@ -50,10 +59,10 @@ pub(super) fn rate_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64,
 /// A number of laps.
 pub(crate) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     let laps = u32::deserialize(deserializer)?;
-    if (1..=super::course::MAX_LAPS).contains(&laps) {
+    if (1..=MAX_LAPS).contains(&laps) {
         Ok(laps)
     } else {
-        Err(D::Error::custom(format!("{laps} laps are outside 1 to {}", super::course::MAX_LAPS)))
+        Err(D::Error::custom(format!("{laps} laps are outside 1 to {MAX_LAPS}")))
     }
 }
 
@@ -105,8 +114,33 @@ pub(super) fn telegram_bytes<'de, D: Deserializer<'de>>(deserializer: D) -> Resu
 /// A list of way-points.
 pub(super) fn waypoints<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<[f64; 2]>::deserialize(deserializer)?;
-    match super::waypoints::fault(&points) {
+    match waypoint_error(&points) {
         None => Ok(points),
         Some((_, reason)) => Err(D::Error::custom(reason)),
     }
+}
+
+/// The error in a list of way-points: the index of the first bad one, or the length if one is missing, and the reason.
+pub(super) fn waypoint_error(points: &[[f64; 2]]) -> Option<(usize, String)> {
+    let count = points.len();
+    if count < MIN_WAYPOINTS {
+        let reason = format!("the number of way-points is {count}; give {MIN_WAYPOINTS} to {MAX_WAYPOINTS}");
+        return Some((count, reason));
+    }
+    if count > MAX_WAYPOINTS {
+        let reason = format!("there are more than {MAX_WAYPOINTS} way-points; give {MIN_WAYPOINTS} to {MAX_WAYPOINTS}");
+        return Some((MAX_WAYPOINTS, reason));
+    }
+    points.iter().enumerate().find_map(|(index, &[x_m, y_m])| {
+        let largest = LARGEST;
+        // A NaN is within nothing.
+        if !(x_m.abs() <= largest && y_m.abs() <= largest) {
+            let reason = format!("way-point ({x_m}, {y_m}) is not within {largest} m of zero");
+            return Some((index, reason));
+        }
+        let [last_x_m, last_y_m] = *points.get(index.checked_sub(1)?)?;
+        let is_close = (x_m - last_x_m).hypot(y_m - last_y_m) < MIN_SPACING_M;
+        let reason = || format!("way-point ({x_m}, {y_m}) is less than 1 mm from the one before; remove one");
+        is_close.then(|| (index, reason()))
+    })
 }

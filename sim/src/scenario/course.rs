@@ -5,9 +5,6 @@ use serde::Deserialize;
 
 use super::checks;
 
-/// Most laps of one run; keeps the list of manoeuvres small.
-pub(super) const MAX_LAPS: u32 = 10_000;
-
 /// The shape of the path. It begins at its own origin and leaves along x; [`StartPose`] puts it into the arena.
 /// Way-points are an exception: they are taken as they are, relative to the start pose.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

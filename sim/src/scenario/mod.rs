@@ -6,14 +6,15 @@
 mod bundled;
 pub(crate) mod checks;
 mod course;
-mod observers;
+mod error;
 mod personality;
 mod robot;
+mod sensors;
 mod thermometer;
 mod waypoints;
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 use serde::Deserialize;
@@ -22,9 +23,10 @@ use crate::bundled::text_of;
 
 pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveEnd, DriveSettings, StartPose};
-pub use observers::{AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings};
+pub use error::ScenarioError;
 pub use personality::{BrickProgram, Personality, PortSensor};
 pub use robot::{BrickSettings, ErrorSettings, MissingSensor, MotorSettings, RobotSettings, Wire};
+pub use sensors::{AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings};
 pub use thermometer::ThermometerSettings;
 
 /// What the brick steers by.
@@ -89,7 +91,7 @@ impl Scenario {
         text: &str,
         read: &mut dyn FnMut(&Path) -> io::Result<String>,
     ) -> Result<Self, ScenarioError> {
-        waypoints::scenario_from(text, read)
+        waypoints::parse_with_file(text, read)
     }
 
     /// The bundled scenario of this name, if there is one.
@@ -126,7 +128,7 @@ impl Scenario {
     /// The same scenario over another number of laps; at least one.
     #[must_use]
     pub fn with_laps(mut self, laps: u32) -> Self {
-        self.drive.laps = laps.clamp(1, course::MAX_LAPS);
+        self.drive.laps = laps.clamp(1, checks::MAX_LAPS);
         self
     }
 
@@ -173,51 +175,6 @@ pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
 /// Why a scenario without files beside it cannot have one.
 const TEXT_ALONE: &str = "this scenario is read without files beside it; write the points into points_m";
-
-/// Why a scenario cannot be had. Lines count from 1.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ScenarioError {
-    /// The text is not TOML, a key is unknown, or a value does not fit; the message shows the line and the key.
-    #[error("scenario is not usable: {0}")]
-    Toml(toml::de::Error),
-    /// `[path.waypoints]` does not say, or says twice, where its points are.
-    #[error("scenario is not usable: line {line}: {reason}")]
-    Waypoints {
-        /// Line of the scenario.
-        line: usize,
-        /// What is wrong and what to do.
-        reason: &'static str,
-    },
-    /// The file of way-points could not be read.
-    #[error("scenario is not usable: line {line}: way-points in {} cannot be read: {source}", file.display())]
-    WaypointsUnread {
-        /// Line of the scenario that names the file.
-        line: usize,
-        /// The file, as the scenario names it.
-        file: PathBuf,
-        /// What the reader said.
-        source: io::Error,
-    },
-    /// A line in the file of way-points does not fit.
-    #[error("way-points are not usable: {}, line {line}: {reason}", file.display())]
-    WaypointsFile {
-        /// The file, as the scenario names it.
-        file: PathBuf,
-        /// Line of that file; its last one if way-points are missing.
-        line: usize,
-        /// What is wrong and what to do.
-        reason: String,
-    },
-    /// No bundled scenario is called like this.
-    #[error("no bundled scenario is called \"{name}\"; there are {known}")]
-    UnknownName {
-        /// The name that was asked for.
-        name: String,
-        /// The names that exist, joined by commas.
-        known: String,
-    },
-}
 
 #[cfg(test)]
 mod tests {

@@ -1,6 +1,6 @@
 //! The robot as its brick believes it to be, how the real one differs, and the brick itself.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use serde::Deserialize;
 
 use super::checks;
@@ -241,9 +241,9 @@ impl Default for BrickSettings {
 
 impl BrickSettings {
     /// From the last byte of a request to the first of its answer, at least.
-    pub(crate) fn turn_around(&self) -> Span {
+    pub(crate) fn turn_around(&self) -> TimeDelta {
         let usual_ms = self.personality.turn_around_ms();
-        Span::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
+        TimeDelta::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
     }
 
     /// The clock alone.

@@ -10,25 +10,21 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
 
-use super::{Scenario, ScenarioError, checks};
+use super::checks::{MAX_WAYPOINTS, waypoint_error};
+use super::error::ScenarioError;
 
-/// A path needs two points; the most keeps the list of manoeuvres small.
-const FEWEST: usize = 2;
-const MOST: usize = 10_000;
-/// Way-points closer than this have no direction between them, in metres.
-const CLOSEST_M: f64 = 1e-3;
 /// The names of the columns, which may stand in the first line.
 const HEADER: [&str; 2] = ["x_m", "y_m"];
 
-/// Reads a scenario and, through `read`, the file of way-points that it may name.
-pub(super) fn scenario_from(
+/// Parses a scenario and, through `read`, the file of way-points that it may name.
+pub(super) fn parse_with_file<T: DeserializeOwned>(
     text: &str,
     read: &mut dyn FnMut(&Path) -> io::Result<String>,
-) -> Result<Scenario, ScenarioError> {
+) -> Result<T, ScenarioError> {
     let points_text;
     let mut table = DeTable::parse(text).map_err(ScenarioError::Toml)?;
     if let Some((file, line)) = named_file(text, table.get_mut())? {
@@ -41,7 +37,7 @@ pub(super) fn scenario_from(
             waypoints.insert(Spanned::new(0..0, "points_m".into()), value);
         }
     }
-    Scenario::deserialize(Deserializer::from(table)).map_err(|mut error| {
+    T::deserialize(Deserializer::from(table)).map_err(|mut error| {
         error.set_input(Some(text));
         ScenarioError::Toml(error)
     })
@@ -115,11 +111,11 @@ fn from_csv(text: &str) -> Result<Vec<[f64; 2]>, (usize, String)> {
         }
         points.push(point(content).map_err(|reason| (index + 1, reason))?);
         lines.push(index + 1);
-        if points.len() > MOST {
+        if points.len() > MAX_WAYPOINTS {
             break;
         }
     }
-    match fault(&points) {
+    match waypoint_error(&points) {
         None => Ok(points),
         Some((index, reason)) => {
             let last = text.lines().count().max(1);
@@ -141,35 +137,10 @@ fn number(field: &str) -> Result<f64, String> {
     field.parse().map_err(|_error| format!("{field:?} is no number; {expected}"))
 }
 
-/// What is wrong with a list of way-points: the index of the first bad one, or the length if one is missing, and why.
-pub(super) fn fault(points: &[[f64; 2]]) -> Option<(usize, String)> {
-    let count = points.len();
-    if count < FEWEST {
-        let reason = format!("the number of way-points is {count}; give {FEWEST} to {MOST}");
-        return Some((count, reason));
-    }
-    if count > MOST {
-        let reason = format!("there are more than {MOST} way-points; give {FEWEST} to {MOST}");
-        return Some((MOST, reason));
-    }
-    points.iter().enumerate().find_map(|(index, &[x_m, y_m])| {
-        let largest = checks::LARGEST;
-        // A NaN is within nothing.
-        if !(x_m.abs() <= largest && y_m.abs() <= largest) {
-            let reason = format!("way-point ({x_m}, {y_m}) is not within {largest} m of zero");
-            return Some((index, reason));
-        }
-        let [last_x_m, last_y_m] = *points.get(index.checked_sub(1)?)?;
-        let is_close = (x_m - last_x_m).hypot(y_m - last_y_m) < CLOSEST_M;
-        let reason = || format!("way-point ({x_m}, {y_m}) is less than 1 mm from the one before; remove one");
-        is_close.then(|| (index, reason()))
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::Course;
+    use crate::scenario::{Course, Scenario};
 
     const SCENARIO: &str = "seed = 3\n[path.waypoints]\nfile = \"lap/points.csv\"\n";
 
@@ -204,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_wrong_file_is_refused_by_name_and_line() {
-        let most = "0,0\n1,0\n".repeat(MOST / 2 + 1);
+        let most = "0,0\n1,0\n".repeat(MAX_WAYPOINTS / 2 + 1);
         for (file, line, reason) in [
             ("", 1, "number of way-points is 0"),
             ("x_m,y_m\n# nothing\n1,2\n", 3, "number of way-points is 1"),

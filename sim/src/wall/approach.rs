@@ -1,43 +1,34 @@
-//! The way to the wall with everything on board.
+//! The approach with the estimator on board.
 
-use super::car::{Car, Ticks};
-use super::pid::{Gains, Pid};
-use super::ranger::{Ranger, Reading};
-use super::scene::WallScene;
-
-/// What somebody believes of the distance.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Believed {
-    /// To the wall, in metres.
-    pub distance_m: f64,
-    /// Speed towards it, in m/s.
-    pub towards_m_per_s: f64,
-}
+use super::car::{Car, ControlPeriods};
+use super::pid::Pid;
+use super::ranger::{RangeEstimate, RangeReading, Ranger};
+use super::scene::{Gains, WallScene};
 
 /// Makes a distance out of readings and commands. All times are the brick's, in seconds.
 pub trait DistanceEstimator {
     /// Takes a reading.
-    fn reading(&mut self, reading: Reading);
+    fn on_reading(&mut self, reading: RangeReading);
     /// Takes the PWM that holds from an instant on.
-    fn command(&mut self, at_s: f64, pwm: f64);
+    fn on_command(&mut self, at_s: f64, pwm: f64);
     /// What it believes of an instant not before the last one that it was told of; `None` before it knows anything.
-    fn believed(&mut self, at_s: f64) -> Option<Believed>;
+    fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate>;
 }
 
 /// How an approach is driven; the scene says the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Task {
+pub struct ApproachTask {
     /// The controller's gains.
     pub gains: Gains,
     /// Largest PWM, either way.
-    pub most_pwm: f64,
+    pub max_pwm: f64,
     /// Which run of the scene's seed.
     pub run: u32,
 }
 
 /// A turn of the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
+pub struct ApproachSample {
     /// When, in the brick's seconds.
     pub at_s: f64,
     /// The true distance, in metres.
@@ -45,7 +36,7 @@ pub struct Moment {
     /// The true speed towards the wall, in m/s.
     pub towards_m_per_s: f64,
     /// What was believed.
-    pub believed: Option<Believed>,
+    pub estimate: Option<RangeEstimate>,
     /// The PWM from then on.
     pub pwm: f64,
 }
@@ -54,16 +45,16 @@ pub struct Moment {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Approach {
     /// Every turn of the loop; the last is the one at which the car stood, if it did.
-    pub moments: Vec<Moment>,
+    pub samples: Vec<ApproachSample>,
     /// What the sensor said.
-    pub readings: Vec<Reading>,
+    pub readings: Vec<RangeReading>,
     /// True distance and time at which the car first stood after it had driven; `None` if it did not.
-    pub stop: Option<Stop>,
+    pub stop: Option<StopPoint>,
 }
 
 /// Where and when a car came to a stand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stop {
+pub struct StopPoint {
     /// When, in the brick's seconds.
     pub at_s: f64,
     /// How far from the wall, in metres; 0 is a crash.
@@ -71,43 +62,43 @@ pub struct Stop {
 }
 
 /// Drives up to the wall by what the estimator believes.
-pub fn approach(scene: &WallScene, task: &Task, estimator: &mut dyn DistanceEstimator) -> Approach {
-    drive(scene, task, &mut OnBoard(estimator))
+pub fn approach(scene: &WallScene, task: &ApproachTask, estimator: &mut dyn DistanceEstimator) -> Approach {
+    drive(scene, task, &mut OnboardLoop(estimator))
 }
 
 /// What the loop asks at each turn.
-pub(super) trait Brain {
+pub(super) trait ControlLoop {
     /// Told the reading of this turn, if there is one, gives what is believed now.
-    fn turn(&mut self, at_s: f64, reading: Option<Reading>) -> Option<Believed>;
+    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate>;
     /// Told the PWM from this turn on.
-    fn steered(&mut self, at_s: f64, pwm: f64);
+    fn on_command(&mut self, at_s: f64, pwm: f64);
 }
 
-struct OnBoard<'a>(&'a mut dyn DistanceEstimator);
+struct OnboardLoop<'a>(&'a mut dyn DistanceEstimator);
 
-impl Brain for OnBoard<'_> {
-    fn turn(&mut self, at_s: f64, reading: Option<Reading>) -> Option<Believed> {
+impl ControlLoop for OnboardLoop<'_> {
+    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate> {
         if let Some(reading) = reading {
-            self.0.reading(reading);
+            self.0.on_reading(reading);
         }
-        self.0.believed(at_s)
+        self.0.estimate_at(at_s)
     }
 
-    fn steered(&mut self, at_s: f64, pwm: f64) {
-        self.0.command(at_s, pwm);
+    fn on_command(&mut self, at_s: f64, pwm: f64) {
+        self.0.on_command(at_s, pwm);
     }
 }
 
 /// The loop on board.
-pub(super) fn drive(scene: &WallScene, task: &Task, brain: &mut dyn Brain) -> Approach {
+pub(super) fn drive(scene: &WallScene, task: &ApproachTask, brain: &mut dyn ControlLoop) -> Approach {
     let settings = &scene.approach;
     let mut car = Car::new(&scene.car, settings.start_m);
-    let mut ticks = Ticks::new(scene.control, scene.seed, task.run);
+    let mut ticks = ControlPeriods::new(scene.control, scene.seed, task.run);
     let mut ranger = Ranger::new(scene.ranger, scene.seed, task.run);
     let mut pid = Pid {
         gains: task.gains,
         target_m: settings.target_m,
-        most_pwm: task.most_pwm,
+        max_pwm: task.max_pwm,
         integral_most_m_s: settings.integral_most_m_s,
         integral_m_s: 0.0,
     };
@@ -116,19 +107,19 @@ pub(super) fn drive(scene: &WallScene, task: &Task, brain: &mut dyn Brain) -> Ap
     while at_s < settings.longest_s && left.stop.is_none() {
         let reading = ranger.read(at_s, car.distance_m);
         left.readings.extend(reading);
-        let believed = brain.turn(at_s, reading);
+        let believed = brain.step(at_s, reading);
         let pwm = believed.map_or(0.0, |believed| pid.steer(believed, dt_s));
-        brain.steered(at_s, pwm);
-        left.moments.push(Moment {
+        brain.on_command(at_s, pwm);
+        left.samples.push(ApproachSample {
             at_s,
             distance_m: car.distance_m,
             towards_m_per_s: car.towards_m_per_s,
-            believed,
+            estimate: believed,
             pwm,
         });
         has_driven |= car.towards_m_per_s > 2.0 * settings.still_m_per_s;
         if has_driven && car.towards_m_per_s <= settings.still_m_per_s {
-            left.stop = Some(Stop { at_s, distance_m: car.distance_m });
+            left.stop = Some(StopPoint { at_s, distance_m: car.distance_m });
         }
         dt_s = ticks.next_s();
         car.drive(pwm, dt_s);
@@ -147,17 +138,17 @@ mod tests {
     struct Last(Option<f64>);
 
     impl DistanceEstimator for Last {
-        fn reading(&mut self, reading: Reading) {
+        fn on_reading(&mut self, reading: RangeReading) {
             self.0 = Some(reading.range_m);
         }
-        fn command(&mut self, _: f64, _: f64) {}
-        fn believed(&mut self, _: f64) -> Option<Believed> {
-            self.0.map(|distance_m| Believed { distance_m, towards_m_per_s: 0.0 })
+        fn on_command(&mut self, _: f64, _: f64) {}
+        fn estimate_at(&mut self, _: f64) -> Option<RangeEstimate> {
+            self.0.map(|distance_m| RangeEstimate { distance_m, towards_m_per_s: 0.0 })
         }
     }
 
-    fn task(kp_pwm_per_m: f64) -> Task {
-        Task { gains: Gains { kp_pwm_per_m, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: 0.0 }, most_pwm: 80.0, run: 3 }
+    fn task(kp_pwm_per_m: f64) -> ApproachTask {
+        ApproachTask { gains: Gains { kp_pwm_per_m, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: 0.0 }, max_pwm: 80.0, run: 3 }
     }
 
     #[test]
@@ -168,7 +159,7 @@ mod tests {
         assert!((0.27..0.36).contains(&weak_m), "{weak_m}");
         let strong = approach(&scene, &task(400.0), &mut Last::default());
         assert!(strong.stop.unwrap().distance_m < 0.2);
-        assert!(strong.moments.iter().all(|moment| moment.pwm.abs() <= 80.0));
+        assert!(strong.samples.iter().all(|moment| moment.pwm.abs() <= 80.0));
         assert_eq!(weak, approach(&scene, &task(20.0), &mut Last::default()));
     }
 
@@ -179,6 +170,6 @@ mod tests {
         scene.approach.longest_s = 1.0;
         let left = approach(&scene, &task(20.0), &mut Last::default());
         assert_eq!(left.stop, None);
-        assert!(left.moments.iter().all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0));
+        assert!(left.samples.iter().all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0));
     }
 }

@@ -1,7 +1,7 @@
 //! The drive: distance and speed under a held PWM.
 
 use super::scene::{CarSettings, ControlSettings};
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// Where the car is and how fast.
 #[derive(Clone, Debug)]
@@ -39,14 +39,14 @@ impl Car {
 
 /// When the loop turns.
 #[derive(Clone, Debug)]
-pub(super) struct Ticks {
+pub(super) struct ControlPeriods {
     settings: ControlSettings,
-    stream: Stream,
+    stream: RandomStream,
 }
 
-impl Ticks {
+impl ControlPeriods {
     pub(super) fn new(settings: ControlSettings, seed: u64, run: u32) -> Self {
-        Self { settings, stream: Stream::new(seed, &format!("wall control {run}")) }
+        Self { settings, stream: RandomStream::new(seed, &format!("wall control {run}")) }
     }
 
     pub(super) fn next_s(&mut self) -> f64 {

@@ -1,8 +1,8 @@
-//! A car before a wall: a slow drive, a time-of-flight sensor with a rate of its own, and a PID controller on board.
+//! A car before a wall: a slow drive, a time-of-flight sensor with its own rate, and a PID controller on board.
 //!
-//! Two experiments of paper 3 on truth that is known. [`step`] gives the readings of a step test, to identify the drive from.
-//! [`approach`] drives up to the wall by somebody else's idea of the distance, which comes in as a [`DistanceEstimator`]; with
-//! [`approach_over_link`] that one sits on the other side of a bad link. This module knows no filter, like the whole crate.
+//! Two experiments of paper 3 with known truth. [`simulate_step`] gives the readings of a step test, from which the
+//! drive can be identified. [`approach`] drives up to the wall by the distance of a [`DistanceEstimator`]; with
+//! [`approach_over_link`] the estimator is on the other side of an impaired link. This module has no filter.
 //!
 //! # Model
 //! ```text
@@ -10,14 +10,14 @@
 //! reading = z + (sigma + share z) n, never below zero, every period, now and then none          n standard normal
 //! PWM = kp e + ki int(e) + kd de/dt, within +- PWM_max        e = believed z - target, de/dt = -believed v
 //! ```
-//! Between two turns of the control loop the PWM is held and the motion is exact.
+//! Between two cycles of the control loop the PWM is held and the motion is exact.
 //!
 //! # Assumptions
-//! The wall is square to the way, the floor level, the battery constant. Brick and host count the same time: aligning clocks is
-//! another experiment.
+//! The wall is perpendicular to the path, the floor level, the battery constant. Brick and host share one time:
+//! aligning clocks is another experiment.
 //!
 //! # Sources
-//! Paper 3 (Lab 7); every number of the default scene stands in `config/scenarios/lab/wall.toml` with its origin.
+//! Paper 3 (Lab 7); `config/scenarios/lab/wall.toml` has every number of the default scene with its origin.
 
 mod approach;
 mod car;
@@ -28,12 +28,11 @@ mod scene;
 mod step;
 mod wire;
 
-pub use approach::{Approach, Believed, DistanceEstimator, Moment, Stop, Task, approach};
+pub use approach::{Approach, ApproachSample, ApproachTask, DistanceEstimator, StopPoint, approach};
 pub use host::{HostLink, approach_over_link};
-pub use pid::Gains;
-pub use ranger::Reading;
+pub use ranger::{RangeEstimate, RangeReading};
 pub use scene::{
-    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, HostSettings, RangerSettings, SceneError,
+    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, Gains, HostSettings, RangerSettings, SceneError,
     StepSettings, WallScene,
 };
-pub use step::{CommandFrom, StepRun, step};
+pub use step::{StepRun, TimedCommand, simulate_step};

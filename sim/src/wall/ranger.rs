@@ -1,29 +1,38 @@
-//! The time-of-flight sensor: a reading at its own pace, with noise, and now and then none.
+//! The time-of-flight sensor: readings at its own rate, with noise and dropouts.
 
 use super::scene::RangerSettings;
-use crate::random::Stream;
+use crate::random::RandomStream;
 
 /// One reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct RangeReading {
     /// When it was made, in the brick's seconds.
     pub at_s: f64,
     /// What it says, in metres, at least 0.
     pub range_m: f64,
 }
 
+/// An estimate of the distance to the wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangeEstimate {
+    /// In metres.
+    pub distance_m: f64,
+    /// Speed towards it, in m/s.
+    pub towards_m_per_s: f64,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Ranger {
     settings: RangerSettings,
     next_s: f64,
-    pace: Stream,
-    noise: Stream,
-    misses: Stream,
+    pace: RandomStream,
+    noise: RandomStream,
+    misses: RandomStream,
 }
 
 impl Ranger {
     pub(super) fn new(settings: RangerSettings, seed: u64, run: u32) -> Self {
-        let stream = |of: &str| Stream::new(seed, &format!("wall ranger {of} {run}"));
+        let stream = |of: &str| RandomStream::new(seed, &format!("wall ranger {of} {run}"));
         let mut pace = stream("pace");
         Self {
             settings,
@@ -35,7 +44,7 @@ impl Ranger {
     }
 
     /// What it says at a turn of the loop, if it is due: of the distance then.
-    pub(super) fn read(&mut self, at_s: f64, distance_m: f64) -> Option<Reading> {
+    pub(super) fn read(&mut self, at_s: f64, distance_m: f64) -> Option<RangeReading> {
         if at_s < self.next_s {
             return None;
         }
@@ -43,8 +52,8 @@ impl Ranger {
         self.next_s += self.settings.period_s * (1.0 + spread);
         let sigma_m = self.settings.sigma_m + self.settings.sigma_share * distance_m;
         let range_m = (distance_m + sigma_m * self.noise.normal()).max(0.0);
-        let is_missed = self.misses.happens(self.settings.miss_probability);
-        (!is_missed).then_some(Reading { at_s, range_m })
+        let is_missed = self.misses.bernoulli(self.settings.miss_probability);
+        (!is_missed).then_some(RangeReading { at_s, range_m })
     }
 }
 
@@ -62,7 +71,8 @@ mod tests {
             miss_probability: 0.25,
         };
         let mut ranger = Ranger::new(settings, 4, 0);
-        let readings: Vec<Reading> = (0..100_000).filter_map(|turn| ranger.read(0.01 * f64::from(turn), 2.0)).collect();
+        let readings: Vec<RangeReading> =
+            (0..100_000).filter_map(|turn| ranger.read(0.01 * f64::from(turn), 2.0)).collect();
         // 10 000 due; binomial with sigma 43.
         assert!((7_330..=7_670).contains(&readings.len()), "{}", readings.len());
         let squares = readings.iter().map(|reading| (reading.range_m - 2.0).powi(2));

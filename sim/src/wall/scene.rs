@@ -1,10 +1,9 @@
-//! Everything that a scene before a wall says, as its TOML file says it.
+//! The scene before a wall, as its TOML file says it.
 //!
 //! There are no defaults: a file is the whole experiment.
 
 use serde::Deserialize;
 
-use super::pid::Gains;
 use crate::scenario::checks;
 
 /// The scene of the paper.
@@ -60,6 +59,21 @@ pub struct ControlSettings {
     /// Each period differs by up to this share, either way, each equally likely.
     #[serde(deserialize_with = "share")]
     pub period_spread: f64,
+}
+
+/// The gains of the PID controller.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gains {
+    /// By the error, PWM per metre.
+    #[serde(deserialize_with = "checks::finite")]
+    pub kp_pwm_per_m: f64,
+    /// By its sum, PWM per metre and second.
+    #[serde(deserialize_with = "checks::finite")]
+    pub ki_pwm_per_m_s: f64,
+    /// By its rate, PWM per m/s.
+    #[serde(deserialize_with = "checks::finite")]
+    pub kd_pwm_s_per_m: f64,
 }
 
 /// The time-of-flight sensor.

@@ -14,7 +14,7 @@ const EXTRA: u8 = 0x57;
 
 /// What a frame says.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Frame {
+pub(super) enum WallFrame {
     /// Time in s, range in m.
     Reading(f64, f64),
     /// From when in s, PWM.
@@ -23,8 +23,8 @@ pub(super) enum Frame {
     Estimate(f64, f64, f64),
 }
 
-impl Frame {
-    pub(super) fn bytes(self) -> [u8; LENGTH] {
+impl WallFrame {
+    pub(super) fn encode(self) -> [u8; LENGTH] {
         let (kind, values) = match self {
             Self::Reading(at_s, range_m) => (1, [at_s, range_m, 0.0]),
             Self::Command(at_s, pwm) => (2, [at_s, pwm, 0.0]),
@@ -42,7 +42,7 @@ impl Frame {
     }
 
     /// Takes one apart; `None` unless it is whole and every value finite.
-    fn read(bytes: &[u8; LENGTH]) -> Option<Self> {
+    fn decode(bytes: &[u8; LENGTH]) -> Option<Self> {
         let [start, kind, ..] = *bytes;
         let sum = checksum(&bytes[1..26], EXTRA);
         if start != START || bytes[26..] != sum.to_le_bytes() {
@@ -67,18 +67,18 @@ impl Frame {
 
 /// Finds frames in what arrives, in pieces of any size.
 #[derive(Debug, Default)]
-pub(super) struct Frames {
+pub(super) struct WallFramer {
     held: Vec<u8>,
 }
 
-impl Frames {
+impl WallFramer {
     /// The frames that are whole now, in order.
-    pub(super) fn push(&mut self, bytes: &[u8]) -> Vec<Frame> {
+    pub(super) fn push(&mut self, bytes: &[u8]) -> Vec<WallFrame> {
         self.held.extend_from_slice(bytes);
         let mut found = Vec::new();
         let mut at = 0;
         while let Some(candidate) = self.held.get(at..).and_then(|rest| rest.first_chunk()) {
-            let frame = Frame::read(candidate);
+            let frame = WallFrame::decode(candidate);
             // One byte after a defect: a real frame may begin inside it.
             at += if frame.is_some() { LENGTH } else { 1 };
             found.extend(frame);
@@ -94,15 +94,16 @@ mod tests {
 
     #[test]
     fn frames_are_found_in_any_pieces_and_between_garbage() {
-        let frames = [Frame::Reading(1.25, 0.304), Frame::Command(2.5, -80.0), Frame::Estimate(-3.0, 1e-9, 7.0)];
+        let frames =
+            [WallFrame::Reading(1.25, 0.304), WallFrame::Command(2.5, -80.0), WallFrame::Estimate(-3.0, 1e-9, 7.0)];
         let mut bytes = vec![START, 1, 2];
         for frame in frames {
-            bytes.extend(frame.bytes());
+            bytes.extend(frame.encode());
             bytes.push(START);
         }
         for piece in 1..40 {
-            let mut scanner = Frames::default();
-            let mut found: Vec<Frame> = bytes.chunks(piece).flat_map(|chunk| scanner.push(chunk)).collect();
+            let mut scanner = WallFramer::default();
+            let mut found: Vec<WallFrame> = bytes.chunks(piece).flat_map(|chunk| scanner.push(chunk)).collect();
             found.extend(scanner.push(&[0; LENGTH]));
             assert_eq!(found, frames, "{piece}");
         }
@@ -110,12 +111,12 @@ mod tests {
 
     #[test]
     fn a_flipped_bit_and_a_value_that_is_none_are_no_frames() {
-        let good = Frame::Reading(1.0, 2.0).bytes();
+        let good = WallFrame::Reading(1.0, 2.0).encode();
         for index in 0..LENGTH {
             let mut bad = good;
             bad[index] ^= 4;
-            assert_eq!(Frame::read(&bad), None, "{index}");
+            assert_eq!(WallFrame::decode(&bad), None, "{index}");
         }
-        assert_eq!(Frame::read(&Frame::Command(f64::NAN, 0.0).bytes()), None);
+        assert_eq!(WallFrame::decode(&WallFrame::Command(f64::NAN, 0.0).encode()), None);
     }
 }

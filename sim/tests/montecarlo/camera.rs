@@ -52,7 +52,7 @@ fn the_true_noise_of_the_camera_is_a_multiple_of_what_is_told() {
     for (name, factor) in [("noise-x4", 4.0), ("noise-quarter", 0.25)] {
         let drive = bundled(name).drive(0);
         let errors = fix_errors(&drive);
-        assert_eq!(drive.told.noise.fix_position_m, 0.005);
+        assert_eq!(drive.prior.noise.fix_position_m, 0.005);
         let position = rms(errors.iter().map(|error| error.0));
         assert_sigma(position, factor * 0.005, errors.len(), name);
     }

@@ -63,10 +63,10 @@ fn an_unknown_heading_is_off_by_anything_and_the_camera_tells_no_heading() {
     let offs: Vec<f64> = (0..500)
         .map(|run| {
             let drive = scenario.drive(run);
-            assert_eq!(drive.told.geometry, drive.true_geometry);
+            assert_eq!(drive.prior.geometry, drive.true_geometry);
             assert!(fixes(&drive).iter().all(|(arrived, taken, fix)| fix.heading.is_none() && arrived == taken));
             assert_eq!((drive.truth.len(), drive.scored_from), (401, 40));
-            (drive.told.start.heading - drive.truth[0].heading).0
+            (drive.prior.start.heading - drive.truth[0].heading).0
         })
         .collect();
     assert_sigma(rms(offs.iter().copied()), std::f64::consts::PI / 3.0_f64.sqrt(), 500, "off");

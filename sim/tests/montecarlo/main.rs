@@ -22,7 +22,7 @@ fn every_bundled_scenario_reads_and_its_first_drive_is_finite_and_in_order() {
         assert!(steps.is_sorted(), "{name}");
         for arrival in &drive.arrivals {
             assert!(
-                arrival.observation.stamp <= drive.stamp(arrival.step),
+                arrival.observation.stamp <= drive.time_at(arrival.step),
                 "{name}: an observation arrives before it is made"
             );
         }

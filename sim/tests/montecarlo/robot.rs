@@ -44,7 +44,7 @@ fn geometry_slip_and_bias_have_the_files_spread() {
             found / nominal - 1.0
         }))
     };
-    let track = relative(|drive| (drive.true_geometry.track_width.0, drive.told.geometry.track_width.0));
+    let track = relative(|drive| (drive.true_geometry.track_width.0, drive.prior.geometry.track_width.0));
     assert_sigma(track, 0.03, count, "track");
     let mean = relative(|drive| {
         let geometry = &drive.true_geometry;

@@ -1,7 +1,7 @@
 //! Scenarios that were changed, what a drive's sensors told, and how far a spread may be off.
 
 use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario};
-use posebridge_telemetry::{Fix, Observed};
+use posebridge_telemetry::{Fix, ObservationKind};
 
 pub(crate) const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -23,7 +23,7 @@ pub(crate) fn changed(name: &str, changes: &[(&str, &str)]) -> Scenario {
 /// Arrival step, stamp as a step, and content of every fix.
 pub(crate) fn fixes(drive: &Drive) -> Vec<(usize, usize, Fix)> {
     let arrivals = drive.arrivals.iter().filter_map(|arrival| {
-        let Observed::Fix(fix) = arrival.observation.observed else {
+        let ObservationKind::Fix(fix) = arrival.observation.measurement else {
             return None;
         };
         let taken = arrival.observation.stamp.as_nanos() / drive.step.as_nanos();
@@ -46,15 +46,15 @@ pub(crate) fn fix_errors(drive: &Drive) -> Vec<(f64, f64, Option<f64>)> {
 }
 
 /// What `of` takes from the observations, given the step at which each arrived.
-fn told<T>(drive: &Drive, of: impl Fn(usize, Observed) -> Option<T>) -> Vec<T> {
+fn observations_of<T>(drive: &Drive, of: impl Fn(usize, ObservationKind) -> Option<T>) -> Vec<T> {
     let arrivals = drive.arrivals.iter();
-    let told = arrivals.filter_map(|arrival| of(arrival.step, arrival.observation.observed));
+    let told = arrivals.filter_map(|arrival| of(arrival.step, arrival.observation.measurement));
     told.collect()
 }
 
 pub(crate) fn rates(drive: &Drive) -> Vec<(usize, f64)> {
-    told(drive, |step, observed| {
-        let Observed::TurnRate(rate) = observed else {
+    observations_of(drive, |step, observed| {
+        let ObservationKind::TurnRate(rate) = observed else {
             return None;
         };
         Some((step, rate.0))
@@ -63,8 +63,8 @@ pub(crate) fn rates(drive: &Drive) -> Vec<(usize, f64)> {
 
 /// Step and left and right rotation.
 pub(crate) fn wheel_angles(drive: &Drive) -> Vec<(usize, f64, f64)> {
-    told(drive, |step, observed| {
-        let Observed::WheelAngles { left, right } = observed else {
+    observations_of(drive, |step, observed| {
+        let ObservationKind::WheelAngles { left, right } = observed else {
             return None;
         };
         Some((step, left.0, right.0))
@@ -73,8 +73,8 @@ pub(crate) fn wheel_angles(drive: &Drive) -> Vec<(usize, f64, f64)> {
 
 /// Step and left and right acceleration.
 pub(crate) fn accelerations(drive: &Drive) -> Vec<(usize, f64, f64)> {
-    told(drive, |step, observed| {
-        let Observed::WheelAccelerations { left, right } = observed else {
+    observations_of(drive, |step, observed| {
+        let ObservationKind::WheelAccelerations { left, right } = observed else {
             return None;
         };
         Some((step, left.0, right.0))

@@ -125,7 +125,7 @@ fn sensor(printed: u8) -> Result<Option<SensorPort>> {
     if printed == 0 {
         return Ok(None);
     }
-    let port = SensorPort::from_printed(printed);
+    let port = SensorPort::from_label(printed);
     Ok(Some(port.with_context(|| format!("{printed} is no port: 1 to 4, or 0 for none"))?))
 }
 

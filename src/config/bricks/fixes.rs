@@ -1,8 +1,8 @@
 //! `[camera.json]`: how cameras on links with `brick = "camera-json"` are heard.
 
 use anyhow::{Result, ensure};
-use posebridge_protocol::bricks::fixes::FixSettings;
-use posebridge_telemetry::Span;
+use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
+use posebridge_telemetry::TimeDelta;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,11 +23,11 @@ pub struct FixSection {
 
 impl Default for FixSection {
     fn default() -> Self {
-        let usual = FixSettings::default();
+        let usual = CameraJsonSettings::default();
         Self {
             delay_ms: usual.delay.as_millis_f64(),
             delay_spread_ms: usual.delay_spread.as_millis_f64(),
-            least_quality: usual.least_quality,
+            least_quality: usual.min_quality,
         }
     }
 }
@@ -37,7 +37,7 @@ impl FixSection {
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
-    pub(super) fn settings(&self) -> Result<FixSettings> {
+    pub(super) fn settings(&self) -> Result<CameraJsonSettings> {
         for (key, value, most) in [
             ("delay_ms", self.delay_ms, LONGEST_DELAY_MS),
             ("delay_spread_ms", self.delay_spread_ms, LONGEST_DELAY_MS),
@@ -45,11 +45,11 @@ impl FixSection {
         ] {
             ensure!((0.0..=most).contains(&value), "`{key}` is {value}, must lie between 0 and {most}");
         }
-        Ok(FixSettings {
-            delay: Span::from_secs_f64(self.delay_ms * 1e-3),
-            delay_spread: Span::from_secs_f64(self.delay_spread_ms * 1e-3),
-            least_quality: self.least_quality,
-            ..FixSettings::default()
+        Ok(CameraJsonSettings {
+            delay: TimeDelta::from_secs_f64(self.delay_ms * 1e-3),
+            delay_spread: TimeDelta::from_secs_f64(self.delay_spread_ms * 1e-3),
+            min_quality: self.least_quality,
+            ..CameraJsonSettings::default()
         })
     }
 }
@@ -58,17 +58,17 @@ impl FixSection {
 mod tests {
     use super::*;
 
-    fn settings(text: &str) -> Result<FixSettings, String> {
+    fn settings(text: &str) -> Result<CameraJsonSettings, String> {
         let section: FixSection = toml::from_str(text).map_err(|error| error.to_string())?;
         section.settings().map_err(|error| format!("{error:#}"))
     }
 
     #[test]
     fn without_a_word_it_is_the_usual_one_and_milliseconds_become_spans() {
-        assert_eq!(settings("").unwrap(), FixSettings::default());
+        assert_eq!(settings("").unwrap(), CameraJsonSettings::default());
         let told = settings("delay_ms = 150.5\nleast_quality = 40").unwrap();
-        assert_eq!(told.delay, Span::from_micros(150_500));
-        assert_eq!(told.least_quality, 40.0);
+        assert_eq!(told.delay, TimeDelta::from_micros(150_500));
+        assert_eq!(told.min_quality, 40.0);
     }
 
     #[test]

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_protocol::bricks::line::{Checksum, Column, LineLayout, LineSettings, QUANTITIES, Separator};
-use posebridge_telemetry::Span;
+use posebridge_protocol::bricks::text_line::{
+    ChecksumPolicy, Column, LineLayout, QUANTITIES, Separator, TextLineSettings,
+};
+use posebridge_telemetry::TimeDelta;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -48,7 +50,7 @@ impl LineSection {
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
-    pub(super) fn settings(&self) -> Result<LineSettings> {
+    pub(super) fn settings(&self) -> Result<TextLineSettings> {
         let separator = separator(&self.separator).context("`separator`")?;
         let layout = if self.keys.is_empty() {
             let columns = self.columns.iter().map(|name| column(name));
@@ -66,14 +68,14 @@ impl LineSection {
                 key_separator: self::separator(&self.key_separator).context("`key_separator`")?,
             }
         };
-        let settings = LineSettings {
+        let settings = TextLineSettings {
             layout,
-            checksum: if self.checksum_required { Checksum::Required } else { Checksum::Optional },
+            checksum: if self.checksum_required { ChecksumPolicy::Required } else { ChecksumPolicy::Optional },
             estimate_interval: (self.estimate_interval_ms > 0)
-                .then(|| Span::from_millis(i64::from(self.estimate_interval_ms))),
-            delay: Span::from_millis(i64::from(self.delay_ms)),
+                .then(|| TimeDelta::from_millis(i64::from(self.estimate_interval_ms))),
+            delay: TimeDelta::from_millis(i64::from(self.delay_ms)),
         };
-        settings.check()?;
+        settings.validate()?;
         Ok(settings)
     }
 }
@@ -96,14 +98,14 @@ fn separator(text: &str) -> Result<Separator> {
 mod tests {
     use super::*;
 
-    fn settings(text: &str) -> Result<LineSettings, String> {
+    fn settings(text: &str) -> Result<TextLineSettings, String> {
         let section: LineSection = toml::from_str(text).map_err(|error| error.to_string())?;
         section.settings().map_err(|error| format!("{error:#}"))
     }
 
     #[test]
     fn without_a_word_it_is_csv_of_time_and_counts() {
-        assert_eq!(settings("").unwrap(), LineSettings::default());
+        assert_eq!(settings("").unwrap(), TextLineSettings::default());
     }
 
     #[test]
@@ -116,7 +118,7 @@ mod tests {
         let csv =
             "columns = [\"time_us\", \"ignore\", \"gyro_deg_per_s\"]\nseparator = \";\"\nchecksum_required = true";
         let told = settings(csv).unwrap();
-        assert_eq!(told.checksum, Checksum::Required);
+        assert_eq!(told.checksum, ChecksumPolicy::Required);
         assert!(matches!(told.layout, LineLayout::Columns { columns, .. } if columns.len() == 3));
     }
 

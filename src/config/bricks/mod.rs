@@ -8,12 +8,12 @@ mod line;
 mod nxt;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_pipeline::BrickLink;
-use posebridge_protocol::bricks::fixes::FixSettings;
-use posebridge_protocol::bricks::{BRICKS, BrickSettings, brick_protocol};
+use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
+use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol};
+use posebridge_station::BrickLink;
 
+use super::link::{LinkSection, framing_of};
 use super::robot::RobotFile;
-use super::station::{LinkSection, framing_of};
 
 pub use ev3::{Ev3Distance, Ev3Section};
 pub use fixes::FixSection;
@@ -32,7 +32,7 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSec
         return Ok(None);
     };
     let Some(protocol) = brick_protocol(name) else {
-        let known: Vec<&str> = BRICKS.iter().map(|row| row.name).collect();
+        let known: Vec<&str> = BRICK_PROTOCOLS.iter().map(|row| row.name).collect();
         bail!("`brick` is `{name}`; there are: {}", known.join(", "));
     };
     if protocol.name == MAVLINK {
@@ -47,22 +47,22 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSec
     ] {
         ensure!(!is_set, "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away");
     }
-    let settings = BrickSettings {
-        fixes: FixSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
+    let settings = CodecSettings {
+        fixes: CameraJsonSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
         ..settings(robot)?
     };
     Ok(Some(BrickLink { protocol, settings }))
 }
 
 /// Every codec's part of the robot's file; what is not said there is as usual.
-fn settings(robot: &RobotFile) -> Result<BrickSettings> {
+fn settings(robot: &RobotFile) -> Result<CodecSettings> {
     let nxt = robot.nxt.clone().unwrap_or_default();
     let ev3 = robot.ev3.clone().unwrap_or_default();
     let line = robot.line.clone().unwrap_or_default();
-    Ok(BrickSettings {
+    Ok(CodecSettings {
         nxt: nxt.settings().context("`[robot.nxt]`")?,
         ev3: ev3.settings().context("`[robot.ev3]`")?,
         line: line.settings().context("`[robot.line]`")?,
-        ..BrickSettings::default()
+        ..CodecSettings::default()
     })
 }

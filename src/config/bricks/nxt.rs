@@ -2,9 +2,10 @@
 
 use anyhow::{Context, Result, ensure};
 use posebridge_protocol::bricks::nxt::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings, Outstanding, WheelMotor,
+    AccelerometerMounting, ForwardAxis, GyroSign, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings,
+    WheelMotor,
 };
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -113,19 +114,19 @@ impl NxtSection {
             left_motor: wheel_motor(&self.left_motor).context("`left_motor`")?,
             right_motor: wheel_motor(&self.right_motor).context("`right_motor`")?,
             sensors: self.ports()?,
-            gyro_rest: self.gyro_rest,
+            gyro_rest_counts: self.gyro_rest,
             gyro_sign: if self.gyro_clockwise { GyroSign::Clockwise } else { GyroSign::CounterClockwise },
             compass_zero_deg: self.compass_zero_deg,
             mailbox: self.mailbox,
-            estimate_interval: self.estimate_interval_ms.map(|millis| Span::from_millis(i64::from(millis))),
+            estimate_interval: self.estimate_interval_ms.map(|millis| TimeDelta::from_millis(i64::from(millis))),
             outstanding: match self.outstanding {
-                1 => Outstanding::One,
-                2 => Outstanding::Two,
+                1 => MaxOutstanding::One,
+                2 => MaxOutstanding::Two,
                 other => anyhow::bail!("`outstanding` is {other}, must be 1 or 2"),
             },
-            answer_timeout: Span::from_millis(i64::from(self.answer_timeout_ms)),
+            answer_timeout: TimeDelta::from_millis(i64::from(self.answer_timeout_ms)),
         };
-        settings.check()?;
+        settings.validate()?;
         Ok(settings)
     }
 
@@ -163,9 +164,9 @@ impl NxtSensorSection {
                     other => anyhow::bail!("`forward` is `{other}`, must be x, -x, y, -y, z or -z"),
                 },
                 place: match self.place {
-                    Place::Left => AccelerometerPlace::Left,
-                    Place::Right => AccelerometerPlace::Right,
-                    Place::Centre => AccelerometerPlace::Centre,
+                    Place::Left => AccelerometerMounting::Left,
+                    Place::Right => AccelerometerMounting::Right,
+                    Place::Centre => AccelerometerMounting::Centre,
                 },
             },
             NxtSensorKind::HtCompass => NxtSensor::HtCompass,
@@ -177,8 +178,8 @@ impl NxtSensorSection {
 
 fn wheel_motor(text: &str) -> Result<WheelMotor> {
     let (letter, mounting) = match text.strip_prefix('-') {
-        Some(letter) => (letter, Mounting::Backward),
-        None => (text, Mounting::Forward),
+        Some(letter) => (letter, MotorMounting::Backward),
+        None => (text, MotorMounting::Forward),
     };
     let port = match letter {
         "A" => MotorPort::A,
@@ -211,13 +212,13 @@ mod tests {
         )
         .unwrap();
         assert_eq!(told.left_motor.port, MotorPort::A);
-        assert_eq!(told.left_motor.mounting, Mounting::Backward);
+        assert_eq!(told.left_motor.mounting, MotorMounting::Backward);
         assert_eq!(told.sensors[1], NxtSensor::HtGyro);
         assert_eq!(
             told.sensors[2],
-            NxtSensor::HtAccelerometer { forward: ForwardAxis::MinusY, place: AccelerometerPlace::Left }
+            NxtSensor::HtAccelerometer { forward: ForwardAxis::MinusY, place: AccelerometerMounting::Left }
         );
-        assert_eq!(told.gyro_rest, Some(598.5));
+        assert_eq!(told.gyro_rest_counts, Some(598.5));
     }
 
     #[test]

@@ -1,85 +1,78 @@
-//! The fields of a command, read and checked.
+//! Parsing and validation of a command's fields.
 
-use posebridge_telemetry::Switch;
+use posebridge_telemetry::SensorSwitch;
 use posebridge_telemetry::simulator::{NUMBER_FIELDS, NumberField};
 use serde_json::{Map, Value};
 
-use super::CommandError;
+use super::error::CommandError;
 
-/// So much of what stood somewhere is told back.
-const LONGEST_SHOWN: usize = 60;
+/// Longest excerpt of a wrong value in an error.
+const MAX_SHOWN_CHARS: usize = 60;
 
 /// A field of a command.
 #[derive(Clone, Copy, Debug)]
-pub struct Field {
+pub struct CommandField {
     /// Its key, with the unit.
     pub name: &'static str,
-    /// What it may hold.
-    pub kind: Kind,
+    /// Its permitted values.
+    pub kind: FieldKind,
 }
 
-/// What a field may hold.
+/// The permitted values of a field.
 #[derive(Clone, Copy, Debug)]
-pub enum Kind {
-    /// A number of this range, in the unit of the key.
-    Number {
-        /// Lowest.
-        least: f64,
-        /// Highest.
-        most: f64,
-    },
+pub enum FieldKind {
+    /// A number in this range, in the unit of the key.
+    Number { least: f64, most: f64 },
     /// A number.
     Finite,
-    /// A number of the range that stands in [`NUMBER_FIELDS`] for this field of this command.
+    /// A number in the range that [`NUMBER_FIELDS`] gives for this field of this command.
     Simulated,
-    /// A whole number of this range.
-    Whole {
-        /// Lowest.
-        least: u64,
-        /// Highest.
-        most: u64,
-    },
+    /// A whole number in this range.
+    Integer { least: u64, most: u64 },
     /// One of these words.
     Choice(&'static [&'static str]),
     /// True or false.
     Switch,
     /// A name of at most sixteen printable ASCII characters.
     Name,
-    /// The same, or null.
+    /// Such a name, or null.
     NameOrNull,
 }
 
-impl Field {
-    /// What this field of a command may hold, with its range.
+impl CommandField {
+    /// The permitted values of this field of a command.
     #[must_use]
-    pub fn kind_in(&self, command: &str) -> Kind {
+    pub fn kind_in(&self, command: &str) -> FieldKind {
         let is_it = |known: &&&NumberField| (known.command, known.field) == (command, self.name);
         match self.kind {
-            Kind::Simulated => {
+            FieldKind::Simulated => {
                 let known = NUMBER_FIELDS.iter().find(is_it);
-                // None but a table with a slip of the pen; a test goes through it.
-                known.map_or(Kind::Simulated, |known| Kind::Number { least: known.least, most: known.most })
+                // Only if the tables disagree; a test checks all of them.
+                known.map_or(FieldKind::Simulated, |known| FieldKind::Number {
+                    least: known.minimum,
+                    most: known.maximum,
+                })
             }
-            Kind::Number { .. }
-            | Kind::Finite
-            | Kind::Whole { .. }
-            | Kind::Choice(_)
-            | Kind::Switch
-            | Kind::Name
-            | Kind::NameOrNull => self.kind,
+            FieldKind::Number { .. }
+            | FieldKind::Finite
+            | FieldKind::Integer { .. }
+            | FieldKind::Choice(_)
+            | FieldKind::Switch
+            | FieldKind::Name
+            | FieldKind::NameOrNull => self.kind,
         }
     }
 }
 
-impl Kind {
-    /// What it may hold, in words.
+impl FieldKind {
+    /// The permitted values, in words.
     #[must_use]
-    pub fn wanted(self) -> String {
+    pub fn expectation(self) -> String {
         match self {
             Self::Number { least, most } => format!("a number from {least} to {most}"),
             Self::Finite => "a finite number".to_owned(),
             Self::Simulated => "a number that the simulator has no range for".to_owned(),
-            Self::Whole { least, most } => format!("a whole number from {least} to {most}"),
+            Self::Integer { least, most } => format!("a whole number from {least} to {most}"),
             Self::Choice(words) => one_of(words),
             Self::Switch => "true or false".to_owned(),
             Self::Name => "a name of 1 to 16 printable ASCII characters".to_owned(),
@@ -87,21 +80,21 @@ impl Kind {
         }
     }
 
-    fn takes(self, value: &Value) -> bool {
+    fn accepts(self, value: &Value) -> bool {
         match self {
             Self::Number { least, most } => value.as_f64().is_some_and(|number| (least..=most).contains(&number)),
             Self::Finite => value.as_f64().is_some_and(f64::is_finite),
             Self::Simulated => false,
-            Self::Whole { least, most } => value.as_u64().is_some_and(|number| (least..=most).contains(&number)),
+            Self::Integer { least, most } => value.as_u64().is_some_and(|number| (least..=most).contains(&number)),
             Self::Choice(words) => value.as_str().is_some_and(|word| words.contains(&word)),
             Self::Switch => value.is_boolean(),
             Self::Name => value.as_str().is_some_and(is_name),
-            Self::NameOrNull => value.is_null() || Self::Name.takes(value),
+            Self::NameOrNull => value.is_null() || Self::Name.accepts(value),
         }
     }
 }
 
-/// One of these words, in words.
+/// A list of permitted words, in words.
 pub(super) fn one_of<T: AsRef<str>>(words: &[T]) -> String {
     let quoted = words.iter().map(|word| format!("\"{}\"", word.as_ref()));
     format!("one of {}", quoted.collect::<Vec<_>>().join(", "))
@@ -111,28 +104,28 @@ fn is_name(text: &str) -> bool {
     (1..=16).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_graphic())
 }
 
-/// The values of all fields of one command: each is there and of its kind.
-pub(super) struct Values<'a>(Vec<(&'static str, &'a Value)>);
+/// The checked values of all fields of one command.
+pub(super) struct FieldValues<'a>(Vec<(&'static str, &'a Value)>);
 
-impl<'a> Values<'a> {
+impl<'a> FieldValues<'a> {
     pub(super) fn read(
         command: &'static str,
-        fields: &'static [Field],
+        fields: &'static [CommandField],
         found: &'a Map<String, Value>,
     ) -> Result<Self, CommandError> {
         let read = fields.iter().map(|field| {
-            let value = found.get(field.name).ok_or_else(|| CommandError::Missing {
+            let value = found.get(field.name).ok_or_else(|| CommandError::MissingField {
                 command,
                 field: field.name,
-                wanted: field.kind_in(command).wanted(),
+                wanted: field.kind_in(command).expectation(),
             })?;
             let kind = field.kind_in(command);
-            if !kind.takes(value) {
-                return Err(CommandError::Wrong {
+            if !kind.accepts(value) {
+                return Err(CommandError::WrongValue {
                     command,
                     field: field.name,
-                    found: shown(value),
-                    wanted: kind.wanted(),
+                    found: format_value(value),
+                    wanted: kind.expectation(),
                 });
             }
             Ok((field.name, value))
@@ -140,7 +133,7 @@ impl<'a> Values<'a> {
         read.collect::<Result<_, _>>().map(Self)
     }
 
-    /// Of a field that the command's row has; a test goes through all rows.
+    /// A field of the command's row; a test checks all rows.
     fn value(&self, name: &str) -> &Value {
         let found = self.0.iter().find(|(key, _)| *key == name);
         found.map_or(&Value::Null, |(_, value)| value)
@@ -150,7 +143,7 @@ impl<'a> Values<'a> {
         self.value(name).as_f64().unwrap_or(f64::NAN)
     }
 
-    pub(super) fn whole(&self, name: &str) -> u64 {
+    pub(super) fn integer(&self, name: &str) -> u64 {
         self.value(name).as_u64().unwrap_or(0)
     }
 
@@ -158,21 +151,21 @@ impl<'a> Values<'a> {
         self.value(name).as_str().unwrap_or_default()
     }
 
-    pub(super) fn switch(&self, name: &str) -> Switch {
-        if self.value(name).as_bool().unwrap_or(false) { Switch::On } else { Switch::Off }
+    pub(super) fn switch(&self, name: &str) -> SensorSwitch {
+        if self.value(name).as_bool().unwrap_or(false) { SensorSwitch::On } else { SensorSwitch::Off }
     }
 }
 
-/// What stood somewhere, for people: short and without control characters, because it ends up in a terminal or a page.
-pub(super) fn shown(value: &Value) -> String {
-    cut(&value.to_string())
+/// A wrong value for people: short and without control characters, because it is shown in a terminal or a page.
+pub(super) fn format_value(value: &Value) -> String {
+    truncate(&value.to_string())
 }
 
 /// The beginning of a long text.
-pub(super) fn cut(text: &str) -> String {
+pub(super) fn truncate(text: &str) -> String {
     let clean = text.chars().map(|c| if c.is_control() { '?' } else { c });
-    let mut cut: String = clean.take(LONGEST_SHOWN).collect();
-    if text.chars().nth(LONGEST_SHOWN).is_some() {
+    let mut cut: String = clean.take(MAX_SHOWN_CHARS).collect();
+    if text.chars().nth(MAX_SHOWN_CHARS).is_some() {
         cut.push('…');
     }
     cut

@@ -1,29 +1,29 @@
 use super::*;
 
 use posebridge_telemetry::simulator::NUMBER_FIELDS;
-use posebridge_telemetry::{SensorId, SimulatorCommand, SlippingWheel, Span, SteeringSource, Switch};
+use posebridge_telemetry::{SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta};
 use serde_json::json;
 
-fn refused(text: &str) -> String {
-    read(text.as_bytes()).unwrap_err().to_string()
+fn error_text(text: &str) -> String {
+    parse(text.as_bytes()).unwrap_err().to_string()
 }
 
 /// What a field takes, at one end of its range.
-fn example(kind: Kind) -> Value {
+fn example(kind: FieldKind) -> Value {
     match kind {
-        Kind::Number { least, .. } => json!(least),
-        Kind::Finite => json!(0.5),
-        Kind::Simulated => panic!("a field of the simulator has no range"),
-        Kind::Whole { most, .. } => json!(most),
-        Kind::Choice(words) => json!(words[0]),
-        Kind::Switch => json!(true),
-        Kind::Name => json!("gate_prob"),
-        Kind::NameOrNull => json!(null),
+        FieldKind::Number { least, .. } => json!(least),
+        FieldKind::Finite => json!(0.5),
+        FieldKind::Simulated => panic!("a field of the simulator has no range"),
+        FieldKind::Integer { most, .. } => json!(most),
+        FieldKind::Choice(words) => json!(words[0]),
+        FieldKind::Switch => json!(true),
+        FieldKind::Name => json!("gate_prob"),
+        FieldKind::NameOrNull => json!(null),
     }
 }
 
 /// A command of this row.
-fn whole(row: &CommandRow) -> Map<String, Value> {
+fn complete_command(row: &CommandRow) -> Map<String, Value> {
     let mut object = Map::new();
     object.insert("command".to_owned(), json!(row.name));
     for field in row.fields {
@@ -32,35 +32,35 @@ fn whole(row: &CommandRow) -> Map<String, Value> {
     object
 }
 
-fn text_of(object: Map<String, Value>) -> String {
+fn to_text(object: Map<String, Value>) -> String {
     Value::Object(object).to_string()
 }
 
 #[test]
 fn every_row_reads_its_own_fields_and_misses_each_of_them() {
     for row in COMMANDS {
-        let given = whole(row);
-        let (name, command) = read(text_of(given.clone()).as_bytes()).unwrap();
+        let given = complete_command(row);
+        let (name, command) = parse(to_text(given.clone()).as_bytes()).unwrap();
         assert_eq!(name, row.name);
         if let Command::Simulator(simulated) = command {
             assert_eq!(simulated.name(), row.name);
-            assert_eq!(simulated.check(), Ok(()), "{}", row.name);
+            assert_eq!(simulated.validate(), Ok(()), "{}", row.name);
         }
         for field in row.fields {
             let mut lacking = given.clone();
             lacking.remove(field.name);
-            let why = refused(&text_of(lacking));
+            let why = error_text(&to_text(lacking));
             let expected = format!("`{}` needs the field `{}`: ", row.name, field.name);
             assert!(why.starts_with(&expected), "{why}");
             let mut wrong = given.clone();
             wrong.insert(field.name.to_owned(), json!([1, "\u{1b}[2J"]));
-            let why = refused(&text_of(wrong));
+            let why = error_text(&to_text(wrong));
             assert!(why.contains(&format!("the field `{}` is [", field.name)), "{why}");
             assert!(!why.contains('\u{1b}'), "{why}");
         }
         let mut more = given;
         more.insert("extra".to_owned(), json!(1));
-        let why = refused(&text_of(more));
+        let why = error_text(&to_text(more));
         assert!(why.contains("has no field `extra`; it has: "), "{why}");
     }
 }
@@ -71,10 +71,10 @@ fn every_number_of_the_simulator_has_a_field_with_its_range() {
         let row = COMMANDS.iter().find(|row| row.name == known.command);
         let fields = row.unwrap().fields;
         let field = fields.iter().find(|field| field.name == known.field);
-        let Kind::Number { least, most } = field.unwrap().kind_in(known.command) else {
+        let FieldKind::Number { least, most } = field.unwrap().kind_in(known.command) else {
             panic!("{} is a number", known.field);
         };
-        assert_eq!((least, most), (known.least, known.most));
+        assert_eq!((least, most), (known.minimum, known.maximum));
     }
 }
 
@@ -83,18 +83,18 @@ fn the_words_are_those_of_the_vocabulary() {
     let words = |name: &str, field: &str| {
         let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
         let field = row.fields.iter().find(|one| one.name == field).unwrap();
-        let Kind::Choice(words) = field.kind else {
+        let FieldKind::Choice(words) = field.kind else {
             panic!("{name} has words");
         };
         words.to_vec()
     };
-    assert_eq!(words("slip", "wheel"), SlippingWheel::ALL.map(SlippingWheel::word));
-    assert_eq!(words("steering", "by"), SteeringSource::ALL.map(SteeringSource::word));
+    assert_eq!(words("slip", "wheel"), SlippingWheel::ALL.map(SlippingWheel::as_str));
+    assert_eq!(words("steering", "by"), SteeringSource::ALL.map(SteeringSource::as_str));
 }
 
 #[test]
 fn commands_are_what_their_fields_say() {
-    let read = |text: &str| read(text.as_bytes()).unwrap().1;
+    let read = |text: &str| parse(text.as_bytes()).unwrap().1;
     let Command::SetPose { pose, position_sigma_m, heading_sigma_rad } = read(
         r#"{"command":"set-pose","x_m":1.5,"y_m":-2,"heading_rad":0.5,"position_sigma_m":0.1,"heading_sigma_rad":0.2}"#,
     ) else {
@@ -104,19 +104,19 @@ fn commands_are_what_their_fields_say() {
     assert_eq!((position_sigma_m, heading_sigma_rad), (0.1, 0.2));
     assert_eq!(
         read(r#"{"command":"switch-source","sensor":3,"on":false}"#),
-        Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::Off }
+        Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::Off }
     );
     assert_eq!(
         read(r#"{"command":"slip","wheel":"right","factor":0.5,"seconds":2}"#),
         Command::Simulator(SimulatorCommand::Slip {
             wheel: SlippingWheel::Right,
             factor: 0.5,
-            duration: Span::from_millis(2_000)
+            duration: TimeDelta::from_millis(2_000)
         })
     );
     assert_eq!(
         read(r#"{"command":"camera-delay","delay_ms":5000}"#),
-        Command::Simulator(SimulatorCommand::CameraDelay { delay: Span::from_millis(5_000) })
+        Command::Simulator(SimulatorCommand::CameraDelay { delay: TimeDelta::from_millis(5_000) })
     );
     let profile = |text: &str| {
         let command = read(text);
@@ -131,27 +131,27 @@ fn commands_are_what_their_fields_say() {
 
 #[test]
 fn what_makes_no_sense_is_refused_with_what_may_stand_there() {
-    assert!(refused("{").starts_with("the command is no JSON: "));
-    assert_eq!(refused("[]"), "a command is an object such as {\"command\": \"reset-pose\"}");
-    assert!(refused("{}").starts_with("the field `command` is missing; it is one of: reset-pose, "));
-    assert!(refused(r#"{"command":7}"#).starts_with("`command` is `7`; there are: "));
-    assert!(refused(r#"{"command":"fly"}"#).starts_with("`command` is `fly`; there are: "));
+    assert!(error_text("{").starts_with("the command is no JSON: "));
+    assert_eq!(error_text("[]"), "a command is an object such as {\"command\": \"reset-pose\"}");
+    assert!(error_text("{}").starts_with("the field `command` is missing; it is one of: reset-pose, "));
+    assert!(error_text(r#"{"command":7}"#).starts_with("`command` is `7`; there are: "));
+    assert!(error_text(r#"{"command":"fly"}"#).starts_with("`command` is `fly`; there are: "));
     assert_eq!(
-        refused(r#"{"command":"kidnap","forward_m":11,"left_m":0,"turn_rad":0}"#),
+        error_text(r#"{"command":"kidnap","forward_m":11,"left_m":0,"turn_rad":0}"#),
         "`kidnap`: the field `forward_m` is 11, must be a number from -10 to 10"
     );
     assert_eq!(
-        refused(r#"{"command":"switch-source","sensor":3.5,"on":true}"#),
+        error_text(r#"{"command":"switch-source","sensor":3.5,"on":true}"#),
         "`switch-source`: the field `sensor` is 3.5, must be a whole number from 0 to 255"
     );
     assert_eq!(
-        refused(r#"{"command":"steering","by":"truth"}"#),
+        error_text(r#"{"command":"steering","by":"truth"}"#),
         "`steering`: the field `by` is \"truth\", must be one of \"odometry\", \"estimate\""
     );
     assert_eq!(
-        refused(r#"{"command":"set-parameter","name":"gate_prob","value":"0.9"}"#),
+        error_text(r#"{"command":"set-parameter","name":"gate_prob","value":"0.9"}"#),
         "`set-parameter`: the field `value` is \"0.9\", must be a finite number"
     );
     let long = "x".repeat(10_000);
-    assert!(refused(&format!(r#"{{"command":"{long}"}}"#)).len() < 1_000);
+    assert!(error_text(&format!(r#"{{"command":"{long}"}}"#)).len() < 1_000);
 }

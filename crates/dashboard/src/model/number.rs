@@ -1,6 +1,6 @@
 //! Numbers as they are sent.
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{HostClock, Timestamp};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ impl From<f64> for Number {
 }
 
 /// An instant in seconds, to the microsecond: the shortest decimals stay short.
-pub(crate) fn seconds_of(at: Stamp<HostClock>) -> f64 {
+pub(crate) fn seconds_of(at: Timestamp<HostClock>) -> f64 {
     at.as_micros() as f64 / 1e6
 }
 
@@ -41,6 +41,6 @@ mod tests {
         assert_eq!(json(f64::NAN), "null");
         assert_eq!(json(f64::INFINITY), "null");
         assert_eq!(json(1e300), "null");
-        assert_eq!(seconds_of(Stamp::from_nanos(265_885_334)), 0.265_885);
+        assert_eq!(seconds_of(Timestamp::from_nanos(265_885_334)), 0.265_885);
     }
 }

@@ -1,121 +1,53 @@
-//! Who may come in.
+//! Access control of requests.
 //!
-//! On loopback everybody on this computer may, but not the page of a foreign origin that a browser has open: a request must name this
-//! station as its Host (so that a foreign name that was made to point here is refused), and its Origin, if it has one, must be the
-//! same. Reached from other computers the station asks for its token as well.
+//! On loopback every local program has access, but not the page of a foreign origin that a browser has open: a request
+//! must name this station as its Host, which stops DNS rebinding, and its Origin, if it has one, must be the same. From
+//! other computers the station requires its token as well.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr as _;
-use std::sync::Arc;
 
-use axum::Json;
-use axum::extract::{Request, State};
-use axum::http::header::{
-    ACCEPT, AUTHORIZATION, CONTENT_SECURITY_POLICY, COOKIE, HOST, ORIGIN, REFERRER_POLICY, SET_COOKIE,
-    X_CONTENT_TYPE_OPTIONS,
-};
+use axum::extract::Request;
+use axum::http::header::{AUTHORIZATION, COOKIE, HOST, ORIGIN};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
-use axum::middleware::Next;
-use axum::response::{Html, IntoResponse as _, Response};
-use tokio::time::timeout;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 
-use super::App;
-use crate::counts::Count;
-use crate::limits::{REPLAY_TIMEOUT, REQUEST_TIMEOUT};
-use crate::model::Refusal;
-use crate::token::Token;
+use crate::counters::ServerCounter;
+use crate::token::AccessToken;
 
-/// Scripts, styles, images and connections of this station only, and nobody may put the page into a frame.
-const POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-/// The port of a Host that names none.
+/// The port of a Host header without one.
 const HTTP_PORT: u16 = 80;
 
-/// What a browser without the token shows; the policy above lets it have no style of its own.
-const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
-
-/// What is asked of whoever comes.
+/// The conditions of access.
 #[derive(Debug)]
-pub(crate) struct Guard {
+pub(crate) struct RequestGuard {
     address: SocketAddr,
-    token: Option<Token>,
+    token: Option<AccessToken>,
 }
 
-/// Why somebody was refused.
+/// Why a request was rejected.
 #[derive(Debug, PartialEq, Eq)]
-struct Denial {
-    count: Count,
-    status: StatusCode,
-    why: String,
+pub(super) struct RequestDenial {
+    pub(super) count: ServerCounter,
+    pub(super) status: StatusCode,
+    pub(super) why: String,
 }
 
-/// What an admitted request leads to.
+/// The result of the check.
 #[derive(Debug, PartialEq, Eq)]
-enum Admission {
-    /// The answer.
+pub(super) enum RequestAdmission {
+    /// Serve the response.
     Plain,
-    /// The answer, and a cookie with the token that stood in the address.
+    /// Serve the response, and set a cookie with the token from the URL.
     WithCookie,
 }
 
-/// Lets a request through or refuses it; every answer gets the headers that keep a browser careful.
-pub(super) async fn admit(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    let admitted = app.guard.check(&request);
-    let mut response = match admitted {
-        Ok(admission) => {
-            let patience = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
-            let answer = timeout(patience, next.run(request)).await;
-            let mut response = answer.unwrap_or_else(|_too_slow| {
-                app.counts.one(Count::BadRequest);
-                let why = "the request took too long".to_owned();
-                refusal(StatusCode::REQUEST_TIMEOUT, why)
-            });
-            if let (Admission::WithCookie, Some(cookie)) = (admission, app.guard.cookie()) {
-                response.headers_mut().insert(SET_COOKIE, cookie);
-            }
-            response
-        }
-        Err(denial) => {
-            app.counts.one(denial.count);
-            if denial.status == StatusCode::UNAUTHORIZED && wants_page(request.headers()) {
-                (denial.status, Html(NO_TOKEN_PAGE)).into_response()
-            } else {
-                refusal(denial.status, denial.why)
-            }
-        }
-    };
-    let headers = response.headers_mut();
-    for (name, value) in [
-        (CONTENT_SECURITY_POLICY, POLICY),
-        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (REFERRER_POLICY, "no-referrer"),
-        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
-    ] {
-        headers.insert(name, HeaderValue::from_static(value));
-    }
-    response
-}
-
-/// Whether somebody looks at the answer in a browser.
-fn wants_page(headers: &HeaderMap) -> bool {
-    let mut accepted = headers.get_all(ACCEPT).iter();
-    accepted.any(|value| {
-        let value = value.to_str().unwrap_or_default();
-        value.to_ascii_lowercase().contains("text/html")
-    })
-}
-
-/// A refusal as JSON.
-pub(super) fn refusal(status: StatusCode, error: String) -> Response {
-    (status, Json(Refusal { error })).into_response()
-}
-
-impl Guard {
-    pub(crate) const fn new(address: SocketAddr, token: Option<Token>) -> Self {
+impl RequestGuard {
+    pub(crate) const fn new(address: SocketAddr, token: Option<AccessToken>) -> Self {
         Self { address, token }
     }
 
-    fn check(&self, request: &Request) -> Result<Admission, Denial> {
+    pub(super) fn check(&self, request: &Request) -> Result<RequestAdmission, RequestDenial> {
         let headers = request.headers();
         let host = self.checked_host(headers)?;
         let authority = request.uri().authority();
@@ -127,30 +59,30 @@ impl Guard {
         self.check_token(request, &host)
     }
 
-    /// The one Host of a request, if it is this station.
-    fn checked_host(&self, headers: &HeaderMap) -> Result<String, Denial> {
+    /// The only Host header of a request, if it names this station.
+    fn checked_host(&self, headers: &HeaderMap) -> Result<String, RequestDenial> {
         let mut hosts = headers.get_all(HOST).iter();
         let host = hosts.next().and_then(|host| host.to_str().ok());
         let (Some(host), None) = (host, hosts.next()) else {
             return Err(self.wrong_host("missing or there more than once"));
         };
-        let is_right = Authority::from_str(host).is_ok_and(|named| self.is_here(&named));
+        let is_right = Authority::from_str(host).is_ok_and(|named| self.is_own_host(&named));
         if is_right { Ok(host.to_ascii_lowercase()) } else { Err(self.wrong_host(host)) }
     }
 
-    fn is_here(&self, named: &Authority) -> bool {
+    fn is_own_host(&self, named: &Authority) -> bool {
         if named.as_str().contains('@') {
             return false;
         }
-        // From elsewhere this computer may have any name; there the token decides.
+        // From other computers this one may have any name; there the token decides.
         let is_port = named.port_u16().unwrap_or(HTTP_PORT) == self.address.port();
         !self.address.ip().is_loopback() || (is_port && is_loopback(named.host()))
     }
 
-    fn wrong_host(&self, found: &str) -> Denial {
+    fn wrong_host(&self, found: &str) -> RequestDenial {
         let found: String = found.chars().filter(|c| !c.is_control()).take(80).collect();
-        Denial {
-            count: Count::WrongHost,
+        RequestDenial {
+            count: ServerCounter::WrongHost,
             status: StatusCode::MISDIRECTED_REQUEST,
             why: if self.address.ip().is_unspecified() {
                 format!("the Host `{found}` is not this station; open the address that it printed")
@@ -161,28 +93,28 @@ impl Guard {
         }
     }
 
-    fn check_token(&self, request: &Request, host: &str) -> Result<Admission, Denial> {
+    fn check_token(&self, request: &Request, host: &str) -> Result<RequestAdmission, RequestDenial> {
         let Some(token) = &self.token else {
-            return Ok(Admission::Plain);
+            return Ok(RequestAdmission::Plain);
         };
         let headers = request.headers();
         let bearer = headers.get(AUTHORIZATION);
         let bearer = bearer.and_then(|value| value.to_str().ok()?.split_once(' '));
-        // The name of a scheme has no case (RFC 9110, section 11.1).
-        if bearer.is_some_and(|(scheme, said)| scheme.eq_ignore_ascii_case("bearer") && token.is(said.trim())) {
-            return Ok(Admission::Plain);
+        // The name of a scheme is case-insensitive (RFC 9110, section 11.1).
+        if bearer.is_some_and(|(scheme, said)| scheme.eq_ignore_ascii_case("bearer") && token.matches(said.trim())) {
+            return Ok(RequestAdmission::Plain);
         }
         let name = self.cookie_name();
-        if cookies(headers, &name).any(|said| token.is(said)) {
-            return Ok(Admission::Plain);
+        if cookies(headers, &name).any(|said| token.matches(said)) {
+            return Ok(RequestAdmission::Plain);
         }
         let query = request.uri().query().unwrap_or_default();
         let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
-        if pairs.any(|(key, said)| key == "token" && token.is(said)) {
-            return Ok(Admission::WithCookie);
+        if pairs.any(|(key, said)| key == "token" && token.matches(said)) {
+            return Ok(RequestAdmission::WithCookie);
         }
-        Err(Denial {
-            count: Count::WrongToken,
+        Err(RequestDenial {
+            count: ServerCounter::WrongToken,
             status: StatusCode::UNAUTHORIZED,
             why: format!(
                 "this station wants the token that it printed when it started: http://{host}/?token=TOKEN, or the header \
@@ -191,12 +123,13 @@ impl Guard {
         })
     }
 
-    /// Cookies know no port, so the name has it: two stations of one computer have one each.
+    /// Cookies are not separated by port, so the port is in the name: two stations on one computer have different
+    /// cookies.
     fn cookie_name(&self) -> String {
         format!("posebridge_{}", self.address.port())
     }
 
-    fn cookie(&self) -> Option<HeaderValue> {
+    pub(super) fn cookie(&self) -> Option<HeaderValue> {
         let token = self.token.as_ref()?.expose();
         let name = self.cookie_name();
         let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict");
@@ -209,21 +142,22 @@ fn is_loopback(host: &str) -> bool {
     host.eq_ignore_ascii_case("localhost") || bare.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
 }
 
-/// An Origin, if there is one, is this station's own. Behind a proxy it may be https.
-fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Denial> {
+/// An Origin header, if present, must name this station. Behind a proxy it may be https.
+fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), RequestDenial> {
     let own = [format!("http://{host}"), format!("https://{host}")];
     for origin in headers.get_all(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
         if !own.iter().any(|own| own.eq_ignore_ascii_case(origin)) {
-            return Err(foreign());
+            return Err(foreign_origin_denial());
         }
     }
     Ok(())
 }
 
-/// A browser says whose page a request comes from even where it names no Origin, as for an image (Fetch Metadata, W3C). A foreign page may
-/// lead somebody to the page of this station, and to nothing else of it: a replay takes a core for seconds.
-fn check_site(request: &Request) -> Result<(), Denial> {
+/// A browser reports the site of the page that makes a request, even where there is no Origin, as for an image (Fetch
+/// Metadata, W3C). A foreign page may link to the page of this station, and to nothing else: a replay takes a core for
+/// seconds.
+fn check_site(request: &Request) -> Result<(), RequestDenial> {
     let headers = request.headers();
     let said = |name: &str| headers.get(name).map(HeaderValue::as_bytes);
     let is_own = |site: &[u8]| [&b"same-origin"[..], b"none"].contains(&site);
@@ -235,12 +169,12 @@ fn check_site(request: &Request) -> Result<(), Denial> {
         && says("sec-fetch-dest", b"document")
         && request.method() == Method::GET
         && !request.uri().path().starts_with("/v1/");
-    if is_visit { Ok(()) } else { Err(foreign()) }
+    if is_visit { Ok(()) } else { Err(foreign_origin_denial()) }
 }
 
-fn foreign() -> Denial {
-    Denial {
-        count: Count::WrongOrigin,
+fn foreign_origin_denial() -> RequestDenial {
+    RequestDenial {
+        count: ServerCounter::WrongOrigin,
         status: StatusCode::FORBIDDEN,
         why: "pages of another origin may not use this station".to_owned(),
     }

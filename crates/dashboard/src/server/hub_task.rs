@@ -1,4 +1,4 @@
-//! The task that owns the hub: takes what the shard tells, sends what is new, answers questions.
+//! The task that owns the hub: applies batches of events, broadcasts frames, answers queries.
 
 use std::sync::Arc;
 
@@ -6,34 +6,34 @@ use axum::extract::ws::Utf8Bytes;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::Clock;
-use crate::counts::{Count, Counts};
-use crate::feed::{Batches, TruthSample};
+use crate::api::HostClockSource;
+use crate::counters::{ServerCounter, ServerCounters};
+use crate::feed::{EventBatches, SimulatedTruth};
 use crate::hub::Hub;
-use crate::limits::{TICK, WAITING_FRAMES};
+use crate::limits::{MAX_WAITING_FRAMES, TICK};
 use crate::metrics;
 use crate::model::{Message, RecordingRow};
-use crate::recordings::Recordings;
-use crate::taps::Taps;
+use crate::recordings::RecordingFolder;
+use crate::taps::FrameTaps;
 
-/// So many batches are taken between two messages; with more the reader of the next one waits no longer than the others.
-const MOST_BATCHES: usize = 6_000;
-/// The same for samples of the truth.
-const MOST_SAMPLES: usize = 1_024;
+/// Most batches between two messages; with more, the next message would be late.
+const MAX_BATCHES_PER_TICK: usize = 6_000;
+/// Most samples of the truth between two messages.
+const MAX_TRUTH_PER_TICK: usize = 1_024;
 
-/// What the hub's task is asked.
-pub(crate) enum Question {
-    /// The first message and all that follow, for a new reader.
-    Hello(Vec<RecordingRow>, oneshot::Sender<Greeting>),
-    /// Something as text.
-    Text(Subject, oneshot::Sender<String>),
-    /// Which file is being recorded into.
+/// A query to the hub task.
+pub(crate) enum HubQuery {
+    /// The first message and a receiver of the following ones, for a new reader.
+    Hello(Vec<RecordingRow>, oneshot::Sender<StreamStart>),
+    /// A text.
+    Text(TextTopic, oneshot::Sender<String>),
+    /// The name of the current recording.
     Recording(oneshot::Sender<Option<String>>),
 }
 
-/// What can be asked for as text.
+/// The texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Subject {
+pub(crate) enum TextTopic {
     State,
     Robots,
     Sources,
@@ -41,55 +41,55 @@ pub(crate) enum Subject {
     Metrics,
 }
 
-/// What a new reader gets.
-pub(crate) struct Greeting {
+/// The start of a stream.
+pub(crate) struct StreamStart {
     pub(crate) hello: Utf8Bytes,
     pub(crate) frames: broadcast::Receiver<Utf8Bytes>,
 }
 
-/// Where what is known comes from.
-pub(crate) struct Inlets {
-    pub(crate) batches: Batches,
-    pub(crate) truth: Option<Box<dyn FnMut() -> Option<TruthSample> + Send>>,
-    pub(crate) clock: Arc<Clock>,
-    pub(crate) questions: mpsc::Receiver<Question>,
-    pub(crate) recordings: Recordings,
-    pub(crate) counts: Arc<Counts>,
+/// The inputs of the hub task.
+pub(crate) struct HubInputs {
+    pub(crate) batches: EventBatches,
+    pub(crate) truth: Option<Box<dyn FnMut() -> Option<SimulatedTruth> + Send>>,
+    pub(crate) clock: Arc<HostClockSource>,
+    pub(crate) queries: mpsc::Receiver<HubQuery>,
+    pub(crate) recordings: RecordingFolder,
+    pub(crate) counts: Arc<ServerCounters>,
     /// Readers in this process.
-    pub(crate) taps: Taps,
+    pub(crate) taps: FrameTaps,
 }
 
-/// Runs until the shard is gone.
-pub(crate) async fn run_hub(mut hub: Hub, mut inlets: Inlets) {
-    let (frames, _) = broadcast::channel(WAITING_FRAMES);
+/// Runs until the station loop ends.
+pub(crate) async fn run_hub(mut hub: Hub, mut inputs: HubInputs) {
+    let (frames, _) = broadcast::channel(MAX_WAITING_FRAMES);
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
-            () = inlets.batches.crowd() => {}
+            () = inputs.batches.backlog() => {}
             _ = ticks.tick() => {}
-            Some(question) = inlets.questions.recv() => {
-                answer(&hub, &inlets.counts, question, &frames);
+            Some(question) = inputs.queries.recv() => {
+                answer_query(&hub, &inputs.counts, question, &frames);
                 continue;
             }
         }
-        if !take_all(&mut hub, &mut inlets) {
+        if !drain_inputs(&mut hub, &mut inputs) {
             return;
         }
-        send_news(&mut hub, &mut inlets, &frames);
+        broadcast_frame(&mut hub, &mut inputs, &frames);
     }
 }
 
-/// Takes what has come; false when the shard is gone.
-fn take_all(hub: &mut Hub, inlets: &mut Inlets) -> bool {
-    if let Some(truth) = &mut inlets.truth {
-        for sample in std::iter::from_fn(truth).take(MOST_SAMPLES) {
-            hub.take_truth(&sample);
+/// Applies the waiting inputs; false when the station loop has ended.
+fn drain_inputs(hub: &mut Hub, inputs: &mut HubInputs) -> bool {
+    if let Some(truth) = &mut inputs.truth {
+        for sample in std::iter::from_fn(truth).take(MAX_TRUTH_PER_TICK) {
+            hub.push_truth(&sample);
         }
     }
-    for _ in 0..MOST_BATCHES {
-        match inlets.batches.try_recv() {
-            Ok(batch) => hub.take(&batch),
+    for _ in 0..MAX_BATCHES_PER_TICK {
+        match inputs.batches.try_recv() {
+            Ok(batch) => hub.push_batch(&batch),
             Err(mpsc::error::TryRecvError::Empty) => break,
             Err(mpsc::error::TryRecvError::Disconnected) => return false,
         }
@@ -97,48 +97,48 @@ fn take_all(hub: &mut Hub, inlets: &mut Inlets) -> bool {
     true
 }
 
-/// Writes what is new once, for all readers.
-fn send_news(hub: &mut Hub, inlets: &mut Inlets, frames: &broadcast::Sender<Utf8Bytes>) {
-    let now = (inlets.clock)();
-    let Some(frame) = hub.news(now, |name| inlets.recordings.now(name)) else {
+/// Serializes the updates once and sends them to all readers.
+fn broadcast_frame(hub: &mut Hub, inputs: &mut HubInputs, frames: &broadcast::Sender<Utf8Bytes>) {
+    let now = (inputs.clock)();
+    let Some(frame) = hub.next_frame(now, |name| inputs.recordings.current(name)) else {
         return;
     };
-    if !inlets.taps.is_empty() {
-        let missed = inlets.taps.tell(&Arc::new(frame.clone()));
-        inlets.counts.add(Count::TapFramesMissed, missed);
+    if !inputs.taps.is_empty() {
+        let missed = inputs.taps.send(&Arc::new(frame.clone()));
+        inputs.counts.add(ServerCounter::TapFramesMissed, missed);
     }
     if frames.receiver_count() > 0 {
-        // Nobody left in the meantime is as good.
-        drop(frames.send(text(&Message::Frame(Box::new(frame))).into()));
+        // An error means that the last reader has left.
+        drop(frames.send(to_json(&Message::Frame(Box::new(frame))).into()));
     }
 }
 
-fn answer(hub: &Hub, counts: &Counts, question: Question, frames: &broadcast::Sender<Utf8Bytes>) {
-    match question {
-        Question::Hello(recordings, reply) => {
-            let hello = text(&Message::Hello(Box::new(hub.hello(recordings))));
-            // Whoever asked may have gone.
-            drop(reply.send(Greeting { hello: hello.into(), frames: frames.subscribe() }));
+fn answer_query(hub: &Hub, counts: &ServerCounters, query: HubQuery, frames: &broadcast::Sender<Utf8Bytes>) {
+    match query {
+        HubQuery::Hello(recordings, reply) => {
+            let hello = to_json(&Message::Hello(Box::new(hub.hello(recordings))));
+            // The client may have left.
+            drop(reply.send(StreamStart { hello: hello.into(), frames: frames.subscribe() }));
         }
-        Question::Text(subject, reply) => drop(reply.send(about(hub, counts, subject))),
-        Question::Recording(reply) => drop(reply.send(hub.recording.clone())),
+        HubQuery::Text(subject, reply) => drop(reply.send(render_topic(hub, counts, subject))),
+        HubQuery::Recording(reply) => drop(reply.send(hub.recording.clone())),
     }
 }
 
-fn about(hub: &Hub, counts: &Counts, subject: Subject) -> String {
+fn render_topic(hub: &Hub, counts: &ServerCounters, subject: TextTopic) -> String {
     match subject {
-        Subject::State => text(&hub.state(counts)),
-        Subject::Robots => text(&hub.robots()),
-        Subject::Sources => text(&hub.sources()),
-        Subject::Parameters => text(&hub.parameters()),
-        Subject::Metrics => {
-            counts.set(Count::PointsDropped, hub.dropped());
+        TextTopic::State => to_json(&hub.state(counts)),
+        TextTopic::Robots => to_json(&hub.robots()),
+        TextTopic::Sources => to_json(&hub.sources()),
+        TextTopic::Parameters => to_json(&hub.parameters()),
+        TextTopic::Metrics => {
+            counts.set(ServerCounter::PointsDropped, hub.dropped());
             metrics::page(hub, counts)
         }
     }
 }
 
-/// Plain structs of numbers and texts can always be written.
-fn text<T: serde::Serialize>(value: &T) -> String {
+/// Plain structs of numbers and texts always serialize.
+fn to_json<T: serde::Serialize>(value: &T) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }

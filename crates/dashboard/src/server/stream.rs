@@ -1,6 +1,6 @@
-//! `/v1/stream`: a first message, then what is new, to as many readers as there are; commands come back.
+//! `/v1/stream`: a first message, then updates, to any number of readers; commands come back.
 //!
-//! What is new is written once for all. A reader that is slow misses messages, is told how many, and slows nobody.
+//! An update is serialized once for all readers. A slow reader misses messages, gets their number, and delays nobody.
 
 use std::io::ErrorKind;
 use std::sync::Arc;
@@ -16,76 +16,75 @@ use tokio::sync::oneshot;
 use tokio::time::{interval, timeout};
 use tungstenite::error::ProtocolError;
 
-use super::App;
-use super::guard::refusal;
-use super::hub_task::{Greeting, Question};
-use super::seat::Seat;
-use crate::counts::Count;
-use crate::limits::{MESSAGE_BYTES, MOST_CLIENTS, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
+use super::app_state::{AppState, refusal_response};
+use super::connection_slot::ConnectionSlot;
+use super::hub_task::{HubQuery, StreamStart};
+use crate::counters::ServerCounter;
+use crate::limits::{MAX_CLIENTS, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
 use crate::model::{Message, Refusal};
 
-/// How a message ends for who has missed none.
-const NONE_MISSED: &str = "\"dropped\":0}";
+/// The end of a message without missed ones.
+const NONE_MISSED_SUFFIX: &str = "\"dropped\":0}";
 
 /// Opens a stream.
 pub(super) async fn open(
-    State(app): State<Arc<App>>,
-    Extension(connection): Extension<Arc<Seat>>,
+    State(app): State<Arc<AppState>>,
+    Extension(connection): Extension<Arc<ConnectionSlot>>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let upgrade = match upgrade {
         Ok(upgrade) => upgrade,
         Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
-    // Taken here and not by the stream itself, which begins only when the answer has gone.
-    let Some(seat) = Seat::take(&app.readers, &app.counts, Count::Clients) else {
-        app.counts.one(Count::TooManyClients);
-        let why = format!("{MOST_CLIENTS} readers are here already; close one");
-        return refusal(StatusCode::SERVICE_UNAVAILABLE, why);
+    // Acquired here and not by the stream itself, which begins after the response.
+    let Some(slot) = ConnectionSlot::acquire(&app.reader_slots, &app.counts, ServerCounter::Clients) else {
+        app.counts.increment(ServerCounter::TooManyClients);
+        let why = format!("{MAX_CLIENTS} readers are here already; close one");
+        return refusal_response(StatusCode::SERVICE_UNAVAILABLE, why);
     };
     upgrade
-        .max_message_size(MESSAGE_BYTES)
-        .max_frame_size(MESSAGE_BYTES)
+        .max_message_size(MAX_MESSAGE_BYTES)
+        .max_frame_size(MAX_MESSAGE_BYTES)
         .max_write_buffer_size(WRITE_BUFFER_BYTES)
         .on_upgrade(move |socket| async move {
             serve(app, socket).await;
-            drop((seat, connection));
+            drop((slot, connection));
         })
 }
 
-async fn serve(app: Arc<App>, socket: WebSocket) {
-    let mut client = Client { app: Arc::clone(&app), socket, missed: 0, is_heard: true };
-    if client.talk().await == Farewell::Dropped {
-        app.counts.one(Count::ClientsDropped);
+async fn serve(app: Arc<AppState>, socket: WebSocket) {
+    let mut client = StreamClient { app: Arc::clone(&app), socket, missed: 0, has_responded: true };
+    if client.run().await == StreamEnd::Dropped {
+        app.counts.increment(ServerCounter::ClientsDropped);
     }
 }
 
 /// How a stream ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Farewell {
-    /// The reader or the station went.
-    Left,
-    /// The reader took nothing for too long, or sent what is no WebSocket.
+enum StreamEnd {
+    /// The reader left or the station ended.
+    Closed,
+    /// The reader received nothing for too long, or broke the protocol.
     Dropped,
 }
 
 /// One reader.
-struct Client {
-    app: Arc<App>,
+struct StreamClient {
+    app: Arc<AppState>,
     socket: WebSocket,
-    /// Messages that it has missed.
+    /// Messages missed so far.
     missed: u64,
-    /// It has said something since it was last asked.
-    is_heard: bool,
+    /// Whether it has sent anything since the last ping.
+    has_responded: bool,
 }
 
-impl Client {
-    async fn talk(&mut self) -> Farewell {
+impl StreamClient {
+    async fn run(&mut self) -> StreamEnd {
         let rows = self.app.recording_rows().await;
         let (reply, answer) = oneshot::channel();
-        drop(self.app.questions.send(Question::Hello(rows, reply)).await);
-        let Ok(Greeting { hello, mut frames }) = answer.await else {
-            return Farewell::Left;
+        drop(self.app.queries.send(HubQuery::Hello(rows, reply)).await);
+        let Ok(StreamStart { hello, mut frames }) = answer.await else {
+            return StreamEnd::Closed;
         };
         if let Err(farewell) = self.send(Packet::Text(hello)).await {
             return farewell;
@@ -94,10 +93,10 @@ impl Client {
         pings.reset();
         loop {
             let gone = tokio::select! {
-                packet = self.socket.recv() => self.hear(packet).await,
-                frame = frames.recv() => self.pass_on(frame).await,
-                _ = pings.tick() => self.ask_whether_it_is_there().await,
-                () = self.app.stop.cancelled() => Err(Farewell::Left),
+                packet = self.socket.recv() => self.on_packet(packet).await,
+                frame = frames.recv() => self.forward_frame(frame).await,
+                _ = pings.tick() => self.ping().await,
+                () = self.app.stop.cancelled() => Err(StreamEnd::Closed),
             };
             if let Err(farewell) = gone {
                 return farewell;
@@ -105,71 +104,71 @@ impl Client {
         }
     }
 
-    async fn hear(&mut self, packet: Option<Result<Packet, axum::Error>>) -> Result<(), Farewell> {
-        self.is_heard = true;
+    async fn on_packet(&mut self, packet: Option<Result<Packet, axum::Error>>) -> Result<(), StreamEnd> {
+        self.has_responded = true;
         match packet {
-            None | Some(Ok(Packet::Close(_))) => Err(Farewell::Left),
-            Some(Ok(Packet::Text(text))) => match self.app.give(text.as_bytes()) {
+            None | Some(Ok(Packet::Close(_))) => Err(StreamEnd::Closed),
+            Some(Ok(Packet::Text(text))) => match self.app.submit_command(text.as_bytes()) {
                 Ok(_) => Ok(()),
-                Err((_, why)) => self.refuse(why).await,
+                Err((_, why)) => self.send_error(why).await,
             },
             Some(Ok(Packet::Binary(_))) => {
-                self.app.counts.one(Count::BadCommand);
-                self.refuse("commands are JSON in text messages".to_owned()).await
+                self.app.counts.increment(ServerCounter::BadCommand);
+                self.send_error("commands are JSON in text messages".to_owned()).await
             }
             Some(Ok(Packet::Ping(_) | Packet::Pong(_))) => Ok(()),
-            Some(Err(error)) => Err(farewell_of(error)),
+            Some(Err(error)) => Err(stream_end_of(error)),
         }
     }
 
-    async fn pass_on(&mut self, frame: Result<Utf8Bytes, RecvError>) -> Result<(), Farewell> {
+    async fn forward_frame(&mut self, frame: Result<Utf8Bytes, RecvError>) -> Result<(), StreamEnd> {
         match frame {
             Ok(frame) => {
                 let frame = with_missed(frame, self.missed);
                 self.send(Packet::Text(frame)).await?;
-                self.app.counts.one(Count::FramesSent);
+                self.app.counts.increment(ServerCounter::FramesSent);
                 Ok(())
             }
             Err(RecvError::Lagged(missed)) => {
                 self.missed += missed;
-                self.app.counts.add(Count::FramesMissed, missed);
+                self.app.counts.add(ServerCounter::FramesMissed, missed);
                 Ok(())
             }
-            Err(RecvError::Closed) => Err(Farewell::Left),
+            Err(RecvError::Closed) => Err(StreamEnd::Closed),
         }
     }
 
-    async fn ask_whether_it_is_there(&mut self) -> Result<(), Farewell> {
-        if !std::mem::take(&mut self.is_heard) {
-            return Err(Farewell::Dropped);
+    async fn ping(&mut self) -> Result<(), StreamEnd> {
+        if !std::mem::take(&mut self.has_responded) {
+            return Err(StreamEnd::Dropped);
         }
         self.send(Packet::Ping(axum::body::Bytes::new())).await
     }
 
-    async fn refuse(&mut self, error: String) -> Result<(), Farewell> {
+    async fn send_error(&mut self, error: String) -> Result<(), StreamEnd> {
         let text = serde_json::to_string(&Message::Error(Refusal { error }));
         self.send(Packet::Text(text.unwrap_or_default().into())).await
     }
 
-    async fn send(&mut self, packet: Packet) -> Result<(), Farewell> {
+    async fn send(&mut self, packet: Packet) -> Result<(), StreamEnd> {
         match timeout(SEND_TIMEOUT, self.socket.send(packet)).await {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(_gone)) => Err(Farewell::Left),
-            Err(_too_slow) => Err(Farewell::Dropped),
+            Ok(Err(_gone)) => Err(StreamEnd::Closed),
+            Err(_too_slow) => Err(StreamEnd::Dropped),
         }
     }
 }
 
-/// How a stream ended that cannot be read any further.
-fn farewell_of(error: axum::Error) -> Farewell {
+/// The end of a stream that cannot be read.
+fn stream_end_of(error: axum::Error) -> StreamEnd {
     let cause = error.into_inner().downcast::<tungstenite::Error>();
-    if cause.is_ok_and(|cause| has_gone(&cause)) { Farewell::Left } else { Farewell::Dropped }
+    if cause.is_ok_and(|cause| is_disconnect(&cause)) { StreamEnd::Closed } else { StreamEnd::Dropped }
 }
 
-/// Whether somebody just went: a browser whose tab is closed, or whose computer sleeps, says nothing.
-fn has_gone(cause: &tungstenite::Error) -> bool {
+/// Whether the reader left without closing: a browser whose tab is closed, or whose computer sleeps.
+fn is_disconnect(cause: &tungstenite::Error) -> bool {
     if let tungstenite::Error::Io(error) = cause {
-        // Then the system gave up: nothing was taken for too long.
+        // A timeout of the system: the reader received nothing for too long.
         return error.kind() != ErrorKind::TimedOut;
     }
     matches!(
@@ -180,9 +179,9 @@ fn has_gone(cause: &tungstenite::Error) -> bool {
     )
 }
 
-/// A message for a reader that has missed some.
+/// A message with the number of missed ones.
 fn with_missed(frame: Utf8Bytes, missed: u64) -> Utf8Bytes {
-    match (missed, frame.as_str().strip_suffix(NONE_MISSED)) {
+    match (missed, frame.as_str().strip_suffix(NONE_MISSED_SUFFIX)) {
         (0, _) | (_, None) => frame,
         (_, Some(head)) => format!("{head}\"dropped\":{missed}}}").into(),
     }

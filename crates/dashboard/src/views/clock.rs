@@ -1,8 +1,8 @@
 //! The alignment of the robot's clock.
 
-use posebridge_telemetry::{Event, HostClock, Stamp};
+use posebridge_telemetry::{Event, HostClock, Timestamp};
 
-use super::{Pace, Setting, Told, View};
+use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{ClockRow, Frame};
 
 /// The last alignment.
@@ -11,17 +11,17 @@ pub(super) struct Clock {
 }
 
 impl Clock {
-    pub(super) const fn new(_setting: &Setting) -> Self {
+    pub(super) const fn new(_setting: &ViewConfig) -> Self {
         Self { row: None }
     }
 }
 
 impl View for Clock {
-    fn take(&mut self, _now: Stamp<HostClock>, told: Told<'_>) {
-        let Told::Event(Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. }) = told else {
+    fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. }) = input else {
             return;
         };
-        // Between two answers the alignment is also refined by what arrives by itself.
+        // Between two replies the alignment is also refined by one-way messages.
         let has_answered = round_trip.is_some() || self.row.as_ref().is_some_and(|row| row.method == TWO_WAY);
         let method = if has_answered { TWO_WAY } else { ONE_WAY };
         self.row = Some(ClockRow {
@@ -32,8 +32,8 @@ impl View for Clock {
         });
     }
 
-    fn add_news(&mut self, frame: &mut Frame, pace: Pace) {
-        if pace == Pace::Second {
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        if content == FrameContent::DeltaAndSummary {
             self.add_history(frame);
         }
     }
@@ -43,7 +43,7 @@ impl View for Clock {
     }
 }
 
-/// The brick answers questions for its time.
+/// The brick answers time requests.
 const TWO_WAY: &str = "two-way";
-/// It is only heard.
+/// One-way messages only.
 const ONE_WAY: &str = "one-way";

@@ -1,58 +1,58 @@
 //! Estimates with their ellipse: the map's line and the robot on it.
 
 use posebridge_telemetry::estimate::row;
-use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, Stamp};
+use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, Timestamp};
 
-use super::trail::{MOST_ROBOTS, Trails, Weight};
-use super::{Pace, Setting, Told, View, robot_name};
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
-/// An ellipse of so many standard deviations holds 95 % of a normal distribution of two dimensions: sqrt(-2 ln 0.05).
+/// An ellipse of this many standard deviations holds 95 % of a normal distribution of two dimensions: sqrt(-2 ln
+/// 0.05).
 const ELLIPSE_SIGMAS: f64 = 2.447_746_830_680_816;
 
-/// The estimates of each robot.
 pub(super) struct Estimates {
-    trails: Trails<(), EstimatePoint>,
+    series: RetainedSeriesMap<(), EstimatePoint>,
 }
 
 impl Estimates {
-    pub(super) fn new(setting: &Setting) -> Self {
-        Self { trails: Trails::new(setting.keep, MOST_ROBOTS) }
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS) }
     }
 }
 
 impl View for Estimates {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        let Told::Event(Event::Estimated { robot, estimate }) = told else {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::EstimateUpdated { robot, estimate }) = input else {
             return;
         };
         if estimate.validity.position && estimate.validity.heading {
             let point = point_of(now, estimate);
-            self.trails.push(now, (*robot, ()), (point, Weight::Usual));
+            self.series.push(now, (*robot, ()), point, PointPriority::Normal);
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, _pace: Pace) {
-        for (robot, points) in self.trails.take_news() {
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.series.take_pending() {
             frame.robot(&robot_name(robot)).estimates = points;
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.trails.kept() {
+        for (robot, points) in self.series.retained() {
             history.robot(&robot_name(robot)).estimates = points;
         }
     }
 
     fn dropped(&self) -> u64 {
-        self.trails.dropped()
+        self.series.dropped()
     }
 }
 
-/// An estimate as it is shown.
-pub(crate) fn point_of(now: Stamp<HostClock>, estimate: &Estimate) -> EstimatePoint {
+/// An estimate as a point of the page.
+pub(crate) fn point_of(now: Timestamp<HostClock>, estimate: &Estimate) -> EstimatePoint {
     let covariance = &estimate.covariance;
-    let ellipse = Ellipse::of_covariance(
+    let ellipse = Ellipse::from_covariance(
         covariance[row::X][row::X],
         covariance[row::X][row::Y],
         covariance[row::Y][row::Y],
@@ -72,6 +72,6 @@ pub(crate) fn point_of(now: Stamp<HostClock>, estimate: &Estimate) -> EstimatePo
         turn_rad_per_s: estimate.turn_rate.0.into(),
         reset_counter: estimate.reset_counter,
         is_dead_reckoning: estimate.is_dead_reckoning,
-        fix_age_s: estimate.fix_age.map_or(f64::NAN, posebridge_telemetry::Span::as_secs_f64).into(),
+        fix_age_s: estimate.fix_age.map_or(f64::NAN, posebridge_telemetry::TimeDelta::as_secs_f64).into(),
     }
 }

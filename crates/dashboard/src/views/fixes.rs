@@ -1,50 +1,51 @@
-//! Camera fixes with what became of them: the map's marks.
+//! Camera fixes with their outcome: the map's marks.
 //!
-//! Where a fix was stands in the observation, what became of it in the record that follows.
+//! The position of a fix is in the observation, its outcome in the record that follows.
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Event, Fix, Heading, HostClock, Observed, RobotId, SensorId, Stamp, Verdict};
+use posebridge_telemetry::{
+    Event, Fix, FusionOutcome, Heading, HostClock, ObservationKind, RobotId, SensorId, Timestamp,
+};
 
-use super::trail::{MOST_ROBOTS, Trails, Weight};
-use super::{Pace, Setting, Told, View, robot_name};
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::model::{FixPoint, Frame, seconds_of};
 
-/// So many fixes wait for their records; the record follows at once, but a late fix may revise others first.
-const MOST_OPEN: usize = 16;
+/// Most fixes that wait for their records; the record follows at once, but a late fix may revise others first.
+const MAX_PENDING_FIXES: usize = 16;
 
-/// The fixes of each robot.
 pub(super) struct Fixes {
-    trails: Trails<(), FixPoint>,
-    open: VecDeque<(RobotId, SensorId, Fix)>,
+    series: RetainedSeriesMap<(), FixPoint>,
+    pending: VecDeque<(RobotId, SensorId, Fix)>,
 }
 
 impl Fixes {
-    pub(super) fn new(setting: &Setting) -> Self {
-        Self { trails: Trails::new(setting.keep, MOST_ROBOTS), open: VecDeque::new() }
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS), pending: VecDeque::new() }
     }
 
-    /// The oldest fix of this sensor whose record has not come.
-    fn close(&mut self, robot: RobotId, sensor: SensorId) -> Option<Fix> {
+    /// The oldest fix of this sensor without a record.
+    fn take_pending(&mut self, robot: RobotId, sensor: SensorId) -> Option<Fix> {
         let is_it = |open: &(RobotId, SensorId, Fix)| (open.0, open.1) == (robot, sensor);
-        let index = self.open.iter().position(is_it)?;
-        self.open.remove(index).map(|(_, _, fix)| fix)
+        let index = self.pending.iter().position(is_it)?;
+        self.pending.remove(index).map(|(_, _, fix)| fix)
     }
 }
 
 impl View for Fixes {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        match told {
-            Told::Event(Event::Observed { robot, observation, .. }) => {
-                if let Observed::Fix(fix) = observation.observed {
-                    if self.open.len() >= MOST_OPEN {
-                        self.open.pop_front();
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Event(Event::ObservationAligned { robot, observation, .. }) => {
+                if let ObservationKind::Fix(fix) = observation.measurement {
+                    if self.pending.len() >= MAX_PENDING_FIXES {
+                        self.pending.pop_front();
                     }
-                    self.open.push_back((*robot, observation.sensor, fix));
+                    self.pending.push_back((*robot, observation.sensor, fix));
                 }
             }
-            Told::Event(Event::Fused { robot, record }) if record.kind == "fix" => {
-                let Some(fix) = self.close(*robot, record.sensor) else {
+            ViewInput::Event(Event::ObservationFused { robot, record }) if record.kind == "fix" => {
+                let Some(fix) = self.take_pending(*robot, record.sensor) else {
                     return;
                 };
                 let heading_rad = fix.heading.map_or(f64::NAN, Heading::rad);
@@ -54,34 +55,38 @@ impl View for Fixes {
                     y_m: fix.position.y.0.into(),
                     heading_rad: heading_rad.into(),
                     sensor: record.sensor.name().to_owned(),
-                    verdict: record.verdict.reason().to_owned(),
+                    verdict: record.outcome.reason().to_owned(),
                     lag_s: record.lag.as_secs_f64().into(),
                 };
-                let weight = weight_of(record.verdict);
-                self.trails.push(now, (*robot, ()), (point, weight));
+                let priority = priority_of(record.outcome);
+                self.series.push(now, (*robot, ()), point, priority);
             }
-            Told::Event(_) | Told::Truth(_) | Told::Standing(_) => {}
+            ViewInput::Event(_) | ViewInput::Truth(_) | ViewInput::Status(_) => {}
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, _pace: Pace) {
-        for (robot, points) in self.trails.take_news() {
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.series.take_pending() {
             frame.robot(&robot_name(robot)).fixes = points;
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.trails.kept() {
+        for (robot, points) in self.series.retained() {
             history.robot(&robot_name(robot)).fixes = points;
         }
     }
 
     fn dropped(&self) -> u64 {
-        self.trails.dropped()
+        self.series.dropped()
     }
 }
 
-/// What was used as foreseen is one of many; everything else is what people look for.
-pub(super) fn weight_of(verdict: Verdict) -> Weight {
-    if matches!(verdict, Verdict::Accepted | Verdict::Unused) { Weight::Usual } else { Weight::Rare }
+/// Accepted and unused fixes are normal; people search for all others.
+pub(super) fn priority_of(verdict: FusionOutcome) -> PointPriority {
+    if matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Unused) {
+        PointPriority::Normal
+    } else {
+        PointPriority::Keep
+    }
 }

@@ -2,46 +2,45 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, LinkState, Span, Stamp};
+use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, LinkState, TimeDelta, Timestamp};
 
-use super::{Pace, Setting, Told, View};
+use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LinkRow, Number};
 
-/// So many links are shown; a configuration has a handful.
-const MOST_LINKS: usize = 256;
+/// Most links that are shown; a configuration has a handful.
+const MAX_LINKS: usize = 256;
 
-/// All links.
 pub(super) struct Links {
-    setting: Setting,
-    known: BTreeMap<LinkId, Link>,
-    has_news: bool,
+    config: ViewConfig,
+    by_id: BTreeMap<LinkId, LinkActivity>,
+    has_changed: bool,
 }
 
-/// What is known of one link.
+/// The state of one link.
 #[derive(Clone, Copy)]
-struct Link {
+struct LinkActivity {
     state: LinkState,
     health: LinkHealth,
-    heard: Option<Stamp<HostClock>>,
+    last_seen: Option<Timestamp<HostClock>>,
     bytes_in_per_s: f64,
     frames_in_per_s: f64,
 }
 
-impl Link {
-    fn take(&mut self, now: Stamp<HostClock>, health: LinkHealth) {
-        if let Some(heard) = self.heard {
+impl LinkActivity {
+    fn update(&mut self, now: Timestamp<HostClock>, health: LinkHealth) {
+        if let Some(heard) = self.last_seen {
             let passed_s = (now - heard).as_secs_f64();
             let rate = |after: u64, before: u64| after.saturating_sub(before) as f64 / passed_s;
             self.bytes_in_per_s = rate(health.bytes_in, self.health.bytes_in);
             self.frames_in_per_s = rate(health.frames_in, self.health.frames_in);
         }
-        self.heard = Some(now);
+        self.last_seen = Some(now);
         self.health = health;
     }
 
     fn row(&self, id: LinkId, name: String) -> LinkRow {
         let health = &self.health;
-        let millis = |span: Option<Span>| Number::from(span.map_or(f64::NAN, Span::as_millis_f64));
+        let millis = |span: Option<TimeDelta>| Number::from(span.map_or(f64::NAN, TimeDelta::as_millis_f64));
         LinkRow {
             id: id.0,
             name,
@@ -54,7 +53,7 @@ impl Link {
             lost: health.frames_lost,
             checksum_errors: health.checksum_errors,
             garbage_bytes: health.garbage_bytes,
-            stalls: health.stalls,
+            stalls: health.timeouts,
             queued_frames: health.port.queued_frames,
             drops_out: health.drops_out,
             round_trip_ms: millis(health.round_trip),
@@ -64,18 +63,18 @@ impl Link {
 }
 
 impl Links {
-    pub(super) fn new(setting: &Setting) -> Self {
-        Self { setting: setting.clone(), known: BTreeMap::new(), has_news: false }
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self { config: setting.clone(), by_id: BTreeMap::new(), has_changed: false }
     }
 
-    fn link(&mut self, id: LinkId) -> Option<&mut Link> {
-        if !self.known.contains_key(&id) && self.known.len() >= MOST_LINKS {
+    fn link(&mut self, id: LinkId) -> Option<&mut LinkActivity> {
+        if !self.by_id.contains_key(&id) && self.by_id.len() >= MAX_LINKS {
             return None;
         }
-        Some(self.known.entry(id).or_insert(Link {
+        Some(self.by_id.entry(id).or_insert(LinkActivity {
             state: LinkState::Down,
             health: LinkHealth::default(),
-            heard: None,
+            last_seen: None,
             bytes_in_per_s: 0.0,
             frames_in_per_s: 0.0,
         }))
@@ -83,32 +82,32 @@ impl Links {
 }
 
 impl View for Links {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        match told {
-            Told::Event(Event::Link { link, state }) => {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Event(Event::Link { link, state }) => {
                 if let Some(link) = self.link(*link) {
                     link.state = *state;
-                    self.has_news = true;
+                    self.has_changed = true;
                 }
             }
-            Told::Event(Event::Health { link, health, .. }) => {
+            ViewInput::Event(Event::Health { link, health, .. }) => {
                 if let Some(link) = self.link(*link) {
-                    link.take(now, *health);
+                    link.update(now, *health);
                 }
             }
-            Told::Event(_) | Told::Truth(_) | Told::Standing(_) => {}
+            ViewInput::Event(_) | ViewInput::Truth(_) | ViewInput::Status(_) => {}
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, pace: Pace) {
-        if std::mem::take(&mut self.has_news) || pace == Pace::Second {
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
             self.add_history(frame);
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        let rows = self.known.iter();
-        let rows = rows.map(|(id, link)| link.row(*id, self.setting.link_name(*id)));
+        let rows = self.by_id.iter();
+        let rows = rows.map(|(id, link)| link.row(*id, self.config.link_name(*id)));
         history.links = Some(rows.collect());
     }
 }

@@ -1,57 +1,64 @@
-//! The event log: what robots, ground stations and the station itself say, and what happened to robots and links.
+//! The event log: texts of robots, ground stations and the station, and events of robots and links.
 
-use posebridge_telemetry::{Address, Event, HostClock, LinkState, Repeats, Span, Stamp};
+use posebridge_telemetry::{Address, Event, HostClock, LinkState, RepeatFilter, TimeDelta, Timestamp};
 
-use super::trail::{Trail, Weight};
-use super::{Keep, Pace, Setting, Told, View, robot_name};
+use super::retained_series::RetentionPolicy;
+use super::retained_series::{PointPriority, RetainedSeries};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::model::{Frame, LogLine, seconds_of};
 
-/// So many lines are kept; more than a page shows.
-const MOST_LINES: usize = 300;
-/// So long a line is at most, in bytes; MAVLink's longest text in parts is far shorter.
-const LONGEST_LINE: usize = 1_000;
+/// Most lines; more than a page shows.
+const MAX_LINES: usize = 300;
+/// Longest line, in bytes; MAVLink's longest text in parts is far shorter.
+const MAX_LINE_CHARS: usize = 1_000;
 
-/// So old a line is at most: there are far fewer lines than points, and the beginning of a session tells most.
-const LONGEST: Span = Span::from_millis(24 * 3_600_000);
+/// Largest age of a line: there are far fewer lines than points, and the start of a session is the most informative.
+const REPEAT_WINDOW: TimeDelta = TimeDelta::from_millis(24 * 3_600_000);
 
 const WARNING: u8 = 4;
 const NOTICE: u8 = 5;
 
-/// The lines.
 pub(super) struct Log {
-    setting: Setting,
-    trail: Trail<LogLine>,
-    repeats: Repeats,
-    /// The severity of the last line.
+    config: ViewConfig,
+    lines: RetainedSeries<LogLine>,
+    repeats: RepeatFilter,
     severity: u8,
 }
 
 impl Log {
-    pub(super) fn new(setting: &Setting) -> Self {
-        let keep = match setting.keep {
-            Keep::Latest { .. } => Keep::Latest { span: LONGEST, most: MOST_LINES },
-            whole @ Keep::Whole { .. } => whole,
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        let keep = match setting.retention {
+            RetentionPolicy::SlidingWindow { .. } => {
+                RetentionPolicy::SlidingWindow { duration: REPEAT_WINDOW, max_points: MAX_LINES }
+            }
+            whole @ RetentionPolicy::WholeSession { .. } => whole,
         };
-        Self { setting: setting.clone(), trail: Trail::new(keep), repeats: Repeats::default(), severity: NOTICE }
-    }
-
-    /// Over a whole session what robots and ground stations chatter goes first; the last lines are kept as they came.
-    const fn weight_of(&self, severity: u8) -> Weight {
-        match self.setting.keep {
-            Keep::Whole { .. } if severity > NOTICE => Weight::Usual,
-            Keep::Whole { .. } | Keep::Latest { .. } => Weight::Rare,
+        Self {
+            config: setting.clone(),
+            lines: RetainedSeries::new(keep),
+            repeats: RepeatFilter::default(),
+            severity: NOTICE,
         }
     }
 
-    fn push(&mut self, now: Stamp<HostClock>, severity: u8, text: String) {
+    /// In a whole session the texts of robots and ground stations are thinned first; live, the last lines are kept
+    /// unchanged.
+    const fn priority_of(&self, severity: u8) -> PointPriority {
+        match self.config.retention {
+            RetentionPolicy::WholeSession { .. } if severity > NOTICE => PointPriority::Normal,
+            RetentionPolicy::WholeSession { .. } | RetentionPolicy::SlidingWindow { .. } => PointPriority::Keep,
+        }
+    }
+
+    fn push(&mut self, now: Timestamp<HostClock>, severity: u8, text: String) {
         let t_s = seconds_of(now);
         let line = LogLine { t_s, severity, text };
-        self.trail.push(now, line, self.weight_of(severity));
+        self.lines.push(now, line, self.priority_of(severity));
     }
 
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
         Some(match event {
-            Event::RobotSeen { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
+            Event::RobotDetected { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
             Event::RobotLost { robot, silence } => {
                 let silent_s = silence.as_secs_f64();
                 let robot = robot_name(*robot);
@@ -62,27 +69,27 @@ impl Log {
                 (WARNING, format!("{robot} was restarted: clock and counters re-based"))
             }
             Event::Link { link, state } => {
-                let name = self.setting.link_name(*link);
+                let name = self.config.link_name(*link);
                 match state {
                     LinkState::Up => (NOTICE, format!("link {name} is up")),
                     LinkState::Down => (WARNING, format!("link {name} is down")),
                 }
             }
-            Event::Text { source, severity, text } => (*severity, said(*source, text)),
-            Event::Observed { .. }
-            | Event::Fused { .. }
-            | Event::Estimated { .. }
+            Event::Text { source, severity, text } => (*severity, attributed_text(*source, text)),
+            Event::ObservationAligned { .. }
+            | Event::ObservationFused { .. }
+            | Event::EstimateUpdated { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }
             | Event::Health { .. }
-            | Event::Defect { .. } => return None,
+            | Event::ReceiveError { .. } => return None,
         })
     }
 }
 
-fn said(source: Address, text: &str) -> String {
-    let mut end = text.len().min(LONGEST_LINE);
+fn attributed_text(source: Address, text: &str) -> String {
+    let mut end = text.len().min(MAX_LINE_CHARS);
     while !text.is_char_boundary(end) {
         end -= 1;
     }
@@ -90,18 +97,18 @@ fn said(source: Address, text: &str) -> String {
 }
 
 impl View for Log {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        if let Some(repeated) = self.repeats.due(now) {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        if let Some(repeated) = self.repeats.flush_due(now) {
             self.push(now, self.severity, repeated);
         }
-        let Told::Event(event) = told else {
+        let ViewInput::Event(event) = input else {
             return;
         };
         let Some((severity, text)) = self.line_of(event) else {
             return;
         };
-        let shown = self.repeats.take(now, &text);
-        if let Some(repeated) = shown.before {
+        let shown = self.repeats.push(now, &text);
+        if let Some(repeated) = shown.repeat_summary {
             self.push(now, self.severity, repeated);
         }
         if shown.is_shown {
@@ -110,15 +117,15 @@ impl View for Log {
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, _pace: Pace) {
-        frame.log = self.trail.take_news();
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        frame.log = self.lines.take_pending();
     }
 
     fn add_history(&self, history: &mut Frame) {
-        history.log = self.trail.kept();
+        history.log = self.lines.retained();
     }
 
     fn dropped(&self) -> u64 {
-        self.trail.dropped()
+        self.lines.dropped()
     }
 }

@@ -1,7 +1,7 @@
-//! What happened, made into what is shown: one file per panel, and one table.
+//! Views: one file per panel, and one table.
 //!
-//! A view is a value that is given everything that happens, in its order, and says what of it is new and what of it belongs into
-//! the history. It knows no clock, no socket and no thread: the same events give the same messages, live and from a recording.
+//! A view gets every event in order and adds its updates to the next message and its history to the first one. It uses
+//! no clock, socket or thread: the same events give the same messages, live and from a recording.
 
 mod calibration;
 mod clock;
@@ -11,115 +11,50 @@ mod fusion;
 mod links;
 mod log;
 mod parameters;
+mod retained_series;
 mod robots;
 mod simulator;
 mod switches;
 mod tallies;
-mod trail;
 mod truth;
+mod view;
 
-pub use trail::Keep;
-
-use posebridge_telemetry::{Event, HostClock, LinkId, RobotId, Stamp};
-
-use crate::feed::{Standing, TruthSample};
-use crate::model::Frame;
-
-/// One thing that a view is told.
-#[derive(Clone, Copy, Debug)]
-pub enum Told<'a> {
-    /// Something happened.
-    Event(&'a Event),
-    /// Where the simulated robot was.
-    Truth(&'a TruthSample),
-    /// What stands.
-    Standing(&'a Standing),
-}
-
-/// What belongs into a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// What is new.
-    News,
-    /// That, and what is told once a second.
-    Second,
-}
-
-/// What a view is built from.
-#[derive(Clone, Debug)]
-pub struct Setting {
-    /// The URL of each link.
-    pub links: Vec<String>,
-    /// What is kept for the history.
-    pub keep: Keep,
-}
-
-impl Setting {
-    fn link_name(&self, link: LinkId) -> String {
-        let name = self.links.get(usize::from(link.0));
-        name.cloned().unwrap_or_else(|| format!("link {link}"))
-    }
-}
-
-/// One panel's share of the messages.
-pub trait View: Send {
-    /// Takes note of what happened at this instant.
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>);
-
-    /// Puts what is new since the last time into a message.
-    fn add_news(&mut self, frame: &mut Frame, pace: Pace);
-
-    /// Puts what is kept into a history.
-    fn add_history(&self, history: &mut Frame);
-
-    /// So many points found no room since the beginning.
-    fn dropped(&self) -> u64 {
-        0
-    }
-}
+pub use retained_series::RetentionPolicy;
+pub use view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 
 /// A row of [`VIEWS`].
 pub struct ViewEntry {
     /// The panel's name.
     pub name: &'static str,
-    /// Builds it.
-    pub build: fn(&Setting) -> Box<dyn View>,
+    /// Creates the view.
+    pub build: fn(&ViewConfig) -> Box<dyn View>,
 }
 
 macro_rules! views {
-    ($($module:ident::$view:ident),+ $(,)?) => {
-        /// Every view. Adding one: a file here and a line in this table.
+    ($($name:literal: $module:ident::$view:ident),+ $(,)?) => {
+        /// Every view. A new one needs a file here and a line in this table.
         pub const VIEWS: &[ViewEntry] = &[
-            $(ViewEntry {
-                name: stringify!($module),
-                build: |setting| Box::new($module::$view::new(setting)),
-            }),+
+            $(ViewEntry { name: $name, build: |setting| Box::new($module::$view::new(setting)) }),+
         ];
     };
 }
 
 views![
-    // First, so that the robots stand in the order in which they were heard.
-    robots::Robots,
-    estimates::Estimates,
-    fixes::Fixes,
-    fusion::Fusion,
-    tallies::Tallies,
-    calibration::Calibrations,
-    truth::Truth,
-    links::Links,
-    clock::Clock,
-    log::Log,
-    parameters::Parameters,
-    switches::Switches,
-    simulator::Simulator,
+    // First, so that the robots are in the order of detection.
+    "robots": robots::Robots,
+    "estimates": estimates::Estimates,
+    "fixes": fixes::Fixes,
+    "fusion": fusion::Fusion,
+    "tallies": tallies::Tallies,
+    "calibration": calibration::Calibrations,
+    "truth": truth::Truth,
+    "links": links::Links,
+    "clock": clock::Clock,
+    "log": log::Log,
+    "parameters": parameters::Parameters,
+    "switches": switches::Switches,
+    "simulator": simulator::Simulator,
 ];
-
-/// A robot as messages name it: link, system and component.
-#[must_use]
-pub fn robot_name(robot: RobotId) -> String {
-    format!("{}/{}", robot.link, robot.address)
-}
 
 #[cfg(test)]
 pub(crate) mod tests;

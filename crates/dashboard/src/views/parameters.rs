@@ -1,35 +1,35 @@
-//! The tunables as they stand.
+//! The current tunables.
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{HostClock, Timestamp};
 
-use super::{Pace, Setting, Told, View};
+use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, ParameterValue};
 
 /// Their values.
 pub(super) struct Parameters {
     values: Vec<ParameterValue>,
-    has_news: bool,
+    has_changed: bool,
 }
 
 impl Parameters {
-    pub(super) const fn new(_setting: &Setting) -> Self {
-        Self { values: Vec::new(), has_news: false }
+    pub(super) const fn new(_setting: &ViewConfig) -> Self {
+        Self { values: Vec::new(), has_changed: false }
     }
 }
 
 impl View for Parameters {
-    fn take(&mut self, _now: Stamp<HostClock>, told: Told<'_>) {
-        if let Told::Standing(standing) = told
+    fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        if let ViewInput::Status(standing) = input
             && standing.parameters != self.values
         {
             self.values.clone_from(&standing.parameters);
-            self.has_news = true;
+            self.has_changed = true;
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, pace: Pace) {
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
         // Once a second as well: a reader that was slow may have missed the change.
-        if std::mem::take(&mut self.has_news) || pace == Pace::Second {
+        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
             self.add_history(frame);
         }
     }

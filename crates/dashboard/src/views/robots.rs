@@ -1,49 +1,49 @@
-//! Which robots there are: the chooser. Every message that tells anything of a robot names it.
+//! The list of robots. Every message with data of a robot names it.
 
-use posebridge_telemetry::{Event, HostClock, RobotId, Stamp};
+use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
 
-use super::trail::MOST_ROBOTS;
-use super::{Pace, Setting, Told, View, robot_name};
+use super::retained_series::MAX_ROBOTS;
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::model::Frame;
 
-/// The robots in the order in which they were heard.
+/// The robots in the order of detection.
 pub(super) struct Robots {
-    heard: Vec<RobotId>,
+    known: Vec<RobotId>,
     ignored: u64,
-    has_news: bool,
+    has_changed: bool,
 }
 
 impl Robots {
-    pub(super) const fn new(_setting: &Setting) -> Self {
-        Self { heard: Vec::new(), ignored: 0, has_news: false }
+    pub(super) const fn new(_setting: &ViewConfig) -> Self {
+        Self { known: Vec::new(), ignored: 0, has_changed: false }
     }
 }
 
 impl View for Robots {
-    fn take(&mut self, _now: Stamp<HostClock>, told: Told<'_>) {
-        // Not everybody who is heard is a robot: cameras and ground stations are heard as well.
-        let Told::Event(Event::Estimated { robot, .. }) = told else {
+    fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        // Not every sender is a robot: cameras and ground stations send too.
+        let ViewInput::Event(Event::EstimateUpdated { robot, .. }) = input else {
             return;
         };
-        if self.heard.contains(robot) {
+        if self.known.contains(robot) {
             return;
         }
-        if self.heard.len() >= MOST_ROBOTS {
+        if self.known.len() >= MAX_ROBOTS {
             self.ignored += 1;
             return;
         }
-        self.heard.push(*robot);
-        self.has_news = true;
+        self.known.push(*robot);
+        self.has_changed = true;
     }
 
-    fn add_news(&mut self, frame: &mut Frame, _pace: Pace) {
-        if std::mem::take(&mut self.has_news) {
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        if std::mem::take(&mut self.has_changed) {
             self.add_history(frame);
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for robot in &self.heard {
+        for robot in &self.known {
             history.robot(&robot_name(*robot));
         }
     }

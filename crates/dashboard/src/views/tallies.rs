@@ -1,110 +1,116 @@
-//! How many observations came from each source, were gated and were late: every one of them, however much the lines are thinned.
+//! Counts of observations by source: all, gated and late. They are exact, however much the lines are thinned.
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Event, FusionRecord, HostClock, RobotId, SensorId, Span, Stamp, Verdict};
+use posebridge_telemetry::{Event, FusionOutcome, FusionRecord, HostClock, RobotId, SensorId, TimeDelta, Timestamp};
 
-use super::trail::{MOST_ROBOTS, Trails, Weight};
-use super::{Keep, Pace, Setting, Told, View, robot_name};
+use super::retained_series::RetentionPolicy;
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::limits::SECOND;
 use crate::model::{Frame, TallyPoint, seconds_of};
 
-/// What comes this far behind the filter's time counts as late: three readings of a brick at 20 Hz. The page's marks have the same
-/// (`web/model/marks.js`).
-const LATE_FROM: Span = Span::from_millis(150);
-/// So many sources are counted; a robot has about four.
-const MOST_SOURCES: usize = 4 * MOST_ROBOTS;
-/// The share of a recording's points that the counts of one source have: one a second of more than half an hour, then fewer.
-const SHARE: usize = 10;
+/// An observation with this lag behind the filter's time counts as late: three readings of a brick at 20 Hz. The
+/// page's marks use the same limit (`web/model/marks.js`).
+const MIN_LATE_LAG: TimeDelta = TimeDelta::from_millis(150);
+/// Most sources that are counted; a robot has about four.
+const MAX_SOURCES: usize = 4 * MAX_ROBOTS;
+/// The share of a recording's points for the counts of one source: one a second for more than half an hour, then
+/// fewer.
+const POINT_SHARE: usize = 10;
 
-/// Of which robot, and from where.
-type Source = (RobotId, (SensorId, &'static str));
+/// Robot, sensor and kind.
+type SourceKey = (RobotId, (SensorId, &'static str));
 
-/// Counts since the beginning.
+/// Counts since the start.
 #[derive(Clone, Copy, Debug, Default)]
-struct Tally {
+struct SourceCounts {
     seen: u64,
     gated: u64,
     late: u64,
 }
 
-/// The counts of each source.
 pub(super) struct Tallies {
-    counted: BTreeMap<Source, Tally>,
-    /// Each second of a recording; of a live session only the counts themselves are of use.
-    seconds: Trails<(SensorId, &'static str), TallyPoint>,
-    next_second: Stamp<HostClock>,
-    last: Stamp<HostClock>,
+    counts: BTreeMap<SourceKey, SourceCounts>,
+    /// Each second of a recording; a live session needs only the counts.
+    seconds: RetainedSeriesMap<(SensorId, &'static str), TallyPoint>,
+    next_second: Timestamp<HostClock>,
+    last: Timestamp<HostClock>,
     ignored: u64,
 }
 
 impl Tallies {
-    pub(super) fn new(setting: &Setting) -> Self {
-        let keep = match setting.keep {
-            Keep::Latest { span, .. } => Keep::Latest { span, most: 0 },
-            Keep::Whole { most } => Keep::Whole { most: most / SHARE },
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        let keep = match setting.retention {
+            RetentionPolicy::SlidingWindow { duration: span, .. } => {
+                RetentionPolicy::SlidingWindow { duration: span, max_points: 0 }
+            }
+            RetentionPolicy::WholeSession { max_points: most } => {
+                RetentionPolicy::WholeSession { max_points: most / POINT_SHARE }
+            }
         };
         Self {
-            counted: BTreeMap::new(),
-            seconds: Trails::new(keep, MOST_SOURCES),
-            next_second: Stamp::ZERO,
-            last: Stamp::ZERO,
+            counts: BTreeMap::new(),
+            seconds: RetainedSeriesMap::new(keep, MAX_SOURCES),
+            next_second: Timestamp::ZERO,
+            last: Timestamp::ZERO,
             ignored: 0,
         }
     }
 
-    fn count(&mut self, source: Source, record: &FusionRecord) {
-        if !self.counted.contains_key(&source) && self.counted.len() >= MOST_SOURCES {
+    fn count(&mut self, source: SourceKey, record: &FusionRecord) {
+        if !self.counts.contains_key(&source) && self.counts.len() >= MAX_SOURCES {
             self.ignored += 1;
             return;
         }
-        let tally = self.counted.entry(source).or_default();
+        let tally = self.counts.entry(source).or_default();
         tally.seen += 1;
-        tally.gated += u64::from(record.verdict == Verdict::Gated);
-        tally.late += u64::from(record.lag >= LATE_FROM);
+        tally.gated += u64::from(record.outcome == FusionOutcome::Gated);
+        tally.late += u64::from(record.lag >= MIN_LATE_LAG);
     }
 
-    fn note_second(&mut self) {
-        for (source, tally) in &self.counted {
-            let point = point_of(self.last, source.1, *tally);
-            self.seconds.push(self.last, *source, (point, Weight::Usual));
+    fn record_second(&mut self) {
+        for (source, tally) in &self.counts {
+            let (_, (sensor, kind)) = *source;
+            let point = point_of(self.last, sensor, kind, *tally);
+            self.seconds.push(self.last, *source, point, PointPriority::Normal);
         }
-        // What is told are the counts as they stand.
-        drop(self.seconds.take_news());
+        // A message has the current counts.
+        drop(self.seconds.take_pending());
     }
 
-    fn add_now(&self, frame: &mut Frame) {
-        for ((robot, source), tally) in &self.counted {
-            let point = point_of(self.last, *source, *tally);
+    fn add_counts(&self, frame: &mut Frame) {
+        for ((robot, (sensor, kind)), tally) in &self.counts {
+            let point = point_of(self.last, *sensor, kind, *tally);
             frame.robot(&robot_name(*robot)).tallies.push(point);
         }
     }
 }
 
 impl View for Tallies {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        let Told::Event(Event::Fused { robot, record }) = told else {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::ObservationFused { robot, record }) = input else {
             return;
         };
         if now >= self.next_second {
-            self.note_second();
+            self.record_second();
             self.next_second = now + SECOND;
         }
         self.last = self.last.max(now);
         self.count((*robot, (record.sensor, record.kind)), record);
     }
 
-    fn add_news(&mut self, frame: &mut Frame, pace: Pace) {
-        if pace == Pace::Second {
-            self.add_now(frame);
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        if content == FrameContent::DeltaAndSummary {
+            self.add_counts(frame);
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.seconds.kept() {
+        for (robot, points) in self.seconds.retained() {
             history.robot(&robot_name(robot)).tallies.extend(points);
         }
-        self.add_now(history);
+        self.add_counts(history);
     }
 
     fn dropped(&self) -> u64 {
@@ -112,7 +118,7 @@ impl View for Tallies {
     }
 }
 
-fn point_of(at: Stamp<HostClock>, (sensor, kind): (SensorId, &'static str), tally: Tally) -> TallyPoint {
+fn point_of(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, tally: SourceCounts) -> TallyPoint {
     TallyPoint {
         t_s: seconds_of(at),
         sensor: sensor.name().to_owned(),

@@ -2,14 +2,16 @@ use super::*;
 
 use insta::assert_json_snapshot;
 use posebridge_telemetry::{
-    Address, Arena, Estimate, Fix, FusionRecord, Heading, LinkHealth, LinkState, Meters, MetersPerSecond, Observation,
-    Observed, Point2, Pose, RadiansPerSecond, SensorId, Span, Validity, Verdict,
+    Address, Arena, Estimate, Event, Fix, FusionOutcome, FusionRecord, Heading, HostClock, LinkHealth, LinkId,
+    LinkState, Meters, MetersPerSecond, Observation, ObservationKind, Point2, Pose, RadiansPerSecond, RobotId,
+    SensorId, TimeDelta, Timestamp, Validity,
 };
 
-use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
+use crate::feed::{SimulatedTruth, StationStatus};
+use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow};
 
-fn at(millis: i64) -> Stamp<HostClock> {
-    Stamp::from_millis(millis)
+fn at(millis: i64) -> Timestamp<HostClock> {
+    Timestamp::from_millis(millis)
 }
 
 fn robot() -> RobotId {
@@ -17,18 +19,21 @@ fn robot() -> RobotId {
 }
 
 fn view(name: &str) -> Box<dyn View> {
-    view_that_keeps(name, Keep::Latest { span: Span::from_millis(60_000), most: 1_200 })
+    view_with_retention(
+        name,
+        RetentionPolicy::SlidingWindow { duration: TimeDelta::from_millis(60_000), max_points: 1_200 },
+    )
 }
 
-fn view_that_keeps(name: &str, keep: Keep) -> Box<dyn View> {
-    let setting = Setting { links: vec!["sim://square".to_owned()], keep };
+fn view_with_retention(name: &str, keep: RetentionPolicy) -> Box<dyn View> {
+    let setting = ViewConfig { links: vec!["sim://square".to_owned()], retention: keep };
     let entry = VIEWS.iter().find(|entry| entry.name == name).unwrap();
     (entry.build)(&setting)
 }
 
-fn news(view: &mut dyn View, pace: Pace) -> Frame {
+fn updates(view: &mut dyn View, pace: FrameContent) -> Frame {
     let mut frame = Frame::default();
-    view.add_news(&mut frame, pace);
+    view.add_updates(&mut frame, pace);
     frame
 }
 
@@ -45,24 +50,24 @@ pub(crate) fn estimate() -> Estimate {
     covariance[1][1] = 1e-4;
     covariance[2][2] = 4e-4;
     Estimate {
-        stamp: Stamp::from_millis(5_000),
+        stamp: Timestamp::from_millis(5_000),
         pose: Pose::new(Meters(1.5), Meters(-0.25), Heading::from_rad(0.6)),
         forward_speed: MetersPerSecond(0.2),
         turn_rate: RadiansPerSecond(-0.5),
         covariance,
         validity: Validity { position: true, heading: true, speeds: true },
         is_dead_reckoning: false,
-        fix_age: Some(Span::from_millis(300)),
+        fix_age: Some(TimeDelta::from_millis(300)),
         reset_counter: 2,
-        last_jump: None,
+        last_correction: None,
     }
 }
 
-fn estimated(estimate: &Estimate) -> Event {
-    Event::Estimated { robot: robot(), estimate: *estimate }
+fn estimated_event(estimate: &Estimate) -> Event {
+    Event::EstimateUpdated { robot: robot(), estimate: *estimate }
 }
 
-fn seen() -> Event {
+fn received_event() -> Event {
     let fix = Fix {
         position: Point2::new(Meters(1.0), Meters(2.0)),
         heading: Some(Heading::from_rad(0.5)),
@@ -70,26 +75,26 @@ fn seen() -> Event {
         tag_in_body: Point2::ORIGIN,
         reset_counter: 0,
     };
-    Event::Observed {
+    Event::ObservationAligned {
         robot: robot(),
         source: Address::new(1, 100),
         arrival: at(1_000),
         observation: Observation {
             sensor: SensorId::CAMERA,
-            stamp: Stamp::from_millis(5_000),
-            stamp_sigma: Span::ZERO,
-            observed: Observed::Fix(fix),
+            stamp: Timestamp::from_millis(5_000),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::Fix(fix),
         },
     }
 }
 
-pub(crate) fn fused(verdict: Verdict, used: u8) -> Event {
+pub(crate) fn fused_event(verdict: FusionOutcome, used: u8) -> Event {
     let record = FusionRecord {
         sensor: SensorId::CAMERA,
         kind: "fix",
-        stamp: Stamp::from_millis(5_000),
-        lag: Span::from_millis(150),
-        verdict,
+        stamp: Timestamp::from_millis(5_000),
+        lag: TimeDelta::from_millis(150),
+        outcome: verdict,
         innovation: [0.01, -0.02, 0.0],
         innovation_covariance: [[4e-4, 1e-5, 0.0], [1e-5, 9e-4, 0.0], [0.0; 3]],
         nis: 1.25,
@@ -97,16 +102,16 @@ pub(crate) fn fused(verdict: Verdict, used: u8) -> Event {
         log_likelihood: 3.5,
     };
     let robot = robot();
-    Event::Fused { robot, record }
+    Event::ObservationFused { robot, record }
 }
 
 #[test]
 fn an_estimate_has_the_ellipse_of_95_per_cent() {
     let mut view = view("estimates");
-    view.take(at(1_000), Told::Event(&estimated(&estimate())));
-    let frame = news(&mut *view, Pace::News);
+    view.observe(at(1_000), ViewInput::Event(&estimated_event(&estimate())));
+    let frame = updates(&mut *view, FrameContent::Delta);
     assert_json_snapshot!("estimate", frame.robots);
-    assert!(news(&mut *view, Pace::News).robots.is_empty());
+    assert!(updates(&mut *view, FrameContent::Delta).robots.is_empty());
     assert_eq!(history(&*view).robots, frame.robots);
 }
 
@@ -114,8 +119,8 @@ fn an_estimate_has_the_ellipse_of_95_per_cent() {
 fn an_estimate_whose_place_is_unknown_is_not_drawn() {
     let mut view = view("estimates");
     let lost = Estimate { validity: Validity::default(), ..estimate() };
-    view.take(at(1_000), Told::Event(&estimated(&lost)));
-    assert!(news(&mut *view, Pace::News).is_empty());
+    view.observe(at(1_000), ViewInput::Event(&estimated_event(&lost)));
+    assert!(updates(&mut *view, FrameContent::Delta).is_empty());
 }
 
 #[test]
@@ -124,8 +129,8 @@ fn numbers_that_are_none_are_null() {
     let mut broken = estimate();
     broken.covariance[0][0] = f64::INFINITY;
     broken.fix_age = None;
-    view.take(at(1_000), Told::Event(&estimated(&broken)));
-    let frame = news(&mut *view, Pace::News);
+    view.observe(at(1_000), ViewInput::Event(&estimated_event(&broken)));
+    let frame = updates(&mut *view, FrameContent::Delta);
     let point = &frame.robots[0].estimates[0];
     assert_eq!(point.major_m.get(), None);
     assert_eq!(point.fix_age_s.get(), None);
@@ -135,28 +140,28 @@ fn numbers_that_are_none_are_null() {
 #[test]
 fn a_fix_stands_where_it_was_seen_with_what_became_of_it() {
     let mut view = view("fixes");
-    view.take(at(1_000), Told::Event(&seen()));
-    assert!(news(&mut *view, Pace::News).is_empty(), "its record has not come");
-    view.take(at(1_000), Told::Event(&fused(Verdict::Gated, 2)));
-    let frame = news(&mut *view, Pace::News);
+    view.observe(at(1_000), ViewInput::Event(&received_event()));
+    assert!(updates(&mut *view, FrameContent::Delta).is_empty(), "its record has not come");
+    view.observe(at(1_000), ViewInput::Event(&fused_event(FusionOutcome::Gated, 2)));
+    let frame = updates(&mut *view, FrameContent::Delta);
     assert_json_snapshot!("fix", frame.robots[0].fixes);
     // The record of a fix that was never seen has no place on the map.
-    view.take(at(1_000), Told::Event(&fused(Verdict::Gated, 2)));
-    assert!(news(&mut *view, Pace::News).is_empty());
+    view.observe(at(1_000), ViewInput::Event(&fused_event(FusionOutcome::Gated, 2)));
+    assert!(updates(&mut *view, FrameContent::Delta).is_empty());
 }
 
 #[test]
 fn a_record_has_its_innovation_with_one_sigma_each() {
     let mut view = view("fusion");
-    view.take(at(1_000), Told::Event(&fused(Verdict::Accepted, 2)));
-    view.take(at(1_020), Told::Event(&fused(Verdict::TooOld, 0)));
-    let frame = news(&mut *view, Pace::News);
+    view.observe(at(1_000), ViewInput::Event(&fused_event(FusionOutcome::Accepted, 2)));
+    view.observe(at(1_020), ViewInput::Event(&fused_event(FusionOutcome::TooOld, 0)));
+    let frame = updates(&mut *view, FrameContent::Delta);
     assert_json_snapshot!("records", frame.robots[0].fusion);
 }
 
 #[test]
 fn what_stands_is_told_when_it_changes_and_once_a_second() {
-    let standing = Standing {
+    let standing = StationStatus {
         calibration: vec![CalibrationRow {
             t_s: 1.5,
             name: "gyro_bias_rad_per_s".to_owned(),
@@ -167,40 +172,40 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
         parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.999 }],
         switched_off: vec![3],
         simulator: Some(SimulatorNow { steering: "odometry".to_owned(), link_profile: Some("usb".to_owned()) }),
-        ..Standing::default()
+        ..StationStatus::default()
     };
     let mut parameters = view("parameters");
-    parameters.take(at(0), Told::Standing(&standing));
-    let told = |view: &mut dyn View, pace| news(view, pace).parameters;
+    parameters.observe(at(0), ViewInput::Status(&standing));
+    let told = |view: &mut dyn View, pace| updates(view, pace).parameters;
     let values = Some(standing.parameters.clone());
-    assert_eq!(told(&mut *parameters, Pace::News), values);
-    assert_eq!(told(&mut *parameters, Pace::News), None);
-    assert_eq!(told(&mut *parameters, Pace::Second), values);
+    assert_eq!(told(&mut *parameters, FrameContent::Delta), values);
+    assert_eq!(told(&mut *parameters, FrameContent::Delta), None);
+    assert_eq!(told(&mut *parameters, FrameContent::DeltaAndSummary), values);
     let mut switches = view("switches");
-    switches.take(at(0), Told::Standing(&standing));
-    let told = |view: &mut dyn View, pace| news(view, pace).switched_off;
+    switches.observe(at(0), ViewInput::Status(&standing));
+    let told = |view: &mut dyn View, pace| updates(view, pace).switched_off;
     let off = Some(vec![3]);
-    assert_eq!(told(&mut *switches, Pace::News), off);
-    assert_eq!(told(&mut *switches, Pace::News), None);
-    assert_eq!(told(&mut *switches, Pace::Second), off);
+    assert_eq!(told(&mut *switches, FrameContent::Delta), off);
+    assert_eq!(told(&mut *switches, FrameContent::Delta), None);
+    assert_eq!(told(&mut *switches, FrameContent::DeltaAndSummary), off);
     let mut simulator = view("simulator");
-    simulator.take(at(0), Told::Standing(&standing));
-    let told = |view: &mut dyn View, pace| news(view, pace).simulator;
-    assert_eq!(told(&mut *simulator, Pace::News), standing.simulator);
-    assert_eq!(told(&mut *simulator, Pace::News), None);
-    assert_eq!(told(&mut *simulator, Pace::Second), standing.simulator);
+    simulator.observe(at(0), ViewInput::Status(&standing));
+    let told = |view: &mut dyn View, pace| updates(view, pace).simulator;
+    assert_eq!(told(&mut *simulator, FrameContent::Delta), standing.simulator);
+    assert_eq!(told(&mut *simulator, FrameContent::Delta), None);
+    assert_eq!(told(&mut *simulator, FrameContent::DeltaAndSummary), standing.simulator);
     let mut calibration = view("calibration");
-    calibration.take(at(1_500), Told::Standing(&standing));
-    calibration.take(at(1_500), Told::Event(&estimated(&estimate())));
-    let frame = news(&mut *calibration, Pace::News);
+    calibration.observe(at(1_500), ViewInput::Status(&standing));
+    calibration.observe(at(1_500), ViewInput::Event(&estimated_event(&estimate())));
+    let frame = updates(&mut *calibration, FrameContent::Delta);
     assert_eq!(frame.robots[0].calibration, Some(standing.calibration));
-    assert!(news(&mut *calibration, Pace::News).is_empty());
+    assert!(updates(&mut *calibration, FrameContent::Delta).is_empty());
 }
 
-fn truth(stamp_millis: i64, x_m: f64) -> TruthSample {
-    TruthSample {
+fn truth(stamp_millis: i64, x_m: f64) -> SimulatedTruth {
+    SimulatedTruth {
         now: at(stamp_millis - 4_000),
-        stamp: Stamp::from_millis(stamp_millis),
+        time: Timestamp::from_millis(stamp_millis),
         pose: Pose::<Arena>::new(Meters(x_m), Meters(-0.28), Heading::from_rad(0.6)),
         odometry: Some(Pose::new(Meters(x_m + 0.3), Meters(0.12), Heading::from_rad(0.4))),
     }
@@ -210,26 +215,26 @@ fn truth(stamp_millis: i64, x_m: f64) -> TruthSample {
 fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     // The robot was at 1.5 m when the estimate holds, between two samples; it is 3 cm beside it.
     let samples = [truth(4_960, 1.46), truth(5_040, 1.54)];
-    let estimated = estimated(&estimate());
+    let estimated = estimated_event(&estimate());
     let mut late = view("truth");
-    late.take(at(960), Told::Truth(&samples[0]));
-    late.take(at(1_000), Told::Event(&estimated));
-    let before = news(&mut *late, Pace::News).errors.unwrap();
+    late.observe(at(960), ViewInput::Truth(&samples[0]));
+    late.observe(at(1_000), ViewInput::Event(&estimated));
+    let before = updates(&mut *late, FrameContent::Delta).errors.unwrap();
     assert_eq!(before.estimate_m.get(), None, "the sample behind it has not come");
-    late.take(at(1_040), Told::Truth(&samples[1]));
-    let frame = news(&mut *late, Pace::News);
+    late.observe(at(1_040), ViewInput::Truth(&samples[1]));
+    let frame = updates(&mut *late, FrameContent::Delta);
     assert_json_snapshot!("truth", (&frame.errors, frame.truth, frame.robots));
     let mut early = view("truth");
     for sample in &samples {
-        early.take(at(1_040), Told::Truth(sample));
+        early.observe(at(1_040), ViewInput::Truth(sample));
     }
-    early.take(at(1_050), Told::Event(&estimated));
+    early.observe(at(1_050), ViewInput::Event(&estimated));
     assert_eq!(history(&*early).errors, frame.errors);
     let mut torn = view("truth");
     for sample in [truth(3_000, 1.5), truth(5_040, 1.5)] {
-        torn.take(at(1_040), Told::Truth(&sample));
+        torn.observe(at(1_040), ViewInput::Truth(&sample));
     }
-    torn.take(at(1_050), Told::Event(&estimated));
+    torn.observe(at(1_050), ViewInput::Event(&estimated));
     let unknown = history(&*torn).errors.unwrap().estimate_m;
     assert_eq!(unknown.get(), None, "nobody knows what was in two seconds");
     assert!(history(&*torn).robots.is_empty());
@@ -243,17 +248,17 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
         let millis = 10 * step;
         if step % 5 == 0 {
             let sample = truth(4_000 + millis, 0.001 * millis as f64);
-            view.take(at(millis), Told::Truth(&sample));
+            view.observe(at(millis), ViewInput::Truth(&sample));
         }
         if step % 2 == 0 {
             let mut estimate = estimate();
-            estimate.stamp = Stamp::from_millis(4_000 + millis);
+            estimate.stamp = Timestamp::from_millis(4_000 + millis);
             estimate.pose = Pose::new(Meters(0.001 * millis as f64), Meters(-0.28 + 0.002), Heading::from_rad(0.6));
             // They come 0.3 s later than they hold: whoever compares by arrival is 0.3 m off.
-            view.take(at(millis + 300), Told::Event(&estimated(&estimate)));
+            view.observe(at(millis + 300), ViewInput::Event(&estimated_event(&estimate)));
         }
     }
-    let frame = news(&mut *view, Pace::News);
+    let frame = updates(&mut *view, FrameContent::Delta);
     let scores = &frame.robots[0].scores;
     assert!(scores.len() >= 95, "{}", scores.len());
     for score in scores {
@@ -270,17 +275,17 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
 fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
     let mut view = view("truth");
     for sample in [truth(4_960, 1.46), truth(5_040, 1.54)] {
-        view.take(at(1_040), Told::Truth(&sample));
+        view.observe(at(1_040), ViewInput::Truth(&sample));
     }
-    view.take(at(1_050), Told::Event(&estimated(&estimate())));
-    let known = news(&mut *view, Pace::News).errors.unwrap();
+    view.observe(at(1_050), ViewInput::Event(&estimated_event(&estimate())));
+    let known = updates(&mut *view, FrameContent::Delta).errors.unwrap();
     assert!(known.estimate_m.get().is_some());
     // The cable is out; the simulator tells on.
     for step in 0..40 {
         let sample = truth(5_090 + 50 * step, 1.5);
-        view.take(sample.now, Told::Truth(&sample));
+        view.observe(sample.now, ViewInput::Truth(&sample));
     }
-    let frame = news(&mut *view, Pace::News);
+    let frame = updates(&mut *view, FrameContent::Delta);
     let errors = frame.errors.unwrap();
     assert_eq!(errors.estimate_m.get(), None);
     assert!(errors.odometry_m.get().is_some());
@@ -293,11 +298,11 @@ fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
 
 #[test]
 fn records_with_a_nis_outlive_the_thinning_of_a_long_recording() {
-    let mut view = view_that_keeps("fusion", Keep::Whole { most: 3_000 });
+    let mut view = view_with_retention("fusion", RetentionPolicy::WholeSession { max_points: 3_000 });
     // Of wheels one record in four ends a window and has a NIS.
     for step in 0..40_000 {
-        let record = fused(Verdict::Accepted, u8::from(step % 4 == 3));
-        view.take(at(20 * step), Told::Event(&record));
+        let record = fused_event(FusionOutcome::Accepted, u8::from(step % 4 == 3));
+        view.observe(at(20 * step), ViewInput::Event(&record));
     }
     let kept = &history(&*view).robots[0].fusion;
     let with_nis = kept.iter().filter(|one| one.nis.get().is_some()).count();
@@ -309,15 +314,15 @@ fn records_with_a_nis_outlive_the_thinning_of_a_long_recording() {
 #[test]
 fn tallies_count_what_is_thinned_as_well() {
     let mut live = view("tallies");
-    let mut whole = view_that_keeps("tallies", Keep::Whole { most: 20_000 });
+    let mut whole = view_with_retention("tallies", RetentionPolicy::WholeSession { max_points: 20_000 });
     for step in 0..1_000 {
-        let verdict = if step % 100 == 0 { Verdict::Gated } else { Verdict::Accepted };
+        let verdict = if step % 100 == 0 { FusionOutcome::Gated } else { FusionOutcome::Accepted };
         for view in [&mut live, &mut whole] {
-            view.take(at(20 * step), Told::Event(&fused(verdict, 2)));
+            view.observe(at(20 * step), ViewInput::Event(&fused_event(verdict, 2)));
         }
     }
-    assert!(news(&mut *live, Pace::News).robots.is_empty());
-    let frame = news(&mut *live, Pace::Second);
+    assert!(updates(&mut *live, FrameContent::Delta).robots.is_empty());
+    let frame = updates(&mut *live, FrameContent::DeltaAndSummary);
     assert_json_snapshot!("tallies", frame.robots[0].tallies);
     assert_eq!(history(&*live).robots, frame.robots);
     let seconds = &history(&*whole).robots[0].tallies;
@@ -328,17 +333,17 @@ fn tallies_count_what_is_thinned_as_well() {
 
 #[test]
 fn of_a_recording_it_is_kept_how_what_was_learned_went() {
-    let standing = |value| Standing {
+    let standing = |value| StationStatus {
         calibration: vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }],
-        ..Standing::default()
+        ..StationStatus::default()
     };
     let mut live = view("calibration");
-    let mut whole = view_that_keeps("calibration", Keep::Whole { most: 20_000 });
+    let mut whole = view_with_retention("calibration", RetentionPolicy::WholeSession { max_points: 20_000 });
     for view in [&mut live, &mut whole] {
-        view.take(at(0), Told::Event(&estimated(&estimate())));
+        view.observe(at(0), ViewInput::Event(&estimated_event(&estimate())));
         for second in 0..10_i32 {
             let now = at(1_000 * i64::from(second));
-            view.take(now, Told::Standing(&standing(f64::from(second))));
+            view.observe(now, ViewInput::Status(&standing(f64::from(second))));
         }
     }
     let kept = |view: &dyn View| history(view).robots[0].calibration.clone().unwrap();
@@ -349,14 +354,14 @@ fn of_a_recording_it_is_kept_how_what_was_learned_went() {
 
 #[test]
 fn of_a_long_recording_warnings_outlive_the_chatter() {
-    let mut view = view_that_keeps("log", Keep::Whole { most: 1_000 });
+    let mut view = view_with_retention("log", RetentionPolicy::WholeSession { max_points: 1_000 });
     for step in 0..20_000_i64 {
         let event = Event::Text {
             source: Address::new(1, 1),
             severity: if step % 200 == 0 { 4 } else { 6 },
             text: step.to_string(),
         };
-        view.take(at(step), Told::Event(&event));
+        view.observe(at(step), ViewInput::Event(&event));
     }
     let kept = history(&*view).log;
     assert_eq!(kept.iter().filter(|line| line.severity == 4).count(), 100);
@@ -367,21 +372,21 @@ fn of_a_long_recording_warnings_outlive_the_chatter() {
 fn rates_of_a_link_are_differences_of_its_counts() {
     let mut view = view("links");
     let up = Event::Link { link: LinkId(0), state: LinkState::Up };
-    view.take(at(0), Told::Event(&up));
+    view.observe(at(0), ViewInput::Event(&up));
     for (millis, bytes_in, frames_in) in [(1_000, 500, 10), (3_000, 2_500, 50)] {
         let health = LinkHealth {
             bytes_in,
             frames_in,
             frames_lost: 3,
-            round_trip: Some(Span::from_micros(4_500)),
+            round_trip: Some(TimeDelta::from_micros(4_500)),
             ..LinkHealth::default()
         };
         let event = Event::Health { link: LinkId(0), health, sources: vec![] };
-        view.take(at(millis), Told::Event(&event));
+        view.observe(at(millis), ViewInput::Event(&event));
     }
-    let frame = news(&mut *view, Pace::Second);
+    let frame = updates(&mut *view, FrameContent::DeltaAndSummary);
     assert_json_snapshot!("links", frame.links);
-    assert_eq!(news(&mut *view, Pace::News).links, None);
+    assert_eq!(updates(&mut *view, FrameContent::Delta).links, None);
 }
 
 #[test]
@@ -389,17 +394,17 @@ fn a_clock_that_was_answered_once_is_two_way() {
     let mut view = view("clock");
     let aligned = |round_trip| Event::BrickClockAligned {
         robot: robot(),
-        offset: Span::from_millis(-1_500),
+        offset: TimeDelta::from_millis(-1_500),
         skew_ppm: 42.0,
-        uncertainty: Span::from_micros(700),
+        uncertainty: TimeDelta::from_micros(700),
         round_trip,
-        brick: Stamp::ZERO,
-        host: Stamp::ZERO,
+        brick: Timestamp::ZERO,
+        host: Timestamp::ZERO,
     };
     let mut methods = Vec::new();
-    for round_trip in [None, Some(Span::from_millis(3)), None] {
-        view.take(at(0), Told::Event(&aligned(round_trip)));
-        methods.push(news(&mut *view, Pace::Second).clock.unwrap().method);
+    for round_trip in [None, Some(TimeDelta::from_millis(3)), None] {
+        view.observe(at(0), ViewInput::Event(&aligned(round_trip)));
+        methods.push(updates(&mut *view, FrameContent::DeltaAndSummary).clock.unwrap().method);
     }
     assert_eq!(methods, ["one-way", "two-way", "two-way"]);
     assert_json_snapshot!("clock", history(&*view).clock);
@@ -410,17 +415,17 @@ fn the_log_tells_of_robots_links_and_texts_and_cuts_what_is_endless() {
     let mut view = view("log");
     let text = |text: String| Event::Text { source: Address::new(1, 197), severity: 6, text };
     let events = [
-        Event::RobotSeen { robot: robot() },
+        Event::RobotDetected { robot: robot() },
         Event::Link { link: LinkId(0), state: LinkState::Down },
         text("gate_prob set to 0.9 (was 0.999)".to_owned()),
-        estimated(&estimate()),
+        estimated_event(&estimate()),
     ];
     for event in &events {
-        view.take(at(1_500), Told::Event(event));
+        view.observe(at(1_500), ViewInput::Event(event));
     }
-    assert_json_snapshot!("log", news(&mut *view, Pace::News).log);
-    view.take(at(2_000), Told::Event(&text("ä".repeat(5_000))));
-    let long = news(&mut *view, Pace::News).log.remove(0).text;
+    assert_json_snapshot!("log", updates(&mut *view, FrameContent::Delta).log);
+    view.observe(at(2_000), ViewInput::Event(&text("ä".repeat(5_000))));
+    let long = updates(&mut *view, FrameContent::Delta).log.remove(0).text;
     assert_eq!(long, format!("1/197: {}", "ä".repeat(500)));
 }
 
@@ -430,9 +435,9 @@ fn robots_are_named_in_the_order_in_which_they_were_heard_and_no_flood_of_them()
     for system in 0..=255 {
         let robot = RobotId { link: LinkId(2), address: Address::new(255 - system, 1) };
         let estimate = estimate();
-        view.take(at(0), Told::Event(&Event::Estimated { robot, estimate }));
+        view.observe(at(0), ViewInput::Event(&Event::EstimateUpdated { robot, estimate }));
     }
-    let frame = news(&mut *view, Pace::News);
+    let frame = updates(&mut *view, FrameContent::Delta);
     assert_eq!(frame.robots.len(), 64);
     assert_eq!(frame.robots[0].id, "2/255/1");
     assert_eq!(view.dropped(), 192);

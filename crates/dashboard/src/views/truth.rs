@@ -1,153 +1,154 @@
-//! Where the simulated robot really was, and how far off odometry and estimate are.
+//! The true pose of the simulated robot, and the errors of odometry and estimate.
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
 use super::estimates;
-use super::trail::{MOST_ROBOTS, Trail, Trails, Weight};
-use super::{Pace, Setting, Told, View, robot_name};
-use crate::feed::TruthSample;
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetainedSeriesMap};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
 
-/// So many samples are kept to be compared with estimates: at 20 Hz twelve seconds, and no estimate is later.
-const MOST_SAMPLES: usize = 256;
-/// So many estimates wait for the sample behind their instant, which comes within 50 ms.
-const MOST_WAITING: usize = 32;
-/// Between samples that are further apart nobody knows where the robot was.
-const LONGEST_GAP: Span = Span::from_millis(1_000);
-/// After so long without an estimate that could be compared nobody knows how far off it is: the link is out, or the robot.
-const LONGEST_SILENCE: Span = Span::from_millis(1_000);
+/// Most samples for comparison with estimates: twelve seconds at 20 Hz, and no estimate is later.
+const MAX_SAMPLES: usize = 256;
+/// Most estimates that wait for the sample after their instant, which comes within 50 ms.
+const MAX_WAITING_ESTIMATES: usize = 32;
+/// Between samples that are further apart the true position is unknown.
+const MAX_GAP: TimeDelta = TimeDelta::from_millis(1_000);
+/// After this time without a comparable estimate its error is unknown: the link or the robot is down.
+const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// The truth, and how far estimates and odometry are from it.
+/// The truth, and the errors of estimates and odometry.
 pub(super) struct Truth {
-    trail: Trail<TruthPoint>,
-    scores: Trails<(), ScorePoint>,
-    samples: VecDeque<TruthSample>,
-    /// Estimates of instants behind the last sample.
-    waiting: VecDeque<Estimated>,
+    points: RetainedSeries<TruthPoint>,
+    scores: RetainedSeriesMap<(), ScorePoint>,
+    samples: VecDeque<SimulatedTruth>,
+    /// Estimates of instants after the last sample.
+    waiting: VecDeque<PendingEstimate>,
     odometry_m: f64,
     estimate_m: f64,
-    /// When which robot's estimate was compared last.
-    compared: Option<(Stamp<HostClock>, RobotId)>,
-    /// Estimates that found no room to wait.
+    /// The time of each robot's last comparison.
+    last_compared: Option<(Timestamp<HostClock>, RobotId)>,
+    /// Estimates that were dropped because too many waited.
     unscored: u64,
 }
 
-/// An estimate that is to be compared.
+/// An estimate that waits for comparison.
 #[derive(Clone, Copy)]
-struct Estimated {
+struct PendingEstimate {
     robot: RobotId,
-    /// When it was made.
-    made: Stamp<HostClock>,
-    /// For which instant.
-    stamp: Stamp<BrickClock>,
-    place: Point2<Arena>,
+    /// When it was received.
+    received: Timestamp<HostClock>,
+    /// The instant for which it holds.
+    time: Timestamp<BrickClock>,
+    position: Point2<Arena>,
     claim_m: Number,
 }
 
 impl Truth {
-    pub(super) fn new(setting: &Setting) -> Self {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
         Self {
-            trail: Trail::new(setting.keep),
-            scores: Trails::new(setting.keep, MOST_ROBOTS),
+            points: RetainedSeries::new(setting.retention),
+            scores: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS),
             samples: VecDeque::new(),
             waiting: VecDeque::new(),
             odometry_m: f64::NAN,
             estimate_m: f64::NAN,
-            compared: None,
+            last_compared: None,
             unscored: 0,
         }
     }
 
-    fn take_sample(&mut self, sample: &TruthSample) {
-        let last = self.samples.back().map(|last| last.stamp);
-        if last == Some(sample.stamp) {
+    fn push_sample(&mut self, sample: &SimulatedTruth) {
+        let last = self.samples.back().map(|last| last.time);
+        if last == Some(sample.time) {
             return;
         }
-        let is_restarted = last.is_some_and(|last| sample.stamp < last);
+        let is_restarted = last.is_some_and(|last| sample.time < last);
         if is_restarted {
             self.samples.clear();
             self.waiting.clear();
         }
-        if self.samples.len() >= MOST_SAMPLES {
+        if self.samples.len() >= MAX_SAMPLES {
             self.samples.pop_front();
         }
         self.samples.push_back(*sample);
-        self.odometry_m = odometry_off(sample).unwrap_or(self.odometry_m);
+        self.odometry_m = odometry_error(sample).unwrap_or(self.odometry_m);
         let point = point_of(sample);
-        self.trail.push(sample.now, point, Weight::Usual);
+        self.points.push(sample.now, point, PointPriority::Normal);
         while let Some(estimated) = self.waiting.front().copied()
-            && estimated.stamp <= sample.stamp
+            && estimated.time <= sample.time
         {
             self.waiting.pop_front();
             self.compare(sample.now, &estimated);
         }
-        self.note_silence(sample.now);
+        self.check_silence(sample.now);
     }
 
-    /// While no estimate can be compared the line of the odometry goes on, and that of the estimate has a gap.
-    fn note_silence(&mut self, now: Stamp<HostClock>) {
-        let Some((compared, robot)) = self.compared else {
+    /// While no estimate can be compared, the line of the odometry goes on and that of the estimate has a gap.
+    fn check_silence(&mut self, now: Timestamp<HostClock>) {
+        let Some((compared, robot)) = self.last_compared else {
             return;
         };
-        if now - compared <= LONGEST_SILENCE {
+        if now - compared <= MAX_SILENCE {
             return;
         }
         self.estimate_m = f64::NAN;
         let score = ScorePoint { t_s: seconds_of(now), odometry_m: self.odometry_m.into(), ..ScorePoint::default() };
-        self.scores.push(now, (robot, ()), (score, Weight::Usual));
+        self.scores.push(now, (robot, ()), score, PointPriority::Normal);
     }
 
-    fn take_estimate(&mut self, now: Stamp<HostClock>, estimated: Estimated) {
-        let Some(last) = self.samples.back().map(|sample| sample.stamp) else {
+    fn push_estimate(&mut self, now: Timestamp<HostClock>, estimated: PendingEstimate) {
+        let Some(last) = self.samples.back().map(|sample| sample.time) else {
             return;
         };
-        if estimated.stamp <= last {
+        if estimated.time <= last {
             self.compare(now, &estimated);
             return;
         }
-        if self.waiting.len() >= MOST_WAITING {
+        if self.waiting.len() >= MAX_WAITING_ESTIMATES {
             self.waiting.pop_front();
             self.unscored += 1;
         }
         self.waiting.push_back(estimated);
     }
 
-    fn compare(&mut self, now: Stamp<HostClock>, estimated: &Estimated) {
-        let Some((really, odometry_m)) = self.at(estimated.stamp) else {
+    fn compare(&mut self, now: Timestamp<HostClock>, estimated: &PendingEstimate) {
+        let Some((really, odometry_m)) = self.at(estimated.time) else {
             return;
         };
-        let estimate_m = estimated.place.distance(really).0;
+        let estimate_m = estimated.position.distance(really).0;
         self.estimate_m = estimate_m;
-        self.compared = Some((now, estimated.robot));
+        self.last_compared = Some((now, estimated.robot));
         let score = ScorePoint {
-            t_s: seconds_of(estimated.made),
+            t_s: seconds_of(estimated.received),
             odometry_m,
             estimate_m: estimate_m.into(),
             claim_m: estimated.claim_m,
         };
         let key = (estimated.robot, ());
-        self.scores.push(estimated.made, key, (score, Weight::Usual));
+        self.scores.push(estimated.received, key, score, PointPriority::Normal);
     }
 
-    /// Where the robot was at an instant and how far off its odometry, on the straight line between the samples around it.
-    fn at(&self, stamp: Stamp<BrickClock>) -> Option<(Point2<Arena>, Number)> {
-        let after = self.samples.partition_point(|sample| sample.stamp < stamp);
+    /// The true position at an instant and the error of the odometry, interpolated linearly between the samples around
+    /// it.
+    fn at(&self, stamp: Timestamp<BrickClock>) -> Option<(Point2<Arena>, Number)> {
+        let after = self.samples.partition_point(|sample| sample.time < stamp);
         let next = self.samples.get(after)?;
         let before = after.checked_sub(1);
         let Some(before) = before.and_then(|index| self.samples.get(index)) else {
-            let off_m = odometry_off(next).unwrap_or(f64::NAN);
-            return (next.stamp == stamp).then(|| (next.pose.origin(), off_m.into()));
+            let off_m = odometry_error(next).unwrap_or(f64::NAN);
+            return (next.time == stamp).then(|| (next.pose.origin(), off_m.into()));
         };
-        let gap = next.stamp - before.stamp;
-        if gap > LONGEST_GAP {
+        let gap = next.time - before.time;
+        if gap > MAX_GAP {
             return None;
         }
-        let share = (stamp - before.stamp).as_secs_f64() / gap.as_secs_f64();
-        let really = between(before.pose, next.pose, share);
+        let share = (stamp - before.time).as_secs_f64() / gap.as_secs_f64();
+        let really = interpolate_position(before.pose, next.pose, share);
         let odometry = before.odometry.zip(next.odometry);
-        let off_m = odometry.map_or(f64::NAN, |(from, to)| between(from, to, share).distance(really).0);
+        let off_m = odometry.map_or(f64::NAN, |(from, to)| interpolate_position(from, to, share).distance(really).0);
         Some((really, off_m.into()))
     }
 
@@ -157,37 +158,37 @@ impl Truth {
     }
 }
 
-fn between(from: Pose<Arena>, to: Pose<Arena>, share: f64) -> Point2<Arena> {
+fn interpolate_position(from: Pose<Arena>, to: Pose<Arena>, share: f64) -> Point2<Arena> {
     let between = |from: Meters, to: Meters| Meters(from.0 + share * (to.0 - from.0));
     Point2::new(between(from.x, to.x), between(from.y, to.y))
 }
 
-fn odometry_off(sample: &TruthSample) -> Option<f64> {
+fn odometry_error(sample: &SimulatedTruth) -> Option<f64> {
     let odometry = sample.odometry?;
     Some(odometry.origin().distance(sample.pose.origin()).0)
 }
 
 impl View for Truth {
-    fn take(&mut self, now: Stamp<HostClock>, told: Told<'_>) {
-        match told {
-            Told::Truth(sample) => self.take_sample(sample),
-            Told::Event(Event::Estimated { robot, estimate }) if estimate.validity.position => {
-                let estimated = Estimated {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Truth(sample) => self.push_sample(sample),
+            ViewInput::Event(Event::EstimateUpdated { robot, estimate }) if estimate.validity.position => {
+                let estimated = PendingEstimate {
                     robot: *robot,
-                    made: now,
-                    stamp: estimate.stamp,
-                    place: estimate.pose.origin(),
+                    received: now,
+                    time: estimate.stamp,
+                    position: estimate.pose.origin(),
                     claim_m: estimates::point_of(now, estimate).major_m,
                 };
-                self.take_estimate(now, estimated);
+                self.push_estimate(now, estimated);
             }
-            Told::Event(_) | Told::Standing(_) => {}
+            ViewInput::Event(_) | ViewInput::Status(_) => {}
         }
     }
 
-    fn add_news(&mut self, frame: &mut Frame, _pace: Pace) {
-        frame.truth = self.trail.take_news();
-        let scores = self.scores.take_news();
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        frame.truth = self.points.take_pending();
+        let scores = self.scores.take_pending();
         if !frame.truth.is_empty() || !scores.is_empty() {
             frame.errors = self.errors();
         }
@@ -197,19 +198,19 @@ impl View for Truth {
     }
 
     fn add_history(&self, history: &mut Frame) {
-        history.truth = self.trail.kept();
+        history.truth = self.points.retained();
         history.errors = self.errors();
-        for (robot, scores) in self.scores.kept() {
+        for (robot, scores) in self.scores.retained() {
             history.robot(&robot_name(robot)).scores = scores;
         }
     }
 
     fn dropped(&self) -> u64 {
-        self.trail.dropped() + self.scores.dropped() + self.unscored
+        self.points.dropped() + self.scores.dropped() + self.unscored
     }
 }
 
-fn point_of(sample: &TruthSample) -> TruthPoint {
+fn point_of(sample: &SimulatedTruth) -> TruthPoint {
     let numbers = |pose: Pose<Arena>| [pose.x.0, pose.y.0, pose.heading.rad()].map(Number::from);
     let [x_m, y_m, heading_rad] = numbers(sample.pose);
     TruthPoint { t_s: seconds_of(sample.now), x_m, y_m, heading_rad, odometry: sample.odometry.map(numbers) }

@@ -1,4 +1,4 @@
-//! A client of the dashboard that says exactly what it is told to say.
+//! A client of the dashboard that sends exactly the given bytes.
 
 #![allow(
     clippy::expect_used,
@@ -17,18 +17,18 @@ use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
 /// Nothing in a test takes so long; it then fails instead of hanging.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// An answer.
 #[derive(Debug)]
-pub(crate) struct Answer {
+pub(crate) struct HttpResponse {
     pub(crate) status: u16,
     /// In lower case, line by line.
     pub(crate) head: String,
     pub(crate) body: Vec<u8>,
 }
 
-impl Answer {
+impl HttpResponse {
     /// The body as JSON.
     pub(crate) fn json(&self) -> Value {
         serde_json::from_slice(&self.body).expect("the body is JSON")
@@ -55,13 +55,13 @@ impl Answer {
 /// A connection.
 pub(crate) fn connect(address: SocketAddr) -> TcpStream {
     let stream = TcpStream::connect(address).expect("the dashboard listens");
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    stream.set_write_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    stream.set_write_timeout(Some(TIMEOUT)).unwrap();
     stream
 }
 
 /// Sends these bytes and reads until the other side closes; `None` if it closes without an answer.
-pub(crate) fn exchange(address: SocketAddr, request: &[u8]) -> Option<Answer> {
+pub(crate) fn exchange(address: SocketAddr, request: &[u8]) -> Option<HttpResponse> {
     let mut stream = connect(address);
     // Who is refused at once may be gone before everything is written.
     drop(stream.write_all(request));
@@ -70,14 +70,18 @@ pub(crate) fn exchange(address: SocketAddr, request: &[u8]) -> Option<Answer> {
     let end = bytes.windows(4).position(|window| window == b"\r\n\r\n")?;
     let head = String::from_utf8(bytes[..end].to_vec()).expect("a head is text");
     let status = head.split(' ').nth(1)?.parse().expect("a status is a number");
-    Some(Answer { status, head: head.to_ascii_lowercase().replace("\r\n", "\n"), body: bytes[end + 4..].to_vec() })
+    Some(HttpResponse {
+        status,
+        head: head.to_ascii_lowercase().replace("\r\n", "\n"),
+        body: bytes[end + 4..].to_vec(),
+    })
 }
 
 /// A request with these further header lines.
-pub(crate) fn request(address: SocketAddr, first: &str, (headers, body): (&str, &[u8])) -> Answer {
+pub(crate) fn request(address: SocketAddr, first_line: &str, headers: &str, body: &[u8]) -> HttpResponse {
     let length = body.len();
     let mut bytes = format!(
-        "{first} HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
+        "{first_line} HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
     )
     .into_bytes();
     bytes.extend_from_slice(body);
@@ -85,14 +89,14 @@ pub(crate) fn request(address: SocketAddr, first: &str, (headers, body): (&str, 
 }
 
 /// Gets what is at a path.
-pub(crate) fn get(address: SocketAddr, path: &str) -> Answer {
-    request(address, &format!("GET {path}"), ("", b""))
+pub(crate) fn get(address: SocketAddr, path: &str) -> HttpResponse {
+    request(address, &format!("GET {path}"), "", b"")
 }
 
 /// Posts a command.
-pub(crate) fn post(address: SocketAddr, command: &str) -> Answer {
+pub(crate) fn post(address: SocketAddr, command: &str) -> HttpResponse {
     let headers = "content-type: application/json\r\n";
-    request(address, "POST /v1/commands", (headers, command.as_bytes()))
+    request(address, "POST /v1/commands", headers, command.as_bytes())
 }
 
 /// A number of `/metrics`; 0 if it is not there.
@@ -110,11 +114,11 @@ pub(crate) fn refused(address: SocketAddr, reason: &str) -> f64 {
 }
 
 /// A reader of the stream.
-pub(crate) struct Reader {
+pub(crate) struct StreamReader {
     socket: WebSocket<TcpStream>,
 }
 
-impl Reader {
+impl StreamReader {
     /// Opens the stream.
     pub(crate) fn open(address: SocketAddr) -> Self {
         let url = format!("ws://{address}/v1/stream");
@@ -139,7 +143,7 @@ impl Reader {
     }
 
     /// Reads until a message is what is looked for.
-    pub(crate) fn until(&mut self, mut is_it: impl FnMut(&Value) -> bool) -> Value {
+    pub(crate) fn wait_for(&mut self, mut is_it: impl FnMut(&Value) -> bool) -> Value {
         loop {
             let message = self.next();
             if is_it(&message) {
@@ -150,11 +154,11 @@ impl Reader {
 
     /// Sends a text.
     pub(crate) fn send(&mut self, text: &str) {
-        self.give(Message::text(text));
+        self.send_message(Message::text(text));
     }
 
     /// Sends any message.
-    pub(crate) fn give(&mut self, message: Message) {
+    pub(crate) fn send_message(&mut self, message: Message) {
         self.socket.send(message).expect("the stream takes it");
     }
 

@@ -1,4 +1,4 @@
-//! A dashboard whose shard and clock are the test.
+//! A dashboard whose station loop and clock are the test.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,20 +13,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
 use posebridge_dashboard::model::{Frame, RobotFrame};
-use posebridge_dashboard::{Batch, Bound, Dashboard, Facts, Feed, Listen, Sources, Taps, TokenPolicy};
-use posebridge_telemetry::{Address, Command, Event, Span, Stamp};
+use posebridge_dashboard::{
+    BoundListener, Dashboard, DashboardInputs, EventBatch, EventFeed, FrameTaps, ListenAddress, StationInfo,
+    TokenPolicy,
+};
+use posebridge_telemetry::{Address, Command, Event, TimeDelta, Timestamp};
 use tokio::sync::mpsc;
 
 /// A clock that goes on when somebody looks at it, or stands.
 #[derive(Clone, Default)]
-pub(crate) struct Clock {
+pub(crate) struct ManualClock {
     millis: Arc<AtomicI64>,
     step_ms: i64,
 }
 
-impl Clock {
+impl ManualClock {
     /// One that goes on by 20 ms whenever somebody looks.
-    pub(crate) fn going() -> Self {
+    pub(crate) fn running() -> Self {
         Self { step_ms: 20, ..Self::default() }
     }
 
@@ -37,19 +40,19 @@ impl Clock {
 }
 
 /// A dashboard whose shard is the test.
-pub(crate) struct Played {
+pub(crate) struct TestStation {
     pub(crate) dashboard: Dashboard,
-    pub(crate) feed: Feed,
+    pub(crate) feed: EventFeed,
     pub(crate) commands: mpsc::Receiver<Command>,
-    pub(crate) clock: Clock,
+    pub(crate) clock: ManualClock,
     folder: tempfile::TempDir,
 }
 
 /// What a dashboard needs of the program around it; its replays say how many bytes the file has.
-pub(crate) fn sources(folder: &Path, clock: &Clock) -> Sources {
+pub(crate) fn sources(folder: &Path, clock: &ManualClock) -> DashboardInputs {
     let clock = clock.clone();
-    Sources {
-        clock: Box::new(move || Stamp::from_millis(clock.advance(clock.step_ms))),
+    DashboardInputs {
+        clock: Box::new(move || Timestamp::from_millis(clock.advance(clock.step_ms))),
         truth: None,
         recordings: folder.join("run"),
         replay: Box::new(|path| {
@@ -61,22 +64,22 @@ pub(crate) fn sources(folder: &Path, clock: &Clock) -> Sources {
             Ok(Frame { robots: vec![RobotFrame { id, ..RobotFrame::default() }], ..Frame::default() })
         }),
         ui_dir: None,
-        taps: Taps::default(),
+        taps: FrameTaps::default(),
     }
 }
 
-impl Played {
+impl TestStation {
     pub(crate) fn start(token: TokenPolicy) -> Self {
-        let facts = Facts { token, ..Facts::default() };
-        Self::with(facts, Clock::going())
+        let facts = StationInfo { token, ..StationInfo::default() };
+        Self::with(facts, ManualClock::running())
     }
 
-    pub(crate) fn with(facts: Facts, clock: Clock) -> Self {
+    pub(crate) fn with(facts: StationInfo, clock: ManualClock) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("run")).unwrap();
         std::fs::write(folder.path().join("secret.mcap"), "secret").unwrap();
         let sources = sources(folder.path(), &clock);
-        let bound = Bound::new(Listen::Exactly("127.0.0.1:0".parse().unwrap())).unwrap();
+        let bound = BoundListener::new(ListenAddress::Exact("127.0.0.1:0".parse().unwrap())).unwrap();
         let (dashboard, feed, commands) = Dashboard::start(Some(bound), facts, sources).unwrap();
         Self { dashboard, feed, commands, clock, folder }
     }
@@ -85,12 +88,12 @@ impl Played {
         self.dashboard.address().unwrap()
     }
 
-    pub(crate) fn tell(&self, events: Vec<Event>) {
-        self.feed.tell(Batch {
-            now: Stamp::from_millis(self.clock.advance(0)),
-            took: Span::from_micros(15),
+    pub(crate) fn publish(&self, events: Vec<Event>) {
+        self.feed.publish(EventBatch {
+            now: Timestamp::from_millis(self.clock.advance(0)),
+            latency: TimeDelta::from_micros(15),
             events: events.into(),
-            standing: None,
+            status: None,
         });
     }
 
@@ -100,6 +103,6 @@ impl Played {
 }
 
 /// A line that somebody says.
-pub(crate) fn says(text: &str) -> Event {
+pub(crate) fn text_event(text: &str) -> Event {
     Event::Text { source: Address::new(1, 1), severity: 6, text: text.to_owned() }
 }

@@ -19,14 +19,16 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp, Verdict,
+    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
+    Timestamp,
 };
 
-use super::intake;
-use super::records::{add_innovation, verdict_without_pose};
-use super::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::{add_innovation, outcome_without_pose};
 use crate::models::dynamic_measurement::{DynamicModel, MAX_STATES, QUANTITY, ROWS};
-use crate::update::{Scalar, Usage, symmetrise, use_scalar};
+use crate::numerics::covariance::symmetrise;
+use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
+use crate::validation;
 
 /// Large enough to weigh next to nothing against two samples, small enough to leave ten digits of P.
 const PRIOR_SIGMAS: f64 = 1e5;
@@ -35,7 +37,7 @@ const DEFAULT_SIGMA_K: f64 = 0.03;
 
 #[derive(Clone, Copy, Debug)]
 struct State {
-    stamp: Stamp<BrickClock>,
+    stamp: Timestamp<BrickClock>,
     mean: SVector<f64, ROWS>,
     covariance: SMatrix<f64, ROWS, ROWS>,
 }
@@ -45,11 +47,11 @@ pub struct DynamicFilter {
     model: DynamicModel,
     sigma: f64,
     prior_sigma: f64,
-    walk_per_sqrt_s: f64,
+    random_walk_per_sqrt_s: f64,
     history_s: f64,
     state: Option<State>,
     /// The last sample of each sensor, at most one per state.
-    last_samples: [Option<(SensorId, Stamp<BrickClock>)>; MAX_STATES],
+    last_samples: [Option<(SensorId, Timestamp<BrickClock>)>; MAX_STATES],
 }
 
 impl DynamicFilter {
@@ -71,7 +73,7 @@ impl DynamicFilter {
             model,
             sigma,
             prior_sigma: PRIOR_SIGMAS * sigma,
-            walk_per_sqrt_s: config.params.dynamic_walk_k_per_sqrt_s,
+            random_walk_per_sqrt_s: config.params.dynamic_walk_k_per_sqrt_s,
             history_s: config.params.history_s,
             state: None,
             last_samples: [None; MAX_STATES],
@@ -91,10 +93,10 @@ impl DynamicFilter {
     /// What a sensor should show at an instant, and how far a sample may be off, its noise included (one standard deviation squared);
     /// `None` before the first sample and for a sensor that the model does not know.
     #[must_use]
-    pub fn expected(&self, sensor: SensorId, stamp: Stamp<BrickClock>) -> Option<(f64, f64)> {
+    pub fn expected(&self, sensor: SensorId, stamp: Timestamp<BrickClock>) -> Option<(f64, f64)> {
         let row = self.model.row_of(sensor)?;
-        let state = self.predicted(self.state?, stamp);
-        let by_row = SVector::from(self.led_back(&row, (stamp - state.stamp).as_secs_f64()));
+        let state = self.predict_state(self.state?, stamp);
+        let by_row = SVector::from(self.propagate_row_back(&row, (stamp - state.stamp).as_secs_f64()));
         let mean = by_row.dot(&state.mean);
         let variance = (state.covariance * by_row).dot(&by_row) + self.sigma * self.sigma;
         Some((mean, variance))
@@ -102,40 +104,40 @@ impl DynamicFilter {
 
     fn use_sample(&mut self, record: &mut FusionRecord, observation: &Observation, y: f64) {
         let Some(row) = self.model.row_of(observation.sensor) else {
-            record.verdict = Verdict::Unused;
+            record.outcome = FusionOutcome::Unused;
             return;
         };
-        if let Some(verdict) = self.refuse_repeated(observation) {
-            record.verdict = verdict;
+        if let Some(verdict) = self.reject_repeated(observation) {
+            record.outcome = verdict;
             return;
         }
         let mut state = self.state.map_or_else(
-            || self.started(observation.stamp, y / row[QUANTITY]),
-            |state| self.predicted(state, observation.stamp),
+            || self.initial_state(observation.stamp, y / row[QUANTITY]),
+            |state| self.predict_state(state, observation.stamp),
         );
         // A sensor that is late speaks of an instant before the state's: its row is led back to it.
-        let by_row = self.led_back(&row, (observation.stamp - state.stamp).as_secs_f64());
+        let by_row = self.propagate_row_back(&row, (observation.stamp - state.stamp).as_secs_f64());
         let predicted: f64 = (0..ROWS).map(|i| by_row[i] * state.mean[i]).sum();
-        let scalar = Scalar {
+        let scalar = ScalarMeasurement {
             innovation: y - predicted,
             rows: std::array::from_fn(|i| i),
-            by_row,
+            jacobian: by_row,
             variance: self.sigma * self.sigma,
         };
         let outcome = use_scalar(&mut state.mean, &mut state.covariance, &scalar, f64::INFINITY);
-        if outcome.usage != Usage::Used {
+        if outcome.outcome != UpdateOutcome::Used {
             // The row led back over many time constants is beyond all numbers: nothing is left to learn from it.
-            record.verdict = Verdict::TooOld;
+            record.outcome = FusionOutcome::TooOld;
             return;
         }
         add_innovation(record, scalar.innovation, &outcome);
-        record.verdict = Verdict::Accepted;
+        record.outcome = FusionOutcome::Accepted;
         self.state = Some(state);
-        self.remember(observation);
+        self.record_sample(observation);
     }
 
     /// Paper 2's start: the first sample for the quantity, nothing for the states, and next to no trust in either.
-    fn started(&self, stamp: Stamp<BrickClock>, quantity: f64) -> State {
+    fn initial_state(&self, stamp: Timestamp<BrickClock>, quantity: f64) -> State {
         let variance = self.prior_sigma.powi(2);
         let mut state = State { stamp, mean: SVector::zeros(), covariance: SMatrix::zeros() };
         state.mean[QUANTITY] = quantity;
@@ -146,7 +148,7 @@ impl DynamicFilter {
     }
 
     /// The state carried on to an instant; unchanged for one that is not ahead.
-    fn predicted(&self, mut state: State, to: Stamp<BrickClock>) -> State {
+    fn predict_state(&self, mut state: State, to: Timestamp<BrickClock>) -> State {
         let dt_s = (to - state.stamp).as_secs_f64();
         if dt_s <= 0.0 {
             return state;
@@ -155,14 +157,14 @@ impl DynamicFilter {
         state.stamp = to;
         state.mean = f * state.mean;
         state.covariance = f * state.covariance * f.transpose();
-        if self.walk_per_sqrt_s > 0.0 {
-            state.covariance += self.model.walk_noise(dt_s) * self.walk_per_sqrt_s.powi(2);
+        if self.random_walk_per_sqrt_s > 0.0 {
+            state.covariance += self.model.random_walk_noise(dt_s) * self.random_walk_per_sqrt_s.powi(2);
         }
         symmetrise(&mut state.covariance);
         state
     }
 
-    fn led_back(&self, row: &[f64; ROWS], lead_s: f64) -> [f64; ROWS] {
+    fn propagate_row_back(&self, row: &[f64; ROWS], lead_s: f64) -> [f64; ROWS] {
         if lead_s >= 0.0 {
             return *row;
         }
@@ -171,12 +173,12 @@ impl DynamicFilter {
     }
 
     /// Each sensor's samples are used in their order and once.
-    fn refuse_repeated(&self, observation: &Observation) -> Option<Verdict> {
+    fn reject_repeated(&self, observation: &Observation) -> Option<FusionOutcome> {
         let (_, last) = self.last_samples.iter().flatten().find(|(sensor, _)| *sensor == observation.sensor)?;
-        intake::refuse_repeated(Some(*last), observation.stamp)
+        validation::reject_repeated(Some(*last), observation.stamp)
     }
 
-    fn remember(&mut self, observation: &Observation) {
+    fn record_sample(&mut self, observation: &Observation) {
         let slot =
             self.last_samples.iter_mut().find(|slot| slot.is_none_or(|(sensor, _)| sensor == observation.sensor));
         if let Some(slot) = slot {
@@ -187,20 +189,20 @@ impl DynamicFilter {
 
 impl Filter for DynamicFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest();
-        let lag = intake::lag_of(observation, latest);
-        let mut record = intake::bare_record(observation, lag, Verdict::Unused);
-        if let Some(verdict) = intake::refuse_outright(observation, latest, self.history_s) {
-            record.verdict = verdict;
-        } else if let Observed::Temperature(temperature) = observation.observed {
+        let latest = self.latest_time();
+        let lag = validation::lag_of(observation, latest);
+        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
+        if let Some(verdict) = validation::reject_invalid(observation, latest, self.history_s) {
+            record.outcome = verdict;
+        } else if let ObservationKind::Temperature(temperature) = observation.measurement {
             self.use_sample(&mut record, observation, temperature.0);
         }
         record
     }
 
-    /// A thermometer has no pose: [`Verdict::Unused`], or [`Verdict::Malformed`] for a pose that cannot be.
-    fn set_pose(&mut self, start: &StartPose) -> Verdict {
-        verdict_without_pose(start)
+    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        outcome_without_pose(start)
     }
 
     /// How long the break was is not known, and the sensor's state went on: it starts anew.
@@ -209,22 +211,22 @@ impl Filter for DynamicFilter {
         self.last_samples = [None; MAX_STATES];
     }
 
-    fn latest(&self) -> Option<Stamp<BrickClock>> {
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.state.map(|state| state.stamp)
     }
 
-    fn estimate_at(&self, _: Stamp<BrickClock>) -> Option<Estimate> {
+    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
         None
     }
 
     /// The predicted final value, in degrees Celsius. For a constant all that was seen counts for every instant.
-    fn scalar_at(&self, stamp: Stamp<BrickClock>) -> Option<ScalarEstimate> {
+    fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
         let state = self.state?;
         let ahead_s = (stamp - state.stamp).as_secs_f64();
         if ahead_s < -self.history_s {
             return None;
         }
-        let walked = self.walk_per_sqrt_s.powi(2) * ahead_s.abs();
+        let walked = self.random_walk_per_sqrt_s.powi(2) * ahead_s.abs();
         let variance = state.covariance[(QUANTITY, QUANTITY)].max(0.0) + walked;
         Some(ScalarEstimate {
             stamp, value: state.mean[QUANTITY], sigma: variance.sqrt(), rate_per_s: 0.0, unit: "°C"

@@ -7,30 +7,30 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix2, SMatrix};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose, PoseJump,
-    RadiansPerSecond, Span, Stamp, Validity, Verdict,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
+    PoseCorrection, RadiansPerSecond, TimeDelta, Timestamp, Validity,
 };
 
-use super::intake::{self, RESTART_HEADING_RAD, RESTART_POSITION_M};
-use super::{Adjustment, Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterCommand, FilterConfig, StartPose};
 use crate::models::differential_drive::{body_step, step_noise};
 use crate::models::se2::{StepRule, displace};
-use crate::motion::{Added, MotionReading, MotionTrack};
-use crate::update::symmetrise;
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
+use crate::numerics::covariance::symmetrise;
+use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
 
 /// Speeds are stale when no motion was observed for this long.
-const SPEEDS_VALID: Span = Span::from_millis(500);
+const SPEEDS_VALID: TimeDelta = TimeDelta::from_millis(500);
 
 #[derive(Clone, Copy, Debug)]
-struct Reckoned {
-    stamp: Option<Stamp<BrickClock>>,
+struct DeadReckonedState {
+    stamp: Option<Timestamp<BrickClock>>,
     pose: Pose<Arena>,
     covariance: SMatrix<f64, 3, 3>,
     forward_m_per_s: f64,
     turn_rad_per_s: f64,
 }
 
-impl Reckoned {
+impl DeadReckonedState {
     fn at_origin() -> Self {
         Self {
             stamp: None,
@@ -47,34 +47,34 @@ pub struct OdometryFilter {
     config: FilterConfig,
     track: MotionTrack,
     /// Oldest first, never empty: one entry per motion observation within the history.
-    reckoned: VecDeque<Reckoned>,
+    states: VecDeque<DeadReckonedState>,
     /// The pose was given, by the configuration or by a person.
     is_placed: bool,
     reset_counter: u8,
-    last_jump: Option<PoseJump>,
+    last_jump: Option<PoseCorrection>,
 }
 
 impl OdometryFilter {
     /// Starts at the configured pose, or at the arena's origin.
     #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
-        let start = config.start.map_or_else(Reckoned::at_origin, |start| reckoned_at(&start));
+        let start = config.start.map_or_else(DeadReckonedState::at_origin, |start| state_at_start(&start));
         Self {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
-            reckoned: VecDeque::from([start]),
+            states: VecDeque::from([start]),
             is_placed: config.start.is_some(),
             reset_counter: 0,
             last_jump: None,
         }
     }
 
-    fn last(&self) -> Reckoned {
-        self.reckoned.back().copied().unwrap_or_else(Reckoned::at_origin)
+    fn last(&self) -> DeadReckonedState {
+        self.states.back().copied().unwrap_or_else(DeadReckonedState::at_origin)
     }
 
     /// Carries a belief forward over what the wheels did, and stands still where nothing is known.
-    fn carried(&self, from: &Reckoned, to: Stamp<BrickClock>) -> Reckoned {
+    fn propagate(&self, from: &DeadReckonedState, to: Timestamp<BrickClock>) -> DeadReckonedState {
         let mut next = *from;
         next.stamp = Some(to);
         let Some(start) = from.stamp else { return next };
@@ -111,53 +111,53 @@ impl OdometryFilter {
         next
     }
 
-    fn add(&mut self, stamp: Stamp<BrickClock>, reading: &MotionReading) -> Verdict {
+    fn insert_motion(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> FusionOutcome {
         // What lies before a pose that was set cannot change it.
-        let oldest = self.reckoned.front().and_then(|belief| belief.stamp);
+        let oldest = self.states.front().and_then(|belief| belief.stamp);
         if oldest.is_some_and(|oldest| stamp < oldest) {
-            return Verdict::TooOld;
+            return FusionOutcome::TooOld;
         }
-        let added = self.track.add(stamp, reading);
-        if let Added::After(_) | Added::Rebased(_) = added {
-            self.reckon_anew_from(stamp);
+        let added = self.track.insert(stamp, reading);
+        if let InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_) = added {
+            self.recompute_from(stamp);
         }
-        intake::verdict_of(added)
+        validation::fusion_outcome(added)
     }
 
     /// A late reading changes only what lies behind it: reckons again from the last belief before it.
     ///
     /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
-    fn reckon_anew_from(&mut self, stamp: Stamp<BrickClock>) {
+    fn recompute_from(&mut self, stamp: Timestamp<BrickClock>) {
         // The oldest belief is where everything starts, and stays.
-        let first_later = self.reckoned.partition_point(|belief| belief.stamp <= Some(stamp)).max(1);
-        let mut belief = self.reckoned[first_later - 1];
-        let slot = Reckoned { stamp: Some(stamp), ..belief };
-        self.reckoned.insert(first_later, slot);
-        for index in first_later..self.reckoned.len() {
-            let at = self.reckoned[index].stamp.unwrap_or(stamp);
-            belief = self.carried(&belief, at);
-            self.reckoned[index] = belief;
+        let first_later = self.states.partition_point(|belief| belief.stamp <= Some(stamp)).max(1);
+        let mut belief = self.states[first_later - 1];
+        let slot = DeadReckonedState { stamp: Some(stamp), ..belief };
+        self.states.insert(first_later, slot);
+        for index in first_later..self.states.len() {
+            let at = self.states[index].stamp.unwrap_or(stamp);
+            belief = self.propagate(&belief, at);
+            self.states[index] = belief;
         }
-        let horizon = self.last().stamp.unwrap_or(stamp) - Span::from_secs_f64(self.config.params.history_s);
-        while self.reckoned.get(1).is_some_and(|second| second.stamp <= Some(horizon)) {
-            self.reckoned.pop_front();
+        let horizon = self.last().stamp.unwrap_or(stamp) - TimeDelta::from_secs_f64(self.config.params.history_s);
+        while self.states.get(1).is_some_and(|second| second.stamp <= Some(horizon)) {
+            self.states.pop_front();
         }
-        self.track.forget_before(horizon);
+        self.track.discard_before(horizon);
     }
 }
 
-fn reckoned_at(start: &StartPose) -> Reckoned {
-    Reckoned {
+fn state_at_start(start: &StartPose) -> DeadReckonedState {
+    DeadReckonedState {
         stamp: None,
         pose: start.pose,
-        covariance: doubt(start.position_sigma_m, start.heading_sigma_rad),
+        covariance: diagonal_pose_covariance(start.position_sigma_m, start.heading_sigma_rad),
         forward_m_per_s: 0.0,
         turn_rad_per_s: 0.0,
     }
 }
 
 /// The covariance of a pose whose coordinates are known so well.
-fn doubt(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
+fn diagonal_pose_covariance(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
     let position_m2 = position_sigma_m.powi(2);
     let heading_rad2 = heading_sigma_rad.powi(2);
     SMatrix::from_diagonal(&nalgebra::Vector3::new(position_m2, position_m2, heading_rad2))
@@ -165,62 +165,63 @@ fn doubt(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
 
 impl Filter for OdometryFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest();
-        let refused = intake::refuse_outright(observation, latest, self.config.params.history_s);
-        let verdict = match (refused, MotionReading::of(&observation.observed)) {
+        let latest = self.latest_time();
+        let refused = validation::reject_invalid(observation, latest, self.config.params.history_s);
+        let verdict = match (refused, MotionReading::from_observation(&observation.measurement)) {
             (Some(verdict), _) => verdict,
-            (None, Some(reading)) => self.add(observation.stamp, &reading),
-            (None, None) => Verdict::Unused,
+            (None, Some(reading)) => self.insert_motion(observation.stamp, &reading),
+            (None, None) => FusionOutcome::Unused,
         };
-        intake::bare_record(observation, intake::lag_of(observation, latest), verdict)
+        validation::record_without_prediction(observation, validation::lag_of(observation, latest), verdict)
     }
 
-    fn set_pose(&mut self, start: &StartPose) -> Verdict {
-        if !intake::is_usable(start) {
-            return Verdict::Malformed;
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        if !validation::is_valid_start(start) {
+            return FusionOutcome::Malformed;
         }
         let last = self.last();
-        self.reckoned.clear();
-        self.reckoned.push_back(Reckoned { stamp: last.stamp, ..reckoned_at(start) });
+        self.states.clear();
+        self.states.push_back(DeadReckonedState { stamp: last.stamp, ..state_at_start(start) });
         self.is_placed = true;
         self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(intake::jump_between(last.pose, start.pose));
-        Verdict::ResetTo
+        self.last_jump = Some(validation::correction_between(last.pose, start.pose));
+        FusionOutcome::PoseReset
     }
 
-    fn adjust(&mut self, adjustment: &Adjustment) -> Verdict {
+    fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         match adjustment {
-            Adjustment::Params(params) => {
+            FilterCommand::SetParams(params) => {
                 self.config.params = *params;
                 self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
             }
-            Adjustment::ForgetPose => {
+            FilterCommand::ResetPose => {
                 let _ =
                     self.set_pose(&StartPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
                 self.is_placed = false;
             }
             // It learns nothing.
-            Adjustment::Learning(_) | Adjustment::ForgetCalibration => return Verdict::Unused,
+            FilterCommand::SetOnlineCalibration(_) | FilterCommand::ResetCalibration => return FusionOutcome::Unused,
         }
-        Verdict::Accepted
+        FusionOutcome::Accepted
     }
 
     fn restart_clock(&mut self) {
         let mut last = self.last();
-        last.covariance += doubt(RESTART_POSITION_M, RESTART_HEADING_RAD);
+        last.covariance += diagonal_pose_covariance(RESTART_POSITION_SIGMA_M, RESTART_HEADING_SIGMA_RAD);
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
-        self.reckoned = VecDeque::from([Reckoned { stamp: None, forward_m_per_s: 0.0, turn_rad_per_s: 0.0, ..last }]);
+        self.states =
+            VecDeque::from([DeadReckonedState { stamp: None, forward_m_per_s: 0.0, turn_rad_per_s: 0.0, ..last }]);
     }
 
-    fn latest(&self) -> Option<Stamp<BrickClock>> {
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.last().stamp
     }
 
-    fn estimate_at(&self, stamp: Stamp<BrickClock>) -> Option<Estimate> {
-        let index = self.reckoned.partition_point(|belief| belief.stamp <= Some(stamp));
-        let from = self.reckoned.get(index.checked_sub(1)?)?;
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        let index = self.states.partition_point(|belief| belief.stamp <= Some(stamp));
+        let from = self.states.get(index.checked_sub(1)?)?;
         from.stamp?;
-        let belief = self.carried(from, stamp);
+        let belief = self.propagate(from, stamp);
         let mut covariance = [[0.0; 5]; 5];
         for (row, values) in covariance.iter_mut().enumerate().take(3) {
             for (column, value) in values.iter_mut().enumerate().take(3) {
@@ -236,12 +237,12 @@ impl Filter for OdometryFilter {
             validity: Validity {
                 position: self.is_placed,
                 heading: self.is_placed,
-                speeds: self.latest().is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
+                speeds: self.latest_time().is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
             },
             is_dead_reckoning: true,
             fix_age: None,
             reset_counter: self.reset_counter,
-            last_jump: self.last_jump,
+            last_correction: self.last_jump,
         })
     }
 }

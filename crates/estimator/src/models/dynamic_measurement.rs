@@ -37,15 +37,15 @@ pub const QUANTITY: usize = 0;
 pub struct DynamicModel {
     /// A of all sensors, 1/s; block diagonal, zero where no state is.
     rates: SMatrix<f64, MAX_STATES, MAX_STATES>,
-    sensors: Vec<SensorRow>,
-    states: usize,
+    sensors: Vec<SensorOutput>,
+    state_count: usize,
     /// B: where a step of the quantity leads.
     step: [f64; ROWS],
 }
 
 /// H of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct SensorRow {
+struct SensorOutput {
     sensor: SensorId,
     row: [f64; ROWS],
 }
@@ -65,7 +65,7 @@ impl DynamicModel {
         Self {
             rates: SMatrix::zeros(),
             sensors: Vec::new(),
-            states: 0,
+            state_count: 0,
             step: std::array::from_fn(|row| if row == QUANTITY { 1.0 } else { 0.0 }),
         }
     }
@@ -88,7 +88,7 @@ impl DynamicModel {
             block[(j, j)] = -1.0 / tau_s;
             readout[j] = 1.0;
         }
-        self.with_block(sensor, gain, time_constants_s.len(), (block, readout))
+        self.with_block(sensor, gain, time_constants_s.len(), &block, &readout)
     }
 
     /// Adds a sensor with the differential equation y^(n) + a_(n-1) y^(n-1) + .. + a_0 y = a_0 gain u, by a_0 to a_(n-1); a_j in
@@ -114,7 +114,7 @@ impl DynamicModel {
                 block[(j, j + 1)] = 1.0;
             }
         }
-        self.with_block(sensor, gain, order, (block, readout))
+        self.with_block(sensor, gain, order, &block, &readout)
     }
 
     fn with_block(
@@ -122,15 +122,16 @@ impl DynamicModel {
         sensor: SensorId,
         gain: f64,
         order: usize,
-        (block, readout): (SMatrix<f64, MAX_STATES, MAX_STATES>, [f64; MAX_STATES]),
+        block: &SMatrix<f64, MAX_STATES, MAX_STATES>,
+        readout: &[f64; MAX_STATES],
     ) -> Result<Self, ModelError> {
         if !(gain != 0.0 && gain.is_finite()) {
             return Err(ModelError::Gain { gain });
         }
         if self.row_of(sensor).is_some() {
-            return Err(ModelError::SensorTwice { sensor });
+            return Err(ModelError::DuplicateSensor { sensor });
         }
-        let states = self.states + order;
+        let states = self.state_count + order;
         if order == 0 || states > MAX_STATES {
             return Err(ModelError::TooManyStates { states });
         }
@@ -138,14 +139,14 @@ impl DynamicModel {
         row[QUANTITY] = gain;
         let read: f64 = readout.iter().sum();
         for j in 0..order {
-            row[1 + self.states + j] = readout[j];
-            self.step[1 + self.states + j] = -gain * readout[j] / read;
+            row[1 + self.state_count + j] = readout[j];
+            self.step[1 + self.state_count + j] = -gain * readout[j] / read;
             for k in 0..order {
-                self.rates[(self.states + j, self.states + k)] = block[(j, k)];
+                self.rates[(self.state_count + j, self.state_count + k)] = block[(j, k)];
             }
         }
-        self.sensors.push(SensorRow { sensor, row });
-        self.states = states;
+        self.sensors.push(SensorOutput { sensor, row });
+        self.state_count = states;
         Ok(self)
     }
 
@@ -159,7 +160,7 @@ impl DynamicModel {
     /// How many states the sensors have together.
     #[must_use]
     pub const fn states(&self) -> usize {
-        self.states
+        self.state_count
     }
 
     /// F over so many seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
@@ -173,8 +174,8 @@ impl DynamicModel {
     /// Q over so many seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
     /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
     #[must_use]
-    pub fn walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
-        let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP).log2().ceil().clamp(0.0, MOST_DOUBLINGS);
+    pub fn random_walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
+        let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP).log2().ceil().clamp(0.0, MAX_DOUBLINGS);
         let short_s = dt_s * (-doublings).exp2();
         let b = SVector::from(self.step);
         let middle = self.transition(0.5 * short_s) * b;
@@ -191,7 +192,7 @@ impl DynamicModel {
 /// Over so much of the fastest lag the middle of an interval stands for all of it, to a ten-thousandth.
 const SHORT_STEP: f64 = 1.0 / 32.0;
 /// An hour in steps of a nanosecond.
-const MOST_DOUBLINGS: f64 = 42.0;
+const MAX_DOUBLINGS: f64 = 42.0;
 
 /// The largest sum of the magnitudes in a row.
 fn row_norm(matrix: &SMatrix<f64, MAX_STATES, MAX_STATES>) -> f64 {
@@ -266,7 +267,7 @@ pub enum ModelError {
     Unstable,
     /// The sensor is in the model already.
     #[error("sensor {sensor} is in the model already")]
-    SensorTwice {
+    DuplicateSensor {
         /// The sensor.
         sensor: SensorId,
     },
@@ -312,7 +313,7 @@ mod tests {
         for dt_s in [1e-6_f64, 0.4, 5.0, 900.0] {
             // u gains dt; x = y - 2 u falls back from each step of it.
             let (e, e_2) = ((-dt_s / 3.0).exp_m1(), (-2.0 * dt_s / 3.0).exp_m1());
-            let q = model.walk_noise(dt_s);
+            let q = model.random_walk_noise(dt_s);
             for (found, expected) in [
                 (q[(0, 0)], dt_s),
                 (q[(1, 0)], 2.0 * 3.0 * e),
@@ -322,7 +323,7 @@ mod tests {
                 assert!((found / expected - 1.0).abs() < 2e-4, "{dt_s}: {q}");
             }
         }
-        assert_eq!(model.walk_noise(0.0).norm(), 0.0);
+        assert_eq!(model.random_walk_noise(0.0).norm(), 0.0);
     }
 
     #[test]
@@ -332,7 +333,7 @@ mod tests {
             .unwrap()
             .with_coefficients(SensorId(7), 0.5, &[0.02, 0.2])
             .unwrap();
-        let q = model.walk_noise(1e-9) / 1e-9;
+        let q = model.random_walk_noise(1e-9) / 1e-9;
         for sensor in [A, SensorId(7)] {
             let row = SVector::from(model.row_of(sensor).unwrap());
             assert!((row.transpose() * q * row)[0].abs() < 1e-12, "{sensor}");
@@ -351,7 +352,7 @@ mod tests {
         assert!(DynamicModel::first_order(A, 0.0).is_err());
         assert!(DynamicModel::first_order(A, f64::INFINITY).is_err());
         let twice = DynamicModel::first_order(A, 1.0).unwrap();
-        assert_eq!(twice.clone().with_lags(A, 1.0, &[2.0]), Err(ModelError::SensorTwice { sensor: A }));
+        assert_eq!(twice.clone().with_lags(A, 1.0, &[2.0]), Err(ModelError::DuplicateSensor { sensor: A }));
         assert!(twice.clone().with_lags(SensorId(7), 0.0, &[2.0]).is_err());
         assert!(twice.clone().with_lags(SensorId(7), 1.0, &[2.0, 2.0]).is_err());
         let many: Vec<f64> = (1..=8).map(f64::from).collect();

@@ -63,7 +63,7 @@ impl Se2 {
 
     /// This pose, moved by `motion` in its own space.
     #[must_use]
-    pub fn then(self, motion: Self) -> Self {
+    pub fn compose(self, motion: Self) -> Self {
         let (sin, cos) = self.heading_rad.sin_cos();
         Self {
             x_m: self.x_m + cos * motion.x_m - sin * motion.y_m,
@@ -85,14 +85,14 @@ impl Se2 {
 
     /// The motion that leads from this pose to another.
     #[must_use]
-    pub fn to(self, other: Self) -> Self {
-        self.inverse().then(other)
+    pub fn between(self, other: Self) -> Self {
+        self.inverse().compose(other)
     }
 
     /// Where a point of the space in which this pose is given, in metres, lies for the body: (forward, left), in metres.
     #[inline]
     #[must_use]
-    pub fn seen_from(self, x_m: f64, y_m: f64) -> [f64; 2] {
+    pub fn point_in_body(self, x_m: f64, y_m: f64) -> [f64; 2] {
         let (sin, cos) = self.heading_rad.sin_cos();
         let (dx_m, dy_m) = (x_m - self.x_m, y_m - self.y_m);
         [cos * dx_m + sin * dy_m, cos * dy_m - sin * dx_m]
@@ -174,7 +174,7 @@ mod tests {
         [[0.3, 0.0, 0.0], [-0.1, 0.05, 5e-5], [0.4, -0.3, 1.1e-4], [1.0, -2.0, 0.7], [0.2, 0.4, -3.1], [0.0, 0.0, 2.0]];
 
     fn distance(a: Se2, b: Se2) -> f64 {
-        let apart = a.to(b);
+        let apart = a.between(b);
         apart.x_m.abs() + apart.y_m.abs() + apart.heading_rad.abs()
     }
 
@@ -186,7 +186,7 @@ mod tests {
                 assert!((found - expected).abs() < 1e-12, "{twist:?} became {back:?}");
             }
             let motion = Se2::exp(twist);
-            assert!(distance(motion.then(motion.inverse()), Se2::default()) < 1e-12);
+            assert!(distance(motion.compose(motion.inverse()), Se2::default()) < 1e-12);
         }
     }
 
@@ -194,7 +194,7 @@ mod tests {
     fn a_twist_made_in_a_thousand_parts_ends_where_the_whole_does() {
         for twist in TWISTS {
             let part = Se2::exp(twist.map(|value| value / 1000.0));
-            let whole = (0..1000).fold(Se2::default(), |at, _| at.then(part));
+            let whole = (0..1000).fold(Se2::default(), |at, _| at.compose(part));
             assert!(distance(whole, Se2::exp(twist)) < 1e-11, "{twist:?}");
         }
     }
@@ -208,7 +208,7 @@ mod tests {
                 let moved = |by: f64| {
                     let mut other = twist;
                     other[column] += by;
-                    Se2::exp(twist).to(Se2::exp(other)).log()
+                    Se2::exp(twist).between(Se2::exp(other)).log()
                 };
                 let (ahead, behind) = (moved(h), moved(-h));
                 for row in 0..3 {
@@ -227,7 +227,7 @@ mod tests {
             let by_group = Se2::exp([forward_m, 0.0, turn_rad]);
             assert!(distance(step.motion, by_group) < 1e-12);
             let moved = |forward_m: f64, turn_rad: f64| {
-                let end = step.motion.to(ArcStep::new(forward_m, turn_rad).motion);
+                let end = step.motion.between(ArcStep::new(forward_m, turn_rad).motion);
                 [end.x_m, end.y_m]
             };
             for axis in 0..2 {

@@ -1,7 +1,7 @@
 //! A body in the plane whose speeds are states and whose accelerations are an input.
 //!
 //! The motion of the filters that believe in speeds rather than in wheel travel. [`advance`] and [`jacobian`] are for filters that
-//! carry more rows or sigma points; [`Step`] carries mean and covariance together, and neither multiplies the zeros of F nor
+//! carry more rows or sigma points; [`PredictionStep`] carries mean and covariance together, and neither multiplies the zeros of F nor
 //! computes more than one triangle of P.
 //!
 //! # Model
@@ -56,7 +56,7 @@ impl Acceleration {
     /// a = (a_L + a_R) / 2          alpha = (a_R - a_L) / b
     /// ```
     #[must_use]
-    pub fn of_wheels(left_m_per_s2: f64, right_m_per_s2: f64, geometry: &DriveGeometry) -> Self {
+    pub fn from_wheels(left_m_per_s2: f64, right_m_per_s2: f64, geometry: &DriveGeometry) -> Self {
         Self {
             forward_m_per_s2: 0.5 * (left_m_per_s2 + right_m_per_s2),
             turn_rad_per_s2: (right_m_per_s2 - left_m_per_s2) / geometry.track_width.0,
@@ -66,34 +66,34 @@ impl Acceleration {
 
 /// One step of the motion, for mean and covariance together.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Step {
+pub struct PredictionStep {
     /// Length of the step, in seconds, more than zero.
     pub interval_s: f64,
     /// The diagonal of Q for this step, rows as telemetry's `estimate::row`: m², m², rad², m²/s², rad²/s².
     pub variances: [f64; N],
 }
 
-impl Step {
+impl PredictionStep {
     /// Carries mean and covariance over the step: [`advance`], and F P F' + Q with the F of [`jacobian`]. Of the covariance only
     /// the lower triangle is read; the result is symmetric to the last bit.
     #[inline]
     pub fn predict(&self, mean: &mut Mean, covariance: &mut Covariance, felt: Acceleration) {
-        let slope = Slope::at(mean, self.interval_s);
-        *mean = slope.moved(mean, felt);
-        slope.carry(covariance, &self.variances);
+        let slope = SparseJacobian::at(mean, self.interval_s);
+        *mean = slope.predict_mean(mean, felt);
+        slope.propagate_covariance(covariance, &self.variances);
     }
 }
 
 /// Moves the state by `dt_s` seconds: pose by the speeds at the beginning, speeds by the accelerations.
 #[must_use]
 pub fn advance(mean: &Mean, felt: Acceleration, dt_s: f64) -> Mean {
-    Slope::at(mean, dt_s).moved(mean, felt)
+    SparseJacobian::at(mean, dt_s).predict_mean(mean, felt)
 }
 
 /// F: the derivative of [`advance`] by the state, 5 x 5. The input does not enter it.
 #[must_use]
 pub fn jacobian(mean: &Mean, dt_s: f64) -> Covariance {
-    let slope = Slope::at(mean, dt_s);
+    let slope = SparseJacobian::at(mean, dt_s);
     let mut f = Covariance::identity();
     f[(row::X, row::HEADING)] = slope.x_by_heading;
     f[(row::X, row::FORWARD)] = slope.x_by_forward;
@@ -107,7 +107,7 @@ pub fn jacobian(mean: &Mean, dt_s: f64) -> Covariance {
 
 /// The entries of F that are neither 0 nor 1.
 #[derive(Clone, Copy)]
-struct Slope {
+struct SparseJacobian {
     x_by_heading: f64,
     x_by_forward: f64,
     x_by_turn: f64,
@@ -117,7 +117,7 @@ struct Slope {
     heading_by_turn: f64,
 }
 
-impl Slope {
+impl SparseJacobian {
     #[inline]
     fn at(mean: &Mean, t: f64) -> Self {
         let (sin, cos) = (mean[row::HEADING] + 0.5 * t * mean[row::TURN]).sin_cos();
@@ -136,7 +136,7 @@ impl Slope {
 
     /// The state behind the step: the motion is linear in v and w but for the direction, so F's own entries move it.
     #[inline]
-    fn moved(&self, mean: &Mean, felt: Acceleration) -> Mean {
+    fn predict_mean(&self, mean: &Mean, felt: Acceleration) -> Mean {
         let t = self.heading_by_turn;
         Mean::new(
             mean[row::X] + mean[row::FORWARD] * self.x_by_forward,
@@ -149,7 +149,7 @@ impl Slope {
 
     /// P <- F P F' + Q. The rows of v and w of F are those of the identity, so G = F P differs from P in three rows only.
     #[inline]
-    fn carry(&self, p: &mut Covariance, q: &[f64; N]) {
+    fn propagate_covariance(&self, p: &mut Covariance, q: &[f64; N]) {
         use row::{FORWARD as V, HEADING as H, TURN as W, X, Y};
         let (a, b, c) = (self.x_by_heading, self.x_by_forward, self.x_by_turn);
         let (d, e, f) = (self.y_by_heading, self.y_by_forward, self.y_by_turn);
@@ -196,7 +196,7 @@ impl Slope {
 mod tests {
     use super::*;
 
-    const STEP: Step = Step { interval_s: 0.05, variances: [1e-6, 2e-6, 3e-6, 4e-4, 5e-3] };
+    const STEP: PredictionStep = PredictionStep { interval_s: 0.05, variances: [1e-6, 2e-6, 3e-6, 4e-4, 5e-3] };
     const ACCELERATION: Acceleration = Acceleration { forward_m_per_s2: 0.7, turn_rad_per_s2: -1.9 };
 
     fn states() -> [Mean; 4] {

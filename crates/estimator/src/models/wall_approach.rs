@@ -29,7 +29,7 @@ pub const SPEED: usize = 1;
 
 /// How a robot answers to its motor input.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WallApproach {
+pub struct WallApproachModel {
     /// Drag d: input per steady speed, s/m.
     pub drag_s_per_m: f64,
     /// Mass m: input per acceleration, s²/m.
@@ -38,14 +38,14 @@ pub struct WallApproach {
 
 /// One step of the model: x' = A x + B u.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Discrete {
+pub struct DiscreteModel {
     /// By the state.
     pub a: Matrix2<f64>,
     /// By the input.
     pub b: Vector2<f64>,
 }
 
-impl WallApproach {
+impl WallApproachModel {
     /// By a step test: the steady speed under the input 1, and the time to 90 % of it; m = d t90 / ln 10.
     #[must_use]
     pub fn from_step_test(steady_m_per_s: f64, rise_90_s: f64) -> Self {
@@ -61,8 +61,8 @@ impl WallApproach {
 
     /// Euler's rule, as the paper has it. It is unstable for steps beyond 2 m / d.
     #[must_use]
-    pub fn euler(&self, dt_s: f64) -> Discrete {
-        Discrete {
+    pub fn euler(&self, dt_s: f64) -> DiscreteModel {
+        DiscreteModel {
             a: Matrix2::new(1.0, -dt_s, 0.0, 1.0 - self.rate_per_s() * dt_s),
             b: Vector2::new(0.0, dt_s / self.mass_s2_per_m),
         }
@@ -70,11 +70,11 @@ impl WallApproach {
 
     /// The exact step for an input that is held. Negative steps lead back.
     #[must_use]
-    pub fn exact(&self, dt_s: f64) -> Discrete {
+    pub fn exact(&self, dt_s: f64) -> DiscreteModel {
         let a = self.rate_per_s();
         let decayed = -(-a * dt_s).exp_m1();
         let g = decayed / a;
-        Discrete {
+        DiscreteModel {
             a: Matrix2::new(1.0, -g, 0.0, 1.0 - decayed),
             b: Vector2::new(-(dt_s - g), decayed) / self.drag_s_per_m,
         }
@@ -109,7 +109,7 @@ const SHORT: f64 = 1e-5;
 mod tests {
     use super::*;
 
-    const PAPER: WallApproach = WallApproach { drag_s_per_m: 0.816_33, mass_s2_per_m: 0.353_46 };
+    const PAPER: WallApproachModel = WallApproachModel { drag_s_per_m: 0.816_33, mass_s2_per_m: 0.353_46 };
 
     #[test]
     fn two_exact_steps_are_one_of_their_length_noise_included() {

@@ -2,15 +2,16 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{BrickClock, Span, Stamp};
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
-use super::{Added, count_before};
+use super::reading::InsertOutcome;
+use super::search::count_before;
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
-const HOLD: Span = Span::from_millis(60);
+const SAMPLE_HOLD: TimeDelta = TimeDelta::from_millis(60);
 /// Neighbours further apart than this leave a hole. A sample is the mean since the one before it only where the sender sums
 /// the turn; elsewhere it says nothing about a long gap. Five lost frames in a row at 20 Hz are still bridged.
-const LONGEST_MEAN: Span = Span::from_millis(300);
+const MAX_SAMPLE_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 /// The gyro's turn between two instants.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,42 +19,42 @@ pub struct GyroTurn {
     /// Integral of the rate, bias included, rad.
     pub turn_rad: f64,
     /// Sum of the squared lengths of the samples' parts, s²: times the variance of one sample, the variance of `turn_rad`.
-    pub squared_secs: f64,
+    pub squared_intervals_s2: f64,
 }
 
 impl GyroTurn {
-    fn add(&mut self, rate_rad_per_s: f64, length: Span) {
+    fn add(&mut self, rate_rad_per_s: f64, length: TimeDelta) {
         let secs = length.as_secs_f64();
         self.turn_rad += rate_rad_per_s * secs;
-        self.squared_secs += secs * secs;
+        self.squared_intervals_s2 += secs * secs;
     }
 }
 
 /// The gyro's rate over time: each sample is the mean since the one before it.
 #[derive(Clone, Debug, Default)]
 pub struct GyroTrack {
-    samples: VecDeque<(Stamp<BrickClock>, f64)>,
-    has_forgotten: bool,
+    samples: VecDeque<(Timestamp<BrickClock>, f64)>,
+    is_truncated: bool,
 }
 
 impl GyroTrack {
     /// Adds a sample.
-    pub fn add(&mut self, stamp: Stamp<BrickClock>, rate_rad_per_s: f64) -> Added {
+    pub fn insert(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> InsertOutcome {
         let index = count_before(&self.samples, |sample| sample.0 < stamp);
         if self.samples.get(index).is_some_and(|sample| sample.0 == stamp) {
-            return Added::Duplicate;
+            return InsertOutcome::Duplicate;
         }
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i)).map(|sample| sample.0);
-        if before.is_none() && self.has_forgotten {
-            return Added::TooOld;
+        if before.is_none() && self.is_truncated {
+            return InsertOutcome::TooOld;
         }
         self.samples.insert(index, (stamp, rate_rad_per_s));
-        Added::After(before)
+        InsertOutcome::Inserted(before)
     }
 
     /// The stamp of the last sample up to and including an instant.
     #[must_use]
-    pub fn last_until(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+    pub fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = count_before(&self.samples, |sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.0)
@@ -61,7 +62,7 @@ impl GyroTrack {
 
     /// The same for an instant that most samples lie behind.
     #[must_use]
-    pub fn last_of_old(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+    pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.0)
@@ -69,14 +70,14 @@ impl GyroTrack {
 
     /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
     #[must_use]
-    pub fn covers(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> bool {
+    pub fn covers(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> bool {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let Some(first) = next.checked_sub(1).and_then(|i| self.samples.get(i)) else {
             return false;
         };
         let mut last = first.0;
         for &(stamp, _) in self.samples.range(next..) {
-            if stamp - last > LONGEST_MEAN {
+            if stamp - last > MAX_SAMPLE_INTERVAL {
                 break;
             }
             last = stamp;
@@ -84,13 +85,13 @@ impl GyroTrack {
                 return true;
             }
         }
-        to <= last + HOLD
+        to <= last + SAMPLE_HOLD
     }
 
     /// The turn between two instants of a covered span.
     #[must_use]
-    pub fn turn_between(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> GyroTurn {
-        let mut turn = GyroTurn { turn_rad: 0.0, squared_secs: 0.0 };
+    pub fn turn_between(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> GyroTurn {
+        let mut turn = GyroTurn { turn_rad: 0.0, squared_intervals_s2: 0.0 };
         let mut at = from;
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut held = self.samples.back().map_or(0.0, |sample| sample.1);
@@ -112,14 +113,14 @@ impl GyroTrack {
     /// The turn between two instants, the first before the second, if the whole span is covered: as [`Self::covers`] and
     /// [`Self::turn_between`] say, in one pass.
     #[must_use]
-    pub fn covered_turn(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> Option<GyroTurn> {
+    pub fn covered_turn(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> Option<GyroTurn> {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut last = self.samples.get(next.checked_sub(1)?)?.0;
         let mut held = self.samples.back()?.1;
-        let mut turn = GyroTurn { turn_rad: 0.0, squared_secs: 0.0 };
+        let mut turn = GyroTurn { turn_rad: 0.0, squared_intervals_s2: 0.0 };
         let mut at = from;
         for &(stamp, rate) in self.samples.range(next..) {
-            if stamp - last > LONGEST_MEAN && to > last + HOLD {
+            if stamp - last > MAX_SAMPLE_INTERVAL && to > last + SAMPLE_HOLD {
                 return None;
             }
             let until = stamp.min(to);
@@ -132,14 +133,14 @@ impl GyroTrack {
             last = stamp;
         }
         turn.add(held, to - at);
-        (to <= last + HOLD).then_some(turn)
+        (to <= last + SAMPLE_HOLD).then_some(turn)
     }
 
     /// Forgets what is not needed for instants from `horizon` on; the sample before it stays.
-    pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
+    pub fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
         while self.samples.get(1).is_some_and(|second| second.0 <= horizon) {
             self.samples.pop_front();
-            self.has_forgotten = true;
+            self.is_truncated = true;
         }
     }
 }
@@ -148,14 +149,14 @@ impl GyroTrack {
 mod tests {
     use super::*;
 
-    fn ms(millis: i64) -> Stamp<BrickClock> {
-        Stamp::from_millis(millis)
+    fn ms(millis: i64) -> Timestamp<BrickClock> {
+        Timestamp::from_millis(millis)
     }
 
     fn gyro(samples: &[(i64, f64)]) -> GyroTrack {
         let mut gyro = GyroTrack::default();
         for &(stamp, rate) in samples {
-            gyro.add(ms(stamp), rate);
+            gyro.insert(ms(stamp), rate);
         }
         gyro
     }
@@ -166,7 +167,7 @@ mod tests {
         assert!(gyro.covers(ms(0), ms(100)) && !gyro.covers(ms(0), ms(101)) && !gyro.covers(ms(-1), ms(40)));
         let turn = gyro.turn_between(ms(10), ms(50));
         assert!((turn.turn_rad - (0.01 + 0.04 + 0.02)).abs() < 1e-12);
-        assert!((turn.squared_secs - (1e-4 + 4e-4 + 1e-4)).abs() < 1e-12);
+        assert!((turn.squared_intervals_s2 - (1e-4 + 4e-4 + 1e-4)).abs() < 1e-12);
     }
 
     #[test]
@@ -186,7 +187,7 @@ mod tests {
         let mut gyro = gyro(&[(0, 0.0), (100, 0.0), (500, 0.0), (600, 0.0)]);
         assert!(gyro.covers(ms(0), ms(160)) && gyro.covers(ms(500), ms(600)));
         assert!(!gyro.covers(ms(0), ms(161)) && !gyro.covers(ms(50), ms(550)));
-        gyro.add(ms(250), 0.0);
+        gyro.insert(ms(250), 0.0);
         assert!(gyro.covers(ms(50), ms(550)));
     }
 
@@ -195,7 +196,7 @@ mod tests {
         let in_order = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
         let backwards = gyro(&[(40, 2.0), (20, 1.0), (0, 9.0)]);
         assert_eq!(in_order.turn_between(ms(3), ms(39)), backwards.turn_between(ms(3), ms(39)));
-        assert_eq!(in_order.last_until(ms(39)), Some(ms(20)));
-        assert_eq!(in_order.last_until(ms(-1)), None);
+        assert_eq!(in_order.last_at_or_before(ms(39)), Some(ms(20)));
+        assert_eq!(in_order.last_at_or_before(ms(-1)), None);
     }
 }

@@ -11,24 +11,6 @@ mod search;
 mod track;
 
 pub use gyro::{GyroTrack, GyroTurn};
-pub use reading::{MotionReading, MotionSource};
+pub use reading::{InsertOutcome, MotionReading, MotionSource};
 pub use search::count_before;
-pub use track::{Leg, MotionTrack};
-
-use posebridge_telemetry::{BrickClock, Stamp};
-
-/// What became of a reading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Added {
-    /// Taken; what is known changed after this instant, the stamp of the reading before it. `None`: it is the first.
-    After(Option<Stamp<BrickClock>>),
-    /// Taken, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a better
-    /// source took over.
-    Rebased(Stamp<BrickClock>),
-    /// A better source moves the robot.
-    Outranked,
-    /// A reading with this stamp is there already.
-    Duplicate,
-    /// Older than anything that is still kept, or from before a better source took over.
-    TooOld,
-}
+pub use track::{MotionTrack, TravelSegment};

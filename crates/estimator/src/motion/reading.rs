@@ -1,8 +1,24 @@
 //! A motion reading and the travel that two of them tell.
 
-use posebridge_telemetry::{DriveGeometry, Heading, Observed, Odom, Pose};
+use posebridge_telemetry::{BrickClock, DriveGeometry, Heading, ObservationKind, Odom, Pose, Timestamp};
 
 use crate::models::differential_drive::WheelTravel;
+
+/// What became of a reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InsertOutcome {
+    /// Taken; what is known changed after this instant, the stamp of the reading before it. `None`: it is the first.
+    Inserted(Option<Timestamp<BrickClock>>),
+    /// Taken, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a better
+    /// source took over.
+    Rebased(Timestamp<BrickClock>),
+    /// A better source moves the robot.
+    Superseded,
+    /// A reading with this stamp is there already.
+    Duplicate,
+    /// Older than anything that is still kept, or from before a better source took over.
+    TooOld,
+}
 
 /// Which kind of observation moves the robot; a better one takes over from a worse one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -39,21 +55,21 @@ pub enum MotionReading {
 impl MotionReading {
     /// What an observation says of motion; `None` if it is of another kind.
     #[must_use]
-    pub fn of(observed: &Observed) -> Option<Self> {
+    pub fn from_observation(observed: &ObservationKind) -> Option<Self> {
         match *observed {
-            Observed::WheelAngles { left, right } => Some(Self::Wheels { left_rad: left.0, right_rad: right.0 }),
-            Observed::OdometerPose(pose) => Some(Self::Odometer(pose)),
-            Observed::BodyVelocity { forward, turn } => {
+            ObservationKind::WheelAngles { left, right } => Some(Self::Wheels { left_rad: left.0, right_rad: right.0 }),
+            ObservationKind::OdometerPose(pose) => Some(Self::Odometer(pose)),
+            ObservationKind::BodyVelocity { forward, turn } => {
                 Some(Self::Velocity { forward_m_per_s: forward.0, turn_rad_per_s: turn.0 })
             }
-            Observed::TurnRate(_)
-            | Observed::WheelAccelerations { .. }
-            | Observed::Fix(_)
-            | Observed::Landmark { .. }
-            | Observed::BeaconRange { .. }
-            | Observed::WallRange(_)
-            | Observed::CompassHeading(_)
-            | Observed::Temperature(_) => None,
+            ObservationKind::TurnRate(_)
+            | ObservationKind::WheelAccelerations { .. }
+            | ObservationKind::Fix(_)
+            | ObservationKind::Landmark { .. }
+            | ObservationKind::BeaconRange { .. }
+            | ObservationKind::WallRange(_)
+            | ObservationKind::CompassHeading(_)
+            | ObservationKind::Temperature(_) => None,
         }
     }
 

@@ -2,32 +2,33 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{BrickClock, DriveGeometry, Span, Stamp};
+use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
-use super::{Added, MotionReading, MotionSource, count_before};
+use super::reading::{InsertOutcome, MotionReading, MotionSource};
+use super::search::count_before;
 use crate::models::differential_drive::{WheelTravel, body_step};
 
 /// Over an interval between two counter readings that is longer than this the path is no longer taken for an arc: five lost
 /// frames in a row at 20 Hz still are.
-const LONGEST_ARC: Span = Span::from_millis(300);
+const MAX_ARC_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 #[derive(Clone, Copy, Debug)]
-struct Sample {
-    stamp: Stamp<BrickClock>,
+struct MotionSample {
+    stamp: Timestamp<BrickClock>,
     reading: MotionReading,
     /// Since the first sample ever; an unknown step counts as none.
-    travel: WheelTravel,
+    cumulative_travel: WheelTravel,
     /// From the sample before to this one; `None` when it is unknown, as before the first.
     step: Option<WheelTravel>,
 }
 
 /// A part of the way between two instants over which the same is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Leg {
+pub enum TravelSegment {
     /// The wheels' travel is known.
     Known {
         /// Its end.
-        until: Stamp<BrickClock>,
+        until: Timestamp<BrickClock>,
         /// The wheels' travel.
         travel: WheelTravel,
         /// Variance of each coordinate of where the leg ends, because only the sums of distance and turn are known and not in
@@ -37,12 +38,12 @@ pub enum Leg {
     /// There are readings on both sides, or after it, but they do not tell how the robot moved.
     Gap {
         /// Its end.
-        until: Stamp<BrickClock>,
+        until: Timestamp<BrickClock>,
     },
     /// Nothing has been read after its beginning.
-    Ahead {
+    BeyondData {
         /// Its end.
-        until: Stamp<BrickClock>,
+        until: Timestamp<BrickClock>,
     },
 }
 
@@ -52,15 +53,15 @@ pub struct MotionTrack {
     geometry: DriveGeometry,
     max_wheel_rad_per_s: f64,
     source: Option<MotionSource>,
-    samples: VecDeque<Sample>,
-    has_forgotten: bool,
+    samples: VecDeque<MotionSample>,
+    is_truncated: bool,
 }
 
 impl MotionTrack {
     /// An empty track for a robot of this geometry whose wheels cannot turn faster than the limit.
     #[must_use]
     pub fn new(geometry: DriveGeometry, max_wheel_rad_per_s: f64) -> Self {
-        Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), has_forgotten: false }
+        Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), is_truncated: false }
     }
 
     /// From now on a larger jump than this, in radians per second, re-bases the counters.
@@ -69,29 +70,29 @@ impl MotionTrack {
     }
 
     /// Adds a reading.
-    pub fn add(&mut self, stamp: Stamp<BrickClock>, reading: &MotionReading) -> Added {
+    pub fn insert(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> InsertOutcome {
         let source = reading.source();
         if self.source.is_some_and(|current| source < current) {
-            return Added::Outranked;
+            return InsertOutcome::Superseded;
         }
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         if self.samples.get(index).is_some_and(|sample| sample.stamp == stamp) {
-            return Added::Duplicate;
+            return InsertOutcome::Duplicate;
         }
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
         let before = before.map(|sample| sample.stamp);
         let takes_over = self.source.is_some_and(|current| source > current);
-        let is_first_but_late = before.is_none() && self.has_forgotten;
+        let is_first_but_late = before.is_none() && self.is_truncated;
         if is_first_but_late || (takes_over && index < self.samples.len()) {
-            return Added::TooOld;
+            return InsertOutcome::TooOld;
         }
         self.source = Some(source);
-        let sample = Sample { stamp, reading: *reading, travel: WheelTravel::default(), step: None };
+        let sample = MotionSample { stamp, reading: *reading, cumulative_travel: WheelTravel::default(), step: None };
         self.samples.insert(index, sample);
         self.sum_from(index);
         match before {
-            Some(before) if self.samples[index].step.is_none() => Added::Rebased(before),
-            _ => Added::After(before),
+            Some(before) if self.samples[index].step.is_none() => InsertOutcome::Rebased(before),
+            _ => InsertOutcome::Inserted(before),
         }
     }
 
@@ -104,11 +105,11 @@ impl MotionTrack {
             let step = if i <= index + 1 { self.step(&before, &self.samples[i]) } else { self.samples[i].step };
             let sample = &mut self.samples[i];
             sample.step = step;
-            sample.travel = sum(before.travel, step.unwrap_or_default());
+            sample.cumulative_travel = sum(before.cumulative_travel, step.unwrap_or_default());
         }
     }
 
-    fn step(&self, from: &Sample, to: &Sample) -> Option<WheelTravel> {
+    fn step(&self, from: &MotionSample, to: &MotionSample) -> Option<WheelTravel> {
         let dt_s = (to.stamp - from.stamp).as_secs_f64();
         let step = from.reading.travel_to(&to.reading, dt_s, &self.geometry)?;
         let is_held = matches!(from.reading, MotionReading::Velocity { .. });
@@ -125,22 +126,26 @@ impl MotionTrack {
 
     /// What is known about the way from `from` towards `to`, as far as it is of one kind: the same reading on either side.
     #[must_use]
-    pub fn leg(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> Leg {
+    pub fn segment(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> TravelSegment {
         let index = count_before(&self.samples, |sample| sample.stamp <= from);
         let Some(after) = self.samples.get(index) else {
-            return Leg::Ahead { until: to };
+            return TravelSegment::BeyondData { until: to };
         };
         let until = after.stamp.min(to);
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
         let (Some(before), Some(step)) = (before, after.step) else {
-            return Leg::Gap { until };
+            return TravelSegment::Gap { until };
         };
         let length = after.stamp - before.stamp;
         let share = (until - from).as_nanos() as f64 / length.as_nanos() as f64;
         let is_counted = matches!(after.reading, MotionReading::Wheels { .. });
-        let path_var_m2 = if is_counted && length > LONGEST_ARC { share * self.path_variance(step) } else { 0.0 };
+        let path_var_m2 = if is_counted && length > MAX_ARC_INTERVAL { share * self.path_variance(step) } else { 0.0 };
         let is_whole = from == before.stamp && until == after.stamp;
-        Leg::Known { until, travel: if is_whole { step } else { self.travel_between(from, until) }, path_var_m2 }
+        TravelSegment::Known {
+            until,
+            travel: if is_whole { step } else { self.travel_between(from, until) },
+            path_var_m2,
+        }
     }
 
     /// When a robot has driven d and turned by dth in unknown order, its way lies in a direction that is uniform within dth.
@@ -151,18 +156,18 @@ impl MotionTrack {
 
     /// The reading before the one at `stamp` and the travel since, where it is short enough to tell a speed.
     #[must_use]
-    pub fn step_to(&self, stamp: Stamp<BrickClock>) -> Option<(Stamp<BrickClock>, WheelTravel)> {
+    pub fn step_to(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, WheelTravel)> {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let sample = self.samples.get(index).filter(|sample| sample.stamp == stamp)?;
         let before = self.samples.get(index.checked_sub(1)?)?.stamp;
-        let is_short = stamp - before <= LONGEST_ARC;
+        let is_short = stamp - before <= MAX_ARC_INTERVAL;
         let step = sample.step.filter(|_| is_short)?;
         Some((before, step))
     }
 
     /// The stamp of the last reading up to and including an instant.
     #[must_use]
-    pub fn last_until(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+    pub fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = count_before(&self.samples, |sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.stamp)
@@ -170,7 +175,7 @@ impl MotionTrack {
 
     /// The same for an instant that most readings lie behind.
     #[must_use]
-    pub fn last_of_old(&self, stamp: Stamp<BrickClock>) -> Option<Stamp<BrickClock>> {
+    pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.stamp)
@@ -178,11 +183,11 @@ impl MotionTrack {
 
     /// Travel between two instants, linear inside each interval; what is not known counts as rest.
     #[must_use]
-    pub fn travel_between(&self, from: Stamp<BrickClock>, to: Stamp<BrickClock>) -> WheelTravel {
+    pub fn travel_between(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> WheelTravel {
         difference(self.travel_at(to), self.travel_at(from))
     }
 
-    fn travel_at(&self, stamp: Stamp<BrickClock>) -> WheelTravel {
+    fn travel_at(&self, stamp: Timestamp<BrickClock>) -> WheelTravel {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let after = self.samples.get(index);
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
@@ -190,22 +195,22 @@ impl MotionTrack {
             (Some(before), Some(after)) => {
                 let whole = (after.stamp - before.stamp).as_nanos() as f64;
                 let part = (stamp - before.stamp).as_nanos() as f64 / whole;
-                let step = difference(after.travel, before.travel);
+                let step = difference(after.cumulative_travel, before.cumulative_travel);
                 WheelTravel {
-                    left_m: before.travel.left_m + part * step.left_m,
-                    right_m: before.travel.right_m + part * step.right_m,
+                    left_m: before.cumulative_travel.left_m + part * step.left_m,
+                    right_m: before.cumulative_travel.right_m + part * step.right_m,
                 }
             }
-            (Some(only), None) | (None, Some(only)) => only.travel,
+            (Some(only), None) | (None, Some(only)) => only.cumulative_travel,
             (None, None) => WheelTravel::default(),
         }
     }
 
     /// Forgets what is not needed for instants from `horizon` on; the sample before it stays, for interpolation.
-    pub fn forget_before(&mut self, horizon: Stamp<BrickClock>) {
+    pub fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
         while self.samples.get(1).is_some_and(|second| second.stamp <= horizon) {
             self.samples.pop_front();
-            self.has_forgotten = true;
+            self.is_truncated = true;
         }
     }
 }
@@ -230,8 +235,8 @@ mod tests {
         tick: Radians(0.017_453_3),
     };
 
-    fn ms(millis: i64) -> Stamp<BrickClock> {
-        Stamp::from_millis(millis)
+    fn ms(millis: i64) -> Timestamp<BrickClock> {
+        Timestamp::from_millis(millis)
     }
 
     fn wheels(left_rad: f64, right_rad: f64) -> MotionReading {
@@ -241,7 +246,7 @@ mod tests {
     fn track(readings: &[(i64, MotionReading)]) -> MotionTrack {
         let mut track = MotionTrack::new(GEOMETRY, 100.0);
         for (stamp, reading) in readings {
-            track.add(ms(*stamp), reading);
+            track.insert(ms(*stamp), reading);
         }
         track
     }
@@ -269,8 +274,8 @@ mod tests {
             }
         }
         assert_eq!(
-            in_order.leg(ms(150), ms(300)),
-            Leg::Gap { until: ms(200) },
+            in_order.segment(ms(150), ms(300)),
+            TravelSegment::Gap { until: ms(200) },
             "nobody knows what was driven across the jump"
         );
     }
@@ -278,8 +283,8 @@ mod tests {
     #[test]
     fn counters_that_jump_are_a_new_base_and_not_motion() {
         let mut track = track(&[(0, wheels(500.0, 500.0)), (50, wheels(501.0, 501.0))]);
-        assert_eq!(track.add(ms(100), &wheels(0.0, 0.0)), Added::Rebased(ms(50)));
-        track.add(ms(150), &wheels(1.0, 1.0));
+        assert_eq!(track.insert(ms(100), &wheels(0.0, 0.0)), InsertOutcome::Rebased(ms(50)));
+        track.insert(ms(150), &wheels(1.0, 1.0));
         assert!((track.travel_between(ms(0), ms(150)).left_m - 0.06).abs() < 1e-12);
     }
 
@@ -287,28 +292,32 @@ mod tests {
     fn wheels_take_over_from_held_speeds_without_a_jump() {
         let slow = MotionReading::Velocity { forward_m_per_s: 0.1, turn_rad_per_s: 0.0 };
         let mut track = track(&[(0, slow), (1000, slow)]);
-        assert_eq!(track.add(ms(900), &wheels(70.0, 70.0)), Added::TooOld, "a take-over does not rewrite the past");
-        assert_eq!(track.add(ms(1100), &wheels(77.0, 77.0)), Added::Rebased(ms(1000)));
-        assert_eq!(track.add(ms(1150), &slow), Added::Outranked);
-        track.add(ms(1200), &wheels(78.0, 78.0));
+        assert_eq!(
+            track.insert(ms(900), &wheels(70.0, 70.0)),
+            InsertOutcome::TooOld,
+            "a take-over does not rewrite the past"
+        );
+        assert_eq!(track.insert(ms(1100), &wheels(77.0, 77.0)), InsertOutcome::Rebased(ms(1000)));
+        assert_eq!(track.insert(ms(1150), &slow), InsertOutcome::Superseded);
+        track.insert(ms(1200), &wheels(78.0, 78.0));
         assert!((track.travel_between(ms(0), ms(1200)).left_m - 0.13).abs() < 1e-12);
     }
 
     #[test]
     fn what_was_forgotten_is_not_read_again() {
         let mut track = track(&[(0, wheels(0.0, 0.0)), (100, wheels(1.0, 1.0))]);
-        track.add(ms(200), &wheels(2.0, 2.0));
-        track.forget_before(ms(150));
-        assert_eq!(track.add(ms(50), &wheels(0.5, 0.5)), Added::TooOld);
-        assert_eq!(track.add(ms(150), &wheels(1.5, 1.5)), Added::After(Some(ms(100))));
-        assert_eq!(track.add(ms(150), &wheels(1.5, 1.5)), Added::Duplicate);
+        track.insert(ms(200), &wheels(2.0, 2.0));
+        track.discard_before(ms(150));
+        assert_eq!(track.insert(ms(50), &wheels(0.5, 0.5)), InsertOutcome::TooOld);
+        assert_eq!(track.insert(ms(150), &wheels(1.5, 1.5)), InsertOutcome::Inserted(Some(ms(100))));
+        assert_eq!(track.insert(ms(150), &wheels(1.5, 1.5)), InsertOutcome::Duplicate);
     }
 
     #[test]
     fn before_the_first_reading_and_after_the_last_nothing_is_known() {
         let track = track(&[(100, wheels(0.0, 0.0)), (150, wheels(1.0, 1.0))]);
-        assert_eq!(track.leg(ms(0), ms(150)), Leg::Gap { until: ms(100) });
-        assert_eq!(track.leg(ms(150), ms(170)), Leg::Ahead { until: ms(170) });
+        assert_eq!(track.segment(ms(0), ms(150)), TravelSegment::Gap { until: ms(100) });
+        assert_eq!(track.segment(ms(150), ms(170)), TravelSegment::BeyondData { until: ms(170) });
         assert!(track.step_to(ms(100)).is_none() && track.step_to(ms(150)).is_some());
     }
 
@@ -316,7 +325,7 @@ mod tests {
     fn the_parts_of_a_long_interval_share_its_doubt_about_the_path() {
         let track = track(&[(0, wheels(0.0, 0.0)), (4_000, wheels(20.0, 30.0))]);
         let doubt = |from, to| {
-            let Leg::Known { path_var_m2, .. } = track.leg(ms(from), ms(to)) else {
+            let TravelSegment::Known { path_var_m2, .. } = track.segment(ms(from), ms(to)) else {
                 panic!("the wheels were read on both sides");
             };
             path_var_m2

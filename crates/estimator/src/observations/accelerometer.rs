@@ -11,29 +11,37 @@
 
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
-use crate::filters::pose::state::Speed;
-
 /// Forward acceleration at each wheel over an interval, m/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Accelerations {
+pub struct WheelAccelerations {
     /// At the left wheel.
     pub left_m_per_s2: f64,
     /// At the right wheel.
     pub right_m_per_s2: f64,
 }
 
-/// Changes forward speed and turn rate by what was felt for `dt_s`.
-pub fn drive_speeds(
-    forward: &mut Speed,
-    turn: &mut Speed,
-    felt: Accelerations,
-    dt_s: f64,
-    (geometry, noise): (&DriveGeometry, &SensorNoise),
-) {
+/// How much the speeds and their variances change over an interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SpeedChange {
+    /// Of the forward speed, m/s.
+    pub forward_m_per_s: f64,
+    /// Of its variance.
+    pub forward_variance: f64,
+    /// Of the turn rate, rad/s.
+    pub turn_rad_per_s: f64,
+    /// Of its variance.
+    pub turn_variance: f64,
+}
+
+/// The change of the speeds by accelerations that were felt for `dt_s`.
+#[must_use]
+pub fn speed_change(felt: WheelAccelerations, dt_s: f64, geometry: &DriveGeometry, noise: &SensorNoise) -> SpeedChange {
     let b = geometry.track_width.0;
     let sigma = noise.accelerometer_m_per_s2 * dt_s;
-    forward.value += 0.5 * (felt.left_m_per_s2 + felt.right_m_per_s2) * dt_s;
-    forward.variance += 0.5 * sigma * sigma;
-    turn.value += (felt.right_m_per_s2 - felt.left_m_per_s2) / b * dt_s;
-    turn.variance += 2.0 * sigma * sigma / (b * b);
+    SpeedChange {
+        forward_m_per_s: 0.5 * (felt.left_m_per_s2 + felt.right_m_per_s2) * dt_s,
+        forward_variance: 0.5 * sigma * sigma,
+        turn_rad_per_s: (felt.right_m_per_s2 - felt.left_m_per_s2) / b * dt_s,
+        turn_variance: 2.0 * sigma * sigma / (b * b),
+    }
 }

@@ -8,49 +8,48 @@
 //!
 //! Source: docs/maths/pose.md section 4.
 
-use nalgebra::{Matrix1, SMatrix, Vector1};
+use nalgebra::{Matrix1, Vector1};
 use posebridge_telemetry::{Arena, Point2};
 
-use crate::filters::pose::state::{BEACONS, FORWARD, LEFT, MOST_BEACONS, PoseState};
-use crate::update::Measurement;
+use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 
 /// Nearer than this the direction to a beacon says nothing, m.
-const NEAREST_M: f64 = 0.01;
+const MIN_RANGE_M: f64 = 0.01;
 
-/// A beacon: where it is and which of the state's rows are its own.
+/// A beacon: where it is and which of the states are its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beacon {
     /// Its place.
-    pub place: Point2<Arena>,
+    pub position: Point2<Arena>,
     /// Its number among the beacons of the world.
     pub slot: usize,
 }
 
 /// Innovation, H and R of a range; `None` when the robot believes to stand on the beacon.
 #[must_use]
-pub fn measurement<const N: usize>(
-    state: &PoseState<N>,
+pub fn measurement(
+    view: &impl PoseView,
     beacon: Beacon,
     range_m: f64,
     variance_m2: f64,
-) -> Option<Measurement<N, 1>> {
-    let place = beacon.place;
-    let [qx, qy] = state.pose.seen_from(place.x.0, place.y.0);
+) -> Option<ObservationModel<1>> {
+    let place = beacon.position;
+    let [qx, qy] = view.pose().point_in_body(place.x.0, place.y.0);
     let true_m = qx.hypot(qy);
-    if true_m < NEAREST_M {
+    if true_m < MIN_RANGE_M {
         return None;
     }
-    let mut jacobian = SMatrix::<f64, 1, N>::zeros();
-    let mut predicted_m = true_m;
-    let mut scale = 1.0;
-    let offset_row = BEACONS + 2 * beacon.slot;
-    if beacon.slot < MOST_BEACONS && offset_row + 1 < N {
-        scale += state.mean[offset_row + 1];
-        predicted_m = true_m * scale + state.mean[offset_row];
-        jacobian[(0, offset_row)] = 1.0;
-        jacobian[(0, offset_row + 1)] = true_m;
-    }
-    jacobian[(0, FORWARD)] = -qx / true_m * scale;
-    jacobian[(0, LEFT)] = -qy / true_m * scale;
-    Some(Measurement { innovation: Vector1::new(range_m - predicted_m), jacobian, noise: Matrix1::new(variance_m2) })
+    let (offset, scale) = (StateTerm::BeaconOffset(beacon.slot), StateTerm::BeaconScale(beacon.slot));
+    let factor = 1.0 + view.term(scale);
+    let predicted_m = true_m * factor + view.term(offset);
+    Some(ObservationModel {
+        innovation: Vector1::new(range_m - predicted_m),
+        rows: [JacobianRow {
+            forward: -qx / true_m * factor,
+            left: -qy / true_m * factor,
+            heading: 0.0,
+            terms: [Some((offset, 1.0)), Some((scale, true_m))],
+        }],
+        noise: Matrix1::new(variance_m2),
+    })
 }

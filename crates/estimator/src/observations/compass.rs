@@ -7,20 +7,17 @@
 //!
 //! Source: docs/maths/pose.md section 4.
 
-use nalgebra::{Matrix1, SMatrix, Vector1};
+use nalgebra::{Matrix1, Vector1};
 use posebridge_telemetry::quantities::wrap_rad;
 
-use crate::filters::pose::state::{HEADING, PoseState};
-use crate::update::Measurement;
+use super::model::{JacobianRow, ObservationModel, PoseView};
 
 /// Innovation, H and R of a compass heading.
 #[must_use]
-pub fn measurement<const N: usize>(state: &PoseState<N>, heading_rad: f64, variance_rad2: f64) -> Measurement<N, 1> {
-    let mut jacobian = SMatrix::<f64, 1, N>::zeros();
-    jacobian[(0, HEADING)] = 1.0;
-    Measurement {
-        innovation: Vector1::new(wrap_rad(heading_rad - state.pose.heading_rad)),
-        jacobian,
+pub fn measurement(view: &impl PoseView, heading_rad: f64, variance_rad2: f64) -> ObservationModel<1> {
+    ObservationModel {
+        innovation: Vector1::new(wrap_rad(heading_rad - view.pose().heading_rad)),
+        rows: [JacobianRow { heading: 1.0, ..JacobianRow::default() }],
         noise: Matrix1::new(variance_rad2),
     }
 }

@@ -19,19 +19,18 @@
 //!
 //! Source: docs/maths/pose.md section 3.
 
-use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Stamp};
+use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Timestamp};
 
-use crate::filters::pose::state::{GYRO_BIAS, PoseState, ROUNDING, WINDOW_TURN};
+use super::model::{PoseView, StateTerm};
 use crate::motion::GyroTurn;
-use crate::update::Scalar;
 
 /// What has been summed since the window began.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroWindow {
     /// When it began.
-    pub start: Stamp<BrickClock>,
+    pub start: Timestamp<BrickClock>,
     /// Up to where the encoders' turn is summed.
-    pub until: Stamp<BrickClock>,
+    pub until: Timestamp<BrickClock>,
     /// The encoders' distance, m.
     pub forward_m: f64,
 }
@@ -39,21 +38,21 @@ pub struct GyroWindow {
 impl GyroWindow {
     /// A window that begins now.
     #[must_use]
-    pub const fn starting(at: Stamp<BrickClock>) -> Self {
+    pub const fn starting(at: Timestamp<BrickClock>) -> Self {
         Self { start: at, until: at, forward_m: 0.0 }
     }
 }
 
 /// What the rounding of the encoders' heading is at the end of a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Rounded {
+pub enum EndRounding {
     /// Another one than at its beginning: the wheels moved, or may have.
-    Anew {
+    Independent {
         /// What is known about it.
         variance_rad2: f64,
     },
     /// The same: the robot stood.
-    AsBefore,
+    Unchanged,
 }
 
 /// Variance of the turn that a gyro reports over samples with this sum of squared lengths, rad².
@@ -76,25 +75,43 @@ pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
     (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
 
+/// The gyro's turn over a window against its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroWindowModel {
+    /// z - h(x), rad.
+    pub innovation: f64,
+    /// Derivative by [`StateTerm::WindowTurn`].
+    pub by_window_turn: f64,
+    /// Derivative by [`StateTerm::GyroBias`], s.
+    pub by_gyro_bias: f64,
+    /// Derivative by [`StateTerm::HeadingRounding`].
+    pub by_rounding: f64,
+    /// R, rad².
+    pub variance: f64,
+}
+
 /// Innovation, H and R of a window. R holds the rounding at its end where that is another; that at its beginning is a state.
 #[must_use]
-pub fn measurement<const N: usize>(
-    state: &PoseState<N>,
+pub fn measurement(
+    view: &impl PoseView,
     window: &GyroWindow,
     gyro: &GyroTurn,
     noise: &SensorNoise,
-    rounded: Rounded,
-) -> Scalar<3> {
+    rounded: EndRounding,
+) -> GyroWindowModel {
     let length_s = (window.until - window.start).as_secs_f64();
     let (by_rounding, rounding_rad2) = match rounded {
-        Rounded::Anew { variance_rad2 } => (1.0, variance_rad2),
-        Rounded::AsBefore => (0.0, 0.0),
+        EndRounding::Independent { variance_rad2 } => (1.0, variance_rad2),
+        EndRounding::Unchanged => (0.0, 0.0),
     };
-    let predicted = state.mean[WINDOW_TURN] + state.mean[GYRO_BIAS] * length_s + by_rounding * state.mean[ROUNDING];
-    Scalar {
+    let predicted = view.term(StateTerm::WindowTurn)
+        + view.term(StateTerm::GyroBias) * length_s
+        + by_rounding * view.term(StateTerm::HeadingRounding);
+    GyroWindowModel {
         innovation: gyro.turn_rad - predicted,
-        rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
-        by_row: [1.0, length_s, by_rounding],
-        variance: gyro_variance(noise, gyro.squared_secs) + rounding_rad2,
+        by_window_turn: 1.0,
+        by_gyro_bias: length_s,
+        by_rounding,
+        variance: gyro_variance(noise, gyro.squared_intervals_s2) + rounding_rad2,
     }
 }

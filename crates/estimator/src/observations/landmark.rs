@@ -8,18 +8,17 @@
 //! ```
 //! Source: docs/maths/pose.md section 4; Leung et al. (2011) for the data that it was tried on.
 
-use nalgebra::{Matrix2, SMatrix, Vector2};
+use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{Arena, Point2, quantities::wrap_rad};
 
-use crate::filters::pose::state::{FORWARD, HEADING, LANDMARK_OFFSET, LANDMARK_SCALE, LEFT, PoseState};
-use crate::update::Measurement;
+use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 
 /// Nearer than this a bearing says nothing, m.
-const NEAREST_M: f64 = 0.01;
+const MIN_RANGE_M: f64 = 0.01;
 
 /// What a sighting says: range in m, bearing in rad counter-clockwise from forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
+pub struct RangeBearing {
     /// Distance from mid-axle.
     pub range_m: f64,
     /// Direction in the body's space.
@@ -28,35 +27,35 @@ pub struct Sighting {
 
 /// Innovation, H and R of a sighting; `None` when the robot believes to stand on the landmark.
 #[must_use]
-pub fn measurement<const N: usize>(
-    state: &PoseState<N>,
+pub fn measurement(
+    view: &impl PoseView,
     place: Point2<Arena>,
-    seen: Sighting,
-    (range_var_m2, bearing_var_rad2): (f64, f64),
-) -> Option<Measurement<N, 2>> {
-    let [qx, qy] = state.pose.seen_from(place.x.0, place.y.0);
+    seen: RangeBearing,
+    range_variance_m2: f64,
+    bearing_variance_rad2: f64,
+) -> Option<ObservationModel<2>> {
+    let [qx, qy] = view.pose().point_in_body(place.x.0, place.y.0);
     let range_m = qx.hypot(qy);
-    if range_m < NEAREST_M {
+    if range_m < MIN_RANGE_M {
         return None;
     }
     let squared = range_m * range_m;
-    let mut jacobian = SMatrix::<f64, 2, N>::zeros();
-    let scale = 1.0 + state.value(LANDMARK_SCALE);
-    jacobian[(0, FORWARD)] = -qx / range_m * scale;
-    jacobian[(0, LEFT)] = -qy / range_m * scale;
-    if LANDMARK_SCALE < N {
-        jacobian[(0, LANDMARK_OFFSET)] = 1.0;
-        jacobian[(0, LANDMARK_SCALE)] = range_m;
-    }
-    jacobian[(1, FORWARD)] = qy / squared;
-    jacobian[(1, LEFT)] = -qx / squared;
-    jacobian[(1, HEADING)] = -1.0;
-    Some(Measurement {
+    let (offset, scale) = (StateTerm::LandmarkOffset, StateTerm::LandmarkScale);
+    let factor = 1.0 + view.term(scale);
+    Some(ObservationModel {
         innovation: Vector2::new(
-            seen.range_m - range_m * scale - state.value(LANDMARK_OFFSET),
+            seen.range_m - range_m * factor - view.term(offset),
             wrap_rad(seen.bearing_rad - qy.atan2(qx)),
         ),
-        jacobian,
-        noise: Matrix2::new(range_var_m2, 0.0, 0.0, bearing_var_rad2),
+        rows: [
+            JacobianRow {
+                forward: -qx / range_m * factor,
+                left: -qy / range_m * factor,
+                heading: 0.0,
+                terms: [Some((offset, 1.0)), Some((scale, range_m))],
+            },
+            JacobianRow { forward: qy / squared, left: -qx / squared, heading: -1.0, ..JacobianRow::default() },
+        ],
+        noise: Matrix2::new(range_variance_m2, 0.0, 0.0, bearing_variance_rad2),
     })
 }

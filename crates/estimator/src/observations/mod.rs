@@ -6,5 +6,6 @@ pub mod compass;
 pub mod fix;
 pub mod gyro_window;
 pub mod landmark;
+pub mod model;
 pub mod speed;
 pub mod wall;

@@ -16,32 +16,41 @@ use crate::models::differential_drive::StepNoise;
 use crate::models::se2::BodyStep;
 
 /// Variance below which no speed is believed, (mm/s)²: a wheel that stands may still creep within its backlash.
-const FORWARD_FLOOR: f64 = 1e-6;
+const MIN_FORWARD_VARIANCE: f64 = 1e-6;
 /// The same for the turn rate, (0.1 degrees/s)².
-const TURN_FLOOR: f64 = 3e-6;
+const MIN_TURN_VARIANCE: f64 = 3e-6;
 
-/// A speed as a sensor tells it: the speed and its variance, m/s or rad/s and their squares.
-pub type Reading = (f64, f64);
+/// A speed as a sensor tells it, m/s or rad/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedReading {
+    /// The speed.
+    pub value: f64,
+    /// Its variance.
+    pub variance: f64,
+}
 
 /// The wheels' forward speed over a step.
 #[must_use]
-pub fn forward(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> Reading {
+pub fn forward_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> SpeedReading {
     let tick_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0;
-    let variance = (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + FORWARD_FLOOR;
-    (step.forward_m / dt_s, variance)
+    let variance = (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + MIN_FORWARD_VARIANCE;
+    SpeedReading { value: step.forward_m / dt_s, variance }
 }
 
 /// The wheels' turn rate over a step.
 #[must_use]
-pub fn turn(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> Reading {
+pub fn turn_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> SpeedReading {
     // Both ends are rounded.
     let quantisation = 2.0 * rounding_variance(geometry);
-    let variance = (quantisation + step_noise.turn_var_rad2) / (dt_s * dt_s) + TURN_FLOOR;
-    (step.turn_rad / dt_s, variance)
+    let variance = (quantisation + step_noise.turn_var_rad2) / (dt_s * dt_s) + MIN_TURN_VARIANCE;
+    SpeedReading { value: step.turn_rad / dt_s, variance }
 }
 
 /// The gyro's rate less its bias, which is known so well.
 #[must_use]
-pub fn gyro(rate_rad_per_s: f64, (bias_rad_per_s, bias_var): Reading, noise: &SensorNoise) -> Reading {
-    (rate_rad_per_s - bias_rad_per_s, gyro_variance(noise, 1.0) + bias_var + TURN_FLOOR)
+pub fn gyro_reading(rate_rad_per_s: f64, bias_rad_per_s: f64, bias_variance: f64, noise: &SensorNoise) -> SpeedReading {
+    SpeedReading {
+        value: rate_rad_per_s - bias_rad_per_s,
+        variance: gyro_variance(noise, 1.0) + bias_variance + MIN_TURN_VARIANCE,
+    }
 }

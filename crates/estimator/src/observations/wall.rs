@@ -9,18 +9,18 @@
 //!
 //! Source: docs/maths/pose.md section 4; paper 3 for the use.
 
-use nalgebra::{Matrix1, SMatrix, Vector1};
+use nalgebra::{Matrix1, Vector1};
 use posebridge_telemetry::Wall;
 
-use crate::filters::pose::state::{FORWARD, HEADING, LEFT, PoseState};
-use crate::update::Measurement;
+use super::model::{JacobianRow, ObservationModel, PoseView};
+use crate::models::lie::Se2;
 
 /// Sine of the flattest angle at which a wall still reflects to the sensor: 20 degrees.
-const FLATTEST: f64 = 0.342;
+const MIN_INCIDENCE_SINE: f64 = 0.342;
 
 /// How the robot would meet a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Meeting {
+struct WallIntersection {
     range_m: f64,
     /// n_y / n_x in the body's space.
     slope: f64,
@@ -28,34 +28,37 @@ struct Meeting {
 
 /// Innovation, H and R of a range; `None` when no wall lies ahead.
 #[must_use]
-pub fn measurement<const N: usize>(
-    state: &PoseState<N>,
+pub fn measurement(
+    view: &impl PoseView,
     walls: &[Wall],
     range_m: f64,
     variance_m2: f64,
-) -> Option<Measurement<N, 1>> {
-    let meeting = walls.iter().filter_map(|wall| meet(state, wall)).min_by(|a, b| a.range_m.total_cmp(&b.range_m))?;
-    let mut jacobian = SMatrix::<f64, 1, N>::zeros();
-    jacobian[(0, FORWARD)] = -1.0;
-    jacobian[(0, LEFT)] = -meeting.slope;
-    jacobian[(0, HEADING)] = -meeting.slope * meeting.range_m;
-    Some(Measurement {
+) -> Option<ObservationModel<1>> {
+    let pose = view.pose();
+    let meeting =
+        walls.iter().filter_map(|wall| intersect(pose, wall)).min_by(|a, b| a.range_m.total_cmp(&b.range_m))?;
+    Some(ObservationModel {
         innovation: Vector1::new(range_m - meeting.range_m),
-        jacobian,
+        rows: [JacobianRow {
+            forward: -1.0,
+            left: -meeting.slope,
+            heading: -meeting.slope * meeting.range_m,
+            ..JacobianRow::default()
+        }],
         noise: Matrix1::new(variance_m2),
     })
 }
 
-fn meet<const N: usize>(state: &PoseState<N>, wall: &Wall) -> Option<Meeting> {
-    let [from_x, from_y] = state.pose.seen_from(wall.from.x.0, wall.from.y.0);
-    let [to_x, to_y] = state.pose.seen_from(wall.to.x.0, wall.to.y.0);
+fn intersect(pose: Se2, wall: &Wall) -> Option<WallIntersection> {
+    let [from_x, from_y] = pose.point_in_body(wall.from.x.0, wall.from.y.0);
+    let [to_x, to_y] = pose.point_in_body(wall.to.x.0, wall.to.y.0);
     let (dx, dy) = (to_x - from_x, to_y - from_y);
     let length_m = dx.hypot(dy);
     // The robot looks along y = 0 of its own space: the wall must have an end on either side.
-    if length_m <= 0.0 || from_y * to_y > 0.0 || dy.abs() < FLATTEST * length_m {
+    if length_m <= 0.0 || from_y * to_y > 0.0 || dy.abs() < MIN_INCIDENCE_SINE * length_m {
         return None;
     }
     let range_m = from_x - from_y * dx / dy;
     let slope = -dx / dy;
-    (range_m > 0.0).then_some(Meeting { range_m, slope })
+    (range_m > 0.0).then_some(WallIntersection { range_m, slope })
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_telemetry::{
-    Estimate, Fix, FusionRecord, Heading, Meters, Observation, Observed, Pose, Radians, SensorId, Verdict,
+    Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters, Observation, ObservationKind, Pose, Radians, SensorId,
 };
 
 use crate::drive::{Camera, Drive, STEP_S, Scenario, World, stamp};
@@ -36,11 +36,11 @@ pub(crate) fn altered(mut drive: Drive, alter: impl Fn(Observation) -> Option<Ob
 
 pub(crate) fn altered_fixes(drive: Drive, alter: impl Fn(usize, Fix) -> Option<Fix>) -> Drive {
     altered(drive, |observation| {
-        let Observed::Fix(fix) = observation.observed else {
+        let ObservationKind::Fix(fix) = observation.measurement else {
             return Some(observation);
         };
         let fix = alter(step_of(&observation), fix)?;
-        Some(Observation { observed: Observed::Fix(fix), ..observation })
+        Some(Observation { measurement: ObservationKind::Fix(fix), ..observation })
     })
 }
 
@@ -51,12 +51,15 @@ pub(crate) fn without_headings(drive: Drive) -> Drive {
 /// Adds to the wheels' rotation what `extra` says of each step, in radians: left, right.
 pub(crate) fn with_slip(drive: Drive, extra: impl Fn(usize) -> (f64, f64)) -> Drive {
     altered(drive, |observation| {
-        let Observed::WheelAngles { left, right } = observation.observed else {
+        let ObservationKind::WheelAngles { left, right } = observation.measurement else {
             return Some(observation);
         };
         let (left_rad, right_rad) = extra(step_of(&observation));
         Some(Observation {
-            observed: Observed::WheelAngles { left: left + Radians(left_rad), right: right + Radians(right_rad) },
+            measurement: ObservationKind::WheelAngles {
+                left: left + Radians(left_rad),
+                right: right + Radians(right_rad),
+            },
             ..observation
         })
     })
@@ -89,7 +92,7 @@ pub(crate) fn fixes<'a>(played: &'a Played, steps: &Range<usize>) -> Vec<&'a Fus
 }
 
 pub(crate) fn share_accepted(records: &[&FusionRecord]) -> f64 {
-    let accepted = records.iter().filter(|record| record.verdict == Verdict::Accepted);
+    let accepted = records.iter().filter(|record| record.outcome == FusionOutcome::Accepted);
     accepted.count() as f64 / records.len() as f64
 }
 

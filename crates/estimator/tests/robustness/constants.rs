@@ -3,9 +3,11 @@
 use std::f64::consts::FRAC_PI_2;
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, DIFFERENCE, RADIUS, TRACK, WITH_CAMERA};
-use posebridge_estimator::{Filter, FilterConfig, filter_named};
-use posebridge_telemetry::{Calibration, DriveGeometry, Known, Meters, Observation, Observed, SensorId, Span};
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, DIFFERENCE, RADIUS, TRACK};
+use posebridge_estimator::{Filter, FilterConfig, find_filter};
+use posebridge_telemetry::{
+    Calibration, DriveGeometry, Meters, Observation, ObservationKind, SensorId, TimeDelta, UncertainValue,
+};
 
 use crate::alter::{altered, camera_10_hz, driven};
 use crate::drive::{Camera, Drive, STEP_S, World, drive};
@@ -14,8 +16,8 @@ use crate::robot::{NOISE, RADIUS_M, TRACK_M, config};
 /// How wrong the geometry may be, one standard deviation each: mean radius, difference of radii, track.
 const SPREAD: [f64; 3] = [0.005, 0.005, 0.03];
 
-fn unknown(sigma: f64) -> Known {
-    Known { value: 0.0, sigma }
+fn unknown(sigma: f64) -> UncertainValue {
+    UncertainValue { value: 0.0, sigma }
 }
 
 fn learning() -> FilterConfig {
@@ -65,7 +67,7 @@ fn played<const N: usize>(config: &FilterConfig, drive: &Drive) -> PoseFilter<N>
     filter
 }
 
-fn of_robot(calibration: &Calibration) -> [Known; 4] {
+fn of_robot(calibration: &Calibration) -> [UncertainValue; 4] {
     [calibration.radius_scale, calibration.radius_difference, calibration.track_scale, calibration.gyro_bias_rad_per_s]
 }
 
@@ -80,7 +82,7 @@ fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
     let mut sigmas = [0.0; 4];
     for seed in 0..120 {
         let (drive, truth) = drawn(Some(CAMERA), seed);
-        let filter = played::<CORE>(&learning(), &drive);
+        let filter = played::<CORE_STATES>(&learning(), &drive);
         let found = of_robot(&filter.calibration().unwrap());
         for (i, known) in found.into_iter().enumerate() {
             let error = known.value - truth[i];
@@ -106,9 +108,9 @@ fn what_is_given_for_certain_stays_as_it_was_given() {
     given.calibration.track_scale.value = -0.01;
     for seed in 0..3 {
         let (drive, _) = drawn(Some(CAMERA), seed);
-        let filter = played::<CORE>(&given, &drive);
+        let filter = played::<CORE_STATES>(&given, &drive);
         let found = filter.calibration().unwrap();
-        let exactly = |value| Known { value, sigma: 0.0 };
+        let exactly = |value| UncertainValue { value, sigma: 0.0 };
         assert_eq!(found.radius_scale, exactly(0.004));
         assert_eq!(found.radius_difference, exactly(0.0));
         assert_eq!(found.track_scale, exactly(-0.01));
@@ -127,7 +129,7 @@ fn without_fixes_what_was_learned_is_kept_and_does_not_grow_uncertain() {
         let is_blind = observation.stamp >= crate::drive::stamp(blind_from);
         (observation.sensor != SensorId::CAMERA || !is_blind).then_some(observation)
     });
-    let mut filter = PoseFilter::<CORE>::new(&learning());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&learning());
     let mut before = None;
     for arrival in &drive.arrivals {
         filter.observe(&arrival.observation);
@@ -151,7 +153,7 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
     let mut camera = learning();
     camera.calibration.fix_delay_s = unknown(0.1);
     camera.calibration.tag_forward_m = unknown(0.03);
-    let mut filter = played::<WITH_CAMERA>(&camera, &drive);
+    let mut filter = played::<CAMERA_STATES>(&camera, &drive);
     let before = filter.calibration().unwrap();
     filter.restart_clock();
     let after = filter.calibration().unwrap();
@@ -162,17 +164,17 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
 }
 
 /// Fixes that carry a stamp which is `late` after the instant that they show, of a tag that is not where they say.
-pub(crate) fn delayed(drive: Drive, late: Span, (forward_m, left_m): (f64, f64)) -> Drive {
+pub(crate) fn delayed(drive: Drive, late: TimeDelta, (forward_m, left_m): (f64, f64)) -> Drive {
     let poses = drive.poses.clone();
     altered(drive, |observation| {
-        let Observed::Fix(mut fix) = observation.observed else {
+        let ObservationKind::Fix(mut fix) = observation.measurement else {
             return Some(observation);
         };
         let step = crate::alter::step_of(&observation);
         let (sin, cos) = poses[step - 1].2.sin_cos();
         fix.position.x += Meters(cos * forward_m - sin * left_m);
         fix.position.y += Meters(sin * forward_m + cos * left_m);
-        Some(Observation { stamp: observation.stamp + late, observed: Observed::Fix(fix), ..observation })
+        Some(Observation { stamp: observation.stamp + late, measurement: ObservationKind::Fix(fix), ..observation })
     })
 }
 
@@ -188,9 +190,9 @@ fn delay_and_lever_are_learned_as_well_as_is_claimed() {
     for seed in 0..40 {
         let mut world = World::new(seed);
         let drive = driven(&mut world, course(), Some(Camera { delay: 4, ..CAMERA }));
-        let late = Span::from_millis(150);
+        let late = TimeDelta::from_millis(150);
         let drive = delayed(drive, late, (truth[1], truth[2]));
-        let calibration = played::<WITH_CAMERA>(&told, &drive).calibration().unwrap();
+        let calibration = played::<CAMERA_STATES>(&told, &drive).calibration().unwrap();
         let found = [calibration.fix_delay_s, calibration.tag_forward_m, calibration.tag_left_m];
         for (i, known) in found.into_iter().enumerate() {
             let error = known.value - truth[i];
@@ -211,13 +213,13 @@ fn the_filter_in_the_table_has_as_many_states_as_are_asked_for() {
     let drive = drive(&camera_10_hz(), 1);
     let mut asked = config();
     asked.calibration.fix_delay_s = unknown(0.1);
-    let mut filter = (filter_named("pose").unwrap().build)(&asked);
+    let mut filter = (find_filter("pose").unwrap().build)(&asked);
     for arrival in drive.arrivals.iter().take(1_000) {
         filter.observe(&arrival.observation);
     }
     let found = filter.calibration().unwrap();
     assert!(found.fix_delay_s.sigma < 0.05, "{found:?}");
-    assert_eq!(found.tag_forward_m, Known::default());
-    let plain = (filter_named("pose").unwrap().build)(&config());
-    assert_eq!(plain.calibration().unwrap().fix_delay_s, Known::default());
+    assert_eq!(found.tag_forward_m, UncertainValue::default());
+    let plain = (find_filter("pose").unwrap().build)(&config());
+    assert_eq!(plain.calibration().unwrap().fix_delay_s, UncertainValue::default());
 }

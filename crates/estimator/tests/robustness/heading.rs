@@ -1,11 +1,12 @@
 //! Headings of which nothing is known, found by positions alone.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::CORE;
+use posebridge_estimator::filters::pose::state::CORE_STATES;
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{Filter, FilterConfig, StartPose};
 use posebridge_telemetry::{
-    Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span, Verdict, quantities::wrap_rad,
+    Fix, FusionOutcome, Heading, Meters, Observation, ObservationKind, Point2, Pose, SensorId, TimeDelta,
+    quantities::wrap_rad,
 };
 
 use crate::alter::{altered_fixes, at, driven, error_at, fixes, share_accepted, without_start};
@@ -163,9 +164,9 @@ fn a_start_that_is_wrong_by_far_is_left_however_little_is_known_of_the_heading()
 
 /// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
 fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
-    let pose = start.then(Se2::exp([forward_m, left_m, turn_rad]));
+    let pose = start.compose(Se2::exp([forward_m, left_m, turn_rad]));
     let tag = Se2 { x_m: seen.tag_in_body.x.0, y_m: seen.tag_in_body.y.0, heading_rad: 0.0 };
-    let at = pose.then(tag);
+    let at = pose.compose(tag);
     let off_m = (seen.position.x.0 - at.x_m).hypot(seen.position.y.0 - at.y_m);
     (forward_m.hypot(left_m) / 0.3).powi(2) + (turn_rad / 1.8).powi(2) + (off_m / NOISE.fix_position_m).powi(2)
 }
@@ -187,15 +188,15 @@ fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
             tag_in_body: Point2::new(Meters(0.4), Meters(-0.1)),
             reset_counter: 0,
         };
-        let mut filter = PoseFilter::<CORE>::new(&config);
+        let mut filter = PoseFilter::<CORE_STATES>::new(&config);
         let record = filter.observe(&Observation {
             sensor: SensorId::CAMERA,
             stamp: stamp(0),
-            stamp_sigma: Span::ZERO,
-            observed: Observed::Fix(seen),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::Fix(seen),
         });
-        assert_eq!(record.verdict, Verdict::Accepted, "({x_m}, {y_m})");
-        let xi = start.to(filter.state().pose).log();
+        assert_eq!(record.outcome, FusionOutcome::Accepted, "({x_m}, {y_m})");
+        let xi = start.between(filter.state().pose).log();
         let least = cost(start, xi, &seen);
         assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
         let s = record.innovation_covariance;

@@ -1,8 +1,8 @@
 //! Noise that is not what the filter was told: the scale of its source follows, and the gate opens by itself.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::scales::Source;
-use posebridge_estimator::filters::pose::state::CORE;
+use posebridge_estimator::filters::pose::noise_scales::{NoiseGroup, NoiseSource};
+use posebridge_estimator::filters::pose::state::CORE_STATES;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::SensorId;
 
@@ -26,18 +26,18 @@ fn with_outliers(share: f64) -> Scenario {
 }
 
 /// The fixes' source, whose number among the kinds is 0.
-const CAMERA_FIXES: Source = Source { sensor: SensorId::CAMERA, kind: 0, group: 0 };
+const CAMERA_FIXES: NoiseSource = NoiseSource { sensor: SensorId::CAMERA, kind: 0, group: NoiseGroup::Position };
 
 /// Geometric mean over seeds, and over the second half of each drive, of the variance scale that was learned.
 fn learned_scale(config: &FilterConfig, scenario: &Scenario, seeds: u64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for seed in 0..seeds {
         let drive = drive(scenario, seed);
-        let mut filter = PoseFilter::<CORE>::new(config);
+        let mut filter = PoseFilter::<CORE_STATES>::new(config);
         for arrival in &drive.arrivals {
             filter.observe(&arrival.observation);
             if arrival.step > drive.poses.len() / 2 {
-                sum += filter.state().scales.factor(CAMERA_FIXES).ln();
+                sum += filter.state().noise_scales.factor(CAMERA_FIXES).ln();
                 count += 1.0;
             }
         }

@@ -1,11 +1,13 @@
 //! A robot that is placed by a fix, at first or after a reset, while tag and delay are not what the fix says.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{DELAY, TAG_FORWARD, TAG_LEFT, WITH_CAMERA};
-use posebridge_estimator::observations::fix::{self, Circumstances};
+use posebridge_estimator::filters::pose::columns::linearize;
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, DELAY, TAG_FORWARD, TAG_LEFT};
+use posebridge_estimator::observations::fix::{self, FixContext};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    Fix, Heading, Known, Meters, Observation, Observed, Point2, PositionCovariance, SensorId, Span, Verdict,
+    Fix, FusionOutcome, Heading, Meters, Observation, ObservationKind, Point2, PositionCovariance, SensorId, TimeDelta,
+    UncertainValue,
 };
 
 use crate::alter::{
@@ -17,11 +19,11 @@ use crate::drive::{Camera, Drive, STEP_S, World, drive, stamp};
 use crate::robot::{DEGREE, config};
 use crate::score::play;
 
-const LATE: Span = Span::from_millis(150);
+const LATE: TimeDelta = TimeDelta::from_millis(150);
 const TAG_M: (f64, f64) = (0.2, -0.1);
 
-fn given(value: f64) -> Known {
-    Known { value, sigma: 0.0 }
+fn given(value: f64) -> UncertainValue {
+    UncertainValue { value, sigma: 0.0 }
 }
 
 /// The robot, told where its tag is beyond what the fixes say, and how late these are.
@@ -80,8 +82,8 @@ fn one_reset_is_enough_for_a_robot_whose_tag_is_known_to_be_elsewhere() {
     }
 }
 
-fn placed_by(seen: Fix) -> PoseFilter<WITH_CAMERA> {
-    let unknown = |sigma| Known { value: 0.03, sigma };
+fn placed_by(seen: Fix) -> PoseFilter<CAMERA_STATES> {
+    let unknown = |sigma| UncertainValue { value: 0.03, sigma };
     let mut config = without_start();
     config.calibration.tag_forward_m = unknown(0.02);
     config.calibration.tag_left_m = unknown(0.01);
@@ -90,10 +92,10 @@ fn placed_by(seen: Fix) -> PoseFilter<WITH_CAMERA> {
     let verdict = filter.observe(&Observation {
         sensor: SensorId::CAMERA,
         stamp: stamp(0),
-        stamp_sigma: Span::ZERO,
-        observed: Observed::Fix(seen),
+        stamp_sigma: TimeDelta::ZERO,
+        measurement: ObservationKind::Fix(seen),
     });
-    assert_eq!(verdict.verdict, Verdict::Accepted);
+    assert_eq!(verdict.outcome, FusionOutcome::Accepted);
     filter
 }
 
@@ -114,8 +116,8 @@ fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_
         let seen = lopsided(heading);
         let filter = placed_by(seen);
         let state = filter.state();
-        let noise = fix::noise_of(&seen, &config().noise, [1.0, 1.0], &Circumstances::default());
-        let found = fix::position(state, &seen, &noise, &Circumstances::default());
+        let noise = fix::fix_noise(&seen, &config().noise, [1.0, 1.0], &FixContext::default());
+        let found = linearize::<CAMERA_STATES, 2>(&fix::position(state, &seen, &noise, &FixContext::default()));
         assert!(found.innovation.amax() < 1e-12, "{heading:?}");
         let foretold = found.jacobian * state.covariance * found.jacobian.transpose();
         let off = (foretold - found.noise).amax();
@@ -131,7 +133,7 @@ fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_
 #[test]
 fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() {
     // Half a second of turning, half a second of rest: the body's space of half a second ago is another than that of now.
-    let late = Span::from_millis(500);
+    let late = TimeDelta::from_millis(500);
     for seed in 0..5 {
         let mut world = World::new(seed);
         let camera = Camera { every: 2, delay: 12, spread: 0, outliers: 0.0 };
@@ -144,9 +146,9 @@ fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() 
         let reset = played
             .records
             .iter()
-            .find(|record| record.verdict == Verdict::ResetTo)
+            .find(|record| record.outcome == FusionOutcome::PoseReset)
             .map(|record| record.stamp - stamp(12));
-        let waited = reset.unwrap_or(Span::from_millis(i64::MAX));
-        assert!(waited < Span::from_millis(1_700), "seed {seed}: {reset:?}");
+        let waited = reset.unwrap_or(TimeDelta::from_millis(i64::MAX));
+        assert!(waited < TimeDelta::from_millis(1_700), "seed {seed}: {reset:?}");
     }
 }

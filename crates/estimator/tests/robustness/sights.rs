@@ -1,9 +1,9 @@
 //! Landmarks, beacons, walls and a compass, beside a camera or in its place.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{BEACONS, WITH_RANGES};
+use posebridge_estimator::filters::pose::state::{BEACONS, RANGE_STATES};
 use posebridge_estimator::{Filter, FilterConfig};
-use posebridge_telemetry::{FusionRecord, Known, SensorId, Verdict, quantities::wrap_rad};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, UncertainValue, quantities::wrap_rad};
 
 use crate::alter::{altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted, started_at, step_of};
 use crate::drive::{Drive, STEP_S, Scenario, drive, stamp};
@@ -13,16 +13,16 @@ use crate::senses::{Senses, add, furnished, step_between};
 
 const BLIND: Scenario = Scenario { laps: 1, camera: None };
 
-fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<Verdict> {
+fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<FusionOutcome> {
     let during = stamp(steps.start)..stamp(steps.end);
     let of_kind = |record: &&FusionRecord| record.kind == kind && during.contains(&record.stamp);
     let records = played.records.iter().filter(of_kind);
-    records.map(|record| record.verdict).collect()
+    records.map(|record| record.outcome).collect()
 }
 
 /// Normalised innovations squared of a kind that were used, over their degrees of freedom.
 fn nis_per_dof(played: &Played, kind: &str) -> f64 {
-    let used = played.records.iter().filter(|record| record.kind == kind && record.verdict == Verdict::Accepted);
+    let used = played.records.iter().filter(|record| record.kind == kind && record.outcome == FusionOutcome::Accepted);
     let (nis, degrees) = used
         .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
     nis / degrees
@@ -59,7 +59,7 @@ fn landmarks_alone_keep_the_robot_located_and_honest() {
 const BEACON_ERRORS: [(f64, f64); 4] = [(0.25, 0.01), (-0.1, 0.02), (0.4, -0.01), (0.0, 0.0)];
 
 fn learning_beacons() -> FilterConfig {
-    let unknown = |sigma| Known { value: 0.0, sigma };
+    let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     let mut config = furnished(&config());
     config.calibration.beacon_offset_m = unknown(0.3);
     config.calibration.beacon_scale = unknown(0.02);
@@ -80,7 +80,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
         let mut drive = drive(&BLIND, seed);
         let mut senses = Senses::new(&config, seed);
         add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
-        let mut filter = PoseFilter::<WITH_RANGES>::new(&config);
+        let mut filter = PoseFilter::<RANGE_STATES>::new(&config);
         for arrival in &drive.arrivals {
             filter.observe(&arrival.observation);
         }
@@ -138,9 +138,9 @@ fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
         });
         let played = play(&drive, &config);
         let of_disturbed = verdicts(&played, "compass_heading", disturbed.clone());
-        assert!(of_disturbed.iter().all(|verdict| *verdict == Verdict::Gated), "seed {seed}");
+        assert!(of_disturbed.iter().all(|verdict| *verdict == FusionOutcome::Gated), "seed {seed}");
         let after = verdicts(&played, "compass_heading", disturbed.end..800);
-        let used = after.iter().filter(|verdict| **verdict == Verdict::Accepted);
+        let used = after.iter().filter(|verdict| **verdict == FusionOutcome::Accepted);
         assert!(used.count() as f64 > 0.97 * after.len() as f64, "seed {seed}");
         for step in [disturbed.start - 1, disturbed.end, drive.poses.len()] {
             let (_, heading_rad) = error_at(&drive, &played, step);
@@ -168,7 +168,7 @@ fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
         });
         let played = play(&drive, &config);
         let agreed = verdicts(&played, kind, 2..30);
-        assert!(agreed.contains(&Verdict::Accepted), "{kind}: {agreed:?}");
+        assert!(agreed.contains(&FusionOutcome::Accepted), "{kind}: {agreed:?}");
         assert_eq!(at(&played, 60).reset_counter, 1, "{kind}");
         assert!(error_at(&drive, &played, 60).0 < 0.03, "{kind}");
     }
@@ -188,7 +188,7 @@ fn what_is_seen_of_a_world_that_is_not_told_is_unused() {
     for kind in ["landmark", "beacon_range", "wall_range"] {
         let found = verdicts(&played, kind, 0..end);
         assert!(found.len() > 10, "{kind}");
-        assert!(found.iter().all(|verdict| *verdict == Verdict::Unused), "{kind}");
+        assert!(found.iter().all(|verdict| *verdict == FusionOutcome::Unused), "{kind}");
     }
 }
 
@@ -208,7 +208,8 @@ fn wrong_landmarks_are_gated_and_the_camera_stays_in_charge() {
         assert!(score(&drive, &played, 0).position_rms_m < 0.0016, "seed {seed}");
         assert!(share_accepted(&fixes(&played, &(0..end))) > 0.98);
         let gated = verdicts(&played, "landmark", 0..end);
-        let share = gated.iter().filter(|verdict| **verdict == Verdict::Gated).count() as f64 / gated.len() as f64;
+        let share =
+            gated.iter().filter(|verdict| **verdict == FusionOutcome::Gated).count() as f64 / gated.len() as f64;
         assert!((0.2..0.3).contains(&share), "seed {seed}: {share}");
     }
 }

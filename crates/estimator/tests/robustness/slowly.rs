@@ -1,9 +1,9 @@
 //! Rest and motion that the encoders hardly show: what the gyro's bias makes of them.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE, Counts, GYRO_BIAS, ROUNDING, WINDOW_TURN};
+use posebridge_estimator::filters::pose::state::{CORE_STATES, GYRO_BIAS, ROUNDING, TickActivity, WINDOW_TURN};
 use posebridge_estimator::{Filter, FilterConfig};
-use posebridge_telemetry::{Observation, Observed, Radians, RadiansPerSecond, SensorId, Span};
+use posebridge_telemetry::{Observation, ObservationKind, Radians, RadiansPerSecond, SensorId, TimeDelta};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -11,8 +11,8 @@ use rand_pcg::Pcg64;
 use crate::drive::{STEP_S, stamp};
 use crate::robot::{DEGREE, NOISE, RADIUS_M, TRACK_M, config};
 
-fn of(sensor: SensorId, step: usize, observed: Observed) -> Observation {
-    Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed }
+fn of(sensor: SensorId, step: usize, observed: ObservationKind) -> Observation {
+    Observation { sensor, stamp: stamp(step), stamp_sigma: TimeDelta::ZERO, measurement: observed }
 }
 
 /// Feeds wheels that are floored to counts, and the gyro with its noise, of a robot that turns in place.
@@ -36,10 +36,11 @@ fn turn_by_counts(
         turned_rad += rate_rad_per_s * STEP_S;
         let half_rad = 0.5 * turned_rad * TRACK_M / RADIUS_M;
         let counted = |rad: f64, begun: f64| Radians((rad / DEGREE + begun).floor() * DEGREE);
-        let wheels = Observed::WheelAngles { left: counted(-half_rad, start[0]), right: counted(half_rad, start[1]) };
+        let wheels =
+            ObservationKind::WheelAngles { left: counted(-half_rad, start[0]), right: counted(half_rad, start[1]) };
         let normal: f64 = rng.sample(StandardNormal);
         let rate = rate_rad_per_s + bias_rad_per_s + NOISE.gyro_rad_per_s * normal;
-        let rate = Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE));
+        let rate = ObservationKind::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE));
         filter.observe(&of(SensorId::GYRO, step, rate));
         filter.observe(&of(SensorId::WHEELS, step, wheels));
     }
@@ -52,7 +53,7 @@ fn a_rotation_below_a_count_per_window_is_not_taken_for_bias() {
         let (mut squares, mut worst, mut sigma, mut worst_heading) = (0.0, 0.0_f64, 0.0, 0.0_f64);
         for seed in 0..10 {
             let bias = 0.7 * DEGREE;
-            let mut filter = PoseFilter::<CORE>::new(&config());
+            let mut filter = PoseFilter::<CORE_STATES>::new(&config());
             turn_slowly(&mut filter, rate_deg_per_s * DEGREE, bias, seed);
             let state = filter.state();
             let error = (state.mean[GYRO_BIAS] - bias) / DEGREE;
@@ -82,7 +83,7 @@ fn a_robot_that_brakes_to_a_creep_is_taken_for_resting_no_longer_than_until_its_
         let (mut worst_bias, mut worst_heading) = (0.0_f64, 0.0_f64);
         for seed in 0..10 {
             let bias = 0.7 * DEGREE;
-            let mut filter = PoseFilter::<CORE>::new(&config());
+            let mut filter = PoseFilter::<CORE_STATES>::new(&config());
             let mut heading_rad = 0.0;
             turn_by_counts(&mut filter, bias, seed, |step| {
                 let rate = if step < 32 { 1.0 } else { creep_deg_per_s * DEGREE };
@@ -105,15 +106,15 @@ fn a_robot_that_brakes_to_a_creep_is_taken_for_resting_no_longer_than_until_its_
 
 #[test]
 fn after_a_gap_the_rounding_of_a_new_window_is_as_unknown_as_it_can_be() {
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     let fresh_var = filter.state().covariance[(ROUNDING, ROUNDING)];
     turn_slowly(&mut filter, 0.3, 0.01, 1);
     let before = *filter.state();
     assert!(before.covariance[(ROUNDING, ROUNDING)] < 0.9 * fresh_var);
     // The counters begin again, somewhere within a count.
     for step in [1_200, 1_201] {
-        let again = Observed::WheelAngles { left: Radians(-700.0), right: Radians(700.0) };
-        filter.observe(&of(SensorId::GYRO, step, Observed::TurnRate(RadiansPerSecond(0.0))));
+        let again = ObservationKind::WheelAngles { left: Radians(-700.0), right: Radians(700.0) };
+        filter.observe(&of(SensorId::GYRO, step, ObservationKind::TurnRate(RadiansPerSecond(0.0))));
         filter.observe(&of(SensorId::WHEELS, step, again));
     }
     let state = filter.state();
@@ -128,7 +129,7 @@ fn after_a_gap_the_rounding_of_a_new_window_is_as_unknown_as_it_can_be() {
 fn a_bias_that_was_given_is_where_learning_begins() {
     let mut given: FilterConfig = config();
     given.calibration.gyro_bias_rad_per_s.value = 0.03;
-    let filter = PoseFilter::<CORE>::new(&given);
+    let filter = PoseFilter::<CORE_STATES>::new(&given);
     let known = filter.calibration().unwrap().gyro_bias_rad_per_s;
     assert_eq!(known.value, 0.03);
     assert_eq!(known.sigma, NOISE.gyro_bias_rad_per_s);
@@ -136,9 +137,9 @@ fn a_bias_that_was_given_is_where_learning_begins() {
 
 #[test]
 fn a_restart_of_the_bricks_clock_forgets_when_counts_changed_by_the_old_one() {
-    let mut filter = PoseFilter::<CORE>::new(&config());
+    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
     turn_slowly(&mut filter, 0.3, 0.01, 1);
-    assert_ne!(filter.state().counts, Counts::default());
+    assert_ne!(filter.state().tick_activity, TickActivity::default());
     filter.restart_clock();
-    assert_eq!(filter.state().counts, Counts::default());
+    assert_eq!(filter.state().tick_activity, TickActivity::default());
 }

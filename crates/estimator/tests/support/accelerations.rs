@@ -1,6 +1,6 @@
 //! Accelerometers at both wheels for a drive of `drive.rs`, which then stays as it is otherwise.
 
-use posebridge_telemetry::{MetersPerSecondSquared, Observation, Observed, SensorId, Span};
+use posebridge_telemetry::{MetersPerSecondSquared, Observation, ObservationKind, SensorId, TimeDelta};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
@@ -26,9 +26,13 @@ pub(crate) fn add_accelerations(drive: &mut Drive, laps: usize, sigma: f64, seed
             let noise: f64 = normals.sample(StandardNormal);
             MetersPerSecondSquared((pair[1][wheel] - pair[0][wheel]) / STEP_S + sigma * noise)
         };
-        let observed = Observed::WheelAccelerations { left: felt(0), right: felt(1) };
-        let observation =
-            Observation { sensor: SensorId::ACCELEROMETER, stamp: stamp(step), stamp_sigma: Span::ZERO, observed };
+        let observed = ObservationKind::WheelAccelerations { left: felt(0), right: felt(1) };
+        let observation = Observation {
+            sensor: SensorId::ACCELEROMETER,
+            stamp: stamp(step),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: observed,
+        };
         drive.arrivals.push(Arrival { step, observation });
     }
     drive.arrivals.sort_by_key(|arrival| arrival.step);

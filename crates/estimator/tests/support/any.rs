@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    BeaconId, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation,
-    Observed, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Wall, World,
+    ArenaMap, BeaconId, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
+    Observation, ObservationKind, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, TimeDelta,
+    Timestamp, Wall,
 };
 use proptest::prelude::*;
 
@@ -15,10 +16,15 @@ use super::unknown::all_unknown;
 
 /// What was observed, by name in messages.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen(pub(crate) Observed);
+pub(crate) struct Seen(pub(crate) ObservationKind);
 
-pub(crate) fn of(millis: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation { sensor, stamp: Stamp::from_millis(millis), stamp_sigma: Span::from_millis(1), observed }
+pub(crate) fn of(millis: i64, sensor: SensorId, observed: ObservationKind) -> Observation {
+    Observation {
+        sensor,
+        stamp: Timestamp::from_millis(millis),
+        stamp_sigma: TimeDelta::from_millis(1),
+        measurement: observed,
+    }
 }
 
 fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
@@ -28,7 +34,7 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
 /// A furnished room, sensors with noise, and constants that are taken as given.
 pub(crate) fn without_learning() -> FilterConfig {
     let mut config = config();
-    config.world = Arc::new(World {
+    config.arena_map = Arc::new(ArenaMap {
         landmarks: [(LandmarkId(1), point(2.0, 1.0)), (LandmarkId(2), point(-1.0, 3.0))].into(),
         beacons: [(BeaconId(1), point(4.0, 4.0)), (BeaconId(2), point(-3.0, 0.5))].into(),
         walls: vec![
@@ -50,8 +56,13 @@ pub(crate) fn learning_everything() -> FilterConfig {
     FilterConfig { calibration: all_unknown(), ..without_learning() }
 }
 
-fn fix((x_m, y_m): (f64, f64), heading_rad: Option<f64>, covariance: Option<[f64; 4]>, lever_m: f64) -> Observed {
-    Observed::Fix(Fix {
+fn fix(
+    (x_m, y_m): (f64, f64),
+    heading_rad: Option<f64>,
+    covariance: Option<[f64; 4]>,
+    lever_m: f64,
+) -> ObservationKind {
+    ObservationKind::Fix(Fix {
         position: point(x_m, y_m),
         heading: heading_rad.map(Heading::from_rad),
         covariance: covariance.map(|[xx_m2, share, yy_m2, heading_rad2]| PositionCovariance {
@@ -66,48 +77,48 @@ fn fix((x_m, y_m): (f64, f64), heading_rad: Option<f64>, covariance: Option<[f64
 }
 
 /// One observation of each kind, in the order of the vocabulary.
-pub(crate) fn one_of_each() -> [Observed; 11] {
+pub(crate) fn one_of_each() -> [ObservationKind; 11] {
     [
         wheels(1.0, 2.0),
         odometer(0.1, 0.2, 0.3),
         velocity(0.1, 0.2),
-        Observed::TurnRate(RadiansPerSecond(0.1)),
+        ObservationKind::TurnRate(RadiansPerSecond(0.1)),
         accelerations(0.1, 0.2),
         fix((0.1, 0.2), Some(0.3), Some([1e-4, 0.1, 1e-4, 1e-3]), 0.05),
         landmark(1, 2.0, 0.3),
         beacon(1, 5.0),
-        Observed::WallRange(Meters(4.0)),
-        Observed::CompassHeading(Heading::from_rad(0.1)),
-        Observed::Temperature(Celsius(21.0)),
+        ObservationKind::WallRange(Meters(4.0)),
+        ObservationKind::CompassHeading(Heading::from_rad(0.1)),
+        ObservationKind::Temperature(Celsius(21.0)),
     ]
 }
 
-fn wheels(left_rad: f64, right_rad: f64) -> Observed {
-    Observed::WheelAngles { left: Radians(left_rad), right: Radians(right_rad) }
+fn wheels(left_rad: f64, right_rad: f64) -> ObservationKind {
+    ObservationKind::WheelAngles { left: Radians(left_rad), right: Radians(right_rad) }
 }
 
-fn odometer(x_m: f64, y_m: f64, heading_rad: f64) -> Observed {
+fn odometer(x_m: f64, y_m: f64, heading_rad: f64) -> ObservationKind {
     let heading = Heading::from_rad(heading_rad);
-    Observed::OdometerPose(Pose::new(Meters(x_m), Meters(y_m), heading))
+    ObservationKind::OdometerPose(Pose::new(Meters(x_m), Meters(y_m), heading))
 }
 
-fn velocity(forward: f64, turn: f64) -> Observed {
-    Observed::BodyVelocity { forward: MetersPerSecond(forward), turn: RadiansPerSecond(turn) }
+fn velocity(forward: f64, turn: f64) -> ObservationKind {
+    ObservationKind::BodyVelocity { forward: MetersPerSecond(forward), turn: RadiansPerSecond(turn) }
 }
 
-fn accelerations(left: f64, right: f64) -> Observed {
-    Observed::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
+fn accelerations(left: f64, right: f64) -> ObservationKind {
+    ObservationKind::WheelAccelerations { left: MetersPerSecondSquared(left), right: MetersPerSecondSquared(right) }
 }
 
-fn landmark(id: u32, range_m: f64, bearing_rad: f64) -> Observed {
-    Observed::Landmark { id: LandmarkId(id), range: Meters(range_m), bearing: Radians(bearing_rad) }
+fn landmark(id: u32, range_m: f64, bearing_rad: f64) -> ObservationKind {
+    ObservationKind::Landmark { id: LandmarkId(id), range: Meters(range_m), bearing: Radians(bearing_rad) }
 }
 
-fn beacon(id: u32, range_m: f64) -> Observed {
-    Observed::BeaconRange { id: BeaconId(id), range: Meters(range_m) }
+fn beacon(id: u32, range_m: f64) -> ObservationKind {
+    ObservationKind::BeaconRange { id: BeaconId(id), range: Meters(range_m) }
 }
 
-fn any_fix() -> impl Strategy<Value = Observed> {
+fn any_fix() -> impl Strategy<Value = ObservationKind> {
     let covariance = (1e-8..4.0, -0.99..0.99, 1e-8..4.0, 1e-8..4.0)
         .prop_map(|(xx, share, yy, heading): (f64, f64, f64, f64)| [xx, share, yy, heading]);
     ((-5.0..5.0, -5.0..5.0), prop::option::of(-PI..PI), prop::option::of(covariance), -0.5..0.5)
@@ -115,20 +126,20 @@ fn any_fix() -> impl Strategy<Value = Observed> {
 }
 
 /// What a sensor may say; of landmarks and beacons some that are not told.
-fn any_seen() -> impl Strategy<Value = Observed> {
+fn any_seen() -> impl Strategy<Value = ObservationKind> {
     let small = || -1.0..1.0;
     prop_oneof![
         6 => (-40.0..40.0, -40.0..40.0).prop_map(|(left, right)| wheels(left, right)),
         1 => (-5.0..5.0, -5.0..5.0, -PI..PI).prop_map(|(x, y, th)| odometer(x, y, th)),
         1 => (small(), -9.0..9.0).prop_map(|(forward, turn)| velocity(forward, turn)),
-        5 => (-9.0..9.0).prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate))),
+        5 => (-9.0..9.0).prop_map(|rate| ObservationKind::TurnRate(RadiansPerSecond(rate))),
         3 => (small(), small()).prop_map(|(left, right)| accelerations(left, right)),
         4 => any_fix(),
         2 => (1..4_u32, 0.0..9.0, -PI..PI).prop_map(|(id, range, at)| landmark(id, range, at)),
         2 => (1..4_u32, 0.0..9.0).prop_map(|(id, range)| beacon(id, range)),
-        2 => (0.0..9.0).prop_map(|range| Observed::WallRange(Meters(range))),
-        2 => (-PI..PI).prop_map(|rad| Observed::CompassHeading(Heading::from_rad(rad))),
-        1 => (-40.0..90.0).prop_map(|degrees| Observed::Temperature(Celsius(degrees))),
+        2 => (0.0..9.0).prop_map(|range| ObservationKind::WallRange(Meters(range))),
+        2 => (-PI..PI).prop_map(|rad| ObservationKind::CompassHeading(Heading::from_rad(rad))),
+        1 => (-40.0..90.0).prop_map(|degrees| ObservationKind::Temperature(Celsius(degrees))),
     ]
 }
 
@@ -144,40 +155,40 @@ const BAD: [f64; 4] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300];
 pub(crate) fn damages(sound: &Observation) -> Vec<Observation> {
     let mut damaged: Vec<Observation> = BAD
         .into_iter()
-        .flat_map(|bad| damaged_by(&sound.observed, bad))
-        .map(|observed| Observation { observed, ..*sound })
+        .flat_map(|bad| damaged_by(&sound.measurement, bad))
+        .map(|observed| Observation { measurement: observed, ..*sound })
         .collect();
-    damaged.push(Observation { stamp_sigma: Span::from_millis(-1), ..*sound });
+    damaged.push(Observation { stamp_sigma: TimeDelta::from_millis(-1), ..*sound });
     damaged
 }
 
-fn damaged_by(sound: &Observed, bad: f64) -> Vec<Observed> {
+fn damaged_by(sound: &ObservationKind, bad: f64) -> Vec<ObservationKind> {
     match *sound {
-        Observed::WheelAngles { left, right } => vec![wheels(bad, right.0), wheels(left.0, bad)],
-        Observed::OdometerPose(pose) => {
+        ObservationKind::WheelAngles { left, right } => vec![wheels(bad, right.0), wheels(left.0, bad)],
+        ObservationKind::OdometerPose(pose) => {
             vec![odometer(bad, pose.y.0, 0.0), odometer(pose.x.0, bad, 0.0)]
         }
-        Observed::BodyVelocity { forward, turn } => {
+        ObservationKind::BodyVelocity { forward, turn } => {
             vec![velocity(bad, turn.0), velocity(forward.0, bad)]
         }
-        Observed::TurnRate(_) => vec![Observed::TurnRate(RadiansPerSecond(bad))],
-        Observed::WheelAccelerations { left, right } => {
+        ObservationKind::TurnRate(_) => vec![ObservationKind::TurnRate(RadiansPerSecond(bad))],
+        ObservationKind::WheelAccelerations { left, right } => {
             vec![accelerations(bad, right.0), accelerations(left.0, bad)]
         }
-        Observed::Fix(sound) => damaged_fixes(&sound, bad),
-        Observed::Landmark { id, range, bearing } => {
+        ObservationKind::Fix(sound) => damaged_fixes(&sound, bad),
+        ObservationKind::Landmark { id, range, bearing } => {
             vec![landmark(id.0, bad, bearing.0), landmark(id.0, range.0, bad), landmark(id.0, -0.001, bearing.0)]
         }
-        Observed::BeaconRange { id, .. } => vec![beacon(id.0, bad), beacon(id.0, -0.001)],
-        Observed::WallRange(_) => [bad, -0.001].map(|m| Observed::WallRange(Meters(m))).into(),
-        Observed::CompassHeading(_) => {
-            [f64::NAN, f64::INFINITY].map(|rad| Observed::CompassHeading(Heading::from_rad(rad))).into()
+        ObservationKind::BeaconRange { id, .. } => vec![beacon(id.0, bad), beacon(id.0, -0.001)],
+        ObservationKind::WallRange(_) => [bad, -0.001].map(|m| ObservationKind::WallRange(Meters(m))).into(),
+        ObservationKind::CompassHeading(_) => {
+            [f64::NAN, f64::INFINITY].map(|rad| ObservationKind::CompassHeading(Heading::from_rad(rad))).into()
         }
-        Observed::Temperature(_) => vec![Observed::Temperature(Celsius(bad))],
+        ObservationKind::Temperature(_) => vec![ObservationKind::Temperature(Celsius(bad))],
     }
 }
 
-fn damaged_fixes(sound: &Fix, bad: f64) -> Vec<Observed> {
+fn damaged_fixes(sound: &Fix, bad: f64) -> Vec<ObservationKind> {
     let y_m = sound.position.y.0;
     let claim = |xx_m2: f64, xy_m2: f64, yy_m2: f64| Fix {
         covariance: Some(PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2: 1e-4 }),
@@ -196,6 +207,6 @@ fn damaged_fixes(sound: &Fix, bad: f64) -> Vec<Observed> {
         claim(1e-4, 2e-4, 1e-4),
         claim(0.0, 0.0, 1e-4),
     ]
-    .map(Observed::Fix)
+    .map(ObservationKind::Fix)
     .into()
 }

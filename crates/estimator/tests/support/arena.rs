@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    Arena, BeaconId, Celsius, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, Observed, Odom,
-    Point2, Pose, Radians, RadiansPerSecond, SensorId, Wall, World, quantities::wrap_rad,
+    Arena, ArenaMap, BeaconId, Celsius, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation,
+    ObservationKind, Odom, Point2, Pose, Radians, RadiansPerSecond, SensorId, Wall, quantities::wrap_rad,
 };
 
 use super::robot::config;
@@ -18,12 +18,12 @@ pub(crate) fn furnished() -> FilterConfig {
     let corner = |x_m, y_m| Point2::new(Meters(x_m), Meters(y_m));
     let corners = [corner(-3.0, -3.0), corner(3.0, -3.0), corner(3.0, 3.0), corner(-3.0, 3.0)];
     let walls = (0..4).map(|i| Wall { from: corners[i], to: corners[(i + 1) % 4] });
-    let world = World {
+    let world = ArenaMap {
         landmarks: [(LandmarkId(1), LANDMARK)].into(),
         beacons: [(BeaconId(1), LANDMARK)].into(),
         walls: walls.collect(),
     };
-    FilterConfig { world: Arc::new(world), ..config() }
+    FilterConfig { arena_map: Arc::new(world), ..config() }
 }
 
 /// Everything else that a sensor may say at the end of a step. The ranges are what they would be.
@@ -35,21 +35,21 @@ pub(crate) fn others(step: i64) -> [Observation; 8] {
     let (id, beacon) = (LandmarkId(1), BeaconId(1));
     let rest = MetersPerSecondSquared(0.0);
     [
-        at(step, SensorId::ACCELEROMETER, Observed::WheelAccelerations { left: rest, right: rest }),
-        at(step, SensorId::LANDMARKS, Observed::Landmark { id, range, bearing }),
-        at(step, SensorId::BEACONS, Observed::BeaconRange { id: beacon, range }),
-        at(step, SensorId::RANGE, Observed::WallRange(Meters(1.0))),
-        at(step, SensorId::COMPASS, Observed::CompassHeading(pose.heading)),
-        at(step, SensorId::THERMOMETER, Observed::Temperature(Celsius(20.0))),
+        at(step, SensorId::ACCELEROMETER, ObservationKind::WheelAccelerations { left: rest, right: rest }),
+        at(step, SensorId::LANDMARKS, ObservationKind::Landmark { id, range, bearing }),
+        at(step, SensorId::BEACONS, ObservationKind::BeaconRange { id: beacon, range }),
+        at(step, SensorId::RANGE, ObservationKind::WallRange(Meters(1.0))),
+        at(step, SensorId::COMPASS, ObservationKind::CompassHeading(pose.heading)),
+        at(step, SensorId::THERMOMETER, ObservationKind::Temperature(Celsius(20.0))),
         at(
             step,
             SensorId::ODOMETER,
-            Observed::BodyVelocity {
+            ObservationKind::BodyVelocity {
                 forward: MetersPerSecond(FORWARD_M_PER_S),
                 turn: RadiansPerSecond(TURN_RAD_PER_S),
             },
         ),
-        at(step, SensorId::ODOMETER, Observed::OdometerPose(odometer(pose))),
+        at(step, SensorId::ODOMETER, ObservationKind::OdometerPose(odometer(pose))),
     ]
 }
 

@@ -1,23 +1,23 @@
 //! A step of the flagship's state and of what is known of wheels and gyro, without history and records around it.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::filters::pose::fuse::{self, Context, Gates};
-use posebridge_estimator::filters::pose::state::{CORE, PoseState};
+use posebridge_estimator::filters::pose::motion_update::{self, ChiSquareGates, UpdateContext};
+use posebridge_estimator::filters::pose::state::{CORE_STATES, PoseState};
 use posebridge_estimator::motion::{GyroTrack, MotionReading, MotionTrack};
-use posebridge_telemetry::{FusionRecord, Observed, Span, Verdict};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, ObservationKind, TimeDelta};
 
 use super::steady::{gyro, stamp, wheels};
 
 /// As much of the past as the filter keeps.
-const KEPT: Span = Span::from_millis(3_000);
+const KEPT: TimeDelta = TimeDelta::from_millis(3_000);
 
 /// The state with its tracks.
 pub(crate) struct Bare {
     config: FilterConfig,
-    gates: Gates,
+    gates: ChiSquareGates,
     track: MotionTrack,
     gyro: GyroTrack,
-    state: PoseState<CORE>,
+    state: PoseState<CORE_STATES>,
     record: FusionRecord,
     step: i64,
 }
@@ -27,16 +27,16 @@ impl Bare {
         let first = wheels(0);
         Self {
             config: config.clone(),
-            gates: fuse::gates_of(config),
+            gates: motion_update::chi_square_gates(config),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
             state: PoseState::initial(config),
             record: FusionRecord {
                 sensor: first.sensor,
-                kind: first.observed.kind(),
+                kind: first.measurement.kind(),
                 stamp: first.stamp,
-                lag: Span::ZERO,
-                verdict: Verdict::Accepted,
+                lag: TimeDelta::ZERO,
+                outcome: FusionOutcome::Accepted,
                 innovation: [0.0; 3],
                 innovation_covariance: [[0.0; 3]; 3],
                 nis: 0.0,
@@ -51,27 +51,27 @@ impl Bare {
     pub(crate) fn drive_on(&mut self) {
         self.step += 1;
         let now = stamp(self.step);
-        let (Observed::TurnRate(rate), Observed::WheelAngles { left, right }) =
-            (gyro(self.step).observed, wheels(self.step).observed)
+        let (ObservationKind::TurnRate(rate), ObservationKind::WheelAngles { left, right }) =
+            (gyro(self.step).measurement, wheels(self.step).measurement)
         else {
             return;
         };
-        self.gyro.add(now, rate.0);
+        self.gyro.insert(now, rate.0);
         let reading = MotionReading::Wheels { left_rad: left.0, right_rad: right.0 };
-        self.track.add(now, &reading);
-        let context = Context { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
-        self.state.age(now, &self.config);
-        fuse::turn_rate(&mut self.state, rate.0, &context);
+        self.track.insert(now, &reading);
+        let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
+        self.state.predict_speeds_and_bias(now, &self.config);
+        motion_update::update_turn_rate(&mut self.state, rate.0, &context);
         self.state.advance(now, &self.track, &self.config);
-        fuse::motion(&mut self.state, now, &context, &mut self.record);
-        self.track.forget_before(now - KEPT);
-        self.gyro.forget_before(now - KEPT);
+        motion_update::update_motion(&mut self.state, now, &context, &mut self.record);
+        self.track.discard_before(now - KEPT);
+        self.gyro.discard_before(now - KEPT);
     }
 }
 
 /// The same robot, whose wheels and track are known to half a per cent and three.
 pub(crate) fn learning() -> FilterConfig {
-    let known = |sigma| posebridge_telemetry::Known { value: 0.0, sigma };
+    let known = |sigma| posebridge_telemetry::UncertainValue { value: 0.0, sigma };
     FilterConfig {
         calibration: posebridge_telemetry::Calibration {
             radius_scale: known(0.005),

@@ -1,7 +1,9 @@
 //! What both suites of every filter of the pose are made of: the filters of the table, a drive straight on, and what is believed.
 
-use posebridge_estimator::{Estimates, FILTERS, Filter, FilterConfig, FilterEntry, StartPose};
-use posebridge_telemetry::{Estimate, Fix, Heading, Meters, Observation, Observed, Point2, Pose, SensorId, Span};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterConfig, FilterEntry, StartPose};
+use posebridge_telemetry::{
+    Estimate, Fix, Heading, Meters, Observation, ObservationKind, Point2, Pose, SensorId, TimeDelta,
+};
 
 use super::robot::RADIUS_M;
 use super::stamped::{at, gyro, wheels};
@@ -17,14 +19,14 @@ pub(crate) fn fix_of(x_m: f64, y_m: f64, heading_rad: f64) -> Fix {
 }
 
 pub(crate) fn fix(millis: i64, fix: Fix) -> Observation {
-    at(millis, SensorId::CAMERA, Observed::Fix(fix))
+    at(millis, SensorId::CAMERA, ObservationKind::Fix(fix))
 }
 
 /// Runs a check on every filter of the pose, freshly built, with the row that built it. Those of one quantity have a suite of their
 /// own, `conformance_scalar.rs`.
 pub(crate) fn for_each(config: &FilterConfig, check: impl Fn(&FilterEntry, Box<dyn Filter>)) {
     for entry in FILTERS {
-        if entry.estimates == Estimates::Pose {
+        if entry.quantity == EstimatedQuantity::Pose {
             check(entry, (entry.build)(config));
         }
     }
@@ -40,15 +42,15 @@ pub(crate) fn drive_straight(filter: &mut dyn Filter, until_ms: i64) {
 }
 
 pub(crate) fn latest(filter: &dyn Filter) -> Estimate {
-    filter.latest().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
+    filter.latest_time().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
 /// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
 pub(crate) fn belief(filter: &dyn Filter) -> String {
     let instants = (-20..=20).map(|k| k * 100);
-    let latest = filter.latest();
+    let latest = filter.latest_time();
     let believed: Vec<_> =
-        instants.filter_map(|millis| filter.estimate_at(latest? + Span::from_millis(millis))).collect();
+        instants.filter_map(|millis| filter.estimate_at(latest? + TimeDelta::from_millis(millis))).collect();
     format!("{latest:?} {believed:?}")
 }
 

@@ -1,8 +1,8 @@
 //! A robot on a square with the noise that the filter is told: truth and sensors. Seeded, in virtual time.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, Observed, Point2, Radians, RadiansPerSecond,
-    SensorId, Span, Stamp, quantities::wrap_rad,
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, ObservationKind, Point2, Radians,
+    RadiansPerSecond, SensorId, TimeDelta, Timestamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -39,8 +39,8 @@ pub(crate) struct Drive {
     pub(crate) arrivals: Vec<Arrival>,
 }
 
-pub(crate) fn stamp(step: usize) -> Stamp<BrickClock> {
-    Stamp::from_millis(step as i64 * 50)
+pub(crate) fn stamp(step: usize) -> Timestamp<BrickClock> {
+    Timestamp::from_millis(step as i64 * 50)
 }
 
 /// Drives the squares of a scenario.
@@ -153,19 +153,19 @@ impl World {
         commanded_m + NOISE.wheel_travel_m_per_sqrt_m * commanded_m.abs().sqrt() * self.normal()
     }
 
-    fn wheels(&self) -> Observed {
+    fn wheels(&self) -> ObservationKind {
         let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
-        Observed::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
+        ObservationKind::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
     }
 
-    fn gyro(&mut self, moved_rad: f64) -> Observed {
+    fn gyro(&mut self, moved_rad: f64) -> ObservationKind {
         let rate = moved_rad / STEP_S + self.bias_rad_per_s + NOISE.gyro_rad_per_s * self.normal();
         self.bias_rad_per_s += NOISE.gyro_bias_walk_rad_per_s_sqrt_s * STEP_S.sqrt() * self.normal();
-        Observed::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
+        ObservationKind::TurnRate(RadiansPerSecond((rate / DEGREE).round() * DEGREE))
     }
 
     /// A fix of where the robot is, and by how many steps it is late.
-    fn look(&mut self, camera: Camera) -> (Observed, usize) {
+    fn look(&mut self, camera: Camera) -> (ObservationKind, usize) {
         let mut noise = [
             NOISE.fix_position_m * self.normal(),
             NOISE.fix_position_m * self.normal(),
@@ -175,7 +175,7 @@ impl World {
             noise = noise.map(|error| error + 0.5 * self.normal());
         }
         let late = camera.delay - camera.spread + self.uniforms.random_range(0..=2 * camera.spread);
-        let fix = Observed::Fix(Fix {
+        let fix = ObservationKind::Fix(Fix {
             position: Point2::<Arena>::new(Meters(self.x_m + noise[0]), Meters(self.y_m + noise[1])),
             heading: Some(Heading::from_rad(self.heading_rad + noise[2])),
             covariance: None,
@@ -186,7 +186,7 @@ impl World {
     }
 }
 
-fn arrival(step: usize, taken: usize, sensor: SensorId, observed: Observed) -> Arrival {
-    let observation = Observation { sensor, stamp: stamp(taken), stamp_sigma: Span::ZERO, observed };
+fn arrival(step: usize, taken: usize, sensor: SensorId, observed: ObservationKind) -> Arrival {
+    let observation = Observation { sensor, stamp: stamp(taken), stamp_sigma: TimeDelta::ZERO, measurement: observed };
     Arrival { step, observation }
 }

@@ -7,7 +7,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use posebridge_estimator::FilterConfig;
-use posebridge_telemetry::{Calibration, DriveGeometry, Known, Meters, quantities::wrap_rad};
+use posebridge_telemetry::{Calibration, DriveGeometry, Meters, UncertainValue, quantities::wrap_rad};
 
 use super::drive::{Camera, Drive, STEP_S, World};
 use super::robot::{RADIUS_M, TRACK_M, config};
@@ -29,7 +29,7 @@ pub(crate) const KIT: Spread = Spread { radius_scale: 0.005, radius_difference: 
 
 /// The robot's configuration, told how wrong its geometry may be.
 pub(crate) fn config_with(spread: Spread) -> FilterConfig {
-    let unknown = |sigma| Known { value: 0.0, sigma };
+    let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     FilterConfig {
         calibration: Calibration {
             radius_scale: unknown(spread.radius_scale),

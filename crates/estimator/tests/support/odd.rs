@@ -5,7 +5,7 @@ use posebridge_estimator::filters::pose::state::{
 };
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{FilterConfig, Params};
-use posebridge_telemetry::{BrickClock, Calibration, DriveGeometry, Meters, Radians, SensorNoise, Stamp};
+use posebridge_telemetry::{BrickClock, Calibration, DriveGeometry, Meters, Radians, SensorNoise, Timestamp};
 
 /// Wheels of unequal size, so that left and right cannot be confused.
 pub(crate) const GEOMETRY: DriveGeometry = DriveGeometry {
@@ -31,15 +31,15 @@ const POSES: [[f64; 5]; 6] = [
 /// The step of central differences: a millionth of a metre or radian.
 pub(crate) const H: f64 = 1e-6;
 
-pub(crate) fn ms(millis: i64) -> Stamp<BrickClock> {
-    Stamp::from_millis(millis)
+pub(crate) fn ms(millis: i64) -> Timestamp<BrickClock> {
+    Timestamp::from_millis(millis)
 }
 
 /// A configuration in which nothing adds noise but what is given.
 pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
     FilterConfig {
         calibration: Calibration::default(),
-        world: std::sync::Arc::default(),
+        arena_map: std::sync::Arc::default(),
         geometry: GEOMETRY,
         noise,
         start: None,

@@ -36,6 +36,6 @@ pub(crate) fn config() -> FilterConfig {
         start: Some(StartPose { pose: Pose::default(), position_sigma_m: 1e-4, heading_sigma_rad: 1e-4 }),
         params: Params::default(),
         calibration: posebridge_telemetry::Calibration::default(),
-        world: std::sync::Arc::default(),
+        arena_map: std::sync::Arc::default(),
     }
 }

@@ -1,7 +1,7 @@
 //! A drive through the pose filter, held against the truth at each step.
 
-use posebridge_estimator::{Filter, FilterConfig, filter_named};
-use posebridge_telemetry::{Estimate, FusionRecord, Verdict, quantities::wrap_rad};
+use posebridge_estimator::{Filter, FilterConfig, find_filter};
+use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, quantities::wrap_rad};
 
 use super::drive::{Drive, stamp};
 
@@ -26,7 +26,7 @@ pub(crate) struct Score {
 
 /// The pose filter with this configuration.
 pub(crate) fn pose_filter(config: &FilterConfig) -> Box<dyn Filter> {
-    (filter_named("pose").expect("it is in the table").build)(config)
+    (find_filter("pose").expect("it is in the table").build)(config)
 }
 
 /// Gives a drive to the pose filter as it arrives.
@@ -61,7 +61,7 @@ pub(crate) fn score(drive: &Drive, played: &Played, first: usize) -> Score {
         nees += (error.transpose() * p.try_inverse().expect("positive definite") * error)[0] / 3.0;
         count += 1.0;
     }
-    let used = played.records.iter().filter(|record| record.verdict == Verdict::Accepted && record.kind == "fix");
+    let used = played.records.iter().filter(|record| record.outcome == FusionOutcome::Accepted && record.kind == "fix");
     let (nis, degrees) = used
         .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
     Score {

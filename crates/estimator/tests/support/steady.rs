@@ -1,22 +1,22 @@
 //! A robot that drives in a circle for ever, and what its sensors say at each step: no noise, no randomness, no allocation.
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, Heading, Meters, Observation, Observed, Point2, Pose, Radians, RadiansPerSecond, SensorId,
-    Span, Stamp,
+    Arena, BrickClock, Fix, Heading, Meters, Observation, ObservationKind, Point2, Pose, Radians, RadiansPerSecond,
+    SensorId, TimeDelta, Timestamp,
 };
 
 use super::robot::{DEGREE, RADIUS_M, TRACK_M};
 
 /// The period of wheels and gyro: 20 Hz.
-pub(crate) const STEP: Span = Span::from_millis(50);
+pub(crate) const STEP: TimeDelta = TimeDelta::from_millis(50);
 /// A fix comes this many steps after what it saw: 300 ms.
 pub(crate) const LATE_STEPS: i64 = 6;
 pub(crate) const FORWARD_M_PER_S: f64 = 0.2;
 pub(crate) const TURN_RAD_PER_S: f64 = 0.4;
 
 /// When a step ends.
-pub(crate) fn stamp(step: i64) -> Stamp<BrickClock> {
-    Stamp::from_nanos(STEP.as_nanos() * step)
+pub(crate) fn stamp(step: i64) -> Timestamp<BrickClock> {
+    Timestamp::from_nanos(STEP.as_nanos() * step)
 }
 
 fn time_s(step: i64) -> f64 {
@@ -35,8 +35,8 @@ pub(crate) fn pose(step: i64) -> Pose<Arena> {
 }
 
 /// What a sensor says of the end of a step.
-pub(crate) fn at(step: i64, sensor: SensorId, observed: Observed) -> Observation {
-    Observation { sensor, stamp: stamp(step), stamp_sigma: Span::ZERO, observed }
+pub(crate) fn at(step: i64, sensor: SensorId, observed: ObservationKind) -> Observation {
+    Observation { sensor, stamp: stamp(step), stamp_sigma: TimeDelta::ZERO, measurement: observed }
 }
 
 /// The counters at the end of a step, in whole degrees.
@@ -46,20 +46,20 @@ pub(crate) fn wheels(step: i64) -> Observation {
         let degrees = speed_m_per_s * time_s(step) / RADIUS_M / DEGREE;
         Radians(degrees.floor() * DEGREE)
     };
-    let observed = Observed::WheelAngles { left: angle(-1.0), right: angle(1.0) };
+    let observed = ObservationKind::WheelAngles { left: angle(-1.0), right: angle(1.0) };
     at(step, SensorId::WHEELS, observed)
 }
 
 /// The turn rate during a step.
 pub(crate) fn gyro(step: i64) -> Observation {
-    let observed = Observed::TurnRate(RadiansPerSecond(TURN_RAD_PER_S));
+    let observed = ObservationKind::TurnRate(RadiansPerSecond(TURN_RAD_PER_S));
     at(step, SensorId::GYRO, observed)
 }
 
 /// What the camera saw at the end of a step, to be given [`LATE_STEPS`] later.
 pub(crate) fn fix(step: i64) -> Observation {
     let pose = pose(step);
-    let observed = Observed::Fix(Fix {
+    let observed = ObservationKind::Fix(Fix {
         position: Point2::new(pose.x, pose.y),
         heading: Some(pose.heading),
         covariance: None,

@@ -1,10 +1,10 @@
 //! A robot of which everything that can be learned is to be learned.
 
-use posebridge_telemetry::{Calibration, Known};
+use posebridge_telemetry::{Calibration, UncertainValue};
 
 /// Every constant but those of the ranges to landmarks, with the spread of a kit that was measured with a ruler.
 pub(crate) fn all_unknown() -> Calibration {
-    let unknown = |sigma| Known { value: 0.0, sigma };
+    let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     Calibration {
         radius_scale: unknown(0.005),
         radius_difference: unknown(0.005),

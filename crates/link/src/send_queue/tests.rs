@@ -1,7 +1,7 @@
-//! What the queue promises, in examples and over random sequences.
+//! The promises of the queue, in examples and over random sequences.
 
 use super::*;
-use Priority::{Command, Conversation, Forwarded};
+use Priority::{Command, Forwarded, Session};
 use proptest::prelude::*;
 
 const fn estimate(stream: u32) -> Priority {
@@ -13,7 +13,7 @@ fn drained<D: PartialEq>(mut queue: SendQueue<D>) -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     while let Some(frame) = queue.head().map(|(_, rest)| rest.to_vec()) {
         frames.push(frame);
-        queue.drop_head();
+        queue.pop_head();
     }
     assert_eq!(queue.bytes(), 0);
     frames
@@ -21,7 +21,7 @@ fn drained<D: PartialEq>(mut queue: SendQueue<D>) -> Vec<Vec<u8>> {
 
 /// The frames of which nothing has been written, in that order; they go on waiting.
 fn waiting<D>(queue: &SendQueue<D>) -> Vec<Vec<u8>> {
-    let waiting = queue.ranks.iter().flatten();
+    let waiting = queue.queues.iter().flatten();
     waiting.map(|waiting| waiting.frame.clone()).collect()
 }
 
@@ -31,11 +31,11 @@ fn the_worthiest_frame_goes_first_and_equals_keep_their_order() {
     for (priority, frame) in [
         (estimate(1), &b"e1"[..]),
         (Forwarded, b"f1"),
-        (Conversation, b"c1"),
+        (Session, b"c1"),
         (Command, b"x1"),
         (estimate(2), b"e2"),
         (Forwarded, b"f2"),
-        (Conversation, b"c2"),
+        (Session, b"c2"),
         (Command, b"x2"),
     ] {
         assert_eq!(queue.push((), priority, frame), 0);
@@ -63,16 +63,16 @@ fn a_full_queue_drops_the_stalest_estimate_then_forwarded_then_conversation() {
     assert_eq!(queue.push((), estimate(2), b"e2"), 0);
     assert_eq!(queue.push((), Forwarded, b"f1"), 0);
     assert_eq!(queue.push((), Forwarded, b"f2"), 0);
-    assert_eq!(queue.push((), Conversation, b"c1"), 0);
+    assert_eq!(queue.push((), Session, b"c1"), 0);
     // Stream 1 is renewed in its place, so stream 2 is the stalest.
     assert_eq!(queue.push((), estimate(1), b"E1"), 1);
-    assert_eq!(queue.push((), Conversation, b"c2"), 1);
+    assert_eq!(queue.push((), Session, b"c2"), 1);
     assert_eq!(waiting(&queue), [&b"c1"[..], b"c2", b"f1", b"f2", b"E1"]);
-    assert_eq!(queue.push((), Conversation, b"c3"), 1);
-    assert_eq!(queue.push((), Conversation, b"c4"), 1);
+    assert_eq!(queue.push((), Session, b"c3"), 1);
+    assert_eq!(queue.push((), Session, b"c4"), 1);
     assert_eq!(waiting(&queue), [&b"c1"[..], b"c2", b"c3", b"c4", b"f2"]);
-    assert_eq!(queue.push((), Conversation, b"c5"), 1);
-    assert_eq!(queue.push((), Conversation, b"c6"), 1);
+    assert_eq!(queue.push((), Session, b"c5"), 1);
+    assert_eq!(queue.push((), Session, b"c6"), 1);
     let expected: [&[u8]; 5] = [b"c2", b"c3", b"c4", b"c5", b"c6"];
     assert_eq!(drained(queue), expected);
 }
@@ -80,7 +80,7 @@ fn a_full_queue_drops_the_stalest_estimate_then_forwarded_then_conversation() {
 #[test]
 fn nothing_worthier_is_dropped_for_a_newcomer() {
     let mut queue = SendQueue::new(4);
-    assert_eq!(queue.push((), Conversation, b"cccc"), 0);
+    assert_eq!(queue.push((), Session, b"cccc"), 0);
     assert_eq!(queue.push((), Forwarded, b"f"), 1);
     assert_eq!(queue.push((), estimate(1), b"e"), 1);
     assert_eq!(drained(queue), [b"cccc"]);
@@ -91,14 +91,14 @@ fn a_frame_that_cannot_fit_drops_only_itself() {
     let mut queue = SendQueue::new(4);
     assert_eq!(queue.push((), Forwarded, b"aa"), 0);
     assert_eq!(queue.push((), Forwarded, b"bbbbb"), 1);
-    assert_eq!(queue.push((), Conversation, b"ccccc"), 1);
+    assert_eq!(queue.push((), Session, b"ccccc"), 1);
     assert_eq!(drained(queue), [b"aa"]);
 }
 
 #[test]
 fn commands_have_a_reserve_and_beyond_it_the_newest_is_refused() {
     let mut queue = SendQueue::with_reserve(4, 6);
-    assert_eq!(queue.push((), Conversation, b"cccc"), 0);
+    assert_eq!(queue.push((), Session, b"cccc"), 0);
     assert_eq!(queue.push((), Command, b"one"), 0);
     assert_eq!(queue.push((), Command, b"two"), 0);
     assert_eq!(queue.push((), Command, b"x"), 1);
@@ -114,18 +114,18 @@ fn a_begun_frame_is_finished_before_worthier_ones() {
     assert_eq!(queue.push((), estimate(1), b"AAAA"), 0);
     assert_eq!(queue.push((), Command, b"x"), 0);
     assert_eq!(queue.head(), Some((&(), &b"aaa"[..])));
-    assert_eq!(queue.first(), None);
+    assert_eq!(queue.head_unstarted(), None);
     queue.advance(3);
     assert_eq!(queue.head(), Some((&(), &b"x"[..])));
-    assert_eq!(queue.first(), Some((&(), Command, &b"x"[..])));
+    assert_eq!(queue.head_unstarted(), Some((&(), Command, &b"x"[..])));
 }
 
 #[test]
 fn a_queue_without_room_keeps_only_begun_frames_and_commands() {
     let mut queue = SendQueue::new(0);
-    assert_eq!(queue.push((), Conversation, b"a"), 1);
+    assert_eq!(queue.push((), Session, b"a"), 1);
     assert!(queue.is_empty());
-    queue.push_rest((), b"st");
+    queue.push_partial((), b"st");
     assert_eq!(queue.push((), Forwarded, b"b"), 1);
     assert_eq!(queue.push((), Command, b"x"), 0);
     assert_eq!((queue.len(), queue.bytes()), (2, 3));
@@ -142,7 +142,7 @@ enum Step {
 }
 
 fn steps() -> impl Strategy<Value = Vec<Step>> {
-    let priority = prop_oneof![Just(Command), Just(Conversation), Just(Forwarded), (0..3_u32).prop_map(estimate),];
+    let priority = prop_oneof![Just(Command), Just(Session), Just(Forwarded), (0..3_u32).prop_map(estimate),];
     let step = prop_oneof![
         3 => (priority, 0..2_u8, 1..40_usize).prop_map(|(p, to, len)| Step::Push(p, to, len)),
         1 => (0..60_usize).prop_map(Step::Write),
@@ -236,7 +236,7 @@ proptest! {
                 Step::Write(count) => bench.write(count),
             }
             // A begun frame was within the bounds when it was whole.
-            prop_assert!(bench.queue.shared_bytes <= Bench::LIMIT);
+            prop_assert!(bench.queue.telemetry_bytes <= Bench::LIMIT);
             prop_assert!(bench.queue.command_bytes <= Bench::RESERVE);
             prop_assert!(bench.queue.bytes() <= Bench::LIMIT + Bench::RESERVE + 40);
             let gone = bench.written.len() as u64 + bench.dropped;

@@ -1,4 +1,4 @@
-//! A serial line in virtual time, whose driver tells how much it holds.
+//! A serial line in virtual time, whose driver reports its fill level.
 
 use std::sync::{Arc, Mutex};
 
@@ -39,7 +39,7 @@ impl FakeLine {
 }
 
 impl ByteStream for FakeLine {
-    fn system_bytes(&self) -> Option<usize> {
+    fn kernel_queued_bytes(&self) -> Option<usize> {
         Some(self.held(&self.line.lock().expect("one thread")))
     }
 }
@@ -113,7 +113,7 @@ fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
 
 /// Offers two streams of 600 estimates per second, ten times what the line takes, and five commands per second, for 20
 /// virtual seconds. Returns what arrived, how many commands were offered, and what the connection says of itself.
-async fn overload(line_rate: Option<f64>) -> (Arrived, u32, Outstanding) {
+async fn overload(line_rate: Option<f64>) -> (Arrived, u32, QueueStatus) {
     let timer = HostTimer::start();
     let line = Arc::new(Mutex::new(Line::default()));
     let fake = FakeLine { line: Arc::clone(&line), timer };
@@ -121,11 +121,11 @@ async fn overload(line_rate: Option<f64>) -> (Arrived, u32, Outstanding) {
     if let Some(line_rate) = line_rate {
         connection = connection.with_line_rate(line_rate);
     }
-    let mut counters = PortCounters::default();
+    let mut counters = LinkCounters::default();
     let mut commands = 0;
     for tick in 0..2_000_u32 {
         let mut give = |priority, frame: [u8; FRAME_BYTES]| {
-            let out = Outgoing { to: Audience::All, priority, frame: &frame };
+            let out = OutgoingFrame { to: Recipients::All, priority, frame: &frame };
             connection.send(&out, &mut counters);
         };
         for number in 0..6 {
@@ -143,7 +143,7 @@ async fn overload(line_rate: Option<f64>) -> (Arrived, u32, Outstanding) {
             assert!(connection.poll(&mut cx, &mut counters).is_pending());
         }
     }
-    let said = connection.outstanding(timer.now());
+    let said = connection.queue_status(timer.now());
     let line = line.lock().expect("one thread");
     (arrived(&line), commands, said)
 }

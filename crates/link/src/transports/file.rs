@@ -1,8 +1,8 @@
-//! Raw bytes from a file, or into one.
+//! Raw bytes from a file, or to one.
 //!
-//! Plays a captured byte stream as fast as it is asked for, or appends what is sent. A disk always has an answer, so
-//! between two chunks the runtime gets a turn: else timers and signals would starve until the file ends. It knows no
-//! time stamps: a recording with times is played by the programs that know its format.
+//! Plays a captured byte stream at full speed, or appends sent frames. Reads never block, so the task yields to the
+//! runtime between two chunks; otherwise timers and signals would starve until the end of the file. There are no
+//! timestamps: recordings with times are played by the programs that know their format.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Read, Write};
@@ -10,60 +10,21 @@ use std::path::Path;
 use std::pin::pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::{HostClock, PeerId, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Timestamp};
 
-use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
-use crate::error::{FileKind, LinkLoss, OpenError};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::error::{FileKind, LinkError, OpenError};
 use crate::host_timer::HostTimer;
-use crate::transports::{OpenFuture, OpenRequest, RATE, Transport};
-use crate::url::{OptionHelp, OptionKind, TargetKind};
+use crate::transport::{CHUNK, MODE};
+use crate::transports::open_request::OpenRequest;
 
-/// What to do with the file.
-const MODE: OptionHelp = OptionHelp {
-    name: "mode",
-    kind: OptionKind::Choice { words: &["read", "append"] },
-    help: "read plays the file's bytes in, append writes sent frames to its end and makes it if needed",
-};
-
-/// How the file is cut; the default is one page.
-const CHUNK: OptionHelp = OptionHelp {
-    name: "chunk",
-    kind: OptionKind::Integer { min: 1, max: 65_536, default: 4_096 },
-    help: "bytes per delivered chunk",
-};
-
-/// See the module.
-pub(crate) struct File;
-
-impl Transport for File {
-    fn scheme(&self) -> &'static str {
-        "file"
-    }
-    fn summary(&self) -> &'static str {
-        "raw bytes from a file, or sent frames to the end of one"
-    }
-    fn example(&self) -> &'static str {
-        "file://run.bin"
-    }
-    fn target_kind(&self) -> TargetKind {
-        TargetKind::Path
-    }
-    fn options(&self) -> &'static [OptionHelp] {
-        &[MODE, CHUNK, RATE]
-    }
-    fn open(&self, request: OpenRequest) -> OpenFuture {
-        // Regular files on a local disk answer without delay, so this needs no thread of its own.
-        Box::pin(std::future::ready(open(&request)))
-    }
-}
-
-fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+pub(super) fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path();
     let is_appending = request.url.option_text(&MODE) == "append";
     if let Ok(metadata) = path.metadata()
         && !metadata.is_file()
     {
-        return Err(OpenError::WrongKind {
+        return Err(OpenError::WrongFileKind {
             path: path.to_owned(),
             found: FileKind::from(metadata.file_type()),
             wanted: "a regular file",
@@ -75,22 +36,22 @@ fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     } else {
         options.read(true);
     }
-    let file = options.open(path).map_err(|error| name_error(path, error))?;
+    let file = options.open(path).map_err(|error| classify_error(path, error))?;
     if is_appending {
-        return Ok(Box::new(Appended { file, detail: format!("appending to {}", path.display()), failure: None }));
+        return Ok(Box::new(FileAppender { file, detail: format!("appending to {}", path.display()), failure: None }));
     }
-    Ok(Box::new(Played {
+    Ok(Box::new(FilePlayback {
         file,
         detail: format!("playing {}", path.display()),
         chunk_bytes: request.url.integer(&CHUNK) as usize,
         timer: request.timer,
-        owes_turn: false,
+        must_yield: false,
     }))
 }
 
-fn name_error(path: &Path, source: io::Error) -> OpenError {
+fn classify_error(path: &Path, source: io::Error) -> OpenError {
     if source.kind() == io::ErrorKind::NotFound {
-        OpenError::NoSuchFile { path: path.to_owned(), advice: "check the name and the directory" }
+        OpenError::FileNotFound { path: path.to_owned(), advice: "check the name and the directory" }
     } else if source.kind() == io::ErrorKind::PermissionDenied {
         OpenError::PermissionDenied {
             what: path.display().to_string(),
@@ -102,65 +63,65 @@ fn name_error(path: &Path, source: io::Error) -> OpenError {
 }
 
 /// A file whose bytes come in.
-struct Played {
+struct FilePlayback {
     file: fs::File,
     detail: String,
     chunk_bytes: usize,
     timer: HostTimer,
-    /// A chunk was delivered and nobody else has had a turn since.
-    owes_turn: bool,
+    /// A chunk was delivered, and the runtime has not run other tasks since.
+    must_yield: bool,
 }
 
-impl Played {
-    /// Pending once after each chunk; the runtime wakes us when it has looked after timers and sockets.
-    fn poll_turn(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        if !self.owes_turn {
+impl FilePlayback {
+    /// Pending once after each chunk; the runtime wakes this task after it has polled timers and sockets.
+    fn poll_yield(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        if !self.must_yield {
             return Poll::Ready(());
         }
-        self.owes_turn = false;
+        self.must_yield = false;
         // A future of its own each time: its first poll leaves the waker with the runtime, there is no second.
         pin!(tokio::task::yield_now()).poll(cx)
     }
 }
 
-impl Connection for Played {
+impl Connection for FilePlayback {
     fn detail(&self) -> String {
         self.detail.clone()
     }
 
-    /// What is sent to a played file goes nowhere: nobody is there who could have wanted it.
-    fn send(&mut self, _out: &Outgoing<'_>, _counters: &mut PortCounters) {}
+    /// Frames sent to a played file are discarded.
+    fn send(&mut self, _out: &OutgoingFrame<'_>, _counters: &mut LinkCounters) {}
 
-    fn poll(&mut self, cx: &mut Context<'_>, _counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
-        ready!(self.poll_turn(cx));
-        self.owes_turn = true;
+    fn poll(&mut self, cx: &mut Context<'_>, _counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
+        ready!(self.poll_yield(cx));
+        self.must_yield = true;
         let mut bytes = Vec::with_capacity(self.chunk_bytes);
         let chunk = (&mut self.file).take(self.chunk_bytes as u64).read_to_end(&mut bytes);
         Poll::Ready(match chunk {
-            Ok(0) => Ok(Incoming::Finished),
-            Ok(_) => Ok(Incoming::Bytes { peer: PeerId(0), arrival: self.timer.now(), bytes }),
+            Ok(0) => Ok(ReceivedData::Finished),
+            Ok(_) => Ok(ReceivedData::Bytes { peer: PeerId(0), arrival: self.timer.now(), bytes }),
             Err(error) => Err(error.into()),
         })
     }
 
-    fn outstanding(&self, _now: Stamp<HostClock>) -> Outstanding {
-        Outstanding::default()
+    fn queue_status(&self, _now: Timestamp<HostClock>) -> QueueStatus {
+        QueueStatus::default()
     }
 }
 
 /// A file to whose end frames go.
-struct Appended {
+struct FileAppender {
     file: fs::File,
     detail: String,
     failure: Option<io::Error>,
 }
 
-impl Connection for Appended {
+impl Connection for FileAppender {
     fn detail(&self) -> String {
         self.detail.clone()
     }
 
-    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+    fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
         let frame = out.frame;
         match self.file.write_all(frame) {
             Ok(()) => counters.bytes_out += frame.len() as u64,
@@ -171,7 +132,7 @@ impl Connection for Appended {
         }
     }
 
-    fn poll(&mut self, _cx: &mut Context<'_>, _counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, _cx: &mut Context<'_>, _counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
         match self.failure.take() {
             Some(error) => Poll::Ready(Err(error.into())),
             // A failure is noted by `send`, whose caller polls next; nothing else can happen here.
@@ -179,7 +140,7 @@ impl Connection for Appended {
         }
     }
 
-    fn outstanding(&self, _now: Stamp<HostClock>) -> Outstanding {
-        Outstanding::default()
+    fn queue_status(&self, _now: Timestamp<HostClock>) -> QueueStatus {
+        QueueStatus::default()
     }
 }

@@ -1,10 +1,10 @@
-//! Pseudo-terminals of our own making: how the simulated brick looks like a serial port.
+//! Pseudo-terminals that this program creates, so that the simulated brick looks like a serial port.
 //!
-//! The terminal's device has a number that changes with every run, so a symbolic link gives it a name. We keep the
-//! slave side open ourselves: otherwise every moment without a reader would look like a hang-up. Since the buffer then
-//! fills when nobody reads, frames that do not fit are dropped and counted instead of queued, commands aside. Readers
-//! that come late find up to 16 KiB of old bytes; our own serial transport discards them. How much lies there cannot be
-//! asked (Linux answers 0), so a pseudo-terminal that shall behave like a slow line needs the `rate` option.
+//! The terminal's device number changes with every run, so a symbolic link gives it a fixed name. We keep the slave
+//! side open: otherwise every moment without a reader would look like a hang-up. The buffer then fills when nobody
+//! reads, so frames that do not fit are dropped and counted instead of queued, except commands. Readers that come late
+//! find up to 16 KiB of old bytes; our own serial transport discards them. The fill level cannot be queried (Linux
+//! answers 0), so a pseudo-terminal that imitates a slow line needs the `rate` option.
 
 use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
@@ -22,39 +22,17 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::stream::{ByteStream, StreamConnection, StreamLabel};
-use crate::transports::device_link::{DeviceLink, mark_held};
-use crate::transports::{OpenFuture, OpenRequest, Transport};
-use crate::url::TargetKind;
+use crate::transports::device_symlink::{DeviceSymlink, lock_terminal};
+use crate::transports::open_request::OpenRequest;
 
-/// Whole frames other than commands that wait for a reader: none, because what waits here is out of date when the reader comes.
+/// Most bytes that wait for a reader, without commands: none, because they would be out of date when the reader comes.
 const QUEUE_BYTES: usize = 0;
 
-/// See the module.
-pub(crate) struct Pty;
-
-impl Transport for Pty {
-    fn scheme(&self) -> &'static str {
-        "pty"
-    }
-    fn summary(&self) -> &'static str {
-        "a pseudo-terminal that we make: others open the path like a serial port"
-    }
-    fn example(&self) -> &'static str {
-        "pty:brick.tty"
-    }
-    fn target_kind(&self) -> TargetKind {
-        TargetKind::Path
-    }
-    fn open(&self, request: OpenRequest) -> OpenFuture {
-        Box::pin(async move { open(&request).await })
-    }
-}
-
-async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path();
     let failed = |source| OpenError::Io { what: format!("a pseudo-terminal at {}", path.display()), source };
     let (master, slave, device) = open_terminal().map_err(failed)?;
-    let link = DeviceLink::new(path, Path::new(&device))?;
+    let link = DeviceSymlink::new(path, Path::new(&device))?;
     let stream = PtyStream { _link: link, master: register(master).map_err(failed)?, _slave: slave };
     // The reactor learns that the terminal takes data; without it the very first frame would be dropped.
     drop(stream.master.writable().await.map_err(failed)?);
@@ -62,12 +40,12 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     Ok(Box::new(StreamConnection::new(stream, StreamLabel::new(detail), request.timer, QUEUE_BYTES)))
 }
 
-/// The master side, with everything that has to live as long as it does.
+/// The master side, with the values that must live as long.
 struct PtyStream {
     // Dropped first, so that the name is gone before the device.
-    _link: DeviceLink,
+    _link: DeviceSymlink,
     master: AsyncFd<PtyMaster>,
-    // Keeps the line up and its raw mode alive while nobody else has it open, and tells others that we live.
+    // Keeps the line up and raw while nobody else has it open, and holds the lock that marks the name as in use.
     _slave: OwnedFd,
 }
 
@@ -83,14 +61,14 @@ fn open_terminal() -> io::Result<(PtyMaster, OwnedFd, String)> {
     let mut settings = tcgetattr(&slave)?;
     cfmakeraw(&mut settings);
     tcsetattr(&slave, SetArg::TCSANOW, &settings)?;
-    mark_held(&slave)?;
+    lock_terminal(&slave)?;
     Ok((master, slave, device))
 }
 
 #[expect(
     deprecated,
     reason = "the replacement is unsafe because of types that close or swap their descriptor; `PtyMaster` does neither, \
-              and this house has no unsafe code"
+              and posebridge has no unsafe code"
 )]
 fn register(master: PtyMaster) -> io::Result<AsyncFd<PtyMaster>> {
     AsyncFd::new(master)

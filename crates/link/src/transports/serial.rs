@@ -1,11 +1,12 @@
 //! Serial ports, and Bluetooth serial ports (`/dev/rfcomm0`), which look the same.
 //!
-//! Opened raw and exclusively. Opening may block for as long as a Bluetooth radio pleases, so it runs on a thread of its
-//! own. What lay in the input before we came is thrown away: it is of unknown age. Neither the baud rate nor the protocol
-//! is guessed. Which device is meant says `serial_device`, what else the line is told `serial_line`.
+//! Ports are opened raw and exclusively. Opening may block for as long as a Bluetooth radio takes, so it runs on its
+//! own thread. Bytes that were in the input before are discarded, because their age is unknown. Neither the baud rate
+//! nor the protocol is guessed. `serial_device` finds the device, `serial_line` sets what the line needs beyond its
+//! speed.
 //!
-//! A thread that hangs in the system cannot be stopped, and a runtime that is dropped waits for it: a program that wants
-//! to end in time ends its runtime with `shutdown_background`.
+//! A thread that hangs in the system cannot be stopped, and dropping the runtime waits for it: a program that must end
+//! in time ends its runtime with `shutdown_background`.
 
 use std::fs::Metadata;
 use std::io::{self, Read};
@@ -21,94 +22,57 @@ use tokio_serial::SerialStream;
 use crate::connection::Connection;
 use crate::error::{FileKind, OpenError};
 use crate::stream::{ByteStream, StreamConnection, StreamLabel};
-use crate::transports::serial_device::{is_pattern, matches, stable_name};
-use crate::transports::serial_line::{Latency, PutBack, keep_dtr_on_close, open_settings, shorten_latency};
-use crate::transports::{DeviceDirectories, LineSettings, OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Transport};
-use crate::url::{OptionHelp, OptionKind, TargetKind};
-
-/// The speed of the line. 115200 is what MAVLink boards and their radios are set to in the factory; the range is that
-/// of Linux's termios constants.
-const BAUD: OptionHelp = OptionHelp {
-    name: "baud",
-    kind: OptionKind::Integer { min: 50, max: 4_000_000, default: 115_200 },
-    help: "speed of the line in bits per second; Bluetooth and pseudo-terminals ignore it",
-};
-
-/// What happens to DTR. Linux raises it when the port is opened, whatever is asked for here.
-const DTR: OptionHelp = OptionHelp {
-    name: "dtr",
-    kind: OptionKind::Choice { words: &["keep", "on", "off"] },
-    help: "keep leaves DTR alone once the port is open, on and off set it then; closing never drops it",
+use crate::transport::{BAUD, DTR};
+use crate::transports::open_request::{DeviceDirectories, LineSettingsPolicy, OpenRequest, QUEUE_BYTES};
+use crate::transports::serial_device::{expand_pattern, is_pattern, stable_name};
+use crate::transports::serial_line::{
+    LatencyTimer, LineSettingsGuard, keep_dtr_on_close, open_settings, shorten_latency_timer,
 };
 
 /// Bits on the line per byte: a start bit, eight data bits and a stop bit.
 const BITS_PER_BYTE: f64 = 10.0;
 
-/// Most that can lie in the buffers of a tty before it is opened, generously: Linux allows 64 KiB per direction.
+/// Upper bound of the bytes in the buffers of a tty before it is opened: Linux allows 64 KiB per direction.
 const STALE_BYTES: usize = 64 * 1024;
 
 /// Where Linux keeps the devices of pseudo-terminals.
 const PTS_DIRECTORY: &str = "/dev/pts";
 
-/// See the module.
-pub(crate) struct Serial;
-
-impl Transport for Serial {
-    fn scheme(&self) -> &'static str {
-        "serial"
-    }
-    fn summary(&self) -> &'static str {
-        "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal made by somebody else"
-    }
-    fn example(&self) -> &'static str {
-        "serial:///dev/ttyUSB0?baud=115200"
-    }
-    fn target_kind(&self) -> TargetKind {
-        TargetKind::Path
-    }
-    fn options(&self) -> &'static [OptionHelp] {
-        &[BAUD, DTR, RATE]
-    }
-    fn open(&self, request: OpenRequest) -> OpenFuture {
-        Box::pin(open(request))
-    }
-}
-
 impl ByteStream for SerialStream {
-    fn system_bytes(&self) -> Option<usize> {
+    fn kernel_queued_bytes(&self) -> Option<usize> {
         // Pseudo-terminals answer 0 whatever they hold (Linux has no chars_in_buffer for them).
         let waiting = self.bytes_to_write().ok()?;
         usize::try_from(waiting).ok()
     }
 }
 
-/// What one attempt needs to know, on its own thread.
-struct Attempt {
-    /// The path of the link; a pattern perhaps.
+/// One attempt to open, on its own thread.
+struct SerialOpenAttempt {
+    /// A path or a pattern.
     path: PathBuf,
     baud: u32,
-    /// `None` leaves it alone.
+    /// `None` leaves it unchanged.
     dtr: Option<bool>,
     directories: DeviceDirectories,
-    settings: LineSettings,
+    settings: LineSettingsPolicy,
     stable_path: Option<PathBuf>,
 }
 
 /// A line that was opened.
-struct Opened {
+struct OpenedSerial {
     port: TTYPort,
-    /// Dropped after the port: its settings go back when nobody uses them any more.
-    put_back: Option<PutBack>,
+    /// Dropped after the port, and then restores the settings.
+    restore_settings: Option<LineSettingsGuard>,
     /// The path by which it was opened.
     path: PathBuf,
     stable_path: Option<PathBuf>,
-    latency: Latency,
+    latency: LatencyTimer,
 }
 
-async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path().to_owned();
     let baud = request.url.integer(&BAUD);
-    let attempt = Attempt {
+    let attempt = SerialOpenAttempt {
         path: path.clone(),
         baud,
         dtr: match request.url.option_text(&DTR).as_str() {
@@ -116,36 +80,37 @@ async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
             "off" => Some(false),
             _ => None,
         },
-        directories: request.directories,
+        directories: request.device_directories,
         settings: request.line_settings,
         stable_path: request.stable_path,
     };
-    let opened =
-        tokio::task::spawn_blocking(move || attempt.run()).await.map_err(|error| io_error(&path, error.into()))??;
+    let opened = tokio::task::spawn_blocking(move || attempt.run())
+        .await
+        .map_err(|error| error_from_io(&path, error.into()))??;
     let mut label = StreamLabel::new(opened.detail(baud));
-    let stream = SerialStream::try_from(opened.port).map_err(|error| name_error(&opened.path, error))?;
+    let stream = SerialStream::try_from(opened.port).map_err(|error| classify_error(&opened.path, error))?;
     label.stable_path = opened.stable_path;
     let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)
         .with_line_rate(f64::from(baud) / BITS_PER_BYTE);
-    Ok(match opened.put_back {
-        Some(put_back) => Box::new(connection.closing_with(Box::new(put_back))),
+    Ok(match opened.restore_settings {
+        Some(put_back) => Box::new(connection.with_on_close(Box::new(put_back))),
         None => Box::new(connection),
     })
 }
 
-impl Opened {
+impl OpenedSerial {
     fn detail(&self, baud: u32) -> String {
         let stable = match &self.stable_path {
             Some(stable) if *stable != self.path => format!(" ({})", stable.display()),
             Some(_) | None => String::new(),
         };
-        let remark = self.latency.remark();
+        let remark = self.latency.describe();
         format!("{}{stable} at {baud} baud{remark}", self.path.display())
     }
 }
 
-impl Attempt {
-    fn run(&self) -> Result<Opened, OpenError> {
+impl SerialOpenAttempt {
+    fn run(&self) -> Result<OpenedSerial, OpenError> {
         if let Some(stable) = &self.stable_path {
             // Its number may belong to another device by now.
             return self.open_device(stable);
@@ -154,7 +119,7 @@ impl Attempt {
             return self.open_device(&self.path);
         }
         let mut failure = None;
-        for path in matches(&self.path) {
+        for path in expand_pattern(&self.path) {
             match self.open_device(&path) {
                 Ok(opened) => return Ok(opened),
                 Err(error) => {
@@ -163,17 +128,17 @@ impl Attempt {
                 }
             }
         }
-        Err(failure.unwrap_or_else(|| OpenError::Missing { path: self.path.clone() }))
+        Err(failure.unwrap_or_else(|| OpenError::DeviceMissing { path: self.path.clone() }))
     }
 
-    fn open_device(&self, path: &Path) -> Result<Opened, OpenError> {
+    fn open_device(&self, path: &Path) -> Result<OpenedSerial, OpenError> {
         let device = check_device(path)?;
-        let line = open_settings(&device).map_err(|error| errno_error(path, error))?;
+        let line = open_settings(&device).map_err(|error| error_from_errno(path, error))?;
         let put_back = match self.settings {
-            LineSettings::Keep => None,
-            LineSettings::PutBack => {
-                let line = line.try_clone().map_err(|error| io_error(path, error))?;
-                Some(PutBack::new(line).map_err(|error| io_error(path, error))?)
+            LineSettingsPolicy::Keep => None,
+            LineSettingsPolicy::Restore => {
+                let line = line.try_clone().map_err(|error| error_from_io(path, error))?;
+                Some(LineSettingsGuard::new(line).map_err(|error| error_from_io(path, error))?)
             }
         };
         let mut builder = serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
@@ -181,24 +146,24 @@ impl Attempt {
             // Fails on lines that have no DTR, which serialport passes over.
             builder = builder.dtr_on_open(level);
         }
-        let mut port = builder.open_native().map_err(|error| name_error(path, error))?;
+        let mut port = builder.open_native().map_err(|error| classify_error(path, error))?;
         if device.starts_with(PTS_DIRECTORY) {
             // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would
             // lock out our successor for ever, so only the file lock is kept, which dies with us.
-            port.set_exclusive(false).map_err(|error| name_error(path, error))?;
+            port.set_exclusive(false).map_err(|error| classify_error(path, error))?;
         }
         let latency = match self.settings {
-            LineSettings::Keep => {
-                keep_dtr_on_close(&line).map_err(|error| errno_error(path, error))?;
-                shorten_latency(&device, &self.directories.usb_serial)
+            LineSettingsPolicy::Keep => {
+                keep_dtr_on_close(&line).map_err(|error| error_from_errno(path, error))?;
+                shorten_latency_timer(&device, &self.directories.usb_serial)
             }
             // Not looked at, and nothing to tell.
-            LineSettings::PutBack => Latency::NoTimer,
+            LineSettingsPolicy::Restore => LatencyTimer::Absent,
         };
-        discard_stale_input(&mut port).map_err(|error| name_error(path, error))?;
-        Ok(Opened {
+        discard_stale_input(&mut port).map_err(|error| classify_error(path, error))?;
+        Ok(OpenedSerial {
             port,
-            put_back,
+            restore_settings: put_back,
             path: path.to_owned(),
             stable_path: self.stable_path.clone().or_else(|| stable_name(&self.path, &self.directories)),
             latency,
@@ -206,17 +171,17 @@ impl Attempt {
     }
 }
 
-/// The device behind the path, links followed.
+/// The device behind the path, with symbolic links resolved.
 fn check_device(path: &Path) -> Result<PathBuf, OpenError> {
-    let metadata = path.metadata().map_err(|error| io_error(path, error))?;
+    let metadata = path.metadata().map_err(|error| error_from_io(path, error))?;
     if !metadata.file_type().is_char_device() {
-        return Err(OpenError::WrongKind {
+        return Err(OpenError::WrongFileKind {
             path: path.to_owned(),
             found: FileKind::from(metadata.file_type()),
             wanted: "a serial port",
         });
     }
-    path.canonicalize().map_err(|error| io_error(path, error))
+    path.canonicalize().map_err(|error| error_from_io(path, error))
 }
 
 /// Empties the input. The flush reaches only the line discipline; a pseudo-terminal keeps up to 12 KiB more behind it,
@@ -235,27 +200,27 @@ fn discard_stale_input(port: &mut TTYPort) -> serialport::Result<()> {
     Ok(())
 }
 
-/// Turns what serialport says into what a person needs: it calls a busy port "no device", for instance.
-fn name_error(path: &Path, error: serialport::Error) -> OpenError {
+/// Translates an error of serialport, which calls a busy port "no device", for instance.
+fn classify_error(path: &Path, error: serialport::Error) -> OpenError {
     match error.kind {
         ErrorKind::NoDevice => OpenError::PortInUse { path: path.to_owned() },
-        ErrorKind::Io(_) => io_error(path, error.into()),
+        ErrorKind::Io(_) => error_from_io(path, error.into()),
         ErrorKind::InvalidInput | ErrorKind::Unknown => {
             OpenError::Io { what: path.display().to_string(), source: io::Error::other(error.description) }
         }
     }
 }
 
-fn errno_error(path: &Path, error: Errno) -> OpenError {
+fn error_from_errno(path: &Path, error: Errno) -> OpenError {
     if error == Errno::EBUSY {
         return OpenError::PortInUse { path: path.to_owned() };
     }
-    io_error(path, error.into())
+    error_from_io(path, error.into())
 }
 
-fn io_error(path: &Path, source: io::Error) -> OpenError {
+fn error_from_io(path: &Path, source: io::Error) -> OpenError {
     if source.kind() == io::ErrorKind::NotFound {
-        OpenError::Missing { path: path.to_owned() }
+        OpenError::DeviceMissing { path: path.to_owned() }
     } else if source.kind() == io::ErrorKind::PermissionDenied {
         OpenError::PermissionDenied { what: path.display().to_string(), advice: access_advice(path) }
     } else {
@@ -322,17 +287,17 @@ mod tests {
 
     #[test]
     fn refused_and_busy_devices_stop_the_start_but_only_the_busy_one_heals() {
-        let refused = io_error(Path::new("/dev/null"), io::ErrorKind::PermissionDenied.into());
-        assert!(!refused.can_heal());
-        assert!(refused.stops_start());
-        let busy = name_error(
+        let refused = error_from_io(Path::new("/dev/null"), io::ErrorKind::PermissionDenied.into());
+        assert!(!refused.is_transient());
+        assert!(refused.prevents_start());
+        let busy = classify_error(
             Path::new("/dev/ttyUSB0"),
             serialport::Error::new(ErrorKind::NoDevice, "Device or resource busy"),
         );
-        assert!(busy.can_heal());
-        assert!(busy.stops_start());
-        let missing = io_error(Path::new("/dev/ttyUSB0"), io::ErrorKind::NotFound.into());
-        assert!(!missing.stops_start());
+        assert!(busy.is_transient());
+        assert!(busy.prevents_start());
+        let missing = error_from_io(Path::new("/dev/ttyUSB0"), io::ErrorKind::NotFound.into());
+        assert!(!missing.prevents_start());
         assert_eq!(
             busy.to_string(),
             "port /dev/ttyUSB0 is in use by another program: close it there (`fuser -v /dev/ttyUSB0` names it)"

@@ -1,15 +1,16 @@
-//! Which device a serial link means: patterns, and udev's names that outlive a replug.
+//! The device of a serial link: patterns, and udev's names that survive a replug.
 //!
-//! A device that is pulled while a program has it open comes back under another number (ttyUSB0 as ttyUSB1). udev also
-//! links it under two names that do not change: one in `/dev/serial/by-id` made of vendor, model and serial number, and one
-//! in `/dev/serial/by-path` made of the USB socket. So a link that names such a device by its number remembers one of them
-//! and is opened by it from then on.
+//! A device that is unplugged while a program has it open comes back with another number (ttyUSB0 as ttyUSB1). udev
+//! also links it under two names that do not change: one in `/dev/serial/by-id` from vendor, model and serial number,
+//! and one in `/dev/serial/by-path` from the USB socket. So a link that names such a device by its number remembers one
+//! of these names and is opened by it from then on.
 //!
 //! Many adapters have no serial number (CH340), or all the same one (CP2102 leave the factory with 0001). Two of those
-//! share one name in `by-id`, and udev lets it lead to the other one when the first is pulled. So that name is taken only
-//! where the adapter has a serial number that no other one here has, and else that of the socket.
+//! share one name in `by-id`, and udev lets it lead to the other one when the first is unplugged. So the name by serial
+//! number is used only if it is unique among the adapters that are plugged in, otherwise the name by socket.
 //!
-//! A path with `*` or `?` is a pattern for any of several devices and is matched anew for each attempt. It opens nothing.
+//! A path with `*` or `?` is a pattern for any of several devices and is matched again at each attempt. Nothing is
+//! opened here.
 //!
 //! # Sources
 //! systemd, rules.d/60-serial.rules: how udev makes both names.
@@ -19,46 +20,46 @@ use std::fs;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Component, Path, PathBuf};
 
-use crate::transports::DeviceDirectories;
+use crate::transports::open_request::DeviceDirectories;
 
-/// Beginnings of the device names that the kernel numbers in the order of plugging in: USB adapters and USB devices.
-const NUMBERED: &[&str] = &["ttyUSB", "ttyACM"];
+/// Prefixes of the device names that the kernel numbers in the order of plugging in: USB adapters and USB devices.
+const NUMBERED_PREFIXES: &[&str] = &["ttyUSB", "ttyACM"];
 
 /// Most devices that one pattern may match: more than a computer has; guards against `/*/*/*`.
 const MAX_MATCHES: usize = 256;
 
-/// A name of the device at `path` that leads to it and to no other one when it comes back, if `path` is the plain name of a
-/// device that is numbered by the order of plugging in.
+/// A name that identifies the device at `path` after a replug, if `path` is a device name that is numbered in the order of
+/// plugging in.
 pub(super) fn stable_name(path: &Path, directories: &DeviceDirectories) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
-    if !NUMBERED.iter().any(|kind| name.starts_with(kind)) {
+    if !NUMBERED_PREFIXES.iter().any(|kind| name.starts_with(kind)) {
         return None;
     }
     let device = path.canonicalize().ok()?;
-    let by_id = Adapter::is_the_only_one(name, &directories.tty_class)
-        .then(|| link_to(&device, &directories.serial_by_id))
+    let by_id = UsbAdapter::has_unique_serial(name, &directories.tty_class)
+        .then(|| find_symlink_to(&device, &directories.serial_by_id))
         .flatten();
-    by_id.or_else(|| link_to(&device, &directories.serial_by_path))
+    by_id.or_else(|| find_symlink_to(&device, &directories.serial_by_path))
 }
 
 /// The link in `directory` that leads to `device`; the first in sorted order if there are several.
-fn link_to(device: &Path, directory: &Path) -> Option<PathBuf> {
+fn find_symlink_to(device: &Path, directory: &Path) -> Option<PathBuf> {
     let links = fs::read_dir(directory).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     links.filter(|link| link.canonicalize().is_ok_and(|target| target == device)).min()
 }
 
-/// A USB device behind a serial port, as sysfs tells of it.
-struct Adapter {
+/// A USB device behind a serial port, from sysfs.
+struct UsbAdapter {
     /// Its directory, which names the socket.
-    place: PathBuf,
+    sysfs_path: PathBuf,
     vendor: String,
     product: String,
     serial: String,
 }
 
-impl Adapter {
+impl UsbAdapter {
     /// The device behind the port `name`, if it is on USB and has a serial number.
-    fn of(name: &OsStr, tty_class: &Path) -> Option<Self> {
+    fn from_sysfs(name: &OsStr, tty_class: &Path) -> Option<Self> {
         let interface = tty_class.join(name).join("device").canonicalize().ok()?;
         let place = interface.ancestors().find(|place| place.join("idVendor").exists())?;
         let says = |file: &str| {
@@ -69,34 +70,34 @@ impl Adapter {
             vendor: says("idVendor")?,
             product: says("idProduct")?,
             serial: says("serial")?,
-            place: place.to_owned(),
+            sysfs_path: place.to_owned(),
         })
     }
 
     /// True if the adapter behind the port `name` has a serial number, and no other one that is plugged in has the same.
-    fn is_the_only_one(name: &str, tty_class: &Path) -> bool {
-        let Some(own) = Self::of(OsStr::new(name), tty_class) else {
+    fn has_unique_serial(name: &str, tty_class: &Path) -> bool {
+        let Some(own) = Self::from_sysfs(OsStr::new(name), tty_class) else {
             return false;
         };
         let is_twin = |other: &Self| {
             (&other.vendor, &other.product, &other.serial) == (&own.vendor, &own.product, &own.serial)
-                && other.place != own.place
+                && other.sysfs_path != own.sysfs_path
         };
         fs::read_dir(tty_class).is_ok_and(|ports| {
             let names = ports.filter_map(|entry| Some(entry.ok()?.file_name()));
-            !names.filter_map(|name| Self::of(&name, tty_class)).any(|other| is_twin(&other))
+            !names.filter_map(|name| Self::from_sysfs(&name, tty_class)).any(|other| is_twin(&other))
         })
     }
 }
 
-/// True if `path` is to be read as a pattern: it holds a wildcard, and nothing stands there under this very name.
+/// True if `path` is a pattern: it has a wildcard, and no file has this literal name.
 pub(super) fn is_pattern(path: &Path) -> bool {
     has_wildcard(path.as_os_str()) && path.symlink_metadata().is_err()
 }
 
-/// Everything that a pattern matches, sorted. `*` stands for any characters within one component of the path, `?` for
-/// one; neither matches a leading dot.
-pub(super) fn matches(pattern: &Path) -> Vec<PathBuf> {
+/// All matches of a pattern, sorted. `*` matches any characters within one component of the path, `?` one; neither matches a
+/// leading dot.
+pub(super) fn expand_pattern(pattern: &Path) -> Vec<PathBuf> {
     let mut found = vec![PathBuf::new()];
     for component in pattern.components() {
         let Component::Normal(name) = component else {
@@ -106,7 +107,7 @@ pub(super) fn matches(pattern: &Path) -> Vec<PathBuf> {
             continue;
         };
         found = if has_wildcard(name) {
-            found.iter().flat_map(|directory| entries(directory, name)).take(MAX_MATCHES).collect()
+            found.iter().flat_map(|directory| matching_entries(directory, name)).take(MAX_MATCHES).collect()
         } else {
             found.iter().map(|path| path.join(name)).collect()
         };
@@ -121,7 +122,7 @@ fn has_wildcard(text: &OsStr) -> bool {
 }
 
 /// The entries of a directory whose names match, sorted.
-fn entries(directory: &Path, pattern: &OsStr) -> Vec<PathBuf> {
+fn matching_entries(directory: &Path, pattern: &OsStr) -> Vec<PathBuf> {
     let listed = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
     let Ok(listing) = fs::read_dir(listed) else {
         return Vec::new();
@@ -134,7 +135,7 @@ fn entries(directory: &Path, pattern: &OsStr) -> Vec<PathBuf> {
     names.iter().map(|name| directory.join(name)).collect()
 }
 
-/// Matches by walking along both and going back to the last `*` when stuck: no worse than the product of the lengths.
+/// Matches with backtracking to the last `*`; the time is at most proportional to the product of the lengths.
 fn name_matches(pattern: &[u8], name: &[u8]) -> bool {
     if name.first() == Some(&b'.') && pattern.first() != Some(&b'.') {
         return false;
@@ -208,12 +209,12 @@ mod tests {
             fs::create_dir_all(path.parent().expect("a parent")).expect("own directory");
             fs::write(path, "").expect("own directory");
         }
-        let found = matches(&root.path().join("[ab?]/tty*"));
+        let found = expand_pattern(&root.path().join("[ab?]/tty*"));
         assert_eq!(found, Vec::<PathBuf>::new(), "brackets are plain characters");
-        let found = matches(&root.path().join("?/tty*"));
+        let found = expand_pattern(&root.path().join("?/tty*"));
         let expected = ["a/tty1", "a/tty9", "b/tty2", "c/tty1"].map(|path| root.path().join(path));
         assert_eq!(found, expected);
-        assert!(matches(&root.path().join("?/nothing*")).is_empty());
+        assert!(expand_pattern(&root.path().join("?/nothing*")).is_empty());
     }
 
     #[test]
@@ -306,7 +307,7 @@ mod tests {
         let computer = Computer::new();
         computer.plug("ttyUSB0", "socket-1", Some("A7"));
         computer.plug("ttyUSB1", "socket-1", Some("A7"));
-        assert!(Adapter::is_the_only_one("ttyUSB0", &computer.directories.tty_class));
+        assert!(UsbAdapter::has_unique_serial("ttyUSB0", &computer.directories.tty_class));
     }
 
     #[test]

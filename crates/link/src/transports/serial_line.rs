@@ -1,14 +1,14 @@
-//! What an open serial line is told beyond its speed: who may drop DTR, and how long an adapter may hold bytes back.
+//! Settings of an open serial line beyond its speed: DTR on close, and the adapter's latency timer.
 //!
-//! Arduino-class boards wire DTR to their reset: the edge at which it is raised restarts the sketch and two seconds are
-//! gone. Linux raises DTR whenever a port is opened, which is no edge if it is still up; and lowers it when the port is
-//! closed, unless HUPCL is cleared (termios(3)). So HUPCL is cleared always: the first open after plugging in resets the
-//! board once, every later one leaves it alone, those of other programs included.
+//! Arduino-class boards wire DTR to their reset: its rising edge restarts the sketch, which takes two seconds. Linux
+//! raises DTR whenever a port is opened, which is no edge if it is still up, and lowers it when the port is closed,
+//! unless HUPCL is cleared (termios(3)). So HUPCL is always cleared: the first open after plugging in resets the board
+//! once, and later ones, by any program, do not.
 //!
-//! Whoever only listens for a moment leaves nothing behind: [`PutBack`] restores what it found.
+//! A program that only listens for a moment restores the settings that it found: [`LineSettingsGuard`].
 //!
-//! FTDI adapters collect received bytes for up to 16 ms; their driver offers that time as a file. The other way to ask for
-//! it, ASYNC_LOW_LATENCY by TIOCSSERIAL, has no safe interface, and for these adapters does the same.
+//! FTDI adapters collect received bytes for up to 16 ms; their driver offers that time as a file. The other way to set
+//! it, ASYNC_LOW_LATENCY by TIOCSSERIAL, has no safe interface and the same effect on these adapters.
 
 use std::fs;
 use std::io;
@@ -20,8 +20,7 @@ use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
 use rustix::termios::{OptionalActions, Termios};
 
-/// What the adapter's latency timer is set to, in milliseconds: its smallest value (FTDI application note AN232B-04,
-/// section 3.3).
+/// The adapter's latency timer, in milliseconds: its smallest value (FTDI application note AN232B-04, section 3.3).
 const LATENCY_MS: &str = "1";
 
 /// A second descriptor of the line, through which its settings are reached. It has to be opened before the line is
@@ -34,7 +33,7 @@ pub(super) fn open_settings(device: &Path) -> nix::Result<OwnedFd> {
     nix::fcntl::open(device, flags, Mode::empty())
 }
 
-/// Keeps DTR as it is when the line is closed, by whomever.
+/// Keeps DTR unchanged when any program closes the line.
 ///
 /// # Errors
 /// The settings cannot be read or written.
@@ -44,29 +43,29 @@ pub(super) fn keep_dtr_on_close(line: &OwnedFd) -> nix::Result<()> {
     tcsetattr(line, SetArg::TCSANOW, &settings)
 }
 
-/// The settings of a line as they were, put back on drop.
+/// The original settings of a line, restored on drop.
 ///
 /// Read and written with their speed as a number (Linux, TCGETS2): termios(3) of the C library has names for the usual
 /// speeds only, and serialport sets every speed as a number.
-pub(super) struct PutBack {
+pub(super) struct LineSettingsGuard {
     line: OwnedFd,
-    found: Termios,
+    original: Termios,
 }
 
-impl PutBack {
-    /// Remembers the settings of a line, to which `line` is a descriptor of its own.
+impl LineSettingsGuard {
+    /// Stores the settings of a line; `line` is a separate descriptor of it.
     ///
     /// # Errors
     /// They cannot be read.
     pub(super) fn new(line: OwnedFd) -> io::Result<Self> {
         let found = rustix::termios::tcgetattr(&line)?;
-        Ok(Self { line, found })
+        Ok(Self { line, original: found })
     }
 }
 
-impl Drop for PutBack {
+impl Drop for LineSettingsGuard {
     fn drop(&mut self) {
-        let put_back = rustix::termios::tcsetattr(&self.line, OptionalActions::Now, &self.found);
+        let put_back = rustix::termios::tcsetattr(&self.line, OptionalActions::Now, &self.original);
         if let Err(error) = put_back {
             // A device that was pulled has nothing to put back.
             tracing::debug!(%error, "the settings of a line were not put back");
@@ -74,39 +73,39 @@ impl Drop for PutBack {
     }
 }
 
-/// What became of an adapter's latency timer.
+/// The result of setting an adapter's latency timer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Latency {
+pub(super) enum LatencyTimer {
     /// The driver has no such setting.
-    NoTimer,
-    /// It is as short as it can be.
-    Shortest,
-    /// It may not be written; the file's path and what it says.
-    Kept { file: String, ms: String },
+    Absent,
+    /// It is at its minimum.
+    Shortened,
+    /// It is not writable: the file's path and its current value.
+    Unchanged { file: String, ms: String },
 }
 
 /// Sets the latency timer of `device`, if it has one below `directory`, to its shortest.
-pub(super) fn shorten_latency(device: &Path, directory: &Path) -> Latency {
+pub(super) fn shorten_latency_timer(device: &Path, directory: &Path) -> LatencyTimer {
     let Some(name) = device.file_name() else {
-        return Latency::NoTimer;
+        return LatencyTimer::Absent;
     };
     let file = directory.join(name).join("latency_timer");
     let Ok(before) = fs::read_to_string(&file) else {
-        return Latency::NoTimer;
+        return LatencyTimer::Absent;
     };
     if before.trim() == LATENCY_MS || fs::write(&file, LATENCY_MS).is_ok() {
-        return Latency::Shortest;
+        return LatencyTimer::Shortened;
     }
-    Latency::Kept { file: file.display().to_string(), ms: before.trim().to_owned() }
+    LatencyTimer::Unchanged { file: file.display().to_string(), ms: before.trim().to_owned() }
 }
 
-impl Latency {
-    /// What is added to the detail of the link.
-    pub(super) fn remark(&self) -> String {
+impl LatencyTimer {
+    /// The remark for the link's detail.
+    pub(super) fn describe(&self) -> String {
         match self {
-            Self::NoTimer => String::new(),
-            Self::Shortest => ", latency timer 1 ms".to_owned(),
-            Self::Kept { file, ms } => {
+            Self::Absent => String::new(),
+            Self::Shortened => ", latency timer 1 ms".to_owned(),
+            Self::Unchanged { file, ms } => {
                 format!(", latency timer {ms} ms: run `echo {LATENCY_MS} | sudo tee {file}` to shorten it")
             }
         }
@@ -129,25 +128,25 @@ mod tests {
     #[test]
     fn the_latency_timer_of_an_adapter_is_shortened() {
         let (root, file) = with_timer("16\n");
-        let latency = shorten_latency(Path::new("/dev/ttyUSB0"), root.path());
-        assert_eq!(latency, Latency::Shortest);
-        assert_eq!(latency.remark(), ", latency timer 1 ms");
+        let latency = shorten_latency_timer(Path::new("/dev/ttyUSB0"), root.path());
+        assert_eq!(latency, LatencyTimer::Shortened);
+        assert_eq!(latency.describe(), ", latency timer 1 ms");
         assert_eq!(fs::read_to_string(file).expect("it is there").trim(), "1");
     }
 
     #[test]
     fn a_line_without_a_latency_timer_is_left_alone() {
         let root = tempfile::tempdir().expect("a temporary directory");
-        let latency = shorten_latency(Path::new("/dev/ttyACM0"), root.path());
-        assert_eq!(latency, Latency::NoTimer);
-        assert_eq!(latency.remark(), "");
+        let latency = shorten_latency_timer(Path::new("/dev/ttyACM0"), root.path());
+        assert_eq!(latency, LatencyTimer::Absent);
+        assert_eq!(latency.describe(), "");
     }
 
     #[test]
     fn a_timer_that_may_not_be_written_is_told_with_its_cure() {
-        let latency = Latency::Kept { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };
+        let latency = LatencyTimer::Unchanged { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };
         assert_eq!(
-            latency.remark(),
+            latency.describe(),
             ", latency timer 16 ms: run `echo 1 | sudo tee /sys/x/latency_timer` to shorten it"
         );
     }

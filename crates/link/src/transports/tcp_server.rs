@@ -1,8 +1,8 @@
-//! The listening side of TCP: every client is a byte source of its own, and hears what is sent to all.
+//! The listening side of TCP: every client is a byte source of its own, and receives what is sent to all.
 //!
-//! Clients come and go without the link going down; only the loss of the listening socket itself is a loss. Where the
-//! system cannot give us another client (no descriptor left, no memory, a network that is away), those that are there stay,
-//! and new ones wait in the system's own queue for a moment. A slow client has a queue of its own and delays nobody.
+//! Clients come and go without the link going down; only the loss of the listening socket is a loss. If the system
+//! cannot accept another client (no descriptor left, no memory, network down), those that are connected stay, and new
+//! ones wait in the system's queue for a moment. Each client has its own send queue, so a slow one delays nobody.
 
 use std::io;
 use std::net::SocketAddr;
@@ -13,21 +13,20 @@ use nix::errno::Errno;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::Sleep;
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 
-use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
-use crate::error::{LinkLoss, OpenError};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::stream::{StreamConnection, StreamLabel};
-use crate::transports::tcp::configure;
-use crate::transports::{OpenRequest, QUEUE_BYTES, bind_error, listening_detail, resolve};
+use crate::transports::open_request::{OpenRequest, QUEUE_BYTES, bind_error, listening_detail, resolve};
+use crate::transports::tcp_socket::configure;
 
-/// Most clients at a time: a class of robots with a few onlookers each. Those beyond it are turned away.
+/// Most clients at a time: a class of robots with a few viewers each. Further ones are refused.
 const MAX_CLIENTS: usize = 256;
 
-/// How long nobody is welcomed after the system has failed to give us a client: a failure that lasts, as a full table of
-/// descriptors does, must not keep the loop busy.
-const PAUSE: Span = Span::from_millis(500);
+/// Pause after a failed accept: a lasting failure, such as a full table of descriptors, must not keep the loop busy.
+const ACCEPT_PAUSE: TimeDelta = TimeDelta::from_millis(500);
 
 /// A listening socket with its clients.
 pub(super) struct TcpServer {
@@ -37,12 +36,12 @@ pub(super) struct TcpServer {
     timer: HostTimer,
     clients: Vec<StreamConnection<TcpStream>>,
     next_peer: u32,
-    /// The client that is asked first, so that a talkative one does not silence the others.
-    turn: usize,
+    /// The client that is polled first, so that a flooding one does not starve the others.
+    next_index: usize,
     /// The end of the pause after a failure.
-    pause: Option<Pin<Box<Sleep>>>,
-    /// Whether the last client could not be had; told once.
-    is_short: bool,
+    accept_pause: Option<Pin<Box<Sleep>>>,
+    /// Whether the last accept failed; reported once.
+    is_accept_failing: bool,
 }
 
 impl TcpServer {
@@ -61,9 +60,9 @@ impl TcpServer {
                         timer: request.timer,
                         clients: Vec::new(),
                         next_peer: 0,
-                        turn: 0,
-                        pause: None,
-                        is_short: false,
+                        next_index: 0,
+                        accept_pause: None,
+                        is_accept_failing: false,
                     }));
                 }
                 Err(error) => failure = Some(bind_error(address, error)),
@@ -75,38 +74,38 @@ impl TcpServer {
         }))
     }
 
-    fn accept(&mut self, cx: &mut Context<'_>) -> Result<(), LinkLoss> {
+    fn accept(&mut self, cx: &mut Context<'_>) -> Result<(), LinkError> {
         loop {
-            if let Some(pause) = &mut self.pause {
+            if let Some(pause) = &mut self.accept_pause {
                 if pause.as_mut().poll(cx).is_pending() {
                     return Ok(());
                 }
-                self.pause = None;
+                self.accept_pause = None;
             }
             match self.listener.poll_accept(cx) {
                 Poll::Pending => return Ok(()),
                 Poll::Ready(Ok((stream, from))) => {
-                    self.is_short = false;
-                    self.welcome(stream, from);
+                    self.is_accept_failing = false;
+                    self.add_client(stream, from);
                 }
                 // The client left before it was greeted; that is its own business.
                 Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
-                Poll::Ready(Err(error)) if is_loss(&error) => return Err(error.into()),
-                Poll::Ready(Err(error)) => self.pause_after(&error),
+                Poll::Ready(Err(error)) if is_listener_failure(&error) => return Err(error.into()),
+                Poll::Ready(Err(error)) => self.pause_accepting(&error),
             }
         }
     }
 
-    fn pause_after(&mut self, error: &io::Error) {
-        if !self.is_short {
-            self.is_short = true;
+    fn pause_accepting(&mut self, error: &io::Error) {
+        if !self.is_accept_failing {
+            self.is_accept_failing = true;
             tracing::warn!(at = %self.address, %error, clients = self.clients.len(), "no further client can be had");
         }
-        let end = self.timer.instant(self.timer.now() + PAUSE);
-        self.pause = Some(Box::pin(tokio::time::sleep_until(end)));
+        let end = self.timer.instant(self.timer.now() + ACCEPT_PAUSE);
+        self.accept_pause = Some(Box::pin(tokio::time::sleep_until(end)));
     }
 
-    fn welcome(&mut self, stream: TcpStream, from: SocketAddr) {
+    fn add_client(&mut self, stream: TcpStream, from: SocketAddr) {
         if self.clients.len() >= MAX_CLIENTS {
             tracing::warn!(%from, at = %self.address, limit = MAX_CLIENTS, "too many clients, turned one away");
             return;
@@ -127,28 +126,32 @@ impl TcpServer {
         self.clients.push(client);
     }
 
-    /// Asks every client once, beginning with the one whose turn it is.
-    fn poll_clients(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
+    /// Polls every client once, beginning with `next_index`.
+    fn poll_clients(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut LinkCounters,
+    ) -> Poll<Result<ReceivedData, LinkError>> {
         let mut asked = 0;
         while asked < self.clients.len() {
-            let index = self.turn % self.clients.len();
+            let index = self.next_index % self.clients.len();
             let Some(client) = self.clients.get_mut(index) else {
                 break;
             };
             match client.poll(cx, counters) {
                 Poll::Ready(Ok(incoming)) => {
-                    self.turn = index + 1;
+                    self.next_index = index + 1;
                     return Poll::Ready(Ok(incoming));
                 }
                 Poll::Ready(Err(loss)) => {
                     tracing::debug!(client = %client.detail(), %loss, "client went");
-                    counters.drops_out += client.outstanding(self.timer.now()).frames;
+                    counters.drops_out += client.queue_status(self.timer.now()).frames;
                     // Keeps the order of the others, whose turns are positions in it.
                     drop(self.clients.remove(index));
-                    self.turn = index;
+                    self.next_index = index;
                 }
                 Poll::Pending => {
-                    self.turn = index + 1;
+                    self.next_index = index + 1;
                     asked += 1;
                 }
             }
@@ -170,28 +173,28 @@ impl Connection for TcpServer {
         true
     }
 
-    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+    fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
         for client in &mut self.clients {
             client.send(out, counters);
         }
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
         if let Err(loss) = self.accept(cx) {
             return Poll::Ready(Err(loss));
         }
         self.poll_clients(cx, counters)
     }
 
-    fn reach(&self, to: Audience) -> u32 {
-        self.clients.iter().map(|client| client.reach(to)).sum()
+    fn count_recipients(&self, to: Recipients) -> u32 {
+        self.clients.iter().map(|client| client.count_recipients(to)).sum()
     }
 
-    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
+    fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus {
         let mut all =
-            Outstanding { capacity_bytes_per_s: (!self.clients.is_empty()).then_some(0.0), ..Outstanding::default() };
+            QueueStatus { capacity_bytes_per_s: (!self.clients.is_empty()).then_some(0.0), ..QueueStatus::default() };
         for client in &self.clients {
-            let one = client.outstanding(now);
+            let one = client.queue_status(now);
             all.peers += one.peers;
             all.frames += one.frames;
             all.bytes += one.bytes;
@@ -203,9 +206,9 @@ impl Connection for TcpServer {
     }
 }
 
-/// Whether an error of accept(2) says that the listening socket is of no further use. All others concern one client, the
-/// network or what the system has to give.
-fn is_loss(error: &io::Error) -> bool {
+/// Whether an error of accept(2) means that the listening socket is lost. All others concern one client, the network or the
+/// system's resources.
+fn is_listener_failure(error: &io::Error) -> bool {
     let code = error.raw_os_error().map(Errno::from_raw);
     matches!(code, Some(Errno::EBADF | Errno::EINVAL | Errno::ENOTSOCK | Errno::EOPNOTSUPP))
 }

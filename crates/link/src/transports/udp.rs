@@ -1,11 +1,11 @@
-//! UDP: listens on a port and answers whom it hears, or sends to a host first.
+//! UDP: listens on a port and answers its peers, or sends to a host first.
 //!
-//! One socket, many peers. A peer that has been silent for a while is forgotten, except the host that the link names. The
-//! system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is enlarged and
-//! what was really granted is told. Errors that one unreachable peer causes are not a loss of the link.
+//! One socket serves many peers. A peer that has been silent for a while is forgotten, except the host that the URL
+//! names. The system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is
+//! enlarged, and a smaller grant is reported. An error that one unreachable peer causes is not a loss of the link.
 //!
-//! What was drained is delivered peer by peer in turn, and a peer that floods gets a socket of its own (`udp_socket`), of
-//! which less is taken per turn: it delays nobody and costs nobody a datagram.
+//! Datagrams are delivered peer by peer in turn. A peer that floods gets its own socket (`udp_socket`), of which fewer
+//! datagrams are read per turn: it delays nobody and causes no losses for others.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -13,79 +13,52 @@ use std::net::SocketAddr;
 use std::ops::Bound;
 use std::task::{Context, Poll, Waker};
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 use tokio::net::UdpSocket;
 
 use crate::capacity::CapacityMeter;
-use crate::connection::{Connection, Incoming, Outgoing, Outstanding, PortCounters};
-use crate::error::{LinkLoss, OpenError};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
-use crate::transports::udp_peers::Peers;
-use crate::transports::udp_socket::{bind_first, buffer_warning, call_first, enlarge_receive_buffer, split_off};
-use crate::transports::{
-    OpenFuture, OpenRequest, QUEUE_BYTES, RATE, Role, Transport, listening_detail, resolve, with_deadline,
+use crate::transport::IDLE;
+use crate::transports::open_request::{
+    ConnectRole, OpenRequest, QUEUE_BYTES, listening_detail, resolve, with_deadline,
 };
-use crate::url::{OptionHelp, OptionKind, TargetKind};
+use crate::transports::udp_peers::UdpPeerTable;
+use crate::transports::udp_socket::{
+    bind_first_available, buffer_warning, connect_first_reachable, enlarge_receive_buffer, open_dedicated_socket,
+};
 
-/// Datagrams taken from the socket per wake-up, so that one flooded port cannot starve the others.
+/// Datagrams read from the socket per wake-up, so that one flooded link cannot starve the others.
 const DRAIN_LIMIT: usize = 64;
-/// Datagrams taken from the socket of one loud peer in the same time.
-const LOUD_DRAIN_LIMIT: usize = 16;
-/// Most loud peers with a socket of their own; further ones stay with the others.
-const MAX_LOUD: usize = 64;
-/// How long nobody is set apart after an attempt has failed: without a descriptor left each datagram of a loud peer would
-/// cost another attempt.
-const APART_PAUSE: Span = Span::from_millis(1_000);
+/// Datagrams read from the socket of one flooding peer per wake-up.
+const BUSY_DRAIN_LIMIT: usize = 16;
+/// Most flooding peers with a socket of their own; further ones stay on the common socket.
+const MAX_BUSY_PEERS: usize = 64;
+/// Pause after a failure to open a peer's own socket: without a free descriptor each datagram would cost another attempt.
+const DEDICATED_SOCKET_INTERVAL: TimeDelta = TimeDelta::from_millis(1_000);
 /// Largest UDP datagram.
 const DATAGRAM_BYTES: usize = 65_535;
 
-/// When a peer is forgotten. Ten heartbeats of MAVLink may be lost before the default.
-const IDLE: OptionHelp = OptionHelp {
-    name: "idle_s",
-    kind: OptionKind::Integer { min: 1, max: 86_400, default: 10 },
-    help: "seconds of silence after which a peer is not written to any more",
-};
-
-/// See the module.
-pub(crate) struct Udp;
-
-impl Transport for Udp {
-    fn scheme(&self) -> &'static str {
-        "udp"
-    }
-    fn summary(&self) -> &'static str {
-        "UDP: without a host it listens and answers whom it hears, with a host it sends there first"
-    }
-    fn example(&self) -> &'static str {
-        "udp://:14550"
-    }
-    fn target_kind(&self) -> TargetKind {
-        TargetKind::Host
-    }
-    fn options(&self) -> &'static [OptionHelp] {
-        &[IDLE, RATE]
-    }
-    fn is_datagram(&self) -> bool {
-        true
-    }
-    fn open(&self, request: OpenRequest) -> OpenFuture {
-        Box::pin(async move { with_deadline(&request.url, open(&request)).await })
-    }
+pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+    with_deadline(&request.url, bind_or_connect(&request)).await
 }
 
-async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
+async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let (host, port) = request.url.host_and_port();
     let targets = resolve(host, port).await?;
     // "Every interface" is no place to send to.
     let is_unspecific = |target: &SocketAddr| target.ip().is_unspecified();
-    let is_listening = host.is_empty() || request.role == Role::Listen || targets.first().is_some_and(is_unspecific);
-    let (socket, target) = if is_listening { bind_first(&targets)? } else { call_first(&targets)? };
+    let is_listening =
+        host.is_empty() || request.role == ConnectRole::Listen || targets.first().is_some_and(is_unspecific);
+    let (socket, target) =
+        if is_listening { bind_first_available(&targets)? } else { connect_first_reachable(&targets)? };
     let local_address = socket.local_addr().unwrap_or(target);
     // The reactor learns that the socket takes data; without it the very first frame would wait for another wake-up.
     socket.writable().await.map_err(|source| OpenError::Io { what: local_address.to_string(), source })?;
     let granted_bytes = enlarge_receive_buffer(&socket);
-    let idle = Span::from_millis(1_000 * i64::from(request.url.integer(&IDLE)));
+    let idle = TimeDelta::from_millis(1_000 * i64::from(request.url.integer(&IDLE)));
     let mut detail = if is_listening {
         listening_detail(&request.url, local_address)
     } else {
@@ -100,83 +73,83 @@ async fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
         is_listening,
         detail,
         timer: request.timer,
-        loud: Vec::new(),
-        next_apart: Stamp::ZERO,
-        peers: Peers::new((!is_listening).then_some(target), idle),
+        busy_peers: Vec::new(),
+        next_dedicated_socket: Timestamp::ZERO,
+        peers: UdpPeerTable::new((!is_listening).then_some(target), idle),
         queue: SendQueue::new(QUEUE_BYTES),
         meter: CapacityMeter::default(),
-        inbox: Inbox::default(),
+        inbox: FairInbox::default(),
         was_idle: true,
         loss: None,
         buffer: vec![0; DATAGRAM_BYTES].into_boxed_slice(),
     }))
 }
 
-/// What was drained from the sockets and not delivered yet, peer by peer.
+/// Datagrams that were read and not delivered yet, by peer.
 #[derive(Default)]
-struct Inbox {
-    by_peer: BTreeMap<PeerId, VecDeque<Incoming>>,
+struct FairInbox {
+    by_peer: BTreeMap<PeerId, VecDeque<ReceivedData>>,
     /// The peer that was served last.
-    turn: PeerId,
+    last_served: PeerId,
 }
 
-impl Inbox {
-    fn push(&mut self, peer: PeerId, incoming: Incoming) {
+impl FairInbox {
+    fn push(&mut self, peer: PeerId, incoming: ReceivedData) {
         self.by_peer.entry(peer).or_default().push_back(incoming);
     }
 
     /// The oldest datagram of the next peer in turn.
-    fn pop(&mut self) -> Option<Incoming> {
-        let after = (Bound::Excluded(self.turn), Bound::Unbounded);
+    fn pop(&mut self) -> Option<ReceivedData> {
+        let after = (Bound::Excluded(self.last_served), Bound::Unbounded);
         let next = self.by_peer.range(after).next();
         let (peer, _) = next.or_else(|| self.by_peer.iter().next())?;
-        self.turn = *peer;
-        let queue = self.by_peer.get_mut(&self.turn)?;
+        self.last_served = *peer;
+        let queue = self.by_peer.get_mut(&self.last_served)?;
         let incoming = queue.pop_front();
         if queue.is_empty() {
-            self.by_peer.remove(&self.turn);
+            self.by_peer.remove(&self.last_served);
         }
         incoming
     }
 }
 
 /// A peer with a socket of its own.
-struct Loud {
+struct BusyPeer {
     address: SocketAddr,
     socket: UdpSocket,
-    /// What it sent before lies in the common socket and has to be delivered first.
-    is_next: bool,
+    /// Its earlier datagrams are in the common socket and have to be delivered first.
+    is_shared_pending: bool,
 }
 
 struct UdpConnection {
     socket: UdpSocket,
-    loud: Vec<Loud>,
-    /// When a loud peer may be set apart again.
-    next_apart: Stamp<HostClock>,
+    busy_peers: Vec<BusyPeer>,
+    /// When the next peer may get its own socket.
+    next_dedicated_socket: Timestamp<HostClock>,
     local_address: SocketAddr,
     is_listening: bool,
     detail: String,
     timer: HostTimer,
-    peers: Peers,
+    peers: UdpPeerTable,
     queue: SendQueue<SocketAddr>,
     meter: CapacityMeter,
-    inbox: Inbox,
-    /// Nothing was to be had when it was last polled: what comes next is alone, mostly.
+    inbox: FairInbox,
+    /// Nothing was available at the last poll, so the next datagram is probably alone.
     was_idle: bool,
-    /// Told when everything that arrived before has been delivered.
+    /// Reported after everything that arrived before has been delivered.
     loss: Option<io::Error>,
     buffer: Box<[u8]>,
 }
 
-/// Whether a socket is of further use.
+/// Whether a socket can still be used.
 #[derive(PartialEq, Eq)]
-enum Usable {
-    Yes,
-    No,
+enum SocketState {
+    Open,
+    Failed,
 }
 
 impl UdpConnection {
-    fn flush(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) {
+    fn flush(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) {
         let mut taken = 0;
         while let Some((to, frame)) = self.queue.head() {
             let Poll::Ready(result) = self.socket.poll_send_to(cx, frame, *to) else {
@@ -184,19 +157,19 @@ impl UdpConnection {
             };
             taken += frame.len();
             count_sent(&result, counters);
-            self.queue.drop_head();
+            self.queue.pop_head();
         }
-        self.measure(taken);
+        self.record_write(taken);
     }
 
-    fn measure(&mut self, taken: usize) {
-        self.meter.note_if_busy(|| self.timer.now(), taken, self.queue.backlog());
+    fn record_write(&mut self, taken: usize) {
+        self.meter.record_write_if_busy(|| self.timer.now(), taken, self.queue.backlog());
     }
 
-    /// The first datagram after a pause. It goes past the inbox: whether there are others is asked when it has been answered.
-    fn take_first(&mut self) -> Option<Incoming> {
+    /// The first datagram after a pause. It bypasses the inbox: the socket is read again after it has been answered.
+    fn receive_first(&mut self) -> Option<ReceivedData> {
         match self.socket.try_recv_from(&mut self.buffer) {
-            Ok((length, from)) => self.incoming(length, from),
+            Ok((length, from)) => self.received_datagram(length, from),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
             Err(error) if is_about_one_peer(&error) => None,
             Err(error) => {
@@ -206,19 +179,19 @@ impl UdpConnection {
         }
     }
 
-    /// Takes what the common socket holds, up to the limit.
+    /// Reads the datagrams of the common socket, up to the limit.
     fn drain(&mut self) {
         for _ in 0..DRAIN_LIMIT {
             match self.socket.try_recv_from(&mut self.buffer) {
                 Ok((length, from)) => {
                     self.deliver(length, from);
-                    if self.peers.is_loud(from) {
-                        self.set_apart(from);
+                    if self.peers.is_busy(from) {
+                        self.give_dedicated_socket(from);
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    for loud in &mut self.loud {
-                        loud.is_next = true;
+                    for loud in &mut self.busy_peers {
+                        loud.is_shared_pending = true;
                     }
                     return;
                 }
@@ -231,76 +204,76 @@ impl UdpConnection {
         }
     }
 
-    /// Gives a loud peer a socket of its own, if it has none and there is one to have.
-    fn set_apart(&mut self, address: SocketAddr) {
-        let has_one = self.loud.iter().any(|loud| loud.address == address);
+    /// Gives a flooding peer its own socket, if it has none and one can be opened.
+    fn give_dedicated_socket(&mut self, address: SocketAddr) {
+        let has_one = self.busy_peers.iter().any(|loud| loud.address == address);
         let now = self.timer.now();
-        if has_one || self.loud.len() >= MAX_LOUD || now < self.next_apart {
+        if has_one || self.busy_peers.len() >= MAX_BUSY_PEERS || now < self.next_dedicated_socket {
             return;
         }
-        match split_off(&self.socket, self.local_address, address) {
+        match open_dedicated_socket(&self.socket, self.local_address, address) {
             Ok(socket) => {
                 tracing::info!(peer = %address, at = %self.local_address, "a loud peer is read apart");
-                self.loud.push(Loud { address, socket, is_next: false });
+                self.busy_peers.push(BusyPeer { address, socket, is_shared_pending: false });
             }
             Err(error) => {
-                self.next_apart = now + APART_PAUSE;
+                self.next_dedicated_socket = now + DEDICATED_SOCKET_INTERVAL;
                 tracing::debug!(peer = %address, %error, "a loud peer stays");
             }
         }
     }
 
-    /// Takes a share of what the loud peers have sent; false, with a waker left at each, if there is nothing.
-    fn drain_loud(&mut self, cx: &mut Context<'_>) -> bool {
-        let mut loud = std::mem::take(&mut self.loud);
+    /// Reads some datagrams of each flooding peer; false, with a waker registered at each, if there are none.
+    fn drain_busy_peers(&mut self, cx: &mut Context<'_>) -> bool {
+        let mut loud = std::mem::take(&mut self.busy_peers);
         let mut found = false;
         loud.retain(|one| {
-            if one.is_next {
+            if one.is_shared_pending {
                 match one.socket.poll_recv_ready(cx) {
                     Poll::Pending => {}
                     Poll::Ready(Err(_)) => return false,
                     Poll::Ready(Ok(())) => {
                         found = true;
-                        if self.drain_one(&one.socket) == Usable::No {
+                        if self.drain_datagram(&one.socket) == SocketState::Failed {
                             return false;
                         }
                     }
                 }
             }
-            self.peers.knows(one.address)
+            self.peers.contains(one.address)
         });
         // Nobody was set apart in the meantime: that happens in `drain` only.
-        self.loud = loud;
+        self.busy_peers = loud;
         found
     }
 
-    fn drain_one(&mut self, socket: &UdpSocket) -> Usable {
-        for _ in 0..LOUD_DRAIN_LIMIT {
+    fn drain_datagram(&mut self, socket: &UdpSocket) -> SocketState {
+        for _ in 0..BUSY_DRAIN_LIMIT {
             match socket.try_recv_from(&mut self.buffer) {
                 Ok((length, from)) => self.deliver(length, from),
                 Err(error) if is_about_one_peer(&error) => {}
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Usable::Yes,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return SocketState::Open,
                 // The common socket hears the peer again when this one is closed.
-                Err(_) => return Usable::No,
+                Err(_) => return SocketState::Failed,
             }
         }
-        Usable::Yes
+        SocketState::Open
     }
 
     fn deliver(&mut self, length: usize, from: SocketAddr) {
-        if let Some(incoming) = self.incoming(length, from)
-            && let Incoming::Bytes { peer, .. } = incoming
+        if let Some(incoming) = self.received_datagram(length, from)
+            && let ReceivedData::Bytes { peer, .. } = incoming
         {
             self.inbox.push(peer, incoming);
         }
     }
 
-    /// What lies in the buffer; `None` for an empty datagram, which makes a peer known and says nothing else.
-    fn incoming(&mut self, length: usize, from: SocketAddr) -> Option<Incoming> {
+    /// The datagram in the buffer; `None` for an empty one, which only makes the peer known.
+    fn received_datagram(&mut self, length: usize, from: SocketAddr) -> Option<ReceivedData> {
         let arrival = self.timer.now();
-        let peer = self.peers.heard(from, arrival);
+        let peer = self.peers.record_activity(from, arrival);
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
-        (!bytes.is_empty()).then_some(Incoming::Bytes { peer, arrival, bytes })
+        (!bytes.is_empty()).then_some(ReceivedData::Bytes { peer, arrival, bytes })
     }
 }
 
@@ -317,10 +290,10 @@ impl Connection for UdpConnection {
         self.is_listening
     }
 
-    fn send(&mut self, out: &Outgoing<'_>, counters: &mut PortCounters) {
+    fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
         let frame = out.frame;
         let mut cx = Context::from_waker(Waker::noop());
-        for to in self.peers.audience(out.to, self.timer.now()) {
+        for to in self.peers.recipient_addresses(out.to, self.timer.now()) {
             if !self.queue.is_empty() {
                 counters.drops_out += self.queue.push(to, out.priority, frame);
                 continue;
@@ -330,10 +303,10 @@ impl Connection for UdpConnection {
                 Poll::Pending => counters.drops_out += self.queue.push(to, out.priority, frame),
             }
         }
-        self.measure(0);
+        self.record_write(0);
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut PortCounters) -> Poll<Result<Incoming, LinkLoss>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
         self.flush(cx, counters);
         loop {
             if let Some(incoming) = self.inbox.pop() {
@@ -346,7 +319,7 @@ impl Connection for UdpConnection {
             match common {
                 Poll::Ready(Ok(())) => {
                     if std::mem::take(&mut self.was_idle)
-                        && let Some(first) = self.take_first()
+                        && let Some(first) = self.receive_first()
                     {
                         return Poll::Ready(Ok(first));
                     }
@@ -355,20 +328,20 @@ impl Connection for UdpConnection {
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
                 Poll::Pending => {}
             }
-            if !self.drain_loud(cx) && common.is_pending() {
+            if !self.drain_busy_peers(cx) && common.is_pending() {
                 self.was_idle = true;
                 return Poll::Pending;
             }
         }
     }
 
-    fn reach(&self, to: Audience) -> u32 {
-        self.peers.reach(to, self.timer.now())
+    fn count_recipients(&self, to: Recipients) -> u32 {
+        self.peers.count_recipients(to, self.timer.now())
     }
 
-    fn outstanding(&self, now: Stamp<HostClock>) -> Outstanding {
-        Outstanding {
-            peers: self.peers.reach(Audience::All, now),
+    fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus {
+        QueueStatus {
+            peers: self.peers.count_recipients(Recipients::All, now),
             frames: self.queue.len() as u64,
             bytes: self.queue.bytes() as u64,
             capacity_bytes_per_s: self.meter.bytes_per_s(now),
@@ -377,14 +350,14 @@ impl Connection for UdpConnection {
 }
 
 /// A datagram that the system refuses concerns one peer or one moment, never the link.
-fn count_sent(result: &io::Result<usize>, counters: &mut PortCounters) {
+fn count_sent(result: &io::Result<usize>, counters: &mut LinkCounters) {
     match result {
         Ok(count) => counters.bytes_out += *count as u64,
         Err(_) => counters.drops_out += 1,
     }
 }
 
-/// Errors that earlier datagrams to a peer that is gone have left on the socket.
+/// Errors on the socket that earlier datagrams to an unreachable peer caused.
 fn is_about_one_peer(error: &io::Error) -> bool {
     matches!(
         error.kind(),

@@ -1,40 +1,40 @@
-//! Who is at the other ends of a UDP socket: numbered as they are met, forgotten when they are silent.
+//! The peers of a UDP socket: numbered in the order of first contact, forgotten after silence.
 //!
-//! It also tells who is loud. Time comes in with each datagram; no socket is touched here.
+//! Also detects peers that send too much. Time is an argument; no socket is used here.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
-use posebridge_telemetry::{Audience, HostClock, PeerId, Span, Stamp};
+use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 
-/// Most peers at a time; the most silent go first. Guards against forged source addresses.
+/// Most peers at a time; those silent for longest are dropped first. Guards against forged source addresses.
 const MAX_PEERS: usize = 4096;
 /// Over this time the datagrams of a peer are counted.
-const LOUD_WINDOW: Span = Span::from_millis(100);
-/// More datagrams than this within the window make a peer loud: 5000 per second, ten times a brick that sends every
-/// sensor at 100 Hz in datagrams of their own.
-const LOUD_DATAGRAMS: u32 = 500;
+const BUSY_WINDOW: TimeDelta = TimeDelta::from_millis(100);
+/// More datagrams than this within the window count as flooding: 5000 per second, ten times a brick that sends every sensor
+/// at 100 Hz in a datagram of its own.
+const BUSY_DATAGRAMS: u32 = 500;
 
-/// Who is at the other ends.
-pub(super) struct Peers {
-    idle: Span,
-    by_address: BTreeMap<SocketAddr, Peer>,
+/// The known peers.
+pub(super) struct UdpPeerTable {
+    idle: TimeDelta,
+    by_address: BTreeMap<SocketAddr, UdpPeer>,
     by_id: BTreeMap<PeerId, SocketAddr>,
     next_id: u32,
 }
 
-struct Peer {
+struct UdpPeer {
     id: PeerId,
-    window_start: Stamp<HostClock>,
+    window_start: Timestamp<HostClock>,
     /// Datagrams since then.
-    in_window: u32,
+    window_datagrams: u32,
     /// `None` for the host that the link names, which is never forgotten.
-    last_heard: Option<Stamp<HostClock>>,
+    last_heard: Option<Timestamp<HostClock>>,
 }
 
-impl Peers {
-    /// Nobody but the host that the link names; others are forgotten after `idle` of silence.
-    pub(super) fn new(named: Option<SocketAddr>, idle: Span) -> Self {
+impl UdpPeerTable {
+    /// Only the host that the URL names; others are forgotten after `idle` of silence.
+    pub(super) fn new(named: Option<SocketAddr>, idle: TimeDelta) -> Self {
         let mut peers = Self { idle, by_address: BTreeMap::new(), by_id: BTreeMap::new(), next_id: 0 };
         if let Some(address) = named {
             peers.insert(address, None);
@@ -42,13 +42,13 @@ impl Peers {
         peers
     }
 
-    fn insert(&mut self, address: SocketAddr, last_heard: Option<Stamp<HostClock>>) -> PeerId {
+    fn insert(&mut self, address: SocketAddr, last_heard: Option<Timestamp<HostClock>>) -> PeerId {
         let id = PeerId(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
-        let peer = Peer {
+        let peer = UdpPeer {
             id,
-            window_start: last_heard.unwrap_or(Stamp::ZERO),
-            in_window: u32::from(last_heard.is_some()),
+            window_start: last_heard.unwrap_or(Timestamp::ZERO),
+            window_datagrams: u32::from(last_heard.is_some()),
             last_heard,
         };
         self.by_address.insert(address, peer);
@@ -56,11 +56,11 @@ impl Peers {
         id
     }
 
-    /// Notes that `address` was heard.
-    pub(super) fn heard(&mut self, address: SocketAddr, now: Stamp<HostClock>) -> PeerId {
+    /// Records a datagram from `address`.
+    pub(super) fn record_activity(&mut self, address: SocketAddr, now: Timestamp<HostClock>) -> PeerId {
         if let Some(peer) = self.by_address.get_mut(&address) {
-            peer.count(now);
-            let is_away = |heard: &Stamp<HostClock>| now - *heard > self.idle;
+            peer.count_datagram(now);
+            let is_away = |heard: &Timestamp<HostClock>| now - *heard > self.idle;
             if !peer.last_heard.as_ref().is_some_and(is_away) {
                 peer.last_heard = peer.last_heard.map(|_| now);
                 return peer.id;
@@ -68,18 +68,18 @@ impl Peers {
             // Away for so long that what it sent before has no bearing on what it sends now.
             self.remove(address);
         } else if self.by_address.len() >= MAX_PEERS {
-            self.forget_most_silent();
+            self.evict_most_idle();
         }
         self.insert(address, Some(now))
     }
 
     /// True if `address` sends so much that it should not share a buffer with the others.
-    pub(super) fn is_loud(&self, address: SocketAddr) -> bool {
-        self.by_address.get(&address).is_some_and(|peer| peer.in_window > LOUD_DATAGRAMS)
+    pub(super) fn is_busy(&self, address: SocketAddr) -> bool {
+        self.by_address.get(&address).is_some_and(|peer| peer.window_datagrams > BUSY_DATAGRAMS)
     }
 
     /// True if `address` has not been forgotten.
-    pub(super) fn knows(&self, address: SocketAddr) -> bool {
+    pub(super) fn contains(&self, address: SocketAddr) -> bool {
         self.by_address.contains_key(&address)
     }
 
@@ -90,7 +90,7 @@ impl Peers {
     }
 
     /// Makes room by a quarter at a time, so that a flood of forged addresses does not cost a search per datagram.
-    fn forget_most_silent(&mut self) {
+    fn evict_most_idle(&mut self) {
         let mut by_silence: Vec<_> = self
             .by_address
             .iter()
@@ -102,7 +102,7 @@ impl Peers {
         }
     }
 
-    pub(super) fn forget_idle(&mut self, now: Stamp<HostClock>) {
+    pub(super) fn evict_idle(&mut self, now: Timestamp<HostClock>) {
         let (by_id, idle) = (&mut self.by_id, self.idle);
         self.by_address.retain(|_, peer| {
             let is_live = peer.last_heard.is_none_or(|heard| now - heard <= idle);
@@ -113,33 +113,33 @@ impl Peers {
         });
     }
 
-    /// How many of those who are heard at the moment belong to an audience.
-    pub(super) fn reach(&self, audience: Audience, now: Stamp<HostClock>) -> u32 {
-        if let Audience::Peer(id) = audience {
+    /// The number of current peers among the recipients.
+    pub(super) fn count_recipients(&self, audience: Recipients, now: Timestamp<HostClock>) -> u32 {
+        if let Recipients::Peer(id) = audience {
             return u32::from(self.by_id.contains_key(&id));
         }
-        let is_live = |peer: &&Peer| peer.last_heard.is_none_or(|heard| now - heard <= self.idle);
+        let is_live = |peer: &&UdpPeer| peer.last_heard.is_none_or(|heard| now - heard <= self.idle);
         let live = self.by_address.values().filter(is_live);
         live.filter(|peer| audience.includes(peer.id)).count() as u32
     }
 
-    /// The addresses of those who are to hear a frame.
-    pub(super) fn audience(&mut self, audience: Audience, now: Stamp<HostClock>) -> Vec<SocketAddr> {
-        if let Audience::Peer(id) = audience {
+    /// The addresses of a frame's recipients.
+    pub(super) fn recipient_addresses(&mut self, audience: Recipients, now: Timestamp<HostClock>) -> Vec<SocketAddr> {
+        if let Recipients::Peer(id) = audience {
             return self.by_id.get(&id).copied().into_iter().collect();
         }
-        self.forget_idle(now);
+        self.evict_idle(now);
         self.by_address.iter().filter(|(_, peer)| audience.includes(peer.id)).map(|(address, _)| *address).collect()
     }
 }
 
-impl Peer {
-    fn count(&mut self, now: Stamp<HostClock>) {
-        if now - self.window_start >= LOUD_WINDOW {
+impl UdpPeer {
+    fn count_datagram(&mut self, now: Timestamp<HostClock>) {
+        if now - self.window_start >= BUSY_WINDOW {
             self.window_start = now;
-            self.in_window = 0;
+            self.window_datagrams = 0;
         }
-        self.in_window = self.in_window.saturating_add(1);
+        self.window_datagrams = self.window_datagrams.saturating_add(1);
     }
 }
 
@@ -147,7 +147,7 @@ impl Peer {
 mod tests {
     use super::*;
 
-    const IDLE: Span = Span::from_millis(10_000);
+    const IDLE: TimeDelta = TimeDelta::from_millis(10_000);
 
     fn address(port: u16) -> SocketAddr {
         SocketAddr::from(([10, 0, 0, 1], port))
@@ -155,40 +155,40 @@ mod tests {
 
     #[test]
     fn a_silent_peer_is_forgotten_and_comes_back_as_a_new_one() {
-        let mut peers = Peers::new(None, IDLE);
-        let first = peers.heard(address(1), Stamp::from_millis(0));
-        let second = peers.heard(address(2), Stamp::from_millis(6_000));
+        let mut peers = UdpPeerTable::new(None, IDLE);
+        let first = peers.record_activity(address(1), Timestamp::from_millis(0));
+        let second = peers.record_activity(address(2), Timestamp::from_millis(6_000));
         assert_ne!(first, second);
-        let now = Stamp::from_millis(10_001);
-        assert_eq!(peers.audience(Audience::All, now), [address(2)]);
-        assert!(peers.audience(Audience::Peer(first), now).is_empty());
-        assert_ne!(peers.heard(address(1), now), first);
-        assert_eq!(peers.heard(address(2), now), second);
+        let now = Timestamp::from_millis(10_001);
+        assert_eq!(peers.recipient_addresses(Recipients::All, now), [address(2)]);
+        assert!(peers.recipient_addresses(Recipients::Peer(first), now).is_empty());
+        assert_ne!(peers.record_activity(address(1), now), first);
+        assert_eq!(peers.record_activity(address(2), now), second);
     }
 
     #[test]
     fn who_was_away_for_long_is_a_new_one_even_if_nobody_looked() {
-        let mut peers = Peers::new(None, IDLE);
-        let first = peers.heard(address(1), Stamp::ZERO);
-        let still = peers.heard(address(1), Stamp::from_millis(10_000));
+        let mut peers = UdpPeerTable::new(None, IDLE);
+        let first = peers.record_activity(address(1), Timestamp::ZERO);
+        let still = peers.record_activity(address(1), Timestamp::from_millis(10_000));
         assert_eq!(first, still);
-        let back = peers.heard(address(1), Stamp::from_millis(20_001));
+        let back = peers.record_activity(address(1), Timestamp::from_millis(20_001));
         assert_ne!(first, back);
     }
 
     #[test]
     fn the_named_host_is_never_forgotten() {
-        let mut peers = Peers::new(Some(address(1)), IDLE);
-        let now = Stamp::from_millis(3_600_000);
-        assert_eq!(peers.audience(Audience::All, now), [address(1)]);
-        assert_eq!(peers.heard(address(1), now), PeerId(0));
+        let mut peers = UdpPeerTable::new(Some(address(1)), IDLE);
+        let now = Timestamp::from_millis(3_600_000);
+        assert_eq!(peers.recipient_addresses(Recipients::All, now), [address(1)]);
+        assert_eq!(peers.record_activity(address(1), now), PeerId(0));
     }
 
     #[test]
     fn forged_addresses_do_not_grow_the_list_without_end() {
-        let mut peers = Peers::new(Some(address(0)), IDLE);
+        let mut peers = UdpPeerTable::new(Some(address(0)), IDLE);
         for port in 1..=u16::MAX {
-            peers.heard(address(port), Stamp::from_millis(i64::from(port) / 10));
+            peers.record_activity(address(port), Timestamp::from_millis(i64::from(port) / 10));
         }
         assert!((MAX_PEERS / 2..=MAX_PEERS).contains(&peers.by_address.len()));
         assert_eq!(peers.by_id.len(), peers.by_address.len());
@@ -198,27 +198,27 @@ mod tests {
 
     #[test]
     fn a_peer_is_loud_when_it_sends_more_than_a_brick_ever_does() {
-        let mut peers = Peers::new(None, IDLE);
+        let mut peers = UdpPeerTable::new(None, IDLE);
         // 100 Hz and 5000 Hz are calm, 10 kHz is loud.
         for (port, period_micros, expected) in [(1, 10_000, false), (2, 200, false), (3, 100, true)] {
             let mut was_loud = false;
             for number in 0..5_000 {
-                peers.heard(address(port), Stamp::from_micros(number * period_micros));
-                was_loud |= peers.is_loud(address(port));
+                peers.record_activity(address(port), Timestamp::from_micros(number * period_micros));
+                was_loud |= peers.is_busy(address(port));
             }
             assert_eq!(was_loud, expected, "every {period_micros} us");
         }
-        assert!(!peers.is_loud(address(4)));
+        assert!(!peers.is_busy(address(4)));
     }
 
     #[test]
     fn the_idle_time_is_the_links_own() {
-        let mut peers = Peers::new(None, Span::from_millis(2_000));
-        peers.heard(address(1), Stamp::ZERO);
-        assert_eq!(peers.reach(Audience::All, Stamp::from_millis(2_000)), 1);
-        assert_eq!(peers.reach(Audience::All, Stamp::from_millis(2_001)), 0);
-        assert!(peers.knows(address(1)));
-        peers.forget_idle(Stamp::from_millis(2_001));
-        assert!(!peers.knows(address(1)));
+        let mut peers = UdpPeerTable::new(None, TimeDelta::from_millis(2_000));
+        peers.record_activity(address(1), Timestamp::ZERO);
+        assert_eq!(peers.count_recipients(Recipients::All, Timestamp::from_millis(2_000)), 1);
+        assert_eq!(peers.count_recipients(Recipients::All, Timestamp::from_millis(2_001)), 0);
+        assert!(peers.contains(address(1)));
+        peers.evict_idle(Timestamp::from_millis(2_001));
+        assert!(!peers.contains(address(1)));
     }
 }

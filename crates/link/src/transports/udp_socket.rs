@@ -1,13 +1,13 @@
-//! The sockets of a UDP link: a large receive buffer for everybody, and one more for each peer that floods.
+//! The sockets of a UDP link: one with a large receive buffer for all peers, and one more for each peer that floods.
 //!
-//! A host's name may have several addresses, of which the first need not be of any use here: an IPv6 address on a computer
-//! without a way to IPv6, for instance. Unlike TCP no answer tells which one is heard, so what decides is what this computer
-//! can know: which address it can listen at, and to which it has a way.
+//! A host name may have several addresses, and the first may be unusable, such as an IPv6 address on a computer without
+//! an IPv6 route. UDP has no handshake that would tell, so the choice is by what this computer knows: the addresses
+//! that it can bind, and those to which it has a route.
 //!
-//! The buffer of a socket is first come, first served: one peer that sends faster than we read fills it, and the system
-//! then drops the datagrams of all. So a loud peer is given a socket of its own, bound to the same address and connected
-//! to it; Linux delivers to the socket that fits best, so from then on that peer fills and loses only its own. Nothing is
-//! lost on the way: what arrives between binding and connecting bears its sender's address and is delivered as usual.
+//! A socket's buffer is first come, first served: one peer that sends faster than we read fills it, and the system then
+//! drops the datagrams of all. So such a peer gets its own socket, bound to the same address and connected to the peer;
+//! Linux delivers to the most specific socket, so from then on that peer fills and loses only its own. No datagram is
+//! lost meanwhile: one that arrives between bind and connect carries its sender's address and is delivered as usual.
 
 use std::io;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -16,17 +16,17 @@ use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use tokio::net::UdpSocket;
 
 use crate::error::OpenError;
-use crate::transports::bind_error;
+use crate::transports::open_request::bind_error;
 
-/// Receive buffer that is asked for. Linux doubles it and charges 832 bytes for a small datagram (its default of 212 992
-/// bytes was measured to hold 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
+/// Requested receive buffer. Linux doubles it and charges 832 bytes for a small datagram (measured: its default of 212 992
+/// bytes holds 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
 pub const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
 
-/// A socket that listens at the first of these addresses that can be had, and that address.
+/// A socket bound to the first possible address, and that address.
 ///
 /// # Errors
-/// None can be had; what stands against the first.
-pub(super) fn bind_first(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAddr), OpenError> {
+/// None can be bound; the error of the first.
+pub(super) fn bind_first_available(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAddr), OpenError> {
     let mut failure = None;
     for target in targets {
         match bind(*target) {
@@ -34,23 +34,23 @@ pub(super) fn bind_first(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAdd
             Err(error) => failure = failure.or(Some(bind_error(*target, error))),
         }
     }
-    Err(failure.unwrap_or_else(nothing_to_open))
+    Err(failure.unwrap_or_else(no_address_error))
 }
 
-/// A socket that can send to the first of these addresses to which there is a way, and that address. Without a way to any
-/// of them it is the first one: the network may come later.
+/// A socket that sends to the first address with a route, and that address. Without any route it is the first address: the
+/// network may come up later.
 ///
 /// # Errors
-/// No socket can be had.
-pub(super) fn call_first(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAddr), OpenError> {
-    let reachable = targets.iter().find(|target| has_way_to(**target));
-    let target = reachable.or(targets.first()).ok_or_else(nothing_to_open)?;
-    let local = any_port_beside(*target);
+/// No socket can be opened.
+pub(super) fn connect_first_reachable(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAddr), OpenError> {
+    let reachable = targets.iter().find(|target| has_route_to(**target));
+    let target = reachable.or(targets.first()).ok_or_else(no_address_error)?;
+    let local = wildcard_address_for(*target);
     let socket = bind(local).map_err(|error| bind_error(local, error))?;
     Ok((socket, *target))
 }
 
-fn nothing_to_open() -> OpenError {
+fn no_address_error() -> OpenError {
     OpenError::UnknownHost { host: String::new(), source: io::ErrorKind::NotFound.into() }
 }
 
@@ -60,13 +60,13 @@ fn bind(address: SocketAddr) -> io::Result<UdpSocket> {
     UdpSocket::from_std(socket)
 }
 
-/// Whether the system knows where to send what is for `target`; to connect a UDP socket asks for that and sends nothing.
-fn has_way_to(target: SocketAddr) -> bool {
-    std::net::UdpSocket::bind(any_port_beside(target)).is_ok_and(|socket| socket.connect(target).is_ok())
+/// Whether the system has a route to `target`; connecting a UDP socket looks it up and sends nothing.
+fn has_route_to(target: SocketAddr) -> bool {
+    std::net::UdpSocket::bind(wildcard_address_for(target)).is_ok_and(|socket| socket.connect(target).is_ok())
 }
 
-/// Every interface, for the kind of address that `target` is, at a port that the system chooses.
-fn any_port_beside(target: SocketAddr) -> SocketAddr {
+/// Every interface of the address family of `target`, at a port that the system chooses.
+fn wildcard_address_for(target: SocketAddr) -> SocketAddr {
     if target.is_ipv6() {
         SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0))
     } else {
@@ -74,7 +74,7 @@ fn any_port_beside(target: SocketAddr) -> SocketAddr {
     }
 }
 
-/// Asks for a large receive buffer and returns how many bytes were granted.
+/// Requests a large receive buffer and returns the granted size in bytes.
 pub(super) fn enlarge_receive_buffer(socket: &UdpSocket) -> usize {
     enlarge(&SockRef::from(socket))
 }
@@ -88,7 +88,7 @@ fn enlarge(socket: &SockRef<'_>) -> usize {
     doubled / 2
 }
 
-/// What is said about a buffer that is smaller than was asked for.
+/// The warning about a receive buffer that is smaller than requested.
 pub(super) fn buffer_warning(granted_bytes: usize) -> Option<String> {
     (granted_bytes < RECEIVE_BUFFER_BYTES).then(|| {
         format!(
@@ -98,11 +98,11 @@ pub(super) fn buffer_warning(granted_bytes: usize) -> Option<String> {
     })
 }
 
-/// A socket that hears `peer` instead of `main`, which is bound to `local`.
+/// A socket that receives from `peer` instead of `main`, which is bound to `local`.
 ///
 /// # Errors
-/// The system has no socket left, or `peer` cannot be reached.
-pub(super) fn split_off(main: &UdpSocket, local: SocketAddr, peer: SocketAddr) -> io::Result<UdpSocket> {
+/// No socket can be opened, or `peer` is unreachable.
+pub(super) fn open_dedicated_socket(main: &UdpSocket, local: SocketAddr, peer: SocketAddr) -> io::Result<UdpSocket> {
     let own = Socket::new(Domain::for_address(local), Type::DGRAM, Some(Protocol::UDP))?;
     own.set_nonblocking(true)?;
     own.set_reuse_address(true)?;
@@ -132,18 +132,18 @@ mod tests {
 
     #[tokio::test]
     async fn of_several_addresses_the_first_that_can_be_had_listens() {
-        let (socket, chosen) = bind_first(&[FOREIGN, HERE]).expect("one is ours");
+        let (socket, chosen) = bind_first_available(&[FOREIGN, HERE]).expect("one is ours");
         assert_eq!(chosen, HERE);
         let local = socket.local_addr().expect("it is bound");
         assert_eq!(local.ip(), HERE.ip());
-        let error = bind_first(&[FOREIGN, local]).expect_err("neither is free");
+        let error = bind_first_available(&[FOREIGN, local]).expect_err("neither is free");
         assert!(error.to_string().contains("192.0.2.1"), "{error}");
     }
 
     #[tokio::test]
     async fn of_several_addresses_the_first_with_a_way_is_called() {
         for (targets, expected) in [(&[NO_WAY, THERE][..], THERE), (&[THERE, NO_WAY], THERE), (&[NO_WAY], NO_WAY)] {
-            let (socket, chosen) = call_first(targets).expect("a free port");
+            let (socket, chosen) = connect_first_reachable(targets).expect("a free port");
             assert_eq!(chosen, expected);
             let local = socket.local_addr().expect("it is bound");
             assert!(local.ip().is_unspecified());

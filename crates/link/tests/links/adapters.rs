@@ -1,4 +1,4 @@
-//! Serial adapters on a made-up computer: which one is meant, and what becomes of the settings of its line.
+//! Serial adapters on a simulated computer: which one is opened, and what happens to its line settings.
 
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
@@ -9,32 +9,36 @@ use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
-use posebridge_link::{DeviceDirectories, LineSettings, LinkUrl, Port, PortConfig, PortTuning, Role};
+use posebridge_link::{ConnectRole, DeviceDirectories, LineSettingsPolicy, Link, LinkOpenConfig, LinkTuning, LinkUrl};
 use posebridge_telemetry::LinkId;
 use rustix::termios::{self, ControlModes, OptionalActions};
 
 /// A computer whose devices are told of in the bench's directory.
-fn tuning(bench: &Bench) -> PortTuning {
+fn tuning(bench: &Bench) -> LinkTuning {
     let root = bench.directory.path();
-    PortTuning {
-        directories: DeviceDirectories {
+    LinkTuning {
+        device_directories: DeviceDirectories {
             serial_by_id: root.join("by-id"),
             serial_by_path: root.join("by-path"),
             tty_class: root.join("tty"),
             usb_serial: root.join("usb-serial"),
         },
-        ..PortTuning::default()
+        ..LinkTuning::default()
     }
 }
 
 /// A station on such a computer.
-fn station_at(bench: &Bench, url: &str) -> Port {
+fn station_at(bench: &Bench, url: &str) -> Link {
     tuned(bench, url, tuning(bench))
 }
 
-fn tuned(bench: &Bench, url: &str, tuning: PortTuning) -> Port {
-    let config = PortConfig { id: LinkId(1), url: LinkUrl::parse(url).expect("the test's own link"), role: Role::Dial };
-    Port::tuned(config, tuning, bench.timer)
+fn tuned(bench: &Bench, url: &str, tuning: LinkTuning) -> Link {
+    let config = LinkOpenConfig {
+        id: LinkId(1),
+        url: LinkUrl::parse(url).expect("the test's own link"),
+        role: ConnectRole::Dial,
+    };
+    Link::with_tuning(config, tuning, bench.timer)
 }
 
 #[tokio::test(start_paused = true)]
@@ -57,8 +61,8 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     let before = format!("{:?}", settings());
 
     let url = format!("serial:{}?baud=57600", bench.path().display());
-    let with = |line_settings| PortTuning { line_settings, ..tuning(&bench) };
-    let mut guest = tuned(&bench, &url, with(LineSettings::PutBack));
+    let with = |line_settings| LinkTuning { line_settings, ..tuning(&bench) };
+    let mut guest = tuned(&bench, &url, with(LineSettingsPolicy::Restore));
     up(&mut guest).await;
     assert_eq!(settings().output_speed(), 57_600);
     drop(guest);
@@ -67,7 +71,7 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     let says = || std::fs::read_to_string(&latency_timer).expect("it is there");
     assert_eq!(says(), "16\n");
 
-    let mut station = tuned(&bench, &url, with(LineSettings::Keep));
+    let mut station = tuned(&bench, &url, with(LineSettingsPolicy::Keep));
     assert!(up(&mut station).await.contains("latency timer 1 ms"));
     drop(station);
     assert!(!settings().control_modes.contains(ControlModes::HUPCL));
@@ -108,9 +112,9 @@ fn tell(bench: &Bench, name: &str, plug: &Plug) {
 }
 
 /// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
-async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Port {
+async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Link {
     let device = bench.directory.path().join(name);
-    let mut pty = port(&format!("pty:{}", device.display()), Role::Listen, bench.timer);
+    let mut pty = port(&format!("pty:{}", device.display()), ConnectRole::Listen, bench.timer);
     up(&mut pty).await;
     tell(bench, name, plug);
     pty
@@ -177,7 +181,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     let shown = bench.directory.path().display().to_string();
     let pattern = format!("serial:{shown}/ttyACM*");
     let mut first = station_at(&bench, &pattern);
-    first.open_first().await.expect("a device may come");
+    first.try_open().await.expect("a device may come");
     let (reason, _) = down(&mut first).await;
     assert_eq!(reason, format!("{shown}/ttyACM* is not there: plug the device in or check the name"));
     let board = |id| Plug { socket: id, id, serial: Some(id) };
@@ -188,8 +192,8 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     let mut second = station_at(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
     assert_eq!(up(&mut second).await, format!("{shown}/ttyACM1 at 9600 baud"));
     let mut third = station_at(&bench, &pattern);
-    let error = third.open_first().await.expect_err("both are taken");
-    assert!(error.stops_start() && error.can_heal());
+    let error = third.try_open().await.expect_err("both are taken");
+    assert!(error.prevents_start() && error.is_transient());
     let busy = format!("port {shown}/ttyACM0 is in use by another program");
     assert!(error.to_string().starts_with(&busy), "{error}");
 

@@ -1,16 +1,16 @@
-//! Bluetooth links without a radio: what is said, and that nothing hangs.
+//! Bluetooth links without a radio: the error messages, and that nothing hangs.
 
 use crate::support::port;
-use posebridge_link::{HostTimer, Role};
+use posebridge_link::{ConnectRole, HostTimer};
 
 const BRICK: &str = "bluetooth://00:16:53:AA:BB:CC?channel=1";
 
 #[cfg(not(feature = "bluetooth"))]
 #[tokio::test(start_paused = true)]
 async fn a_program_without_bluetooth_says_how_to_get_it() {
-    let mut brick = port(BRICK, Role::Dial, HostTimer::start());
-    let error = brick.open_first().await.expect_err("not built");
-    assert!(!error.can_heal() && error.stops_start());
+    let mut brick = port(BRICK, ConnectRole::Dial, HostTimer::start());
+    let error = brick.try_open().await.expect_err("not built");
+    assert!(!error.is_transient() && error.prevents_start());
     assert_eq!(
         error.to_string(),
         "Bluetooth is not built into this program: build it with `cargo build --release --features bluetooth`, or \
@@ -22,10 +22,10 @@ async fn a_program_without_bluetooth_says_how_to_get_it() {
 #[tokio::test(start_paused = true)]
 async fn a_brick_that_cannot_be_reached_is_waited_for() {
     use crate::support::down;
-    use posebridge_telemetry::Span;
+    use posebridge_telemetry::TimeDelta;
 
-    let mut brick = port(BRICK, Role::Dial, HostTimer::start());
-    brick.open_first().await.expect("it may be switched on later");
+    let mut brick = port(BRICK, ConnectRole::Dial, HostTimer::start());
+    brick.try_open().await.expect("it may be switched on later");
     let (reason, retry_in) = down(&mut brick).await;
     assert!(reason.contains("00:16:53:AA:BB:CC"), "{reason}");
     assert!(retry_in > Span::ZERO);

@@ -1,11 +1,11 @@
-//! What every transport promises, checked for each line of the table.
+//! The promises of every transport, checked for each entry of the table.
 
 use std::path::Path;
 use std::time::Duration;
 
 use crate::support::{down, next_beside, poll_once, port, up};
-use posebridge_link::{HostTimer, LinkUrl, Port, PortEvent, Role, TRANSPORTS};
-use posebridge_telemetry::Span;
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkUrl, TRANSPORTS};
+use posebridge_telemetry::TimeDelta;
 
 /// How the two ends of a link over one transport are made. The far end listens.
 struct Plan {
@@ -32,8 +32,8 @@ fn plan(scheme: &str, device: &Path) -> Option<Plan> {
 
 /// The two ends of a link, with what is needed to make the far end again.
 struct Ends {
-    near: Port,
-    far: Port,
+    near: Link,
+    far: Link,
     far_url: String,
     hears_loss: bool,
     timer: HostTimer,
@@ -45,7 +45,7 @@ impl Ends {
         let timer = HostTimer::start();
         let directory = tempfile::tempdir().expect("a temporary directory");
         let plan = plan(scheme, &directory.path().join("brick.tty"))?;
-        let mut far = port(&plan.far, Role::Listen, timer);
+        let mut far = port(&plan.far, ConnectRole::Listen, timer);
         let (near_url, far_url) = if let Some(near_url) = plan.near {
             (near_url, plan.far)
         } else {
@@ -55,7 +55,7 @@ impl Ends {
             (url.clone(), url)
         };
         let mut ends = Self {
-            near: port(&near_url, Role::Dial, timer),
+            near: port(&near_url, ConnectRole::Dial, timer),
             far,
             far_url,
             hears_loss: plan.hears_loss,
@@ -85,16 +85,16 @@ impl Ends {
     }
 
     fn restart_far(&mut self) {
-        let fresh = port(&self.far_url, Role::Listen, self.timer);
+        let fresh = port(&self.far_url, ConnectRole::Listen, self.timer);
         self.far = fresh;
     }
 }
 
 /// Waits for bytes on one end while the other works too; what else happens there does not matter.
-async fn beside(to: &mut Port, from: &mut Port, count: usize) -> Vec<u8> {
+async fn beside(to: &mut Link, from: &mut Link, count: usize) -> Vec<u8> {
     let mut all = Vec::new();
     while all.len() < count {
-        if let PortEvent::Bytes { bytes, .. } = next_beside(to, from).await {
+        if let LinkEvent::Bytes { bytes, .. } = next_beside(to, from).await {
             all.extend(bytes);
         }
     }
@@ -174,7 +174,7 @@ async fn dropping_next_loses_nothing() {
             ends.far.send(&[number]);
             // Each round starts `next`, polls it once and drops it, whether or not it had something to say.
             while heard.len() <= usize::from(number) {
-                if let Some(PortEvent::Bytes { bytes, .. }) = poll_once(&mut ends.near).await {
+                if let Some(LinkEvent::Bytes { bytes, .. }) = poll_once(&mut ends.near).await {
                     heard.extend(bytes);
                 } else {
                     tokio::task::yield_now().await;
@@ -194,11 +194,11 @@ async fn every_link_works_again_after_the_far_end_was_restarted() {
         };
         for restart in 1..=3 {
             // Closing before opening again: the address or the name has to be free.
-            ends.far = port("file:/dev/null/nowhere", Role::Dial, ends.timer);
+            ends.far = port("file:/dev/null/nowhere", ConnectRole::Dial, ends.timer);
             if ends.hears_loss {
                 let (reason, retry_in) = down(&mut ends.near).await;
                 assert!(reason.contains("other end is gone"), "{reason}");
-                assert!(retry_in > Span::ZERO && retry_in < Span::from_millis(5_600));
+                assert!(retry_in > TimeDelta::ZERO && retry_in < TimeDelta::from_millis(5_600));
             }
             ends.restart_far();
             ends.both_up().await;
@@ -212,9 +212,9 @@ async fn every_link_works_again_after_the_far_end_was_restarted() {
 #[tokio::test(start_paused = true)]
 async fn frames_for_a_link_that_is_down_are_dropped_and_counted() {
     let timer = HostTimer::start();
-    let mut port = port("serial:/nowhere/at/all", Role::Dial, timer);
+    let mut port = port("serial:/nowhere/at/all", ConnectRole::Dial, timer);
     port.send(b"early");
-    assert!(matches!(poll_once(&mut port).await, None | Some(PortEvent::Down { .. })));
+    assert!(matches!(poll_once(&mut port).await, None | Some(LinkEvent::Down { .. })));
     port.send(b"still");
     assert_eq!(port.counters().drops_out, 2);
     assert_eq!(port.counters().bytes_out, 0);

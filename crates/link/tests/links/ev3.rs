@@ -1,10 +1,10 @@
-//! An EV3 in the network, as a foreign program would be one: it announces itself, and opens to its serial number alone.
+//! An EV3 in the network, imitated as a foreign program: it announces itself, and accepts only its serial number.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 
 use crate::support::{down, next_beside, port, up};
-use posebridge_link::{HostTimer, LinkUrl, PortEvent, Role};
+use posebridge_link::{ConnectRole, HostTimer, LinkEvent, LinkUrl};
 
 /// As the developer kit and ev3-dc 0.9.10.2 write it.
 const OPENING: &[u8] = b"GET /target?sn=0016533f0c1eVMTP1.0\nProtocol: EV3";
@@ -37,7 +37,7 @@ async fn a_brick_that_announces_itself_is_answered_and_opened() {
     let announced = beside.local_addr().expect("it is bound");
     drop(beside);
     let url = format!("ev3://{announced}?serial=0016533F0C1E");
-    let mut station = port(&url, Role::Listen, HostTimer::start());
+    let mut station = port(&url, ConnectRole::Listen, HostTimer::start());
     let (door, address) = door();
     let brick = std::thread::spawn(move || {
         let voice = UdpSocket::bind("127.0.0.1:0").expect("a free port");
@@ -66,7 +66,7 @@ async fn a_brick_that_announces_itself_is_answered_and_opened() {
     station.send(b"ping");
     let mut heard = Vec::new();
     while heard.len() < 5 {
-        if let PortEvent::Bytes { bytes, .. } = station.next().await {
+        if let LinkEvent::Bytes { bytes, .. } = station.next_event().await {
             heard.extend(bytes);
         }
     }
@@ -94,13 +94,13 @@ async fn a_brick_is_dialled_and_its_answer_may_come_in_pieces() {
             opened(&door, &parts)
         });
         let url = format!("ev3://{address}?serial=0016533f0c1e");
-        let mut station = port(&url, Role::Dial, HostTimer::start());
+        let mut station = port(&url, ConnectRole::Dial, HostTimer::start());
         up(&mut station).await;
         let mut host = brick.join().expect("the brick lives");
         host.write_all(b"reply").expect("the station listens");
-        let mut other = port("file:/dev/null/nowhere", Role::Dial, HostTimer::start());
+        let mut other = port("file:/dev/null/nowhere", ConnectRole::Dial, HostTimer::start());
         let event = next_beside(&mut station, &mut other).await;
-        assert!(matches!(&event, PortEvent::Bytes { bytes, .. } if bytes == b"reply"), "{event:?}");
+        assert!(matches!(&event, LinkEvent::Bytes { bytes, .. } if bytes == b"reply"), "{event:?}");
     }
 }
 
@@ -109,7 +109,7 @@ async fn what_does_not_open_is_told_with_the_serial_number() {
     let (door, address) = door();
     let brick = std::thread::spawn(move || opened(&door, &[&[b'x'; 64]]));
     let url = format!("ev3://{address}?serial=0016533f0c1e");
-    let mut station = port(&url, Role::Dial, HostTimer::start());
+    let mut station = port(&url, ConnectRole::Dial, HostTimer::start());
     let (reason, _) = down(&mut station).await;
     assert!(reason.contains("does not accept the serial number 0016533f0c1e"), "{reason}");
     brick.join().expect("the brick lives");
@@ -117,8 +117,8 @@ async fn what_does_not_open_is_told_with_the_serial_number() {
 
 #[tokio::test]
 async fn a_brick_is_not_dialled_without_its_serial_number() {
-    let mut station = port("ev3://127.0.0.1:5555", Role::Dial, HostTimer::start());
-    let error = station.open_first().await.expect_err("it cannot be opened");
+    let mut station = port("ev3://127.0.0.1:5555", ConnectRole::Dial, HostTimer::start());
+    let error = station.try_open().await.expect_err("it cannot be opened");
     assert!(error.to_string().contains("?serial="), "{error}");
     let error = LinkUrl::parse("ev3://127.0.0.1:5555?serial=12").expect_err("too short");
     assert!(error.to_string().contains("12 hexadecimal digits"), "{error}");

@@ -1,4 +1,4 @@
-//! The links as their users see them: over real pseudo-terminals and the loopback, with a paused clock.
+//! Links over real pseudo-terminals and the loopback, with a paused clock.
 
 #![expect(clippy::expect_used, reason = "helpers outside of test functions")]
 #![expect(clippy::wildcard_enum_match_arm, reason = "a test that sees any other event fails and prints it")]

@@ -4,19 +4,19 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
 use crate::support::{bytes, down, next_beside, poll_once, port, up};
-use posebridge_link::{HostTimer, Port, PortConfig, PortEvent, PortSet, Role};
-use posebridge_telemetry::{LinkId, PeerId, Span};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkSet};
+use posebridge_telemetry::{LinkId, PeerId, TimeDelta};
 
-async fn listening(url: &str, timer: HostTimer) -> (Port, SocketAddr) {
-    let mut server = port(url, Role::Listen, timer);
-    server.open_first().await.expect("a free port");
+async fn listening(url: &str, timer: HostTimer) -> (Link, SocketAddr) {
+    let mut server = port(url, ConnectRole::Listen, timer);
+    server.try_open().await.expect("a free port");
     up(&mut server).await;
     let address = server.local_address().expect("it listens");
     (server, address)
 }
 
-async fn dialled(scheme: &str, address: SocketAddr, timer: HostTimer) -> Port {
-    let mut client = port(&format!("{scheme}://{address}"), Role::Dial, timer);
+async fn dialled(scheme: &str, address: SocketAddr, timer: HostTimer) -> Link {
+    let mut client = port(&format!("{scheme}://{address}"), ConnectRole::Dial, timer);
     up(&mut client).await;
     client
 }
@@ -34,9 +34,9 @@ fn heard_by(socket: &UdpSocket) -> Vec<u8> {
     buffer[..count].to_vec()
 }
 
-async fn next_bytes(port: &mut Port) -> (PeerId, Vec<u8>) {
+async fn next_bytes(port: &mut Link) -> (PeerId, Vec<u8>) {
     loop {
-        if let PortEvent::Bytes { peer, bytes, .. } = port.next().await {
+        if let LinkEvent::Bytes { peer, bytes, .. } = port.next_event().await {
             return (peer, bytes);
         }
     }
@@ -54,12 +54,12 @@ async fn a_server_that_restarts_is_found_again() {
         let lost = timer.now();
         let (mut fresh, _) = listening(&format!("tcp://{address}"), timer).await;
         up(&mut client).await;
-        assert!(timer.now() - lost <= retry_in + Span::from_millis(3));
+        assert!(timer.now() - lost <= retry_in + TimeDelta::from_millis(3));
         assert_eq!(client.counters().reconnects, restart);
         client.send(b"hello again");
         assert!(matches!(
             next_beside(&mut fresh, &mut client).await,
-            PortEvent::Bytes { bytes, .. } if bytes == b"hello again"
+            LinkEvent::Bytes { bytes, .. } if bytes == b"hello again"
         ));
         server = Some(fresh);
     }
@@ -89,8 +89,8 @@ async fn a_server_that_is_not_started_yet_is_waited_for() {
     let timer = HostTimer::start();
     let (server, address) = listening("tcp://127.0.0.1:0", timer).await;
     drop(server);
-    let mut client = port(&format!("tcp://{address}"), Role::Dial, timer);
-    client.open_first().await.expect("the server may come");
+    let mut client = port(&format!("tcp://{address}"), ConnectRole::Dial, timer);
+    client.try_open().await.expect("the server may come");
     let (reason, _) = down(&mut client).await;
     assert!(reason.starts_with(&format!("no connection to {address}: Connection refused")), "{reason}");
     let (_server, _) = listening(&format!("tcp://{address}"), timer).await;
@@ -126,9 +126,9 @@ async fn every_client_of_a_server_is_a_source_of_its_own_and_hears_everything() 
     assert_eq!(server.counters().drops_out, 0);
 }
 
-async fn next_beside_bytes(port: &mut Port, other: &mut Port) -> Vec<u8> {
+async fn next_beside_bytes(port: &mut Link, other: &mut Link) -> Vec<u8> {
     match next_beside(port, other).await {
-        PortEvent::Bytes { bytes, .. } => bytes,
+        LinkEvent::Bytes { bytes, .. } => bytes,
         event => panic!("{event:?} instead of bytes"),
     }
 }
@@ -261,9 +261,9 @@ async fn an_address_that_is_taken_is_refused_at_the_start() {
     let timer = HostTimer::start();
     for scheme in ["tcp", "udp"] {
         let (_first, address) = listening(&format!("{scheme}://127.0.0.1:0"), timer).await;
-        let mut second = port(&format!("{scheme}://{address}"), Role::Listen, timer);
-        let error = second.open_first().await.expect_err("it is taken");
-        assert!(!error.can_heal());
+        let mut second = port(&format!("{scheme}://{address}"), ConnectRole::Listen, timer);
+        let error = second.try_open().await.expect_err("it is taken");
+        assert!(!error.is_transient());
         assert_eq!(
             error.to_string(),
             format!("address {address} is already in use: stop the program that listens there or choose another port")
@@ -275,14 +275,14 @@ async fn an_address_that_is_taken_is_refused_at_the_start() {
 async fn a_foreign_address_and_a_missing_host_are_refused_at_the_start() {
     let timer = HostTimer::start();
     // 192.0.2.0/24 is for documentation (RFC 5737): no interface has it.
-    let mut foreign = port("tcp://192.0.2.1:5760", Role::Listen, timer);
-    let error = foreign.open_first().await.expect_err("not ours");
+    let mut foreign = port("tcp://192.0.2.1:5760", ConnectRole::Listen, timer);
+    let error = foreign.try_open().await.expect_err("not ours");
     assert_eq!(
         error.to_string(),
         "address 192.0.2.1:5760 belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them"
     );
-    let mut nowhere = port("tcp://:5760", Role::Dial, timer);
-    let error = nowhere.open_first().await.expect_err("no host");
+    let mut nowhere = port("tcp://:5760", ConnectRole::Dial, timer);
+    let error = nowhere.try_open().await.expect_err("no host");
     assert_eq!(error.to_string(), "tcp://:5760 names no host to dial: put one before the port");
 }
 
@@ -291,8 +291,8 @@ async fn without_a_host_only_this_computer_is_let_in() {
     let timer = HostTimer::start();
     for scheme in ["tcp", "udp"] {
         for (host, expected) in [("", "127.0.0.1"), ("0.0.0.0", "0.0.0.0"), ("[::1]", "::1")] {
-            let mut server = port(&format!("{scheme}://{host}:0"), Role::Listen, timer);
-            server.open_first().await.expect("a free port");
+            let mut server = port(&format!("{scheme}://{host}:0"), ConnectRole::Listen, timer);
+            server.try_open().await.expect("a free port");
             let detail = up(&mut server).await;
             let address = server.local_address().expect("it listens");
             assert_eq!(address.ip().to_string(), expected);
@@ -308,7 +308,7 @@ async fn without_a_host_only_this_computer_is_let_in() {
 #[tokio::test(start_paused = true)]
 async fn a_udp_link_to_every_interface_listens_even_if_it_is_to_dial() {
     let timer = HostTimer::start();
-    let mut station = port("udp://0.0.0.0:0", Role::Dial, timer);
+    let mut station = port("udp://0.0.0.0:0", ConnectRole::Dial, timer);
     assert!(up(&mut station).await.starts_with("listening on 0.0.0.0:"));
     let near = station.local_address().expect("it listens").port();
     let brick = foreign_peer();
@@ -322,13 +322,13 @@ async fn a_port_knows_whether_it_hears_whoever_calls_however_the_link_is_written
     let (_server, served) = listening("tcp://127.0.0.1:0", timer).await;
     let dialled = format!("tcp://{served}");
     for (url, role, expected) in [
-        ("udp://:0", Role::Dial, true),
-        ("udp://0.0.0.0:0", Role::Dial, true),
-        ("udp://[::]:0", Role::Dial, true),
-        ("udp://127.0.0.1:0", Role::Listen, true),
-        ("udp://127.0.0.1:9", Role::Dial, false),
-        ("tcp://127.0.0.1:0", Role::Listen, true),
-        (&dialled, Role::Dial, false),
+        ("udp://:0", ConnectRole::Dial, true),
+        ("udp://0.0.0.0:0", ConnectRole::Dial, true),
+        ("udp://[::]:0", ConnectRole::Dial, true),
+        ("udp://127.0.0.1:0", ConnectRole::Listen, true),
+        ("udp://127.0.0.1:9", ConnectRole::Dial, false),
+        ("tcp://127.0.0.1:0", ConnectRole::Listen, true),
+        (&dialled, ConnectRole::Dial, false),
     ] {
         let mut port = port(url, role, timer);
         assert!(!port.is_listening(), "{url} is not open yet");
@@ -344,9 +344,9 @@ async fn the_idle_time_of_a_udp_link_is_an_option() {
     let brick = foreign_peer();
     brick.send_to(b"here", address).expect("loopback");
     let (first, _) = next_bytes(&mut station).await;
-    assert_eq!(station.counts().peers, 1);
+    assert_eq!(station.port_counts().peers, 1);
     tokio::time::advance(Duration::from_millis(2_100)).await;
-    assert_eq!(station.counts().peers, 0);
+    assert_eq!(station.port_counts().peers, 0);
     station.send(b"anybody?");
     assert_eq!(station.counters().bytes_out, 0);
     brick.send_to(b"again", address).expect("loopback");
@@ -384,8 +384,8 @@ async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours()
     station.send(b"to all");
     assert_eq!(heard_by(&loud), b"to all");
     assert_eq!(heard_by(&calm), b"to all");
-    let mut rival = port(&format!("udp://{address}"), Role::Listen, timer);
-    let error = rival.open_first().await.expect_err("it is ours");
+    let mut rival = port(&format!("udp://{address}"), ConnectRole::Listen, timer);
+    let error = rival.try_open().await.expect_err("it is ours");
     assert!(error.to_string().contains("is already in use"), "{error}");
 }
 
@@ -393,16 +393,19 @@ async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours()
 async fn a_flooded_port_does_not_silence_its_neighbour() {
     let timer = HostTimer::start();
     let mut addresses = Vec::new();
-    let mut set = PortSet::default();
+    let mut set = LinkSet::default();
     for id in [3, 8] {
-        let config =
-            PortConfig { id: LinkId(id), url: "udp://127.0.0.1:0".parse().expect("a link"), role: Role::Listen };
-        let mut udp = Port::new(config, timer);
+        let config = LinkOpenConfig {
+            id: LinkId(id),
+            url: "udp://127.0.0.1:0".parse().expect("a link"),
+            role: ConnectRole::Listen,
+        };
+        let mut udp = Link::new(config, timer);
         up(&mut udp).await;
         addresses.push(udp.local_address().expect("it listens"));
         set.push(udp);
     }
-    set.open_first().await.expect("both are open");
+    set.try_open_all().await.expect("both are open");
     let brick = foreign_peer();
     for _ in 0..200 {
         brick.send_to(b"flood", addresses[0]).expect("loopback");
@@ -412,8 +415,8 @@ async fn a_flooded_port_does_not_silence_its_neighbour() {
     }
     let mut order = Vec::new();
     while order.iter().filter(|id| **id == LinkId(8)).count() < 10 {
-        let (id, event) = set.next().await;
-        assert!(matches!(event, PortEvent::Bytes { .. }), "{event:?}");
+        let (id, event) = set.next_event().await;
+        assert!(matches!(event, LinkEvent::Bytes { .. }), "{event:?}");
         order.push(id);
     }
     assert!(order.len() <= 22, "{} events before ten calm ones", order.len());

@@ -1,4 +1,4 @@
-//! Serial ports and pseudo-terminals: cables that are pulled, ports that are taken, buffers that are full.
+//! Serial ports and pseudo-terminals: unplugged cables, busy ports, full buffers.
 
 use std::future::poll_fn;
 use std::path::PathBuf;
@@ -7,8 +7,8 @@ use std::task::Poll;
 use crate::support::{bytes, down, poll_once, port, up};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
-use posebridge_link::{HostTimer, OpenError, Port, PortEvent, Role};
-use posebridge_telemetry::Span;
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, OpenError};
+use posebridge_telemetry::TimeDelta;
 
 /// A directory with room for one device name.
 pub(crate) struct Bench {
@@ -25,12 +25,12 @@ impl Bench {
         self.directory.path().join("brick.tty")
     }
 
-    pub(crate) fn serial(&self) -> Port {
-        port(&format!("serial:{}", self.path().display()), Role::Dial, self.timer)
+    pub(crate) fn serial(&self) -> Link {
+        port(&format!("serial:{}", self.path().display()), ConnectRole::Dial, self.timer)
     }
 
-    pub(crate) fn pty(&self) -> Port {
-        port(&format!("pty:{}", self.path().display()), Role::Listen, self.timer)
+    pub(crate) fn pty(&self) -> Link {
+        port(&format!("pty:{}", self.path().display()), ConnectRole::Listen, self.timer)
     }
 
     /// What is said about the port while another program holds it.
@@ -40,20 +40,20 @@ impl Bench {
         format!("port {path} is in use by another program: close it there (`fuser -v {path}` names it)")
     }
 
-    pub(crate) async fn plugged_pty(&self) -> Port {
+    pub(crate) async fn plugged_pty(&self) -> Link {
         let mut pty = self.pty();
-        pty.open_first().await.expect("a fresh name");
+        pty.try_open().await.expect("a fresh name");
         up(&mut pty).await;
         pty
     }
 }
 
 /// Waits for the next event and counts how often the port was polled for it.
-async fn next_counted(port: &mut Port) -> (PortEvent, usize) {
+async fn next_counted(port: &mut Link) -> (LinkEvent, usize) {
     let mut polls = 0;
     let event = poll_fn(|cx| {
         polls += 1;
-        port.poll_next(cx)
+        port.poll_event(cx)
     })
     .await;
     (event, polls)
@@ -68,7 +68,7 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
     for replug in 1..=20 {
         drop(cable.take());
         let (event, polls) = next_counted(&mut station).await;
-        let PortEvent::Down { retry_in, at, .. } = event else {
+        let LinkEvent::Down { retry_in, at, .. } = event else {
             panic!("{event:?} instead of a loss");
         };
         assert!(polls <= 3, "{polls} polls to notice a loss");
@@ -76,15 +76,15 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
 
         let mut pty = bench.plugged_pty().await;
         let (event, polls) = next_counted(&mut station).await;
-        let PortEvent::Up { at: back, .. } = event else {
+        let LinkEvent::Up { at: back, .. } = event else {
             panic!("{event:?} instead of the link");
         };
         // One poll finds the wait not over, one starts to open, one has it open.
         assert!(polls <= 5, "{polls} polls to come back");
         let away = back - at;
-        assert!(retry_in <= Span::from_millis(5_500), "{retry_in:?}");
+        assert!(retry_in <= TimeDelta::from_millis(5_500), "{retry_in:?}");
         // A timer is up to two milliseconds late.
-        assert!(away <= retry_in + Span::from_millis(3), "{away:?} for {retry_in:?}");
+        assert!(away <= retry_in + TimeDelta::from_millis(3), "{away:?} for {retry_in:?}");
 
         pty.send(b"here again");
         // What is sent before the first turn of the reactor waits for the next poll.
@@ -104,12 +104,12 @@ async fn an_idle_link_is_not_polled_again_and_again() {
     // The writer comes a minute later; the clock is paused, so nothing but the reader's own wake-ups is counted.
     let timer = bench.timer;
     let writer = async {
-        timer.sleep_until(timer.now() + Span::from_millis(60_000)).await;
+        timer.sleep_until(timer.now() + TimeDelta::from_millis(60_000)).await;
         pty.send(b"x");
         poll_once(&mut pty).await
     };
     let (heard, written) = tokio::join!(next_counted(&mut station), writer);
-    assert!(matches!(heard.0, PortEvent::Bytes { .. }), "{heard:?}");
+    assert!(matches!(heard.0, LinkEvent::Bytes { .. }), "{heard:?}");
     assert_eq!(written, None);
     assert!(heard.1 <= 5, "{} polls for one byte", heard.1);
 }
@@ -118,10 +118,10 @@ async fn an_idle_link_is_not_polled_again_and_again() {
 async fn a_device_that_is_not_there_yet_is_waited_for() {
     let bench = Bench::new();
     let mut station = bench.serial();
-    station.open_first().await.expect("a missing device may come");
+    station.try_open().await.expect("a missing device may come");
     let (reason, retry_in) = down(&mut station).await;
     assert_eq!(reason, format!("{} is not there: plug the device in or check the name", bench.path().display()));
-    assert!((Span::from_millis(225)..=Span::from_millis(275)).contains(&retry_in));
+    assert!((TimeDelta::from_millis(225)..=TimeDelta::from_millis(275)).contains(&retry_in));
     // Half a minute of waiting: nothing is told twice, and the waits get longer.
     let before = bench.timer.now();
     let mut polls = 0;
@@ -129,7 +129,7 @@ async fn a_device_that_is_not_there_yet_is_waited_for() {
         std::time::Duration::from_secs(30),
         poll_fn(|cx| {
             polls += 1;
-            station.poll_next(cx)
+            station.poll_event(cx)
         }),
     );
     assert!(quiet.await.is_err(), "the same reason was told again");
@@ -187,7 +187,7 @@ async fn a_pty_that_nobody_reads_recovers_when_somebody_does() {
     let expected = usize::try_from((2_000 - dropped) * 64).expect("small");
     let heard = tokio::select! {
         heard = bytes(&mut station, expected) => heard,
-        event = pty.next() => panic!("{event:?} on an idle terminal"),
+        event = pty.next_event() => panic!("{event:?} on an idle terminal"),
     };
     assert_eq!(heard.len(), expected, "frames arrive whole");
     assert_eq!(pty.counters().bytes_out, expected as u64);
@@ -200,7 +200,7 @@ async fn a_second_program_is_told_that_the_port_is_in_use() {
     let mut first = bench.serial();
     up(&mut first).await;
     let mut second = bench.serial();
-    let error = second.open_first().await.expect_err("the port is taken");
+    let error = second.try_open().await.expect_err("the port is taken");
     assert!(matches!(error, OpenError::PortInUse { .. }), "{error:?}");
     assert_eq!(error.to_string(), bench.in_use());
     // Whoever goes on all the same is told, and gets the port when it is free.
@@ -214,7 +214,7 @@ async fn a_port_that_is_taken_while_the_cable_is_out_is_waited_for() {
     let bench = Bench::new();
     let pty = bench.plugged_pty().await;
     let mut station = bench.serial();
-    station.open_first().await.expect("nobody else is there");
+    station.try_open().await.expect("nobody else is there");
     up(&mut station).await;
     drop(pty);
     down(&mut station).await;
@@ -237,6 +237,6 @@ async fn a_terminal_is_raw_before_anybody_can_open_it() {
     let awkward = [b'\r', b'\n', 0x03, 0x04, 0x11, 0x13, 0x1a, 0x7f, 0xff, 0x00];
     assert_eq!(nix::unistd::write(&reader, &awkward).expect("room"), awkward.len());
     assert_eq!(bytes(&mut pty, awkward.len()).await, awkward);
-    let echoed = poll_fn(|cx| Poll::Ready(pty.poll_next(cx).is_ready())).await;
+    let echoed = poll_fn(|cx| Poll::Ready(pty.poll_event(cx).is_ready())).await;
     assert!(!echoed, "the terminal echoes");
 }

@@ -1,18 +1,18 @@
-//! Links that take less than they are offered: how old estimates get, what happens to commands, and who has to wait.
+//! Links that are slower than their load: the age of estimates, the fate of commands, and fairness between peers.
 //!
-//! The sockets are real, the clock is paused: a reader that takes so many bytes per virtual second is as slow as it says,
-//! however busy the computer is.
+//! The sockets are real, the clock is paused: a reader that takes a number of bytes per virtual second has exactly that
+//! speed, however busy the computer is.
 
 use std::io::{ErrorKind, Read};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
 use crate::support::{next_beside, poll_once, port, up};
-use posebridge_link::{HostTimer, Outgoing, Port, PortEvent, Role};
-use posebridge_telemetry::{Audience, Priority, Span};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, OutgoingFrame};
+use posebridge_telemetry::{Priority, Recipients, TimeDelta};
 
 const FRAME_BYTES: usize = 40;
-const TICK: Span = Span::from_millis(10);
+const TICK: TimeDelta = TimeDelta::from_millis(10);
 const COMMAND: u8 = 9;
 
 /// A frame that knows what it is, its number, and when it was sent.
@@ -30,8 +30,8 @@ struct Heard {
     commands: Vec<u32>,
     /// Numbers of the estimates of each of two streams.
     estimates: [Vec<u32>; 2],
-    oldest_estimate: Option<Span>,
-    oldest_command: Option<Span>,
+    oldest_estimate: Option<TimeDelta>,
+    oldest_command: Option<TimeDelta>,
 }
 
 impl Heard {
@@ -44,7 +44,7 @@ impl Heard {
             assert!(frame[13..].iter().all(|byte| *byte == kind), "a torn frame: {frame:?}");
             let number = u32::from_be_bytes(frame[1..5].try_into().expect("four bytes"));
             let sent = i64::from_be_bytes(frame[5..13].try_into().expect("eight bytes"));
-            let age = Some(Span::from_nanos(timer.now().as_nanos() - sent));
+            let age = Some(TimeDelta::from_nanos(timer.now().as_nanos() - sent));
             if kind == COMMAND {
                 self.commands.push(number);
                 self.oldest_command = self.oldest_command.max(age);
@@ -70,9 +70,9 @@ impl Source {
         Self { estimates: 0, commands: 0, per_tick: bytes_per_tick / (2 * FRAME_BYTES as u32), ticks: 0 }
     }
 
-    fn tick(&mut self, port: &mut Port, timer: HostTimer) {
+    fn tick(&mut self, port: &mut Link, timer: HostTimer) {
         let mut give = |priority, kind, number| {
-            port.give(&Outgoing { to: Audience::All, priority, frame: &frame(kind, number, timer) });
+            port.send_outgoing(&OutgoingFrame { to: Recipients::All, priority, frame: &frame(kind, number, timer) });
         };
         for _ in 0..self.per_tick {
             give(Priority::Estimate { stream: 30 }, 0, self.estimates);
@@ -111,16 +111,16 @@ fn read_now(stream: &mut TcpStream, limit: usize) -> Vec<u8> {
     bytes
 }
 
-async fn tcp_server(timer: HostTimer) -> (Port, SocketAddr) {
-    let mut server = port("tcp://127.0.0.1:0", Role::Listen, timer);
+async fn tcp_server(timer: HostTimer) -> (Link, SocketAddr) {
+    let mut server = port("tcp://127.0.0.1:0", ConnectRole::Listen, timer);
     up(&mut server).await;
     let address = server.local_address().expect("it listens");
     (server, address)
 }
 
 /// Lets the server notice its clients: the reactor has to run, which may take a turn.
-async fn welcomed(server: &mut Port, clients: u32) {
-    while server.counts().peers < clients {
+async fn welcomed(server: &mut Link, clients: u32) {
+    while server.port_counts().peers < clients {
         assert_eq!(poll_once(server).await, None);
         tokio::task::yield_now().await;
     }
@@ -143,10 +143,10 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
         assert_eq!(poll_once(&mut server).await, None);
         heard.take(&read_now(&mut reader, CAPACITY / 100), timer);
     }
-    let counts = server.counts();
+    let counts = server.port_counts();
     // The doubled receive buffer, the unsent bytes that the system takes, a frame per stream and the waiting commands.
     let bound_bytes = 2 * RECEIVE_BUFFER + 2_048 + 3 * FRAME_BYTES;
-    let bound = Span::from_secs_f64(bound_bytes as f64 / CAPACITY as f64) + TICK;
+    let bound = TimeDelta::from_secs_f64(bound_bytes as f64 / CAPACITY as f64) + TICK;
     let oldest = heard.oldest_estimate.expect("some arrived");
     println!(
         "oldest estimate {oldest:?} of {bound:?}, oldest command {:?}, {} + {} of {} estimates, capacity {:?}",
@@ -176,9 +176,9 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     let timer = HostTimer::start();
     let directory = tempfile::tempdir().expect("a temporary directory");
     let path = directory.path().join("brick.tty");
-    let mut brick = port(&format!("pty:{}", path.display()), Role::Listen, timer);
+    let mut brick = port(&format!("pty:{}", path.display()), ConnectRole::Listen, timer);
     up(&mut brick).await;
-    let mut station = port(&format!("serial:{}?rate={RATE}", path.display()), Role::Dial, timer);
+    let mut station = port(&format!("serial:{}?rate={RATE}", path.display()), ConnectRole::Dial, timer);
     up(&mut station).await;
 
     let mut source = Source::new(RATE);
@@ -191,7 +191,7 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
         // A pseudo-terminal hands its bytes over on a thread of the system, in real time, of which none passes here.
         while total < station.counters().bytes_out {
             match poll_once(&mut brick).await {
-                Some(PortEvent::Bytes { bytes, .. }) => {
+                Some(LinkEvent::Bytes { bytes, .. }) => {
                     total += bytes.len() as u64;
                     heard.take(&bytes, timer);
                 }
@@ -206,12 +206,12 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     assert!(total as f64 > 0.97 * f64::from(RATE) * secs, "{total} in {secs} s");
     // Nothing lies in the line, so one frame of each kind is all that can be in front.
     let oldest = heard.oldest_estimate.expect("some arrived");
-    assert!(oldest <= Span::from_millis(60), "{oldest:?}");
+    assert!(oldest <= TimeDelta::from_millis(60), "{oldest:?}");
     // The last one may have to wait for its turn.
     let commands = heard.commands.len() as u32;
     assert!(source.commands - commands <= 1, "{commands} of {}", source.commands);
     assert!(heard.commands.iter().copied().eq(0..commands));
-    let capacity = station.counts().capacity_bytes_per_s.expect("frames wait");
+    let capacity = station.port_counts().capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / f64::from(RATE) - 1.0).abs() < 0.05, "{capacity}");
 }
 
@@ -219,17 +219,17 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
 async fn a_rate_counts_every_peer_and_every_transport_keeps_it() {
     const RATE: usize = 1_000;
     let timer = HostTimer::start();
-    let mut station = port(&format!("udp://127.0.0.1:0?rate={RATE}"), Role::Listen, timer);
+    let mut station = port(&format!("udp://127.0.0.1:0?rate={RATE}"), ConnectRole::Listen, timer);
     up(&mut station).await;
     let address = station.local_address().expect("it listens");
-    let bricks: Vec<_> = (0..4).map(|_| port(&format!("udp://{address}"), Role::Dial, timer)).collect();
+    let bricks: Vec<_> = (0..4).map(|_| port(&format!("udp://{address}"), ConnectRole::Dial, timer)).collect();
     let mut bricks = bricks;
     for brick in &mut bricks {
         up(brick).await;
         brick.send(b"here");
-        assert!(matches!(next_beside(&mut station, brick).await, PortEvent::Bytes { .. }));
+        assert!(matches!(next_beside(&mut station, brick).await, LinkEvent::Bytes { .. }));
     }
-    assert_eq!(station.counts().peers, 4);
+    assert_eq!(station.port_counts().peers, 4);
     for _ in 0..800 {
         station.send(&[0; 50]);
         pass_tick().await;
@@ -242,7 +242,7 @@ async fn a_rate_counts_every_peer_and_every_transport_keeps_it() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let path = directory.path().join("out.bin");
     let url = format!("file:{}?mode=append&rate={RATE}", path.display());
-    let mut file = port(&url, Role::Dial, timer);
+    let mut file = port(&url, ConnectRole::Dial, timer);
     up(&mut file).await;
     for _ in 0..200 {
         file.send(&[0; 50]);
@@ -258,19 +258,19 @@ async fn frames_that_wait_for_the_rate_are_counted_when_the_link_goes() {
     let timer = HostTimer::start();
     let (server, address) = tcp_server(timer).await;
     let mut server = Some(server);
-    let mut client = port(&format!("tcp://{address}?rate=100"), Role::Dial, timer);
+    let mut client = port(&format!("tcp://{address}?rate=100"), ConnectRole::Dial, timer);
     up(&mut client).await;
     for _ in 0..10 {
         client.send(&[7; 100]);
     }
-    let counts = client.counts();
+    let counts = client.port_counts();
     assert_eq!((counts.queued_frames, counts.queued_bytes), (9, 900));
     drop(server.take());
-    let PortEvent::Down { .. } = client.next().await else {
+    let LinkEvent::Down { .. } = client.next_event().await else {
         panic!("the server has gone");
     };
     assert_eq!(client.counters().drops_out, 9);
-    let counts = client.counts();
+    let counts = client.port_counts();
     assert_eq!((counts.queued_frames, counts.peers), (0, 0));
 }
 
@@ -286,7 +286,7 @@ async fn a_client_that_hangs_does_not_block_another() {
     for number in 0..FRAMES {
         let mut frame = [0; 1_000];
         frame[..4].copy_from_slice(&number.to_be_bytes());
-        server.give(&Outgoing { to: Audience::All, priority: Priority::Forwarded, frame: &frame });
+        server.send_outgoing(&OutgoingFrame { to: Recipients::All, priority: Priority::Forwarded, frame: &frame });
         // Until this one is there: the other has five megabytes to choke on.
         while heard.len() < 1_000 * (number as usize + 1) {
             assert_eq!(poll_once(&mut server).await, None);
@@ -297,7 +297,7 @@ async fn a_client_that_hangs_does_not_block_another() {
     for (number, frame) in (0..FRAMES).zip(heard.chunks(1_000)) {
         assert_eq!(frame[..4], number.to_be_bytes(), "in order and none missing");
     }
-    let counts = server.counts();
+    let counts = server.port_counts();
     assert!(counts.drops_out > u64::from(FRAMES) * 9 / 10, "{counts:?}");
     assert!(counts.queued_frames >= 60, "{counts:?}");
     assert_eq!(counts.peers, 2);

@@ -1,4 +1,4 @@
-//! The names of ports and pseudo-terminals: which are taken over, which are left alone, which are refused.
+//! The names of ports and pseudo-terminals: which are replaced, which are kept, which are refused.
 
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
@@ -7,7 +7,7 @@ use std::path::Path;
 
 use crate::serial::Bench;
 use crate::support::{bytes, poll_once, port, up};
-use posebridge_link::{LinkUrl, OpenError, Port, PortConfig, Role, UrlError};
+use posebridge_link::{ConnectRole, Link, LinkOpenConfig, LinkUrl, OpenError, UrlError};
 use posebridge_telemetry::LinkId;
 
 #[tokio::test(start_paused = true)]
@@ -80,22 +80,22 @@ async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
     std::fs::create_dir(&folder).expect("own directory");
     let device = folder.join("brick.tty");
     let open = |url: Result<LinkUrl, UrlError>, role| {
-        let config = PortConfig { id: LinkId(1), url: url.expect("a path"), role };
-        Port::new(config, bench.timer)
+        let config = LinkOpenConfig { id: LinkId(1), url: url.expect("a path"), role };
+        Link::new(config, bench.timer)
     };
-    let mut pty = open(LinkUrl::pty(&device), Role::Listen);
+    let mut pty = open(LinkUrl::pty(&device), ConnectRole::Listen);
     up(&mut pty).await;
     assert!(device.is_symlink());
-    let mut station = open(LinkUrl::serial(&device), Role::Dial);
+    let mut station = open(LinkUrl::serial(&device), ConnectRole::Dial);
     up(&mut station).await;
     pty.send(b"hello");
     assert_eq!(poll_once(&mut pty).await, None);
     assert_eq!(bytes(&mut station, 5).await, b"hello");
 }
 
-async fn check_refusal(mut port: Port, message: &str) {
-    let error: OpenError = port.open_first().await.expect_err(message);
-    assert!(!error.can_heal() && error.stops_start());
+async fn check_refusal(mut port: Link, message: &str) {
+    let error: OpenError = port.try_open().await.expect_err(message);
+    assert!(!error.is_transient() && error.prevents_start());
     assert_eq!(error.to_string(), message);
 }
 
@@ -134,6 +134,6 @@ async fn a_serial_port_that_is_something_else_is_refused() {
 async fn a_pty_in_a_directory_that_does_not_exist_is_refused() {
     let bench = Bench::new();
     let directory = bench.directory.path().join("missing");
-    let pty = port(&format!("pty:{}/brick.tty", directory.display()), Role::Listen, bench.timer);
+    let pty = port(&format!("pty:{}/brick.tty", directory.display()), ConnectRole::Listen, bench.timer);
     check_refusal(pty, &format!("{} does not exist: create the directory first", directory.display())).await;
 }

@@ -1,4 +1,4 @@
-//! Links as people write them: what is understood, and what is said about the rest.
+//! URLs of links: accepted forms and error messages.
 
 use std::path::Path;
 

@@ -1,10 +1,11 @@
-//! The fields of the records that tell what a recording is and where its messages are: metadata, channel, chunk, message.
+//! The fields of the records that describe a recording and hold its messages: metadata, channel, chunk, message.
 //!
-//! The `mcap` crate's own parser makes room for whatever length a string claims before it looks how many bytes there are:
-//! a damaged file of some hundred bytes made it ask for four gigabytes. Here nothing is copied before it is there.
+//! The `mcap` crate's parser allocates the length that a string claims before it checks how many bytes there are: a
+//! damaged file of some hundred bytes made it request four gigabytes. This parser copies nothing that is not there.
 //!
-//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)", "Serialization": a string is its length (u32)
-//! and UTF-8; a map is its length in bytes (u32) and pairs, with no key twice; little-endian.
+//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)",
+//! "Serialization": a string is its length (u32) and UTF-8; a map is its length in bytes (u32) and pairs, with no key
+//! twice; little-endian.
 
 use std::collections::BTreeMap;
 
@@ -25,13 +26,13 @@ pub(super) struct Channel<'a> {
 
 /// Takes a metadata record apart; `None` if it is damaged. Bytes behind its fields are for newer versions.
 pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
-    let mut fields = Fields { rest: body };
+    let mut fields = FieldReader { remaining: body };
     Some(Metadata { name: fields.text()?, entries: fields.map()? })
 }
 
 /// Takes a channel record apart; `None` if it is damaged.
 pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
-    let mut fields = Fields { rest: body };
+    let mut fields = FieldReader { remaining: body };
     let id = fields.u16()?;
     let _schema_id = fields.u16()?;
     let channel = Channel { id, topic: fields.text()?, message_encoding: fields.text()? };
@@ -54,7 +55,7 @@ pub(super) struct Chunk<'a> {
 
 /// Takes a chunk record apart; `None` if it is damaged. A chunk that was cut off has fewer records than it says.
 pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
-    let mut fields = Fields { rest: body };
+    let mut fields = FieldReader { remaining: body };
     let _first_time = fields.u64()?;
     let _last_time = fields.u64()?;
     let _uncompressed_bytes = fields.u64()?;
@@ -64,8 +65,8 @@ pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
     Some(Chunk {
         crc,
         compression,
-        head_bytes: body.len() - fields.rest.len(),
-        records: fields.rest.get(..bytes).unwrap_or(fields.rest),
+        head_bytes: body.len() - fields.remaining.len(),
+        records: fields.remaining.get(..bytes).unwrap_or(fields.remaining),
     })
 }
 
@@ -83,53 +84,53 @@ pub(super) const MESSAGE_HEADER_BYTES: usize = 22;
 
 /// Takes a message record apart; `None` if it is shorter than its header.
 pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
-    let mut fields = Fields { rest: body };
+    let mut fields = FieldReader { remaining: body };
     let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
     let log_time = fields.u64()?;
     let _publish_time = fields.u64()?;
-    Some(Message { channel_id, sequence, log_time, data: fields.rest })
+    Some(Message { channel_id, sequence, log_time, data: fields.remaining })
 }
 
 /// What is left of a record.
-struct Fields<'a> {
-    rest: &'a [u8],
+struct FieldReader<'a> {
+    remaining: &'a [u8],
 }
 
-impl<'a> Fields<'a> {
+impl<'a> FieldReader<'a> {
     fn u16(&mut self) -> Option<u16> {
-        let (number, rest) = self.rest.split_first_chunk()?;
-        self.rest = rest;
+        let (number, rest) = self.remaining.split_first_chunk()?;
+        self.remaining = rest;
         Some(u16::from_le_bytes(*number))
     }
 
     fn u32(&mut self) -> Option<u32> {
-        let (number, rest) = self.rest.split_first_chunk()?;
-        self.rest = rest;
+        let (number, rest) = self.remaining.split_first_chunk()?;
+        self.remaining = rest;
         Some(u32::from_le_bytes(*number))
     }
 
     fn u64(&mut self) -> Option<u64> {
-        let (number, rest) = self.rest.split_first_chunk()?;
-        self.rest = rest;
+        let (number, rest) = self.remaining.split_first_chunk()?;
+        self.remaining = rest;
         Some(u64::from_le_bytes(*number))
     }
 
     /// As many bytes as the number in front of them says.
-    fn counted(&mut self) -> Option<&'a [u8]> {
-        let (count, rest) = self.rest.split_first_chunk()?;
+    fn length_prefixed(&mut self) -> Option<&'a [u8]> {
+        let (count, rest) = self.remaining.split_first_chunk()?;
         let (bytes, rest) = rest.split_at_checked(u32::from_le_bytes(*count) as usize)?;
-        self.rest = rest;
+        self.remaining = rest;
         Some(bytes)
     }
 
     fn text(&mut self) -> Option<&'a str> {
-        std::str::from_utf8(self.counted()?).ok()
+        std::str::from_utf8(self.length_prefixed()?).ok()
     }
 
     fn map(&mut self) -> Option<BTreeMap<&'a str, &'a str>> {
-        let mut pairs = Fields { rest: self.counted()? };
+        let mut pairs = FieldReader { remaining: self.length_prefixed()? };
         let mut entries = BTreeMap::new();
-        while !pairs.rest.is_empty() {
+        while !pairs.remaining.is_empty() {
             let (key, value) = (pairs.text()?, pairs.text()?);
             if entries.insert(key, value).is_some() {
                 return None;

@@ -1,27 +1,27 @@
-//! The metadata record at the start of a recording: which session it is of, and which part of it.
+//! The metadata record at the start of a recording: its session and its part.
 
 use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 
+use super::error::ReadError;
 use super::fields;
-use super::reader::ReadError;
 use super::records::RawRecord;
-use super::{Beginning, FORMAT, Header, UNCHUNKED};
+use super::{FORMAT, LAST_UNCHUNKED_FORMAT, PartHeader, RecordingHeader};
 
 /// Name of the metadata record.
-const NAME: &str = "posebridge.recording";
+const METADATA_NAME: &str = "posebridge.recording";
 
 /// The latest start of a session: of a later one the nanoseconds do not fit. It lies in the year 2262.
 pub(super) const LATEST_START_MICROS: u64 = i64::MAX as u64 / 1_000;
 
 /// The time that messages of this recording give to the host clock's zero, in nanoseconds: UTC since format 3.
-pub(super) const fn zero_nanos(header: &Header) -> u64 {
-    if header.format > UNCHUNKED { header.utc_start_micros * 1_000 } else { 0 }
+pub(super) const fn zero_nanos(header: &RecordingHeader) -> u64 {
+    if header.format > LAST_UNCHUNKED_FORMAT { header.utc_start_micros * 1_000 } else { 0 }
 }
 
 /// The record of a recording that begins like this.
-pub(super) fn record(header: &Header, beginning: &Beginning) -> Metadata {
+pub(super) fn metadata_record(header: &RecordingHeader, beginning: &PartHeader) -> Metadata {
     let links = serde_json::Value::from(header.links.clone()).to_string();
     let mut entries = BTreeMap::from([
         ("config_toml", header.config_toml.clone()),
@@ -36,7 +36,7 @@ pub(super) fn record(header: &Header, beginning: &Beginning) -> Metadata {
         entries.insert("continues", name.clone());
     }
     Metadata {
-        name: NAME.to_owned(),
+        name: METADATA_NAME.to_owned(),
         metadata: entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect(),
     }
 }
@@ -45,69 +45,68 @@ pub(super) fn record(header: &Header, beginning: &Beginning) -> Metadata {
 ///
 /// # Errors
 /// It is damaged, lacks a key or was written by a newer program.
-pub(super) fn parse(record: &RawRecord<'_>) -> Result<Option<(Header, Beginning)>, ReadError> {
-    let entries = Entries {
+pub(super) fn parse(record: &RawRecord<'_>) -> Result<Option<(RecordingHeader, PartHeader)>, ReadError> {
+    let entries = HeaderEntries {
         offset: record.offset as u64,
-        found: match fields::metadata(record.body) {
-            Some(found) if found.name == NAME => found.entries,
+        values: match fields::metadata(record.body) {
+            Some(found) if found.name == METADATA_NAME => found.entries,
             Some(_) => return Ok(None),
-            None => return Err(broken(record.offset as u64, "a damaged metadata record")),
+            None => return Err(header_error(record.offset as u64, "a damaged metadata record")),
         },
     };
     let format = entries.number("format")?;
     if format > FORMAT {
         return Err(ReadError::Format { found: format });
     }
-    let header = Header {
+    let header = RecordingHeader {
         format,
         program_version: entries.text("program_version")?.to_owned(),
         utc_start_micros: entries.number("utc_start_micros")?,
         config_toml: entries.text("config_toml")?.to_owned(),
         links: serde_json::from_str(entries.text("links")?)
             .ok()
-            .ok_or_else(|| entries.broken("a header whose links are not a list"))?,
+            .ok_or_else(|| entries.header_error("a header whose links are not a list"))?,
     };
     if header.utc_start_micros > LATEST_START_MICROS {
-        return Err(entries.broken("a header whose start lies beyond the year 2262"));
+        return Err(entries.header_error("a header whose start lies beyond the year 2262"));
     }
-    Ok(Some((header, entries.beginning()?)))
+    Ok(Some((header, entries.part_header()?)))
 }
 
 /// The entries of the record.
-struct Entries<'a> {
+struct HeaderEntries<'a> {
     offset: u64,
-    found: BTreeMap<&'a str, &'a str>,
+    values: BTreeMap<&'a str, &'a str>,
 }
 
-impl<'a> Entries<'a> {
+impl<'a> HeaderEntries<'a> {
     fn text(&self, key: &str) -> Result<&'a str, ReadError> {
-        let value = self.found.get(key).copied();
-        value.ok_or_else(|| self.broken(&format!("a header without the key `{key}`")))
+        let value = self.values.get(key).copied();
+        value.ok_or_else(|| self.header_error(&format!("a header without the key `{key}`")))
     }
 
     fn number<N: std::str::FromStr>(&self, key: &str) -> Result<N, ReadError> {
         let parsed = self.text(key)?.parse().ok();
-        parsed.ok_or_else(|| self.broken(&format!("a header whose `{key}` is not a number")))
+        parsed.ok_or_else(|| self.header_error(&format!("a header whose `{key}` is not a number")))
     }
 
     /// Where it begins; recordings up to format 2 have no parts.
-    fn beginning(&self) -> Result<Beginning, ReadError> {
-        if !self.found.contains_key("part") {
-            return Ok(Beginning::default());
+    fn part_header(&self) -> Result<PartHeader, ReadError> {
+        if !self.values.contains_key("part") {
+            return Ok(PartHeader::default());
         }
-        Ok(Beginning {
+        Ok(PartHeader {
             part: self.number("part")?,
             inputs_before: self.number("inputs_before")?,
-            continues: self.found.get("continues").map(|name| (*name).to_owned()),
+            continues: self.values.get("continues").map(|name| (*name).to_owned()),
         })
     }
 
-    fn broken(&self, what: &str) -> ReadError {
-        broken(self.offset, what)
+    fn header_error(&self, what: &str) -> ReadError {
+        header_error(self.offset, what)
     }
 }
 
-fn broken(offset: u64, what: &str) -> ReadError {
-    let what = what.to_owned();
-    ReadError::NoHeader { offset, what }
+fn header_error(offset: u64, what: &str) -> ReadError {
+    ReadError::NoHeader { offset, what: what.to_owned() }
 }

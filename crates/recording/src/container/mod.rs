@@ -1,14 +1,15 @@
-//! Our own recordings: the sequence of everything that was given to the pipeline, with the instants at which it was.
+//! Recordings of posebridge: the station's inputs with their times.
 //!
-//! The file is MCAP in small chunks without compression. Whoever writes it ends a chunk with every flush, so that what was
-//! flushed can be read after a crash by any reader; a torn tail is an [`Ending`] and not an error. Each input carries a
-//! checksum of its own beside that of its chunk, so that damage costs one input and not a chunk of them. The bytes are
-//! described in docs/recording-format.md. This module interprets nothing: replaying is the pipeline's work.
+//! The file is MCAP in small chunks without compression. The writer ends a chunk with every flush, so that any reader
+//! can read the flushed data after a crash; a torn tail is a [`RecordingEnd`] and not an error. Each input has its own
+//! checksum besides that of its chunk, so that damage costs one input and not a whole chunk. docs/recording-format.md
+//! describes the bytes. This module interprets nothing: the station replays the inputs.
 //!
-//! Beside the inputs stands what came out of them ([`crate::foxglove`]), for viewers and notebooks. It is never read back,
-//! with one exception: the truth of a simulated run ([`truth()`]).
+//! The outputs are stored beside the inputs ([`crate::foxglove`]), for viewers and notebooks. They are not read back,
+//! with one exception: the truth of a simulated run ([`read_truth()`]).
 
 mod encoding;
+mod error;
 mod fields;
 mod header;
 mod reader;
@@ -18,17 +19,18 @@ mod walk;
 mod writer;
 
 pub use encoding::DecodeError;
-pub use reader::{Ending, ReadError, Reader};
-pub use truth::{TruthSample, truth};
-pub use writer::{Handover, WriteError, Writer};
+pub use error::ReadError;
+pub use reader::{RecordingEnd, RecordingReader};
+pub use truth::{TruthSample, read_truth};
+pub use writer::{OutputHandover, RecordingWriter, WriteError};
 
-use posebridge_telemetry::{HostClock, Stamp};
+use posebridge_telemetry::{HostClock, Timestamp};
 
 /// Version of the recording's layout that this program writes, and the newest that it reads.
 pub const FORMAT: u32 = 4;
 
 /// The newest layout without chunks, whose messages have the time of the host clock and not UTC.
-const UNCHUNKED: u32 = 2;
+const LAST_UNCHUNKED_FORMAT: u32 = 2;
 
 /// Topic of the one channel that holds the pipeline's inputs.
 pub const INPUT_TOPIC: &str = "posebridge/input";
@@ -44,7 +46,7 @@ pub const INPUT_ENCODING: &str = "posebridge.input.v1";
 
 /// What a recording says about itself before its first input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Header {
+pub struct RecordingHeader {
     /// Version of the layout; [`FORMAT`] when written by this program.
     pub format: u32,
     /// Version of the program that wrote it.
@@ -59,7 +61,7 @@ pub struct Header {
 
 /// Where in its session a recording begins.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Beginning {
+pub struct PartHeader {
     /// Number of this part of the recording, from 1.
     pub part: u32,
     /// How many inputs the pipeline had been given before the first one here. Only from 0 a replay is that of the session: a later
@@ -69,7 +71,7 @@ pub struct Beginning {
     pub continues: Option<String>,
 }
 
-impl Default for Beginning {
+impl Default for PartHeader {
     /// With the session.
     fn default() -> Self {
         Self { part: 1, inputs_before: 0, continues: None }
@@ -78,11 +80,11 @@ impl Default for Beginning {
 
 /// Inputs that were given to the pipeline but are not in the recording: the disk was too slow for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Gap {
+pub struct RecordingGap {
     /// How many.
     pub inputs: u64,
     /// When the last input before them was given.
-    pub from: Stamp<HostClock>,
+    pub from: Timestamp<HostClock>,
     /// When the next input behind them was given, or again `from` at the end of the recording.
-    pub to: Stamp<HostClock>,
+    pub to: Timestamp<HostClock>,
 }

@@ -1,19 +1,20 @@
-//! Where the robot really was: what a simulated brick's own world says, kept beside the inputs for scores and figures.
+//! The true poses of a simulated run, stored beside the inputs for scores and figures.
 
 use mcap::records::op;
-use posebridge_telemetry::{Arena, BrickClock, Heading, Meters, Pose, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Heading, Meters, Pose, Timestamp};
 use serde::Deserialize;
 
 use super::TRUTH_TOPIC;
+use super::error::ReadError;
 use super::fields;
-use super::reader::{ReadError, Reader};
-use super::walk::Stop;
+use super::reader::RecordingReader;
+use super::walk::WalkEnd;
 
 /// The robot's true pose at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
     /// When, by the brick's clock as if its ticks were infinitely fine and its register never wrapped.
-    pub stamp: Stamp<BrickClock>,
+    pub time: Timestamp<BrickClock>,
     /// Where the robot was.
     pub pose: Pose<Arena>,
     /// Where the brick's own dead reckoning, begun at the start pose, believed it to be.
@@ -22,7 +23,7 @@ pub struct TruthSample {
 
 /// A message on [`TRUTH_TOPIC`].
 #[derive(Deserialize)]
-struct Line {
+struct TruthJson {
     brick_nanos: i64,
     x_m: f64,
     y_m: f64,
@@ -32,12 +33,12 @@ struct Line {
     odometry_heading_rad: Option<f64>,
 }
 
-impl Line {
+impl TruthJson {
     fn sample(&self) -> TruthSample {
         let pose = |x_m, y_m, heading_rad| Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad));
         let odometry = (self.odometry_x_m, self.odometry_y_m, self.odometry_heading_rad);
         TruthSample {
-            stamp: Stamp::from_nanos(self.brick_nanos),
+            time: Timestamp::from_nanos(self.brick_nanos),
             pose: pose(self.x_m, self.y_m, self.heading_rad),
             odometry: match odometry {
                 (Some(x_m), Some(y_m), Some(heading_rad)) => Some(pose(x_m, y_m, heading_rad)),
@@ -53,15 +54,15 @@ impl Line {
 ///
 /// # Errors
 /// The bytes are not a recording of ours, or a sample of the truth is damaged. Damage elsewhere is not looked at.
-pub fn truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
-    let mut walk = Reader::open(bytes)?.into_walk();
+pub fn read_truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
+    let mut walk = RecordingReader::open(bytes)?.into_walker();
     let mut channel_id = None;
     let mut samples = Vec::new();
     loop {
         let record = match walk.next() {
             Ok(record) => record,
-            Err(Stop::Defect(_)) => continue,
-            Err(Stop::End(_)) => break,
+            Err(WalkEnd::Error(_)) => continue,
+            Err(WalkEnd::End(_)) => break,
         };
         match record.opcode {
             op::CHANNEL => {
@@ -75,7 +76,7 @@ pub fn truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
                 let Some(message) = message.filter(|one| Some(one.channel_id) == channel_id) else {
                     continue;
                 };
-                let line: Line = serde_json::from_slice(message.data).map_err(|error| {
+                let line: TruthJson = serde_json::from_slice(message.data).map_err(|error| {
                     let offset = record.offset as u64;
                     let what = error.to_string();
                     ReadError::Truth { offset, what }
@@ -85,6 +86,6 @@ pub fn truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
             _ => {}
         }
     }
-    samples.sort_by_key(|sample| sample.stamp);
+    samples.sort_by_key(|sample| sample.time);
     Ok(samples)
 }

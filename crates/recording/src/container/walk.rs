@@ -1,41 +1,41 @@
-//! Walks the records of a recording in their order, those inside chunks as well, and names what is damaged on the way.
+//! Walks the records of a recording in order, those inside chunks included, and reports damage on the way.
 //!
-//! A chunk whose checksum is wrong or whose framing breaks costs only what cannot be told apart in it: the chunk behind it
-//! is found by the file's own framing.
+//! A chunk with a wrong checksum or broken framing costs only the records that cannot be separated; the next chunk is
+//! found by the file's own framing.
 
 use flate2::Crc;
 use mcap::records::op;
 
+use super::error::ReadError;
 use super::fields;
-use super::reader::ReadError;
-use super::records::{End, RawRecord, Records};
+use super::records::{RawRecord, RecordScanner, RecordsEnd};
 
 /// Where the walk stops.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Stop {
+pub(super) enum WalkEnd {
     /// Something is damaged; the walk can go on behind it.
-    Defect(ReadError),
+    Error(ReadError),
     /// Nothing more can be found.
-    End(End),
+    End(RecordsEnd),
 }
 
 /// A walk over all records of a file.
 #[derive(Clone, Debug)]
-pub(super) struct Walk<'a> {
-    file: Records<'a>,
+pub(super) struct RecordWalker<'a> {
+    file: RecordScanner<'a>,
     chunk: Option<OpenChunk<'a>>,
 }
 
 /// The chunk that the walk is in.
 #[derive(Clone, Debug)]
 struct OpenChunk<'a> {
-    records: Records<'a>,
-    is_whole: bool,
+    records: RecordScanner<'a>,
+    is_complete: bool,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> RecordWalker<'a> {
     /// Goes on from where a walk over the file's own records stands.
-    pub(super) const fn from(file: Records<'a>) -> Self {
+    pub(super) const fn new(file: RecordScanner<'a>) -> Self {
         Self { file, chunk: None }
     }
 
@@ -46,32 +46,32 @@ impl<'a> Walk<'a> {
     }
 
     /// How the file ends.
-    pub(super) fn end(&self) -> End {
+    pub(super) fn end(&self) -> RecordsEnd {
         self.file.clone().end()
     }
 
     /// The next record that is no chunk; after an end the same end again.
-    pub(super) fn next(&mut self) -> Result<RawRecord<'a>, Stop> {
+    pub(super) fn next(&mut self) -> Result<RawRecord<'a>, WalkEnd> {
         loop {
             if let Some(chunk) = &mut self.chunk {
                 match chunk.records.next() {
                     Ok(record) => return Ok(record),
                     Err(end) => {
                         // Where a chunk that was cut off stops is the file's end to tell.
-                        let is_told = matches!(end, End::Torn { .. }) && !chunk.is_whole;
+                        let is_told = matches!(end, RecordsEnd::Truncated { .. }) && !chunk.is_complete;
                         self.chunk = None;
-                        if let Some(defect) = defect_of(end).filter(|_| !is_told) {
-                            return Err(Stop::Defect(defect));
+                        if let Some(defect) = error_of(end).filter(|_| !is_told) {
+                            return Err(WalkEnd::Error(defect));
                         }
                     }
                 }
             }
-            let record = self.file.next().map_err(Stop::End)?;
+            let record = self.file.next().map_err(WalkEnd::End)?;
             if record.opcode != op::CHUNK {
                 return Ok(record);
             }
             if let Err(defect) = self.enter(&record) {
-                return Err(Stop::Defect(defect));
+                return Err(WalkEnd::Error(defect));
             }
         }
     }
@@ -80,22 +80,20 @@ impl<'a> Walk<'a> {
     fn enter(&mut self, record: &RawRecord<'a>) -> Result<(), ReadError> {
         let offset = record.offset as u64;
         let Some(chunk) = fields::chunk(record.body) else {
-            if !record.is_whole {
+            if !record.is_complete {
                 return Ok(());
             }
-            let what = "the head of this chunk is damaged".to_owned();
-            return Err(ReadError::Chunk { offset, what });
+            return Err(ReadError::Chunk { offset, what: "the head of this chunk is damaged".to_owned() });
         };
         if !chunk.compression.is_empty() {
-            let compression = chunk.compression.escape_default().to_string();
-            return Err(ReadError::Compressed { offset, compression });
+            return Err(ReadError::Compressed { offset, compression: chunk.compression.escape_default().to_string() });
         }
         self.chunk = Some(OpenChunk {
-            records: Records::inside(record, chunk.head_bytes, chunk.records.len()),
-            is_whole: record.is_whole,
+            records: RecordScanner::within_chunk(record, chunk.head_bytes, chunk.records.len()),
+            is_complete: record.is_complete,
         });
         let found = checksum(chunk.records);
-        if record.is_whole && chunk.crc != 0 && chunk.crc != found {
+        if record.is_complete && chunk.crc != 0 && chunk.crc != found {
             let what = format!("its checksum is {found:#010x} where {:#010x} was expected", chunk.crc);
             return Err(ReadError::Chunk { offset, what });
         }
@@ -104,13 +102,12 @@ impl<'a> Walk<'a> {
 }
 
 /// What is wrong with a chunk whose records end like this.
-fn defect_of(end: End) -> Option<ReadError> {
+fn error_of(end: RecordsEnd) -> Option<ReadError> {
     let (offset, what) = match end {
-        End::Complete => return None,
-        End::Torn { offset, what } | End::Damaged { offset, what } => (offset as u64, what),
+        RecordsEnd::Complete => return None,
+        RecordsEnd::Truncated { offset, what } | RecordsEnd::Damaged { offset, what } => (offset as u64, what),
     };
-    let what = format!("{what}; the rest of this chunk cannot be read");
-    Some(ReadError::Chunk { offset, what })
+    Some(ReadError::Chunk { offset, what: format!("{what}; the rest of this chunk cannot be read") })
 }
 
 fn checksum(bytes: &[u8]) -> u32 {

@@ -1,15 +1,15 @@
-//! Writes a recording as it happens, so that what was flushed stays readable whatever follows.
+//! Writes a recording so that flushed data stays readable after any failure.
 
 use std::collections::BTreeMap;
 use std::io::{BufWriter, IntoInnerError, Write};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, Span, Stamp};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, TimeDelta, Timestamp};
 
-use super::encoding::{self, Place};
-use super::{Beginning, Gap, Header, INPUT_ENCODING, INPUT_TOPIC, TruthSample, header};
-use crate::foxglove::{self, Message, Outputs};
+use super::encoding::{self, RecordPosition};
+use super::{INPUT_ENCODING, INPUT_TOPIC, PartHeader, RecordingGap, RecordingHeader, TruthSample, header};
+use crate::foxglove::{self, EncodedMessage, OutputEncoder};
 
 /// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
@@ -20,7 +20,7 @@ const CHUNK_BYTES: u64 = 96 << 10;
 
 /// Estimates beside the inputs lie so far apart unless the caller says otherwise: a person follows ten a second, and an hour of them
 /// takes some hundred megabytes.
-const OUTPUT_SPACING: Span = Span::from_millis(100);
+const OUTPUT_SPACING: TimeDelta = TimeDelta::from_millis(100);
 
 /// What the schema record says to people who open the file with another program.
 const SCHEMA_TEXT: &str = "posebridge.input.v1, little-endian: u8 version; \
@@ -40,7 +40,7 @@ pub enum WriteError {
     Flush(#[from] std::io::Error),
     /// An instant before the host clock's zero: MCAP has no negative times.
     #[error("{0:?} lies before the start of the session and cannot be recorded")]
-    NegativeTime(Stamp<HostClock>),
+    NegativeTime(Timestamp<HostClock>),
     /// A chunk that no link can have returned.
     #[error("a chunk of {0} bytes is more than the 16 MiB that one input may hold")]
     TooLarge(usize),
@@ -51,45 +51,45 @@ pub enum WriteError {
 
 /// Writes the inputs of one session to `W`, and what came out of them beside.
 ///
-/// Bytes are buffered here; [`Writer::flush`] ends the chunk, hands everything to `W` and flushes `W`. Dropping the writer
-/// ends the file as [`Writer::finish`] does, but hides errors.
-pub struct Writer<W: Write> {
+/// Bytes are buffered here; [`RecordingWriter::flush`] ends the chunk, hands everything to `W` and flushes `W`. Dropping the writer
+/// ends the file as [`RecordingWriter::finish`] does, but hides errors.
+pub struct RecordingWriter<W: Write> {
     mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
     /// UTC of the host clock's zero, ns.
     zero_nanos: u64,
     input_channel: u16,
     sequence: u32,
     /// The channels beside the inputs by topic; each is made for its first message.
-    beside: BTreeMap<&'static str, Beside>,
-    outputs: Outputs,
+    output_channels: BTreeMap<&'static str, OutputChannel>,
+    outputs: OutputEncoder,
     scratch: Vec<u8>,
 }
 
 /// What the writer of one part knows and that of the next needs: the alignment of the brick's clock, where the robot has been, and how far
 /// apart estimates lie.
-pub struct Handover(Box<Outputs>);
+pub struct OutputHandover(Box<OutputEncoder>);
 
 /// A channel beside the inputs.
 #[derive(Clone, Copy)]
-struct Beside {
+struct OutputChannel {
     id: u16,
     sequence: u32,
 }
 
-impl<W: Write> Writer<W> {
+impl<W: Write> RecordingWriter<W> {
     /// Starts the recording of a session and flushes its header, so that even a session of no inputs leaves a readable file.
     ///
     /// # Errors
     /// When `w` cannot be written.
-    pub fn create(w: W, header: &Header) -> Result<Self, WriteError> {
-        Self::create_part(w, header, &Beginning::default())
+    pub fn create(w: W, header: &RecordingHeader) -> Result<Self, WriteError> {
+        Self::create_part(w, header, &PartHeader::default())
     }
 
     /// Starts a recording that begins in the midst of its session, or is one of its parts; flushes its header.
     ///
     /// # Errors
     /// When `w` cannot be written.
-    pub fn create_part(w: W, header: &Header, begins: &Beginning) -> Result<Self, WriteError> {
+    pub fn create_part(w: W, header: &RecordingHeader, part_header: &PartHeader) -> Result<Self, WriteError> {
         if header.utc_start_micros > header::LATEST_START_MICROS {
             return Err(WriteError::StartTime(header.utc_start_micros));
         }
@@ -101,7 +101,7 @@ impl<W: Write> Writer<W> {
             .profile("")
             .library(format!("posebridge {}", header.program_version))
             .create(NoSeek::new(BufWriter::new(w)))?;
-        mcap.write_metadata(&header::record(header, begins))?;
+        mcap.write_metadata(&header::metadata_record(header, part_header))?;
         let schema_id = mcap.add_schema(INPUT_ENCODING, INPUT_ENCODING, SCHEMA_TEXT.as_bytes())?;
         let input_channel = mcap.add_channel(schema_id, INPUT_TOPIC, INPUT_ENCODING, &BTreeMap::new())?;
         mcap.flush()?;
@@ -111,15 +111,15 @@ impl<W: Write> Writer<W> {
             zero_nanos,
             input_channel,
             // The number of an input is that of a session, cut to 32 bits.
-            sequence: begins.inputs_before as u32,
-            beside: BTreeMap::new(),
-            outputs: Outputs::new(zero_nanos, OUTPUT_SPACING),
+            sequence: part_header.inputs_before as u32,
+            output_channels: BTreeMap::new(),
+            outputs: OutputEncoder::new(zero_nanos, OUTPUT_SPACING),
             scratch: Vec::new(),
         })
     }
 
     /// Sets how far apart estimates, and fusions of one sensor and kind, lie at least beside the inputs; zero keeps all of them.
-    pub fn space_outputs(&mut self, spacing: Span) {
+    pub fn set_output_spacing(&mut self, spacing: TimeDelta) {
         self.outputs.set_spacing(spacing);
     }
 
@@ -127,16 +127,16 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// When `W` cannot be written.
-    pub fn finish_part(mut self) -> Result<Handover, WriteError> {
-        let fresh = Outputs::new(self.zero_nanos, OUTPUT_SPACING);
+    pub fn finish_part(mut self) -> Result<OutputHandover, WriteError> {
+        let fresh = OutputEncoder::new(self.zero_nanos, OUTPUT_SPACING);
         let outputs = std::mem::replace(&mut self.outputs, fresh);
         self.finish()?;
-        Ok(Handover(Box::new(outputs)))
+        Ok(OutputHandover(Box::new(outputs)))
     }
 
     /// Goes on with what the writer of the part before knew.
-    pub fn take_over(&mut self, before: Handover) {
-        self.outputs = *before.0;
+    pub fn restore_outputs(&mut self, state: OutputHandover) {
+        self.outputs = *state.0;
     }
 
     /// Records that `input` was given to the pipeline at `now`; a command is shown beside the inputs as well.
@@ -144,14 +144,14 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// When the file cannot be written, `now` is negative, or a chunk of bytes is longer than 16 MiB. After the first
     /// kind nothing more can be recorded; after the other two only this input is missing.
-    pub fn record(&mut self, now: Stamp<HostClock>, input: &Input) -> Result<(), WriteError> {
-        let log_time = since_start(now)?;
+    pub fn record(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<(), WriteError> {
+        let log_time = log_time_nanos(now)?;
         if let Input::Bytes { bytes, .. } = input
             && bytes.len() > MAX_INPUT_BYTES
         {
             return Err(WriteError::TooLarge(bytes.len()));
         }
-        let place = Place { sequence: self.sequence, log_time };
+        let place = RecordPosition { sequence: self.sequence, log_time };
         self.scratch.clear();
         encoding::encode(input, place, &mut self.scratch);
         let header = MessageHeader {
@@ -163,8 +163,8 @@ impl<W: Write> Writer<W> {
         self.mcap.write_to_known_channel(&header, &self.scratch)?;
         self.sequence = self.sequence.wrapping_add(1);
         if let Input::Command(command) = input {
-            let message = foxglove::command(command);
-            self.put(now, message)?;
+            let message = foxglove::command_message(command);
+            self.write_messages(now, message)?;
         }
         Ok(())
     }
@@ -173,51 +173,60 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_event(&mut self, now: Stamp<HostClock>, event: &Event) -> Result<(), WriteError> {
-        let messages = self.outputs.take(now, event);
-        self.put(now, messages)
+    pub fn record_event(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<(), WriteError> {
+        let messages = self.outputs.encode_event(now, event);
+        self.write_messages(now, messages)
     }
 
     /// Records what the filter has learned about the robot, as of `now`, for viewers.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_calibration(&mut self, now: Stamp<HostClock>, calibration: &Calibration) -> Result<(), WriteError> {
-        self.put(now, foxglove::calibration(calibration))
+    pub fn record_calibration(
+        &mut self,
+        now: Timestamp<HostClock>,
+        calibration: &Calibration,
+    ) -> Result<(), WriteError> {
+        self.write_messages(now, foxglove::calibration_message(calibration))
     }
 
     /// Records a line for people, with its MAVLink severity: 0 emergency to 7 debug.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_line(&mut self, now: Stamp<HostClock>, severity: u8, text: &str) -> Result<(), WriteError> {
-        let line = self.outputs.line(now, severity, ("station", text));
-        self.put(now, [line])
+    pub fn record_log_message(
+        &mut self,
+        now: Timestamp<HostClock>,
+        severity: u8,
+        text: &str,
+    ) -> Result<(), WriteError> {
+        let line = self.outputs.log_message(now, severity, "station", text);
+        self.write_messages(now, [line])
     }
 
     /// Says that inputs are missing here. The next one has the number that it would have had.
     ///
     /// # Errors
     /// When the file cannot be written, or the gap ends before the start of the session.
-    pub fn record_gap(&mut self, gap: &Gap) -> Result<(), WriteError> {
-        self.put(gap.to, foxglove::gap(gap))?;
+    pub fn record_gap(&mut self, gap: &RecordingGap) -> Result<(), WriteError> {
+        self.write_messages(gap.to, foxglove::gap_message(gap))?;
         // Numbers are cut to 32 bits.
         self.sequence = self.sequence.wrapping_add(gap.inputs as u32);
         let text = format!(
             "{} inputs are missing: the disk was too slow; a replay is not that of the session any more",
             gap.inputs
         );
-        self.record_line(gap.to, 3, &text)
+        self.record_log_message(gap.to, 3, &text)
     }
 
     /// Records where the robot really was, as a simulation knows it; called once, when the run is over at `now`.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
-    pub fn record_truth(&mut self, now: Stamp<HostClock>, samples: &[TruthSample]) -> Result<(), WriteError> {
+    pub fn record_truth(&mut self, now: Timestamp<HostClock>, samples: &[TruthSample]) -> Result<(), WriteError> {
         for sample in samples {
-            let (at, messages) = self.outputs.truth(now, sample);
-            self.put(at, messages)?;
+            let (at, messages) = self.outputs.truth_messages(now, sample);
+            self.write_messages(at, messages)?;
         }
         Ok(())
     }
@@ -241,11 +250,15 @@ impl<W: Write> Writer<W> {
     }
 
     /// Writes messages beside the inputs.
-    fn put(&mut self, at: Stamp<HostClock>, messages: impl IntoIterator<Item = Message>) -> Result<(), WriteError> {
-        let time = self.zero_nanos + since_start(at)?;
+    fn write_messages(
+        &mut self,
+        at: Timestamp<HostClock>,
+        messages: impl IntoIterator<Item = EncodedMessage>,
+    ) -> Result<(), WriteError> {
+        let time = self.zero_nanos + log_time_nanos(at)?;
         for message in messages {
             let topic = message.channel.topic;
-            let beside = match self.beside.get(topic) {
+            let beside = match self.output_channels.get(topic) {
                 Some(beside) => *beside,
                 None => self.open_channel(&message)?,
             };
@@ -253,21 +266,21 @@ impl<W: Write> Writer<W> {
                 MessageHeader { channel_id: beside.id, sequence: beside.sequence, log_time: time, publish_time: time };
             self.mcap.write_to_known_channel(&header, &message.data)?;
             let sequence = beside.sequence.wrapping_add(1);
-            self.beside.insert(topic, Beside { sequence, ..beside });
+            self.output_channels.insert(topic, OutputChannel { sequence, ..beside });
         }
         Ok(())
     }
 
-    fn open_channel(&mut self, message: &Message) -> Result<Beside, WriteError> {
+    fn open_channel(&mut self, message: &EncodedMessage) -> Result<OutputChannel, WriteError> {
         let channel = message.channel;
         let (encoding, schema_encoding, schema) = channel.encoding.parts();
         let schema_id = self.mcap.add_schema(channel.schema, schema_encoding, &schema)?;
         let id = self.mcap.add_channel(schema_id, channel.topic, encoding, &BTreeMap::new())?;
-        Ok(Beside { id, sequence: 0 })
+        Ok(OutputChannel { id, sequence: 0 })
     }
 }
 
 /// Nanoseconds since the start of the session.
-fn since_start(at: Stamp<HostClock>) -> Result<u64, WriteError> {
+fn log_time_nanos(at: Timestamp<HostClock>) -> Result<u64, WriteError> {
     u64::try_from(at.as_nanos()).ok().ok_or(WriteError::NegativeTime(at))
 }

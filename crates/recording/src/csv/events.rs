@@ -1,38 +1,41 @@
-//! Events as lines.
+//! Events as CSV lines.
 
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, SourceHealth, Span, Stamp,
+    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, SourceHealth, TimeDelta,
+    Timestamp,
 };
 
-use super::{Field, Row, columns, observations};
+use super::row::{CsvField, CsvRow};
+use super::{columns, observations};
+use crate::event_json;
 
 /// The lines of an event that happened at `now`.
-pub(super) fn rows(now: Stamp<HostClock>, event: &Event) -> Vec<Row> {
+pub(super) fn rows(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
     match event {
-        Event::Observed { arrival, observation, .. } => vec![observations::row(*arrival, observation)],
-        Event::Fused { record, .. } => vec![fusion(now, record)],
-        Event::Estimated { estimate, .. } => vec![self::estimate(now, estimate)],
+        Event::ObservationAligned { arrival, observation, .. } => vec![observations::row(*arrival, observation)],
+        Event::ObservationFused { record, .. } => vec![fusion(now, record)],
+        Event::EstimateUpdated { estimate, .. } => vec![self::estimate(now, estimate)],
         Event::Temperature { .. } => temperature(event).into_iter().collect(),
         Event::BrickClockAligned { .. } => clock(event).into_iter().collect(),
         Event::Health { link, health, sources } => std::iter::once(self::link(now, *link, health))
             .chain(sources.iter().map(|one| source(now, *link, one)))
             .collect(),
-        Event::RobotSeen { .. }
+        Event::RobotDetected { .. }
         | Event::RobotLost { .. }
         | Event::BrickRestarted { .. }
         | Event::CameraClockAligned { .. }
         | Event::Link { .. }
-        | Event::Defect { .. }
-        | Event::Text { .. } => vec![in_words(now, event)],
+        | Event::ReceiveError { .. }
+        | Event::Text { .. } => vec![event_row(now, event)],
     }
 }
 
-fn seconds(span: Span) -> Field {
+fn seconds(span: TimeDelta) -> CsvField {
     span.as_secs_f64().into()
 }
 
-fn estimate(now: Stamp<HostClock>, estimate: &Estimate) -> Row {
-    let mut fields: Vec<Field> = vec![
+fn estimate(now: Timestamp<HostClock>, estimate: &Estimate) -> CsvRow {
+    let mut fields: Vec<CsvField> = vec![
         estimate.stamp.as_secs_f64().into(),
         estimate.pose.x.0.into(),
         estimate.pose.y.0.into(),
@@ -41,7 +44,7 @@ fn estimate(now: Stamp<HostClock>, estimate: &Estimate) -> Row {
         estimate.turn_rate.0.into(),
     ];
     for (index, row) in estimate.covariance.iter().enumerate() {
-        fields.extend(row.iter().skip(index).map(|entry| Field::from(*entry)));
+        fields.extend(row.iter().skip(index).map(|entry| CsvField::from(*entry)));
     }
     let validity = estimate.validity;
     fields.extend([
@@ -49,38 +52,38 @@ fn estimate(now: Stamp<HostClock>, estimate: &Estimate) -> Row {
         validity.heading.into(),
         validity.speeds.into(),
         estimate.is_dead_reckoning.into(),
-        estimate.fix_age.map(Span::as_secs_f64).into(),
+        estimate.fix_age.map(TimeDelta::as_secs_f64).into(),
         u64::from(estimate.reset_counter).into(),
         now.as_secs_f64().into(),
     ]);
-    Row { stream: "estimates", header: columns::ESTIMATES, fields }
+    CsvRow { stream: "estimates", header: columns::ESTIMATES, fields }
 }
 
-fn fusion(now: Stamp<HostClock>, record: &FusionRecord) -> Row {
-    let mut fields: Vec<Field> = vec![
+fn fusion(now: Timestamp<HostClock>, record: &FusionRecord) -> CsvRow {
+    let mut fields: Vec<CsvField> = vec![
         record.stamp.as_secs_f64().into(),
         u64::from(record.sensor.0).into(),
         record.sensor.name().into(),
         record.kind.into(),
-        record.verdict.reason().into(),
+        record.outcome.reason().into(),
         seconds(record.lag),
         u64::from(record.degrees_of_freedom).into(),
         record.nis.into(),
         record.log_likelihood.into(),
     ];
-    fields.extend(record.innovation.map(Field::from));
+    fields.extend(record.innovation.map(CsvField::from));
     for (index, row) in record.innovation_covariance.iter().enumerate() {
-        fields.extend(row.iter().skip(index).map(|entry| Field::from(*entry)));
+        fields.extend(row.iter().skip(index).map(|entry| CsvField::from(*entry)));
     }
     fields.push(now.as_secs_f64().into());
-    Row { stream: "fusion", header: columns::FUSION, fields }
+    CsvRow { stream: "fusion", header: columns::FUSION, fields }
 }
 
-fn temperature(event: &Event) -> Option<Row> {
+fn temperature(event: &Event) -> Option<CsvRow> {
     let Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } = event else {
         return None;
     };
-    Some(Row {
+    Some(CsvRow {
         stream: "temperature",
         header: columns::TEMPERATURE,
         fields: vec![
@@ -97,11 +100,11 @@ fn temperature(event: &Event) -> Option<Row> {
     })
 }
 
-fn clock(event: &Event) -> Option<Row> {
+fn clock(event: &Event) -> Option<CsvRow> {
     let Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host } = event else {
         return None;
     };
-    Some(Row {
+    Some(CsvRow {
         stream: "clock",
         header: columns::CLOCK,
         fields: vec![
@@ -110,14 +113,14 @@ fn clock(event: &Event) -> Option<Row> {
             seconds(*offset),
             (*skew_ppm).into(),
             seconds(*uncertainty),
-            round_trip.map(Span::as_secs_f64).into(),
+            round_trip.map(TimeDelta::as_secs_f64).into(),
             system(robot.address),
             component(robot.address),
         ],
     })
 }
 
-fn link(now: Stamp<HostClock>, link: LinkId, health: &LinkHealth) -> Row {
+fn link(now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> CsvRow {
     let counts = [
         health.bytes_in,
         health.bytes_out,
@@ -127,28 +130,28 @@ fn link(now: Stamp<HostClock>, link: LinkId, health: &LinkHealth) -> Row {
         health.checksum_errors,
         health.garbage_bytes,
         health.unknown_ids,
-        health.stalls,
+        health.timeouts,
         health.reconnects,
         health.drops_out + health.port.drops_out,
-        health.refused_frames,
+        health.rejected_frames,
         health.duplicates,
         health.forwarded,
         health.filtered,
-        health.thinned,
+        health.rate_limited,
     ];
-    let mut fields: Vec<Field> = vec![now.as_secs_f64().into(), u64::from(link.0).into()];
-    fields.extend(counts.map(Field::from));
+    let mut fields: Vec<CsvField> = vec![now.as_secs_f64().into(), u64::from(link.0).into()];
+    fields.extend(counts.map(CsvField::from));
     fields.extend([
-        health.round_trip.map(Span::as_secs_f64).into(),
-        health.clock_uncertainty.map(Span::as_secs_f64).into(),
+        health.round_trip.map(TimeDelta::as_secs_f64).into(),
+        health.clock_uncertainty.map(TimeDelta::as_secs_f64).into(),
         u64::from(health.port.queued_frames).into(),
         u64::from(health.port.queued_bytes).into(),
     ]);
-    Row { stream: "links", header: columns::LINKS, fields }
+    CsvRow { stream: "links", header: columns::LINKS, fields }
 }
 
-fn source(now: Stamp<HostClock>, link: LinkId, source: &SourceHealth) -> Row {
-    Row {
+fn source(now: Timestamp<HostClock>, link: LinkId, source: &SourceHealth) -> CsvRow {
+    CsvRow {
         stream: "sources",
         header: columns::SOURCES,
         fields: vec![
@@ -162,35 +165,35 @@ fn source(now: Stamp<HostClock>, link: LinkId, source: &SourceHealth) -> Row {
     }
 }
 
-fn system(address: Address) -> Field {
+fn system(address: Address) -> CsvField {
     u64::from(address.system.0).into()
 }
 
-fn component(address: Address) -> Field {
+fn component(address: Address) -> CsvField {
     u64::from(address.component.0).into()
 }
 
 /// What has no stream of its own.
-fn in_words(now: Stamp<HostClock>, event: &Event) -> Row {
-    let (name, link, address, detail) = words(event);
-    Row {
+fn event_row(now: Timestamp<HostClock>, event: &Event) -> CsvRow {
+    let (name, link, address, detail) = describe(event);
+    CsvRow {
         stream: "events",
         header: columns::EVENTS,
         fields: vec![
             now.as_secs_f64().into(),
             name.into(),
             link.map(|link| u64::from(link.0)).into(),
-            address.map_or(Field::Nothing, system),
-            address.map_or(Field::Nothing, component),
+            address.map_or(CsvField::Empty, system),
+            address.map_or(CsvField::Empty, component),
             detail.into(),
         ],
     }
 }
 
 /// Name, link, sender and the rest.
-fn words(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, String) {
+fn describe(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, String) {
     match event {
-        Event::RobotSeen { robot } => ("robot_seen", Some(robot.link), Some(robot.address), String::new()),
+        Event::RobotDetected { robot } => ("robot_seen", Some(robot.link), Some(robot.address), String::new()),
         Event::RobotLost { robot, silence } => {
             ("robot_lost", Some(robot.link), Some(robot.address), format!("silent for {} s", silence.as_secs_f64()))
         }
@@ -208,11 +211,11 @@ fn words(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, Strin
             };
             (name, Some(*link), None, String::new())
         }
-        Event::Defect { link, defect } => ("defect", Some(*link), None, format!("{defect:?}")),
+        Event::ReceiveError { link, defect } => ("defect", Some(*link), None, event_json::details_of(defect)),
         Event::Text { source, severity, text } => ("text", None, Some(*source), format!("{severity}: {text}")),
-        Event::Observed { .. }
-        | Event::Fused { .. }
-        | Event::Estimated { .. }
+        Event::ObservationAligned { .. }
+        | Event::ObservationFused { .. }
+        | Event::EstimateUpdated { .. }
         | Event::Temperature { .. }
         | Event::BrickClockAligned { .. }
         | Event::Health { .. } => ("other", None, None, String::new()),
@@ -222,10 +225,10 @@ fn words(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, Strin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::csv::Streams;
+    use crate::csv::CsvWriter;
     use posebridge_telemetry::{
-        BrickClock, Heading, Meters, MetersPerSecond, Observation, Observed, Pose, Radians, RadiansPerSecond, RobotId,
-        SensorId, Validity,
+        BrickClock, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Pose, Radians, RadiansPerSecond,
+        RobotId, SensorId, Validity,
     };
     use std::cell::RefCell;
     use std::collections::BTreeMap;
@@ -234,11 +237,11 @@ mod tests {
 
     /// Files in memory, by name.
     #[derive(Clone, Default)]
-    struct Files(Rc<RefCell<BTreeMap<String, Vec<u8>>>>);
+    struct MemoryFiles(Rc<RefCell<BTreeMap<String, Vec<u8>>>>);
 
-    struct One(Files, String);
+    struct MemoryFile(MemoryFiles, String);
 
-    impl Write for One {
+    impl Write for MemoryFile {
         fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
             let mut files = self.0.0.borrow_mut();
             files.entry(self.1.clone()).or_default().extend(bytes);
@@ -249,11 +252,11 @@ mod tests {
         }
     }
 
-    fn written(events: &[Event]) -> BTreeMap<String, String> {
-        let files = Files::default();
-        let mut streams = Streams::new(|name: &str| Ok(One(files.clone(), name.to_owned())));
+    fn written_files(events: &[Event]) -> BTreeMap<String, String> {
+        let files = MemoryFiles::default();
+        let mut streams = CsvWriter::new(|name: &str| Ok(MemoryFile(files.clone(), name.to_owned())));
         for event in events {
-            streams.take(Stamp::from_millis(2_500), event).unwrap();
+            streams.record(Timestamp::from_millis(2_500), event).unwrap();
         }
         streams.finish().unwrap();
         let files = files.0.borrow();
@@ -279,7 +282,7 @@ mod tests {
             }
         }
         let estimate = Estimate {
-            stamp: Stamp::<BrickClock>::from_millis(1_250),
+            stamp: Timestamp::<BrickClock>::from_millis(1_250),
             pose: Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5)),
             forward_speed: MetersPerSecond(0.25),
             turn_rate: RadiansPerSecond(-0.125),
@@ -288,10 +291,10 @@ mod tests {
             is_dead_reckoning: true,
             fix_age: None,
             reset_counter: 3,
-            last_jump: None,
+            last_correction: None,
         };
         let robot = RobotId::default();
-        let files = written(&[Event::Estimated { robot, estimate }]);
+        let files = written_files(&[Event::EstimateUpdated { robot, estimate }]);
         let text = &files["estimates"];
         for (name, expected) in [
             ("t_s", "1.25"),
@@ -314,19 +317,19 @@ mod tests {
 
     #[test]
     fn each_kind_of_observation_has_a_stream_and_texts_stand_among_the_events() {
-        let wheels = Event::Observed {
+        let wheels = Event::ObservationAligned {
             robot: RobotId::default(),
             source: Address::new(1, 1),
-            arrival: Stamp::from_millis(40),
+            arrival: Timestamp::from_millis(40),
             observation: Observation {
                 sensor: SensorId::WHEELS,
-                stamp: Stamp::from_millis(30),
-                stamp_sigma: Span::from_millis(1),
-                observed: Observed::WheelAngles { left: Radians(0.5), right: Radians(0.75) },
+                stamp: Timestamp::from_millis(30),
+                stamp_sigma: TimeDelta::from_millis(1),
+                measurement: ObservationKind::WheelAngles { left: Radians(0.5), right: Radians(0.75) },
             },
         };
         let said = Event::Text { source: Address::new(1, 1), severity: 4, text: "low, very low".to_owned() };
-        let files = written(&[wheels, said]);
+        let files = written_files(&[wheels, said]);
         assert_eq!(column(&files["wheel_angles"], "right_rad"), "0.75");
         assert_eq!(column(&files["wheel_angles"], "arrival_s"), "0.04");
         assert!(files["events"].ends_with("2.5,text,,1,1,\"4: low, very low\"\n"));

@@ -1,8 +1,8 @@
 //! One stream per kind of observation.
 
-use posebridge_telemetry::{HostClock, Observation, Observed, Stamp};
+use posebridge_telemetry::{HostClock, Observation, ObservationKind, Timestamp};
 
-use super::{Field, Row};
+use super::row::{CsvField, CsvRow};
 
 /// Before the columns of the kind: stamp, arrival, how far the stamp may be off, sensor.
 macro_rules! columns {
@@ -12,8 +12,8 @@ macro_rules! columns {
 }
 
 /// The line of an observation.
-pub(super) fn row(arrival: Stamp<HostClock>, observation: &Observation) -> Row {
-    let (header, own) = fields_of(&observation.observed);
+pub(super) fn row(arrival: Timestamp<HostClock>, observation: &Observation) -> CsvRow {
+    let (header, own) = kind_fields(&observation.measurement);
     let mut fields = vec![
         observation.stamp.as_secs_f64().into(),
         arrival.as_secs_f64().into(),
@@ -21,24 +21,24 @@ pub(super) fn row(arrival: Stamp<HostClock>, observation: &Observation) -> Row {
         u64::from(observation.sensor.0).into(),
     ];
     fields.extend(own);
-    Row { stream: observation.observed.kind(), header, fields }
+    CsvRow { stream: observation.measurement.kind(), header, fields }
 }
 
-fn fields_of(observed: &Observed) -> (&'static str, Vec<Field>) {
-    let numbers = |numbers: &[f64]| numbers.iter().map(|number| Field::from(*number)).collect();
+fn kind_fields(observed: &ObservationKind) -> (&'static str, Vec<CsvField>) {
+    let numbers = |numbers: &[f64]| numbers.iter().map(|number| CsvField::from(*number)).collect();
     match observed {
-        Observed::WheelAngles { left, right } => (columns!("left_rad,right_rad"), numbers(&[left.0, right.0])),
-        Observed::OdometerPose(pose) => {
+        ObservationKind::WheelAngles { left, right } => (columns!("left_rad,right_rad"), numbers(&[left.0, right.0])),
+        ObservationKind::OdometerPose(pose) => {
             (columns!("x_m,y_m,heading_rad"), numbers(&[pose.x.0, pose.y.0, pose.heading.rad()]))
         }
-        Observed::BodyVelocity { forward, turn } => {
+        ObservationKind::BodyVelocity { forward, turn } => {
             (columns!("forward_m_per_s,turn_rad_per_s"), numbers(&[forward.0, turn.0]))
         }
-        Observed::TurnRate(turn) => (columns!("turn_rad_per_s"), numbers(&[turn.0])),
-        Observed::WheelAccelerations { left, right } => {
+        ObservationKind::TurnRate(turn) => (columns!("turn_rad_per_s"), numbers(&[turn.0])),
+        ObservationKind::WheelAccelerations { left, right } => {
             (columns!("left_m_per_s2,right_m_per_s2"), numbers(&[left.0, right.0]))
         }
-        Observed::Fix(fix) => {
+        ObservationKind::Fix(fix) => {
             let covariance = fix.covariance;
             let fields = vec![
                 fix.position.x.0.into(),
@@ -57,14 +57,14 @@ fn fields_of(observed: &Observed) -> (&'static str, Vec<Field>) {
             );
             (header, fields)
         }
-        Observed::Landmark { id, range, bearing } => {
+        ObservationKind::Landmark { id, range, bearing } => {
             (columns!("landmark,range_m,bearing_rad"), vec![u64::from(id.0).into(), range.0.into(), bearing.0.into()])
         }
-        Observed::BeaconRange { id, range } => {
+        ObservationKind::BeaconRange { id, range } => {
             (columns!("beacon,range_m"), vec![u64::from(id.0).into(), range.0.into()])
         }
-        Observed::WallRange(range) => (columns!("range_m"), numbers(&[range.0])),
-        Observed::CompassHeading(heading) => (columns!("heading_rad"), numbers(&[heading.rad()])),
-        Observed::Temperature(shown) => (columns!("temperature_deg_c"), numbers(&[shown.0])),
+        ObservationKind::WallRange(range) => (columns!("range_m"), numbers(&[range.0])),
+        ObservationKind::CompassHeading(heading) => (columns!("heading_rad"), numbers(&[heading.rad()])),
+        ObservationKind::Temperature(shown) => (columns!("temperature_deg_c"), numbers(&[shown.0])),
     }
 }

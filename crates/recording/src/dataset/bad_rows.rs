@@ -1,14 +1,14 @@
-//! Rows that make no sense: counted by reason, the first ones named, never the end of a run.
+//! Bad rows: counted by reason, the first ones named. They never end a run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// How many bad rows are named; the rest is only counted.
-const NAMED_ROWS: usize = 20;
+const MAX_LISTED_ROWS: usize = 20;
 
 /// Why a row was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Reason {
+pub enum BadRowReason {
     /// The row has too few columns.
     MissingColumn,
     /// A value is not a finite number.
@@ -18,7 +18,7 @@ pub enum Reason {
     /// The time is that of the row before, where an interval is needed.
     ZeroInterval,
     /// A fix repeats the stamp of the one before.
-    RepeatedStamp,
+    RepeatedTimestamp,
     /// The value or the time leaps further than the descriptor says is possible.
     ImpossibleJump,
     /// The value is outside the limits that the descriptor sets.
@@ -27,7 +27,7 @@ pub enum Reason {
     UnknownId,
 }
 
-impl Reason {
+impl BadRowReason {
     /// The reason in words, as reports print it.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -36,7 +36,7 @@ impl Reason {
             Self::NotNumeric => "not a number",
             Self::TimeBackwards => "time goes back",
             Self::ZeroInterval => "zero interval",
-            Self::RepeatedStamp => "repeated stamp",
+            Self::RepeatedTimestamp => "repeated stamp",
             Self::ImpossibleJump => "impossible jump",
             Self::OutOfRange => "out of range",
             Self::UnknownId => "unknown id",
@@ -52,7 +52,7 @@ pub struct BadRow {
     /// The line, from 1.
     pub line: usize,
     /// Why.
-    pub reason: Reason,
+    pub reason: BadRowReason,
     /// The value at fault.
     pub detail: String,
 }
@@ -68,10 +68,10 @@ impl fmt::Display for BadRow {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BadRows {
     /// How many, by reason; reasons that did not occur are absent.
-    pub counts: BTreeMap<Reason, usize>,
+    pub counts: BTreeMap<BadRowReason, usize>,
     /// The first 20, in the order in which they were met.
-    pub named: Vec<BadRow>,
-    seen: BTreeSet<(String, usize, Reason)>,
+    pub listed: Vec<BadRow>,
+    already_counted: BTreeSet<(String, usize, BadRowReason)>,
 }
 
 impl BadRows {
@@ -81,31 +81,31 @@ impl BadRows {
     }
 
     /// How many rows were left out for this reason.
-    pub fn count(&self, reason: Reason) -> usize {
+    pub fn count(&self, reason: BadRowReason) -> usize {
         self.counts.get(&reason).copied().unwrap_or(0)
     }
 
-    pub(super) fn add(&mut self, file: &str, line: usize, fault: Fault) {
-        let Fault { reason, detail } = fault;
-        if !self.seen.insert((file.to_owned(), line, reason)) {
+    pub(super) fn add(&mut self, file: &str, line: usize, fault: RowError) {
+        let RowError { reason, detail } = fault;
+        if !self.already_counted.insert((file.to_owned(), line, reason)) {
             return;
         }
         *self.counts.entry(reason).or_insert(0) += 1;
-        if self.named.len() < NAMED_ROWS {
-            self.named.push(BadRow { file: file.to_owned(), line, reason, detail });
+        if self.listed.len() < MAX_LISTED_ROWS {
+            self.listed.push(BadRow { file: file.to_owned(), line, reason, detail });
         }
     }
 }
 
 /// What is wrong with the row at hand.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Fault {
-    pub(super) reason: Reason,
+pub(super) struct RowError {
+    pub(super) reason: BadRowReason,
     pub(super) detail: String,
 }
 
-impl Fault {
-    pub(super) fn new(reason: Reason, detail: impl Into<String>) -> Self {
+impl RowError {
+    pub(super) fn new(reason: BadRowReason, detail: impl Into<String>) -> Self {
         Self { reason, detail: detail.into() }
     }
 }

@@ -1,6 +1,6 @@
-//! Columns with units: which field of a row holds a value, and what it means.
+//! Columns with units: the field of a row, its unit and its meaning.
 //!
-//! A column knows its dimension as a type, so that a length in seconds is an error of the descriptor and not of the
+//! A column has its dimension as a type, so that a length in seconds is an error of the descriptor and not of the
 //! estimate.
 
 use std::f64::consts::PI;
@@ -12,9 +12,9 @@ use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
 /// A finite number in a descriptor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Number(pub(super) f64);
+pub(super) struct FiniteNumber(pub(super) f64);
 
-impl<'de> Deserialize<'de> for Number {
+impl<'de> Deserialize<'de> for FiniteNumber {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = f64::deserialize(deserializer)?;
         if value.is_finite() { Ok(Self(value)) } else { Err(Error::custom("the number must be finite")) }
@@ -23,14 +23,14 @@ impl<'de> Deserialize<'de> for Number {
 
 /// Where a value stands in a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum ColumnRef {
     /// The column's number, from 0.
     Index(usize),
     /// The column's name in the header line.
     Name(String),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for ColumnRef {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Index(index) => write!(f, "{index}"),
@@ -39,26 +39,26 @@ impl fmt::Display for Place {
     }
 }
 
-struct PlaceVisitor;
+struct ColumnRefVisitor;
 
-impl Visitor<'_> for PlaceVisitor {
-    type Value = Place;
+impl Visitor<'_> for ColumnRefVisitor {
+    type Value = ColumnRef;
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a column: its number from 0, or its name in the header line")
     }
-    fn visit_i64<E: Error>(self, index: i64) -> Result<Place, E> {
+    fn visit_i64<E: Error>(self, index: i64) -> Result<ColumnRef, E> {
         let index = usize::try_from(index)
             .map_err(|error| E::custom(format!("column {index}, but columns count from 0: {error}")))?;
-        Ok(Place::Index(index))
+        Ok(ColumnRef::Index(index))
     }
-    fn visit_str<E: Error>(self, name: &str) -> Result<Place, E> {
-        Ok(Place::Name(name.to_owned()))
+    fn visit_str<E: Error>(self, name: &str) -> Result<ColumnRef, E> {
+        Ok(ColumnRef::Name(name.to_owned()))
     }
 }
 
-impl<'de> Deserialize<'de> for Place {
+impl<'de> Deserialize<'de> for ColumnRef {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(PlaceVisitor)
+        deserializer.deserialize_any(ColumnRefVisitor)
     }
 }
 
@@ -139,7 +139,7 @@ dimension!(Id, "number", false, unit("none", 1.0));
 /// A column of the dimension `D`: `SI value = (raw * scale + offset + zero) * factor`, with `offset` in the unit.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Column<D> {
-    pub(super) place: Place,
+    pub(super) place: ColumnRef,
     pub(super) unit: Unit,
     pub(super) scale: f64,
     pub(super) offset: f64,
@@ -157,10 +157,10 @@ impl<D> Column<D> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawColumn {
-    column: Place,
+    column: ColumnRef,
     unit: Option<String>,
-    scale: Option<Number>,
-    offset: Option<Number>,
+    scale: Option<FiniteNumber>,
+    offset: Option<FiniteNumber>,
 }
 
 struct ColumnVisitor<D>(PhantomData<D>);
@@ -194,7 +194,7 @@ impl<D: Dimension> ColumnVisitor<D> {
         })
     }
 
-    fn plain<E: Error>(column: Place) -> Result<Column<D>, E> {
+    fn plain<E: Error>(column: ColumnRef) -> Result<Column<D>, E> {
         Self::build(RawColumn { column, unit: None, scale: None, offset: None })
     }
 }
@@ -205,10 +205,10 @@ impl<'de, D: Dimension> Visitor<'de> for ColumnVisitor<D> {
         f.write_str("a column: number, name, or { column, unit, scale, offset }")
     }
     fn visit_i64<E: Error>(self, index: i64) -> Result<Column<D>, E> {
-        Self::plain(PlaceVisitor.visit_i64(index)?)
+        Self::plain(ColumnRefVisitor.visit_i64(index)?)
     }
     fn visit_str<E: Error>(self, name: &str) -> Result<Column<D>, E> {
-        Self::plain(PlaceVisitor.visit_str(name)?)
+        Self::plain(ColumnRefVisitor.visit_str(name)?)
     }
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Column<D>, A::Error> {
         let raw = RawColumn::deserialize(serde::de::value::MapAccessDeserializer::new(map))?;
@@ -230,9 +230,9 @@ pub(super) enum HeadingColumns {
     /// The two components of a quaternion that turns about the vertical only.
     Quaternion {
         /// The vertical component.
-        qz: Place,
+        qz: ColumnRef,
         /// The scalar component.
-        qw: Place,
+        qw: ColumnRef,
     },
 }
 
@@ -240,12 +240,12 @@ pub(super) enum HeadingColumns {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawHeading {
-    column: Option<Place>,
+    column: Option<ColumnRef>,
     unit: Option<String>,
-    scale: Option<Number>,
-    offset: Option<Number>,
-    qz: Option<Place>,
-    qw: Option<Place>,
+    scale: Option<FiniteNumber>,
+    offset: Option<FiniteNumber>,
+    qz: Option<ColumnRef>,
+    qw: Option<ColumnRef>,
 }
 
 struct HeadingVisitor;

@@ -1,7 +1,7 @@
 //! Decimal text to whole nanoseconds, exactly.
 //!
-//! A Unix time with nanoseconds has 19 digits and does not fit an `f64`; a stamp that passed through one is up to
-//! 0.1 microseconds off, and two stamps may fall together.
+//! A Unix time with nanoseconds has 19 digits and does not fit an `f64`: a timestamp converted through one is up to 0.1
+//! microseconds off, and two timestamps may become equal.
 
 /// More digits than any clock has; further digits of a fraction are dropped.
 const MAX_DIGITS: u32 = 30;

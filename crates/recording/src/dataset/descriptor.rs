@@ -1,15 +1,15 @@
-//! A descriptor that has been checked: what `load` works from.
+//! A checked descriptor: the input of `load`.
 //!
-//! Everything that can be known without the files is checked here, so that a wrong key is found before a long read.
+//! Everything that can be checked without the files is checked here, so that a wrong key is found before a long read.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 use toml::Spanned;
 
-use super::column::Place;
+use super::column::ColumnRef;
 use super::run::StartPose;
-use super::schema::{FileEntry, PlacesMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPlace};
+use super::schema::{FileEntry, PointMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPosition};
 use posebridge_telemetry::{Heading, Meters, Pose};
 
 /// Why a descriptor cannot be used.
@@ -65,17 +65,17 @@ pub(super) struct ResolvedRun {
     pub(super) name: String,
     pub(super) values: BTreeMap<String, String>,
     pub(super) robot: toml::Table,
-    pub(super) start: Option<Start>,
-    pub(super) tag: Option<TagPlace>,
+    pub(super) start: Option<RunStart>,
+    pub(super) tag: Option<TagPosition>,
 }
 
 /// Where a run starts.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Start {
+pub(super) enum RunStart {
     /// At a pose that the descriptor spells out.
-    Given(StartPose),
+    Pose(StartPose),
     /// At a pose that the files tell.
-    From { source: StartSource, position_sigma_m: f64, heading_sigma_rad: f64 },
+    Source { source: StartSource, position_sigma_m: f64, heading_sigma_rad: f64 },
 }
 
 impl Descriptor {
@@ -86,12 +86,12 @@ impl Descriptor {
     /// names the line and the key.
     pub fn from_toml(text: &str) -> Result<Self, DescriptorError> {
         let raw: RawDescriptor = toml::from_str(text).map_err(|error| key_error(text, &error))?;
-        let check = Check { text, raw: &raw };
-        let resolved = check.runs()?;
-        check.default_run(&resolved)?;
-        check.files()?;
-        check.streams(&resolved)?;
-        check.maps()?;
+        let check = DescriptorValidator { text, raw: &raw };
+        let resolved = check.resolve_runs()?;
+        check.validate_default_run(&resolved)?;
+        check.validate_files()?;
+        check.validate_all_streams(&resolved)?;
+        check.validate_maps()?;
         Ok(Self {
             name: raw.name.clone(),
             source: raw.source.clone(),
@@ -134,13 +134,13 @@ fn merge(table: &mut toml::Table, over: &toml::Table) {
     }
 }
 
-fn line_of(text: &str, offset: usize) -> usize {
+fn line_number(text: &str, offset: usize) -> usize {
     let before = text.get(..offset).unwrap_or_default();
     1 + before.matches('\n').count()
 }
 
 fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
-    let line = line_of(text, error.span().unwrap_or_default().start);
+    let line = line_number(text, error.span().unwrap_or_default().start);
     DescriptorError::Key {
         line,
         message: error.message().trim().replace('\n', ", "),
@@ -149,27 +149,27 @@ fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
 }
 
 /// The rules that span several keys.
-struct Check<'a> {
+struct DescriptorValidator<'a> {
     text: &'a str,
     raw: &'a RawDescriptor,
 }
 
-impl Check<'_> {
-    fn broken(&self, span: Range<usize>, key: &str, message: impl Into<String>) -> DescriptorError {
-        DescriptorError::Rule { line: line_of(self.text, span.start), key: key.to_owned(), message: message.into() }
+impl DescriptorValidator<'_> {
+    fn rule_error(&self, span: Range<usize>, key: &str, message: impl Into<String>) -> DescriptorError {
+        DescriptorError::Rule { line: line_number(self.text, span.start), key: key.to_owned(), message: message.into() }
     }
 
-    fn runs(&self) -> Result<Vec<ResolvedRun>, DescriptorError> {
+    fn resolve_runs(&self) -> Result<Vec<ResolvedRun>, DescriptorError> {
         let default = match &self.raw.start {
             None => None,
-            Some(start) => Some(self.start(start)?),
+            Some(start) => Some(self.resolve_start(start)?),
         };
         let mut resolved: Vec<ResolvedRun> = Vec::new();
         for entry in &self.raw.runs {
             for run in self.expand(entry, default)? {
                 if resolved.iter().any(|known| known.name == run.name) {
                     let message = format!("the run `{}` is there twice", run.name);
-                    return Err(self.broken(entry.span(), "runs", message));
+                    return Err(self.rule_error(entry.span(), "runs", message));
                 }
                 resolved.push(run);
             }
@@ -177,18 +177,19 @@ impl Check<'_> {
         Ok(resolved)
     }
 
-    fn expand(&self, entry: &Spanned<RawRun>, default: Option<Start>) -> Result<Vec<ResolvedRun>, DescriptorError> {
+    fn expand(&self, entry: &Spanned<RawRun>, default: Option<RunStart>) -> Result<Vec<ResolvedRun>, DescriptorError> {
         let run = entry.get_ref();
         let start = match &run.start {
             None => default,
-            Some(start) => Some(self.start(start)?),
+            Some(start) => Some(self.resolve_start(start)?),
         };
         let one = |each: Option<&String>| {
             let mut values = run.values.clone();
             if let Some(each) = each {
                 values.insert("each".to_owned(), each.clone());
             }
-            let name = fill(&run.name, &values).map_err(|message| self.broken(entry.span(), "runs", message))?;
+            let name = expand_template(&run.name, &values)
+                .map_err(|message| self.rule_error(entry.span(), "runs", message))?;
             values.insert("run".to_owned(), name.clone());
             Ok(ResolvedRun { name, values, robot: run.robot.clone(), start, tag: run.tag })
         };
@@ -198,23 +199,23 @@ impl Check<'_> {
         }
     }
 
-    fn start(&self, spanned: &Spanned<RawStart>) -> Result<Start, DescriptorError> {
+    fn resolve_start(&self, spanned: &Spanned<RawStart>) -> Result<RunStart, DescriptorError> {
         let start = spanned.get_ref();
         let position_sigma_m = start.position_sigma_m.0;
         let heading_sigma_rad = start.heading_sigma_rad.0;
         let place = (start.x_m, start.y_m, start.heading_rad, start.heading_deg);
         let heading_rad = match (start.from, place) {
             (Some(source), (None, None, None, None)) => {
-                return Ok(Start::From { source, position_sigma_m, heading_sigma_rad });
+                return Ok(RunStart::Source { source, position_sigma_m, heading_sigma_rad });
             }
             (None, (Some(_), Some(_), Some(heading_rad), None)) => heading_rad.0,
             (None, (Some(_), Some(_), None, Some(heading_deg))) => heading_deg.0.to_radians(),
             _ => {
                 let message = "either `from`, or x_m, y_m and one of heading_rad and heading_deg";
-                return Err(self.broken(spanned.span(), "start", message));
+                return Err(self.rule_error(spanned.span(), "start", message));
             }
         };
-        Ok(Start::Given(StartPose {
+        Ok(RunStart::Pose(StartPose {
             pose: Pose::new(
                 Meters(start.x_m.unwrap_or_default().0),
                 Meters(start.y_m.unwrap_or_default().0),
@@ -225,16 +226,16 @@ impl Check<'_> {
         }))
     }
 
-    fn default_run(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+    fn validate_default_run(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
         let default = &self.raw.default_run;
         if runs.iter().any(|run| run.name.starts_with(default.get_ref())) {
             return Ok(());
         }
         let message = format!("no run's name begins with `{}`", default.get_ref());
-        Err(self.broken(default.span(), "default_run", message))
+        Err(self.rule_error(default.span(), "default_run", message))
     }
 
-    fn files(&self) -> Result<(), DescriptorError> {
+    fn validate_files(&self) -> Result<(), DescriptorError> {
         for (name, file) in &self.raw.files {
             let key = format!("files.{name}");
             let named = [&file.time, &file.arrival].into_iter().flatten();
@@ -246,7 +247,7 @@ impl Check<'_> {
             self.named_columns_need_a_header(file, places, file.path.span(), &key)?;
             if file.comment.as_deref() == Some("") {
                 let message = "an empty comment prefix makes every line a comment";
-                return Err(self.broken(file.path.span(), &key, message));
+                return Err(self.rule_error(file.path.span(), &key, message));
             }
         }
         Ok(())
@@ -255,18 +256,18 @@ impl Check<'_> {
     fn named_columns_need_a_header<'p>(
         &self,
         file: &FileEntry,
-        mut places: impl Iterator<Item = &'p Place>,
+        mut places: impl Iterator<Item = &'p ColumnRef>,
         span: Range<usize>,
         key: &str,
     ) -> Result<(), DescriptorError> {
         if file.header_lines > 0 {
             return Ok(());
         }
-        match places.find(|place| matches!(place, Place::Name(_))) {
+        match places.find(|place| matches!(place, ColumnRef::Name(_))) {
             None => Ok(()),
             Some(place) => {
                 let message = format!("the column `{place}` goes by its name, but the file has no header_lines");
-                Err(self.broken(span, key, message))
+                Err(self.rule_error(span, key, message))
             }
         }
     }
@@ -276,53 +277,53 @@ impl Check<'_> {
             let known: Vec<&str> = self.raw.files.keys().map(String::as_str).collect();
             let (asked, known) = (name.get_ref(), known.join(", "));
             let message = format!("there is no [files.{asked}]: use one of: {known}");
-            self.broken(name.span(), key, message)
+            self.rule_error(name.span(), key, message)
         })
     }
 
-    fn streams(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
-        self.each(&self.raw.wheels, runs)?;
-        self.each(&self.raw.odometer, runs)?;
-        self.each(&self.raw.body_velocity, runs)?;
-        self.each(&self.raw.gyro, runs)?;
-        self.each(&self.raw.accelerometers, runs)?;
-        self.each(&self.raw.landmark_sightings, runs)?;
-        self.each(&self.raw.beacon_ranges, runs)?;
-        self.each(&self.raw.wall_range, runs)?;
-        self.each(&self.raw.compass, runs)?;
-        self.each(&self.raw.temperature, runs)?;
-        self.each(&self.raw.fixes, runs)?;
-        self.each(&self.raw.truth, runs)
+    fn validate_all_streams(&self, runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+        self.validate_streams(&self.raw.wheels, runs)?;
+        self.validate_streams(&self.raw.odometer, runs)?;
+        self.validate_streams(&self.raw.body_velocity, runs)?;
+        self.validate_streams(&self.raw.gyro, runs)?;
+        self.validate_streams(&self.raw.accelerometers, runs)?;
+        self.validate_streams(&self.raw.landmark_sightings, runs)?;
+        self.validate_streams(&self.raw.beacon_ranges, runs)?;
+        self.validate_streams(&self.raw.wall_range, runs)?;
+        self.validate_streams(&self.raw.compass, runs)?;
+        self.validate_streams(&self.raw.temperature, runs)?;
+        self.validate_streams(&self.raw.fixes, runs)?;
+        self.validate_streams(&self.raw.truth, runs)
     }
 
-    fn each<S: Stream>(&self, streams: &[S], runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
+    fn validate_streams<S: Stream>(&self, streams: &[S], runs: &[ResolvedRun]) -> Result<(), DescriptorError> {
         for stream in streams {
             let common = stream.common();
             let span = common.file.span();
             let file = self.file(common.file, S::KEY)?;
             if file.time.is_none() {
                 let message = format!("[files.{}] has no `time`", common.file.get_ref());
-                return Err(self.broken(span, S::KEY, message));
+                return Err(self.rule_error(span, S::KEY, message));
             }
-            let places = stream.places().into_iter();
+            let places = stream.column_refs().into_iter();
             self.named_columns_need_a_header(file, places, span.clone(), S::KEY)?;
             let mut prefixes = common.runs.unwrap_or_default().iter();
             let is_idle = |prefix: &&String| !runs.iter().any(|run| run.name.starts_with(*prefix));
             if let Some(prefix) = prefixes.find(is_idle) {
                 let message = format!("no run's name begins with `{prefix}`");
-                return Err(self.broken(span, S::KEY, message));
+                return Err(self.rule_error(span, S::KEY, message));
             }
-            stream.check().map_err(|message| self.broken(span, S::KEY, message))?;
+            stream.check().map_err(|message| self.rule_error(span, S::KEY, message))?;
         }
         Ok(())
     }
 
-    fn maps(&self) -> Result<(), DescriptorError> {
-        let map = |map: &Option<PlacesMap>, key: &str| match map {
+    fn validate_maps(&self) -> Result<(), DescriptorError> {
+        let map = |map: &Option<PointMap>, key: &str| match map {
             None => Ok(()),
             Some(map) => {
                 let file = self.file(&map.file, key)?;
-                let places = map.places().into_iter();
+                let places = map.column_refs().into_iter();
                 self.named_columns_need_a_header(file, places, map.file.span(), key)
             }
         };
@@ -331,25 +332,25 @@ impl Check<'_> {
         for ids in self.raw.landmark_sightings.iter().filter_map(|s| s.ids.as_ref()) {
             let key = "landmark_sightings.ids";
             let file = self.file(&ids.file, key)?;
-            let places = ids.places().into_iter();
+            let places = ids.column_refs().into_iter();
             self.named_columns_need_a_header(file, places, ids.file.span(), key)?;
         }
         let needs_landmarks = self.raw.landmark_sightings.first().map(Stream::common);
         if let (Some(common), None) = (needs_landmarks, &self.raw.landmarks) {
             let message = "sightings need [landmarks], the map of their places";
-            return Err(self.broken(common.file.span(), "landmark_sightings", message));
+            return Err(self.rule_error(common.file.span(), "landmark_sightings", message));
         }
         let needs_beacons = self.raw.beacon_ranges.first().map(Stream::common);
         if let (Some(common), None) = (needs_beacons, &self.raw.beacons) {
             let message = "ranges need [beacons], the map of their places";
-            return Err(self.broken(common.file.span(), "beacon_ranges", message));
+            return Err(self.rule_error(common.file.span(), "beacon_ranges", message));
         }
         Ok(())
     }
 }
 
 /// Puts a run's values into `{name}` places of a text.
-pub(super) fn fill(template: &str, values: &BTreeMap<String, String>) -> Result<String, String> {
+pub(super) fn expand_template(template: &str, values: &BTreeMap<String, String>) -> Result<String, String> {
     let mut filled = String::new();
     let mut rest = template;
     while let Some((before, after)) = rest.split_once('{') {

@@ -1,4 +1,4 @@
-//! Latitude and longitude as metres east and north of an origin: what a satellite receiver says, in the arena.
+//! Latitude and longitude as metres east and north of an origin: the fixes of a satellite receiver, in the arena.
 //!
 //! ```text
 //! N = a / sqrt(1 - e² sin² φ0)                  radius of curvature across the meridian, m
@@ -6,8 +6,8 @@
 //! east = N cos φ0 (λ - λ0)      north = M (φ - φ0)
 //! ```
 //!
-//! The ellipsoid is taken as flat around the origin (φ0, λ0), and height is left out. What that costs is about
-//! `east * north * tan φ0 / M`: 4 mm at 150 m, 0.15 m at 1 km, both ways, at 43 degrees.
+//! The ellipsoid is approximated by its tangent plane at the origin (φ0, λ0), without height. The error is about `east
+//! * north * tan φ0 / M`: 4 mm at 150 m, 0.15 m at 1 km, both ways, at 43 degrees.
 //!
 //! Sources: a and e² of WGS 84, NIMA TR8350.2, 3rd edition, tables 3.1 and 3.3; the radii of curvature, J. P. Snyder,
 //! Map Projections - A Working Manual, USGS Professional Paper 1395 (1987), pages 24 and 25.
@@ -16,7 +16,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use posebridge_telemetry::quantities::wrap_rad;
 
-use super::bad_rows::{Fault, Reason};
+use super::bad_rows::{BadRowReason, RowError};
 
 /// Half the equator's diameter, in metres (WGS 84).
 const SEMI_MAJOR_AXIS_M: f64 = 6_378_137.0;
@@ -36,7 +36,7 @@ pub(super) struct LocalPlane {
 
 impl LocalPlane {
     /// The plane that touches the earth at a latitude and longitude, in radians.
-    pub(super) fn at(latitude_rad: f64, longitude_rad: f64) -> Self {
+    pub(super) fn new(latitude_rad: f64, longitude_rad: f64) -> Self {
         let (sin, cos) = latitude_rad.sin_cos();
         let flattened = 1.0 - ECCENTRICITY_SQUARED * sin * sin;
         Self {
@@ -48,10 +48,10 @@ impl LocalPlane {
     }
 
     /// Metres east and north of the origin; the short way around the earth.
-    pub(super) fn place(&self, latitude_rad: f64, longitude_rad: f64) -> Result<(f64, f64), Fault> {
+    pub(super) fn project(&self, latitude_rad: f64, longitude_rad: f64) -> Result<(f64, f64), RowError> {
         if latitude_rad.abs() > FRAC_PI_2 {
             let detail = format!("a latitude of {} degrees", latitude_rad.to_degrees());
-            return Err(Fault::new(Reason::OutOfRange, detail));
+            return Err(RowError::new(BadRowReason::OutOfRange, detail));
         }
         Ok((
             self.east_scale * wrap_rad(longitude_rad - self.longitude_rad),
@@ -66,7 +66,7 @@ mod tests {
 
     /// Metres per degree of longitude and of latitude.
     fn per_degree(latitude_deg: f64) -> (f64, f64) {
-        let plane = LocalPlane::at(latitude_deg.to_radians(), 0.0);
+        let plane = LocalPlane::new(latitude_deg.to_radians(), 0.0);
         let degree = 1.0_f64.to_radians();
         (plane.east_scale * degree, plane.north_scale * degree)
     }
@@ -88,15 +88,15 @@ mod tests {
 
     #[test]
     fn the_date_line_is_no_journey_around_the_earth() {
-        let plane = LocalPlane::at(0.0, 179.999_f64.to_radians());
-        let (east, north) = plane.place(0.0, -179.999_f64.to_radians()).unwrap();
+        let plane = LocalPlane::new(0.0, 179.999_f64.to_radians());
+        let (east, north) = plane.project(0.0, -179.999_f64.to_radians()).unwrap();
         assert!((east - 222.64).abs() < 0.01, "{east}");
         assert_eq!(north, 0.0);
     }
 
     #[test]
     fn there_is_nothing_behind_the_pole() {
-        let plane = LocalPlane::at(0.5, 0.5);
-        assert!(plane.place(91.0_f64.to_radians(), 0.5).is_err());
+        let plane = LocalPlane::new(0.5, 0.5);
+        assert!(plane.project(91.0_f64.to_radians(), 0.5).is_err());
     }
 }

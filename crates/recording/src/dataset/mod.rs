@@ -1,14 +1,14 @@
-//! Foreign recordings: CSV-like files of other people, brought into our units, spaces and times.
+//! Foreign recordings: CSV-like files, converted to our units, coordinate frames and times.
 //!
-//! A [`Descriptor`] (`config/recordings/*.toml`, docs/recordings.md) says which column of which file means what;
-//! [`load`] reads one run into a [`Run`]. The caller opens the files. Rows that make no sense are counted and named,
-//! never fatal. This module filters nothing, resamples nothing and knows no robot: the descriptor's `[robot]` table is
-//! handed on as it stands.
+//! A [`Descriptor`] (`config/recordings/*.toml`, docs/recordings.md) gives the meaning of each column of each file;
+//! [`load`] reads one run into a [`DatasetRun`]. The caller opens the files. Bad rows are counted and named, never
+//! fatal. This module filters and resamples nothing; the descriptor's `[robot]` table is passed on unread.
 
 mod bad_rows;
 mod column;
 mod decimal;
 mod descriptor;
+mod error;
 mod geodetic;
 mod load;
 mod run;
@@ -17,7 +17,8 @@ mod start;
 mod streams;
 mod table;
 
-pub use bad_rows::{BadRow, BadRows, Reason};
+pub use bad_rows::{BadRow, BadRowReason, BadRows};
 pub use descriptor::{Descriptor, DescriptorError};
-pub use load::{LoadError, LoadOptions, load};
-pub use run::{Run, StartPose, Timed, TruthPose, Withheld};
+pub use error::LoadError;
+pub use load::{LoadOptions, load};
+pub use run::{DatasetRun, StartPose, TimedObservation, TruthPose, WithheldFix};

@@ -1,7 +1,7 @@
-//! What a foreign recording becomes: one run, ready to be replayed and scored.
+//! One run of a foreign recording, ready to be replayed and scored.
 
 use posebridge_telemetry::{
-    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose, Stamp,
+    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose, Timestamp,
 };
 
 use super::bad_rows::BadRows;
@@ -10,17 +10,17 @@ use super::bad_rows::BadRows;
 ///
 /// Brick and host stamps are on one time base, the data's own; nothing is subtracted but the descriptor's `offset_s`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Run {
+pub struct DatasetRun {
     /// The run's name in its descriptor.
     pub name: String,
     /// Where the robot stood at the start, if the descriptor knows.
     pub start: Option<StartPose>,
     /// What the robot's sensors and cameras said, sorted by arrival.
-    pub observations: Vec<Timed>,
+    pub observations: Vec<TimedObservation>,
     /// Where the robot really was, by an instrument of its own; for scoring only.
     pub truth: Vec<TruthPose>,
     /// Fixes that were kept from the filter; for scoring only.
-    pub withheld: Vec<Withheld>,
+    pub withheld: Vec<WithheldFix>,
     /// Places of the landmarks.
     pub landmarks: Vec<(LandmarkId, Point2<Arena>)>,
     /// Places of the radio beacons.
@@ -42,9 +42,9 @@ pub struct StartPose {
 
 /// An observation with the instant at which the host had it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Timed {
+pub struct TimedObservation {
     /// When it arrived; equal to its own stamp where the recording does not say.
-    pub arrival: Stamp<HostClock>,
+    pub arrival: Timestamp<HostClock>,
     /// The observation.
     pub observation: Observation,
 }
@@ -53,7 +53,7 @@ pub struct Timed {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthPose {
     /// The instant.
-    pub stamp: Stamp<BrickClock>,
+    pub time: Timestamp<BrickClock>,
     /// Where the body's origin was.
     pub position: Point2<Arena>,
     /// Where the body pointed, if the instrument can tell.
@@ -62,9 +62,9 @@ pub struct TruthPose {
 
 /// A fix that the filter does not get.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Withheld {
+pub struct WithheldFix {
     /// The instant of the fix.
-    pub stamp: Stamp<BrickClock>,
+    pub time: Timestamp<BrickClock>,
     /// The fix; its position is that of the tag and not of the body.
     pub fix: Fix,
 }

@@ -1,6 +1,6 @@
 //! The keys of a descriptor, as serde reads them; docs/recordings.md explains each.
 //!
-//! Only the shape is checked here. What must fit together is checked in `descriptor`.
+//! Only the shape is checked here; `descriptor` checks that the values are consistent.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +8,8 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::column::{
-    Acceleration, Angle, Area, Column, HeadingColumns, Id, Length, Number, Place, Speed, Temperature, TurnRate,
-    WheelTurn,
+    Acceleration, Angle, Area, Column, ColumnRef, FiniteNumber, HeadingColumns, Id, Length, Speed, Temperature,
+    TurnRate, WheelTurn,
 };
 
 /// A whole descriptor.
@@ -27,8 +27,8 @@ pub(super) struct RawDescriptor {
     pub(super) start: Option<Spanned<RawStart>>,
     pub(super) runs: Vec<Spanned<RawRun>>,
     pub(super) files: BTreeMap<String, FileEntry>,
-    pub(super) landmarks: Option<PlacesMap>,
-    pub(super) beacons: Option<PlacesMap>,
+    pub(super) landmarks: Option<PointMap>,
+    pub(super) beacons: Option<PointMap>,
     #[serde(default)]
     pub(super) wheels: Vec<Wheels>,
     #[serde(default)]
@@ -60,12 +60,12 @@ pub(super) struct RawDescriptor {
 #[serde(deny_unknown_fields)]
 pub(super) struct RawStart {
     pub(super) from: Option<StartSource>,
-    pub(super) x_m: Option<Number>,
-    pub(super) y_m: Option<Number>,
-    pub(super) heading_rad: Option<Number>,
-    pub(super) heading_deg: Option<Number>,
-    pub(super) position_sigma_m: Number,
-    pub(super) heading_sigma_rad: Number,
+    pub(super) x_m: Option<FiniteNumber>,
+    pub(super) y_m: Option<FiniteNumber>,
+    pub(super) heading_rad: Option<FiniteNumber>,
+    pub(super) heading_deg: Option<FiniteNumber>,
+    pub(super) position_sigma_m: FiniteNumber,
+    pub(super) heading_sigma_rad: FiniteNumber,
 }
 
 /// Where a start that the descriptor does not spell out comes from.
@@ -89,15 +89,15 @@ pub(super) struct RawRun {
     #[serde(default)]
     pub(super) robot: toml::Table,
     pub(super) start: Option<Spanned<RawStart>>,
-    pub(super) tag: Option<TagPlace>,
+    pub(super) tag: Option<TagPosition>,
 }
 
 /// A point of the body: where the observed tag sits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct TagPlace {
-    pub(super) x_m: Number,
-    pub(super) y_m: Number,
+pub(super) struct TagPosition {
+    pub(super) x_m: FiniteNumber,
+    pub(super) y_m: FiniteNumber,
 }
 
 /// One `[files.*]` table: a file and how its lines are taken apart.
@@ -110,11 +110,11 @@ pub(super) struct FileEntry {
     #[serde(default)]
     pub(super) header_lines: usize,
     pub(super) comment: Option<String>,
-    pub(super) filter: Option<Filter>,
+    pub(super) filter: Option<RowFilter>,
     pub(super) time: Option<TimeColumn>,
     pub(super) arrival: Option<TimeColumn>,
-    pub(super) offset_s: Option<Number>,
-    pub(super) max_gap_s: Option<Number>,
+    pub(super) offset_s: Option<FiniteNumber>,
+    pub(super) max_gap_s: Option<FiniteNumber>,
     #[serde(default)]
     pub(super) order: RowOrder,
 }
@@ -148,8 +148,8 @@ pub(super) enum Delimiter {
 /// Keeps only the rows that have this text in this column.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Filter {
-    pub(super) column: Place,
+pub(super) struct RowFilter {
+    pub(super) column: ColumnRef,
     pub(super) equals: String,
 }
 
@@ -157,7 +157,7 @@ pub(super) struct Filter {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimeColumn {
-    pub(super) column: Place,
+    pub(super) column: ColumnRef,
     #[serde(default)]
     pub(super) unit: TimeUnit,
     /// A second column that is added, as in seconds and nanoseconds.
@@ -168,7 +168,7 @@ pub(super) struct TimeColumn {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimePart {
-    pub(super) column: Place,
+    pub(super) column: ColumnRef,
     pub(super) unit: TimeUnit,
 }
 
@@ -202,7 +202,7 @@ impl TimeUnit {
 /// `[landmarks]` or `[beacons]`: known places in the arena.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct PlacesMap {
+pub(super) struct PointMap {
     pub(super) file: Spanned<String>,
     /// Without it the rows count from 0.
     pub(super) id: Option<Column<Id>>,
@@ -242,7 +242,7 @@ pub(super) enum SpeedInterval {
 
 /// What every kind of stream has: its file, its runs, its sensor and its stamps.
 #[derive(Clone, Debug)]
-pub(super) struct Common<'a> {
+pub(super) struct StreamOptions<'a> {
     pub(super) file: &'a Spanned<String>,
     pub(super) runs: Option<&'a [String]>,
     pub(super) sensor: Option<u8>,
@@ -250,7 +250,7 @@ pub(super) struct Common<'a> {
     pub(super) stamp_sigma_s: f64,
 }
 
-impl Common<'_> {
+impl StreamOptions<'_> {
     /// Whether the run has this stream.
     pub(super) fn is_in(&self, run: &str) -> bool {
         self.runs.is_none_or(|prefixes| prefixes.iter().any(|prefix| run.starts_with(prefix.as_str())))
@@ -262,33 +262,33 @@ pub(super) trait Stream {
     /// Its key in the descriptor.
     const KEY: &'static str;
     /// What it shares with the others.
-    fn common(&self) -> Common<'_>;
+    fn common(&self) -> StreamOptions<'_>;
     /// The columns that it reads.
-    fn places(&self) -> Vec<&Place>;
+    fn column_refs(&self) -> Vec<&ColumnRef>;
     /// What is wrong with its keys, taken together.
     fn check(&self) -> Result<(), String>;
 }
 
 /// Collects the places of columns, present or not.
-macro_rules! places {
+macro_rules! column_refs {
     ($($column:expr),* $(,)?) => {{
-        let mut places: Vec<&Place> = Vec::new();
-        $($column.each_place(&mut |place| places.push(place));)*
+        let mut places: Vec<&ColumnRef> = Vec::new();
+        $($column.each_column(&mut |place| places.push(place));)*
         places
     }};
 }
 
 /// Something that names columns.
-trait HasPlaces {
-    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place));
+trait HasColumnRefs {
+    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef));
 }
-impl<D> HasPlaces for Column<D> {
-    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+impl<D> HasColumnRefs for Column<D> {
+    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
         visit(&self.place);
     }
 }
-impl HasPlaces for HeadingColumns {
-    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+impl HasColumnRefs for HeadingColumns {
+    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
         match self {
             Self::Angle(column) => visit(&column.place),
             Self::Quaternion { qz, qw } => {
@@ -298,10 +298,10 @@ impl HasPlaces for HeadingColumns {
         }
     }
 }
-impl<T: HasPlaces> HasPlaces for Option<T> {
-    fn each_place<'a>(&'a self, visit: &mut dyn FnMut(&'a Place)) {
+impl<T: HasColumnRefs> HasColumnRefs for Option<T> {
+    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
         if let Some(column) = self {
-            column.each_place(visit);
+            column.each_column(visit);
         }
     }
 }
@@ -321,16 +321,16 @@ macro_rules! stream {
             file: Spanned<String>,
             runs: Option<Vec<String>>,
             sensor: Option<u8>,
-            stamp_shift_s: Option<Number>,
-            stamp_sigma_s: Option<Number>,
+            stamp_shift_s: Option<FiniteNumber>,
+            stamp_sigma_s: Option<FiniteNumber>,
             $(pub(super) $column: $column_type,)+
             $($(#[$attr])* pub(super) $field: $type,)*
         }
 
         impl Stream for $name {
             const KEY: &'static str = $key;
-            fn common(&self) -> Common<'_> {
-                Common {
+            fn common(&self) -> StreamOptions<'_> {
+                StreamOptions {
                     file: &self.file,
                     runs: self.runs.as_deref(),
                     sensor: self.sensor,
@@ -338,8 +338,8 @@ macro_rules! stream {
                     stamp_sigma_s: self.stamp_sigma_s.unwrap_or_default().0,
                 }
             }
-            fn places(&self) -> Vec<&Place> {
-                places![$(self.$column),+]
+            fn column_refs(&self) -> Vec<&ColumnRef> {
+                column_refs![$(self.$column),+]
             }
             fn check(&self) -> Result<(), String> {
                 let $this = self;
@@ -358,7 +358,7 @@ stream! {
     /// `[[wheels]]`: counts of both wheels.
     Wheels, "wheels",
     columns { left: Column<WheelTurn>, right: Column<WheelTurn>, }
-    keys { counting: Counting, wrap_bits: Option<u32>, max_wheel_rad_per_s: Option<Number>, }
+    keys { counting: Counting, wrap_bits: Option<u32>, max_wheel_rad_per_s: Option<FiniteNumber>, }
     check(this) {
         let Some(bits) = this.wrap_bits else { return Ok(()) };
         let fits = (8..=32).contains(&bits)
@@ -376,7 +376,7 @@ stream! {
         x: Option<Column<Length>>, y: Option<Column<Length>>, heading: Option<HeadingColumns>,
         distance: Option<Column<Length>>, turn: Option<Column<Angle>>,
     }
-    keys { max_speed_m_per_s: Option<Number>, }
+    keys { max_speed_m_per_s: Option<FiniteNumber>, }
     check(this) {
         let pose = [this.x.is_some(), this.y.is_some(), this.heading.is_some()];
         let steps = [this.distance.is_some(), this.turn.is_some()];
@@ -431,7 +431,7 @@ stream! {
     columns { id: Column<Id>, range: Column<Length>, bearing: Column<Angle>, }
     keys {
         ids: Option<IdMap>, #[serde(default)] ignore: Vec<u32>,
-        min_m: Option<Number>, max_m: Option<Number>,
+        min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>,
     }
     check(_this) { Ok(()) }
 }
@@ -440,7 +440,7 @@ stream! {
     /// `[[beacon_ranges]]`: ranges to known radio beacons.
     BeaconRanges, "beacon_ranges",
     columns { id: Column<Id>, range: Column<Length>, }
-    keys { min_m: Option<Number>, max_m: Option<Number>, }
+    keys { min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>, }
     check(_this) { Ok(()) }
 }
 
@@ -449,7 +449,7 @@ stream! {
     WallRange, "wall_range",
     columns { range: Column<Length>, }
     keys {
-        #[serde(default)] only_changes: bool, min_m: Option<Number>, max_m: Option<Number>,
+        #[serde(default)] only_changes: bool, min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>,
     }
     check(_this) { Ok(()) }
 }
@@ -481,12 +481,12 @@ stream! {
     }
     keys {
         origin: Option<Origin>,
-        tag: Option<TagPlace>,
-        position_sigma_m: Option<Number>,
-        heading_sigma_rad: Option<Number>,
+        tag: Option<TagPosition>,
+        position_sigma_m: Option<FiniteNumber>,
+        heading_sigma_rad: Option<FiniteNumber>,
         use_every: Option<usize>,
         use_first: Option<usize>,
-        max_speed_m_per_s: Option<Number>,
+        max_speed_m_per_s: Option<FiniteNumber>,
     }
     check(this) {
         let plane = [this.x.is_some(), this.y.is_some()];
@@ -520,28 +520,28 @@ stream! {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Origin {
-    pub(super) latitude_deg: Number,
-    pub(super) longitude_deg: Number,
+    pub(super) latitude_deg: FiniteNumber,
+    pub(super) longitude_deg: FiniteNumber,
 }
 
 stream! {
     /// `[[truth]]`: where the robot really was; for scoring only.
     Truth, "truth",
     columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
-    keys { max_speed_m_per_s: Option<Number>, }
+    keys { max_speed_m_per_s: Option<FiniteNumber>, }
     check(_this) { Ok(()) }
 }
 
-impl PlacesMap {
+impl PointMap {
     /// The columns that it reads.
-    pub(super) fn places(&self) -> Vec<&Place> {
-        places![self.id, self.x, self.y]
+    pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
+        column_refs![self.id, self.x, self.y]
     }
 }
 
 impl IdMap {
     /// The columns that it reads.
-    pub(super) fn places(&self) -> Vec<&Place> {
-        places![self.from, self.to]
+    pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
+        column_refs![self.from, self.to]
     }
 }

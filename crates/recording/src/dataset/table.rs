@@ -1,16 +1,16 @@
-//! Text to rows of fields: lines, headers, comments, filters, and columns bound to their place.
+//! Splits text into rows of fields: lines, headers, comments, filters, and columns bound to their index.
 //!
-//! Each line stands alone, so that an unbalanced quote spoils one row and not the rest of the file.
+//! Each line is parsed by itself, so that an unbalanced quote spoils one row and not the rest of the file.
 
 use std::io::Read;
 
 use flate2::read::MultiGzDecoder;
 use posebridge_telemetry::Heading;
 
-use super::bad_rows::{Fault, Reason};
-use super::column::{Angle, Column, Dimension, HeadingColumns, Place};
+use super::bad_rows::{BadRowReason, RowError};
+use super::column::{Angle, Column, ColumnRef, Dimension, HeadingColumns};
 use super::decimal;
-use super::load::LoadError;
+use super::error::LoadError;
 use super::schema::{Delimiter, FileEntry, RowOrder, TimeColumn, TimeUnit};
 
 /// A gzip file that unpacks to more than this is refused: no recording of a small robot is so large.
@@ -22,13 +22,13 @@ const BYTE_ORDER_MARK: [u8; 3] = [0xEF, 0xBB, 0xBF];
 
 /// Unpacks a file if it is gzip by its first bytes, and makes it text. Bytes that are not UTF-8 become U+FFFD and spoil
 /// only the field in which they stand.
-pub(super) fn text_of(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
-    let bytes = if bytes.starts_with(&GZIP_MAGIC) { unpack(path, &bytes)? } else { bytes };
+pub(super) fn decode_text(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
+    let bytes = if bytes.starts_with(&GZIP_MAGIC) { gunzip(path, &bytes)? } else { bytes };
     let body = bytes.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(&bytes);
     Ok(String::from_utf8_lossy(body).into_owned())
 }
 
-fn unpack(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
+fn gunzip(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
     let mut unpacked = Vec::new();
     let mut reader = MultiGzDecoder::new(bytes).take(MAX_TEXT_BYTES + 1);
     reader.read_to_end(&mut unpacked).map_err(|source| LoadError::Gzip { path: path.to_owned(), source })?;
@@ -41,21 +41,21 @@ fn unpack(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
 
 /// A file's text with the way to take it apart.
 #[derive(Debug)]
-pub(super) struct Table {
+pub(super) struct DatasetTable {
     /// The path, as the descriptor names it.
     pub(super) path: String,
     text: String,
-    format: Format,
+    format: TableFormat,
     names: Vec<String>,
-    time: Option<BoundTime>,
-    arrival: Option<BoundTime>,
+    time: Option<BoundTimeColumn>,
+    arrival_nanos: Option<BoundTimeColumn>,
     offset_nanos: i64,
     /// A step of the stamps beyond this is doubted.
     pub(super) max_gap_nanos: Option<i64>,
 }
 
 #[derive(Debug)]
-struct Format {
+struct TableFormat {
     delimiter: Delimiter,
     header_lines: usize,
     comment: Option<String>,
@@ -64,7 +64,7 @@ struct Format {
 }
 
 #[derive(Debug)]
-struct BoundTime {
+struct BoundTimeColumn {
     index: usize,
     unit: TimeUnit,
     plus: Option<(usize, TimeUnit)>,
@@ -72,50 +72,50 @@ struct BoundTime {
 
 /// One row: its fields, and the line on which it stands.
 #[derive(Debug)]
-pub(super) struct Row<'a> {
+pub(super) struct TableRow<'a> {
     /// From 1.
     pub(super) line: usize,
     fields: Vec<&'a str>,
 }
 
-impl Row<'_> {
-    fn field(&self, index: usize) -> Result<&str, Fault> {
+impl TableRow<'_> {
+    fn field(&self, index: usize) -> Result<&str, RowError> {
         let count = self.fields.len();
         self.fields.get(index).copied().ok_or_else(|| {
             let detail = format!("column {index} is wanted, the row has {count}");
-            Fault::new(Reason::MissingColumn, detail)
+            RowError::new(BadRowReason::MissingColumn, detail)
         })
     }
 
-    fn number(&self, index: usize) -> Result<f64, Fault> {
+    fn number(&self, index: usize) -> Result<f64, RowError> {
         let text = self.field(index)?;
         text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| not_numeric(text))
     }
 }
 
 /// Longest piece of a bad field that is quoted.
-const QUOTED_CHARS: usize = 40;
+const MAX_QUOTED_CHARS: usize = 40;
 
-fn not_numeric(text: &str) -> Fault {
-    let shown: String = text.chars().take(QUOTED_CHARS).collect();
-    Fault::new(Reason::NotNumeric, format!("`{shown}`"))
+fn not_numeric(text: &str) -> RowError {
+    let shown: String = text.chars().take(MAX_QUOTED_CHARS).collect();
+    RowError::new(BadRowReason::NotNumeric, format!("`{shown}`"))
 }
 
 /// A column whose place in the row is known.
 #[derive(Clone, Debug)]
-pub(super) struct Bound<D> {
+pub(super) struct BoundColumn<D> {
     index: usize,
     column: Column<D>,
 }
 
-impl<D> Bound<D> {
+impl<D> BoundColumn<D> {
     /// The value in SI units.
-    pub(super) fn read(&self, row: &Row<'_>) -> Result<f64, Fault> {
+    pub(super) fn read(&self, row: &TableRow<'_>) -> Result<f64, RowError> {
         Ok(self.column.to_si(row.number(self.index)?))
     }
 
     /// The value as an id.
-    pub(super) fn read_id(&self, row: &Row<'_>) -> Result<u32, Fault> {
+    pub(super) fn read_id(&self, row: &TableRow<'_>) -> Result<u32, RowError> {
         let value = self.read(row)?;
         let id = value as u32;
         if f64::from(id) == value { Ok(id) } else { Err(not_numeric(row.field(self.index)?)) }
@@ -124,19 +124,19 @@ impl<D> Bound<D> {
 
 /// A heading whose columns' places are known.
 #[derive(Clone, Debug)]
-pub(super) enum BoundHeading {
-    Angle(Bound<Angle>),
+pub(super) enum BoundHeadingColumns {
+    Angle(BoundColumn<Angle>),
     Quaternion { qz: usize, qw: usize },
 }
 
-impl BoundHeading {
-    pub(super) fn read(&self, row: &Row<'_>) -> Result<Heading, Fault> {
+impl BoundHeadingColumns {
+    pub(super) fn read(&self, row: &TableRow<'_>) -> Result<Heading, RowError> {
         match self {
             Self::Angle(column) => column.read(row).map(Heading::from_rad),
             Self::Quaternion { qz, qw } => {
                 let (qz, qw) = (row.number(*qz)?, row.number(*qw)?);
                 if qz == 0.0 && qw == 0.0 {
-                    return Err(Fault::new(Reason::OutOfRange, "a quaternion of zeros"));
+                    return Err(RowError::new(BadRowReason::OutOfRange, "a quaternion of zeros"));
                 }
                 Ok(Heading::from_rad(2.0 * qz.atan2(qw)))
             }
@@ -144,14 +144,14 @@ impl BoundHeading {
     }
 }
 
-impl Table {
+impl DatasetTable {
     /// Takes the header lines off and finds the columns that the file entry itself names.
     pub(super) fn new(path: String, text: String, entry: &FileEntry) -> Result<Self, LoadError> {
         let mut table = Self {
             names: header_names(&text, entry),
             path,
             text,
-            format: Format {
+            format: TableFormat {
                 delimiter: entry.delimiter,
                 header_lines: entry.header_lines,
                 comment: entry.comment.clone(),
@@ -159,12 +159,12 @@ impl Table {
                 order: entry.order,
             },
             time: None,
-            arrival: None,
+            arrival_nanos: None,
             offset_nanos: seconds_to_nanos(entry.offset_s.unwrap_or_default().0),
             max_gap_nanos: entry.max_gap_s.map(|gap| seconds_to_nanos(gap.0)),
         };
         table.time = table.bind_time(entry.time.as_ref())?;
-        table.arrival = table.bind_time(entry.arrival.as_ref())?;
+        table.arrival_nanos = table.bind_time(entry.arrival.as_ref())?;
         if let Some(filter) = &entry.filter {
             let index = table.index_of(&filter.column)?;
             table.format.filter = Some((index, filter.equals.clone()));
@@ -172,7 +172,7 @@ impl Table {
         Ok(table)
     }
 
-    fn bind_time(&self, column: Option<&TimeColumn>) -> Result<Option<BoundTime>, LoadError> {
+    fn bind_time(&self, column: Option<&TimeColumn>) -> Result<Option<BoundTimeColumn>, LoadError> {
         let Some(time) = column else {
             return Ok(None);
         };
@@ -180,13 +180,13 @@ impl Table {
             None => None,
             Some(part) => Some((self.index_of(&part.column)?, part.unit)),
         };
-        Ok(Some(BoundTime { index: self.index_of(&time.column)?, unit: time.unit, plus }))
+        Ok(Some(BoundTimeColumn { index: self.index_of(&time.column)?, unit: time.unit, plus }))
     }
 
-    fn index_of(&self, place: &Place) -> Result<usize, LoadError> {
+    fn index_of(&self, place: &ColumnRef) -> Result<usize, LoadError> {
         match place {
-            Place::Index(index) => Ok(*index),
-            Place::Name(name) => {
+            ColumnRef::Index(index) => Ok(*index),
+            ColumnRef::Name(name) => {
                 let found = self.names.iter().position(|known| known == name);
                 found.ok_or_else(|| LoadError::NoColumn {
                     path: self.path.clone(),
@@ -198,41 +198,44 @@ impl Table {
     }
 
     /// Finds a column.
-    pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<Bound<D>, LoadError> {
-        Ok(Bound { index: self.index_of(&column.place)?, column: column.clone() })
+    pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<BoundColumn<D>, LoadError> {
+        Ok(BoundColumn { index: self.index_of(&column.place)?, column: column.clone() })
     }
 
     /// Finds a column that may be absent from the descriptor.
-    pub(super) fn bind_some<D: Dimension>(&self, column: Option<&Column<D>>) -> Result<Option<Bound<D>>, LoadError> {
+    pub(super) fn bind_optional<D: Dimension>(
+        &self,
+        column: Option<&Column<D>>,
+    ) -> Result<Option<BoundColumn<D>>, LoadError> {
         column.map(|column| self.bind(column)).transpose()
     }
 
     /// Finds the columns of a heading.
-    pub(super) fn bind_heading(&self, columns: &HeadingColumns) -> Result<BoundHeading, LoadError> {
+    pub(super) fn bind_heading(&self, columns: &HeadingColumns) -> Result<BoundHeadingColumns, LoadError> {
         Ok(match columns {
-            HeadingColumns::Angle(column) => BoundHeading::Angle(self.bind(column)?),
+            HeadingColumns::Angle(column) => BoundHeadingColumns::Angle(self.bind(column)?),
             HeadingColumns::Quaternion { qz, qw } => {
-                BoundHeading::Quaternion { qz: self.index_of(qz)?, qw: self.index_of(qw)? }
+                BoundHeadingColumns::Quaternion { qz: self.index_of(qz)?, qw: self.index_of(qw)? }
             }
         })
     }
 
     /// The rows behind the header lines: no blank lines, no comments, nothing that the filter leaves out.
-    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = TableRow<'_>> {
         let numbered = self.text.lines().enumerate();
         numbered.skip(self.format.header_lines).filter_map(|(index, line)| self.row(index + 1, line))
     }
 
     /// The rows in the order that the descriptor asks for; those without a stamp come first.
-    pub(super) fn ordered_rows(&self) -> Vec<Row<'_>> {
+    pub(super) fn ordered_rows(&self) -> Vec<TableRow<'_>> {
         let mut rows: Vec<_> = self.rows().collect();
         if self.format.order == RowOrder::Time {
-            rows.sort_by_cached_key(|row| self.stamp(row).ok());
+            rows.sort_by_cached_key(|row| self.time_nanos(row).ok());
         }
         rows
     }
 
-    fn row<'a>(&'a self, line: usize, text: &'a str) -> Option<Row<'a>> {
+    fn row<'a>(&'a self, line: usize, text: &'a str) -> Option<TableRow<'a>> {
         let visible = text.trim();
         let comment = self.format.comment.as_deref();
         if visible.is_empty() || comment.is_some_and(|prefix| visible.starts_with(prefix)) {
@@ -244,24 +247,24 @@ impl Table {
         {
             return None;
         }
-        Some(Row { line, fields })
+        Some(TableRow { line, fields })
     }
 
     /// The row's stamp, in nanoseconds of the data's time base.
-    pub(super) fn stamp(&self, row: &Row<'_>) -> Result<i64, Fault> {
+    pub(super) fn time_nanos(&self, row: &TableRow<'_>) -> Result<i64, RowError> {
         match &self.time {
-            Some(time) => self.time_of(time, row),
-            None => Err(Fault::new(Reason::MissingColumn, "the file has no time column")),
+            Some(time) => self.read_time(time, row),
+            None => Err(RowError::new(BadRowReason::MissingColumn, "the file has no time column")),
         }
     }
 
     /// The row's arrival, if the file has one.
-    pub(super) fn arrival(&self, row: &Row<'_>) -> Result<Option<i64>, Fault> {
-        let arrival = self.arrival.as_ref();
-        arrival.map(|time| self.time_of(time, row)).transpose()
+    pub(super) fn arrival(&self, row: &TableRow<'_>) -> Result<Option<i64>, RowError> {
+        let arrival = self.arrival_nanos.as_ref();
+        arrival.map(|time| self.read_time(time, row)).transpose()
     }
 
-    fn time_of(&self, time: &BoundTime, row: &Row<'_>) -> Result<i64, Fault> {
+    fn read_time(&self, time: &BoundTimeColumn, row: &TableRow<'_>) -> Result<i64, RowError> {
         let part = |index: usize, unit: TimeUnit| {
             let text = row.field(index)?;
             decimal::nanos(text, unit.exponent()).ok_or_else(|| not_numeric(text))
@@ -326,15 +329,15 @@ mod tests {
 
     #[test]
     fn a_byte_order_mark_and_gzip_are_taken_off() {
-        let text = text_of("a.csv", b"\xEF\xBB\xBF1,2".to_vec()).unwrap();
+        let text = decode_text("a.csv", b"\xEF\xBB\xBF1,2".to_vec()).unwrap();
         assert_eq!(text, "1,2");
         // `printf 1,2 | gzip -n`
         let packed = [
             0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C, 0x0E, 0x2B, 0x03, 0, 0,
             0,
         ];
-        assert_eq!(text_of("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
+        assert_eq!(decode_text("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
         let cut = packed[..14].to_vec();
-        assert!(matches!(text_of("a.csv.gz", cut), Err(LoadError::Gzip { .. })));
+        assert!(matches!(decode_text("a.csv.gz", cut), Err(LoadError::Gzip { .. })));
     }
 }

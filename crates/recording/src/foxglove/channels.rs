@@ -1,4 +1,4 @@
-//! Every channel that holds what came out of the pipeline, with its schema: no message is without one.
+//! The output channels of a recording, each with its schema.
 
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;

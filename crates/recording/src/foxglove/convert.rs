@@ -1,4 +1,4 @@
-//! What a robot on a plane is in Foxglove's messages, which are about bodies in space.
+//! Planar poses, covariances and velocities as Foxglove's messages for three dimensions.
 
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{Arena, Ellipse, Estimate, Pose};
@@ -46,11 +46,11 @@ pub(super) fn odometry_of(estimate: &Estimate, timestamp: Option<wire::Timestamp
 /// The disc in which the robot is with a probability of 95 %.
 pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<wire::Timestamp>) -> Option<wire::SceneUpdate> {
     let of = |i: usize, j: usize| estimate.covariance[i][j];
-    let ellipse = Ellipse::of_covariance(of(row::X, row::X), of(row::X, row::Y), of(row::Y, row::Y), SIGMAS_95)?;
+    let ellipse = Ellipse::from_covariance(of(row::X, row::X), of(row::X, row::Y), of(row::Y, row::Y), SIGMAS_95)?;
     let disc = wire::Cylinder {
         pose: Some(wire::Pose {
             position: pose_of(&estimate.pose).position,
-            orientation: Some(turned_by(ellipse.direction_rad)),
+            orientation: Some(rotation_about_z(ellipse.direction_rad)),
         }),
         size: Some(wire::Vector3 { x: 2.0 * ellipse.semi_major_m, y: 2.0 * ellipse.semi_minor_m, z: DISC_HEIGHT_M }),
         bottom_scale: 1.0,
@@ -67,18 +67,18 @@ pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<wire::Timestamp>
 pub(super) fn pose_of(pose: &Pose<Arena>) -> wire::Pose {
     wire::Pose {
         position: Some(wire::Vector3 { x: pose.x.0, y: pose.y.0, z: 0.0 }),
-        orientation: Some(turned_by(pose.heading.rad())),
+        orientation: Some(rotation_about_z(pose.heading.rad())),
     }
 }
 
 /// A turn about the vertical as a quaternion.
-fn turned_by(angle_rad: f64) -> wire::Quaternion {
+fn rotation_about_z(angle_rad: f64) -> wire::Quaternion {
     let (z, w) = (angle_rad / 2.0).sin_cos();
     wire::Quaternion { x: 0.0, y: 0.0, z, w }
 }
 
 /// `foxglove.LogLevel` of a MAVLink severity.
-pub(super) const fn level(severity: u8) -> i32 {
+pub(super) const fn log_level(severity: u8) -> i32 {
     match severity {
         0..=2 => 5,
         3 => 4,

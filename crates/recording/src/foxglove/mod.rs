@@ -1,9 +1,9 @@
-//! What came out of the pipeline, as messages that viewers and notebooks read without set-up.
+//! The station's outputs as messages that viewers and notebooks read without set-up.
 //!
-//! Protocol buffers of Foxglove's own schemas for what every viewer draws (odometry, pose, path, transform, ellipse, fixes,
-//! log); JSON with a schema for what only we have (innovations, health of links, clocks, calibration, temperature,
-//! commands, gaps, truth). [`Outputs`] turns events into messages; [`crate::container::Writer`] puts them beside the inputs
-//! of a recording. Nothing of it is read back by a replay: the same events come out of the inputs again.
+//! Protocol buffers of Foxglove's schemas for what every viewer draws (odometry, pose, path, transform, ellipse, fixes,
+//! log); JSON with a schema for the rest (innovations, health of links, clocks, calibration, temperature, commands,
+//! gaps, truth). [`OutputEncoder`] converts events to messages; [`crate::container::RecordingWriter`] stores them
+//! beside the inputs of a recording. A replay does not read them: it computes the same events from the inputs.
 //!
 //! # Model
 //! ```text
@@ -20,6 +20,6 @@ mod records;
 mod wire;
 
 pub use channels::{CHANNELS, Channel};
-pub(crate) use outputs::Message;
-pub use outputs::Outputs;
-pub(crate) use outputs::{calibration, command, gap};
+pub(crate) use outputs::EncodedMessage;
+pub use outputs::OutputEncoder;
+pub(crate) use outputs::{calibration_message, command_message, gap_message};

@@ -1,14 +1,14 @@
-//! Our own records as JSON: what no message of Foxglove's holds. Their schemas follow from the structs.
+//! Records of posebridge as JSON, for which Foxglove has no message. Their schemas are derived from the structs.
 //!
-//! A number that is not finite is left out: JSON has none, and viewers take `null` for a type of its own.
+//! A number that is not finite is omitted: JSON has none, and viewers treat `null` as a type of its own.
 
 use posebridge_telemetry::{
-    Calibration, Command, Estimate, FusionRecord, Known, LinkHealth, LinkId, SourceHealth, Span,
+    Calibration, Command, Estimate, FusionRecord, LinkHealth, LinkId, SourceHealth, TimeDelta, UncertainValue,
 };
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::container::{Gap, TruthSample};
+use crate::container::{RecordingGap, TruthSample};
 
 /// The filter's belief after an observation.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -365,7 +365,7 @@ impl From<&Estimate> for EstimateRecord {
             is_position_valid: estimate.validity.position,
             is_heading_valid: estimate.validity.heading,
             is_dead_reckoning: estimate.is_dead_reckoning,
-            fix_age_s: estimate.fix_age.map(Span::as_secs_f64),
+            fix_age_s: estimate.fix_age.map(TimeDelta::as_secs_f64),
             reset_counter: estimate.reset_counter,
         }
     }
@@ -380,7 +380,7 @@ impl From<&FusionRecord> for FusedRecord {
             kind: record.kind,
             brick_nanos: record.stamp.as_nanos(),
             lag_s: record.lag.as_secs_f64(),
-            verdict: record.verdict.reason(),
+            verdict: record.outcome.reason(),
             innovation: all_finite(record.innovation.iter().take(used)),
             innovation_covariance: all_finite(rows.flat_map(|row| row.iter().take(used))),
             nis: finite(record.nis),
@@ -392,7 +392,7 @@ impl From<&FusionRecord> for FusedRecord {
 
 impl HealthRecord {
     /// The record of a link.
-    pub(super) fn of(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Self {
+    pub(super) fn new(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Self {
         let source = |one: &SourceHealth| SourceRecord {
             system: one.source.system.0,
             component: one.source.component.0,
@@ -408,18 +408,18 @@ impl HealthRecord {
             checksum_errors: health.checksum_errors,
             garbage_bytes: health.garbage_bytes,
             unknown_ids: health.unknown_ids,
-            stalls: health.stalls,
+            stalls: health.timeouts,
             frames_lost: health.frames_lost,
             reconnects: health.reconnects,
             drops_out: health.drops_out,
-            refused_frames: health.refused_frames,
+            refused_frames: health.rejected_frames,
             duplicates: health.duplicates,
-            namesakes: health.namesakes,
+            namesakes: health.address_conflicts,
             forwarded: health.forwarded,
             filtered: health.filtered,
-            thinned: health.thinned,
-            round_trip_s: health.round_trip.map(Span::as_secs_f64),
-            clock_uncertainty_s: health.clock_uncertainty.map(Span::as_secs_f64),
+            thinned: health.rate_limited,
+            round_trip_s: health.round_trip.map(TimeDelta::as_secs_f64),
+            clock_uncertainty_s: health.clock_uncertainty.map(TimeDelta::as_secs_f64),
             sources: sources.iter().map(source).collect(),
         }
     }
@@ -427,8 +427,8 @@ impl HealthRecord {
 
 impl From<&Calibration> for CalibrationRecord {
     fn from(calibration: &Calibration) -> Self {
-        let value = |known: Known| finite(known.value);
-        let sigma = |known: Known| finite(known.sigma);
+        let value = |known: UncertainValue| finite(known.value);
+        let sigma = |known: UncertainValue| finite(known.sigma);
         Self {
             radius_scale: value(calibration.radius_scale),
             radius_scale_sigma: sigma(calibration.radius_scale),
@@ -458,13 +458,13 @@ impl From<&Calibration> for CalibrationRecord {
 
 impl From<&Command> for CommandRecord {
     fn from(command: &Command) -> Self {
-        let text = format!("{command:?}");
+        let text = command.to_string();
         Self { command: command.name(), text }
     }
 }
 
-impl From<&Gap> for GapRecord {
-    fn from(gap: &Gap) -> Self {
+impl From<&RecordingGap> for GapRecord {
+    fn from(gap: &RecordingGap) -> Self {
         Self { inputs: gap.inputs, from_host_nanos: gap.from.as_nanos(), to_host_nanos: gap.to.as_nanos() }
     }
 }
@@ -473,7 +473,7 @@ impl From<&TruthSample> for TruthRecord {
     fn from(sample: &TruthSample) -> Self {
         let odometry = sample.odometry;
         Self {
-            brick_nanos: sample.stamp.as_nanos(),
+            brick_nanos: sample.time.as_nanos(),
             x_m: sample.pose.x.0,
             y_m: sample.pose.y.0,
             heading_rad: sample.pose.heading.rad(),

@@ -1,7 +1,7 @@
-//! Foxglove's messages as far as they are written here, as protocol buffers.
+//! The messages of Foxglove that are written here, as protocol buffers.
 //!
-//! Field numbers and types are those of the descriptors beside this file, which go into the recording as schemas; a test
-//! holds the two against each other.
+//! Field numbers and types are those of the descriptors beside this file, which go into the recording as schemas; a
+//! test compares the two.
 //!
 //! Source: the `foxglove.*` schemas of the Foxglove SDK, version 0.30.3 (`descriptors/README.md`).
 

@@ -1,8 +1,8 @@
-//! Telemetry logs: the `.tlog` files that ground stations keep, read and written.
+//! Telemetry logs: reads and writes the `.tlog` files of ground stations.
 //!
-//! They are what other people's vehicles come in, and what QGroundControl, Mission Planner, MAVProxy and pymavlink open. [`Reader`] cuts
-//! a file of any length into records within a fixed memory; [`Writer`] makes one. Which bytes are a frame is for the caller to say
-//! ([`Judged`]): this crate knows the length of a frame by its header and nothing else of MAVLink.
+//! QGroundControl, Mission Planner, MAVProxy and pymavlink write and read them. [`TlogReader`] splits a file of any
+//! length into records within a fixed memory; [`TlogWriter`] writes one. The caller verifies frames ([`FrameCheck`]):
+//! this module knows the length of a frame from its header and nothing else of MAVLink.
 //!
 //! # Model
 //! ```text
@@ -11,18 +11,19 @@
 //! time   = microseconds since 1970 UTC, unsigned, big-endian
 //! frame  = one MAVLink 1 or 2 frame as it was on the wire, with its signature if it has one
 //! ```
-//! Some writers (MAVProxy, and pymavlink's `mavlogfile`) keep the number of the link in the two lowest bits of the time. Old ones wrote
-//! the time in the order of their processor, which was little-endian ([`ByteOrder`]).
+//! Some writers (MAVProxy, and pymavlink's `mavlogfile`) store the number of the link in the two lowest bits of the
+//! time. Old ones wrote the time in the byte order of their processor, which was little-endian ([`ByteOrder`]).
 //!
 //! # Sources
-//! MAVLink guide, "Telemetry logs"; pymavlink 2.4.50, `mavutil.mavlogfile`; MAVLink guide, "Packet Serialization", for the lengths.
+//! MAVLink guide, "Telemetry logs"; pymavlink 2.4.50, `mavutil.mavlogfile`; MAVLink guide, "Packet Serialization", for
+//! the lengths.
 
-mod cut;
+mod framing;
 mod reader;
 mod writer;
 
-pub use reader::{Counts, Judged, Reader, Record};
-pub use writer::Writer;
+pub use reader::{FrameCheck, TlogCounts, TlogReader, TlogRecord};
+pub use writer::TlogWriter;
 
 /// Bytes of the time before each frame.
 pub const TIME_BYTES: usize = 8;

@@ -1,92 +1,92 @@
-//! Cuts a `.tlog` file into records, whatever lies between them.
+//! Splits a `.tlog` file into records.
 //!
-//! A record counts when the caller finds its frame whole. What is damaged costs one byte at a time, so that the next whole record is
-//! found wherever it begins. A frame that nobody can verify counts for itself, and only where it stands between other records.
+//! A record counts if the caller verifies its frame. After damage the search goes on byte by byte, so that the next
+//! whole record is found at any offset. A frame that cannot be verified counts as such, and only between other records.
 //!
-//! Every byte ends up in exactly one of: a whole record, an unverified one, or the bytes outside. How the file is cut into chunks
-//! changes nothing.
+//! Every byte belongs to exactly one of: a whole record, an unverified one, or the bytes outside. The result does not
+//! depend on how the file is split into chunks.
 
-use super::cut::{self, LONGEST_FRAME};
+use super::framing::{self, MAX_FRAME_BYTES};
 use super::{ByteOrder, TIME_BYTES};
 
 /// The longest record that there can be.
-const LONGEST_RECORD: usize = TIME_BYTES + LONGEST_FRAME;
+const MAX_RECORD_BYTES: usize = TIME_BYTES + MAX_FRAME_BYTES;
 /// So many bytes decide whether a record begins at the first of them: an unverified one must not hold the beginning of a whole one, and
 /// another must begin behind it.
-const DECISIVE: usize = 2 * LONGEST_RECORD;
+const LOOKAHEAD_BYTES: usize = 2 * MAX_RECORD_BYTES;
 
 /// What the caller thinks of bytes that have the length of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Judged<T> {
+pub enum FrameCheck<T> {
     /// A frame whose checksum matches, and what the caller wants to be told with it.
-    Whole(T),
+    Valid(T),
     /// Perhaps a frame, but of a message that the caller does not know and cannot verify.
     Unknown(T),
     /// No frame.
-    Not,
+    Invalid,
 }
 
 /// One record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Record<'a, T> {
+pub struct TlogRecord<'a, T> {
     /// Where it begins in the file, in bytes.
     pub offset: u64,
     /// When the frame was received or sent, in microseconds since 1970 UTC, as the file says.
     pub micros: u64,
     /// The frame.
     pub frame: &'a [u8],
-    /// What the caller thinks of it; never [`Judged::Not`].
-    pub judged: Judged<T>,
+    /// What the caller thinks of it; never [`FrameCheck::Invalid`].
+    pub check: FrameCheck<T>,
 }
 
 /// What became of the bytes so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct TlogCounts {
     /// Bytes that were decided about.
     pub bytes: u64,
     /// Records whose frame was whole.
-    pub whole: u64,
+    pub valid: u64,
     /// Records whose frame could not be verified.
     pub unknown: u64,
     /// Bytes of the latter, times included.
     pub unknown_bytes: u64,
     /// Bytes in no record.
-    pub bytes_outside: u64,
+    pub skipped_bytes: u64,
 }
 
 /// Cuts records out of chunks of a file.
 ///
 /// # Examples
 /// ```
-/// use posebridge_recording::tlog::{Judged, Reader};
+/// use posebridge_recording::tlog::{FrameCheck, TlogReader};
 ///
-/// // Ten seconds after 1970, a heartbeat of a ground rover, 1/1; and three bytes that were left over.
+/// // Ten seconds after 1970, a heartbeat of a ground rover, 1/1; and three bytes outside a record.
 /// let mut file = 10_000_000_u64.to_be_bytes().to_vec();
 /// file.extend([0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB]);
 /// file.extend([1, 2, 3]);
-/// let mut reader = Reader::new();
+/// let mut reader = TlogReader::new();
 /// let mut times = Vec::new();
-/// let judge = &mut |_frame: &[u8]| Judged::Whole(());
-/// reader.push(&file, judge, &mut |record| times.push(record.micros));
-/// reader.finish(judge, &mut |record| times.push(record.micros));
+/// let check_frame = &mut |_frame: &[u8]| FrameCheck::Valid(());
+/// reader.push(&file, check_frame, &mut |record| times.push(record.micros));
+/// reader.finish(check_frame, &mut |record| times.push(record.micros));
 /// assert_eq!(times, [10_000_000]);
-/// assert_eq!(reader.counts().bytes_outside, 3);
+/// assert_eq!(reader.counts().skipped_bytes, 3);
 /// ```
 #[derive(Clone, Debug, Default)]
-pub struct Reader {
+pub struct TlogReader {
     /// What was not decided about yet.
-    waiting: Vec<u8>,
+    buffer: Vec<u8>,
     order: Option<ByteOrder>,
-    counts: Counts,
+    counts: TlogCounts,
 }
 
 /// What begins at a place.
-enum Step<'a, T> {
-    Record { frame: &'a [u8], judged: Judged<T> },
+enum ParseStep<'a, T> {
+    Record { frame: &'a [u8], check: FrameCheck<T> },
     Skip(usize),
 }
 
-impl Reader {
+impl TlogReader {
     /// A reader at the beginning of a file.
     #[must_use]
     pub fn new() -> Self {
@@ -97,25 +97,25 @@ impl Reader {
     pub fn push<T: Copy>(
         &mut self,
         chunk: &[u8],
-        judge: &mut impl FnMut(&[u8]) -> Judged<T>,
-        sink: &mut impl FnMut(Record<'_, T>),
+        check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>,
+        sink: &mut impl FnMut(TlogRecord<'_, T>),
     ) {
-        self.waiting.extend_from_slice(chunk);
-        self.decide(DECISIVE, judge, sink);
+        self.buffer.extend_from_slice(chunk);
+        self.scan(LOOKAHEAD_BYTES, check_frame, sink);
     }
 
     /// The file ends here: gives the records that waited for more.
     pub fn finish<T: Copy>(
         &mut self,
-        judge: &mut impl FnMut(&[u8]) -> Judged<T>,
-        sink: &mut impl FnMut(Record<'_, T>),
+        check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>,
+        sink: &mut impl FnMut(TlogRecord<'_, T>),
     ) {
-        self.decide(1, judge, sink);
+        self.scan(1, check_frame, sink);
     }
 
     /// What became of the bytes so far.
     #[must_use]
-    pub const fn counts(&self) -> Counts {
+    pub const fn counts(&self) -> TlogCounts {
         self.counts
     }
 
@@ -126,23 +126,23 @@ impl Reader {
     }
 
     /// Decides about every place behind which at least `needed` bytes lie.
-    fn decide<T: Copy>(
+    fn scan<T: Copy>(
         &mut self,
         needed: usize,
-        judge: &mut impl FnMut(&[u8]) -> Judged<T>,
-        sink: &mut impl FnMut(Record<'_, T>),
+        check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>,
+        sink: &mut impl FnMut(TlogRecord<'_, T>),
     ) {
-        let waiting = std::mem::take(&mut self.waiting);
+        let waiting = std::mem::take(&mut self.buffer);
         let mut rest = waiting.as_slice();
         while rest.len() >= needed {
-            let step = step(rest, judge);
+            let step = parse_step(rest, check_frame);
             let taken = match step {
-                Step::Record { frame, judged } => {
-                    self.take(rest, frame, judged, sink);
+                ParseStep::Record { frame, check: judged } => {
+                    self.emit(rest, frame, judged, sink);
                     TIME_BYTES + frame.len()
                 }
-                Step::Skip(bytes) => {
-                    self.counts.bytes_outside += bytes as u64;
+                ParseStep::Skip(bytes) => {
+                    self.counts.skipped_bytes += bytes as u64;
                     bytes
                 }
             };
@@ -150,67 +150,77 @@ impl Reader {
             rest = rest.get(taken..).unwrap_or_default();
         }
         let decided = waiting.len() - rest.len();
-        self.waiting = waiting;
-        self.waiting.drain(..decided);
+        self.buffer = waiting;
+        self.buffer.drain(..decided);
     }
 
-    fn take<T: Copy>(&mut self, record: &[u8], frame: &[u8], judged: Judged<T>, sink: &mut impl FnMut(Record<'_, T>)) {
+    fn emit<T: Copy>(
+        &mut self,
+        record: &[u8],
+        frame: &[u8],
+        check: FrameCheck<T>,
+        sink: &mut impl FnMut(TlogRecord<'_, T>),
+    ) {
         let Some(time) = record.first_chunk::<TIME_BYTES>() else {
             return;
         };
         let order = *self.order.get_or_insert_with(|| ByteOrder::of_first(*time));
-        match judged {
-            Judged::Whole(_) => self.counts.whole += 1,
-            Judged::Unknown(_) => {
+        match check {
+            FrameCheck::Valid(_) => self.counts.valid += 1,
+            FrameCheck::Unknown(_) => {
                 self.counts.unknown += 1;
                 self.counts.unknown_bytes += (TIME_BYTES + frame.len()) as u64;
             }
-            Judged::Not => {}
+            FrameCheck::Invalid => {}
         }
-        sink(Record { offset: self.counts.bytes, micros: order.micros(*time), frame, judged });
+        sink(TlogRecord { offset: self.counts.bytes, micros: order.micros(*time), frame, check });
     }
 }
 
 /// What begins at the first of the bytes.
 #[inline]
-fn step<'a, T: Copy>(bytes: &'a [u8], judge: &mut impl FnMut(&[u8]) -> Judged<T>) -> Step<'a, T> {
-    let Some(frame) = frame_behind_time(bytes) else {
-        return Step::Skip(to_next_start(bytes));
+fn parse_step<'a, T: Copy>(bytes: &'a [u8], check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>) -> ParseStep<'a, T> {
+    let Some(frame) = frame_after_time(bytes) else {
+        return ParseStep::Skip(bytes_to_next_start(bytes));
     };
-    let judged = judge(frame);
+    let judged = check_frame(frame);
     let is_record = match judged {
-        Judged::Whole(_) => true,
-        Judged::Unknown(_) => stands_between_records(bytes, frame.len(), judge),
-        Judged::Not => false,
+        FrameCheck::Valid(_) => true,
+        FrameCheck::Unknown(_) => is_between_records(bytes, frame.len(), check_frame),
+        FrameCheck::Invalid => false,
     };
-    if is_record { Step::Record { frame, judged } } else { Step::Skip(to_next_start(bytes)) }
+    if is_record { ParseStep::Record { frame, check: judged } } else { ParseStep::Skip(bytes_to_next_start(bytes)) }
 }
 
 /// The frame of the record that would begin here.
 #[inline]
-fn frame_behind_time(bytes: &[u8]) -> Option<&[u8]> {
-    cut::frame(bytes.get(TIME_BYTES..)?)
+fn frame_after_time(bytes: &[u8]) -> Option<&[u8]> {
+    framing::split_frame(bytes.get(TIME_BYTES..)?)
 }
 
 /// How far it is to the next place at which a record could begin, as far as the bytes tell; all of them if there is none.
-fn to_next_start(bytes: &[u8]) -> usize {
+fn bytes_to_next_start(bytes: &[u8]) -> usize {
     let behind = bytes.get(TIME_BYTES + 1..).unwrap_or_default();
-    let next = behind.iter().position(|byte| cut::is_start(*byte));
+    let next = behind.iter().position(|byte| framing::is_start(*byte));
     // Where the bytes end, the start of the next record's frame may be just beyond them.
     next.map_or_else(|| bytes.len().saturating_sub(TIME_BYTES).max(1), |at| at + 1)
 }
 
 /// Whether a frame that cannot be verified is believable: the file ends behind it or goes on with what looks like a record, and no whole
 /// record begins inside.
-fn stands_between_records<T: Copy>(bytes: &[u8], frame: usize, judge: &mut impl FnMut(&[u8]) -> Judged<T>) -> bool {
+fn is_between_records<T: Copy>(
+    bytes: &[u8],
+    frame: usize,
+    check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>,
+) -> bool {
     let end = TIME_BYTES + frame;
     let behind = bytes.get(end..).unwrap_or_default();
-    let is_followed = behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(cut::is_start);
+    let is_followed = behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(framing::is_start);
     let mut inside = 1..end;
     is_followed
         && !inside.any(|at| {
-            let record = bytes.get(at..).and_then(frame_behind_time);
-            record.is_some_and(|frame| matches!(judge(frame), Judged::Whole(_)))
+            let record = bytes.get(at..).and_then(frame_after_time);
+            record.is_some_and(|frame| matches!(check_frame(frame), FrameCheck::Valid(_)))
         })
 }
 
@@ -219,11 +229,11 @@ mod tests {
     use super::*;
 
     /// Stands for a checksum: frames of message 1 that are filled to their end are whole, those of 2 unknown.
-    fn judge(frame: &[u8]) -> Judged<u8> {
+    fn check_frame(frame: &[u8]) -> FrameCheck<u8> {
         match frame.get(7) {
-            Some(1) if frame[10..].iter().all(|byte| *byte == 0x55) => Judged::Whole(1),
-            Some(2) => Judged::Unknown(2),
-            _ => Judged::Not,
+            Some(1) if frame[10..].iter().all(|byte| *byte == 0x55) => FrameCheck::Valid(1),
+            Some(2) => FrameCheck::Unknown(2),
+            _ => FrameCheck::Invalid,
         }
     }
 
@@ -238,15 +248,15 @@ mod tests {
     }
 
     /// Offsets and times, read in chunks of so many bytes.
-    fn read(file: &[u8], chunk: usize) -> (Vec<(u64, u64)>, Counts) {
-        let mut reader = Reader::new();
+    fn read(file: &[u8], chunk: usize) -> (Vec<(u64, u64)>, TlogCounts) {
+        let mut reader = TlogReader::new();
         let mut found = Vec::new();
         for chunk in file.chunks(chunk) {
-            reader.push(chunk, &mut judge, &mut |one| {
+            reader.push(chunk, &mut check_frame, &mut |one| {
                 found.push((one.offset, one.micros));
             });
         }
-        reader.finish(&mut judge, &mut |one| found.push((one.offset, one.micros)));
+        reader.finish(&mut check_frame, &mut |one| found.push((one.offset, one.micros)));
         (found, reader.counts())
     }
 
@@ -259,7 +269,7 @@ mod tests {
         for chunk in 1..=file.len() {
             let (found, counts) = read(&file, chunk);
             assert_eq!(found, at, "chunks of {chunk}");
-            assert_eq!(counts.bytes_outside, 17 + 30 + 9);
+            assert_eq!(counts.skipped_bytes, 17 + 30 + 9);
             assert_eq!(counts.bytes, file.len() as u64);
         }
     }
@@ -270,7 +280,7 @@ mod tests {
         for chunk in [1, 100, 275, 276, file.len()] {
             let (found, counts) = read(&file, chunk);
             assert_eq!(found, [(0, 1), (275, 2)], "chunks of {chunk}");
-            assert_eq!(counts.bytes_outside, 0);
+            assert_eq!(counts.skipped_bytes, 0);
         }
     }
 
@@ -280,13 +290,13 @@ mod tests {
         for chunk in [1, 13, file.len()] {
             let (found, counts) = read(&file, chunk);
             assert_eq!(found.len(), 3);
-            assert_eq!((counts.whole, counts.unknown), (2, 1));
-            assert_eq!((counts.unknown_bytes, counts.bytes_outside), (29, 0));
+            assert_eq!((counts.valid, counts.unknown), (2, 1));
+            assert_eq!((counts.unknown_bytes, counts.skipped_bytes), (29, 0));
         }
         let greedy = [record(2, 2, 60)[..20].to_vec(), record(3, 1, 3), record(4, 1, 3), vec![0; 40]];
         let (found, counts) = read(&greedy.concat(), 7);
         assert_eq!(found, [(20, 3), (43, 4)]);
-        assert_eq!((counts.unknown, counts.bytes_outside), (0, 60));
+        assert_eq!((counts.unknown, counts.skipped_bytes), (0, 60));
     }
 
     #[test]
@@ -302,10 +312,10 @@ mod tests {
 
     #[test]
     fn nothing_is_kept_beyond_what_decides() {
-        let mut reader = Reader::new();
+        let mut reader = TlogReader::new();
         for _ in 0..1_000 {
-            reader.push(&[0xFE; 999], &mut judge, &mut |_record| {});
-            assert!(reader.waiting.len() < DECISIVE);
+            reader.push(&[0xFE; 999], &mut check_frame, &mut |_record| {});
+            assert!(reader.buffer.len() < LOOKAHEAD_BYTES);
         }
     }
 }

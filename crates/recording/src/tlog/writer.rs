@@ -1,16 +1,16 @@
-//! Writes a `.tlog` file as things happen.
+//! Writes a `.tlog` file.
 
 use std::io::Write;
 
 /// Writes records to `W`; what was flushed is readable whatever follows, because the format has no end.
 #[derive(Debug)]
-pub struct Writer<W: Write> {
+pub struct TlogWriter<W: Write> {
     out: W,
     latest_micros: u64,
     scratch: Vec<u8>,
 }
 
-impl<W: Write> Writer<W> {
+impl<W: Write> TlogWriter<W> {
     /// Begins a file; nothing is written before the first record.
     pub const fn new(out: W) -> Self {
         Self { out, latest_micros: 0, scratch: Vec::new() }
@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn a_record_is_a_big_endian_time_and_the_frame_and_times_never_step_back() {
-        let mut writer = Writer::new(Vec::new());
+        let mut writer = TlogWriter::new(Vec::new());
         writer.record(0x0006_60BE_9038_02CB, &[0xFD, 1]).unwrap();
         writer.record(5, &[0xFE]).unwrap();
         let time = [0x00, 0x06, 0x60, 0xBE, 0x90, 0x38, 0x02, 0xCB];

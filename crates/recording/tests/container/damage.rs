@@ -2,8 +2,8 @@
 
 use std::io::Cursor;
 
-use posebridge_recording::container::{Gap, ReadError, Reader, Writer};
-use posebridge_telemetry::{Input, Stamp};
+use posebridge_recording::container::{ReadError, RecordingGap, RecordingReader, RecordingWriter};
+use posebridge_telemetry::{Input, Timestamp};
 
 use crate::{Recorded, header, record_of, sample, write};
 
@@ -14,7 +14,7 @@ fn a_flipped_bit_never_becomes_another_input() {
     for at in 0..bytes.len() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 0x10;
-        let Ok(reader) = Reader::open(&damaged) else {
+        let Ok(reader) = RecordingReader::open(&damaged) else {
             continue;
         };
         let mut rest = items.iter();
@@ -26,11 +26,11 @@ fn a_flipped_bit_never_becomes_another_input() {
 
 #[test]
 fn a_damaged_message_is_named_by_its_offset_and_the_next_one_follows() {
-    let items: Vec<Recorded> = (0..5).map(|n| (Stamp::from_millis(n), Input::Tick)).collect();
+    let items: Vec<Recorded> = (0..5).map(|n| (Timestamp::from_millis(n), Input::Tick)).collect();
     let mut damaged = write(&items);
     let at = record_of(&damaged, 2);
     damaged[at + 9 + 22 + 1] ^= 1;
-    let found: Vec<_> = Reader::open(&damaged).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&damaged).unwrap().collect();
     let [Err(ReadError::Chunk { .. }), found @ ..] = &found[..] else {
         panic!("the chunk's checksum said nothing: {found:?}");
     };
@@ -44,16 +44,16 @@ fn a_damaged_message_is_named_by_its_offset_and_the_next_one_follows() {
 
 #[test]
 fn a_missing_message_is_a_gap() {
-    let items: Vec<Recorded> = (0..4).map(|n| (Stamp::from_millis(n), Input::Tick)).collect();
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
+    let items: Vec<Recorded> = (0..4).map(|n| (Timestamp::from_millis(n), Input::Tick)).collect();
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header()).unwrap();
     writer.record(items[0].0, &items[0].1).unwrap();
-    let gap = Gap { inputs: 1, from: items[0].0, to: items[2].0 };
+    let gap = RecordingGap { inputs: 1, from: items[0].0, to: items[2].0 };
     writer.record_gap(&gap).unwrap();
     for (now, input) in &items[2..] {
         writer.record(*now, input).unwrap();
     }
     let bytes = writer.finish().unwrap().into_inner();
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
     assert!(matches!(found[1], Err(ReadError::Gap { expected: 1, found: 2, .. })), "{:?}", found[1]);
     assert_eq!(found[2], Ok(items[2].clone()));
     assert_eq!(found.len(), 4);
@@ -62,7 +62,7 @@ fn a_missing_message_is_a_gap() {
 #[test]
 fn destroyed_framing_costs_the_rest_of_its_chunk_and_no_more() {
     let items = sample();
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header()).unwrap();
     for (now, input) in &items {
         writer.record(*now, input).unwrap();
         writer.flush().unwrap();
@@ -70,7 +70,7 @@ fn destroyed_framing_costs_the_rest_of_its_chunk_and_no_more() {
     let mut bytes = writer.finish().unwrap().into_inner();
     let at = record_of(&bytes, 5);
     bytes[at] = 0;
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
     let good = found.iter().filter(|item| item.is_ok()).count();
     assert_eq!(good, items.len() - 1);
     let defects: Vec<_> = found.iter().filter_map(|item| item.as_ref().err()).collect();

@@ -1,5 +1,5 @@
-//! The recording's promises: the same inputs come back bit for bit, a cut or a crash costs only what was not flushed,
-//! and damage is named and never replayed.
+//! The promises of a recording: the same inputs come back bit for bit, a cut or a crash costs only unflushed data, and
+//! damage is reported and never replayed.
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
@@ -12,21 +12,21 @@ use std::io::{Cursor, Result as IoResult, Seek, SeekFrom, Write};
 use std::rc::Rc;
 
 use posebridge_recording::container::{
-    Beginning, Ending, FORMAT, Header, INPUT_ENCODING, INPUT_TOPIC, ReadError, Reader, TruthSample, WriteError, Writer,
-    truth,
+    FORMAT, INPUT_ENCODING, INPUT_TOPIC, PartHeader, ReadError, RecordingEnd, RecordingHeader, RecordingReader,
+    RecordingWriter, TruthSample, WriteError, read_truth,
 };
 use posebridge_telemetry::{
     BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Observation, Observed, ParameterName, Point2, Pose, PositionCovariance, Radians,
-    RadiansPerSecond, SensorId, Span, Stamp, Switch,
+    MetersPerSecondSquared, Observation, ObservationKind, ParameterName, Point2, Pose, PositionCovariance, Radians,
+    RadiansPerSecond, SensorId, SensorSwitch, TimeDelta, Timestamp,
 };
 
-type Recorded = (Stamp<HostClock>, Input);
+type Recorded = (Timestamp<HostClock>, Input);
 
 const UTC_START_NANOS: u64 = 1_700_000_000_123_456_000;
 
-fn header() -> Header {
-    Header {
+fn header() -> RecordingHeader {
+    RecordingHeader {
         format: FORMAT,
         program_version: "0.1.0".to_owned(),
         utc_start_micros: 1_700_000_000_123_456,
@@ -35,7 +35,7 @@ fn header() -> Header {
     }
 }
 
-fn every_observed() -> Vec<Observed> {
+fn every_observation_kind() -> Vec<ObservationKind> {
     let fix = Fix {
         position: Point2::new(Meters(0.1), Meters(0.2)),
         heading: None,
@@ -45,22 +45,25 @@ fn every_observed() -> Vec<Observed> {
     };
     let covariance = PositionCovariance { xx_m2: 1e-4, xy_m2: -2e-5, yy_m2: 3e-4, heading_rad2: f64::INFINITY };
     vec![
-        Observed::WheelAngles { left: Radians(-1e6), right: Radians(0.5) },
-        Observed::OdometerPose(Pose::new(Meters(0.0), Meters(-0.0), Heading::from_rad(-3.0))),
-        Observed::BodyVelocity { forward: MetersPerSecond(0.3), turn: RadiansPerSecond(-2.0) },
-        Observed::TurnRate(RadiansPerSecond(0.01)),
-        Observed::WheelAccelerations { left: MetersPerSecondSquared(9.81), right: MetersPerSecondSquared(-9.81) },
-        Observed::Fix(fix),
-        Observed::Fix(Fix {
+        ObservationKind::WheelAngles { left: Radians(-1e6), right: Radians(0.5) },
+        ObservationKind::OdometerPose(Pose::new(Meters(0.0), Meters(-0.0), Heading::from_rad(-3.0))),
+        ObservationKind::BodyVelocity { forward: MetersPerSecond(0.3), turn: RadiansPerSecond(-2.0) },
+        ObservationKind::TurnRate(RadiansPerSecond(0.01)),
+        ObservationKind::WheelAccelerations {
+            left: MetersPerSecondSquared(9.81),
+            right: MetersPerSecondSquared(-9.81),
+        },
+        ObservationKind::Fix(fix),
+        ObservationKind::Fix(Fix {
             heading: Some(Heading::from_rad(std::f64::consts::PI)),
             covariance: Some(covariance),
             ..fix
         }),
-        Observed::Landmark { id: LandmarkId(90), range: Meters(3.7), bearing: Radians(-0.2) },
-        Observed::BeaconRange { id: BeaconId(u32::MAX), range: Meters(65.4) },
-        Observed::WallRange(Meters(0.443)),
-        Observed::CompassHeading(Heading::from_rad(1.0)),
-        Observed::Temperature(Celsius(-273.15)),
+        ObservationKind::Landmark { id: LandmarkId(90), range: Meters(3.7), bearing: Radians(-0.2) },
+        ObservationKind::BeaconRange { id: BeaconId(u32::MAX), range: Meters(65.4) },
+        ObservationKind::WallRange(Meters(0.443)),
+        ObservationKind::CompassHeading(Heading::from_rad(1.0)),
+        ObservationKind::Temperature(Celsius(-273.15)),
     ]
 }
 
@@ -70,13 +73,13 @@ fn every_kind() -> Vec<Input> {
     let observation = |observed| {
         Input::Observation(Observation {
             sensor: SensorId(200),
-            stamp: Stamp::from_nanos(i64::MIN),
-            stamp_sigma: Span::from_nanos(i64::MAX),
-            observed,
+            stamp: Timestamp::from_nanos(i64::MIN),
+            stamp_sigma: TimeDelta::from_nanos(i64::MAX),
+            measurement: observed,
         })
     };
     let link = LinkId(u16::MAX);
-    let mut inputs: Vec<Input> = every_observed().into_iter().map(observation).collect();
+    let mut inputs: Vec<Input> = every_observation_kind().into_iter().map(observation).collect();
     inputs.extend([
         Input::Bytes { peer: posebridge_telemetry::PeerId(0), link, bytes: vec![0xFD, 0, 0xFF] },
         Input::Bytes { peer: posebridge_telemetry::PeerId(70_000), link, bytes: Vec::new() },
@@ -84,7 +87,7 @@ fn every_kind() -> Vec<Input> {
         Input::Link { link, state: LinkState::Down },
         Input::Command(Command::SetPose { pose: pose(), position_sigma_m: 0.01, heading_sigma_rad: 0.1 }),
         Input::Command(Command::SetParameter { name: ParameterName::from_bytes(b"gate_prob"), value: 0.9 }),
-        Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: Switch::Off }),
+        Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::Off }),
         Input::Command(Command::ResetPose),
         Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
@@ -93,20 +96,20 @@ fn every_kind() -> Vec<Input> {
 }
 
 fn sample() -> Vec<Recorded> {
-    let stamps = (0..).map(|n| Stamp::from_millis(20 * n));
+    let stamps = (0..).map(|n| Timestamp::from_millis(20 * n));
     stamps.zip(every_kind()).collect()
 }
 
 fn write(items: &[Recorded]) -> Vec<u8> {
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header()).unwrap();
     for (now, input) in items {
         writer.record(*now, input).unwrap();
     }
     writer.finish().unwrap().into_inner()
 }
 
-fn good(bytes: &[u8]) -> Vec<Recorded> {
-    let reader = Reader::open(bytes).unwrap();
+fn read_all(bytes: &[u8]) -> Vec<Recorded> {
+    let reader = RecordingReader::open(bytes).unwrap();
     reader.map(Result::unwrap).collect()
 }
 
@@ -118,10 +121,10 @@ fn record_of(bytes: &[u8], number: u8) -> usize {
 #[test]
 fn every_kind_of_input_comes_back() {
     let bytes = write(&sample());
-    let reader = Reader::open(&bytes).unwrap();
+    let reader = RecordingReader::open(&bytes).unwrap();
     assert_eq!(reader.header(), &header());
-    assert_eq!(reader.ending(), Ending::Complete);
-    assert_eq!(good(&bytes), sample());
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete);
+    assert_eq!(read_all(&bytes), sample());
 }
 
 #[test]
@@ -150,12 +153,12 @@ fn a_cut_at_any_byte_leaves_a_prefix() {
     let bytes = write(&items);
     let mut longest = 0;
     for cut in 0..bytes.len() {
-        let Ok(reader) = Reader::open(&bytes[..cut]) else {
+        let Ok(reader) = RecordingReader::open(&bytes[..cut]) else {
             assert_eq!(longest, 0, "cut at {cut}: the header was readable before");
             continue;
         };
-        assert!(matches!(reader.ending(), Ending::Torn { .. }), "cut at {cut}");
-        let found = good(&bytes[..cut]);
+        assert!(matches!(reader.recording_end(), RecordingEnd::Truncated { .. }), "cut at {cut}");
+        let found = read_all(&bytes[..cut]);
         assert_eq!(found, items[..found.len()], "cut at {cut}");
         assert!(found.len() >= longest, "cut at {cut}");
         longest = found.len();
@@ -168,7 +171,7 @@ fn zeros_after_a_power_cut_are_a_torn_tail() {
     let bytes = write(&sample());
     let whole = record_of(&bytes, 9) + 12;
     let zeroed = [&bytes[..whole], &[0; 4096]].concat();
-    let found: Vec<_> = Reader::open(&zeroed).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&zeroed).unwrap().collect();
     // The chunk that was being written has its length but zeros for its end, and the record in it as well.
     let is_expected = |item: &Result<Recorded, ReadError>| match item {
         Ok(_) | Err(ReadError::Chunk { .. } | ReadError::Message { .. }) => true,
@@ -177,21 +180,21 @@ fn zeros_after_a_power_cut_are_a_torn_tail() {
     assert!(found.iter().all(is_expected), "{found:?}");
     let good: Vec<Recorded> = found.into_iter().flatten().collect();
     assert_eq!(good, sample()[..9]);
-    let torn = Reader::open(&zeroed).unwrap().ending();
-    assert!(matches!(torn, Ending::Torn { .. }), "{torn:?}");
+    let torn = RecordingReader::open(&zeroed).unwrap().recording_end();
+    assert!(matches!(torn, RecordingEnd::Truncated { .. }), "{torn:?}");
 }
 
 /// A file that others can look into while it is written, as the kernel would after `kill -9`.
 #[derive(Clone, Default)]
-struct Disk(Rc<RefCell<Cursor<Vec<u8>>>>);
+struct MemoryDisk(Rc<RefCell<Cursor<Vec<u8>>>>);
 
-impl Disk {
+impl MemoryDisk {
     fn content(&self) -> Vec<u8> {
         self.0.borrow().get_ref().clone()
     }
 }
 
-impl Write for Disk {
+impl Write for MemoryDisk {
     fn write(&mut self, bytes: &[u8]) -> IoResult<usize> {
         self.0.borrow_mut().write(bytes)
     }
@@ -200,7 +203,7 @@ impl Write for Disk {
     }
 }
 
-impl Seek for Disk {
+impl Seek for MemoryDisk {
     fn seek(&mut self, to: SeekFrom) -> IoResult<u64> {
         self.0.borrow_mut().seek(to)
     }
@@ -208,30 +211,30 @@ impl Seek for Disk {
 
 #[test]
 fn what_was_flushed_survives_a_kill() {
-    let disk = Disk::default();
-    let mut writer = Writer::create(disk.clone(), &header()).unwrap();
-    assert_eq!(good(&disk.content()), [], "the header is flushed at once");
+    let disk = MemoryDisk::default();
+    let mut writer = RecordingWriter::create(disk.clone(), &header()).unwrap();
+    assert_eq!(read_all(&disk.content()), [], "the header is flushed at once");
     let items = sample();
     for (count, (now, input)) in items.iter().enumerate() {
         writer.record(*now, input).unwrap();
         writer.flush().unwrap();
-        assert_eq!(good(&disk.content()), items[..=count]);
+        assert_eq!(read_all(&disk.content()), items[..=count]);
     }
 }
 
 #[test]
 fn what_is_not_ours_is_refused_with_a_reason() {
-    assert_eq!(Reader::open(b"").unwrap_err(), ReadError::NotMcap);
-    assert_eq!(Reader::open(b"PK\x03\x04").unwrap_err(), ReadError::NotMcap);
+    assert_eq!(RecordingReader::open(b"").unwrap_err(), ReadError::NotMcap);
+    assert_eq!(RecordingReader::open(b"PK\x03\x04").unwrap_err(), ReadError::NotMcap);
     let mut other = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
     other.finish().unwrap();
     let other = other.into_inner().into_inner();
-    let error = Reader::open(&other).unwrap_err();
+    let error = RecordingReader::open(&other).unwrap_err();
     assert!(matches!(error, ReadError::NoHeader { .. }), "{error}");
-    let newer = Header { format: FORMAT + 1, ..header() };
-    let writer = Writer::create(Cursor::new(Vec::new()), &newer).unwrap();
+    let newer = RecordingHeader { format: FORMAT + 1, ..header() };
+    let writer = RecordingWriter::create(Cursor::new(Vec::new()), &newer).unwrap();
     let newer = writer.finish().unwrap().into_inner();
-    let error = Reader::open(&newer).unwrap_err();
+    let error = RecordingReader::open(&newer).unwrap_err();
     assert_eq!(error, ReadError::Format { found: FORMAT + 1 });
 }
 
@@ -241,7 +244,7 @@ fn without_the_record_of_the_channel_the_inputs_are_read_by_its_number() {
     let topic = INPUT_TOPIC.as_bytes();
     let at = bytes.windows(topic.len()).position(|text| text == topic).unwrap();
     bytes[at] ^= 1;
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
     let [Err(ReadError::Chunk { .. }), inputs @ ..] = &found[..] else {
         panic!("{found:?}");
     };
@@ -251,44 +254,44 @@ fn without_the_record_of_the_channel_the_inputs_are_read_by_its_number() {
 
 #[test]
 fn a_later_part_says_what_it_continues_and_counts_on() {
-    let begins = Beginning { part: 2, inputs_before: 1_000_000, continues: Some("recording.mcap".to_owned()) };
-    let mut writer = Writer::create_part(Cursor::new(Vec::new()), &header(), &begins).unwrap();
+    let begins = PartHeader { part: 2, inputs_before: 1_000_000, continues: Some("recording.mcap".to_owned()) };
+    let mut writer = RecordingWriter::create_part(Cursor::new(Vec::new()), &header(), &begins).unwrap();
     for (now, input) in sample() {
         writer.record(now, &input).unwrap();
     }
     let bytes = writer.finish().unwrap().into_inner();
-    assert_eq!(Reader::open(&bytes).unwrap().beginning(), &begins);
-    assert_eq!(good(&bytes), sample());
+    assert_eq!(RecordingReader::open(&bytes).unwrap().part_header(), &begins);
+    assert_eq!(read_all(&bytes), sample());
     let whole = write(&sample());
-    let begins = Reader::open(&whole).unwrap().beginning().clone();
-    assert_eq!(begins, Beginning::default());
+    let begins = RecordingReader::open(&whole).unwrap().part_header().clone();
+    assert_eq!(begins, PartHeader::default());
 }
 
 #[test]
 fn the_truth_of_a_run_comes_back_and_is_no_input() {
     let samples: Vec<TruthSample> = (0..100)
         .map(|n| TruthSample {
-            stamp: Stamp::from_millis(20 * n),
+            time: Timestamp::from_millis(20 * n),
             pose: Pose::new(Meters(0.1 * n as f64), Meters(-0.3), Heading::from_rad(0.07 * n as f64)),
             odometry: (n % 2 == 0).then(|| Pose::new(Meters(0.11), Meters(1.0 / 3.0), Heading::from_rad(-1.0))),
         })
         .collect();
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header()).unwrap();
     for (now, input) in sample() {
         writer.record(now, &input).unwrap();
     }
-    writer.record_truth(Stamp::from_millis(2_000), &samples).unwrap();
+    writer.record_truth(Timestamp::from_millis(2_000), &samples).unwrap();
     let bytes = writer.finish().unwrap().into_inner();
-    assert_eq!(good(&bytes), sample());
-    let found = truth(&bytes).unwrap();
+    assert_eq!(read_all(&bytes), sample());
+    let found = read_truth(&bytes).unwrap();
     assert_eq!(found.len(), samples.len());
     for (found, sample) in found.iter().zip(&samples) {
-        assert_eq!(found.stamp, sample.stamp);
+        assert_eq!(found.time, sample.time);
         assert!((found.pose.x.0 - sample.pose.x.0).abs() < 1e-12);
         assert!((found.pose.heading - sample.pose.heading).0.abs() < 1e-12);
         assert_eq!(found.odometry.is_some(), sample.odometry.is_some());
     }
-    assert_eq!(truth(&write(&sample())).unwrap(), []);
+    assert_eq!(read_truth(&write(&sample())).unwrap(), []);
 }
 
 #[test]
@@ -301,7 +304,7 @@ fn chunks_that_another_program_has_compressed_are_refused_by_name() {
     // Four bytes of what stood behind the name's length become the name.
     bytes[name] = 4;
     bytes[name + 4..name + 8].copy_from_slice(b"zstd");
-    let found: Vec<_> = Reader::open(&bytes).unwrap().collect();
+    let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
     let [Err(ReadError::Compressed { offset, compression })] = &found[..] else {
         panic!("{found:?}");
     };
@@ -310,16 +313,16 @@ fn chunks_that_another_program_has_compressed_are_refused_by_name() {
 
 #[test]
 fn an_instant_before_the_session_is_refused_and_the_next_one_is_not() {
-    let mut writer = Writer::create(Cursor::new(Vec::new()), &header()).unwrap();
-    let early = Stamp::from_nanos(-1);
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header()).unwrap();
+    let early = Timestamp::from_nanos(-1);
     assert!(matches!(
         writer.record(early, &Input::Tick),
         Err(WriteError::NegativeTime(stamp)) if stamp == early
     ));
-    writer.record(Stamp::ZERO, &Input::Tick).unwrap();
+    writer.record(Timestamp::ZERO, &Input::Tick).unwrap();
     let bytes = writer.finish().unwrap().into_inner();
-    assert_eq!(good(&bytes), [(Stamp::ZERO, Input::Tick)]);
-    let late = Header { utc_start_micros: u64::MAX / 1_000, ..header() };
-    let refused = Writer::create(Cursor::new(Vec::new()), &late).err();
+    assert_eq!(read_all(&bytes), [(Timestamp::ZERO, Input::Tick)]);
+    let late = RecordingHeader { utc_start_micros: u64::MAX / 1_000, ..header() };
+    let refused = RecordingWriter::create(Cursor::new(Vec::new()), &late).err();
     assert!(matches!(refused, Some(WriteError::StartTime(_))));
 }

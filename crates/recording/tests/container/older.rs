@@ -2,10 +2,12 @@
 
 use std::io::Cursor;
 
-use posebridge_recording::container::{Ending, INPUT_ENCODING, INPUT_TOPIC, Reader, TruthSample, truth};
-use posebridge_telemetry::{Heading, Input, LinkId, LinkState, Meters, Pose, Stamp};
+use posebridge_recording::container::{
+    INPUT_ENCODING, INPUT_TOPIC, RecordingEnd, RecordingReader, TruthSample, read_truth,
+};
+use posebridge_telemetry::{Heading, Input, LinkId, LinkState, Meters, Pose, Timestamp};
 
-use crate::{Recorded, UTC_START_NANOS, good, record_of, sample, write};
+use crate::{Recorded, UTC_START_NANOS, read_all, record_of, sample, write};
 
 /// A recording of format 2, which has no chunks and the host clock's own times.
 fn unchunked(items: &[Recorded]) -> Vec<u8> {
@@ -46,31 +48,32 @@ fn unchunked(items: &[Recorded]) -> Vec<u8> {
 fn a_recording_without_chunks_is_still_read_whole_or_cut() {
     let items = sample();
     let bytes = unchunked(&items);
-    let reader = Reader::open(&bytes).unwrap();
+    let reader = RecordingReader::open(&bytes).unwrap();
     assert_eq!(reader.header().format, 2);
-    assert_eq!(reader.ending(), Ending::Complete);
-    assert_eq!(good(&bytes), items);
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete);
+    assert_eq!(read_all(&bytes), items);
     let cut = record_of(&bytes, 7) + 12;
-    let found: Vec<_> = Reader::open(&bytes[..cut]).unwrap().flatten().collect();
+    let found: Vec<_> = RecordingReader::open(&bytes[..cut]).unwrap().flatten().collect();
     assert_eq!(found, items[..7]);
-    let ending = Reader::open(&bytes[..cut]).unwrap().ending();
+    let ending = RecordingReader::open(&bytes[..cut]).unwrap().recording_end();
     let offset = record_of(&bytes, 7) as u64;
-    assert!(matches!(ending, Ending::Torn { offset: at, .. } if at == offset));
+    assert!(matches!(ending, RecordingEnd::Truncated { offset: at, .. } if at == offset));
 }
 
 #[test]
 fn a_file_that_was_put_together_by_hand_from_the_specification_is_read() {
     let bytes = &include_bytes!("../../../../fuzz/corpus/recording/chunks_and_truth")[1..];
-    let reader = Reader::open(bytes).unwrap();
+    let reader = RecordingReader::open(bytes).unwrap();
     assert_eq!(reader.header().utc_start_micros, 1_700_000_000_000_000);
-    assert_eq!((reader.beginning().part, reader.beginning().inputs_before), (2, 5));
-    assert_eq!(reader.beginning().continues.as_deref(), Some("a.mcap"));
-    assert_eq!(reader.ending(), Ending::Complete);
+    assert_eq!((reader.part_header().part, reader.part_header().inputs_before), (2, 5));
+    assert_eq!(reader.part_header().continues.as_deref(), Some("a.mcap"));
+    assert_eq!(reader.recording_end(), RecordingEnd::Complete);
     let hello = Input::Bytes { link: LinkId(0), peer: posebridge_telemetry::PeerId(0), bytes: b"hello".to_vec() };
     let up = Input::Link { link: LinkId(0), state: LinkState::Up };
-    let expected = [(Stamp::from_micros(1), Input::Tick), (Stamp::from_micros(2), hello), (Stamp::from_micros(3), up)];
-    assert_eq!(good(bytes), expected);
+    let expected =
+        [(Timestamp::from_micros(1), Input::Tick), (Timestamp::from_micros(2), hello), (Timestamp::from_micros(3), up)];
+    assert_eq!(read_all(bytes), expected);
     let pose = Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5));
-    let sample = TruthSample { stamp: Stamp::from_nanos(7), pose, odometry: None };
-    assert_eq!(truth(bytes).unwrap(), [sample]);
+    let sample = TruthSample { time: Timestamp::from_nanos(7), pose, odometry: None };
+    assert_eq!(read_truth(bytes).unwrap(), [sample]);
 }

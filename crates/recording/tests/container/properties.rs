@@ -1,13 +1,14 @@
 //! Any inputs and any damage.
 
-use posebridge_recording::container::Reader;
+use posebridge_recording::container::RecordingReader;
 use posebridge_telemetry::{
-    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, Observed, ParameterName, Point2, Pose,
-    PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, Span, Stamp,
+    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, ObservationKind, ParameterName, Point2,
+    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, TimeDelta,
+    Timestamp,
 };
 use proptest::prelude::*;
 
-use crate::{Recorded, good, sample, write};
+use crate::{Recorded, read_all, sample, write};
 
 fn any_f64() -> impl Strategy<Value = f64> {
     any::<u64>().prop_map(f64::from_bits)
@@ -17,18 +18,18 @@ fn any_heading() -> impl Strategy<Value = Heading> {
     any_f64().prop_map(Heading::from_rad)
 }
 
-fn any_observed() -> impl Strategy<Value = Observed> {
+fn any_observation_kind() -> impl Strategy<Value = ObservationKind> {
     let pair = || (any_f64(), any_f64());
     prop_oneof![
-        pair().prop_map(|(l, r)| Observed::WheelAngles { left: Radians(l), right: Radians(r) }),
-        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| Observed::OdometerPose(Pose::new(
+        pair().prop_map(|(l, r)| ObservationKind::WheelAngles { left: Radians(l), right: Radians(r) }),
+        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| ObservationKind::OdometerPose(Pose::new(
             Meters(x),
             Meters(y),
             heading
         ))),
-        any_f64().prop_map(|rate| Observed::TurnRate(RadiansPerSecond(rate))),
-        any_heading().prop_map(Observed::CompassHeading),
-        (any::<u32>(), pair()).prop_map(|(id, (range, bearing))| Observed::Landmark {
+        any_f64().prop_map(|rate| ObservationKind::TurnRate(RadiansPerSecond(rate))),
+        any_heading().prop_map(ObservationKind::CompassHeading),
+        (any::<u32>(), pair()).prop_map(|(id, (range, bearing))| ObservationKind::Landmark {
             id: LandmarkId(id),
             range: Meters(range),
             bearing: Radians(bearing)
@@ -39,7 +40,7 @@ fn any_observed() -> impl Strategy<Value = Observed> {
             proptest::option::of([any_f64(), any_f64(), any_f64(), any_f64()]),
             any::<u8>()
         )
-            .prop_map(|((x, y), heading, covariance, reset_counter)| Observed::Fix(Fix {
+            .prop_map(|((x, y), heading, covariance, reset_counter)| ObservationKind::Fix(Fix {
                 position: Point2::new(Meters(x), Meters(y)),
                 heading,
                 covariance: covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| {
@@ -52,8 +53,8 @@ fn any_observed() -> impl Strategy<Value = Observed> {
 }
 
 /// Whatever stands there, sense or not: the pipeline judges it.
-fn done_to_the_brick(number: f64, nanos: i64, kind: u8) -> SimulatorCommand {
-    let span = Span::from_nanos(nanos);
+fn simulator_command(number: f64, nanos: i64, kind: u8) -> SimulatorCommand {
+    let span = TimeDelta::from_nanos(nanos);
     match kind {
         0 => SimulatorCommand::Kidnap { forward_m: number, left_m: -number, turn_rad: 1.0 / number },
         1 => SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: number, duration: span },
@@ -70,21 +71,23 @@ fn any_input() -> impl Strategy<Value = Input> {
             Input::Bytes { peer: posebridge_telemetry::PeerId(0), link: LinkId(link), bytes }
         }),
         Just(Input::Tick),
-        (any::<u8>(), any::<i64>(), any::<i64>(), any_observed()).prop_map(|(sensor, stamp, sigma, observed)| {
-            Input::Observation(Observation {
-                sensor: SensorId(sensor),
-                stamp: Stamp::from_nanos(stamp),
-                stamp_sigma: Span::from_nanos(sigma),
-                observed,
-            })
-        }),
+        (any::<u8>(), any::<i64>(), any::<i64>(), any_observation_kind()).prop_map(
+            |(sensor, stamp, sigma, observed)| {
+                Input::Observation(Observation {
+                    sensor: SensorId(sensor),
+                    stamp: Timestamp::from_nanos(stamp),
+                    stamp_sigma: TimeDelta::from_nanos(sigma),
+                    measurement: observed,
+                })
+            }
+        ),
         (any_f64(), prop::collection::vec(any::<u8>(), 0..20)).prop_map(|(value, name)| {
             let name = ParameterName::from_bytes(&name);
             Input::Command(Command::SetParameter { name, value })
         }),
         (any::<u8>(), ".{0,40}").prop_map(|(severity, text)| Input::Report { severity, text }),
         (any_f64(), any::<i64>(), 0_u8..6).prop_map(|(number, nanos, kind)| {
-            Input::Command(Command::Simulator(done_to_the_brick(number, nanos, kind)))
+            Input::Command(Command::Simulator(simulator_command(number, nanos, kind)))
         }),
         (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| {
             Input::Command(Command::SetPose {
@@ -103,10 +106,10 @@ proptest! {
     ) {
         let items: Vec<Recorded> = items
             .into_iter()
-            .map(|(nanos, input)| (Stamp::from_nanos(nanos), input))
+            .map(|(nanos, input)| (Timestamp::from_nanos(nanos), input))
             .collect();
         let bytes = write(&items);
-        let found = good(&bytes);
+        let found = read_all(&bytes);
         prop_assert_eq!(found.len(), items.len());
         // Compared through a second file, because NaN does not equal itself.
         prop_assert_eq!(write(&found), bytes);
@@ -120,7 +123,7 @@ proptest! {
         after_header.truncate(after_header.len() / 2);
         after_header.extend_from_slice(&tail);
         for bytes in [&tail, &after_magic, &after_header] {
-            if let Ok(reader) = Reader::open(bytes) {
+            if let Ok(reader) = RecordingReader::open(bytes) {
                 let read = reader.take(1000).count();
                 prop_assert!(read < 1000);
             }
@@ -136,7 +139,7 @@ proptest! {
             let at = index.index(bytes.len());
             bytes[at] = value;
         }
-        if let Ok(reader) = Reader::open(&bytes) {
+        if let Ok(reader) = RecordingReader::open(&bytes) {
             let read = reader.take(1000).count();
             prop_assert!(read < 1000);
         }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posebridge_recording::dataset::{Descriptor, LoadError, LoadOptions, Run, load};
+use posebridge_recording::dataset::{DatasetRun, Descriptor, LoadError, LoadOptions, load};
 use posebridge_telemetry::{DriveGeometry, Meters, Radians};
 
 /// Wheels of 10 cm and 5 cm radius, half a metre apart, a tick of 0.1 rad: numbers that are easy to follow.
@@ -36,7 +36,7 @@ pub(crate) fn parse(rest: &str) -> Descriptor {
     Descriptor::from_toml(&descriptor_text(rest)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-pub(crate) fn try_load(descriptor: &Descriptor, run: &str, files: &[(&str, &str)]) -> Result<Run, LoadError> {
+pub(crate) fn try_load(descriptor: &Descriptor, run: &str, files: &[(&str, &str)]) -> Result<DatasetRun, LoadError> {
     let mut open = |path: &Path| {
         let found = files.iter().find(|(name, _)| Path::new(name) == path);
         let missing = || std::io::Error::from(std::io::ErrorKind::NotFound);

@@ -1,11 +1,11 @@
-//! Dead reckoning from a loaded run, written from the textbook and not with the estimator, for comparison with the
-//! published figures.
+//! Dead reckoning from a loaded run, written from the textbook without the estimator, for comparison with the published
+//! figures.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
-use posebridge_recording::dataset::{Descriptor, LoadOptions, Run, load};
-use posebridge_telemetry::{DriveGeometry, Meters, Observed, Radians};
+use posebridge_recording::dataset::{DatasetRun, Descriptor, LoadOptions, load};
+use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians};
 
 pub(crate) fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -28,7 +28,7 @@ pub(crate) fn geometry(robot: &toml::Table) -> DriveGeometry {
     }
 }
 
-pub(crate) fn load_from(data: &Path, descriptor: &Descriptor, options: LoadOptions<'_>) -> Run {
+pub(crate) fn load_from(data: &Path, descriptor: &Descriptor, options: LoadOptions<'_>) -> DatasetRun {
     let mut open = |path: &Path| std::fs::read(data.join(path));
     load(descriptor, options, &mut open).unwrap()
 }
@@ -46,7 +46,7 @@ pub(crate) struct MotionStep {
 }
 
 impl MotionStep {
-    pub(crate) fn holds(&self, nanos: i64) -> bool {
+    pub(crate) fn contains(&self, nanos: i64) -> bool {
         self.from_nanos < nanos && nanos <= self.to_nanos
     }
 
@@ -58,13 +58,13 @@ impl MotionStep {
 }
 
 /// The motion between the wheel observations, by the midpoint model.
-pub(crate) fn motion(run: &Run, geometry: DriveGeometry) -> Vec<MotionStep> {
+pub(crate) fn motion(run: &DatasetRun, geometry: DriveGeometry) -> Vec<MotionStep> {
     let start = run.start.unwrap().pose;
     let mut from = [start.x.0, start.y.0, start.heading.rad()];
     let mut last: Option<(i64, f64, f64)> = None;
     let mut steps = Vec::new();
     for timed in &run.observations {
-        let Observed::WheelAngles { left, right } = timed.observation.observed else {
+        let ObservationKind::WheelAngles { left, right } = timed.observation.measurement else {
             continue;
         };
         let to_nanos = timed.observation.stamp.as_nanos();
@@ -87,7 +87,7 @@ pub(crate) fn motion(run: &Run, geometry: DriveGeometry) -> Vec<MotionStep> {
 }
 
 /// The poses at the wheel observations.
-pub(crate) fn dead_reckoning(run: &Run, geometry: DriveGeometry) -> Vec<(i64, Pose)> {
+pub(crate) fn dead_reckoning(run: &DatasetRun, geometry: DriveGeometry) -> Vec<(i64, Pose)> {
     let steps = motion(run, geometry);
     let first = steps.first().map(|step| (step.from_nanos, step.from));
     let ends = steps.iter().map(|step| (step.to_nanos, step.at(step.to_nanos)));
@@ -112,14 +112,14 @@ pub(crate) fn pose_at(poses: &[(i64, Pose)], nanos: i64) -> Option<Pose> {
 }
 
 #[derive(Debug, Default)]
-pub(crate) struct Errors {
+pub(crate) struct PathErrorStatistics {
     pub(crate) rms_m: f64,
     pub(crate) max_m: f64,
     pub(crate) end_m: f64,
     pub(crate) heading_rms_deg: f64,
 }
 
-impl Errors {
+impl PathErrorStatistics {
     /// Adds another run's errors with a weight, for a mean.
     pub(crate) fn add(&mut self, other: &Self, weight: f64) {
         self.rms_m += weight * other.rms_m;
@@ -130,11 +130,11 @@ impl Errors {
 }
 
 /// Errors against the truth of the run, at the stamps of the truth.
-pub(crate) fn against_truth(run: &Run, poses: &[(i64, Pose)]) -> Errors {
-    let mut errors = Errors::default();
+pub(crate) fn against_truth(run: &DatasetRun, poses: &[(i64, Pose)]) -> PathErrorStatistics {
+    let mut errors = PathErrorStatistics::default();
     let (mut count, mut squares, mut heading_squares) = (0.0, 0.0, 0.0);
     for truth in &run.truth {
-        let Some([x, y, heading]) = pose_at(poses, truth.stamp.as_nanos()) else {
+        let Some([x, y, heading]) = pose_at(poses, truth.time.as_nanos()) else {
             continue;
         };
         let error = (x - truth.position.x.0).hypot(y - truth.position.y.0);

@@ -1,20 +1,20 @@
-//! Reads any protocol buffer by its descriptor; what the descriptor does not know is an error.
+//! Reads any protocol buffer by its descriptor; unknown fields are errors.
 //!
-//! Source: the protocol buffers' "Encoding" page: a key is `number << 3 | wire type`; 0 varint, 1 eight bytes, 2 counted bytes,
-//! 5 four bytes.
+//! Source: the protocol buffers' "Encoding" page: a key is `number << 3 | wire type`; 0 varint, 1 eight bytes, 2
+//! counted bytes, 5 four bytes.
 
 use prost_types::field_descriptor_proto::Type;
 use prost_types::{DescriptorProto, FileDescriptorSet};
 
 /// The leaves of a message by their path, in the order in which they stand there.
-pub(crate) struct Fields(Vec<(String, Leaf)>);
+pub(crate) struct DecodedFields(Vec<(String, FieldValue)>);
 
-enum Leaf {
+enum FieldValue {
     Number(f64),
     Text(String),
 }
 
-impl Fields {
+impl DecodedFields {
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -23,8 +23,8 @@ impl Fields {
         let of_path = self.0.iter().filter(|(found, _)| found == path);
         of_path
             .map(|(_, leaf)| match leaf {
-                Leaf::Number(number) => *number,
-                Leaf::Text(text) => panic!("{path} is the text {text}"),
+                FieldValue::Number(number) => *number,
+                FieldValue::Text(text) => panic!("{path} is the text {text}"),
             })
             .collect()
     }
@@ -38,27 +38,27 @@ impl Fields {
     pub(crate) fn text(&self, path: &str) -> String {
         let leaf = self.0.iter().find(|(found, _)| found == path);
         match leaf {
-            Some((_, Leaf::Text(text))) => text.clone(),
+            Some((_, FieldValue::Text(text))) => text.clone(),
             _ => panic!("{path} is no text"),
         }
     }
 }
 
 /// Reads the message `name` (with its package) by a serialised `FileDescriptorSet`.
-pub(crate) fn read(descriptors: &[u8], name: &str, data: &[u8]) -> Fields {
+pub(crate) fn read(descriptors: &[u8], name: &str, data: &[u8]) -> DecodedFields {
     let set: FileDescriptorSet = prost::Message::decode(descriptors).unwrap();
-    let mut fields = Fields(Vec::new());
-    let mut reader = Reader { set: &set, fields: &mut fields };
+    let mut fields = DecodedFields(Vec::new());
+    let mut reader = ProtobufReader { set: &set, fields: &mut fields };
     reader.message(&format!(".{name}"), "", data);
     fields
 }
 
-struct Reader<'a> {
+struct ProtobufReader<'a> {
     set: &'a FileDescriptorSet,
-    fields: &'a mut Fields,
+    fields: &'a mut DecodedFields,
 }
 
-impl Reader<'_> {
+impl ProtobufReader<'_> {
     fn descriptor(&self, name: &str) -> &DescriptorProto {
         let found = self.set.file.iter().find_map(|file| {
             let package = format!(".{}.", file.package());
@@ -81,27 +81,27 @@ impl Reader<'_> {
             };
             match (field.r#type(), wire) {
                 (Type::Message, 2) => {
-                    let body = counted(&mut data);
+                    let body = length_delimited(&mut data);
                     self.message(field.type_name(), &path, body);
                 }
                 (Type::String, 2) => {
-                    let text = std::str::from_utf8(counted(&mut data)).unwrap().to_owned();
-                    self.fields.0.push((path, Leaf::Text(text)));
+                    let text = std::str::from_utf8(length_delimited(&mut data)).unwrap().to_owned();
+                    self.fields.0.push((path, FieldValue::Text(text)));
                 }
                 (Type::Double, 2) => {
-                    let mut packed = counted(&mut data);
+                    let mut packed = length_delimited(&mut data);
                     while !packed.is_empty() {
                         let number = double(&mut packed);
-                        self.fields.0.push((path.clone(), Leaf::Number(number)));
+                        self.fields.0.push((path.clone(), FieldValue::Number(number)));
                     }
                 }
                 (Type::Double, 1) => {
                     let number = double(&mut data);
-                    self.fields.0.push((path, Leaf::Number(number)));
+                    self.fields.0.push((path, FieldValue::Number(number)));
                 }
                 (Type::Int64 | Type::Int32 | Type::Enum | Type::Bool, 0) => {
                     let number = varint(&mut data) as i64 as f64;
-                    self.fields.0.push((path, Leaf::Number(number)));
+                    self.fields.0.push((path, FieldValue::Number(number)));
                 }
                 (kind, wire) => panic!("{name}.{path} is {kind:?} and was written as {wire}"),
             }
@@ -122,7 +122,7 @@ fn varint(data: &mut &[u8]) -> u64 {
     panic!("a number of more than ten bytes")
 }
 
-fn counted<'a>(data: &mut &'a [u8]) -> &'a [u8] {
+fn length_delimited<'a>(data: &mut &'a [u8]) -> &'a [u8] {
     let length = varint(data) as usize;
     let (bytes, rest) = data.split_at(length);
     *data = rest;

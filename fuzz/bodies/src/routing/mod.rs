@@ -1,33 +1,33 @@
-//! Any frames by any ways: each goes exactly where the model of `protocol::routing` says, nothing comes back to where it came
-//! from, what is remembered stays bounded, and no limit of a link is exceeded.
+//! Any frames from any endpoints: each goes exactly where the model of `protocol::routing` says, none goes back to its
+//! origin, the memory is bounded, and no limit of a link is exceeded.
 //!
-//! The model is written down a second time, in [`model`], without hashes and without bounds.
+//! [`model`] is a second, independent implementation of the model, without hashes and without bounds.
 
 mod limits;
 mod model;
 
 use std::collections::BTreeMap;
 
-use posebridge_protocol::framing::{FrameRef, Scanned, Scanner, ScannerConfig, WireVersion};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::routing::{
-    Check, Choice, Forward, FrameFilter, LinkRules, Occurrence, RateLimits, Routed, Router, RouterConfig, Target, Way,
-    priority_of, target_of,
+    AllowBlockList, DuplicateStatus, Endpoint, ForwardPolicy, FrameFilter, FrameRouter, LinkRules, MessageTarget,
+    RateLimits, RouterConfig, RoutingDecision, SenderCheck, priority_of, target_of,
 };
-use posebridge_telemetry::{Address, Audience, HostClock, LinkId, PeerId, Priority, Span, Stamp, SystemId};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, SystemId, TimeDelta, Timestamp};
 
 use crate::operands::Operands;
-use model::{MOST_ROUTES, Model};
+use model::{MAX_ROUTES, RouterModel};
 
 const STATION: Address = Address::new(1, 197);
 /// Links that have rules; a fifth has none.
 const LINKS: u16 = 4;
 /// Frames of one input, all in all, apart from crowds; together with those they stay within what is remembered of duplicates.
-const MOST_FRAMES: u32 = 1_000;
+const MAX_FRAMES: u32 = 1_000;
 /// Peers that are heard for the first time by one operation, and how often that may be: together a few more than are remembered.
-const CROWD: u32 = 1_024;
-const SMALL_CROWD: u32 = 32;
-const MOST_CROWDS: u32 = 4;
-const MOST_SMALL_CROWDS: u32 = 8;
+const PEER_BURST: u32 = 1_024;
+const SMALL_PEER_BURST: u32 = 32;
+const MAX_PEER_BURSTS: u32 = 4;
+const MAX_SMALL_PEER_BURSTS: u32 = 8;
 /// Messages with a target, with a time, with neither, and one that nobody knows.
 const MESSAGES: [u32; 12] = [0, 4, 23, 24, 30, 69, 75, 76, 77, 331, 42_100, 60_000];
 
@@ -37,26 +37,26 @@ pub(crate) fn check(data: &[u8]) {
     if operands.byte() % 4 == 3 {
         return limits::check(operands);
     }
-    let mut bench = Bench::new(rules(&mut operands));
-    while !operands.is_empty() && bench.frames < MOST_FRAMES {
+    let mut bench = RouterBench::new(rules(&mut operands));
+    while !operands.is_empty() && bench.frames < MAX_FRAMES {
         match operands.byte() % 8 {
-            0 => bench.now = bench.now + Span::from_millis(i64::from(operands.number())),
+            0 => bench.now = bench.now + TimeDelta::from_millis(i64::from(operands.number())),
             1..=3 => bench.build(&mut operands),
             4 => {
-                let way = way(operands.byte());
+                let way = endpoint(operands.byte());
                 let length = usize::from(operands.byte()) * 4;
-                bench.scan(way, operands.part(length));
+                bench.route_scanned(way, operands.take_up_to(length));
             }
-            5 => bench.again(way(operands.byte())),
+            5 => bench.repeat_last(endpoint(operands.byte())),
             6 => bench.forget(LinkId(u16::from(operands.byte()) % (LINKS + 1))),
-            _ => bench.crowd(operands.byte()),
+            _ => bench.add_peer_burst(operands.byte()),
         }
     }
 }
 
 /// Four links; groups, filters and what is forwarded as the bytes say.
 fn rules(operands: &mut Operands<'_>) -> RouterConfig {
-    let window = Span::from_millis([0, 1_000, 1_000, 60_000][usize::from(operands.byte() % 4)]);
+    let window = TimeDelta::from_millis([0, 1_000, 1_000, 60_000][usize::from(operands.byte() % 4)]);
     let links = (0..LINKS).map(|id| (LinkId(id), link_rules(operands.byte())));
     RouterConfig { own: STATION, duplicate_window: window, links: links.collect() }
 }
@@ -64,9 +64,9 @@ fn rules(operands: &mut Operands<'_>) -> RouterConfig {
 fn link_rules(byte: u8) -> LinkRules {
     let group = [None, Some(1), Some(2), None][usize::from(byte % 4)];
     let forward = match byte >> 2 & 3 {
-        0 | 1 => Forward::All,
-        2 => Forward::Targeted,
-        _ => Forward::Nothing,
+        0 | 1 => ForwardPolicy::All,
+        2 => ForwardPolicy::Targeted,
+        _ => ForwardPolicy::Disabled,
     };
     LinkRules {
         group,
@@ -81,15 +81,15 @@ fn filter(choice: u8) -> FrameFilter {
     let mut filter = FrameFilter::default();
     match choice {
         2 => filter.messages.block = vec![0, 60_000],
-        3 => filter.systems = Choice { allow: (1..5).map(SystemId).collect(), block: vec![SystemId(3)] },
+        3 => filter.systems = AllowBlockList { allow: (1..5).map(SystemId).collect(), block: vec![SystemId(3)] },
         _ => {}
     }
     filter
 }
 
 /// One of fifteen ways: three peers on each of four links and on one without rules.
-fn way(byte: u8) -> Way {
-    Way { link: LinkId(u16::from(byte) % (LINKS + 1)), peer: PeerId(u32::from(byte >> 4) % 3) }
+fn endpoint(byte: u8) -> Endpoint {
+    Endpoint { link: LinkId(u16::from(byte) % (LINKS + 1)), peer: PeerId(u32::from(byte >> 4) % 3) }
 }
 
 /// The frame of these parts; checksums are the scanner's business.
@@ -114,26 +114,26 @@ fn frame_of(bytes: &[u8]) -> FrameRef<'_> {
 }
 
 /// The router, and what it must do.
-struct Bench {
-    router: Router,
-    model: Model,
-    now: Stamp<HostClock>,
+struct RouterBench {
+    router: FrameRouter,
+    model: RouterModel,
+    now: Timestamp<HostClock>,
     frames: u32,
-    crowds: u32,
-    small_crowds: u32,
+    peer_bursts: u32,
+    small_peer_bursts: u32,
     next_peer: u32,
-    last: Option<(Vec<u8>, Check)>,
+    last: Option<(Vec<u8>, SenderCheck)>,
 }
 
-impl Bench {
+impl RouterBench {
     fn new(config: RouterConfig) -> Self {
         Self {
-            router: Router::new(config.clone()),
-            model: Model::new(config),
-            now: Stamp::ZERO,
+            router: FrameRouter::new(config.clone()),
+            model: RouterModel::new(config),
+            now: Timestamp::ZERO,
             frames: 0,
-            crowds: 0,
-            small_crowds: 0,
+            peer_bursts: 0,
+            small_peer_bursts: 0,
             next_peer: 16,
             last: None,
         }
@@ -141,7 +141,7 @@ impl Bench {
 
     /// Somebody says something that may be for somebody.
     fn build(&mut self, operands: &mut Operands<'_>) {
-        let way = way(operands.byte());
+        let way = endpoint(operands.byte());
         let (who, what) = (operands.byte(), operands.byte());
         let source = match who % 16 {
             0 => STATION,
@@ -151,36 +151,36 @@ impl Bench {
         let fill = operands.byte() % 6;
         let length = usize::from(operands.byte()) % 64;
         let mut payload = vec![fill; length];
-        payload.extend_from_slice(operands.part(4));
+        payload.extend_from_slice(operands.take_up_to(4));
         let check = match what >> 6 {
-            3 => Check::Unverifiable,
-            _ => Check::Verified,
+            3 => SenderCheck::Unverifiable,
+            _ => SenderCheck::Verified,
         };
         let bytes = bytes_of(source, message_id, &payload);
         if source == STATION && who & 0x10 != 0 {
-            self.router.say(&bytes);
-            self.model.say(&frame_of(&bytes));
+            self.router.record_sent(&bytes);
+            self.model.record_sent(&frame_of(&bytes));
         }
-        self.hear(way, bytes, check);
+        self.receive(way, bytes, check);
     }
 
     /// Bytes as they come from a link.
-    fn scan(&mut self, way: Way, bytes: &[u8]) {
+    fn route_scanned(&mut self, way: Endpoint, bytes: &[u8]) {
         let mut found = Vec::new();
-        Scanner::new(ScannerConfig::default()).push(self.now, bytes, &mut |scanned| match scanned {
-            Scanned::Frame(frame) => found.push((frame.raw.to_vec(), Check::Verified)),
-            Scanned::Unknown(frame) => found.push((frame.raw.to_vec(), Check::Unverifiable)),
-            Scanned::Defect(_) => {}
+        Framer::new(FramerConfig::default()).push(self.now, bytes, &mut |scanned| match scanned {
+            FramerOutput::Frame(frame) => found.push((frame.raw.to_vec(), SenderCheck::Verified)),
+            FramerOutput::UnknownFrame(frame) => found.push((frame.raw.to_vec(), SenderCheck::Unverifiable)),
+            FramerOutput::Error(_) => {}
         });
         for (bytes, check) in found {
-            self.hear(way, bytes, check);
+            self.receive(way, bytes, check);
         }
     }
 
     /// What came last comes again.
-    fn again(&mut self, way: Way) {
+    fn repeat_last(&mut self, way: Endpoint) {
         if let Some((bytes, check)) = self.last.clone() {
-            self.hear(way, bytes, check);
+            self.receive(way, bytes, check);
         }
     }
 
@@ -190,10 +190,10 @@ impl Bench {
     }
 
     /// Many peers of one system on one link, and then a word to that system: no more ways than are remembered.
-    fn crowd(&mut self, who: u8) {
+    fn add_peer_burst(&mut self, who: u8) {
         let (crowds, most, size) = match who & 0xC3 {
-            0 => (&mut self.crowds, MOST_CROWDS, CROWD),
-            _ => (&mut self.small_crowds, MOST_SMALL_CROWDS, SMALL_CROWD),
+            0 => (&mut self.peer_bursts, MAX_PEER_BURSTS, PEER_BURST),
+            _ => (&mut self.small_peer_bursts, MAX_SMALL_PEER_BURSTS, SMALL_PEER_BURST),
         };
         if *crowds >= most {
             return;
@@ -207,11 +207,11 @@ impl Bench {
         for number in first..self.next_peer {
             let peer = PeerId(number);
             let bytes = bytes_of(source, 0, &number.to_le_bytes());
-            let (from, frame) = (Way { link, peer }, frame_of(&bytes));
+            let (from, frame) = (Endpoint { link, peer }, frame_of(&bytes));
             if self.router.admits(link, &frame) {
-                let routed = self.router.route(self.now, from, &frame, Check::Verified);
-                assert_eq!(routed.occurrence, Occurrence::First);
-                self.model.hear(self.now, source, from);
+                let routed = self.router.route(self.now, from, &frame, SenderCheck::Verified);
+                assert_eq!(routed.duplicate_status, DuplicateStatus::New);
+                self.model.learn_route(self.now, source, from);
             }
         }
         // COMMAND_LONG: the target's system and component stand behind seven floats and the command.
@@ -219,10 +219,10 @@ impl Bench {
         payload[30] = source.system.0;
         payload[31] = 0;
         let bytes = bytes_of(Address::new(9, 9), 76, &payload);
-        self.hear(way(who ^ 1), bytes, Check::Verified);
+        self.receive(endpoint(who ^ 1), bytes, SenderCheck::Verified);
     }
 
-    fn hear(&mut self, from: Way, bytes: Vec<u8>, check: Check) {
+    fn receive(&mut self, from: Endpoint, bytes: Vec<u8>, check: SenderCheck) {
         self.frames += 1;
         let frame = frame_of(&bytes);
         check_target(&frame);
@@ -233,7 +233,7 @@ impl Bench {
             if self.model.is_exact() {
                 assert_eq!(routed, expected, "{from:?} {frame:?}");
             } else {
-                assert_eq!(routed.occurrence, expected.occurrence);
+                assert_eq!(routed.duplicate_status, expected.duplicate_status);
                 assert!(routed.to.iter().all(|to| expected.to.contains(to)));
             }
         }
@@ -241,15 +241,15 @@ impl Bench {
     }
 
     /// What holds for every frame.
-    fn check_routed(&self, from: Way, routed: &Routed) {
-        assert!(routed.to.len() <= MOST_ROUTES, "{} ways", routed.to.len());
+    fn check_routed(&self, from: Endpoint, routed: &RoutingDecision) {
+        assert!(routed.to.len() <= MAX_ROUTES, "{} ways", routed.to.len());
         assert!(routed.to.windows(2).all(|pair| pair[0].0 <= pair[1].0));
         let mut copies = BTreeMap::new();
         for (link, audience) in &routed.to {
             let is_back = *link == from.link && audience.includes(from.peer);
             assert!(!is_back, "back to {from:?}");
-            assert!(*link == from.link || !self.router.lead_to_one(*link, from.link));
-            if let Audience::Peer(peer) = audience {
+            assert!(*link == from.link || !self.router.are_redundant(*link, from.link));
+            if let Recipients::Peer(peer) = audience {
                 let copies = copies.entry((*link, *peer)).or_insert(0);
                 *copies += 1;
                 assert_eq!(*copies, 1, "{peer:?} of {link:?} gets it twice");
@@ -265,6 +265,6 @@ fn check_target(frame: &FrameRef<'_>) {
     let cut = &frame.payload[..frame.payload.len() - zeros.count()];
     assert_eq!(target_of(frame.message_id, cut), target);
     if priority_of(frame) == Priority::Command {
-        assert_ne!(target, Target::Everybody);
+        assert_ne!(target, MessageTarget::Broadcast);
     }
 }

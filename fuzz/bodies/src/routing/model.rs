@@ -1,31 +1,32 @@
-//! What a router must do, in the plainest form: everything is remembered, by its bytes.
+//! The behaviour of a router in the plainest form: all frames are stored by their bytes.
 //!
-//! Source: the model at the head of `protocol::routing`, and docs/routing.md.
+//! Source: the model in `protocol::routing`, and docs/routing.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{
-    Check, Forward, LinkRules, Occurrence, Routed, RouterConfig, Target, Way, is_stamped, target_of,
+    DuplicateStatus, Endpoint, ForwardPolicy, LinkRules, MessageTarget, RouterConfig, RoutingDecision, SenderCheck,
+    has_timestamp, target_of,
 };
-use posebridge_telemetry::{Address, Audience, HostClock, LinkId, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, Recipients, TimeDelta, Timestamp};
 
 /// Ways that a router remembers.
-pub(super) const MOST_ROUTES: usize = 4_096;
+pub(super) const MAX_ROUTES: usize = 4_096;
 /// Who was not heard by a way for longer than this is not there any more.
-const LIFETIME: Span = Span::from_millis(30_000);
+const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 
 /// By what a frame is known again.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Mark {
+enum FrameMark {
     Bytes(Vec<u8>),
     Content(u16, Address, u32, Vec<u8>),
 }
 
 /// By what the station knows its own words: checksum, sequence number, lowest byte of the message id.
-type OwnMark = ([u8; 2], u8, u8);
+type SentFrameMark = ([u8; 2], u8, u8);
 
-fn own_mark(frame: &FrameRef<'_>) -> OwnMark {
+fn sent_frame_mark(frame: &FrameRef<'_>) -> SentFrameMark {
     let header = match frame.version {
         WireVersion::V2 => 10,
         WireVersion::V1 => 6,
@@ -36,19 +37,25 @@ fn own_mark(frame: &FrameRef<'_>) -> OwnMark {
 }
 
 /// Everything that was heard.
-pub(super) struct Model {
+pub(super) struct RouterModel {
     config: RouterConfig,
-    heard: BTreeMap<(Address, Way), Stamp<HostClock>>,
-    noted: BTreeMap<Mark, (Stamp<HostClock>, Way)>,
+    routes: BTreeMap<(Address, Endpoint), Timestamp<HostClock>>,
+    recent_frames: BTreeMap<FrameMark, (Timestamp<HostClock>, Endpoint)>,
     /// What the station has said itself, by its marks.
-    said: BTreeSet<OwnMark>,
+    sent_frames: BTreeSet<SentFrameMark>,
     /// More was heard than a router remembers: it may know less than this model.
     is_beyond: bool,
 }
 
-impl Model {
+impl RouterModel {
     pub(super) fn new(config: RouterConfig) -> Self {
-        Self { config, heard: BTreeMap::new(), noted: BTreeMap::new(), said: BTreeSet::new(), is_beyond: false }
+        Self {
+            config,
+            routes: BTreeMap::new(),
+            recent_frames: BTreeMap::new(),
+            sent_frames: BTreeSet::new(),
+            is_beyond: false,
+        }
     }
 
     /// Whether a router does exactly what this model says. If not, it sends to some of the ways that this model gives, because the
@@ -58,119 +65,143 @@ impl Model {
     }
 
     pub(super) fn forget(&mut self, link: LinkId) {
-        self.heard.retain(|(_, way), _| way.link != link);
+        self.routes.retain(|(_, way), _| way.link != link);
     }
 
-    pub(super) fn say(&mut self, frame: &FrameRef<'_>) {
-        self.said.insert(own_mark(frame));
+    pub(super) fn record_sent(&mut self, frame: &FrameRef<'_>) {
+        self.sent_frames.insert(sent_frame_mark(frame));
     }
 
-    pub(super) fn route(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>, check: Check) -> Routed {
-        let occurrence = self.note(now, from, frame, check);
+    pub(super) fn route(
+        &mut self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+        check: SenderCheck,
+    ) -> RoutingDecision {
+        let occurrence = self.check_duplicate(now, from, frame, check);
         let is_ours = frame.source == self.config.own;
-        let to =
-            if is_ours || occurrence != Occurrence::First { Vec::new() } else { self.destinations(now, from, frame) };
-        Routed { occurrence, to }
+        let to = if is_ours || occurrence != DuplicateStatus::New {
+            Vec::new()
+        } else {
+            self.destinations(now, from, frame)
+        };
+        RoutingDecision { duplicate_status: occurrence, to }
     }
 
     /// Remembers a frame and says whether it came before.
-    fn note(&mut self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>, check: Check) -> Occurrence {
+    fn check_duplicate(
+        &mut self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+        check: SenderCheck,
+    ) -> DuplicateStatus {
         if frame.source == self.config.own {
-            return if self.said.contains(&own_mark(frame)) { Occurrence::Echo } else { Occurrence::Namesake };
+            return if self.sent_frames.contains(&sent_frame_mark(frame)) {
+                DuplicateStatus::Echo
+            } else {
+                DuplicateStatus::AddressConflict
+            };
         }
-        let mut marks = vec![Mark::Bytes(frame.raw.to_vec())];
-        if let (Some(group), true) = (self.group(from.link), is_stamped(frame.message_id)) {
+        let mut marks = vec![FrameMark::Bytes(frame.raw.to_vec())];
+        if let (Some(group), true) = (self.group(from.link), has_timestamp(frame.message_id)) {
             let mut payload = frame.payload.to_vec();
             while payload.last() == Some(&0) {
                 payload.pop();
             }
-            marks.push(Mark::Content(group, frame.source, frame.message_id, payload));
+            marks.push(FrameMark::Content(group, frame.source, frame.message_id, payload));
         }
         let mut firsts = Vec::new();
         for mark in marks {
-            let before = self.noted.get(&mark).copied();
+            let before = self.recent_frames.get(&mark).copied();
             match before.filter(|(at, way)| now - *at < self.config.duplicate_window && *way != from) {
                 Some((_, way)) => firsts.push(way),
-                None => drop(self.noted.insert(mark, (now, from))),
+                None => drop(self.recent_frames.insert(mark, (now, from))),
             }
         }
-        let is_redundant = |first: &Way| self.is_one(first.link, from.link);
+        let is_redundant = |first: &Endpoint| self.same_group(first.link, from.link);
         let occurrence = if firsts.is_empty() {
-            Occurrence::First
+            DuplicateStatus::New
         } else if firsts.iter().any(is_redundant) {
-            Occurrence::Redundant
+            DuplicateStatus::Duplicate
         } else {
-            Occurrence::Detour
+            DuplicateStatus::Loop
         };
-        if check == Check::Verified && occurrence != Occurrence::Detour {
-            self.hear(now, frame.source, from);
+        if check == SenderCheck::Verified && occurrence != DuplicateStatus::Loop {
+            self.learn_route(now, frame.source, from);
         }
         occurrence
     }
 
     /// Somebody was heard by a way.
-    pub(super) fn hear(&mut self, now: Stamp<HostClock>, source: Address, from: Way) {
-        self.heard.insert((source, from), now);
-        self.is_beyond |= self.heard.len() >= MOST_ROUTES;
+    pub(super) fn learn_route(&mut self, now: Timestamp<HostClock>, source: Address, from: Endpoint) {
+        self.routes.insert((source, from), now);
+        self.is_beyond |= self.routes.len() >= MAX_ROUTES;
     }
 
-    fn destinations(&self, now: Stamp<HostClock>, from: Way, frame: &FrameRef<'_>) -> Vec<(LinkId, Audience)> {
+    fn destinations(
+        &self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+    ) -> Vec<(LinkId, Recipients)> {
         let target = target_of(frame.message_id, frame.payload);
         let own = self.config.own;
-        let all: Vec<(LinkId, Audience)> = match target {
-            Target::Everybody => {
+        let all: Vec<(LinkId, Recipients)> = match target {
+            MessageTarget::Broadcast => {
                 let links = self.config.links.keys();
                 links
                     .filter_map(|link| match *link {
-                        link if link == from.link => Some((link, Audience::AllBut(from.peer))),
-                        link => (!self.is_one(link, from.link)).then_some((link, Audience::All)),
+                        link if link == from.link => Some((link, Recipients::AllExcept(from.peer))),
+                        link => (!self.same_group(link, from.link)).then_some((link, Recipients::All)),
                     })
                     .collect()
             }
-            Target::Component(address) if address == own => Vec::new(),
-            Target::System(system) => self.ways_to(now, from, |other| other.system == system),
-            Target::Component(address) => {
-                let is_heard = |(other, _): &(Address, Way)| *other == address;
-                let mut known = self.heard.iter().filter(|(_, at)| now - **at <= LIFETIME);
+            MessageTarget::Component(address) if address == own => Vec::new(),
+            MessageTarget::System(system) => self.endpoints_of(now, from, |other| other.system == system),
+            MessageTarget::Component(address) => {
+                let is_heard = |(other, _): &(Address, Endpoint)| *other == address;
+                let mut known = self.routes.iter().filter(|(_, at)| now - **at <= LIFETIME);
                 if self.is_exact() && known.any(|(key, _)| is_heard(key)) {
-                    self.ways_to(now, from, |other| other == address)
+                    self.endpoints_of(now, from, |other| other == address)
                 } else if self.is_exact() && address.system == own.system {
                     Vec::new()
                 } else {
-                    self.ways_to(now, from, |other| other.system == address.system)
+                    self.endpoints_of(now, from, |other| other.system == address.system)
                 }
             }
         };
-        let leaves = self.rules(from.link).is_none_or(|rules| rules.forward != Forward::Nothing);
+        let leaves = self.rules(from.link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled);
         all.into_iter().filter(|(link, _)| leaves && self.may_leave(*link, target, frame)).collect()
     }
 
     /// By rising link and peer, each once.
-    fn ways_to(
+    fn endpoints_of(
         &self,
-        now: Stamp<HostClock>,
-        from: Way,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
         is_wanted: impl Fn(Address) -> bool,
-    ) -> Vec<(LinkId, Audience)> {
-        let mut ways: Vec<Way> = self
-            .heard
+    ) -> Vec<(LinkId, Recipients)> {
+        let mut ways: Vec<Endpoint> = self
+            .routes
             .iter()
             .filter(|((address, _), at)| is_wanted(*address) && now - **at <= LIFETIME)
             .map(|((_, way), _)| *way)
             .filter(|way| *way != from)
-            .filter(|way| way.link == from.link || !self.is_one(way.link, from.link))
+            .filter(|way| way.link == from.link || !self.same_group(way.link, from.link))
             .collect();
         ways.sort_unstable();
         ways.dedup();
-        ways.into_iter().map(|way| (way.link, Audience::Peer(way.peer))).collect()
+        ways.into_iter().map(|way| (way.link, Recipients::Peer(way.peer))).collect()
     }
 
-    fn may_leave(&self, link: LinkId, target: Target, frame: &FrameRef<'_>) -> bool {
+    fn may_leave(&self, link: LinkId, target: MessageTarget, frame: &FrameRef<'_>) -> bool {
         self.rules(link).is_some_and(|rules| {
             let is_wanted = match rules.forward {
-                Forward::All => true,
-                Forward::Targeted => target != Target::Everybody,
-                Forward::Nothing => false,
+                ForwardPolicy::All => true,
+                ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
+                ForwardPolicy::Disabled => false,
             };
             is_wanted && rules.outward.admits(frame.source, frame.message_id)
         })
@@ -185,7 +216,7 @@ impl Model {
     }
 
     /// The same link, or one of the same group.
-    fn is_one(&self, a: LinkId, b: LinkId) -> bool {
+    fn same_group(&self, a: LinkId, b: LinkId) -> bool {
         a == b || (self.group(a).is_some() && self.group(a) == self.group(b))
     }
 }

@@ -1,10 +1,12 @@
-//! Any text as a key file, and any text as what is kept beside a key.
+//! Any text as a key file, and any text as the state that is stored beside a key.
 
 use posebridge::config::MemoryRecord;
-use posebridge_protocol::signing::{Ending, Key, KeyError, LinkSigning, Memory, SigningConfig, Timestamp, Unsigned};
-use posebridge_telemetry::Stamp;
+use posebridge_protocol::signing::{
+    Key, KeyError, LinkSigner, ShutdownKind, SigningConfig, SigningState, SigningTime, UnsignedPolicy,
+};
+use posebridge_telemetry::Timestamp;
 
-use super::{key, start};
+use super::inputs::{key, start};
 
 /// Digits of a key.
 const DIGITS: usize = 64;
@@ -47,7 +49,7 @@ pub(super) fn check_memory(data: &[u8]) {
     };
     let memory = record.memory();
     check_written(&memory);
-    for ending in [Ending::Closed, Ending::Cut] {
+    for ending in [ShutdownKind::Clean, ShutdownKind::Interrupted] {
         for utc in (0..4).map(start) {
             check_resumed(&memory, utc, ending);
         }
@@ -55,7 +57,7 @@ pub(super) fn check_memory(data: &[u8]) {
 }
 
 /// A memory is read as it was written.
-fn check_written(memory: &Memory) {
+fn check_written(memory: &SigningState) {
     let written = toml::to_string(&MemoryRecord::of(&key(0), memory)).map_err(|error| error.to_string());
     let again =
         written.and_then(|text| toml::from_str::<MemoryRecord>(&text).map_err(|error| format!("{error}\n{text}")));
@@ -66,21 +68,21 @@ fn check_written(memory: &Memory) {
 }
 
 /// No time goes back by a restart, and what was used is not used again.
-fn check_resumed(memory: &Memory, utc: Timestamp, ending: Ending) {
-    let resumed = memory.clone().resumed(utc, ending);
-    assert_eq!(resumed.written, utc);
+fn check_resumed(memory: &SigningState, utc: SigningTime, ending: ShutdownKind) {
+    let resumed = memory.clone().resume(utc, ending);
+    assert_eq!(resumed.written_at, utc);
     assert!(resumed.clock >= memory.clock && resumed.clock >= utc);
-    assert!(resumed.own >= memory.own);
-    assert_eq!(resumed.floor, memory.floor);
+    assert!(resumed.last_sent >= memory.last_sent);
+    assert_eq!(resumed.min_timestamp, memory.min_timestamp);
     assert_eq!(resumed.streams.len(), memory.streams.len());
     for (stream, heard) in &memory.streams {
         let after = resumed.streams.get(stream).map(|heard| heard.timestamp);
         assert!(after >= Some(heard.timestamp), "{stream:?}");
     }
-    let own = resumed.own;
+    let own = resumed.last_sent;
     let mut link =
-        LinkSigning::new(SigningConfig { key: key(0), link_id: 0, unsigned: Unsigned::Accept, memory: resumed });
-    let is_signed = link.next_seal(Stamp::ZERO).is_some();
-    assert_eq!(is_signed, own < Timestamp::MAX, "{own:?}");
-    assert!(link.memory(Stamp::ZERO).own > own || !is_signed);
+        LinkSigner::new(SigningConfig { key: key(0), link_id: 0, unsigned: UnsignedPolicy::Accept, state: resumed });
+    let is_signed = link.next_signer(Timestamp::ZERO).is_some();
+    assert_eq!(is_signed, own < SigningTime::MAX, "{own:?}");
+    assert!(link.state(Timestamp::ZERO).last_sent > own || !is_signed);
 }

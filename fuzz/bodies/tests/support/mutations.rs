@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 /// Values at which lengths and counters go wrong.
 const EDGES: [u8; 8] = [0, 1, 0x7F, 0x80, 0xFE, 0xFF, b'\n', b'"'];
 /// Longest mutated input, so that a repeated part cannot grow without end.
-const LONGEST: usize = 8_192;
+const MAX_BYTES: usize = 8_192;
 
 /// An entry of the corpus with one to four changes. `corpus` holds at least one entry.
 pub(crate) fn mutated(corpus: &[Vec<u8>], random: &mut Pcg64) -> Vec<u8> {
@@ -14,7 +14,7 @@ pub(crate) fn mutated(corpus: &[Vec<u8>], random: &mut Pcg64) -> Vec<u8> {
     for _ in 0..random.random_range(1..=4) {
         change(&mut bytes, corpus, random);
     }
-    bytes.truncate(LONGEST);
+    bytes.truncate(MAX_BYTES);
     bytes
 }
 

@@ -45,7 +45,7 @@ const HEAD_BYTES: usize = 5;
 
 /// A type and a mode of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Mode {
+pub(super) struct SensorMode {
     pub(super) kind: u8,
     pub(super) mode: u8,
 }
@@ -72,10 +72,10 @@ impl DirectCommand {
     }
 
     /// Values of a sensor, f32 each, once it is ready. With a mode it is set to that first; without one it stays as it is.
-    pub(super) fn wait_for(&mut self, port: SensorPort, mode: Option<Mode>, values: u8) {
+    pub(super) fn wait_for(&mut self, port: SensorPort, mode: Option<SensorMode>, values: u8) {
         self.bytecodes.extend([INPUT_DEVICE, READY_SI, LAYER, port.number()]);
         match mode {
-            Some(Mode { kind, mode }) => {
+            Some(SensorMode { kind, mode }) => {
                 self.constant(kind);
                 self.constant(mode);
             }
@@ -95,7 +95,7 @@ impl DirectCommand {
     }
 
     /// How many bytes the answer has behind its type.
-    pub(super) const fn answer_bytes(&self) -> usize {
+    pub(super) const fn reply_bytes(&self) -> usize {
         self.globals as usize
     }
 
@@ -141,16 +141,16 @@ mod tests {
         command.read_clock();
         command.read_count(MotorPort::B);
         command.read_count(MotorPort::C);
-        let gyro_rate = Mode { kind: 32, mode: 1 };
+        let gyro_rate = SensorMode { kind: 32, mode: 1 };
         command.wait_for(SensorPort::P2, Some(gyro_rate), 1);
         assert_eq!(command.telegram(1), CLOCK_COUNTS_GYRO);
-        assert_eq!(command.answer_bytes(), 16);
+        assert_eq!(command.reply_bytes(), 16);
     }
 
     #[test]
     fn small_types_take_one_byte_and_two_values_two_globals() {
         let mut command = DirectCommand::default();
-        command.wait_for(SensorPort::P4, Some(Mode { kind: 30, mode: 0 }), 2);
+        command.wait_for(SensorPort::P4, Some(SensorMode { kind: 30, mode: 0 }), 2);
         command.read_value(SensorPort::P1);
         let expected = [0x99, 0x1D, 0x00, 0x03, 0x1E, 0x00, 0x02, 0x60, 0x64, 0x9D, 0x00, 0x00, 0x00, 0x3F, 0x68];
         assert_eq!(command.telegram(0x1234)[7..], expected);

@@ -1,44 +1,45 @@
-//! One cycle: everything that the brick is asked in one telegram, and what its answer says.
+//! One cycle: the request that reads clock, motors and sensors, and the values of its reply.
 //!
 //! # Model
 //! ```text
 //! values    clock u32 us | left count i32 deg | right count i32 deg | sensors f32 each, in their order
 //! ```
-//! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a break.
+//! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a
+//! break.
 
-use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, Span};
+use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, TimeDelta};
 
 use super::bytecode::DirectCommand;
-use super::sensors::{Role, Sensors};
+use super::sensors::{CycleSensors, MAX_SENSORS, SensorBank, SensorRole};
 use super::settings::{Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection};
-use super::turn::Turn;
+use super::turn_accumulator::TurnAccumulator;
 use crate::message::{Inertial, Message, WheelTicks, WireStamp};
 
-/// Most sensors that are read.
-const MOST_SENSORS: usize = 2;
 /// Bytes of every value.
 const VALUE_BYTES: usize = 4;
 /// No gyro of LEGO's turns faster (EV3: 440 degrees per second, with twice that as a margin): more is damage.
-const FASTEST_DEG_PER_S: f64 = 880.0;
+const MAX_DEG_PER_S: f64 = 880.0;
 /// The gyro's angle has 16 bits.
-const LARGEST_DEG: f64 = 32_768.0;
+const MAX_DEG: f64 = 32_768.0;
 
-/// Which sensors a cycle reads.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Included(pub(super) [Option<Role>; MOST_SENSORS]);
-
-/// What an answer says, as it stands there.
+/// The values of a reply.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Values {
+pub(super) struct CycleValues {
     pub(super) micros: u32,
     /// Left and right.
     pub(super) counts: [i32; 2],
     /// Two values of each sensor; not a number where none is.
-    pub(super) sensors: [[f64; 2]; MOST_SENSORS],
+    pub(super) sensors: [[f64; 2]; MAX_SENSORS],
+}
+
+impl CycleValues {
+    pub(super) const fn stamp(&self) -> WireStamp {
+        WireStamp::Micros32(self.micros)
+    }
 }
 
 /// Writes the question of a cycle.
-pub(super) fn question(settings: &Ev3Settings, sensors: &Sensors) -> (DirectCommand, Included) {
+pub(super) fn encode_request(settings: &Ev3Settings, sensors: &SensorBank) -> (DirectCommand, CycleSensors) {
     let mut command = DirectCommand::default();
     command.read_clock();
     command.read_count(settings.left_motor);
@@ -48,18 +49,18 @@ pub(super) fn question(settings: &Ev3Settings, sensors: &Sensors) -> (DirectComm
 }
 
 /// Reads the answer of a cycle; `None` if it is too short.
-pub(super) fn values(answer: &[u8], included: Included) -> Option<Values> {
+pub(super) fn decode_reply(answer: &[u8], included: CycleSensors) -> Option<CycleValues> {
     let mut words = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
     let micros = u32::from_le_bytes(words.next()?);
     let counts = [i32::from_le_bytes(words.next()?), i32::from_le_bytes(words.next()?)];
-    let mut sensors = [[f64::NAN; 2]; MOST_SENSORS];
+    let mut sensors = [[f64::NAN; 2]; MAX_SENSORS];
     for (slots, role) in sensors.iter_mut().zip(included.0) {
-        let count = role.map_or(0, Role::values);
+        let count = role.map_or(0, SensorRole::value_count);
         for slot in slots.iter_mut().take(usize::from(count)) {
             *slot = f64::from(f32::from_le_bytes(words.next()?));
         }
     }
-    Some(Values { micros, counts, sensors })
+    Some(CycleValues { micros, counts, sensors })
 }
 
 /// The counts with the sign of the motors.
@@ -73,15 +74,16 @@ pub(super) const fn wheel_ticks(settings: &Ev3Settings, stamp: WireStamp, total:
 }
 
 /// What a sensor's values say; `None` if that is nothing.
-pub(super) fn sensed(
-    role: Role,
+pub(super) fn sensor_message(
+    role: SensorRole,
     stamp: WireStamp,
     values: [f64; 2],
-    (turn, since): (&mut Turn, Span),
+    turn: &mut TurnAccumulator,
+    elapsed: TimeDelta,
 ) -> Option<Message> {
     match role {
-        Role::Gyro(gyro) => turned(gyro, stamp, values, (turn, since)),
-        Role::Distance(kind) => {
+        SensorRole::Gyro(gyro) => gyro_message(gyro, stamp, values, turn, elapsed),
+        SensorRole::Distance(kind) => {
             let (range, sigma) = kind.range(values[0])?;
             Some(Message::DistanceSensor { stamp, range, sigma })
         }
@@ -89,13 +91,19 @@ pub(super) fn sensed(
 }
 
 /// In the mode for both the angle comes first.
-fn turned(gyro: GyroSettings, stamp: WireStamp, values: [f64; 2], (turn, since): (&mut Turn, Span)) -> Option<Message> {
+fn gyro_message(
+    gyro: GyroSettings,
+    stamp: WireStamp,
+    values: [f64; 2],
+    turn: &mut TurnAccumulator,
+    elapsed: TimeDelta,
+) -> Option<Message> {
     let (angle_deg, rate_deg_per_s) = match gyro.reading {
         GyroReading::Rate => (None, values[0]),
         GyroReading::RateAndAngle => (Some(values[0]), values[1]),
     };
     let is_sound =
-        rate_deg_per_s.abs() <= FASTEST_DEG_PER_S && angle_deg.is_none_or(|angle_deg| angle_deg.abs() <= LARGEST_DEG);
+        rate_deg_per_s.abs() <= MAX_DEG_PER_S && angle_deg.is_none_or(|angle_deg| angle_deg.abs() <= MAX_DEG);
     if !is_sound {
         return None;
     }
@@ -104,7 +112,7 @@ fn turned(gyro: GyroSettings, stamp: WireStamp, values: [f64; 2], (turn, since):
         GyroMounting::Upright => -1.0,
         GyroMounting::UpsideDown => 1.0,
     };
-    let turned_deg = angle_deg.map(|angle_deg| turn.take(since, angle_deg, rate_deg_per_s));
+    let turned_deg = angle_deg.map(|angle_deg| turn.push(elapsed, angle_deg, rate_deg_per_s));
     Some(Message::Inertial(Inertial {
         stamp,
         turn_rate: Some(RadiansPerSecond((sign * rate_deg_per_s).to_radians())),

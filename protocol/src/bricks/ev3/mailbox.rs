@@ -19,14 +19,14 @@ const WRITE_MAILBOX: [u8; 2] = [0x81, 0x9E];
 /// Counter, type, command, length of the name, length of the payload.
 const HEAD_BYTES: usize = 7;
 /// A name has one byte of length, with its final zero.
-const LONGEST_NAME: usize = 254;
+const MAX_NAME_BYTES: usize = 254;
 /// Bytes of an estimate.
 const ESTIMATE_BYTES: usize = 24;
 
 /// Writes to a mailbox. Of a name that is too long the front is taken.
-pub(super) fn telegram(counter: u16, name: &str, payload: &[u8]) -> Vec<u8> {
+pub(super) fn encode_mailbox_write(counter: u16, name: &str, payload: &[u8]) -> Vec<u8> {
     let name = name.as_bytes();
-    let name = name.get(..LONGEST_NAME).unwrap_or(name);
+    let name = name.get(..MAX_NAME_BYTES).unwrap_or(name);
     let length = (HEAD_BYTES + name.len() + 1 + payload.len()) as u16;
     let mut telegram = Vec::with_capacity(usize::from(length) + 2);
     telegram.extend(length.to_le_bytes());
@@ -41,7 +41,7 @@ pub(super) fn telegram(counter: u16, name: &str, payload: &[u8]) -> Vec<u8> {
 }
 
 /// The payload of an estimate; `None` if a number of it is not finite.
-pub(super) fn estimate(pose: &PlanarPose, sequence: u16) -> Option<[u8; ESTIMATE_BYTES]> {
+pub(super) fn encode_estimate(pose: &PlanarPose, sequence: u16) -> Option<[u8; ESTIMATE_BYTES]> {
     let tick_ms = (pose.stamp.as_micros() / 1_000) as u32;
     let origin = pose.pose.origin();
     let [xx_m2, _, _, yy_m2, ..] = pose.covariance;
@@ -78,6 +78,6 @@ mod tests {
             0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
             b'!', 0x00,
         ];
-        assert_eq!(telegram(1, "abc", b"hello!\0"), captured);
+        assert_eq!(encode_mailbox_write(1, "abc", b"hello!\0"), captured);
     }
 }

@@ -1,106 +1,111 @@
-//! What is plugged in, and whether it is set up.
+//! The sensors of the brick and their set-up.
 //!
-//! Setting a mode makes the brick wait until the sensor has changed over, so it is done once and on its own: then an error says which port
-//! it means. A sensor that is not there is asked for again now and then; the wheels do not wait for it.
+//! Setting a mode makes the brick wait until the sensor has changed over, so it is done once and in a telegram of its
+//! own: then an error names its port. A missing sensor is set up again now and then; the wheels do not wait for it.
 //!
-//! A firmware may also wait for a sensor that never comes, and answer nothing. Such a set-up costs the wheels' readings for as long as an answer is
-//! waited for: it is tried again less and less often, and only while the wheels stand.
+//! A firmware may also wait for a missing sensor forever, and answer nothing. Such a set-up interrupts the wheels'
+//! readings until its timeout: it is repeated less and less often, and only while the wheels stand still.
 
-use posebridge_telemetry::{HostClock, Meters, Span, Stamp};
+use posebridge_telemetry::{HostClock, Meters, TimeDelta, Timestamp};
 
-use super::bytecode::{DirectCommand, Mode};
-use super::cycle::Included;
+use super::bytecode::{DirectCommand, SensorMode};
 use super::settings::{DistanceKind, Ev3Settings, GyroReading, GyroSettings, SensorPort};
 
+/// Most sensors that are read.
+pub(super) const MAX_SENSORS: usize = 2;
 /// A sensor that is not there is asked for again after so long.
-const AGAIN_AFTER: Span = Span::from_millis(10_000);
+const RETRY_INTERVAL: TimeDelta = TimeDelta::from_millis(10_000);
 /// That time is doubled by each set-up in a row that was not answered, so often at most: five minutes.
-const MOST_DOUBLINGS: u32 = 5;
+const MAX_RETRY_DOUBLINGS: u32 = 5;
 /// A sensor that shows nothing for so long is held to be gone.
-const GONE_AFTER: Span = Span::from_millis(2_000);
+const LOST_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
 /// No distance: what the ultrasonic sensors show for it, and from where on.
 const NO_ECHO_CM: f64 = 255.0;
 /// The infrared sensor's proximity of 100 (LEGO's manual: about 70 cm), cm per step.
 const INFRARED_CM: f64 = 0.7;
 /// What the infrared sensor shows for nothing in sight.
-const NOTHING_IN_SIGHT: f64 = 100.0;
+const NO_TARGET: f64 = 100.0;
 
 /// What a sensor is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Role {
+pub(super) enum SensorRole {
     Gyro(GyroSettings),
     Distance(DistanceKind),
 }
 
+/// Which sensors a cycle reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct CycleSensors(pub(super) [Option<SensorRole>; MAX_SENSORS]);
+
 /// One sensor.
 #[derive(Clone, Copy, Debug)]
-struct Sensor {
-    role: Role,
+struct SensorSlot {
+    role: SensorRole,
     port: SensorPort,
-    state: State,
+    state: SetUpState,
     /// Its absence was told.
-    is_told: bool,
+    is_absence_reported: bool,
     /// Set-ups in a row that were not answered.
     unanswered: u32,
 }
 
 /// Whether the wheels stand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wheels {
+pub(super) enum WheelState {
     Standing,
     Turning,
 }
 
 /// How a set-up failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Failed {
+pub(super) enum SetUpFailure {
     /// The brick said at once that nothing is there.
-    AtOnce,
+    Rejected,
     /// The brick said nothing.
-    InSilence,
+    TimedOut,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum SetUpState {
     /// To be set up when this instant has come.
-    Awaited { from: Stamp<HostClock> },
+    Pending { from: Timestamp<HostClock> },
     /// Set up; shows nothing since then.
-    Ready { silent_since: Option<Stamp<HostClock>> },
+    Ready { silent_since: Option<Timestamp<HostClock>> },
 }
 
 /// The sensors of one brick, in the order of their values in an answer.
 #[derive(Clone, Debug)]
-pub(super) struct Sensors(Vec<Sensor>);
+pub(super) struct SensorBank(Vec<SensorSlot>);
 
-impl Sensors {
-    pub(super) fn new(settings: &Ev3Settings, now: Stamp<HostClock>) -> Self {
-        let gyro = settings.gyro.map(|gyro| (Role::Gyro(gyro), gyro.port));
-        let distance = settings.distance.map(|distance| (Role::Distance(distance.kind), distance.port));
+impl SensorBank {
+    pub(super) fn new(settings: &Ev3Settings, now: Timestamp<HostClock>) -> Self {
+        let gyro = settings.gyro.map(|gyro| (SensorRole::Gyro(gyro), gyro.port));
+        let distance = settings.distance.map(|distance| (SensorRole::Distance(distance.kind), distance.port));
         let plugged = [gyro, distance].into_iter().flatten();
-        let sensors = plugged.map(|(role, port)| Sensor {
+        let sensors = plugged.map(|(role, port)| SensorSlot {
             role,
             port,
-            state: State::Awaited { from: now },
-            is_told: false,
+            state: SetUpState::Pending { from: now },
+            is_absence_reported: false,
             unanswered: 0,
         });
         Self(sensors.collect())
     }
 
     /// The next sensor to be set up.
-    pub(super) fn awaited(&self, now: Stamp<HostClock>, wheels: Wheels) -> Option<usize> {
-        let is_due = |sensor: &Sensor| {
-            matches!(sensor.state, State::Awaited { from } if from <= now)
-                && (sensor.unanswered == 0 || wheels == Wheels::Standing)
+    pub(super) fn next_pending(&self, now: Timestamp<HostClock>, wheels: WheelState) -> Option<usize> {
+        let is_due = |sensor: &SensorSlot| {
+            matches!(sensor.state, SetUpState::Pending { from } if from <= now)
+                && (sensor.unanswered == 0 || wheels == WheelState::Standing)
         };
         self.0.iter().position(is_due)
     }
 
     /// When the next sensor is to be asked for again.
-    pub(super) fn deadline(&self) -> Option<Stamp<HostClock>> {
+    pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let from = self.0.iter().filter_map(|sensor| match sensor.state {
-            State::Awaited { from } => Some(from),
-            State::Ready { .. } => None,
+            SetUpState::Pending { from } => Some(from),
+            SetUpState::Ready { .. } => None,
         });
         from.min()
     }
@@ -108,20 +113,20 @@ impl Sensors {
     /// Writes the set-up of a sensor.
     pub(super) fn write_set_up(&self, index: usize, command: &mut DirectCommand) {
         if let Some(sensor) = self.0.get(index) {
-            let mode = sensor.role.mode();
-            command.wait_for(sensor.port, Some(mode), sensor.role.values());
+            let mode = sensor.role.sensor_mode();
+            command.wait_for(sensor.port, Some(mode), sensor.role.value_count());
         }
     }
 
     /// Writes the reading of all that are set up, and says which they are.
-    pub(super) fn write_reading(&self, command: &mut DirectCommand) -> Included {
-        let mut included = Included::default();
+    pub(super) fn write_reading(&self, command: &mut DirectCommand) -> CycleSensors {
+        let mut included = CycleSensors::default();
         for (sensor, slot) in self.0.iter().zip(&mut included.0) {
-            if !matches!(sensor.state, State::Ready { .. }) {
+            if !matches!(sensor.state, SetUpState::Ready { .. }) {
                 continue;
             }
             *slot = Some(sensor.role);
-            match sensor.role.values() {
+            match sensor.role.value_count() {
                 1 => command.read_value(sensor.port),
                 values => command.wait_for(sensor.port, None, values),
             }
@@ -132,43 +137,48 @@ impl Sensors {
     /// A sensor was set up.
     pub(super) fn is_ready(&mut self, index: usize) {
         if let Some(sensor) = self.0.get_mut(index) {
-            sensor.state = State::Ready { silent_since: None };
-            sensor.is_told = false;
+            sensor.state = SetUpState::Ready { silent_since: None };
+            sensor.is_absence_reported = false;
             sensor.unanswered = 0;
         }
     }
 
     /// A sensor could not be set up, or is gone: what people should know, once.
-    pub(super) fn is_absent(&mut self, index: usize, now: Stamp<HostClock>, failed: Failed) -> Option<String> {
+    pub(super) fn is_absent(
+        &mut self,
+        index: usize,
+        now: Timestamp<HostClock>,
+        failed: SetUpFailure,
+    ) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
         sensor.unanswered = match failed {
-            Failed::AtOnce => 0,
-            Failed::InSilence => sensor.unanswered.saturating_add(1),
+            SetUpFailure::Rejected => 0,
+            SetUpFailure::TimedOut => sensor.unanswered.saturating_add(1),
         };
-        let doublings = sensor.unanswered.saturating_sub(1).min(MOST_DOUBLINGS);
-        let from = now + Span::from_nanos(AGAIN_AFTER.as_nanos() << doublings);
-        sensor.state = State::Awaited { from };
-        let is_news = !std::mem::replace(&mut sensor.is_told, true);
+        let doublings = sensor.unanswered.saturating_sub(1).min(MAX_RETRY_DOUBLINGS);
+        let from = now + TimeDelta::from_nanos(RETRY_INTERVAL.as_nanos() << doublings);
+        sensor.state = SetUpState::Pending { from };
+        let is_news = !std::mem::replace(&mut sensor.is_absence_reported, true);
         is_news.then(|| {
             format!(
                 "the EV3 finds no {} at port {}; the wheels are read without it",
                 sensor.role.name(),
-                sensor.port.printed()
+                sensor.port.label()
             )
         })
     }
 
     /// The brick would not read all of them together: each is set up anew, which tells the one that is missing.
-    pub(super) fn are_in_doubt(&mut self, now: Stamp<HostClock>) {
+    pub(super) fn restart_set_up(&mut self, now: Timestamp<HostClock>) {
         for sensor in &mut self.0 {
-            sensor.state = State::Awaited { from: now };
+            sensor.state = SetUpState::Pending { from: now };
         }
     }
 
     /// A sensor showed something, or nothing: what people should know if it is held to be gone.
-    pub(super) fn showed(&mut self, index: usize, now: Stamp<HostClock>, values: &[f64]) -> Option<String> {
+    pub(super) fn record_reading(&mut self, index: usize, now: Timestamp<HostClock>, values: &[f64]) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
-        let State::Ready { silent_since } = &mut sensor.state else {
+        let SetUpState::Ready { silent_since } = &mut sensor.state else {
             return None;
         };
         if values.iter().all(|value| value.is_finite()) {
@@ -176,16 +186,16 @@ impl Sensors {
             return None;
         }
         let since = *silent_since.get_or_insert(now);
-        if now - since < GONE_AFTER {
+        if now - since < LOST_TIMEOUT {
             return None;
         }
-        self.is_absent(index, now, Failed::AtOnce)
+        self.is_absent(index, now, SetUpFailure::Rejected)
     }
 }
 
-impl Role {
+impl SensorRole {
     /// Type and mode (EV3 hardware developer kit; ev3dev's table of sensors).
-    const fn mode(self) -> Mode {
+    const fn sensor_mode(self) -> SensorMode {
         let (kind, mode) = match self {
             // GYRO-RATE, GYRO-G&A.
             Self::Gyro(GyroSettings { reading, .. }) => match reading {
@@ -197,11 +207,11 @@ impl Role {
             Self::Distance(DistanceKind::NxtUltrasonic) => (5, 0),
             Self::Distance(DistanceKind::Infrared) => (33, 0),
         };
-        Mode { kind, mode }
+        SensorMode { kind, mode }
     }
 
     /// How many values its mode has.
-    pub(super) const fn values(self) -> u8 {
+    pub(super) const fn value_count(self) -> u8 {
         match self {
             Self::Gyro(GyroSettings { reading: GyroReading::RateAndAngle, .. }) => 2,
             Self::Gyro(_) | Self::Distance(_) => 1,
@@ -227,7 +237,7 @@ impl DistanceKind {
                 is_echo.then_some((Meters(value / 100.0), None))
             }
             Self::Infrared => {
-                let is_seen = (0.0..NOTHING_IN_SIGHT).contains(&value);
+                let is_seen = (0.0..NO_TARGET).contains(&value);
                 // Half of the range at its end: the proximity depends on what is seen.
                 let range_m = value * INFRARED_CM / 100.0;
                 is_seen.then_some((Meters(range_m), Some(Meters(0.02 + 0.25 * range_m))))

@@ -82,7 +82,7 @@ pub enum SensorPort {
 impl SensorPort {
     /// The port with this printed number, 1 to 4.
     #[must_use]
-    pub const fn from_printed(number: u8) -> Option<Self> {
+    pub const fn from_label(number: u8) -> Option<Self> {
         match number {
             1 => Some(Self::P1),
             2 => Some(Self::P2),
@@ -94,7 +94,7 @@ impl SensorPort {
 
     /// Its printed number, 1 to 4.
     #[must_use]
-    pub const fn printed(self) -> u8 {
+    pub const fn label(self) -> u8 {
         self.number() + 1
     }
 

@@ -10,48 +10,50 @@
 //! What does not fit is refused once. If the next answer fits the refused one and not the one before, the clock was set (TIMER_READ_US follows
 //! the brick's calendar).
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 /// Period of the brick's counter of microseconds.
 const PERIOD_MICROS: i128 = 1 << 32;
 /// A clock may be off by so much of its rate, in hundredths: what the pipeline believes of any brick.
 const LARGEST_SKEW_PERCENT: i64 = 1;
 /// Below half a period the counter's difference has one meaning.
-const UNAMBIGUOUS: Span = Span::from_millis(2_000_000);
+const UNAMBIGUOUS: TimeDelta = TimeDelta::from_millis(2_000_000);
 /// Steps of both clocks and of the brick's scheduler.
-const MARGIN: Span = Span::from_millis(5);
+const MARGIN: TimeDelta = TimeDelta::from_millis(5);
 
 /// A stamp with the instants between which it was made.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stamped {
+pub(super) struct BrickStamp {
     pub(super) micros: u32,
-    pub(super) sent: Stamp<HostClock>,
-    pub(super) answered: Stamp<HostClock>,
+    pub(super) sent: Timestamp<HostClock>,
+    pub(super) answered: Timestamp<HostClock>,
 }
 
 /// What a stamp that is believed says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Passed {
+pub(super) enum StampAdvance {
     /// The clock ran on, for about so long since the last one; zero for the first of all.
-    RunsOn(Span),
+    Continuous(TimeDelta),
     /// The clock was set, or the brick was switched off and on; the host's time since the last stamp that was believed.
-    Stepped(Span),
+    Stepped(TimeDelta),
 }
 
 /// The stamps of one brick.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Stamps {
-    last: Option<Stamped>,
-    suspect: Option<Stamped>,
+pub(super) struct StampChecker {
+    last: Option<BrickStamp>,
+    suspect: Option<BrickStamp>,
 }
 
-impl Stamps {
+impl StampChecker {
     /// Takes a stamp and says what has passed since the last one that was believed; `None` if this one is not believed.
-    pub(super) fn take(&mut self, stamp: Stamped) -> Option<Passed> {
+    pub(super) fn push(&mut self, stamp: BrickStamp) -> Option<StampAdvance> {
         let passed = match (self.last, self.suspect) {
-            (None, _) => Passed::RunsOn(Span::ZERO),
-            (Some(last), _) if stamp.follows(&last) => Passed::RunsOn(stamp.since(&last)),
-            (Some(last), Some(suspect)) if stamp.follows(&suspect) => Passed::Stepped(stamp.answered - last.answered),
+            (None, _) => StampAdvance::Continuous(TimeDelta::ZERO),
+            (Some(last), _) if stamp.is_plausible_after(&last) => StampAdvance::Continuous(stamp.since(&last)),
+            (Some(last), Some(suspect)) if stamp.is_plausible_after(&suspect) => {
+                StampAdvance::Stepped(stamp.answered - last.answered)
+            }
             _ => {
                 self.suspect = Some(stamp);
                 return None;
@@ -63,18 +65,19 @@ impl Stamps {
     }
 }
 
-impl Stamped {
+impl BrickStamp {
     /// The time since a stamp that this one follows: the longer of what both clocks say. The host's is too short for answers that were held
     /// back together, the brick's for a damaged stamp that could not be told from a good one.
-    fn since(&self, last: &Self) -> Span {
+    fn since(&self, last: &Self) -> TimeDelta {
         let on_host = self.answered - last.answered;
         let by_brick = self.micros.wrapping_sub(last.micros) as i32;
-        if on_host < UNAMBIGUOUS { on_host.max(Span::from_micros(i64::from(by_brick))) } else { on_host }
+        if on_host < UNAMBIGUOUS { on_host.max(TimeDelta::from_micros(i64::from(by_brick))) } else { on_host }
     }
 
-    fn follows(&self, last: &Self) -> bool {
+    fn is_plausible_after(&self, last: &Self) -> bool {
         let longest = self.answered - last.sent;
-        let tolerance = Span::from_nanos(longest.as_nanos() / 100 * LARGEST_SKEW_PERCENT).max(Span::ZERO) + MARGIN;
+        let tolerance =
+            TimeDelta::from_nanos(longest.as_nanos() / 100 * LARGEST_SKEW_PERCENT).max(TimeDelta::ZERO) + MARGIN;
         let least = micros(self.sent - last.answered - tolerance);
         let most = micros(longest + tolerance);
         let ran = i128::from(self.micros.wrapping_sub(last.micros));
@@ -82,7 +85,7 @@ impl Stamped {
     }
 }
 
-const fn micros(span: Span) -> i128 {
+const fn micros(span: TimeDelta) -> i128 {
     (span.as_nanos() / 1_000) as i128
 }
 
@@ -91,19 +94,19 @@ mod tests {
     use super::*;
 
     /// Asked each 30 ms and answered 30 ms later; read in the middle.
-    fn nth(n: i64, start_micros: u32) -> Stamped {
-        Stamped {
+    fn nth(n: i64, start_micros: u32) -> BrickStamp {
+        BrickStamp {
             micros: start_micros.wrapping_add((n * 30_000 + 15_000) as u32),
-            sent: Stamp::from_millis(n * 30),
-            answered: Stamp::from_millis((n + 1) * 30),
+            sent: Timestamp::from_millis(n * 30),
+            answered: Timestamp::from_millis((n + 1) * 30),
         }
     }
 
     #[test]
     fn a_counter_runs_on_across_its_wrap() {
-        let mut stamps = Stamps::default();
-        let taken: Vec<_> = (0..6).map(|n| stamps.take(nth(n, u32::MAX - 70_000))).collect();
-        let ran = |millis| Some(Passed::RunsOn(Span::from_millis(millis)));
+        let mut stamps = StampChecker::default();
+        let taken: Vec<_> = (0..6).map(|n| stamps.push(nth(n, u32::MAX - 70_000))).collect();
+        let ran = |millis| Some(StampAdvance::Continuous(TimeDelta::from_millis(millis)));
         let cycle = ran(30);
         assert_eq!(taken, [ran(0), cycle, cycle, cycle, cycle, cycle]);
     }
@@ -111,26 +114,26 @@ mod tests {
     #[test]
     fn one_damaged_stamp_is_refused_and_a_clock_that_was_set_is_followed() {
         for bit in 17..32 {
-            let mut stamps = Stamps::default();
-            stamps.take(nth(0, 5_000_000));
+            let mut stamps = StampChecker::default();
+            stamps.push(nth(0, 5_000_000));
             let mut damaged = nth(1, 5_000_000);
             damaged.micros ^= 1 << bit;
-            assert_eq!(stamps.take(damaged), None, "bit {bit}");
-            let since = stamps.take(nth(2, 5_000_000));
-            let ran = Passed::RunsOn(Span::from_millis(60));
+            assert_eq!(stamps.push(damaged), None, "bit {bit}");
+            let since = stamps.push(nth(2, 5_000_000));
+            let ran = StampAdvance::Continuous(TimeDelta::from_millis(60));
             assert_eq!(since, Some(ran), "bit {bit}");
         }
-        let mut stamps = Stamps::default();
-        stamps.take(nth(0, 5_000_000));
-        assert_eq!(stamps.take(nth(1, 900_000_000)), None);
-        let stepped = stamps.take(nth(2, 900_000_000));
-        assert_eq!(stepped, Some(Passed::Stepped(Span::from_millis(60))));
+        let mut stamps = StampChecker::default();
+        stamps.push(nth(0, 5_000_000));
+        assert_eq!(stamps.push(nth(1, 900_000_000)), None);
+        let stepped = stamps.push(nth(2, 900_000_000));
+        assert_eq!(stepped, Some(StampAdvance::Stepped(TimeDelta::from_millis(60))));
     }
 
     #[test]
     fn a_silence_of_hours_is_no_damage() {
-        let mut stamps = Stamps::default();
-        stamps.take(nth(0, 77));
-        assert!(stamps.take(nth(700_000, 77)).is_some());
+        let mut stamps = StampChecker::default();
+        stamps.push(nth(0, 77));
+        assert!(stamps.push(nth(700_000, 77)).is_some());
     }
 }

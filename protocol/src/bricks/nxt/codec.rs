@@ -1,192 +1,198 @@
-//! The NXT as a brick protocol: asks what is due, gives replies to `answers.rs`, and says what was lost.
+//! The NXT as a brick protocol: sends due requests, passes replies to `replies.rs`, and reports losses.
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Address, Defect, HostClock, SourceHealth, Span, Stamp};
+use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
-use super::answers::Accelerations;
-use super::conversation::{Conversation, Matched};
-use super::counters::Totals;
-use super::cutter::{Cutter, Piece, Speech};
-use super::digital::Device;
-use super::estimate::{Mailbox, PUSHED_INTERVAL};
-use super::gyro::Gyro;
-use super::motion::Motors;
-use super::notes::{INFO, NOTICE, Notes, Topic, WARNING};
-use super::plan::{Change, Failure, Plan, Port, Reach, Source};
-use super::presence::{HEARTBEAT, Presence};
-use super::question::Question;
+use super::counters::WheelTotals;
+use super::digital::DigitalSensor;
+use super::estimate::{EstimateMailbox, PUSHED_INTERVAL};
+use super::framer::{StreamContent, TelegramFramer, TelegramPart};
+use super::gyro::AnalogGyro;
+use super::liveness::{BrickLiveness, HEARTBEAT};
+use super::motion::{MotorReadings, PendingAccelerations};
+use super::nxt_request::NxtRequest;
+use super::requests::{ReplyMatch, RequestTracker};
+use super::schedule::{PollSchedule, PortState, ReadSize, RequestFailure, ScheduleChange, WheelSource};
 use super::settings::{NxtSensor, NxtSettings};
-use super::telegram::{Reply, framed, keep_alive};
+use super::status_texts::{INFO, NOTICE, StatusTextFilter, StatusTopic, WARNING};
+use super::telegram::{NxtReply, framed, keep_alive};
 use super::tick::TickClock;
-use crate::bricks::{BrickCodec, BrickSettings, Heard, ONLY_BRICK, mavlink};
-use crate::framing::{Framing, START_V2, ScanCounters, ScannerConfig};
+use crate::bricks::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use crate::bricks::mavlink;
+use crate::framing::{FramerConfig, FramerCounters, START_BYTE_V2, TransportKind};
 use crate::message::{Message, PlanarPose, WireStamp};
 
 /// The brick sleeps after ten minutes without a command that counts; each of these begins them anew.
-const KEEP_ALIVE_PERIOD: Span = Span::from_millis(60_000);
+const KEEP_ALIVE_PERIOD: TimeDelta = TimeDelta::from_millis(60_000);
 
 /// So many fences without an answer, while frames come or not, mean that a pushing program has taken over the link: leJOS answers no command
 /// of LEGO's, and would find ours in its own input.
-const MOST_FENCES_TO_A_PROGRAM: u8 = 4;
+const MAX_UNANSWERED_BARRIERS: u8 = 4;
 
 /// The state of one link to an NXT.
 #[derive(Debug)]
-pub(super) struct Nxt {
+pub(super) struct NxtCodec {
     pub(super) settings: NxtSettings,
     pub(super) brick: Address,
-    cutter: Cutter,
-    talk: Conversation,
-    pub(super) plan: Plan,
+    framer: TelegramFramer,
+    requests: RequestTracker,
+    pub(super) schedule: PollSchedule,
     /// What is to be sent; each element is one telegram on the wire.
     outbox: VecDeque<Vec<u8>>,
-    is_begun: bool,
+    is_started: bool,
     /// The next question, while the same one waits for its answer.
-    held: Option<Question>,
+    held_request: Option<NxtRequest>,
     /// Fences in a row that were not answered.
-    lost_fences: u8,
-    next_keep_alive: Stamp<HostClock>,
-    pub(super) presence: Presence,
+    lost_barriers: u8,
+    next_keep_alive: Timestamp<HostClock>,
+    pub(super) presence: BrickLiveness,
     pub(super) clock: TickClock,
     /// Answers since the clock of the host stood in for the brick's.
-    pub(super) since_own_tick: u8,
-    pub(super) motors: Motors,
-    pub(super) totals: Totals,
+    pub(super) replies_since_host_tick: u8,
+    pub(super) motors: MotorReadings,
+    pub(super) totals: WheelTotals,
     /// The gyro and its port.
-    pub(super) gyro: Option<(u8, Gyro)>,
-    pub(super) devices: [Option<Device>; 4],
-    pub(super) accelerations: Accelerations,
-    pub(super) mailbox: Mailbox,
-    pub(super) notes: Notes,
+    pub(super) gyro: Option<(u8, AnalogGyro)>,
+    pub(super) devices: [Option<DigitalSensor>; 4],
+    pub(super) accelerations: PendingAccelerations,
+    pub(super) mailbox: EstimateMailbox,
+    pub(super) notes: StatusTextFilter,
     /// What a program on the brick sends of itself.
     frames: Option<Box<dyn BrickCodec>>,
-    broken: ScanCounters,
+    damage_counters: FramerCounters,
 }
 
 /// The brick is asked; no program need run on it.
-pub(in crate::bricks) fn open(settings: &BrickSettings) -> Box<dyn BrickCodec> {
-    Box::new(Nxt::new(&settings.nxt, None))
+pub(in crate::bricks) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    Box::new(NxtCodec::new(&settings.nxt, None))
 }
 
 /// A program on the brick pushes MAVLink frames; only the clock is asked.
-pub(in crate::bricks) fn open_push(settings: &BrickSettings) -> Box<dyn BrickCodec> {
-    let frames = mavlink::open(&BrickSettings {
-        scanner: ScannerConfig {
+pub(in crate::bricks) fn open_push(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    let frames = mavlink::open(&CodecSettings {
+        scanner: FramerConfig {
             // A frame in each telegram: there is nothing to look for.
-            transport: Framing::Datagram,
+            transport: TransportKind::Datagram,
             ..settings.scanner
         },
         ..settings.clone()
     });
-    Box::new(Nxt::new(&settings.nxt, Some(frames)))
+    Box::new(NxtCodec::new(&settings.nxt, Some(frames)))
 }
 
-impl Nxt {
+impl NxtCodec {
     fn new(settings: &NxtSettings, frames: Option<Box<dyn BrickCodec>>) -> Self {
         let (speech, source) = match &frames {
-            Some(_) => (Speech::TelegramsAndFrames, Source::Pushed),
-            None => (Speech::Telegrams, Source::Asked),
+            Some(_) => (StreamContent::TelegramsAndFrames, WheelSource::Pushed),
+            None => (StreamContent::Telegrams, WheelSource::Polled),
         };
         let interval = settings.estimate_interval.unwrap_or(match source {
-            Source::Asked => Span::ZERO,
-            Source::Pushed => PUSHED_INTERVAL,
+            WheelSource::Polled => TimeDelta::ZERO,
+            WheelSource::Pushed => PUSHED_INTERVAL,
         });
         let gyro = (0..4).zip(settings.sensors).find_map(|(port, sensor)| {
-            let gyro = Gyro::new(settings.gyro_rest, settings.gyro_sign);
+            let gyro = AnalogGyro::new(settings.gyro_rest_counts, settings.gyro_sign);
             (sensor == NxtSensor::HtGyro).then_some((port, gyro))
         });
         Self {
-            brick: ONLY_BRICK,
-            cutter: Cutter::new(speech),
-            talk: Conversation::new(settings.answer_timeout),
-            plan: Plan::new(settings, source),
+            brick: DEFAULT_BRICK_ADDRESS,
+            framer: TelegramFramer::new(speech),
+            requests: RequestTracker::new(settings.answer_timeout),
+            schedule: PollSchedule::new(settings, source),
             outbox: VecDeque::new(),
-            is_begun: false,
-            held: None,
-            lost_fences: 0,
-            next_keep_alive: Stamp::ZERO,
-            presence: Presence::default(),
+            is_started: false,
+            held_request: None,
+            lost_barriers: 0,
+            next_keep_alive: Timestamp::ZERO,
+            presence: BrickLiveness::default(),
             clock: TickClock::default(),
-            since_own_tick: 0,
-            motors: Motors::default(),
-            totals: Totals::default(),
+            replies_since_host_tick: 0,
+            motors: MotorReadings::default(),
+            totals: WheelTotals::default(),
             gyro,
-            devices: settings.sensors.map(Device::new),
-            accelerations: Accelerations::default(),
-            mailbox: Mailbox::new(settings.mailbox, interval),
-            notes: Notes::default(),
+            devices: settings.sensors.map(DigitalSensor::new),
+            accelerations: PendingAccelerations::default(),
+            mailbox: EstimateMailbox::new(settings.mailbox, interval),
+            notes: StatusTextFilter::default(),
             frames,
-            broken: ScanCounters::default(),
+            damage_counters: FramerCounters::default(),
             settings: settings.clone(),
         }
     }
 
     /// Says a line to people, once.
-    pub(super) fn note(&mut self, about: (Topic, u8), text: impl Into<String>, sink: &mut dyn FnMut(Heard<'_>)) {
-        self.notes.say(about, text.into(), self.brick, sink);
+    pub(super) fn report(
+        &mut self,
+        topic: StatusTopic,
+        severity: u8,
+        text: impl Into<String>,
+        sink: &mut dyn FnMut(CodecEvent<'_>),
+    ) {
+        self.notes.emit_if_new(topic, severity, text.into(), self.brick, sink);
     }
 
     /// What time alone brings: silence, time-outs.
-    fn expire(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
-        if let Some(torn) = self.cutter.expire(now) {
+    fn expire(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        if let Some(torn) = self.framer.expire(now) {
             self.handle(now, torn, sink);
         }
-        while let Some(question) = self.talk.expire(now) {
-            self.broken.stalls += 1;
-            if question == Question::Fence {
-                self.fence_unanswered(sink);
+        while let Some(question) = self.requests.expire(now) {
+            self.damage_counters.stalls += 1;
+            if question == NxtRequest::SyncBarrier {
+                self.handle_barrier_timeout(sink);
             }
-            self.lose(&question, sink);
+            self.handle_timeout(&question, sink);
         }
         if self.presence.expire(now) {
             let text = "the NXT has not answered for two seconds";
-            self.note((Topic::Presence, WARNING), text, sink);
+            self.report(StatusTopic::Presence, WARNING, text, sink);
         }
     }
 
-    fn handle(&mut self, now: Stamp<HostClock>, piece: Piece, sink: &mut dyn FnMut(Heard<'_>)) {
+    fn handle(&mut self, now: Timestamp<HostClock>, piece: TelegramPart, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         match piece {
-            Piece::OutOfStep { bytes } => {
-                self.broken.garbage_bytes += bytes as u64;
-                sink(Heard::Defect(Defect::Garbage { bytes: bytes as u32 }));
-                for question in self.talk.break_off() {
-                    self.lose(&question, sink);
+            TelegramPart::OutOfSync { bytes } => {
+                self.damage_counters.garbage_bytes += bytes as u64;
+                sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes: bytes as u32 }));
+                for question in self.requests.abort_all() {
+                    self.handle_timeout(&question, sink);
                 }
             }
-            Piece::Foreign(telegram) => self.hear_foreign(now, &telegram, sink),
-            Piece::Telegram(telegram) if telegram.first() == Some(&START_V2) => {
-                self.hear_frame(now, &telegram, sink);
+            TelegramPart::Foreign(telegram) => self.handle_foreign(now, &telegram, sink),
+            TelegramPart::Telegram(telegram) if telegram.first() == Some(&START_BYTE_V2) => {
+                self.handle_frame(now, &telegram, sink);
             }
-            Piece::Telegram(telegram) => {
+            TelegramPart::Telegram(telegram) => {
                 // A program's message to a mailbox of ours is for nobody here.
-                if let Some(reply) = Reply::of(&telegram) {
-                    self.hear_reply(now, &reply, sink);
+                if let Some(reply) = NxtReply::parse(&telegram) {
+                    self.match_reply(now, &reply, sink);
                 }
             }
         }
     }
 
     /// A program on the brick says something that is not for this station.
-    fn hear_foreign(&mut self, now: Stamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
-        self.broken.unknown_ids += 1;
+    fn handle_foreign(&mut self, now: Timestamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        self.damage_counters.unknown_ids += 1;
         // Whether or not it answers, it is there, and why it may not answer is told.
-        self.presence.speaks(now);
-        let text = if telegram.first() == Some(&START_V2) {
+        self.presence.record_activity(now);
+        let text = if telegram.first() == Some(&START_BYTE_V2) {
             "a program on the NXT sends MAVLink frames, which are not read as it is asked: try --brick nxt-push"
         } else {
             "a program on the NXT sends messages of its own, which are skipped; if they are to be MAVLink frames, try --brick nxt-push"
         };
-        self.note((Topic::Foreign, NOTICE), text, sink);
+        self.report(StatusTopic::ForeignMessages, NOTICE, text, sink);
     }
 
-    fn hear_frame(&mut self, now: Stamp<HostClock>, frame: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
+    fn handle_frame(&mut self, now: Timestamp<HostClock>, frame: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let Some(frames) = &mut self.frames else {
             return;
         };
         let brick = &mut self.brick;
         let mut is_heard = false;
         frames.push(now, frame, &mut |heard| {
-            if let Heard::Message { from, .. } = &heard {
+            if let CodecEvent::Message { from, .. } = &heard {
                 // Answers for the clock must bear the name of whom the program speaks for.
                 *brick = *from;
                 is_heard = true;
@@ -194,144 +200,149 @@ impl Nxt {
             sink(heard);
         });
         if is_heard {
-            self.lives(now, sink);
+            self.record_activity(now, sink);
         }
     }
 
-    fn hear_reply(&mut self, now: Stamp<HostClock>, reply: &Reply<'_>, sink: &mut dyn FnMut(Heard<'_>)) {
-        self.lost_fences = 0;
-        match self.talk.take(reply) {
-            Matched::Answer(asked) => self.answered(now, &asked, reply, sink),
-            Matched::TooLate | Matched::Unasked => self.tell_late(sink),
+    fn match_reply(&mut self, now: Timestamp<HostClock>, reply: &NxtReply<'_>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        self.lost_barriers = 0;
+        match self.requests.match_reply(reply) {
+            ReplyMatch::Reply(asked) => self.handle_reply(now, &asked, reply, sink),
+            ReplyMatch::TooLate | ReplyMatch::Unexpected => self.report_late(sink),
         }
-        self.lives(now, sink);
+        self.record_activity(now, sink);
     }
 
     /// The brick has said something.
-    fn lives(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
-        let sign = self.presence.answered(now);
-        if sign.is_return {
-            self.note((Topic::Presence, NOTICE), "the NXT answers again", sink);
+    fn record_activity(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        let sign = self.presence.record_reply(now);
+        if sign.is_back {
+            self.report(StatusTopic::Presence, NOTICE, "the NXT answers again", sink);
             // It may be another program, or the brick without one: what the old one left unanswered says nothing about it.
-            self.lost_fences = 0;
-            self.plan.try_tick_again(now);
+            self.lost_barriers = 0;
+            self.schedule.try_tick_again(now);
         }
-        if sign.is_beat {
-            sink(Heard::Message { from: self.brick, message: Message::Heartbeat(HEARTBEAT) });
+        if sign.is_heartbeat_due {
+            sink(CodecEvent::Message { from: self.brick, message: Message::Heartbeat(HEARTBEAT) });
         }
     }
 
     /// Says how many came late, at each doubling.
-    fn tell_late(&mut self, sink: &mut dyn FnMut(Heard<'_>)) {
-        let late = self.talk.tally().late;
+    fn report_late(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        let late = self.requests.counts().late;
         if late.is_power_of_two() {
             let limit = self.settings.answer_timeout.as_millis_f64();
             let text = format!("{late} answers so far came later than {limit:.0} ms and were not used");
-            self.note((Topic::Late, INFO), text, sink);
+            self.report(StatusTopic::LateReplies, INFO, text, sink);
         }
     }
 
     /// A fence stayed without an answer for the whole time-out. One that noise broke off says nothing about who is there.
-    fn fence_unanswered(&mut self, sink: &mut dyn FnMut(Heard<'_>)) {
-        self.lost_fences = self.lost_fences.saturating_add(1);
-        if self.is_refused_by_program() {
+    fn handle_barrier_timeout(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        self.lost_barriers = self.lost_barriers.saturating_add(1);
+        if self.is_blocked_by_program() {
             let text = "the program on the NXT answers no commands: its clock is known by its frames alone";
-            self.note((Topic::Clock, NOTICE), text, sink);
+            self.report(StatusTopic::Clock, NOTICE, text, sink);
         }
     }
 
-    fn lose(&mut self, question: &Question, sink: &mut dyn FnMut(Heard<'_>)) {
-        if *question == Question::Fence {
+    fn handle_timeout(&mut self, question: &NxtRequest, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        if *question == NxtRequest::SyncBarrier {
             return;
         }
-        sink(Heard::Defect(Defect::Lost { source: self.brick, frames: 1 }));
-        self.fail(question, Failure::Lost, sink);
+        sink(CodecEvent::Error(ReceiveError::SequenceGap { source: self.brick, frames: 1 }));
+        self.handle_failure(question, RequestFailure::Lost, sink);
     }
 
     /// A question failed; people hear what changes by it.
-    pub(super) fn fail(&mut self, question: &Question, why: Failure, sink: &mut dyn FnMut(Heard<'_>)) {
-        match self.plan.failed(question, why) {
+    pub(super) fn handle_failure(
+        &mut self,
+        question: &NxtRequest,
+        why: RequestFailure,
+        sink: &mut dyn FnMut(CodecEvent<'_>),
+    ) {
+        match self.schedule.record_failure(question, why) {
             None => {}
-            Some(Change::Reach) => {
-                let text = match self.plan.reach() {
-                    Reach::Whole | Reach::Short => {
+            Some(ScheduleChange::ReadSize) => {
+                let text = match self.schedule.read_size() {
+                    ReadSize::Whole | ReadSize::Partial => {
                         "this NXT's firmware gives IO maps only in pieces: fewer readings per second"
                     }
-                    Reach::Single => {
+                    ReadSize::Single => {
                         "this NXT's firmware gives no IO maps: every motor and port is asked alone, at a fraction of the rate"
                     }
                 };
-                self.note((Topic::Maps, WARNING), text, sink);
+                self.report(StatusTopic::IoMaps, WARNING, text, sink);
             }
-            Some(Change::Outstanding) => {
+            Some(ScheduleChange::Outstanding) => {
                 let text = "this NXT does not answer two questions at a time: asking one by one";
-                self.note((Topic::Outstanding, NOTICE), text, sink);
+                self.report(StatusTopic::Outstanding, NOTICE, text, sink);
             }
-            Some(Change::Tick) => {
+            Some(ScheduleChange::Tick) => {
                 let text = "this NXT does not tell its clock: readings bear the station's time";
-                self.note((Topic::Clock, WARNING), text, sink);
+                self.report(StatusTopic::Clock, WARNING, text, sink);
             }
         }
     }
 
     /// Whether a pushing program leaves all questions unanswered, so that none is asked any more.
-    fn is_refused_by_program(&self) -> bool {
-        self.frames.is_some() && self.lost_fences >= MOST_FENCES_TO_A_PROGRAM
+    fn is_blocked_by_program(&self) -> bool {
+        self.frames.is_some() && self.lost_barriers >= MAX_UNANSWERED_BARRIERS
     }
 
     /// Asks whatever is due and has room.
-    fn ask(&mut self, now: Stamp<HostClock>) {
-        if !self.is_begun || self.cutter.is_draining() || self.is_refused_by_program() {
+    fn send_requests(&mut self, now: Timestamp<HostClock>) {
+        if !self.is_started || self.framer.is_draining() || self.is_blocked_by_program() {
             return;
         }
-        while self.talk.has_room(self.plan.most()) {
-            let Some(question) = self.next_question(now) else {
+        while self.requests.has_capacity(self.schedule.max_outstanding()) {
+            let Some(question) = self.next_request(now) else {
                 return;
             };
-            if self.talk.waits_for(&question) {
-                self.held = Some(question);
+            if self.requests.is_waiting_for(&question) {
+                self.held_request = Some(question);
                 return;
             }
-            if let Some(carried) = self.carried(now) {
+            if let Some(carried) = self.next_piggyback(now) {
                 self.send(&carried);
             }
             self.send(&question.telegram());
-            self.talk.ask(question, now);
+            self.requests.record_sent(question, now);
         }
     }
 
-    fn next_question(&mut self, now: Stamp<HostClock>) -> Option<Question> {
-        if self.talk.wants_fence() {
-            return Some(Question::Fence);
+    fn next_request(&mut self, now: Timestamp<HostClock>) -> Option<NxtRequest> {
+        if self.requests.needs_barrier() {
+            return Some(NxtRequest::SyncBarrier);
         }
-        if let Some(held) = self.held.take() {
+        if let Some(held) = self.held_request.take() {
             return Some(held);
         }
-        if self.plan.is_reach_known()
+        if self.schedule.is_read_size_known()
             && let Some(probe) = self.mailbox.take_probe(now)
         {
-            return Some(Question::Mailbox(probe));
+            return Some(NxtRequest::Mailbox(probe));
         }
         let asked: Vec<u8> = (0..4)
             .zip(&self.devices)
-            .filter(|(_, device)| device.is_some_and(|device| device.asked().is_some()))
+            .filter(|(_, device)| device.is_some_and(|device| device.pending_since().is_some()))
             .map(|(port, _)| port)
             .collect();
-        self.plan.next(now, &asked)
+        self.schedule.next_request(now, &asked)
     }
 
     /// A telegram without a reply that goes in front of a question, so that the brick never gets more than two at a time of us.
-    fn carried(&mut self, now: Stamp<HostClock>) -> Option<Vec<u8>> {
-        if self.talk.wants_fence() {
+    fn next_piggyback(&mut self, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
+        if self.requests.needs_barrier() {
             return None;
         }
         if now >= self.next_keep_alive {
             self.next_keep_alive = now + KEEP_ALIVE_PERIOD;
             return Some(keep_alive());
         }
-        let ports = (0..4).zip(&mut self.devices).zip(self.plan.ports);
+        let ports = (0..4).zip(&mut self.devices).zip(self.schedule.ports);
         for ((port, device), stands) in ports {
-            if stands == Port::Ready
+            if stands == PortState::Ready
                 && let Some(device) = device
                 && let Some(telegram) = device.write(port, now)
             {
@@ -346,67 +357,72 @@ impl Nxt {
     }
 }
 
-impl BrickCodec for Nxt {
-    fn begin(&mut self, now: Stamp<HostClock>) {
-        self.is_begun = true;
-        self.cutter = Cutter::new(match self.frames {
-            Some(_) => Speech::TelegramsAndFrames,
-            None => Speech::Telegrams,
+impl BrickCodec for NxtCodec {
+    fn on_link_up(&mut self, now: Timestamp<HostClock>) {
+        self.is_started = true;
+        self.framer = TelegramFramer::new(match self.frames {
+            Some(_) => StreamContent::TelegramsAndFrames,
+            None => StreamContent::Telegrams,
         });
-        self.talk.restart();
-        self.held = None;
-        self.lost_fences = 0;
+        self.requests.restart();
+        self.held_request = None;
+        self.lost_barriers = 0;
         self.outbox.clear();
-        self.plan.begin(now);
-        self.presence.begin(now);
-        self.mailbox.begin();
-        self.motors = Motors::default();
+        self.schedule.reset(now);
+        self.presence.reset(now);
+        self.mailbox.reset();
+        self.motors = MotorReadings::default();
         self.next_keep_alive = now;
         if let Some(frames) = &mut self.frames {
-            frames.begin(now);
+            frames.on_link_up(now);
         }
-        self.ask(now);
+        self.send_requests(now);
     }
 
-    fn push(&mut self, now: Stamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(Heard<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.expire(now, sink);
         let mut found = Vec::new();
-        self.cutter.push(now, bytes, &mut found);
+        self.framer.push(now, bytes, &mut found);
         for piece in found {
             self.handle(now, piece, sink);
         }
-        self.ask(now);
+        self.send_requests(now);
     }
 
-    fn deadline(&self) -> Option<Stamp<HostClock>> {
-        if !self.is_begun {
+    fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        if !self.is_started {
             return None;
         }
-        let is_free = !self.cutter.is_draining()
-            && !self.is_refused_by_program()
-            && self.held.is_none()
-            && self.talk.has_room(self.plan.most());
-        [self.cutter.deadline(), self.talk.deadline(), self.presence.deadline(), self.plan.wake().filter(|_| is_free)]
-            .into_iter()
-            .flatten()
-            .min()
+        let is_free = !self.framer.is_draining()
+            && !self.is_blocked_by_program()
+            && self.held_request.is_none()
+            && self.requests.has_capacity(self.schedule.max_outstanding());
+        [
+            self.framer.deadline(),
+            self.requests.deadline(),
+            self.presence.deadline(),
+            self.schedule.next_wake().filter(|_| is_free),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 
-    fn tick(&mut self, now: Stamp<HostClock>, sink: &mut dyn FnMut(Heard<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.expire(now, sink);
-        self.ask(now);
+        self.send_requests(now);
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
         self.outbox.pop_front()
     }
 
-    fn encode(&mut self, now: Stamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+    fn encode(&mut self, now: Timestamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
         let Message::PlanarPose(pose) = message else {
             return 0;
         };
         let brick_millis = self.millis_of(pose);
-        let Some(telegram) = self.mailbox.post(now, pose, brick_millis) else {
+        let Some(telegram) = self.mailbox.publish(now, pose, brick_millis) else {
             return 0;
         };
         let bytes = framed(&telegram);
@@ -414,20 +430,20 @@ impl BrickCodec for Nxt {
         bytes.len()
     }
 
-    fn counters(&self) -> ScanCounters {
-        let mut counters = self.broken;
-        counters.frames = self.talk.tally().answered;
+    fn counters(&self) -> FramerCounters {
+        let mut counters = self.damage_counters;
+        counters.frames = self.requests.counts().answered;
         match &self.frames {
-            Some(frames) => counters.plus(&frames.counters()),
+            Some(frames) => counters.merged(&frames.counters()),
             None => counters,
         }
     }
 
-    fn sources(&self) -> Vec<SourceHealth> {
+    fn source_health(&self) -> Vec<SourceHealth> {
         if let Some(frames) = &self.frames {
-            return frames.sources();
+            return frames.source_health();
         }
-        let tally = self.talk.tally();
+        let tally = self.requests.counts();
         if tally.answered == 0 {
             return Vec::new();
         }
@@ -435,13 +451,13 @@ impl BrickCodec for Nxt {
     }
 }
 
-impl Nxt {
+impl NxtCodec {
     /// The brick's tick for which an estimate holds.
     fn millis_of(&self, pose: &PlanarPose) -> u32 {
         match pose.stamp {
             WireStamp::Micros32(micros) => self.clock.millis_of(micros),
             WireStamp::Millis32(millis) => millis,
-            WireStamp::Micros64(_) | WireStamp::Asked { .. } => (pose.stamp.as_micros() / 1_000) as u32,
+            WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => (pose.stamp.as_micros() / 1_000) as u32,
         }
     }
 }

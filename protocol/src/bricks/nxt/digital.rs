@@ -16,9 +16,9 @@
 //! HiTechnic's register tables of NAC1040 and NMC1034; LEGO MINDSTORMS NXT Hardware Developer Kit, ultrasonic sensor; Texas
 //! Instruments TMP275 datasheet, tables 2 to 8, for LEGO 9749.
 
-use posebridge_telemetry::{Celsius, HostClock, Meters, MetersPerSecondSquared, Span, Stamp};
+use posebridge_telemetry::{Celsius, HostClock, Meters, MetersPerSecondSquared, TimeDelta, Timestamp};
 
-use super::io_maps::Buffer;
+use super::io_maps::DigitalBuffer;
 use super::settings::{ForwardAxis, NxtSensor};
 use super::telegram;
 
@@ -35,17 +35,17 @@ const NO_ECHO: u8 = 255;
 /// Bytes of a port's ring.
 const RING_BYTES: u8 = 16;
 /// Rounds in which an answer may still come before the sensor is asked again.
-const MOST_ROUNDS: u8 = 3;
+const MAX_REPLY_ROUNDS: u8 = 3;
 /// Questions in a row without an answer after which people are told.
-const MANY_UNANSWERED: u8 = 10;
+const UNANSWERED_LIMIT: u8 = 10;
 /// Time that a sensor gets to settle into its mode.
-const SETTLING: Span = Span::from_millis(100);
+const SETTLING_TIME: TimeDelta = TimeDelta::from_millis(100);
 /// Most bytes that one of them answers.
-const LONGEST_ANSWER: usize = 6;
+const MAX_REPLY_BYTES: usize = 6;
 
 /// What a sensor measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Measured {
+pub(super) enum DigitalMeasurement {
     /// Along the robot's forward direction.
     Acceleration(MetersPerSecondSquared),
     /// Clockwise from magnetic north.
@@ -58,15 +58,15 @@ pub(super) enum Measured {
 
 /// How one kind of sensor is asked.
 #[derive(Clone, Copy, Debug)]
-struct Manner {
-    ask: &'static [u8],
-    answer_bytes: u8,
+struct BusProtocol {
+    request: &'static [u8],
+    reply_bytes: u8,
     /// Sent once after it is set up.
     prepare: Option<&'static [u8]>,
-    period: Span,
+    period: TimeDelta,
 }
 
-const fn manner(sensor: NxtSensor) -> Option<Manner> {
+const fn bus_protocol(sensor: NxtSensor) -> Option<BusProtocol> {
     let (ask, answer_bytes, prepare, period): (_, _, Option<&'static [u8]>, _) = match sensor {
         NxtSensor::None | NxtSensor::HtGyro => return None,
         NxtSensor::HtAccelerometer { .. } => (&[SENSOR, MEASURED], 6, None, 0),
@@ -74,143 +74,143 @@ const fn manner(sensor: NxtSensor) -> Option<Manner> {
         NxtSensor::Ultrasonic => (&[SENSOR, MEASURED], 1, Some(&[SENSOR, 0x41, 0x02]), 100),
         NxtSensor::Temperature => (&[THERMOMETER, 0x00], 2, Some(&[THERMOMETER, 0x01, 0x60]), 1_000),
     };
-    Some(Manner { ask, answer_bytes, prepare, period: Span::from_millis(period) })
+    Some(BusProtocol { request: ask, reply_bytes: answer_bytes, prepare, period: TimeDelta::from_millis(period) })
 }
 
 /// True for sensors on the bus.
 pub(super) const fn is_digital(sensor: NxtSensor) -> bool {
-    manner(sensor).is_some()
+    bus_protocol(sensor).is_some()
 }
 
 /// One sensor on the bus.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Device {
+pub(super) struct DigitalSensor {
     sensor: NxtSensor,
-    manner: Manner,
+    protocol: BusProtocol,
     is_prepared: bool,
-    due: Stamp<HostClock>,
-    asked: Option<Stamp<HostClock>>,
+    due: Timestamp<HostClock>,
+    asked: Option<Timestamp<HostClock>>,
     rounds: u8,
     unanswered: u8,
-    last_end: Option<u8>,
+    last_ring_end: Option<u8>,
     /// The firmware was seen to write answers to the start of the ring.
-    begins_anew: bool,
+    ring_restarts: bool,
 }
 
-impl Device {
+impl DigitalSensor {
     /// `None` for what is not on the bus.
     pub(super) const fn new(sensor: NxtSensor) -> Option<Self> {
-        let Some(manner) = manner(sensor) else {
+        let Some(manner) = bus_protocol(sensor) else {
             return None;
         };
         Some(Self {
             sensor,
-            manner,
+            protocol: manner,
             is_prepared: manner.prepare.is_none(),
-            due: Stamp::ZERO,
+            due: Timestamp::ZERO,
             asked: None,
             rounds: 0,
             unanswered: 0,
-            last_end: None,
-            begins_anew: false,
+            last_ring_end: None,
+            ring_restarts: false,
         })
     }
 
     /// The port was set up anew.
-    pub(super) const fn begin(&mut self, now: Stamp<HostClock>) {
-        self.is_prepared = self.manner.prepare.is_none();
+    pub(super) const fn restart(&mut self, now: Timestamp<HostClock>) {
+        self.is_prepared = self.protocol.prepare.is_none();
         self.due = now;
         self.asked = None;
         self.unanswered = 0;
-        self.last_end = None;
+        self.last_ring_end = None;
     }
 
     /// When it was asked what it has not answered yet.
-    pub(super) const fn asked(&self) -> Option<Stamp<HostClock>> {
+    pub(super) const fn pending_since(&self) -> Option<Timestamp<HostClock>> {
         self.asked
     }
 
     /// True when it has not answered for many questions.
     pub(super) const fn is_silent(&self) -> bool {
-        self.unanswered >= MANY_UNANSWERED
+        self.unanswered >= UNANSWERED_LIMIT
     }
 
     /// What to write to it now, if anything.
-    pub(super) fn write(&mut self, port: u8, now: Stamp<HostClock>) -> Option<Vec<u8>> {
+    pub(super) fn write(&mut self, port: u8, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
         if self.asked.is_some() || now < self.due {
             return None;
         }
-        if let (false, Some(prepare)) = (self.is_prepared, self.manner.prepare) {
+        if let (false, Some(prepare)) = (self.is_prepared, self.protocol.prepare) {
             self.is_prepared = true;
-            self.due = now + SETTLING;
+            self.due = now + SETTLING_TIME;
             return Some(telegram::ls_write(port, prepare, 0));
         }
         self.asked = Some(now);
         self.rounds = 0;
-        self.due = now + self.manner.period;
-        let Manner { ask, answer_bytes, .. } = self.manner;
+        self.due = now + self.protocol.period;
+        let BusProtocol { request: ask, reply_bytes: answer_bytes, .. } = self.protocol;
         Some(telegram::ls_write(port, ask, answer_bytes))
     }
 
     /// The receive buffer as it stands now.
-    pub(super) fn look(&mut self, buffer: Buffer) -> Option<Measured> {
-        if buffer.to_come > 0 {
-            self.wait_on();
+    pub(super) fn read_ring(&mut self, buffer: DigitalBuffer) -> Option<DigitalMeasurement> {
+        if buffer.pending_bytes > 0 {
+            self.keep_waiting();
             return None;
         }
-        let Some(before) = self.last_end.replace(buffer.end) else {
+        let Some(before) = self.last_ring_end.replace(buffer.end) else {
             // What stands there may be of any time: ask again.
             self.asked = None;
             return None;
         };
-        self.begins_anew |= self.is_at_start(buffer.end) && !self.leads(before, buffer.end);
-        let stands_at_start = self.begins_anew && self.is_at_start(buffer.end);
+        self.ring_restarts |= self.is_at_start(buffer.end) && !self.is_whole_replies(before, buffer.end);
+        let stands_at_start = self.ring_restarts && self.is_at_start(buffer.end);
         if before == buffer.end && !stands_at_start {
-            self.wait_on();
+            self.keep_waiting();
             return None;
         }
-        self.answered();
-        self.measured(buffer.last())
+        self.record_reply();
+        self.decode_last(buffer.last_bytes())
     }
 
     const fn is_at_start(&self, end: u8) -> bool {
-        end == self.manner.answer_bytes
+        end == self.protocol.reply_bytes
     }
 
     /// Whether a few answers, one behind the other in the ring, lead from one index to another, or none did.
-    fn leads(&self, before: u8, end: u8) -> bool {
-        let step = self.manner.answer_bytes;
-        (0..=MOST_ROUNDS).any(|answers| (before % RING_BYTES + answers * step) % RING_BYTES == end)
+    fn is_whole_replies(&self, before: u8, end: u8) -> bool {
+        let step = self.protocol.reply_bytes;
+        (0..=MAX_REPLY_ROUNDS).any(|answers| (before % RING_BYTES + answers * step) % RING_BYTES == end)
     }
 
     /// What was fetched from the buffer: `said` bytes of `data`.
-    pub(super) fn fetched(&mut self, said: u8, data: [u8; 16]) -> Option<Measured> {
-        if said < self.manner.answer_bytes {
-            self.wait_on();
+    pub(super) fn read_fetched(&mut self, said: u8, data: [u8; 16]) -> Option<DigitalMeasurement> {
+        if said < self.protocol.reply_bytes {
+            self.keep_waiting();
             return None;
         }
-        self.answered();
+        self.record_reply();
         let end = said % RING_BYTES;
         let to_come = 0;
-        self.measured(Buffer { ring: data, end, to_come }.last())
+        self.decode_last(DigitalBuffer { ring: data, end, pending_bytes: to_come }.last_bytes())
     }
 
     /// The answer is not there yet.
-    pub(super) fn wait_on(&mut self) {
+    pub(super) fn keep_waiting(&mut self) {
         self.rounds += 1;
-        if self.rounds >= MOST_ROUNDS {
+        if self.rounds >= MAX_REPLY_ROUNDS {
             self.asked = None;
             self.unanswered = self.unanswered.saturating_add(1);
         }
     }
 
-    const fn answered(&mut self) {
+    const fn record_reply(&mut self) {
         self.asked = None;
         self.unanswered = 0;
     }
 
     /// `last` ends with the answer.
-    fn measured(&self, last: [u8; LONGEST_ANSWER]) -> Option<Measured> {
+    fn decode_last(&self, last: [u8; MAX_REPLY_BYTES]) -> Option<DigitalMeasurement> {
         let [x, y, z, x_low, y_low, z_low] = last;
         match self.sensor {
             NxtSensor::None | NxtSensor::HtGyro => None,
@@ -225,18 +225,18 @@ impl Device {
                     ForwardAxis::MinusZ => -counts(z, z_low),
                 };
                 let along = MetersPerSecondSquared(along * ACCELERATION_UNIT_M_PER_S2);
-                Some(Measured::Acceleration(along))
+                Some(DigitalMeasurement::Acceleration(along))
             }
             NxtSensor::HtCompass => {
                 let degrees = 2.0 * f64::from(y_low) + f64::from(z_low);
-                (degrees < 360.0).then_some(Measured::CompassDegrees(degrees))
+                (degrees < 360.0).then_some(DigitalMeasurement::CompassDegrees(degrees))
             }
-            NxtSensor::Ultrasonic if z_low == NO_ECHO => Some(Measured::NoEcho),
-            NxtSensor::Ultrasonic => Some(Measured::Range(Meters(f64::from(z_low) / 100.0))),
+            NxtSensor::Ultrasonic if z_low == NO_ECHO => Some(DigitalMeasurement::NoEcho),
+            NxtSensor::Ultrasonic => Some(DigitalMeasurement::Range(Meters(f64::from(z_low) / 100.0))),
             NxtSensor::Temperature => {
                 let sixteenths = i16::from_be_bytes([y_low, z_low]) >> 4;
                 let celsius = Celsius(f64::from(sixteenths) / 16.0);
-                Some(Measured::Temperature(celsius))
+                Some(DigitalMeasurement::Temperature(celsius))
             }
         }
     }
@@ -245,22 +245,22 @@ impl Device {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bricks::nxt::settings::AccelerometerPlace;
+    use crate::bricks::nxt::settings::AccelerometerMounting;
 
-    fn answered(sensor: NxtSensor, answer: &[u8]) -> Option<Measured> {
-        let mut device = Device::new(sensor).unwrap();
+    fn answered(sensor: NxtSensor, answer: &[u8]) -> Option<DigitalMeasurement> {
+        let mut device = DigitalSensor::new(sensor).unwrap();
         let mut ring = [0xAA; 16];
-        assert_eq!(device.look(standing(ring, 0)), None);
+        assert_eq!(device.read_ring(standing(ring, 0)), None);
         ring[..answer.len()].copy_from_slice(answer);
-        device.look(standing(ring, answer.len() as u8))
+        device.read_ring(standing(ring, answer.len() as u8))
     }
 
-    const fn standing(ring: [u8; 16], end: u8) -> Buffer {
-        Buffer { ring, end, to_come: 0 }
+    const fn standing(ring: [u8; 16], end: u8) -> DigitalBuffer {
+        DigitalBuffer { ring, end, pending_bytes: 0 }
     }
 
     fn accelerometer(forward: ForwardAxis) -> NxtSensor {
-        NxtSensor::HtAccelerometer { forward, place: AccelerometerPlace::Centre }
+        NxtSensor::HtAccelerometer { forward, place: AccelerometerMounting::Centre }
     }
 
     #[test]
@@ -275,7 +275,7 @@ mod tests {
             (ForwardAxis::Z, -1.0),
             (ForwardAxis::MinusZ, 1.0),
         ] {
-            let Some(Measured::Acceleration(found)) = answered(accelerometer(axis), &answer) else {
+            let Some(DigitalMeasurement::Acceleration(found)) = answered(accelerometer(axis), &answer) else {
                 panic!("{axis:?}");
             };
             assert!((found.0 - expected_g * 9.80665).abs() < 1e-9, "{axis:?}");
@@ -285,56 +285,56 @@ mod tests {
     #[test]
     fn compass_range_and_temperature_mean_what_the_makers_say() {
         let compass = answered(NxtSensor::HtCompass, &[0x87, 0x01]);
-        assert_eq!(compass, Some(Measured::CompassDegrees(271.0)));
+        assert_eq!(compass, Some(DigitalMeasurement::CompassDegrees(271.0)));
         assert_eq!(answered(NxtSensor::HtCompass, &[0xFF, 0x01]), None);
         let range = answered(NxtSensor::Ultrasonic, &[0x2A]);
-        assert_eq!(range, Some(Measured::Range(Meters(0.42))));
+        assert_eq!(range, Some(DigitalMeasurement::Range(Meters(0.42))));
         let nothing = answered(NxtSensor::Ultrasonic, &[0xFF]);
-        assert_eq!(nothing, Some(Measured::NoEcho));
+        assert_eq!(nothing, Some(DigitalMeasurement::NoEcho));
         // TMP275 datasheet, table 5: 19 00 is 25 degrees, e7 00 is -25, ff f0 is -0.0625.
         for (bytes, degrees) in [([0x19, 0x00], 25.0), ([0xE7, 0x00], -25.0), ([0xFF, 0xF0], -0.0625)] {
             let found = answered(NxtSensor::Temperature, &bytes);
-            assert_eq!(found, Some(Measured::Temperature(Celsius(degrees))));
+            assert_eq!(found, Some(DigitalMeasurement::Temperature(Celsius(degrees))));
         }
     }
 
     #[test]
     fn an_answer_that_goes_round_the_ring_is_whole() {
-        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
         let mut ring = [0; 16];
         (ring[15], ring[0]) = (0x10, 0x01);
-        assert_eq!(device.look(standing(ring, 15)), None);
-        let found = device.look(standing(ring, 1));
-        assert_eq!(found, Some(Measured::CompassDegrees(33.0)));
+        assert_eq!(device.read_ring(standing(ring, 15)), None);
+        let found = device.read_ring(standing(ring, 1));
+        assert_eq!(found, Some(DigitalMeasurement::CompassDegrees(33.0)));
     }
 
     #[test]
     fn a_sensor_is_prepared_then_asked_at_its_period_and_once_at_a_time() {
-        let mut device = Device::new(NxtSensor::Ultrasonic).unwrap();
-        device.begin(Stamp::from_millis(1_000));
-        let at = |device: &mut Device, millis| device.write(3, Stamp::from_millis(millis));
+        let mut device = DigitalSensor::new(NxtSensor::Ultrasonic).unwrap();
+        device.restart(Timestamp::from_millis(1_000));
+        let at = |device: &mut DigitalSensor, millis| device.write(3, Timestamp::from_millis(millis));
         let prepare = vec![0x80, 0x0F, 0x03, 0x03, 0x00, 0x02, 0x41, 0x02];
         assert_eq!(at(&mut device, 1_000), Some(prepare));
         assert_eq!(at(&mut device, 1_099), None);
         let ask = vec![0x80, 0x0F, 0x03, 0x02, 0x01, 0x02, 0x42];
         assert_eq!(at(&mut device, 1_100), Some(ask.clone()));
         assert_eq!(at(&mut device, 1_300), None);
-        device.fetched(1, [7; 16]);
+        device.read_fetched(1, [7; 16]);
         assert_eq!(at(&mut device, 1_300), Some(ask));
     }
 
     #[test]
     fn a_sensor_that_is_not_there_is_asked_again_and_then_told_of() {
-        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
         let empty = standing([0; 16], 0);
-        device.look(empty);
+        device.read_ring(empty);
         for second in 0..10 {
             assert!(!device.is_silent());
-            assert!(device.write(0, Stamp::from_millis(1_000 * second)).is_some());
+            assert!(device.write(0, Timestamp::from_millis(1_000 * second)).is_some());
             for _ in 0..3 {
-                assert_eq!(device.look(empty), None);
+                assert_eq!(device.read_ring(empty), None);
             }
-            assert_eq!(device.asked(), None);
+            assert_eq!(device.pending_since(), None);
         }
         assert!(device.is_silent());
     }
@@ -342,38 +342,38 @@ mod tests {
     #[test]
     fn a_sensor_that_died_says_nothing_more_wherever_the_ring_stands() {
         for end in 0..16 {
-            let mut device = Device::new(accelerometer(ForwardAxis::X)).unwrap();
-            device.begin(Stamp::ZERO);
-            device.look(standing([7; 16], end));
+            let mut device = DigitalSensor::new(accelerometer(ForwardAxis::X)).unwrap();
+            device.restart(Timestamp::ZERO);
+            device.read_ring(standing([7; 16], end));
             for _ in 0..50 {
-                assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
+                assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
             }
             // Nor when the port is set up again.
-            device.begin(Stamp::from_millis(9_000));
-            assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
-            assert_eq!(device.look(standing([7; 16], end)), None, "at {end}");
+            device.restart(Timestamp::from_millis(9_000));
+            assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
+            assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
         }
     }
 
     #[test]
     fn an_answer_that_is_still_on_the_bus_is_waited_for() {
-        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
-        device.look(standing([9; 16], 0));
-        let half = Buffer { ring: [9; 16], end: 1, to_come: 1 };
-        assert_eq!(device.look(half), None);
-        let found = device.look(standing([9; 16], 2));
-        assert_eq!(found, Some(Measured::CompassDegrees(27.0)));
+        let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
+        device.read_ring(standing([9; 16], 0));
+        let half = DigitalBuffer { ring: [9; 16], end: 1, pending_bytes: 1 };
+        assert_eq!(device.read_ring(half), None);
+        let found = device.read_ring(standing([9; 16], 2));
+        assert_eq!(found, Some(DigitalMeasurement::CompassDegrees(27.0)));
     }
 
     #[test]
     fn a_firmware_that_writes_to_the_rings_start_is_seen_to_do_so_and_then_believed() {
-        let mut device = Device::new(NxtSensor::HtCompass).unwrap();
+        let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
         let ring = [9; 16];
-        device.look(standing(ring, 9));
+        device.read_ring(standing(ring, 9));
         // Two, four or six bytes lead from 9 to 11, 13 or 15, never to 2.
-        let found = Some(Measured::CompassDegrees(27.0));
+        let found = Some(DigitalMeasurement::CompassDegrees(27.0));
         for _ in 0..5 {
-            assert_eq!(device.look(standing(ring, 2)), found);
+            assert_eq!(device.read_ring(standing(ring, 2)), found);
         }
     }
 }

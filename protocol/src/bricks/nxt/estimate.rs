@@ -10,16 +10,16 @@
 //! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick nobody reads
 //! them; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::status::Status;
-use super::telegram::{Answer, message_write};
+use super::status::NxtStatus;
+use super::telegram::{ReplyRequest, message_write};
 use crate::message::PlanarPose;
 
 /// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds up the frames.
-pub(super) const PUSHED_INTERVAL: Span = Span::from_millis(200);
+pub(super) const PUSHED_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 /// A program may be started at any time.
-const PROBE_PERIOD: Span = Span::from_millis(5_000);
+const PROBE_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 const POSITION_VALID: u8 = 1 << 0;
 const HEADING_VALID: u8 = 1 << 1;
 /// Bytes of an estimate.
@@ -27,41 +27,54 @@ const ESTIMATE_BYTES: usize = 24;
 
 /// Who reads the mailbox.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Reader {
+enum MailboxReader {
     #[default]
     Unknown,
     Program,
-    Nobody,
+    NoReader,
 }
 
 /// The mailbox of one brick.
 #[derive(Debug)]
-pub(super) struct Mailbox {
+pub(super) struct EstimateMailbox {
     number: u8,
     /// Estimates leave no more often than this.
-    interval: Span,
-    last: Option<Stamp<HostClock>>,
-    reader: Reader,
-    next_probe: Option<Stamp<HostClock>>,
+    interval: TimeDelta,
+    last: Option<Timestamp<HostClock>>,
+    reader: MailboxReader,
+    next_probe: Option<Timestamp<HostClock>>,
     /// The message of the probe, while it waits for its turn.
     probe: Option<Vec<u8>>,
     sequence: u16,
 }
 
-impl Mailbox {
-    pub(super) const fn new(number: u8, interval: Span) -> Self {
-        Self { number, interval, last: None, reader: Reader::Unknown, next_probe: None, probe: None, sequence: 0 }
+impl EstimateMailbox {
+    pub(super) const fn new(number: u8, interval: TimeDelta) -> Self {
+        Self {
+            number,
+            interval,
+            last: None,
+            reader: MailboxReader::Unknown,
+            next_probe: None,
+            probe: None,
+            sequence: 0,
+        }
     }
 
     /// Nothing is known of who reads.
-    pub(super) fn begin(&mut self) {
+    pub(super) fn reset(&mut self) {
         *self = Self { sequence: self.sequence, ..Self::new(self.number, self.interval) };
     }
 
     /// The telegram that takes an estimate to the brick at once, if it may; the next probe takes it otherwise, or nobody.
-    pub(super) fn post(&mut self, now: Stamp<HostClock>, pose: &PlanarPose, brick_millis: u32) -> Option<Vec<u8>> {
+    pub(super) fn publish(
+        &mut self,
+        now: Timestamp<HostClock>,
+        pose: &PlanarPose,
+        brick_millis: u32,
+    ) -> Option<Vec<u8>> {
         let is_probe = self.probe.is_some() || self.next_probe.is_none_or(|due| now >= due);
-        if !is_probe && self.reader != Reader::Program {
+        if !is_probe && self.reader != MailboxReader::Program {
             return None;
         }
         if self.last.is_some_and(|last| now - last < self.interval) {
@@ -71,23 +84,23 @@ impl Mailbox {
         let message = estimate_bytes(pose, brick_millis, self.sequence);
         self.sequence = self.sequence.wrapping_add(1);
         if is_probe {
-            self.probe = message_write(self.number, &message, Answer::Wanted);
+            self.probe = message_write(self.number, &message, ReplyRequest::Required);
             return None;
         }
-        message_write(self.number, &message, Answer::Unwanted)
+        message_write(self.number, &message, ReplyRequest::NotRequired)
     }
 
     /// The probe, if one waits for its turn.
-    pub(super) fn take_probe(&mut self, now: Stamp<HostClock>) -> Option<Vec<u8>> {
+    pub(super) fn take_probe(&mut self, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
         let probe = self.probe.take()?;
         self.next_probe = Some(now + PROBE_PERIOD);
         Some(probe)
     }
 
     /// What became of the probe.
-    pub(super) fn answered(&mut self, status: Status) {
+    pub(super) fn record_probe_reply(&mut self, status: NxtStatus) {
         // A full mailbox drops its oldest message: somebody will read it, or a program runs that does not.
-        self.reader = if status == Status::OK { Reader::Program } else { Reader::Nobody };
+        self.reader = if status == NxtStatus::OK { MailboxReader::Program } else { MailboxReader::NoReader };
     }
 }
 
@@ -148,45 +161,45 @@ mod tests {
 
     #[test]
     fn the_first_and_one_every_five_seconds_ask_and_the_rest_does_not() {
-        let mut mailbox = Mailbox::new(4, Span::ZERO);
-        let start = Stamp::from_millis(100);
-        assert_eq!(mailbox.post(start, &pose(), 0), None);
+        let mut mailbox = EstimateMailbox::new(4, TimeDelta::ZERO);
+        let start = Timestamp::from_millis(100);
+        assert_eq!(mailbox.publish(start, &pose(), 0), None);
         let probe = mailbox.take_probe(start).unwrap();
         assert_eq!(probe[..4], [0x00, 0x09, 0x04, 25]);
         assert_eq!((probe.len(), probe[28]), (29, 0));
         // Until the answer is there nothing more leaves.
-        assert_eq!(mailbox.post(Stamp::from_millis(150), &pose(), 0), None);
-        assert_eq!(mailbox.take_probe(Stamp::from_millis(150)), None);
-        mailbox.answered(Status::OK);
-        let plain = mailbox.post(Stamp::from_millis(200), &pose(), 0).unwrap();
+        assert_eq!(mailbox.publish(Timestamp::from_millis(150), &pose(), 0), None);
+        assert_eq!(mailbox.take_probe(Timestamp::from_millis(150)), None);
+        mailbox.record_probe_reply(NxtStatus::OK);
+        let plain = mailbox.publish(Timestamp::from_millis(200), &pose(), 0).unwrap();
         assert_eq!(plain[..4], [0x80, 0x09, 0x04, 25]);
-        assert_eq!(mailbox.post(Stamp::from_millis(5_100), &pose(), 0), None);
-        assert!(mailbox.take_probe(Stamp::from_millis(5_100)).is_some());
+        assert_eq!(mailbox.publish(Timestamp::from_millis(5_100), &pose(), 0), None);
+        assert!(mailbox.take_probe(Timestamp::from_millis(5_100)).is_some());
     }
 
     #[test]
     fn without_a_program_nothing_is_sent_until_the_next_probe() {
-        let mut mailbox = Mailbox::new(0, Span::ZERO);
-        mailbox.post(Stamp::ZERO, &pose(), 0);
-        mailbox.take_probe(Stamp::ZERO);
-        mailbox.answered(Status::NO_PROGRAM);
-        assert_eq!(mailbox.post(Stamp::from_millis(4_999), &pose(), 0), None);
-        assert_eq!(mailbox.take_probe(Stamp::from_millis(4_999)), None);
-        mailbox.post(Stamp::from_millis(5_000), &pose(), 0);
-        assert!(mailbox.take_probe(Stamp::from_millis(5_000)).is_some());
-        mailbox.answered(Status::OK);
-        assert!(mailbox.post(Stamp::from_millis(5_050), &pose(), 0).is_some());
+        let mut mailbox = EstimateMailbox::new(0, TimeDelta::ZERO);
+        mailbox.publish(Timestamp::ZERO, &pose(), 0);
+        mailbox.take_probe(Timestamp::ZERO);
+        mailbox.record_probe_reply(NxtStatus::NO_PROGRAM);
+        assert_eq!(mailbox.publish(Timestamp::from_millis(4_999), &pose(), 0), None);
+        assert_eq!(mailbox.take_probe(Timestamp::from_millis(4_999)), None);
+        mailbox.publish(Timestamp::from_millis(5_000), &pose(), 0);
+        assert!(mailbox.take_probe(Timestamp::from_millis(5_000)).is_some());
+        mailbox.record_probe_reply(NxtStatus::OK);
+        assert!(mailbox.publish(Timestamp::from_millis(5_050), &pose(), 0).is_some());
     }
 
     #[test]
     fn estimates_keep_their_distance() {
-        let mut mailbox = Mailbox::new(0, PUSHED_INTERVAL);
-        mailbox.post(Stamp::ZERO, &pose(), 0);
-        mailbox.take_probe(Stamp::ZERO);
-        mailbox.answered(Status::OK);
+        let mut mailbox = EstimateMailbox::new(0, PUSHED_INTERVAL);
+        mailbox.publish(Timestamp::ZERO, &pose(), 0);
+        mailbox.take_probe(Timestamp::ZERO);
+        mailbox.record_probe_reply(NxtStatus::OK);
         let left = (1..=100).filter(|step| {
-            let now = Stamp::from_millis(40 * step);
-            mailbox.post(now, &pose(), 0).is_some()
+            let now = Timestamp::from_millis(40 * step);
+            mailbox.publish(now, &pose(), 0).is_some()
         });
         assert_eq!(left.count(), 20);
     }

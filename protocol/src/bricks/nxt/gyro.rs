@@ -20,21 +20,21 @@
 //! for each sensor and drifting with temperature; people average about 500 readings at rest. An open input of the converter, which has ten
 //! bits, reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit: pulled up to 5 V by 10 kOhm).
 
-use posebridge_telemetry::{HostClock, RadiansPerSecond, Span, Stamp};
+use posebridge_telemetry::{HostClock, RadiansPerSecond, TimeDelta, Timestamp};
 
 use super::settings::GyroSign;
 
 /// Readings that make a first rest value: under a second's worth, a mean good to 0.3 degrees per second, which is little beside the bias that
 /// a filter expects of this sensor. Robots rarely stand for longer before they drive off.
-const ENOUGH: u32 = 10;
+const MIN_REST_READINGS: u32 = 10;
 /// Readings over which the rest is a mean, afterwards.
-const MEMORY: u32 = 500;
+const MAX_REST_READINGS: u32 = 500;
 /// Readings at rest lie within so many counts of each other: the noise is about one.
 const REST_SPREAD: f64 = 8.0;
 /// A reading further from the rest than this is a robot that is turned by hand.
-const REST_WANDER: f64 = 4.0;
+const MAX_REST_DEVIATION: f64 = 4.0;
 /// How long a calm lasts, and how many readings make one at least.
-const CALM: Span = Span::from_millis(3_000);
+const CALM_TIME: TimeDelta = TimeDelta::from_millis(3_000);
 const CALM_COUNT: u32 = 30;
 /// Readings of a calm lie within so many counts of each other: fifty readings with a noise of 0.6 to 1 count mostly do.
 const CALM_SPREAD: f64 = 4.0;
@@ -45,61 +45,61 @@ const REST_RANGE: std::ops::RangeInclusive<f64> = 500.0..=700.0;
 /// Furthest reading from the rest: 360 degrees per second, and a margin for what the rest is off by.
 const RANGE: f64 = 380.0;
 /// The converter's stop: nothing pulls the input down.
-const OPEN: u16 = 1023;
+const OPEN_INPUT: u16 = 1023;
 /// So long after its first reading a gyro whose rest is not known is worth a word.
-const OVERDUE: Span = Span::from_millis(5_000);
+const REST_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
 
 /// Whether the wheels stand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wheels {
+pub(super) enum WheelState {
     Standing,
     Turning,
 }
 
 /// What a reading says.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Turning {
+pub(super) enum GyroReadout {
     /// The turn rate, counter-clockwise positive, bias included.
     Rate(RadiansPerSecond),
     /// It says nothing yet: the rest is not known.
     Unknown,
     /// It says nothing, and for five seconds already.
-    Overdue,
+    RestTimeout,
     /// No gyro reads this: nothing is plugged in.
-    Empty,
+    Disconnected,
 }
 
 /// What a reading taught about the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Taught {
+pub(super) enum RestUpdate {
     /// Nothing that people need to know.
-    Nothing,
+    Unchanged,
     /// The rest is known from now on, in counts.
     First(f64),
     /// It was wrong and is this.
-    Other(f64),
+    Corrected(f64),
 }
 
 /// The state of one gyro.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Gyro {
+pub(super) struct AnalogGyro {
     sign: f64,
     configured_rest: Option<f64>,
-    learnt: Learnt,
-    calm: Calm,
-    since: Option<Stamp<HostClock>>,
+    rest_mean: RestMean,
+    calm_period: CalmPeriod,
+    first_reading: Option<Timestamp<HostClock>>,
 }
 
 /// A mean, and how far apart its readings are.
 #[derive(Clone, Copy, Debug, Default)]
-struct Mean {
+struct RunningMean {
     count: u32,
     value: f64,
     smallest: f64,
     largest: f64,
 }
 
-impl Gyro {
+impl AnalogGyro {
     pub(super) fn new(rest: Option<f64>, sign: GyroSign) -> Self {
         Self {
             sign: match sign {
@@ -107,61 +107,61 @@ impl Gyro {
                 GyroSign::Clockwise => -1.0,
             },
             configured_rest: rest,
-            learnt: Learnt::default(),
-            calm: Calm::default(),
-            since: None,
+            rest_mean: RestMean::default(),
+            calm_period: CalmPeriod::default(),
+            first_reading: None,
         }
     }
 
     /// What it reads at rest, in counts, if that is known.
-    pub(super) fn rest(&self) -> Option<f64> {
-        self.configured_rest.or(self.learnt.rest())
+    pub(super) fn rest_value(&self) -> Option<f64> {
+        self.configured_rest.or(self.rest_mean.value())
     }
 
     /// What a reading of the instant `at` means, and what it taught.
-    pub(super) fn take(&mut self, at: Stamp<HostClock>, raw: u16, wheels: Wheels) -> (Turning, Taught) {
-        if raw >= OPEN {
-            self.calm = Calm::default();
-            return (Turning::Empty, Taught::Nothing);
+    pub(super) fn push(&mut self, at: Timestamp<HostClock>, raw: u16, wheels: WheelState) -> (GyroReadout, RestUpdate) {
+        if raw >= OPEN_INPUT {
+            self.calm_period = CalmPeriod::default();
+            return (GyroReadout::Disconnected, RestUpdate::Unchanged);
         }
         let raw = f64::from(raw);
         let taught = self.learn(at, raw, wheels);
-        let Some(rest) = self.rest() else {
-            let since = *self.since.get_or_insert(at);
-            let is_overdue = at - since >= OVERDUE;
-            let turning = if is_overdue { Turning::Overdue } else { Turning::Unknown };
+        let Some(rest) = self.rest_value() else {
+            let since = *self.first_reading.get_or_insert(at);
+            let is_overdue = at - since >= REST_TIMEOUT;
+            let turning = if is_overdue { GyroReadout::RestTimeout } else { GyroReadout::Unknown };
             return (turning, taught);
         };
         if (raw - rest).abs() > RANGE {
-            return (Turning::Empty, taught);
+            return (GyroReadout::Disconnected, taught);
         }
         let rate = RadiansPerSecond(self.sign * (raw - rest).to_radians());
-        (Turning::Rate(rate), taught)
+        (GyroReadout::Rate(rate), taught)
     }
 
-    fn learn(&mut self, at: Stamp<HostClock>, raw: f64, wheels: Wheels) -> Taught {
+    fn learn(&mut self, at: Timestamp<HostClock>, raw: f64, wheels: WheelState) -> RestUpdate {
         if self.configured_rest.is_some() {
-            return Taught::Nothing;
+            return RestUpdate::Unchanged;
         }
-        let before = self.rest();
-        self.learnt.take(raw, wheels);
-        let calm = self.calm.take(at, raw, wheels);
-        match (before, self.rest()) {
-            (None, Some(rest)) => Taught::First(rest),
+        let before = self.rest_value();
+        self.rest_mean.push(raw, wheels);
+        let calm = self.calm_period.push(at, raw, wheels);
+        match (before, self.rest_value()) {
+            (None, Some(rest)) => RestUpdate::First(rest),
             (Some(_), Some(rest)) => match calm {
                 Some(calm) if (calm.value - rest).abs() > CALM_NEWS => {
-                    self.learnt = Learnt(calm);
-                    Taught::Other(calm.value)
+                    self.rest_mean = RestMean(calm);
+                    RestUpdate::Corrected(calm.value)
                 }
-                _ => Taught::Nothing,
+                _ => RestUpdate::Unchanged,
             },
-            (_, None) => Taught::Nothing,
+            (_, None) => RestUpdate::Unchanged,
         }
     }
 }
 
-impl Mean {
-    fn take(&mut self, raw: f64) {
+impl RunningMean {
+    fn push(&mut self, raw: f64) {
         if self.count == 0 {
             (self.smallest, self.largest) = (raw, raw);
         }
@@ -178,58 +178,58 @@ impl Mean {
 
 /// What readings at rest say.
 #[derive(Clone, Copy, Debug, Default)]
-struct Learnt(Mean);
+struct RestMean(RunningMean);
 
-impl Learnt {
-    fn rest(&self) -> Option<f64> {
-        (self.0.count >= ENOUGH).then_some(self.0.value)
+impl RestMean {
+    fn value(&self) -> Option<f64> {
+        (self.0.count >= MIN_REST_READINGS).then_some(self.0.value)
     }
 
-    fn take(&mut self, raw: f64, wheels: Wheels) {
-        if let Some(rest) = self.rest() {
-            if wheels == Wheels::Standing && (raw - rest).abs() <= REST_WANDER {
-                self.0.count = self.0.count.min(MEMORY - 1);
-                self.0.take(raw);
+    fn push(&mut self, raw: f64, wheels: WheelState) {
+        if let Some(rest) = self.value() {
+            if wheels == WheelState::Standing && (raw - rest).abs() <= MAX_REST_DEVIATION {
+                self.0.count = self.0.count.min(MAX_REST_READINGS - 1);
+                self.0.push(raw);
             }
             return;
         }
-        if wheels == Wheels::Turning {
+        if wheels == WheelState::Turning {
             // It may stand again: at the next corner.
             return;
         }
         if !REST_RANGE.contains(&raw) {
-            self.0 = Mean::default();
+            self.0 = RunningMean::default();
             return;
         }
-        self.0.take(raw);
+        self.0.push(raw);
         if self.0.spread() > REST_SPREAD {
-            self.0 = Mean::default();
+            self.0 = RunningMean::default();
         }
     }
 }
 
 /// Readings that hardly differ while both wheels stand.
 #[derive(Clone, Copy, Debug, Default)]
-struct Calm {
-    since: Option<Stamp<HostClock>>,
-    mean: Mean,
+struct CalmPeriod {
+    since: Option<Timestamp<HostClock>>,
+    mean: RunningMean,
 }
 
-impl Calm {
+impl CalmPeriod {
     /// The mean of a calm that is long enough with this reading; the next begins anew.
-    fn take(&mut self, at: Stamp<HostClock>, raw: f64, wheels: Wheels) -> Option<Mean> {
-        if wheels == Wheels::Turning || !REST_RANGE.contains(&raw) {
+    fn push(&mut self, at: Timestamp<HostClock>, raw: f64, wheels: WheelState) -> Option<RunningMean> {
+        if wheels == WheelState::Turning || !REST_RANGE.contains(&raw) {
             *self = Self::default();
             return None;
         }
-        self.mean.take(raw);
+        self.mean.push(raw);
         if self.mean.spread() > CALM_SPREAD {
             // This reading may be the first of a calm.
             *self = Self::default();
-            self.mean.take(raw);
+            self.mean.push(raw);
         }
         let since = *self.since.get_or_insert(at);
-        if at - since < CALM || self.mean.count < CALM_COUNT {
+        if at - since < CALM_TIME || self.mean.count < CALM_COUNT {
             return None;
         }
         Some(std::mem::take(self).mean)
@@ -242,20 +242,20 @@ mod tests {
 
     /// A gyro that is read every 60 ms.
     struct Bench {
-        gyro: Gyro,
-        at: Stamp<HostClock>,
-        taught: Vec<Taught>,
+        gyro: AnalogGyro,
+        at: Timestamp<HostClock>,
+        taught: Vec<RestUpdate>,
     }
 
     impl Bench {
         fn new(rest: Option<f64>, sign: GyroSign) -> Self {
-            Self { gyro: Gyro::new(rest, sign), at: Stamp::ZERO, taught: Vec::new() }
+            Self { gyro: AnalogGyro::new(rest, sign), at: Timestamp::ZERO, taught: Vec::new() }
         }
 
-        fn take(&mut self, raw: u16, wheels: Wheels) -> Turning {
-            self.at = self.at + Span::from_millis(60);
-            let (turning, taught) = self.gyro.take(self.at, raw, wheels);
-            if taught != Taught::Nothing {
+        fn take(&mut self, raw: u16, wheels: WheelState) -> GyroReadout {
+            self.at = self.at + TimeDelta::from_millis(60);
+            let (turning, taught) = self.gyro.push(self.at, raw, wheels);
+            if taught != RestUpdate::Unchanged {
                 self.taught.push(taught);
             }
             turning
@@ -263,26 +263,26 @@ mod tests {
 
         fn at_rest(&mut self, readings: impl IntoIterator<Item = u16>) {
             for raw in readings {
-                self.take(raw, Wheels::Standing);
+                self.take(raw, WheelState::Standing);
             }
         }
 
         fn rest(&self) -> Option<f64> {
-            self.gyro.rest()
+            self.gyro.rest_value()
         }
     }
 
-    fn deg_per_s(turning: Turning) -> f64 {
+    fn deg_per_s(turning: GyroReadout) -> f64 {
         match turning {
-            Turning::Rate(rate) => rate.0.to_degrees(),
-            Turning::Unknown | Turning::Overdue | Turning::Empty => f64::NAN,
+            GyroReadout::Rate(rate) => rate.0.to_degrees(),
+            GyroReadout::Unknown | GyroReadout::RestTimeout | GyroReadout::Disconnected => f64::NAN,
         }
     }
 
     #[test]
     fn a_configured_rest_is_used_at_once_and_kept() {
         let mut bench = Bench::new(Some(600.5), GyroSign::CounterClockwise);
-        let turning = bench.take(690, Wheels::Turning);
+        let turning = bench.take(690, WheelState::Turning);
         assert!((deg_per_s(turning) - 89.5).abs() < 1e-9);
         bench.at_rest([598; 100]);
         assert_eq!(bench.rest(), Some(600.5));
@@ -292,16 +292,16 @@ mod tests {
     #[test]
     fn the_rest_is_learnt_standing_and_nothing_is_told_before() {
         let mut bench = Bench::new(None, GyroSign::Clockwise);
-        assert_eq!(bench.take(600, Wheels::Turning), Turning::Unknown);
+        assert_eq!(bench.take(600, WheelState::Turning), GyroReadout::Unknown);
         bench.at_rest([597, 598, 597, 598, 597]);
         // What it reads while it drives is no rest, and what was learnt before is kept.
-        assert_eq!(bench.take(640, Wheels::Turning), Turning::Unknown);
+        assert_eq!(bench.take(640, WheelState::Turning), GyroReadout::Unknown);
         bench.at_rest([598, 597, 598, 597]);
         assert_eq!(bench.rest(), None);
         bench.at_rest([597]);
         assert!((bench.rest().unwrap() - 597.4).abs() < 1e-9);
-        assert!(matches!(bench.taught[..], [Taught::First(_)]));
-        let turning = bench.take(607, Wheels::Turning);
+        assert!(matches!(bench.taught[..], [RestUpdate::First(_)]));
+        let turning = bench.take(607, WheelState::Turning);
         assert!((deg_per_s(turning) + 9.6).abs() < 1e-9);
     }
 
@@ -329,8 +329,8 @@ mod tests {
         bench.at_rest([601]);
         let rest = bench.rest().unwrap();
         assert!((rest - 600.0).abs() < 0.1, "{rest}");
-        assert_eq!(bench.taught[1..], [Taught::Other(rest)]);
-        let turning = bench.take(590, Wheels::Turning);
+        assert_eq!(bench.taught[1..], [RestUpdate::Corrected(rest)]);
+        let turning = bench.take(590, WheelState::Turning);
         assert!((deg_per_s(turning) + 10.0).abs() < 0.1);
     }
 
@@ -340,12 +340,12 @@ mod tests {
         bench.at_rest([600; 10]);
         for _ in 0..10 {
             bench.at_rest([610; 45]);
-            bench.take(610, Wheels::Turning);
+            bench.take(610, WheelState::Turning);
         }
         assert_eq!(bench.rest(), Some(600.0));
         // A stall: two readings in five seconds are no calm.
         bench.at_rest([610]);
-        bench.at = bench.at + Span::from_millis(5_000);
+        bench.at = bench.at + TimeDelta::from_millis(5_000);
         bench.at_rest([610]);
         assert_eq!(bench.rest(), Some(600.0));
     }
@@ -366,7 +366,7 @@ mod tests {
         for rest in [None, Some(600.0), Some(690.0)] {
             let mut bench = Bench::new(rest, GyroSign::CounterClockwise);
             for raw in [1023, 1024, 5_000] {
-                assert_eq!(bench.take(raw, Wheels::Standing), Turning::Empty);
+                assert_eq!(bench.take(raw, WheelState::Standing), GyroReadout::Disconnected);
             }
             assert_eq!(bench.rest(), rest);
         }
@@ -374,10 +374,10 @@ mod tests {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
         bench.at_rest([600; 20]);
         for raw in [1023, 1000, 200, 0] {
-            assert_eq!(bench.take(raw, Wheels::Turning), Turning::Empty, "{raw}");
+            assert_eq!(bench.take(raw, WheelState::Turning), GyroReadout::Disconnected, "{raw}");
         }
         for raw in [240, 960] {
-            let fastest = deg_per_s(bench.take(raw, Wheels::Turning)).abs();
+            let fastest = deg_per_s(bench.take(raw, WheelState::Turning)).abs();
             assert!((fastest - 360.0).abs() < 1e-9);
         }
         assert_eq!(bench.rest(), Some(600.0));
@@ -386,10 +386,10 @@ mod tests {
     #[test]
     fn a_robot_that_never_stands_is_told_of_after_five_seconds() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
-        let told: Vec<Turning> = (0..100).map(|_| bench.take(640, Wheels::Turning)).collect();
-        let overdue = told.iter().position(|turning| *turning == Turning::Overdue);
+        let told: Vec<GyroReadout> = (0..100).map(|_| bench.take(640, WheelState::Turning)).collect();
+        let overdue = told.iter().position(|turning| *turning == GyroReadout::RestTimeout);
         assert_eq!(overdue, Some(84));
         bench.at_rest([600; 10]);
-        assert_eq!(deg_per_s(bench.take(600, Wheels::Standing)), 0.0);
+        assert_eq!(deg_per_s(bench.take(600, WheelState::Standing)), 0.0);
     }
 }

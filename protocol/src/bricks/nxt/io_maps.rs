@@ -12,27 +12,27 @@
 //! The firmware's interface files c_output.iom, c_input.iom, c_lowspeed.iom, c_cmd.iom; its loader limits a read over Bluetooth to
 //! 128 - 9 bytes and over USB to 64 - 9.
 
-use super::telegram::{Reply, bytes_at, opcode};
+use super::telegram::{NxtReply, bytes_at, opcode};
 
 /// A part of a module's map. Reads of one module that may wait for their answers together have different lengths, because an answer
 /// repeats the module and the length, but not the offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Window {
-    pub(super) module: Module,
+pub(super) struct IoMapWindow {
+    pub(super) module: FirmwareModule,
     pub(super) offset: u16,
     pub(super) length: u16,
 }
 
 /// The modules that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Module {
+pub(super) enum FirmwareModule {
     Command,
     Output,
     Input,
     LowSpeed,
 }
 
-impl Module {
+impl FirmwareModule {
     pub(super) const fn id(self) -> u32 {
         match self {
             Self::Command => 0x0001_0001,
@@ -44,7 +44,7 @@ impl Module {
 }
 
 /// The brick's clock.
-pub(super) const TICK: Window = Window { module: Module::Command, offset: 20, length: 4 };
+pub(super) const TICK: IoMapWindow = IoMapWindow { module: FirmwareModule::Command, offset: 20, length: 4 };
 
 /// Bytes of one motor.
 const MOTOR_BYTES: u16 = 32;
@@ -58,42 +58,57 @@ const MOTOR_USED_BYTES: u16 = 28;
 const PORT_USED_BYTES: u16 = 17;
 
 /// All three motors.
-pub(super) const ALL_MOTORS: Window = Window { module: Module::Output, offset: 0, length: 3 * MOTOR_BYTES };
+pub(super) const ALL_MOTORS: IoMapWindow =
+    IoMapWindow { module: FirmwareModule::Output, offset: 0, length: 3 * MOTOR_BYTES };
 /// All four analog ports.
-pub(super) const ALL_INPUTS: Window = Window { module: Module::Input, offset: 0, length: 4 * INPUT_BYTES };
+pub(super) const ALL_INPUTS: IoMapWindow =
+    IoMapWindow { module: FirmwareModule::Input, offset: 0, length: 4 * INPUT_BYTES };
 /// All four receive buffers of the digital ports.
-pub(super) const ALL_BUFFERS: Window = Window { module: Module::LowSpeed, offset: 0, length: 4 * BUFFER_BYTES };
+pub(super) const ALL_BUFFERS: IoMapWindow =
+    IoMapWindow { module: FirmwareModule::LowSpeed, offset: 0, length: 4 * BUFFER_BYTES };
 
 /// Two neighbouring motors, the first wholly and the second's count: 36 of the 55 bytes that every firmware allows.
-pub(super) const fn neighbours(first: u8) -> Window {
-    Window { module: Module::Output, offset: MOTOR_BYTES * first as u16, length: MOTOR_BYTES + 4 }
+pub(super) const fn motor_pair(first: u8) -> IoMapWindow {
+    IoMapWindow { module: FirmwareModule::Output, offset: MOTOR_BYTES * first as u16, length: MOTOR_BYTES + 4 }
 }
 
 /// One motor.
-pub(super) const fn motor(index: u8) -> Window {
-    Window { module: Module::Output, offset: MOTOR_BYTES * index as u16, length: MOTOR_USED_BYTES - index as u16 }
+pub(super) const fn motor(index: u8) -> IoMapWindow {
+    IoMapWindow {
+        module: FirmwareModule::Output,
+        offset: MOTOR_BYTES * index as u16,
+        length: MOTOR_USED_BYTES - index as u16,
+    }
 }
 
 /// One analog port.
-pub(super) const fn input(port: u8) -> Window {
-    Window { module: Module::Input, offset: INPUT_BYTES * port as u16, length: PORT_USED_BYTES + port as u16 }
+pub(super) const fn input(port: u8) -> IoMapWindow {
+    IoMapWindow {
+        module: FirmwareModule::Input,
+        offset: INPUT_BYTES * port as u16,
+        length: PORT_USED_BYTES + port as u16,
+    }
 }
 
 /// One digital port's receive buffer.
-pub(super) const fn buffer(port: u8) -> Window {
-    Window { module: Module::LowSpeed, offset: BUFFER_BYTES * port as u16, length: BUFFER_BYTES + port as u16 }
+pub(super) const fn buffer(port: u8) -> IoMapWindow {
+    IoMapWindow {
+        module: FirmwareModule::LowSpeed,
+        offset: BUFFER_BYTES * port as u16,
+        length: BUFFER_BYTES + port as u16,
+    }
 }
 
 /// Bytes of a map in an answer, and where in the module they stand.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Cutout<'a> {
-    window: Window,
+pub(super) struct IoMapData<'a> {
+    window: IoMapWindow,
     bytes: &'a [u8],
 }
 
 /// One analog port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Input {
+pub(super) struct AnalogInput {
     /// Of the ten-bit converter.
     pub(super) raw: u16,
     /// The sensor's type as it is set up.
@@ -104,16 +119,16 @@ pub(super) struct Input {
 
 /// One digital port's receive buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Buffer {
+pub(super) struct DigitalBuffer {
     pub(super) ring: [u8; 16],
     /// Where the next byte will stand.
     pub(super) end: u8,
     /// Bytes of an answer that are still on the bus; none are for a sensor that failed, either.
-    pub(super) to_come: u8,
+    pub(super) pending_bytes: u8,
 }
 
 /// The id and the length that an answer to READ IO MAP repeats, and the data.
-pub(super) fn answered<'a>(reply: &Reply<'a>) -> Option<(u32, u16, &'a [u8])> {
+pub(super) fn parse_reply<'a>(reply: &NxtReply<'a>) -> Option<(u32, u16, &'a [u8])> {
     if reply.opcode != opcode::READ_IO_MAP {
         return None;
     }
@@ -123,50 +138,50 @@ pub(super) fn answered<'a>(reply: &Reply<'a>) -> Option<(u32, u16, &'a [u8])> {
     (data.len() == usize::from(length)).then_some((module, length, data))
 }
 
-impl<'a> Cutout<'a> {
+impl<'a> IoMapData<'a> {
     /// What an answer says of the window that was asked for.
-    pub(super) fn of(window: Window, reply: &Reply<'a>) -> Option<Self> {
-        let (module, length, bytes) = answered(reply)?;
+    pub(super) fn from_reply(window: IoMapWindow, reply: &NxtReply<'a>) -> Option<Self> {
+        let (module, length, bytes) = parse_reply(reply)?;
         let fits = module == window.module.id() && length == window.length;
         fits.then_some(Self { window, bytes })
     }
 
-    fn at<const N: usize>(&self, in_module: u16) -> Option<[u8; N]> {
+    fn bytes_at<const N: usize>(&self, in_module: u16) -> Option<[u8; N]> {
         let inside = in_module.checked_sub(self.window.offset)?;
         bytes_at(self.bytes, usize::from(inside))
     }
 
     /// The brick's clock, in milliseconds since its power-up.
     pub(super) fn tick_millis(&self) -> Option<u32> {
-        self.at(TICK.offset).map(u32::from_le_bytes)
+        self.bytes_at(TICK.offset).map(u32::from_le_bytes)
     }
 
     /// A motor's count in degrees, if the window holds it.
     pub(super) fn count(&self, motor: u8) -> Option<i32> {
-        self.at(MOTOR_BYTES * u16::from(motor)).map(i32::from_le_bytes)
+        self.bytes_at(MOTOR_BYTES * u16::from(motor)).map(i32::from_le_bytes)
     }
 
     /// An analog port, if the window holds it.
-    pub(super) fn input(&self, port: u8) -> Option<Input> {
+    pub(super) fn input(&self, port: u8) -> Option<AnalogInput> {
         let base = INPUT_BYTES * u16::from(port);
-        Some(Input {
-            raw: u16::from_le_bytes(self.at(base + 2)?),
-            kind: u8::from_le_bytes(self.at(base + 8)?),
-            is_valid: self.at(base + 16)? == [0],
+        Some(AnalogInput {
+            raw: u16::from_le_bytes(self.bytes_at(base + 2)?),
+            kind: u8::from_le_bytes(self.bytes_at(base + 8)?),
+            is_valid: self.bytes_at(base + 16)? == [0],
         })
     }
 
     /// A digital port's receive buffer, if the window holds it.
-    pub(super) fn buffer(&self, port: u8) -> Option<Buffer> {
+    pub(super) fn buffer(&self, port: u8) -> Option<DigitalBuffer> {
         let base = BUFFER_BYTES * u16::from(port);
-        let [end, _, to_come] = self.at(base + 16)?;
-        Some(Buffer { ring: self.at(base)?, end, to_come })
+        let [end, _, to_come] = self.bytes_at(base + 16)?;
+        Some(DigitalBuffer { ring: self.bytes_at(base)?, end, pending_bytes: to_come })
     }
 }
 
-impl Buffer {
+impl DigitalBuffer {
     /// The last `N` bytes that came. The firmware goes round the ring, or begins anew at its start: both leave them before the end.
-    pub(super) fn last<const N: usize>(&self) -> [u8; N] {
+    pub(super) fn last_bytes<const N: usize>(&self) -> [u8; N] {
         let size = self.ring.len();
         let first = usize::from(self.end) % size + size - N % size;
         std::array::from_fn(|index| self.ring[(first + index) % size])

@@ -1,41 +1,42 @@
-//! The LEGO NXT as it comes out of the box: asked by its own commands, with no program of ours on it.
+//! The LEGO NXT as it comes out of the box: polled by its own commands, without a program of ours on it.
 //!
-//! `SPEC.md` beside this file has the bytes. The station asks, one question at a time, because a transaction costs
-//! about 30 ms of the radio chip whatever it holds: so it reads whole IO maps, and leaves out every reply that it can do without.
+//! `SPEC.md` beside this file defines the bytes. The station sends one request at a time, because a transaction costs
+//! about 30 ms of the radio chip whatever its size: so it reads whole IO maps, and requests no reply that it can do
+//! without.
 //!
 //! ```text
-//! cutter        bytes of the link to telegrams; what to do when there is one too many or too few
-//! conversation  which reply belongs to which question, and what is lost
-//! plan          what to ask next: connect, set-up, rounds
-//! answers       what replies mean: counters, gyro, digital sensors, tick, notes to people
+//! framer        bytes of the link to telegrams, and resynchronization
+//! requests      which reply belongs to which request, and which are lost
+//! schedule      the next request: connect, set-up, rounds
+//! replies       the content of replies: counters, gyro, digital sensors, tick, status texts
 //! estimate      the pose into a mailbox, for a program on the brick if there is one
 //! ```
-//! A program on the brick that pushes MAVLink frames of itself is the other row of the table, `nxt-push`: the same codec, which then
-//! asks for nothing but the clock.
+//! A program on the brick that sends MAVLink frames is another row of the table, `nxt-push`: the same codec, which then
+//! polls only the clock.
 
-mod answers;
 mod codec;
-mod conversation;
 mod counters;
-mod cutter;
 mod digital;
 mod estimate;
+mod framer;
 mod gyro;
 mod io_maps;
+mod liveness;
 mod motion;
-mod notes;
-mod plan;
-mod presence;
-mod question;
+mod nxt_request;
+mod replies;
+mod requests;
+mod schedule;
 mod settings;
 mod status;
+mod status_texts;
 mod telegram;
 mod tick;
 
 pub(super) use codec::{open, open_push};
 pub use settings::{
-    AccelerometerPlace, ForwardAxis, GyroSign, MotorPort, Mounting, NxtSensor, NxtSettings, NxtSettingsError,
-    Outstanding, WheelMotor,
+    AccelerometerMounting, ForwardAxis, GyroSign, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings,
+    NxtSettingsError, WheelMotor,
 };
-pub use status::Status;
-pub use telegram::{Answer, OutputState, framed, message_write, set_output_state, start_program, stop_program};
+pub use status::NxtStatus;
+pub use telegram::{OutputState, ReplyRequest, framed, message_write, set_output_state, start_program, stop_program};

@@ -1,10 +1,10 @@
-//! What a person must say about an NXT: which motor is which wheel, which sensor is at which port.
+//! The settings of an NXT: which motor is which wheel, which sensor is at which port.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 use thiserror::Error;
 
 /// Longest wait for an answer; people's programs wait from 0.5 s to 2 s (RWTH Aachen NXT toolbox: 2 s).
-const ANSWER_TIMEOUT: Span = Span::from_millis(500);
+const ANSWER_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
 /// Mailboxes that a host may write to (LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2, MESSAGEWRITE).
 const MAILBOXES: u8 = 10;
 
@@ -36,7 +36,7 @@ impl MotorPort {
 
 /// Which way a motor sits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mounting {
+pub enum MotorMounting {
     /// Its count rises when the robot drives forward.
     #[default]
     Forward,
@@ -50,7 +50,7 @@ pub struct WheelMotor {
     /// Where it is plugged in.
     pub port: MotorPort,
     /// Which way it sits.
-    pub mounting: Mounting,
+    pub mounting: MotorMounting,
 }
 
 /// The axis of an accelerometer that points forward.
@@ -73,7 +73,7 @@ pub enum ForwardAxis {
 
 /// Where an accelerometer sits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum AccelerometerPlace {
+pub enum AccelerometerMounting {
     /// Above the left wheel.
     Left,
     /// Above the right wheel.
@@ -96,7 +96,7 @@ pub enum NxtSensor {
         /// Its axis that points forward.
         forward: ForwardAxis,
         /// Where it sits.
-        place: AccelerometerPlace,
+        place: AccelerometerMounting,
     },
     /// HiTechnic NMC1034, one degree.
     HtCompass,
@@ -118,7 +118,7 @@ pub enum GyroSign {
 
 /// How many questions may wait for their answers at the same time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Outstanding {
+pub enum MaxOutstanding {
     /// One: every firmware can do that.
     #[default]
     One,
@@ -136,7 +136,7 @@ pub struct NxtSettings {
     /// What is plugged in at the ports 1 to 4.
     pub sensors: [NxtSensor; 4],
     /// What the gyro reads at rest, in counts; `None` learns it while both wheels stand.
-    pub gyro_rest: Option<f64>,
+    pub gyro_rest_counts: Option<f64>,
     /// Which way the gyro counts.
     pub gyro_sign: GyroSign,
     /// What the compass reads when the robot points along the arena's x axis, in degrees.
@@ -144,27 +144,27 @@ pub struct NxtSettings {
     /// The mailbox that takes the estimate, 0 to 9.
     pub mailbox: u8,
     /// Shortest time between two estimates; `None` is 200 ms to a program that pushes, and none where the brick is asked.
-    pub estimate_interval: Option<Span>,
+    pub estimate_interval: Option<TimeDelta>,
     /// How many questions may wait at the same time.
-    pub outstanding: Outstanding,
+    pub outstanding: MaxOutstanding,
     /// Longest wait for an answer.
-    pub answer_timeout: Span,
+    pub answer_timeout: TimeDelta,
 }
 
 impl Default for NxtSettings {
     /// The robot of LEGO's building instructions: left wheel at B, right wheel at C, no sensor.
     fn default() -> Self {
-        let motor = |port| WheelMotor { port, mounting: Mounting::Forward };
+        let motor = |port| WheelMotor { port, mounting: MotorMounting::Forward };
         Self {
             left_motor: motor(MotorPort::B),
             right_motor: motor(MotorPort::C),
             sensors: [NxtSensor::None; 4],
-            gyro_rest: None,
+            gyro_rest_counts: None,
             gyro_sign: GyroSign::default(),
             compass_zero_deg: 0.0,
             mailbox: 0,
             estimate_interval: None,
-            outstanding: Outstanding::default(),
+            outstanding: MaxOutstanding::default(),
             answer_timeout: ANSWER_TIMEOUT,
         }
     }
@@ -196,14 +196,14 @@ impl NxtSettings {
     ///
     /// # Errors
     /// The first setting that no robot can have.
-    pub fn check(&self) -> Result<(), NxtSettingsError> {
+    pub fn validate(&self) -> Result<(), NxtSettingsError> {
         if self.left_motor.port == self.right_motor.port {
             return Err(NxtSettingsError::OneMotor(self.left_motor.port));
         }
         if self.mailbox >= MAILBOXES {
             return Err(NxtSettingsError::Mailbox(self.mailbox));
         }
-        if let Some(rest) = self.gyro_rest
+        if let Some(rest) = self.gyro_rest_counts
             && !(0.0..=1023.0).contains(&rest)
         {
             return Err(NxtSettingsError::GyroRest(rest));
@@ -211,7 +211,7 @@ impl NxtSettings {
         if !self.compass_zero_deg.is_finite() {
             return Err(NxtSettingsError::CompassZero(self.compass_zero_deg));
         }
-        if self.answer_timeout <= Span::ZERO {
+        if self.answer_timeout <= TimeDelta::ZERO {
             let millis = self.answer_timeout.as_millis_f64();
             return Err(NxtSettingsError::AnswerTimeout(millis));
         }
@@ -226,18 +226,18 @@ mod tests {
     #[test]
     fn the_settings_of_no_robot_are_refused_by_name() {
         let sound = NxtSettings::default();
-        assert_eq!(sound.check(), Ok(()));
+        assert_eq!(sound.validate(), Ok(()));
         let one = NxtSettings { right_motor: sound.left_motor, ..NxtSettings::default() };
-        assert_eq!(one.check().unwrap_err().to_string(), "both wheels are at motor port B");
+        assert_eq!(one.validate().unwrap_err().to_string(), "both wheels are at motor port B");
         let mailbox = NxtSettings { mailbox: 10, ..NxtSettings::default() };
-        assert_eq!(mailbox.check(), Err(NxtSettingsError::Mailbox(10)));
+        assert_eq!(mailbox.validate(), Err(NxtSettingsError::Mailbox(10)));
         for rest in [f64::NAN, -1.0, 1024.0] {
-            let gyro = NxtSettings { gyro_rest: Some(rest), ..NxtSettings::default() };
-            assert!(matches!(gyro.check(), Err(NxtSettingsError::GyroRest(_))));
+            let gyro = NxtSettings { gyro_rest_counts: Some(rest), ..NxtSettings::default() };
+            assert!(matches!(gyro.validate(), Err(NxtSettingsError::GyroRest(_))));
         }
         let compass = NxtSettings { compass_zero_deg: f64::INFINITY, ..NxtSettings::default() };
-        assert!(compass.check().is_err());
-        let hasty = NxtSettings { answer_timeout: Span::ZERO, ..NxtSettings::default() };
-        assert!(hasty.check().is_err());
+        assert!(compass.validate().is_err());
+        let hasty = NxtSettings { answer_timeout: TimeDelta::ZERO, ..NxtSettings::default() };
+        assert!(hasty.validate().is_err());
     }
 }

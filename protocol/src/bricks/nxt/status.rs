@@ -1,14 +1,14 @@
-//! The status byte of a reply, in words that help.
+//! The status byte of a reply, with its meaning for people.
 //!
 //! # Sources
-//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2 (direct commands, "Error message back to the host") and appendix 1
-//! (file errors).
+//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2 (direct commands, "Error message back to the host") and
+//! appendix 1 (file errors).
 
 /// What became of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Status(pub u8);
+pub struct NxtStatus(pub u8);
 
-impl Status {
+impl NxtStatus {
     /// It was done.
     pub const OK: Self = Self(0x00);
     /// The sensor has not answered yet.
@@ -60,13 +60,13 @@ mod tests {
 
     #[test]
     fn every_known_status_has_words_of_its_own_kind() {
-        let unknown = Status(0x01).meaning();
+        let unknown = NxtStatus(0x01).meaning();
         for byte in 0..=u8::MAX {
-            let status = Status(byte);
+            let status = NxtStatus(byte);
             assert_eq!(status.is_known(), status.meaning() != unknown, "{byte:02x}");
         }
-        assert!(Status::NO_PROGRAM.meaning().contains("no program"));
-        assert!(Status(0xDD).meaning().contains("plugged in"));
-        assert!(Status(0xBE).meaning().contains("does not know"));
+        assert!(NxtStatus::NO_PROGRAM.meaning().contains("no program"));
+        assert!(NxtStatus(0xDD).meaning().contains("plugged in"));
+        assert!(NxtStatus(0xBE).meaning().contains("does not know"));
     }
 }

@@ -1,4 +1,4 @@
-//! Telegrams to the brick and back, without any state: which bytes a command is, and what stands in a reply.
+//! The encoding of telegrams to and from the brick, without state.
 //!
 //! # Layout
 //! ```text
@@ -6,10 +6,11 @@
 //! reply     02 opcode status values      all numbers little-endian
 //! ```
 //! # Sources
-//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendices 1 and 2; where the firmware's source differs from them, the firmware.
+//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendices 1 and 2; where the firmware's source differs from them, the
+//! firmware.
 
 use super::settings::MotorPort;
-use super::status::Status;
+use super::status::NxtStatus;
 
 /// Type of a direct command that wants a reply.
 const DIRECT: u8 = 0x00;
@@ -26,9 +27,9 @@ const FILE_NAME_BYTES: usize = 20;
 /// Bytes of the length in front of a telegram.
 pub(super) const PREFIX_BYTES: usize = 2;
 /// The brick's Bluetooth buffer: no telegram is longer.
-pub(super) const LONGEST: usize = 128;
+pub(super) const MAX_TELEGRAM_BYTES: usize = 128;
 /// Most bytes of a message besides its final zero.
-const LONGEST_MESSAGE: usize = 58;
+const MAX_MESSAGE_BYTES: usize = 58;
 
 /// The second byte of a telegram.
 pub(super) mod opcode {
@@ -48,18 +49,18 @@ pub(super) mod opcode {
 
 /// Whether the brick shall answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
+pub enum ReplyRequest {
     /// It shall.
-    Wanted,
+    Required,
     /// It shall not.
-    Unwanted,
+    NotRequired,
 }
 
-impl Answer {
+impl ReplyRequest {
     const fn bit(self) -> u8 {
         match self {
-            Self::Wanted => 0,
-            Self::Unwanted => NO_REPLY,
+            Self::Required => 0,
+            Self::NotRequired => NO_REPLY,
         }
     }
 }
@@ -99,7 +100,7 @@ impl OutputState {
 
 /// SETOUTPUTSTATE: drives a motor.
 #[must_use]
-pub fn set_output_state(state: &OutputState, answer: Answer) -> Vec<u8> {
+pub fn set_output_state(state: &OutputState, answer: ReplyRequest) -> Vec<u8> {
     let port = state.port.map_or(0xFF, MotorPort::number);
     let mut telegram = vec![
         DIRECT | answer.bit(),
@@ -117,7 +118,7 @@ pub fn set_output_state(state: &OutputState, answer: Answer) -> Vec<u8> {
 
 /// STARTPROGRAM: starts a program by its file name, of which 19 bytes are kept.
 #[must_use]
-pub fn start_program(file_name: &str, answer: Answer) -> Vec<u8> {
+pub fn start_program(file_name: &str, answer: ReplyRequest) -> Vec<u8> {
     let mut telegram = vec![DIRECT | answer.bit(), opcode::START_PROGRAM];
     telegram.extend(file_name.bytes().take(FILE_NAME_BYTES - 1));
     telegram.resize(2 + FILE_NAME_BYTES, 0);
@@ -126,14 +127,14 @@ pub fn start_program(file_name: &str, answer: Answer) -> Vec<u8> {
 
 /// STOPPROGRAM: stops whichever runs.
 #[must_use]
-pub fn stop_program(answer: Answer) -> Vec<u8> {
+pub fn stop_program(answer: ReplyRequest) -> Vec<u8> {
     vec![DIRECT | answer.bit(), opcode::STOP_PROGRAM]
 }
 
 /// MESSAGEWRITE: a message into a mailbox, with its final zero; `None` if it is too long for one.
 #[must_use]
-pub fn message_write(mailbox: u8, message: &[u8], answer: Answer) -> Option<Vec<u8>> {
-    if message.len() > LONGEST_MESSAGE {
+pub fn message_write(mailbox: u8, message: &[u8], answer: ReplyRequest) -> Option<Vec<u8>> {
+    if message.len() > MAX_MESSAGE_BYTES {
         return None;
     }
     let size = message.len() as u8 + 1;
@@ -194,18 +195,18 @@ pub fn framed(telegram: &[u8]) -> Vec<u8> {
 
 /// A reply, cut into its parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Reply<'a> {
+pub(super) struct NxtReply<'a> {
     pub(super) opcode: u8,
-    pub(super) status: Status,
+    pub(super) status: NxtStatus,
     /// What stands behind the status.
     pub(super) values: &'a [u8],
 }
 
-impl<'a> Reply<'a> {
+impl<'a> NxtReply<'a> {
     /// `None` if these bytes are no reply.
-    pub(super) const fn of(telegram: &'a [u8]) -> Option<Self> {
+    pub(super) const fn parse(telegram: &'a [u8]) -> Option<Self> {
         match telegram {
-            [REPLY, opcode, status, values @ ..] => Some(Self { opcode: *opcode, status: Status(*status), values }),
+            [REPLY, opcode, status, values @ ..] => Some(Self { opcode: *opcode, status: NxtStatus(*status), values }),
             _ => None,
         }
     }

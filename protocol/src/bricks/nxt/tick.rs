@@ -1,6 +1,6 @@
-//! The brick's clock as it was read last.
+//! The last reading of the brick's clock.
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 /// A tick that lies further back than this was read before the brick was switched off: readings come in order, and the clocks of host and
 /// brick differ by far less over any silence that is not a restart.
@@ -11,30 +11,30 @@ const PERIOD_MICROS: i64 = 1 << 32;
 
 /// What a reading of the tick says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ran {
+pub(super) enum TickAdvance {
     /// The clock ran on, or is known for the first time.
-    On,
+    Continuous,
     /// The brick was switched off and on.
-    Anew,
+    Restarted,
 }
 
 /// The state of one brick's clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TickClock {
-    last: Option<(u32, Stamp<HostClock>)>,
+    last: Option<(u32, Timestamp<HostClock>)>,
 }
 
 impl TickClock {
     /// Takes a reading of the instant `at`.
-    pub(super) fn take(&mut self, millis: u32, at: Stamp<HostClock>) -> Ran {
+    pub(super) fn push(&mut self, millis: u32, at: Timestamp<HostClock>) -> TickAdvance {
         let Some((last, then)) = self.last.replace((millis, at)) else {
-            return Ran::On;
+            return TickAdvance::Continuous;
         };
-        let elapsed = (at - then).max(Span::ZERO).as_nanos() / 1_000_000;
+        let elapsed = (at - then).max(TimeDelta::ZERO).as_nanos() / 1_000_000;
         let expected = i64::from(last) + elapsed;
         let ahead = wrapped(i64::from(millis) - expected, PERIOD_MILLIS);
         // A hundredth of the time that passed is five times what the worst resonator explains.
-        if ahead < -(RESTART_BACK_MILLIS + elapsed / 100) { Ran::Anew } else { Ran::On }
+        if ahead < -(RESTART_BACK_MILLIS + elapsed / 100) { TickAdvance::Restarted } else { TickAdvance::Continuous }
     }
 
     /// The tick whose microseconds show this in 32 bits, next to the one that was read last.
@@ -60,11 +60,11 @@ mod tests {
     #[test]
     fn a_tick_that_falls_is_a_restart_and_one_that_wraps_is_not() {
         let mut clock = TickClock::default();
-        assert_eq!(clock.take(u32::MAX - 10, Stamp::ZERO), Ran::On);
-        assert_eq!(clock.take(40, Stamp::from_millis(50)), Ran::On);
-        assert_eq!(clock.take(20_040, Stamp::from_millis(20_050)), Ran::On);
-        assert_eq!(clock.take(900, Stamp::from_millis(23_050)), Ran::Anew);
-        assert_eq!(clock.take(950, Stamp::from_millis(23_100)), Ran::On);
+        assert_eq!(clock.push(u32::MAX - 10, Timestamp::ZERO), TickAdvance::Continuous);
+        assert_eq!(clock.push(40, Timestamp::from_millis(50)), TickAdvance::Continuous);
+        assert_eq!(clock.push(20_040, Timestamp::from_millis(20_050)), TickAdvance::Continuous);
+        assert_eq!(clock.push(900, Timestamp::from_millis(23_050)), TickAdvance::Restarted);
+        assert_eq!(clock.push(950, Timestamp::from_millis(23_100)), TickAdvance::Continuous);
     }
 
     #[test]
@@ -72,10 +72,10 @@ mod tests {
         let mut clock = TickClock::default();
         assert_eq!(clock.millis_of(5_999), 5);
         // 10 000 000 ms are 10^10 us, 1 410 065 408 in 32 bits.
-        clock.take(10_000_000, Stamp::ZERO);
+        clock.push(10_000_000, Timestamp::ZERO);
         assert_eq!(clock.millis_of(1_410_065_408 + 70_000), 10_000_070);
         assert_eq!(clock.millis_of(1_410_065_408 - 1), 9_999_999);
-        clock.take(5, Stamp::ZERO);
+        clock.push(5, Timestamp::ZERO);
         assert_eq!(clock.millis_of(u32::MAX), u32::MAX);
     }
 }

@@ -5,26 +5,26 @@ const WINDOW: u64 = 2_048;
 
 /// The latest frames by their unwrapped numbers, a bit for each that is missing.
 #[derive(Clone, Debug)]
-pub(super) struct Missing {
+pub(super) struct MissingFrames {
     bits: [u64; (WINDOW / 64) as usize],
     /// The newest frame.
     newest: u64,
 }
 
-impl Missing {
+impl MissingFrames {
     /// Nothing is missing before the first frame.
     pub(super) const fn new() -> Self {
         Self { bits: [0; (WINDOW / 64) as usize], newest: 0 }
     }
 
     /// The next frame has come.
-    pub(super) const fn came(&mut self) {
+    pub(super) const fn push_received(&mut self) {
         self.newest += 1;
         self.remove(self.newest);
     }
 
     /// The next frame has not come.
-    pub(super) const fn stayed_away(&mut self) {
+    pub(super) const fn push_missing(&mut self) {
         self.newest += 1;
         self.insert(self.newest);
     }
@@ -39,7 +39,7 @@ impl Missing {
     }
 
     /// The frame that lies so many before the newest has come after all; false if it was not missing, or nobody knows.
-    pub(super) const fn comes_late(&mut self, behind: u64) -> bool {
+    pub(super) const fn recover_late(&mut self, behind: u64) -> bool {
         let was_missing = self.contains(behind);
         if was_missing {
             self.remove(self.newest - behind);

@@ -3,94 +3,94 @@
 //! From one stamped message to the next the frames are only noted. The second one tells how many were sent between them, and the
 //! account of that interval is settled. Until then the gaps that the numbers show stand for what is missing.
 
-use posebridge_telemetry::{HostClock, Span, Stamp};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::missing::Missing;
-use super::pace::Pace;
+use super::missing::MissingFrames;
+use super::send_rate::SendRate;
 use super::sequence_set::SequenceSet;
 use crate::message::WireStamp;
 
 /// The largest advance of a number that stands for frames sent since; a larger one is an old frame. Half the circle.
-const LARGEST_ADVANCE: u8 = 128;
+const MAX_ADVANCE: u8 = 128;
 /// The sender's clock and ours may disagree by so much over one interval, s: longer than any link holds a frame back.
-const LARGEST_DELAY_S: f64 = 60.0;
+const MAX_DELAY_S: f64 = 60.0;
 /// A stamp may lie so far behind the one before it: a datagram that was overtaken by what a stall had held back with it. Further
 /// back is a clock that began anew, s.
-const OVERTAKEN_S: f64 = 15.0;
+const MAX_REORDER_S: f64 = 15.0;
 /// So many stamps in a row that lie behind, of frames that were not missing, are those of a clock that began anew.
-const MOST_STRAYS: u32 = 8;
+const MAX_STRAYS: u32 = 8;
 /// A message is overtaken by no more frames than this, which [`SequenceSet::ahead_of`] looks at.
-const MOST_AHEAD: u8 = 64;
+const MAX_AHEAD: u8 = 64;
 /// So many frames without another stamp of the same message, and stamps are given up: it is not sent any more.
-const MOST_NOTED: u32 = 96;
+const MAX_RECORDED: u32 = 96;
 
 /// The stamp of a message, and when it came.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Dated {
+pub(super) struct StampedArrival {
     pub(super) message_id: u32,
     pub(super) stamp: WireStamp,
-    pub(super) arrival: Stamp<HostClock>,
+    pub(super) arrival: Timestamp<HostClock>,
 }
 
 /// The message with a stamp from which is counted, and what came since.
 #[derive(Clone, Copy, Debug)]
-struct Interval {
+struct StampInterval {
     from: u8,
-    dated: Dated,
-    noted: SequenceSet,
+    start: StampedArrival,
+    recorded: SequenceSet,
     /// Frames noted.
     received: u32,
     /// What the numbers alone say is missing.
     gaps: u32,
     /// Frames noted that were missing before: they came late.
-    late: u32,
+    late_frames: u32,
 }
 
-impl Interval {
-    fn new(from: u8, dated: Dated) -> Self {
-        Self { from, dated, noted: SequenceSet::default(), received: 0, gaps: 0, late: 0 }
+impl StampInterval {
+    fn new(from: u8, start: StampedArrival) -> Self {
+        Self { from, start, recorded: SequenceSet::default(), received: 0, gaps: 0, late_frames: 0 }
     }
 }
 
 /// One sender.
 #[derive(Clone, Debug)]
-pub(super) struct Sender {
+pub(super) struct SenderSequence {
     /// The newest number; `None` before the first frame and after a break.
     newest: Option<u8>,
     frames: u64,
     /// Settled.
     lost: u64,
     /// What was last told of.
-    told: u64,
-    missing: Missing,
+    reported_lost: u64,
+    missing: MissingFrames,
     /// What follows a late frame with a stamp in its datagram: the number, and how many frames it lies behind.
-    beside: Option<(u8, u64)>,
+    late_companion: Option<(u8, u64)>,
     /// Stamps in a row that lay behind for no reason.
-    strays: u32,
+    stray_count: u32,
     /// An old frame that came last: a second one right behind it is no old frame but a sender that begins anew.
-    stray: Option<u8>,
-    interval: Option<Interval>,
-    pace: Pace,
+    last_stray: Option<u8>,
+    interval: Option<StampInterval>,
+    pace: SendRate,
 }
 
-impl Default for Sender {
+impl Default for SenderSequence {
     fn default() -> Self {
         Self {
             newest: None,
             frames: 0,
             lost: 0,
-            told: 0,
-            missing: Missing::new(),
-            beside: None,
-            strays: 0,
-            stray: None,
+            reported_lost: 0,
+            missing: MissingFrames::new(),
+            late_companion: None,
+            stray_count: 0,
+            last_stray: None,
             interval: None,
-            pace: Pace::default(),
+            pace: SendRate::default(),
         }
     }
 }
 
-impl Sender {
+impl SenderSequence {
     /// Frames that came.
     pub(super) const fn frames(&self) -> u64 {
         self.frames
@@ -98,157 +98,157 @@ impl Sender {
 
     /// Frames that are missing.
     pub(super) fn lost(&self) -> u64 {
-        let (gaps, late) = self.interval.map_or((0, 0), |interval| (interval.gaps, interval.late));
+        let (gaps, late) = self.interval.map_or((0, 0), |interval| (interval.gaps, interval.late_frames));
         (self.lost + u64::from(gaps)).saturating_sub(u64::from(late))
     }
 
     /// How many more are missing than when it was last asked.
-    pub(super) fn news(&mut self) -> u32 {
+    pub(super) fn take_new_losses(&mut self) -> u32 {
         let lost = self.lost();
-        let news = lost.saturating_sub(self.told);
-        self.told = lost;
+        let news = lost.saturating_sub(self.reported_lost);
+        self.reported_lost = lost;
         u32::try_from(news).unwrap_or(u32::MAX)
     }
 
     /// The link was away.
-    pub(super) fn break_off(&mut self) {
+    pub(super) fn handle_link_loss(&mut self) {
         if self.interval.is_none() {
             self.newest = None;
         }
     }
 
     /// A frame without a stamp.
-    pub(super) fn take(&mut self, sequence: u8) {
+    pub(super) fn record(&mut self, sequence: u8) {
         self.frames += 1;
-        if let Some((number, behind)) = self.beside.take()
+        if let Some((number, behind)) = self.late_companion.take()
             && number == sequence
-            && self.comes_late(number, behind)
+            && self.recover_late(number, behind)
         {
             return;
         }
-        self.follow(sequence);
-        if self.interval.is_some_and(|interval| interval.received >= MOST_NOTED) {
-            self.give_up_stamps();
+        self.record_number(sequence);
+        if self.interval.is_some_and(|interval| interval.received >= MAX_RECORDED) {
+            self.abandon_stamps();
         }
     }
 
     /// A frame with a stamp.
-    pub(super) fn take_dated(&mut self, sequence: u8, dated: Dated) {
+    pub(super) fn record_stamped(&mut self, sequence: u8, dated: StampedArrival) {
         let Some(interval) = self.interval else {
-            self.take(sequence);
+            self.record(sequence);
             if self.newest == Some(sequence) {
-                self.interval = Some(Interval::new(sequence, dated));
+                self.interval = Some(StampInterval::new(sequence, dated));
             }
             return;
         };
-        let elapsed_s = elapsed_s(&interval.dated, &dated);
+        let elapsed_s = elapsed_s(&interval.start, &dated);
         let Some(elapsed_s) = elapsed_s else {
             // Another message: its stamp may be that of another clock.
-            self.take(sequence);
+            self.record(sequence);
             return;
         };
-        let silence_s = (dated.arrival - interval.dated.arrival).as_secs_f64();
-        if elapsed_s < -OVERTAKEN_S || (elapsed_s - silence_s).abs() > LARGEST_DELAY_S {
+        let silence_s = (dated.arrival - interval.start.arrival).as_secs_f64();
+        if elapsed_s < -MAX_REORDER_S || (elapsed_s - silence_s).abs() > MAX_DELAY_S {
             self.frames += 1;
-            self.begin_anew(sequence, dated);
+            self.restart(sequence, dated);
             return;
         }
         let behind = interval.from.wrapping_sub(sequence);
-        match self.pace.behind(-elapsed_s, behind) {
-            Some(behind) if elapsed_s <= 0.0 => self.take_overtaken((sequence, dated), behind),
+        match self.pace.estimate_behind(-elapsed_s, behind) {
+            Some(behind) if elapsed_s <= 0.0 => self.record_overtaken((sequence, dated), behind),
             _ => {
-                self.take(sequence);
+                self.record(sequence);
                 if elapsed_s > 0.0 {
-                    self.settle(sequence, dated, elapsed_s);
+                    self.end_interval(sequence, dated, elapsed_s);
                 }
             }
         }
     }
 
     /// A frame with a stamp that was sent so many frames before the one from which is counted.
-    fn take_overtaken(&mut self, (sequence, dated): (u8, Dated), behind: u64) {
+    fn record_overtaken(&mut self, (sequence, dated): (u8, StampedArrival), behind: u64) {
         self.frames += 1;
-        if self.comes_late(sequence, behind) {
+        if self.recover_late(sequence, behind) {
             return;
         }
-        self.strays += 1;
-        if self.strays > MOST_STRAYS {
-            self.begin_anew(sequence, dated);
+        self.stray_count += 1;
+        if self.stray_count > MAX_STRAYS {
+            self.restart(sequence, dated);
         }
     }
 
     /// Takes a frame off the losses, if it is missing.
-    fn comes_late(&mut self, sequence: u8, behind: u64) -> bool {
-        let was_missing = self.missing.comes_late(behind);
+    fn recover_late(&mut self, sequence: u8, behind: u64) -> bool {
+        let was_missing = self.missing.recover_late(behind);
         if was_missing {
             self.lost = self.lost.saturating_sub(1);
-            self.beside = behind.checked_sub(1).map(|behind| (sequence.wrapping_add(1), behind));
+            self.late_companion = behind.checked_sub(1).map(|behind| (sequence.wrapping_add(1), behind));
         }
         was_missing
     }
 
     /// What the number says by itself.
-    fn follow(&mut self, sequence: u8) {
+    fn record_number(&mut self, sequence: u8) {
         let Some(newest) = self.newest else {
             self.newest = Some(sequence);
             return;
         };
         let advance = sequence.wrapping_sub(newest);
-        let is_newer = (1..=LARGEST_ADVANCE).contains(&advance);
+        let is_newer = (1..=MAX_ADVANCE).contains(&advance);
         if let Some(interval) = &mut self.interval {
-            interval.noted.insert(sequence);
+            interval.recorded.insert(sequence);
             interval.received += 1;
             let behind = interval.from.wrapping_sub(sequence);
-            if !(1..=MOST_AHEAD).contains(&advance) && self.missing.contains(behind.into()) {
-                interval.late += 1;
+            if !(1..=MAX_AHEAD).contains(&advance) && self.missing.contains(behind.into()) {
+                interval.late_frames += 1;
             } else if is_newer {
                 interval.gaps += u32::from(advance - 1);
                 self.newest = Some(sequence);
             }
         } else if is_newer {
             for _ in 1..advance {
-                self.missing.stayed_away();
+                self.missing.push_missing();
             }
-            self.missing.came();
+            self.missing.push_received();
             self.lost += u64::from(advance - 1);
             self.newest = Some(sequence);
-            self.stray = None;
+            self.last_stray = None;
         } else {
-            self.take_old(newest, sequence);
+            self.record_old(newest, sequence);
         }
     }
 
     /// A number from behind.
-    fn take_old(&mut self, newest: u8, sequence: u8) {
-        if self.missing.comes_late(u64::from(newest.wrapping_sub(sequence))) {
+    fn record_old(&mut self, newest: u8, sequence: u8) {
+        if self.missing.recover_late(u64::from(newest.wrapping_sub(sequence))) {
             self.lost = self.lost.saturating_sub(1);
-        } else if self.stray.replace(sequence) == Some(sequence.wrapping_sub(1)) {
+        } else if self.last_stray.replace(sequence) == Some(sequence.wrapping_sub(1)) {
             self.newest = Some(sequence);
-            self.missing = Missing::new();
+            self.missing = MissingFrames::new();
         }
     }
 
     /// A stamped message that follows that of the interval by `elapsed_s` of the sender's time.
-    fn settle(&mut self, sequence: u8, dated: Dated, elapsed_s: f64) {
+    fn end_interval(&mut self, sequence: u8, dated: StampedArrival, elapsed_s: f64) {
         let Some(interval) = self.interval.take() else {
             return;
         };
         let advance = sequence.wrapping_sub(interval.from);
-        match self.pace.sent(elapsed_s, advance, interval.received) {
+        match self.pace.estimate_sent(elapsed_s, advance, interval.received) {
             Some(sent) => {
-                self.close((interval.from, sent), &interval.noted, interval.received);
-                self.pace.learn(sent, elapsed_s);
-                self.strays = 0;
-                self.interval = Some(Interval::new(sequence, dated));
+                self.count_losses((interval.from, sent), &interval.recorded, interval.received);
+                self.pace.update(sent, elapsed_s);
+                self.stray_count = 0;
+                self.interval = Some(StampInterval::new(sequence, dated));
                 self.newest = Some(sequence);
-                self.carry_over(&interval.noted, sent);
+                self.carry_to_next_interval(&interval.recorded, sent);
             }
-            None => self.begin_anew(sequence, dated),
+            None => self.restart(sequence, dated),
         }
     }
 
     /// What overtook the message that closes an interval of `sent` frames belongs to the next one.
-    fn carry_over(&mut self, noted: &SequenceSet, sent: u32) {
+    fn carry_to_next_interval(&mut self, noted: &SequenceSet, sent: u32) {
         let Some(interval) = &mut self.interval else {
             return;
         };
@@ -256,7 +256,7 @@ impl Sender {
             let sequence = interval.from.wrapping_add(ahead);
             // Of an interval of nearly a turn the same number may be its own.
             if sent + u32::from(ahead) < 256 {
-                interval.noted.insert(sequence);
+                interval.recorded.insert(sequence);
                 interval.received += 1;
                 self.newest = Some(sequence);
             }
@@ -264,80 +264,80 @@ impl Sender {
     }
 
     /// Closes the account of the `sent` frames behind number `from`.
-    fn close(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
+    fn count_losses(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
         let Some(sent) = u8::try_from(sent).ok() else {
-            self.close_long((from, sent), noted, received);
+            self.count_long_losses((from, sent), noted, received);
             return;
         };
         for sequence in noted.iter() {
             let ahead = sequence.wrapping_sub(from);
             let behind = from.wrapping_sub(sequence);
-            if ahead > sent && behind < LARGEST_ADVANCE && self.missing.comes_late(behind.into()) {
+            if ahead > sent && behind < MAX_ADVANCE && self.missing.recover_late(behind.into()) {
                 self.lost = self.lost.saturating_sub(1);
             }
         }
         for step in 1..=sent {
             if noted.contains(from.wrapping_add(step)) {
-                self.missing.came();
+                self.missing.push_received();
             } else {
-                self.missing.stayed_away();
+                self.missing.push_missing();
                 self.lost += 1;
             }
         }
     }
 
     /// Closes the account of more frames than there are numbers: those that came are held to lie at the nearer end.
-    fn close_long(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
+    fn count_long_losses(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
         let to = from.wrapping_add(sent as u8);
         for step in 1..=sent {
             let sequence = from.wrapping_add(step as u8);
             let (ahead, behind) = (sequence.wrapping_sub(from), to.wrapping_sub(sequence));
             let is_here = if ahead <= behind { u32::from(ahead) == step } else { u32::from(behind) == sent - step };
             if is_here && noted.contains(sequence) {
-                self.missing.came();
+                self.missing.push_received();
             } else {
-                self.missing.stayed_away();
+                self.missing.push_missing();
             }
         }
         self.lost += u64::from(sent.saturating_sub(received));
     }
 
     /// Nobody knows what was sent before this message.
-    fn begin_anew(&mut self, sequence: u8, dated: Dated) {
+    fn restart(&mut self, sequence: u8, dated: StampedArrival) {
         self.newest = Some(sequence);
-        self.missing = Missing::new();
-        self.stray = None;
-        self.strays = 0;
-        self.interval = Some(Interval::new(sequence, dated));
-        self.told = self.told.min(self.lost);
+        self.missing = MissingFrames::new();
+        self.last_stray = None;
+        self.stray_count = 0;
+        self.interval = Some(StampInterval::new(sequence, dated));
+        self.reported_lost = self.reported_lost.min(self.lost);
     }
 
     /// The message with the stamps comes no more: what the numbers say has to do.
-    fn give_up_stamps(&mut self) {
+    fn abandon_stamps(&mut self) {
         if let Some(interval) = self.interval.take() {
             self.lost += u64::from(interval.gaps);
-            self.missing = Missing::new();
+            self.missing = MissingFrames::new();
         }
     }
 }
 
 /// Time between two stamps of one message by the sender's clock; `None` if they cannot be compared.
-fn elapsed_s(from: &Dated, to: &Dated) -> Option<f64> {
+fn elapsed_s(from: &StampedArrival, to: &StampedArrival) -> Option<f64> {
     if from.message_id != to.message_id {
         return None;
     }
     let elapsed = match (from.stamp, to.stamp) {
         // A difference of half the register or more is one backwards.
         (WireStamp::Micros32(from), WireStamp::Micros32(to)) => {
-            Span::from_micros(i64::from(to.wrapping_sub(from).cast_signed()))
+            TimeDelta::from_micros(i64::from(to.wrapping_sub(from).cast_signed()))
         }
         (WireStamp::Millis32(from), WireStamp::Millis32(to)) => {
-            Span::from_millis(i64::from(to.wrapping_sub(from).cast_signed()))
+            TimeDelta::from_millis(i64::from(to.wrapping_sub(from).cast_signed()))
         }
         (WireStamp::Micros64(from), WireStamp::Micros64(to)) => {
             // More than a century either way is as good as a century.
             let micros = to.wrapping_sub(from).cast_signed();
-            Span::from_micros(micros.clamp(-LONGEST_MICROS, LONGEST_MICROS))
+            TimeDelta::from_micros(micros.clamp(-MAX_MICROS, MAX_MICROS))
         }
         _ => return None,
     };
@@ -345,4 +345,4 @@ fn elapsed_s(from: &Dated, to: &Dated) -> Option<f64> {
 }
 
 /// A century in microseconds, which as nanoseconds still fit into 64 bits.
-const LONGEST_MICROS: i64 = 100 * 31_557_600 * 1_000_000;
+const MAX_MICROS: i64 = 100 * 31_557_600 * 1_000_000;

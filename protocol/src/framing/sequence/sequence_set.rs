@@ -16,7 +16,7 @@ impl SequenceSet {
     /// Its numbers, the smallest first.
     pub(super) fn iter(&self) -> impl Iterator<Item = u8> {
         let words = self.0.into_iter().zip((0_u8..=192).step_by(64));
-        words.flat_map(|(word, first)| ones_of(word).map(move |one| first + one))
+        words.flat_map(|(word, first)| set_bits(word).map(move |one| first + one))
     }
 
     /// Those of its numbers that are among the 64 behind `from` on the circle, each as how far ahead of `from` it lies, the nearest first.
@@ -26,12 +26,12 @@ impl SequenceSet {
         let near = self.0[at] >> shift;
         // Shifted out completely where the 64 numbers fill one word.
         let far = self.0[(at + 1) % 4].checked_shl(64 - u32::from(shift));
-        ones_of(near | far.unwrap_or(0)).map(|one| one + 1)
+        set_bits(near | far.unwrap_or(0)).map(|one| one + 1)
     }
 }
 
 /// The places of the bits that are set, the lowest first.
-fn ones_of(mut word: u64) -> impl Iterator<Item = u8> {
+fn set_bits(mut word: u64) -> impl Iterator<Item = u8> {
     std::iter::from_fn(move || {
         let place = (word != 0).then(|| word.trailing_zeros() as u8);
         word &= word.wrapping_sub(1);

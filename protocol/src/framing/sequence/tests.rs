@@ -1,8 +1,8 @@
-use posebridge_telemetry::{EncoderTicks, Span};
+use posebridge_telemetry::{EncoderTicks, TimeDelta};
 
 use super::*;
 use crate::dialect::Encoder;
-use crate::framing::{Scanned, Scanner, ScannerConfig, WireVersion};
+use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use crate::message::{Heartbeat, Message, WheelTicks, WireStamp};
 
 const ROBOT: Address = Address::new(1, 1);
@@ -10,50 +10,50 @@ const ROBOT: Address = Address::new(1, 1);
 #[test]
 fn a_gap_is_counted_across_the_wrap() {
     let mut tracker = SequenceTracker::new();
-    assert_eq!(tracker.missing_before(ROBOT, 254), 0, "first frame");
-    assert_eq!(tracker.missing_before(ROBOT, 255), 0, "next frame");
-    assert_eq!(tracker.missing_before(ROBOT, 2), 2, "0 and 1 are missing");
+    assert_eq!(tracker.record_number(ROBOT, 254), 0, "first frame");
+    assert_eq!(tracker.record_number(ROBOT, 255), 0, "next frame");
+    assert_eq!(tracker.record_number(ROBOT, 2), 2, "0 and 1 are missing");
 }
 
 #[test]
 fn duplicates_and_absurd_gaps_are_no_losses_and_late_frames_are_taken_off() {
     let mut tracker = SequenceTracker::new();
-    tracker.missing_before(ROBOT, 10);
-    assert_eq!(tracker.missing_before(ROBOT, 10), 0, "duplicate");
-    assert_eq!(tracker.missing_before(ROBOT, 8), 0, "older frame");
-    assert_eq!(tracker.missing_before(ROBOT, 138), 127, "largest gap");
-    assert_eq!(tracker.missing_before(ROBOT, 11), 0, "gap of 128");
+    tracker.record_number(ROBOT, 10);
+    assert_eq!(tracker.record_number(ROBOT, 10), 0, "duplicate");
+    assert_eq!(tracker.record_number(ROBOT, 8), 0, "older frame");
+    assert_eq!(tracker.record_number(ROBOT, 138), 127, "largest gap");
+    assert_eq!(tracker.record_number(ROBOT, 11), 0, "gap of 128");
     assert_eq!(lost(&tracker), 126, "11 came late");
-    assert_eq!(tracker.missing_before(ROBOT, 11), 0, "and again");
+    assert_eq!(tracker.record_number(ROBOT, 11), 0, "and again");
     assert_eq!(lost(&tracker), 126);
-    assert_eq!(tracker.missing_before(ROBOT, 139), 0, "nothing new is missing");
+    assert_eq!(tracker.record_number(ROBOT, 139), 0, "nothing new is missing");
 }
 
 #[test]
 fn a_sender_without_stamps_that_begins_anew_is_followed_from_its_second_frame() {
     let mut tracker = SequenceTracker::new();
-    tracker.missing_before(ROBOT, 100);
-    assert_eq!(tracker.missing_before(ROBOT, 0), 0);
-    assert_eq!(tracker.missing_before(ROBOT, 1), 0);
-    assert_eq!(tracker.missing_before(ROBOT, 5), 3);
+    tracker.record_number(ROBOT, 100);
+    assert_eq!(tracker.record_number(ROBOT, 0), 0);
+    assert_eq!(tracker.record_number(ROBOT, 1), 0);
+    assert_eq!(tracker.record_number(ROBOT, 5), 3);
 }
 
 #[test]
 fn without_stamps_what_was_sent_while_the_link_was_away_is_no_loss() {
     let mut tracker = SequenceTracker::new();
-    tracker.missing_before(ROBOT, 10);
-    tracker.missing_before(ROBOT, 12);
-    tracker.break_off();
-    assert_eq!(tracker.missing_before(ROBOT, 90), 0);
+    tracker.record_number(ROBOT, 10);
+    tracker.record_number(ROBOT, 12);
+    tracker.handle_link_loss();
+    assert_eq!(tracker.record_number(ROBOT, 90), 0);
     assert_eq!(lost(&tracker), 1);
 }
 
 #[test]
 fn every_component_counts_for_itself() {
     let mut tracker = SequenceTracker::new();
-    tracker.missing_before(ROBOT, 5);
-    assert_eq!(tracker.missing_before(Address::new(1, 197), 90), 0);
-    assert_eq!(tracker.missing_before(ROBOT, 7), 1);
+    tracker.record_number(ROBOT, 5);
+    assert_eq!(tracker.record_number(Address::new(1, 197), 90), 0);
+    assert_eq!(tracker.record_number(ROBOT, 7), 1);
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn a_stall_that_delivers_everything_at_once_is_no_loss() {
     let mut robot = Robot::new();
     robot.talk(5_000);
     // Ten seconds arrive in one instant, and a moment of them is missing.
-    robot.arrival = Some(Stamp::from_millis(15_000));
+    robot.arrival = Some(Timestamp::from_millis(15_000));
     robot.talk(4_000);
     robot.lose(100);
     robot.talk(5_900);
@@ -86,7 +86,7 @@ fn a_stall_that_delivers_everything_at_once_is_no_loss() {
 fn a_sender_with_stamps_is_followed_while_the_link_is_away() {
     let mut robot = Robot::new();
     robot.talk(5_000);
-    robot.tracker.break_off();
+    robot.tracker.handle_link_loss();
     robot.lose(9_000);
     robot.talk(1_000);
     assert!(robot.lost > 256, "{}", robot.lost);
@@ -148,7 +148,7 @@ fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
     robot.talk(7_000);
     robot.lose(200);
     assert_eq!(lost(&robot.tracker), 2, "those that are held back");
-    robot.arrival = Some(Stamp::ZERO + Span::from_millis(robot.now_ms));
+    robot.arrival = Some(Timestamp::ZERO + TimeDelta::from_millis(robot.now_ms));
     for frame in held_back {
         robot.hear_at(&(sent_ms, frame));
     }
@@ -226,7 +226,7 @@ fn news_add_up_to_what_is_missing() {
 }
 
 fn lost(tracker: &SequenceTracker) -> u64 {
-    tracker.sources().map(|source| source.lost).sum()
+    tracker.source_health().map(|source| source.lost).sum()
 }
 
 /// A robot that sends wheel ticks every 25 ms and a heartbeat every second, and what hears it.
@@ -236,7 +236,7 @@ struct Robot {
     clock_ms: i64,
     now_ms: i64,
     /// When everything arrives; `None` at once.
-    arrival: Option<Stamp<HostClock>>,
+    arrival: Option<Timestamp<HostClock>>,
     lost: u64,
     news: u64,
 }
@@ -309,11 +309,11 @@ impl Robot {
     }
 
     fn hear_at(&mut self, (sent_ms, frame): &(i64, Vec<u8>)) {
-        let arrival = self.arrival.unwrap_or_else(|| Stamp::ZERO + Span::from_millis(*sent_ms));
+        let arrival = self.arrival.unwrap_or_else(|| Timestamp::ZERO + TimeDelta::from_millis(*sent_ms));
         let (tracker, news) = (&mut self.tracker, &mut self.news);
-        Scanner::new(ScannerConfig::default()).push(arrival, frame, &mut |scanned| {
-            if let Scanned::Frame(frame) = scanned {
-                *news += u64::from(tracker.take(&frame, arrival));
+        Framer::new(FramerConfig::default()).push(arrival, frame, &mut |scanned| {
+            if let FramerOutput::Frame(frame) = scanned {
+                *news += u64::from(tracker.record(&frame, arrival));
             }
         });
     }

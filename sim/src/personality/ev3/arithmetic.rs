@@ -7,7 +7,7 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, byte codes.
 
-use super::operand::{Fault, Machine, Width};
+use super::machine::{BytecodeMachine, ExecutionFault, OperandWidth};
 
 /// A value as it was loaded.
 enum Number {
@@ -16,33 +16,33 @@ enum Number {
 }
 
 /// Follows a byte code of these kinds; `None` if it is of another kind.
-pub(super) fn calculate(code: u8, machine: &mut Machine) -> Option<Result<(), Fault>> {
+pub(super) fn calculate(code: u8, machine: &mut BytecodeMachine) -> Option<Result<(), ExecutionFault>> {
     match code {
-        0x10..=0x1F => Some(combine((code - 0x10) >> 2, Width::of(code), machine)),
-        0x30..=0x3F => Some(convert(Width::of((code - 0x30) >> 2), Width::of(code), machine)),
+        0x10..=0x1F => Some(combine((code - 0x10) >> 2, OperandWidth::of(code), machine)),
+        0x30..=0x3F => Some(convert(OperandWidth::of((code - 0x30) >> 2), OperandWidth::of(code), machine)),
         0x40..=0x42 => Some(jump(code, machine)),
-        0x64..=0x7B => Some(jump_compared((code - 0x64) >> 2, Width::of(code), machine)),
+        0x64..=0x7B => Some(jump_compared((code - 0x64) >> 2, OperandWidth::of(code), machine)),
         _ => None,
     }
 }
 
 /// MATH: the absolute value alone.
-pub(super) fn math(machine: &mut Machine) -> Result<(), Fault> {
+pub(super) fn math(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     const ABSOLUTE: i32 = 6;
     if machine.byte()? != ABSOLUTE {
-        return Err(Fault);
+        return Err(ExecutionFault);
     }
     let value = machine.real()?;
-    machine.put_real(value.abs())
+    machine.write_real(value.abs())
 }
 
-fn load(width: Width, machine: &mut Machine) -> Result<Number, Fault> {
-    if width == Width::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Whole) }
+fn load(width: OperandWidth, machine: &mut BytecodeMachine) -> Result<Number, ExecutionFault> {
+    if width == OperandWidth::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Whole) }
 }
 
-fn combine(operation: u8, width: Width, machine: &mut Machine) -> Result<(), Fault> {
+fn combine(operation: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     match (load(width, machine)?, load(width, machine)?) {
-        (Number::Real(a), Number::Real(b)) => machine.put_real(match operation {
+        (Number::Real(a), Number::Real(b)) => machine.write_real(match operation {
             0 => a + b,
             1 => a - b,
             2 => a * b,
@@ -55,34 +55,34 @@ fn combine(operation: u8, width: Width, machine: &mut Machine) -> Result<(), Fau
                 2 => a.wrapping_mul(b),
                 _ => a.checked_div(b).unwrap_or(0),
             };
-            machine.put_int(width, result)
+            machine.write_int(width, result)
         }
-        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => Err(Fault),
+        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => Err(ExecutionFault),
     }
 }
 
-fn convert(from: Width, to: Width, machine: &mut Machine) -> Result<(), Fault> {
+fn convert(from: OperandWidth, to: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     match (load(from, machine)?, to) {
-        (Number::Whole(value), Width::Real) => machine.put_real(value as f32),
-        (Number::Whole(value), _) => machine.put_int(to, value),
-        (Number::Real(value), Width::Real) => machine.put_real(value),
-        (Number::Real(value), Width::Byte) => machine.put_int(to, i32::from(value as i8)),
-        (Number::Real(value), Width::Word) => machine.put_int(to, i32::from(value as i16)),
-        (Number::Real(value), Width::Long) => machine.put_int(to, value as i32),
+        (Number::Whole(value), OperandWidth::Real) => machine.write_real(value as f32),
+        (Number::Whole(value), _) => machine.write_int(to, value),
+        (Number::Real(value), OperandWidth::Real) => machine.write_real(value),
+        (Number::Real(value), OperandWidth::Byte) => machine.write_int(to, i32::from(value as i8)),
+        (Number::Real(value), OperandWidth::Word) => machine.write_int(to, i32::from(value as i16)),
+        (Number::Real(value), OperandWidth::Long) => machine.write_int(to, value as i32),
     }
 }
 
-fn jump(code: u8, machine: &mut Machine) -> Result<(), Fault> {
+fn jump(code: u8, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     let is_taken = match code {
         0x40 => true,
         0x41 => machine.byte()? == 0,
         _ => machine.byte()? != 0,
     };
-    let by = machine.int(Width::Long)?;
+    let by = machine.int(OperandWidth::Long)?;
     if is_taken { machine.jump(by) } else { Ok(()) }
 }
 
-fn jump_compared(comparison: u8, width: Width, machine: &mut Machine) -> Result<(), Fault> {
+fn jump_compared(comparison: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     let order = match (load(width, machine)?, load(width, machine)?) {
         (Number::Real(a), Number::Real(b)) => a.partial_cmp(&b),
         (Number::Whole(a), Number::Whole(b)) => Some(a.cmp(&b)),
@@ -96,7 +96,7 @@ fn jump_compared(comparison: u8, width: Width, machine: &mut Machine) -> Result<
         4 => order.is_le(),
         _ => order.is_ge(),
     });
-    let by = machine.int(Width::Long)?;
+    let by = machine.int(OperandWidth::Long)?;
     if is_taken { machine.jump(by) } else { Ok(()) }
 }
 
@@ -106,7 +106,7 @@ mod tests {
 
     /// Runs codes to their end and returns the global memory.
     fn run(code: &[u8]) -> Vec<u8> {
-        let mut machine = Machine::new(code, 8, 8);
+        let mut machine = BytecodeMachine::new(code, 8, 8);
         while let Some(code) = machine.next_code() {
             calculate(code, &mut machine).unwrap().unwrap();
         }

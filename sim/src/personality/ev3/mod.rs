@@ -11,9 +11,9 @@
 //! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulated-bricks.md tells what is ours.
 
 mod arithmetic;
-mod codes;
+mod machine;
 mod motors;
-mod operand;
+mod opcodes;
 mod sensors;
 mod wire;
 
@@ -22,16 +22,16 @@ mod tests;
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Pose, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Pose, TimeDelta, Timestamp};
 
+use self::machine::BytecodeMachine;
 use self::motors::Motors;
-use self::operand::Machine;
-use self::sensors::Sensors;
-use self::wire::{FACTORY_NAME, Wire};
-use super::Moment;
+use self::sensors::SensorPorts;
+use self::wire::{Ev3Wire, FACTORY_NAME};
 use super::estimate::{EV3_MAILBOX, estimate_from};
+use super::firmware_pass::FirmwarePass;
 use crate::scenario::{BrickProgram, Scenario};
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 pub use self::wire::beacon;
 
@@ -66,25 +66,25 @@ enum Flow {
 struct Command {
     counter: [u8; 2],
     is_answered: bool,
-    machine: Machine,
+    machine: BytecodeMachine,
 }
 
 /// An EV3.
 #[derive(Debug)]
 pub(super) struct Ev3 {
-    wire: Wire,
+    wire: Ev3Wire,
     motors: Motors,
-    sensors: Sensors,
+    sensors: SensorPorts,
     command: Option<Command>,
     is_running: bool,
     scenario_program: BrickProgram,
     /// The newest estimate in the mailbox.
-    mail: Option<Vec<u8>>,
+    mailbox_message: Option<Vec<u8>>,
     name: String,
     volume: i32,
     sleep_min: i32,
     outgoing: VecDeque<Vec<u8>>,
-    estimates: Vec<(Stamp<BrickClock>, Pose<Arena>)>,
+    estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
 impl Ev3 {
@@ -92,13 +92,13 @@ impl Ev3 {
     pub(super) fn new(scenario: &Scenario) -> Self {
         let program = scenario.brick.program;
         Self {
-            wire: Wire::new(scenario.brick.turn_around()),
+            wire: Ev3Wire::new(scenario.brick.turn_around()),
             motors: Motors::new(&scenario.robot),
-            sensors: Sensors::new(scenario.brick.missing_sensor),
+            sensors: SensorPorts::new(scenario.brick.missing_sensor),
             command: None,
             is_running: program == BrickProgram::Path,
             scenario_program: program,
-            mail: None,
+            mailbox_message: None,
             name: FACTORY_NAME.to_owned(),
             volume: 50,
             sleep_min: 30,
@@ -108,24 +108,24 @@ impl Ev3 {
     }
 
     /// One pass; returns the duty of both motors.
-    pub(super) fn step(&mut self, moment: &mut Moment<'_>) -> Pair<f64> {
+    pub(super) fn step(&mut self, moment: &mut FirmwarePass<'_>) -> PerWheel<f64> {
         // A command that waits for a sensor that is not there would wait for ever: the next one takes its place.
-        let is_free = self.command.is_none() || self.sensors.is_waited_for_in_vain();
+        let is_free = self.command.is_none() || self.sensors.is_waiting_forever();
         if is_free && let Some(frame) = self.wire.next_frame() {
-            self.sensors.give_up_waiting();
+            self.sensors.cancel_wait();
             self.begin(&frame);
         }
         if let Some(command) = self.command.take() {
-            self.go_on(command, moment);
+            self.run_command(command, moment);
         }
         self.run(moment);
-        let duty = self.motors.step(moment.world, moment.counts());
-        self.outgoing.extend(self.wire.step(moment.world));
+        let duty = self.motors.step(moment.sim_time, moment.counts());
+        self.outgoing.extend(self.wire.step(moment.sim_time));
         duty
     }
 
     /// Takes bytes that arrive from the station.
-    pub(super) fn receive(&mut self, world: Span, bytes: &[u8]) {
+    pub(super) fn receive(&mut self, world: TimeDelta, bytes: &[u8]) {
         self.wire.receive(world, bytes);
     }
 
@@ -136,36 +136,36 @@ impl Ev3 {
     }
 
     /// Switched off and on: as from the beginning, but for its name.
-    pub(super) fn restart(&mut self, moment: &mut Moment<'_>) {
+    pub(super) fn restart(&mut self, moment: &mut FirmwarePass<'_>) {
         self.reopen();
         self.forget(moment);
         self.is_running = self.scenario_program == BrickProgram::Path;
     }
 
     /// Somebody stops the program and starts it again: motors, counters and sensors begin anew.
-    pub(super) fn restart_program(&mut self, moment: &mut Moment<'_>) {
+    pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
         if self.is_running {
             self.forget(moment);
             moment.program.begin(moment.now, moment.counts());
         }
     }
 
-    fn forget(&mut self, moment: &Moment<'_>) {
-        self.motors.step(moment.world, moment.counts());
+    fn forget(&mut self, moment: &FirmwarePass<'_>) {
+        self.motors.step(moment.sim_time, moment.counts());
         self.motors.stop(0xF);
         self.motors.clear_counts(0xF);
         self.motors.reset_tachos(0xF);
         self.sensors.reset();
-        self.mail = None;
+        self.mailbox_message = None;
     }
 
     /// The next frame on its way to the station.
-    pub(super) fn take(&mut self) -> Option<Vec<u8>> {
+    pub(super) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         self.outgoing.pop_front()
     }
 
     /// The estimates that the program took out of its mailbox: of which instant, and where.
-    pub(super) fn take_estimates(&mut self) -> Vec<(Stamp<BrickClock>, Pose<Arena>)> {
+    pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
         std::mem::take(&mut self.estimates)
     }
 
@@ -178,8 +178,11 @@ impl Ev3 {
         match (kind & !NO_ANSWER, body) {
             (DIRECT, [low, high, code @ ..]) => {
                 let memory = usize::from(u16::from_le_bytes([*low, *high]));
-                self.command =
-                    Some(Command { counter, is_answered, machine: Machine::new(code, memory & 0x3FF, memory >> 10) });
+                self.command = Some(Command {
+                    counter,
+                    is_answered,
+                    machine: BytecodeMachine::new(code, memory & 0x3FF, memory >> 10),
+                });
             }
             (SYSTEM, [opcode, rest @ ..]) => {
                 let status = self.system(*opcode, rest);
@@ -193,17 +196,17 @@ impl Ev3 {
     }
 
     /// Goes on with a command until it ends, fails or waits.
-    fn go_on(&mut self, mut command: Command, moment: &mut Moment<'_>) {
+    fn run_command(&mut self, mut command: Command, moment: &mut FirmwarePass<'_>) {
         for _ in 0..CODES_PER_PASS {
-            let place = command.machine.place();
+            let place = command.machine.program_counter();
             let Some(code) = command.machine.next_code() else {
                 return self.answer(&command, DIRECT_DONE);
             };
-            match self.follow(code, &mut command.machine, moment) {
+            match self.execute(code, &mut command.machine, moment) {
                 Ok(Flow::Next) => {}
                 Ok(Flow::End) => return self.answer(&command, DIRECT_DONE),
                 Ok(Flow::Wait) => {
-                    command.machine.go_to(place);
+                    command.machine.jump_to(place);
                     break;
                 }
                 Err(_fault) => return self.answer(&command, DIRECT_FAILED),
@@ -229,19 +232,19 @@ impl Ev3 {
         };
         // A message to a mailbox that no program has opened is lost, as in the brick.
         if self.is_running && name == EV3_MAILBOX {
-            self.mail = Some(payload.to_vec());
+            self.mailbox_message = Some(payload.to_vec());
         }
         STATUS_OK
     }
 
     /// Lets the program run, which looks into its mailbox first.
-    fn run(&mut self, moment: &mut Moment<'_>) {
+    fn run(&mut self, moment: &mut FirmwarePass<'_>) {
         if !self.is_running {
-            moment.program.watch(moment.now, moment.counts());
+            moment.program.observe_odometry(moment.now, moment.counts());
             return;
         }
-        if let Some((stamp, pose)) = self.mail.take().and_then(|mail| estimate_from(&mail)) {
-            let instant = moment.program.take_estimate(moment.now, stamp, pose);
+        if let Some((stamp, pose)) = self.mailbox_message.take().and_then(|mail| estimate_from(&mail)) {
+            let instant = moment.program.apply_estimate(moment.now, stamp, pose);
             self.estimates.push((instant, pose));
         }
         let duty = moment.program.step(moment.now, moment.counts());

@@ -14,11 +14,11 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, output byte codes. 175 rpm without load: Pybricks' identified model of the large motor.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 use crate::firmware::SpeedControl;
 use crate::scenario::{RobotSettings, TICK_RAD};
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// Number of ports.
 pub(super) const PORTS: usize = 4;
@@ -36,7 +36,7 @@ const FULL_PERCENT: f64 = 100.0;
 
 /// How a motor is driven.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Drive {
+pub(super) enum MotorDrive {
     /// Share of the battery's voltage, -1 to 1.
     Power(f64),
     /// Percent of the full speed.
@@ -45,27 +45,27 @@ pub(super) enum Drive {
 
 /// When a movement ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Until {
+pub(super) enum StopCondition {
     /// Not by itself.
     Stopped,
     /// After so many degrees, either way.
     Turned(i64),
     /// At this time since the beginning of the world.
-    Time(Span),
+    Time(TimeDelta),
 }
 
 /// One port.
 #[derive(Clone, Debug)]
-struct Output {
+struct MotorOutput {
     /// What START starts.
-    set: Drive,
+    setting: MotorDrive,
     polarity: f64,
-    running: Option<(Drive, Until)>,
+    running: Option<(MotorDrive, StopCondition)>,
     position: i64,
     /// Where the counter and the tacho of the movement were zeroed.
     count_zero: i64,
     tacho_zero: i64,
-    begun: i64,
+    start_position: i64,
     control: SpeedControl,
     duty: f64,
 }
@@ -73,7 +73,7 @@ struct Output {
 /// All ports.
 #[derive(Clone, Debug)]
 pub(super) struct Motors {
-    ports: [Output; PORTS],
+    ports: [MotorOutput; PORTS],
     fresh_control: SpeedControl,
     passes: u32,
 }
@@ -82,14 +82,14 @@ impl Motors {
     /// Ports at rest.
     pub(super) fn new(robot: &RobotSettings) -> Self {
         let control = SpeedControl::new(robot);
-        let port = || Output {
-            set: Drive::Power(0.0),
+        let port = || MotorOutput {
+            setting: MotorDrive::Power(0.0),
             polarity: 1.0,
             running: None,
             position: 0,
             count_zero: 0,
             tacho_zero: 0,
-            begun: 0,
+            start_position: 0,
             control: control.clone(),
             duty: 0.0,
         };
@@ -102,7 +102,7 @@ impl Motors {
     }
 
     /// Follows the encoders by one pass and returns the duty of both motors.
-    pub(super) fn step(&mut self, world: Span, positions: Pair<i64>) -> Pair<f64> {
+    pub(super) fn step(&mut self, world: TimeDelta, positions: PerWheel<i64>) -> PerWheel<f64> {
         for (place, position) in [(LEFT, positions.left), (RIGHT, positions.right)] {
             if let Some(port) = self.ports.get_mut(place) {
                 port.position = position;
@@ -117,22 +117,22 @@ impl Motors {
             }
         }
         let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        Pair { left: duty(LEFT), right: duty(RIGHT) }
+        PerWheel { left: duty(LEFT), right: duty(RIGHT) }
     }
 
     /// What the program on the brick does: both motors on at these duties.
-    pub(super) fn drive(&mut self, duty: Pair<f64>) {
+    pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
             if let Some(port) = self.ports.get_mut(place) {
-                port.running = Some((Drive::Power(duty), Until::Stopped));
+                port.running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
                 port.polarity = 1.0;
             }
         }
     }
 
     /// What START is to start on the ports of a bit field.
-    pub(super) fn set(&mut self, field: i32, drive: Drive) {
-        self.each(field, |port, _| port.set = drive);
+    pub(super) fn set(&mut self, field: i32, drive: MotorDrive) {
+        self.each(field, |port, _| port.setting = drive);
     }
 
     /// Turns forward and backward around, or sets them: -1, 0 for the other way round, 1.
@@ -149,15 +149,15 @@ impl Motors {
     pub(super) fn start(&mut self, field: i32) {
         self.each(field, |port, fresh| {
             // A movement with an end of its own goes on.
-            if !matches!(port.running, Some((_, Until::Turned(_) | Until::Time(_)))) {
-                let drive = port.set;
-                port.begin(drive, Until::Stopped, fresh);
+            if !matches!(port.running, Some((_, StopCondition::Turned(_) | StopCondition::Time(_)))) {
+                let drive = port.setting;
+                port.begin(drive, StopCondition::Stopped, fresh);
             }
         });
     }
 
     /// Begins a movement with an end of its own.
-    pub(super) fn begin(&mut self, field: i32, drive: Drive, until: Until) {
+    pub(super) fn begin(&mut self, field: i32, drive: MotorDrive, until: StopCondition) {
         self.each(field, |port, fresh| port.begin(drive, until, fresh));
     }
 
@@ -178,7 +178,8 @@ impl Motors {
 
     /// Whether one of the ports of a bit field has a movement with an end before it.
     pub(super) fn is_busy(&self, field: i32) -> bool {
-        let is_moving = |port: &Output| matches!(port.running, Some((_, Until::Turned(_) | Until::Time(_))));
+        let is_moving =
+            |port: &MotorOutput| matches!(port.running, Some((_, StopCondition::Turned(_) | StopCondition::Time(_))));
         (0..).zip(&self.ports).any(|(bit, port)| field >> bit & 1 == 1 && is_moving(port))
     }
 
@@ -197,7 +198,7 @@ impl Motors {
         ((port.position - port.tacho_zero) as i32, percent)
     }
 
-    fn each(&mut self, field: i32, mut change: impl FnMut(&mut Output, &SpeedControl)) {
+    fn each(&mut self, field: i32, mut change: impl FnMut(&mut MotorOutput, &SpeedControl)) {
         for (bit, port) in (0..).zip(&mut self.ports) {
             if field >> bit & 1 == 1 {
                 change(port, &self.fresh_control);
@@ -206,46 +207,46 @@ impl Motors {
     }
 }
 
-impl Output {
-    fn begin(&mut self, drive: Drive, until: Until, fresh: &SpeedControl) {
+impl MotorOutput {
+    fn begin(&mut self, drive: MotorDrive, until: StopCondition, fresh: &SpeedControl) {
         self.running = Some((drive, until));
-        self.begun = self.position;
+        self.start_position = self.position;
         self.control = fresh.clone();
     }
 
-    fn step(&mut self, world: Span) {
+    fn step(&mut self, world: TimeDelta) {
         let is_over = match self.running {
-            Some((_, Until::Turned(degrees))) => self.left_of(degrees) <= 0,
-            Some((_, Until::Time(end))) => world >= end,
-            Some((_, Until::Stopped)) | None => false,
+            Some((_, StopCondition::Turned(degrees))) => self.remaining_degrees(degrees) <= 0,
+            Some((_, StopCondition::Time(end))) => world >= end,
+            Some((_, StopCondition::Stopped)) | None => false,
         };
         if is_over {
             self.running = None;
         }
         match self.running {
             None => self.duty = 0.0,
-            Some((Drive::Power(share), _)) => {
+            Some((MotorDrive::Power(share), _)) => {
                 self.duty = (self.polarity * share).clamp(-1.0, 1.0);
             }
-            Some((Drive::Speed(_), _)) => {}
+            Some((MotorDrive::Speed(_), _)) => {}
         }
     }
 
     fn control_speed(&mut self) {
-        let Some((Drive::Speed(percent), until)) = self.running else {
+        let Some((MotorDrive::Speed(percent), until)) = self.running else {
             return;
         };
         let most = match until {
-            Until::Turned(degrees) => PERCENT_PER_DEG * self.left_of(degrees) as f64,
-            Until::Stopped | Until::Time(_) => FULL_PERCENT,
+            StopCondition::Turned(degrees) => PERCENT_PER_DEG * self.remaining_degrees(degrees) as f64,
+            StopCondition::Stopped | StopCondition::Time(_) => FULL_PERCENT,
         };
         let most = most.clamp(SLOWEST_PERCENT, FULL_PERCENT);
         let wanted = self.polarity * percent.clamp(-most, most) * RAD_PER_S_PER_PERCENT;
-        self.duty = self.control.duty(wanted, self.position - self.begun);
+        self.duty = self.control.duty(wanted, self.position - self.start_position);
     }
 
-    const fn left_of(&self, degrees: i64) -> i64 {
-        degrees - (self.position - self.begun).abs()
+    const fn remaining_degrees(&self, degrees: i64) -> i64 {
+        degrees - (self.position - self.start_position).abs()
     }
 }
 
@@ -255,8 +256,8 @@ mod tests {
 
     const B: i32 = 2;
 
-    fn at(left: i64) -> Pair<i64> {
-        Pair { left, right: 0 }
+    fn at(left: i64) -> PerWheel<i64> {
+        PerWheel { left, right: 0 }
     }
 
     fn motors() -> Motors {
@@ -266,39 +267,39 @@ mod tests {
     #[test]
     fn power_waits_for_the_start_and_the_polarity_turns_it_around() {
         let mut motors = motors();
-        motors.set(B, Drive::Power(0.4));
-        assert_eq!(motors.step(Span::ZERO, at(0)).left, 0.0);
+        motors.set(B, MotorDrive::Power(0.4));
+        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.0);
         motors.start(B);
-        assert_eq!(motors.step(Span::ZERO, at(0)).left, 0.4);
+        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.4);
         motors.set_polarity(B, 0);
-        assert_eq!(motors.step(Span::ZERO, at(0)).left, -0.4);
+        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, -0.4);
         motors.stop(B);
-        assert_eq!(motors.step(Span::ZERO, at(0)).left, 0.0);
+        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.0);
     }
 
     #[test]
     fn a_movement_is_busy_until_its_end() {
         let mut motors = motors();
-        motors.begin(B, Drive::Power(0.3), Until::Turned(90));
-        motors.step(Span::ZERO, at(-89));
+        motors.begin(B, MotorDrive::Power(0.3), StopCondition::Turned(90));
+        motors.step(TimeDelta::ZERO, at(-89));
         assert!(motors.is_busy(B) && motors.is_busy(15) && !motors.is_busy(4));
-        motors.step(Span::ZERO, at(-90));
+        motors.step(TimeDelta::ZERO, at(-90));
         assert!(!motors.is_busy(B));
-        motors.begin(B, Drive::Speed(30.0), Until::Time(Span::from_millis(5)));
-        motors.step(Span::from_millis(4), at(0));
+        motors.begin(B, MotorDrive::Speed(30.0), StopCondition::Time(TimeDelta::from_millis(5)));
+        motors.step(TimeDelta::from_millis(4), at(0));
         assert!(motors.is_busy(B));
-        motors.step(Span::from_millis(5), at(0));
+        motors.step(TimeDelta::from_millis(5), at(0));
         assert!(!motors.is_busy(B));
     }
 
     #[test]
     fn counter_and_tacho_are_zeroed_for_themselves() {
         let mut motors = motors();
-        motors.step(Span::ZERO, at(50));
+        motors.step(TimeDelta::ZERO, at(50));
         motors.clear_counts(B);
-        motors.step(Span::ZERO, at(60));
+        motors.step(TimeDelta::ZERO, at(60));
         motors.reset_tachos(15);
-        motors.step(Span::ZERO, at(65));
+        motors.step(TimeDelta::ZERO, at(65));
         assert_eq!((motors.count(1), motors.tacho(1).0), (15, 5));
         assert_eq!((motors.count(0), motors.count(9)), (0, 0));
     }

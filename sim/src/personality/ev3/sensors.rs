@@ -8,9 +8,9 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 hardware developer kit (types, modes, units; the gyro's sign); how long a change of mode takes: ours.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
-use super::super::senses::Senses;
+use super::super::plugged_sensors::PluggedSensors;
 use super::motors::Motors;
 use crate::scenario::MissingSensor;
 
@@ -18,14 +18,14 @@ use crate::scenario::MissingSensor;
 pub(super) const LARGE_MOTOR: u8 = 7;
 const ULTRASONIC: u8 = 30;
 const GYRO: u8 = 32;
-pub(super) const NOTHING: u8 = 126;
+pub(super) const NO_SENSOR: u8 = 126;
 /// Sensor ports count from 0, the motors follow at 16.
 const SENSOR_PORTS: usize = 4;
 const FIRST_MOTOR: usize = 16;
 const GYRO_PORT: usize = 1;
 const ULTRASONIC_PORT: usize = 3;
 /// A change of mode takes this long.
-const MODE_CHANGE: Span = Span::from_millis(100);
+const MODE_CHANGE: TimeDelta = TimeDelta::from_millis(100);
 /// Largest reading of each device, which is 100 percent.
 const GYRO_FULL_DEG_PER_S: f64 = 440.0;
 const RANGE_FULL_CM: f64 = 255.0;
@@ -33,35 +33,45 @@ const MOTOR_FULL: f64 = 100.0;
 
 /// The modes of the sensors.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Sensors {
+pub(super) struct SensorPorts {
     missing: MissingSensor,
     is_waited_for_in_vain: bool,
     modes: [u8; SENSOR_PORTS],
     /// Since when each port is in its mode.
-    settled: [Span; SENSOR_PORTS],
+    ready_at: [TimeDelta; SENSOR_PORTS],
     /// Where the gyro's angle was zeroed, in degrees.
     angle_zero_deg: f64,
 }
 
 /// What a reading is made of.
 #[derive(Clone, Copy)]
-pub(super) struct Sources<'a> {
-    pub(super) senses: &'a Senses,
+pub(super) struct SensorInputs<'a> {
+    pub(super) senses: &'a PluggedSensors,
     pub(super) motors: &'a Motors,
+}
+
+/// A request to read a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct SensorRequest {
+    pub(super) port: usize,
+    /// The device's type; 0 accepts any.
+    pub(super) kind: i32,
+    /// The device's mode; -1 leaves it unchanged.
+    pub(super) mode: i32,
 }
 
 /// What a port has to say.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Reading {
+pub(super) enum SensorReading {
     /// Its mode is being changed.
     NotYet,
     /// Nothing of that type is there.
-    Nothing,
+    NoSensor,
     /// Values in the device's units, and what is 100 percent.
     Values(Vec<f64>, f64),
 }
 
-impl Sensors {
+impl SensorPorts {
     pub(super) fn new(missing: MissingSensor) -> Self {
         Self { missing, ..Self::default() }
     }
@@ -72,20 +82,20 @@ impl Sensors {
     }
 
     /// Whether a command waits for a sensor that is not there.
-    pub(super) const fn is_waited_for_in_vain(&self) -> bool {
+    pub(super) const fn is_waiting_forever(&self) -> bool {
         self.is_waited_for_in_vain
     }
 
     /// That command is given up.
-    pub(super) const fn give_up_waiting(&mut self) {
+    pub(super) const fn cancel_wait(&mut self) {
         self.is_waited_for_in_vain = false;
     }
 
     /// What a command that waits for a reading gets: where nothing is, that depends on the firmware.
-    pub(super) fn await_reading(&mut self, reading: Reading) -> Reading {
-        if reading == Reading::Nothing && self.missing == MissingSensor::Awaited {
+    pub(super) fn await_reading(&mut self, reading: SensorReading) -> SensorReading {
+        if reading == SensorReading::NoSensor && self.missing == MissingSensor::Awaited {
             self.is_waited_for_in_vain = true;
-            return Reading::NotYet;
+            return SensorReading::NotYet;
         }
         reading
     }
@@ -94,57 +104,58 @@ impl Sensors {
     pub(super) fn kind_and_mode(&self, port: usize) -> (u8, u8) {
         let kind = kind(port);
         let mode = self.modes.get(port).copied().unwrap_or_default();
-        (kind, if kind == NOTHING { 0 } else { mode })
+        (kind, if kind == NO_SENSOR { 0 } else { mode })
     }
 
-    /// Reads a port as a device of `wanted` type in `mode`; type 0 takes what is there, mode -1 leaves it.
-    pub(super) fn read(&mut self, now: Span, (port, wanted, mode): (usize, i32, i32), sources: Sources<'_>) -> Reading {
+    /// Reads a port.
+    pub(super) fn read(&mut self, now: TimeDelta, request: SensorRequest, sources: SensorInputs<'_>) -> SensorReading {
+        let SensorRequest { port, kind: wanted, mode } = request;
         let kind = kind(port);
-        if kind == NOTHING || (wanted != 0 && wanted != i32::from(kind)) {
-            return Reading::Nothing;
+        if kind == NO_SENSOR || (wanted != 0 && wanted != i32::from(kind)) {
+            return SensorReading::NoSensor;
         }
         if let Some(motor) = port.checked_sub(FIRST_MOTOR) {
             return match mode {
-                0 | -1 => Reading::Values(vec![f64::from(sources.motors.count(motor))], MOTOR_FULL),
-                2 => Reading::Values(vec![f64::from(sources.motors.tacho(motor).1)], MOTOR_FULL),
-                _ => Reading::Nothing,
+                0 | -1 => SensorReading::Values(vec![f64::from(sources.motors.count(motor))], MOTOR_FULL),
+                2 => SensorReading::Values(vec![f64::from(sources.motors.tacho(motor).1)], MOTOR_FULL),
+                _ => SensorReading::NoSensor,
             };
         }
         self.set_mode(now, port, mode);
-        if self.settled.get(port).is_some_and(|settled| now < *settled) {
-            return Reading::NotYet;
+        if self.ready_at.get(port).is_some_and(|settled| now < *settled) {
+            return SensorReading::NotYet;
         }
         let rate = -sources.senses.rate_deg_per_s().round();
         let angle = (self.angle_zero_deg - sources.senses.angle_deg()).round();
         match (kind, self.modes.get(port).copied().unwrap_or_default()) {
-            (GYRO, 0) => Reading::Values(vec![angle], GYRO_FULL_DEG_PER_S),
-            (GYRO, 1) => Reading::Values(vec![rate], GYRO_FULL_DEG_PER_S),
-            (GYRO, 3) => Reading::Values(vec![angle, rate], GYRO_FULL_DEG_PER_S),
+            (GYRO, 0) => SensorReading::Values(vec![angle], GYRO_FULL_DEG_PER_S),
+            (GYRO, 1) => SensorReading::Values(vec![rate], GYRO_FULL_DEG_PER_S),
+            (GYRO, 3) => SensorReading::Values(vec![angle, rate], GYRO_FULL_DEG_PER_S),
             (ULTRASONIC, 0) => {
                 let range_cm = f64::from(sources.senses.range_cm());
-                Reading::Values(vec![range_cm], RANGE_FULL_CM)
+                SensorReading::Values(vec![range_cm], RANGE_FULL_CM)
             }
-            _ => Reading::Nothing,
+            _ => SensorReading::NoSensor,
         }
     }
 
     /// Whether a port is not changing its mode.
-    pub(super) fn is_ready(&self, now: Span, port: usize) -> bool {
-        self.settled.get(port).is_none_or(|settled| now >= *settled)
+    pub(super) fn is_ready(&self, now: TimeDelta, port: usize) -> bool {
+        self.ready_at.get(port).is_none_or(|settled| now >= *settled)
     }
 
     /// Zeroes the gyro's angle, as a sensor does that is told to clear its changes.
-    pub(super) const fn clear(&mut self, senses: &Senses) {
+    pub(super) const fn clear(&mut self, senses: &PluggedSensors) {
         self.angle_zero_deg = senses.angle_deg();
     }
 
-    fn set_mode(&mut self, now: Span, port: usize, mode: i32) {
+    fn set_mode(&mut self, now: TimeDelta, port: usize, mode: i32) {
         let (Ok(mode), Some(current)) = (u8::try_from(mode), self.modes.get_mut(port)) else {
             return;
         };
         if *current != mode {
             *current = mode;
-            if let Some(settled) = self.settled.get_mut(port) {
+            if let Some(settled) = self.ready_at.get_mut(port) {
                 *settled = now + MODE_CHANGE;
             }
         }
@@ -156,6 +167,6 @@ fn kind(port: usize) -> u8 {
         None if port == GYRO_PORT => GYRO,
         None if port == ULTRASONIC_PORT => ULTRASONIC,
         Some(motor) if Motors::is_motor(motor) => LARGE_MOTOR,
-        None | Some(_) => NOTHING,
+        None | Some(_) => NO_SENSOR,
     }
 }

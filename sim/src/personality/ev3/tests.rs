@@ -204,8 +204,8 @@ fn the_program_takes_the_estimate_out_of_its_mailbox() {
     assert_eq!(heard[0].1, [5, 0, 2, 0, 3, 0x9E, 0]);
     let received = host.simulation.received_estimates();
     assert_eq!(received.len(), 1);
-    assert_eq!(received[0].instant.as_micros(), 5_100_000);
-    assert_eq!(host.simulation.truth().last().unwrap().belief.x.0, 1.5);
+    assert_eq!(received[0].estimate_time.as_micros(), 5_100_000);
+    assert_eq!(host.simulation.truth().last().unwrap().onboard_estimate.x.0, 1.5);
     // Another system command is not known.
     host.simulation.receive(&[4, 0, 3, 0, 1, 0x99]);
     assert_eq!(host.listen(100)[0].1, [5, 0, 3, 0, 5, 0x99, 0x0A]);

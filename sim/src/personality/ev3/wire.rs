@@ -10,7 +10,7 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 communication developer kit; what the ev3-dc client expects of a brick on the network.
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 use super::super::radio::{Radio, RadioSettings};
 
@@ -31,7 +31,7 @@ const RECEIVE_BYTES: usize = 16 * 1024;
 /// Answers that wait to be sent; they are matched by their counter, so that many may be under way.
 const SEND_BUFFERS: usize = 16;
 /// After this much silence a new frame begins.
-const QUIET: Span = Span::from_millis(100);
+const RESYNC_TIMEOUT: TimeDelta = TimeDelta::from_millis(100);
 
 /// What a brick that listens on a TCP port of the network says by UDP, to port 3015.
 #[must_use]
@@ -42,19 +42,19 @@ pub fn beacon(tcp_port: u16) -> Vec<u8> {
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub(super) struct Wire {
+pub(super) struct Ev3Wire {
     received: Vec<u8>,
-    last_heard: Span,
+    last_received: TimeDelta,
     is_lost: bool,
     radio: Radio,
 }
 
-impl Wire {
+impl Ev3Wire {
     /// A link that nobody has used.
-    pub(super) const fn new(turn_around: Span) -> Self {
+    pub(super) const fn new(turn_around: TimeDelta) -> Self {
         Self {
             received: Vec::new(),
-            last_heard: Span::ZERO,
+            last_received: TimeDelta::ZERO,
             is_lost: false,
             radio: Radio::new(RadioSettings {
                 turn_around,
@@ -73,12 +73,12 @@ impl Wire {
     }
 
     /// Takes bytes that arrive at `now`, the time since the beginning of the world.
-    pub(super) fn receive(&mut self, now: Span, bytes: &[u8]) {
-        if now - self.last_heard >= QUIET {
+    pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
+        if now - self.last_received >= RESYNC_TIMEOUT {
             self.received.clear();
             self.is_lost = false;
         }
-        self.last_heard = now;
+        self.last_received = now;
         self.radio.receive();
         let room = RECEIVE_BYTES - self.received.len().min(RECEIVE_BYTES);
         if !self.is_lost {
@@ -89,7 +89,7 @@ impl Wire {
     /// The next whole frame without its length.
     pub(super) fn next_frame(&mut self) -> Option<Vec<u8>> {
         if self.received.starts_with(GREETING) {
-            self.greet();
+            self.answer_greeting();
             return None;
         }
         let length = usize::from(u16::from_le_bytes(*self.received.first_chunk()?));
@@ -114,11 +114,11 @@ impl Wire {
     }
 
     /// What has been sent at `now`.
-    pub(super) fn step(&mut self, now: Span) -> Option<Vec<u8>> {
+    pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         self.radio.step(now)
     }
 
-    fn greet(&mut self) {
+    fn answer_greeting(&mut self) {
         let windows = self.received.windows(GREETING_END.len());
         // The line itself may name the brick; the protocol comes last.
         let protocol = self.received.windows(9).position(|text| text == b"Protocol:");
@@ -143,8 +143,8 @@ impl Wire {
 mod tests {
     use super::*;
 
-    fn ms(count: i64) -> Span {
-        Span::from_millis(count)
+    fn ms(count: i64) -> TimeDelta {
+        TimeDelta::from_millis(count)
     }
 
     const FRAME: [u8; 9] = [7, 0, 42, 0, 0, 4, 0, 0x8F, 0x60];
@@ -152,7 +152,7 @@ mod tests {
     #[test]
     fn a_frame_comes_together_from_any_pieces() {
         for size in 1..=18 {
-            let mut wire = Wire::new(Span::ZERO);
+            let mut wire = Ev3Wire::new(TimeDelta::ZERO);
             let mut found = Vec::new();
             for piece in FRAME.repeat(2).chunks(size) {
                 wire.receive(ms(1), piece);
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn after_a_lost_byte_and_a_pause_it_is_well_again() {
         for lost in 0..FRAME.len() {
-            let mut wire = Wire::new(Span::ZERO);
+            let mut wire = Ev3Wire::new(TimeDelta::ZERO);
             let mut bytes = FRAME.to_vec();
             bytes.remove(lost);
             wire.receive(ms(1_000), &bytes);
@@ -179,7 +179,7 @@ mod tests {
     fn a_client_on_the_network_is_greeted_in_any_pieces() {
         let greeting = b"GET /target?sn=0016530B0E03VMTP1.0\nProtocol: EV3";
         for size in [1, 2, 7, greeting.len()] {
-            let mut wire = Wire::new(Span::ZERO);
+            let mut wire = Ev3Wire::new(TimeDelta::ZERO);
             let mut sent = Vec::new();
             for (at, piece) in (1..).zip(greeting.chunks(size)) {
                 wire.receive(ms(at), piece);
@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn a_greeting_without_end_and_a_length_that_cannot_be_are_thrown_away() {
         for bytes in [&[b"GET ".as_slice(), &[b'x'; 300]].concat(), &vec![2, 0, 1, 1], &vec![1, 4]] {
-            let mut wire = Wire::new(Span::ZERO);
+            let mut wire = Ev3Wire::new(TimeDelta::ZERO);
             wire.receive(ms(1), bytes);
             assert_eq!(wire.next_frame(), None);
             wire.receive(ms(2), &FRAME);

@@ -8,7 +8,7 @@
 
 use crate::scenario::PortSensor;
 
-use super::super::senses::Senses;
+use super::super::plugged_sensors::PluggedSensors;
 
 /// The address of HiTechnic's and LEGO's sensors, and that of the temperature sensor, both with the bit for reading at 0.
 const USUAL_ADDRESS: u8 = 0x02;
@@ -33,23 +33,23 @@ const COUNTS_PER_K: f64 = 16.0;
 
 /// What a sensor's inside is like at this moment.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Inside<'a> {
+pub(super) struct DeviceInputs<'a> {
     /// Everything but the temperature.
-    pub(super) senses: &'a Senses,
+    pub(super) senses: &'a PluggedSensors,
     /// In degrees Celsius.
     pub(super) temperature_c: f64,
 }
 
 /// The memory of whatever sits in one port.
 #[derive(Clone, Debug)]
-pub(super) struct Device {
+pub(super) struct I2cDevice {
     registers: [u8; 256],
     /// The TMP275's pointer and configuration.
     pointer: u8,
     configuration: u8,
 }
 
-impl Default for Device {
+impl Default for I2cDevice {
     fn default() -> Self {
         let mut registers = [0; 256];
         registers[INTERVAL] = 1;
@@ -58,13 +58,14 @@ impl Default for Device {
     }
 }
 
-impl Device {
+impl I2cDevice {
     /// One transaction with `sensor`: the request, then `wanted` bytes of answer. `None` if nobody has that address.
     pub(super) fn transact(
         &mut self,
         sensor: PortSensor,
-        (request, wanted): (&[u8], usize),
-        inside: Inside<'_>,
+        request: &[u8],
+        wanted: usize,
+        inside: DeviceInputs<'_>,
     ) -> Option<Vec<u8>> {
         let (address, rest) = request.split_first()?;
         match (sensor, *address) {
@@ -79,7 +80,7 @@ impl Device {
                 self.refresh(sensor, inside.senses);
                 if (sensor, first) == (PortSensor::Ultrasonic, UNITS) {
                     // Read by its own number, the unit is there; read through from the kind on, it is not.
-                    self.show(UNITS, b"10E-2m\0");
+                    self.write_registers(UNITS, b"10E-2m\0");
                 }
                 let from = usize::from(first);
                 let bytes = self.registers.iter().cycle().skip(from).take(wanted);
@@ -99,34 +100,34 @@ impl Device {
         }
     }
 
-    fn refresh(&mut self, sensor: PortSensor, senses: &Senses) {
+    fn refresh(&mut self, sensor: PortSensor, senses: &PluggedSensors) {
         let (version, maker, kind): (&[u8], &[u8], &[u8]) = match sensor {
             PortSensor::Accelerometer => (b"\xfdV1.1   ", b"HiTechnc", b"Accel.  "),
             PortSensor::Compass => (b"\xfdV1.23  ", b"HiTechnc", b"Compass "),
             PortSensor::Ultrasonic => (b"V1.0\0\0\0\0", b"LEGO\0\0\0\0", b"Sonar\0\0\0"),
             PortSensor::None | PortSensor::Gyro | PortSensor::Temperature => (b"", b"", b""),
         };
-        self.show(VERSION, version);
-        self.show(MAKER, maker);
-        self.show(KIND, kind);
+        self.write_registers(VERSION, version);
+        self.write_registers(MAKER, maker);
+        self.write_registers(KIND, kind);
         match sensor {
             PortSensor::Accelerometer => {
                 let [high, low] = acceleration_registers(senses.acceleration_counts());
-                self.show(READINGS, &high);
-                self.show(READINGS + 3, &low);
+                self.write_registers(READINGS, &high);
+                self.write_registers(READINGS + 3, &low);
             }
             PortSensor::Compass => {
                 let degrees = senses.compass_deg();
                 // Measuring, whatever mode somebody has written.
                 self.registers[COMMAND] = 0;
-                self.show(READINGS, &[(degrees / 2) as u8, (degrees % 2) as u8]);
-                self.show(READINGS + 2, &degrees.to_le_bytes());
+                self.write_registers(READINGS, &[(degrees / 2) as u8, (degrees % 2) as u8]);
+                self.write_registers(READINGS + 2, &degrees.to_le_bytes());
             }
             PortSensor::Ultrasonic => {
                 if matches!(self.registers[COMMAND], SINGLE_SHOT | CONTINUOUS) {
                     let others = [255; 7];
-                    self.show(READINGS, &[senses.range_cm()]);
-                    self.show(READINGS + 1, &others);
+                    self.write_registers(READINGS, &[senses.range_cm()]);
+                    self.write_registers(READINGS + 1, &others);
                 }
                 if self.registers[COMMAND] == SINGLE_SHOT {
                     self.registers[COMMAND] = 0;
@@ -136,7 +137,7 @@ impl Device {
         }
     }
 
-    fn show(&mut self, first: u8, bytes: &[u8]) {
+    fn write_registers(&mut self, first: u8, bytes: &[u8]) {
         let from = usize::from(first);
         for (register, byte) in self.registers.iter_mut().skip(from).zip(bytes) {
             *register = *byte;
@@ -173,9 +174,9 @@ mod tests {
     use crate::scenario::Scenario;
 
     fn ask(sensor: PortSensor, request: &[u8], wanted: usize, temperature_c: f64) -> Option<Vec<u8>> {
-        let senses = Senses::new(&Scenario::default());
-        let inside = Inside { senses: &senses, temperature_c };
-        Device::default().transact(sensor, (request, wanted), inside)
+        let senses = PluggedSensors::new(&Scenario::default());
+        let inside = DeviceInputs { senses: &senses, temperature_c };
+        I2cDevice::default().transact(sensor, request, wanted, inside)
     }
 
     #[test]
@@ -209,11 +210,11 @@ mod tests {
         };
         assert_eq!(ask(&[0x98, 0x00], 2, 21.7), [0x15, 0x80]);
         assert_eq!(ask(&[0x98, 0x00], 2, -0.1), [0xFF, 0x80]);
-        let senses = Senses::new(&Scenario::default());
-        let inside = Inside { senses: &senses, temperature_c: 21.7 };
-        let mut device = Device::default();
+        let senses = PluggedSensors::new(&Scenario::default());
+        let inside = DeviceInputs { senses: &senses, temperature_c: 21.7 };
+        let mut device = I2cDevice::default();
         let mut twelve =
-            |request: &[u8], wanted| device.transact(PortSensor::Temperature, (request, wanted), inside).unwrap();
+            |request: &[u8], wanted| device.transact(PortSensor::Temperature, request, wanted, inside).unwrap();
         assert_eq!(twelve(&[0x98, 0x01, 0x60], 1), [0x60]);
         assert_eq!(twelve(&[0x98, 0x00], 2), [0x15, 0xB0]);
     }

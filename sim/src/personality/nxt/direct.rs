@@ -1,16 +1,16 @@
 //! The NXT's direct commands: programs, motors, sensors, I2C, mailboxes, battery.
 
-use super::super::Moment;
-use super::outputs::{Counter, Order};
-use super::telegram::{Answer, Request, direct};
-use super::{Nxt, PATH_PROGRAM, SLEEPS_AFTER, low_speed, mailboxes, status};
+use super::super::firmware_pass::FirmwarePass;
+use super::outputs::{OutputCommand, TachoCounter};
+use super::telegram::{TelegramReply, TelegramRequest, direct};
+use super::{Nxt, PATH_PROGRAM, SLEEP_TIMEOUT, low_speed, mailboxes, status};
 
 /// Bytes of a file name in a telegram.
 const NAME_BYTES: usize = 20;
 
 impl Nxt {
     /// Follows a direct command.
-    pub(super) fn direct(&mut self, request: Request<'_>, moment: &mut Moment<'_>) -> Answer {
+    pub(super) fn direct(&mut self, request: TelegramRequest<'_>, moment: &mut FirmwarePass<'_>) -> TelegramReply {
         match request.opcode {
             direct::START_PROGRAM => self.start_program(request, moment),
             direct::STOP_PROGRAM => self.stop_program(),
@@ -42,15 +42,15 @@ impl Nxt {
                 Ok(millivolts.to_le_bytes().to_vec())
             }
             direct::KEEP_ALIVE => {
-                self.awake_since = moment.world;
-                let limit_ms = (SLEEPS_AFTER.as_nanos() / 1_000_000) as u32;
+                self.awake_since = moment.sim_time;
+                let limit_ms = (SLEEP_TIMEOUT.as_nanos() / 1_000_000) as u32;
                 Ok(limit_ms.to_le_bytes().to_vec())
             }
             _ => Err(status::UNKNOWN_OPCODE),
         }
     }
 
-    fn start_program(&mut self, request: Request<'_>, moment: &mut Moment<'_>) -> Answer {
+    fn start_program(&mut self, request: TelegramRequest<'_>, moment: &mut FirmwarePass<'_>) -> TelegramReply {
         let name = request.rest.split(|byte| *byte == 0).next();
         match name {
             Some(name) if name.eq_ignore_ascii_case(PATH_PROGRAM) => {
@@ -61,7 +61,7 @@ impl Nxt {
         }
     }
 
-    fn stop_program(&mut self) -> Answer {
+    fn stop_program(&mut self) -> TelegramReply {
         if self.program.is_none() {
             return Err(status::NO_ACTIVE_PROGRAM);
         }
@@ -69,13 +69,13 @@ impl Nxt {
         Ok(Vec::new())
     }
 
-    fn program_name(&self) -> Answer {
+    fn program_name(&self) -> TelegramReply {
         let name = self.program.as_ref().ok_or(status::NO_ACTIVE_PROGRAM)?;
         Ok(padded(name, NAME_BYTES))
     }
 
-    fn set_output(&mut self, request: Request<'_>) -> Answer {
-        let order = Order {
+    fn set_output(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
+        let order = OutputCommand {
             power: request.byte(1)? as i8,
             mode: request.byte(2)?,
             regulation: request.byte(3)?,
@@ -83,26 +83,26 @@ impl Nxt {
             run_state: request.byte(5)?,
             limit: request.long(6)?,
         };
-        let is_done = self.outputs.order(request.byte(0)?, order);
+        let is_done = self.outputs.command(request.byte(0)?, order);
         is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
     }
 
-    fn reset_position(&mut self, request: Request<'_>) -> Answer {
+    fn reset_position(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         let counter = match request.byte(1)? {
-            0 => Counter::Rotation,
-            _ => Counter::Block,
+            0 => TachoCounter::Rotation,
+            _ => TachoCounter::Block,
         };
         let is_done = self.outputs.zero(request.byte(0)?, counter);
         is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
     }
 
-    fn set_input(&mut self, request: Request<'_>) -> Answer {
+    fn set_input(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         let (port, kind, mode) = (request.byte(0)?, request.byte(1)?, request.byte(2)?);
         let is_done = self.inputs.set(port, kind, mode);
         is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
     }
 
-    fn bus(&mut self, request: Request<'_>) -> Answer {
+    fn bus(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         let port = request.byte(0)?;
         if !self.inputs.has(port) {
             return Err(status::OUT_OF_RANGE);
@@ -113,19 +113,19 @@ impl Nxt {
             direct::BUS_WRITE => {
                 let wanted = usize::from(request.byte(2)?);
                 let bytes = request.bytes(3, usize::from(request.byte(1)?))?;
-                self.low_speed.write(port, sensor, (bytes, wanted))?;
+                self.low_speed.write(port, sensor, bytes, wanted)?;
                 Ok(Vec::new())
             }
             direct::BUS_STATUS => Ok(vec![self.low_speed.ready(port)? as u8]),
             _ => {
                 let bytes = self.low_speed.read(port)?;
                 let count = bytes.len() as u8;
-                Ok([vec![count], padded(&bytes, low_speed::LONGEST)].concat())
+                Ok([vec![count], padded(&bytes, low_speed::MAX_MESSAGE_BYTES)].concat())
             }
         }
     }
 
-    fn write_message(&mut self, request: Request<'_>) -> Answer {
+    fn write_message(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         if self.program.is_none() {
             return Err(status::NO_ACTIVE_PROGRAM);
         }
@@ -135,16 +135,16 @@ impl Nxt {
         Ok(Vec::new())
     }
 
-    fn read_message(&mut self, request: Request<'_>) -> Answer {
+    fn read_message(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         if self.program.is_none() {
             return Err(status::NO_ACTIVE_PROGRAM);
         }
         let (remote, local, is_taken) = (request.byte(0)?, request.byte(1)?, request.byte(2)? != 0);
         let message = self.mailboxes.oldest(remote)?;
         let head = vec![local, message.len() as u8];
-        let answer = [head, padded(message, mailboxes::LONGEST)].concat();
+        let answer = [head, padded(message, mailboxes::MAX_MESSAGE_BYTES)].concat();
         if is_taken {
-            drop(self.mailboxes.take(remote));
+            drop(self.mailboxes.pop(remote));
         }
         Ok(answer)
     }

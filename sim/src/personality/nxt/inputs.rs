@@ -11,10 +11,10 @@
 //! LEGO's NXT firmware: struct of the Input module, types and modes. Rest values: 580 to 625 in people's reports. Times until a port is
 //! valid: ours; nxt-python waits 100 ms.
 
-use crate::random::Stream;
+use crate::random::RandomStream;
 use crate::scenario::PortSensor;
 
-use super::super::senses::Senses;
+use super::super::plugged_sensors::PluggedSensors;
 
 /// Number of ports.
 pub(super) const PORTS: usize = 4;
@@ -42,7 +42,7 @@ const REST_COUNTS: (f64, f64) = (580.0, 625.0);
 
 /// One port.
 #[derive(Clone, Copy, Debug, Default)]
-struct Input {
+struct InputPort {
     sensor: PortSensor,
     kind: u8,
     mode: u8,
@@ -53,21 +53,21 @@ struct Input {
 
 /// All ports.
 #[derive(Clone, Debug)]
-pub(super) struct Inputs {
-    ports: [Input; PORTS],
+pub(super) struct InputPorts {
+    ports: [InputPort; PORTS],
     gyro_rest: f64,
 }
 
-impl Inputs {
+impl InputPorts {
     /// Ports that nobody has set up; the gyro's rest value is drawn.
     pub(super) fn new(sensors: [PortSensor; PORTS], seed: u64) -> Self {
-        let ports = sensors.map(|sensor| Input { sensor, raw: FULL_SCALE, ..Input::default() });
-        let gyro_rest = Stream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);
+        let ports = sensors.map(|sensor| InputPort { sensor, raw: FULL_SCALE, ..InputPort::default() });
+        let gyro_rest = RandomStream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);
         Self { ports, gyro_rest }
     }
 
     /// Converts once.
-    pub(super) fn step(&mut self, senses: &Senses) {
+    pub(super) fn step(&mut self, senses: &PluggedSensors) {
         let gyro = (self.gyro_rest + senses.rate_deg_per_s()).round();
         for port in &mut self.ports {
             port.invalid_passes = port.invalid_passes.saturating_sub(1);
@@ -128,7 +128,7 @@ impl Inputs {
 
     /// The Input module.
     pub(super) fn map(&self) -> Vec<u8> {
-        self.ports.iter().flat_map(Input::map).collect()
+        self.ports.iter().flat_map(InputPort::map).collect()
     }
 
     /// Takes what is written into the module: type and mode.
@@ -147,7 +147,7 @@ impl Inputs {
     }
 }
 
-impl Input {
+impl InputPort {
     const fn is_valid(&self) -> bool {
         self.invalid_passes == 0
     }
@@ -191,16 +191,16 @@ mod tests {
     use super::*;
     use crate::scenario::Scenario;
 
-    fn inputs() -> Inputs {
-        Inputs::new(PortSensor::USUAL, 5)
+    fn inputs() -> InputPorts {
+        InputPorts::new(PortSensor::USUAL, 5)
     }
 
     #[test]
     fn a_port_that_was_set_up_is_invalid_until_it_has_settled() {
         let mut inputs = inputs();
-        let senses = Senses::new(&Scenario::default());
+        let senses = PluggedSensors::new(&Scenario::default());
         assert!(inputs.set(0, LIGHT_INACTIVE, 0));
-        let valid = |inputs: &Inputs| inputs.values(0).unwrap()[1];
+        let valid = |inputs: &InputPorts| inputs.values(0).unwrap()[1];
         for _ in 0..ANALOG_PASSES {
             assert_eq!((valid(&inputs), inputs.map()[16]), (0, 1));
             inputs.step(&senses);
@@ -221,7 +221,7 @@ mod tests {
 
     #[test]
     fn rest_values_differ_from_gyro_to_gyro() {
-        let rest = |seed| Inputs::new(PortSensor::USUAL, seed).gyro_rest;
+        let rest = |seed| InputPorts::new(PortSensor::USUAL, seed).gyro_rest;
         assert!((580.0..625.0).contains(&rest(1)) && rest(1) != rest(2));
     }
 
@@ -229,7 +229,7 @@ mod tests {
     fn a_port_without_an_analog_sensor_shows_the_pull_up() {
         let mut inputs = inputs();
         inputs.set(1, LOW_SPEED_9V, MODE_PERCENT);
-        inputs.step(&Senses::new(&Scenario::default()));
+        inputs.step(&PluggedSensors::new(&Scenario::default()));
         assert_eq!(inputs.map()[22..28], [0xFF, 3, 0xFF, 3, 100, 0]);
         assert_eq!(inputs.on_bus(1), None);
     }

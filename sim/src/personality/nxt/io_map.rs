@@ -7,7 +7,7 @@
 //! # Sources
 //! LEGO's NXT firmware, the structs of the modules' IO maps.
 
-use super::super::Moment;
+use super::super::firmware_pass::FirmwarePass;
 use super::Nxt;
 
 /// Module numbers.
@@ -39,7 +39,7 @@ pub(super) const fn length(id: u32) -> Option<usize> {
 
 impl Nxt {
     /// The memory of a module, if there is such a module.
-    pub(super) fn map(&self, id: u32, moment: &Moment<'_>) -> Option<Vec<u8>> {
+    pub(super) fn map(&self, id: u32, moment: &FirmwarePass<'_>) -> Option<Vec<u8>> {
         match id {
             COMMAND => Some(self.command_map(moment)),
             OUTPUT => Some(self.outputs.map()),
@@ -49,7 +49,7 @@ impl Nxt {
         }
     }
 
-    fn command_map(&self, moment: &Moment<'_>) -> Vec<u8> {
+    fn command_map(&self, moment: &FirmwarePass<'_>) -> Vec<u8> {
         let mut map = vec![0; COMMAND_BYTES];
         let mut put = |place: usize, bytes: &[u8]| {
             for (byte, value) in map.iter_mut().skip(place).zip(bytes) {

@@ -12,12 +12,12 @@
 
 use crate::scenario::PortSensor;
 
-use super::devices::{Device, Inside};
+use super::devices::{DeviceInputs, I2cDevice};
 use super::inputs::PORTS;
 use super::status;
 
 /// Bytes that a request or an answer can have.
-pub(super) const LONGEST: usize = 16;
+pub(super) const MAX_MESSAGE_BYTES: usize = 16;
 /// Milliseconds that a byte takes on the bus.
 const MS_PER_BYTE: f64 = 10.0 / 9.6;
 /// What the module says about a channel.
@@ -29,7 +29,7 @@ const ERROR_NO_DEVICE: u8 = 3;
 
 /// What a channel does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum State {
+enum ChannelState {
     #[default]
     Idle,
     Busy {
@@ -40,13 +40,13 @@ enum State {
 
 /// One channel.
 #[derive(Clone, Debug, Default)]
-struct Channel {
-    device: Device,
+struct LowSpeedChannel {
+    device: I2cDevice,
     sensor: PortSensor,
-    state: State,
+    state: ChannelState,
     request: Vec<u8>,
     wanted: usize,
-    ring: [u8; LONGEST],
+    ring: [u8; MAX_MESSAGE_BYTES],
     next_in: usize,
     next_out: usize,
     unread: usize,
@@ -54,29 +54,29 @@ struct Channel {
 
 /// All channels.
 #[derive(Clone, Debug, Default)]
-pub(super) struct LowSpeed {
-    channels: [Channel; PORTS],
+pub(super) struct LowSpeedBus {
+    channels: [LowSpeedChannel; PORTS],
 }
 
-impl LowSpeed {
+impl LowSpeedBus {
     /// Passes one millisecond on all buses.
-    pub(super) fn step(&mut self, inside: Inside<'_>) {
+    pub(super) fn step(&mut self, inside: DeviceInputs<'_>) {
         for channel in &mut self.channels {
             channel.step(inside);
         }
     }
 
     /// Begins a transaction on a port that is set up and holds `sensor`.
-    pub(super) fn write(&mut self, port: u8, sensor: PortSensor, (request, wanted): (&[u8], usize)) -> Result<(), u8> {
+    pub(super) fn write(&mut self, port: u8, sensor: PortSensor, request: &[u8], wanted: usize) -> Result<(), u8> {
         let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
-        if request.is_empty() || request.len() > LONGEST || wanted > LONGEST {
+        if request.is_empty() || request.len() > MAX_MESSAGE_BYTES || wanted > MAX_MESSAGE_BYTES {
             return Err(status::ILLEGAL_SIZE);
         }
-        if matches!(channel.state, State::Busy { .. }) {
+        if matches!(channel.state, ChannelState::Busy { .. }) {
             return Err(status::PENDING);
         }
         let bytes = request.len() + usize::from(wanted > 0) + wanted;
-        channel.state = State::Busy { passes: (bytes as f64 * MS_PER_BYTE).ceil() as u32 };
+        channel.state = ChannelState::Busy { passes: (bytes as f64 * MS_PER_BYTE).ceil() as u32 };
         channel.sensor = sensor;
         channel.request = request.to_vec();
         channel.wanted = wanted;
@@ -87,9 +87,9 @@ impl LowSpeed {
     pub(super) fn ready(&self, port: u8) -> Result<usize, u8> {
         let channel = self.channels.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         match channel.state {
-            State::Idle => Ok(channel.unread),
-            State::Busy { .. } => Err(status::PENDING),
-            State::Failed => Err(status::BUS_ERROR),
+            ChannelState::Idle => Ok(channel.unread),
+            ChannelState::Busy { .. } => Err(status::PENDING),
+            ChannelState::Failed => Err(status::BUS_ERROR),
         }
     }
 
@@ -107,7 +107,7 @@ impl LowSpeed {
     /// A program was started or stopped: what was under way is forgotten, the sensors keep their settings.
     pub(super) fn reset(&mut self) {
         for channel in &mut self.channels {
-            *channel = Channel { device: channel.device.clone(), ..Channel::default() };
+            *channel = LowSpeedChannel { device: channel.device.clone(), ..LowSpeedChannel::default() };
         }
     }
 
@@ -118,12 +118,12 @@ impl LowSpeed {
             map.extend(channel.ring);
             map.extend([channel.next_in as u8, channel.next_out as u8]);
             map.push(match channel.state {
-                State::Busy { .. } => channel.wanted as u8,
-                State::Idle | State::Failed => 0,
+                ChannelState::Busy { .. } => channel.wanted as u8,
+                ChannelState::Idle | ChannelState::Failed => 0,
             });
         }
         for channel in &self.channels {
-            let mut request = [0; LONGEST];
+            let mut request = [0; MAX_MESSAGE_BYTES];
             for (place, byte) in request.iter_mut().zip(&channel.request) {
                 *place = *byte;
             }
@@ -132,9 +132,9 @@ impl LowSpeed {
         }
         // Modes, states, errors, which channels are at work, and the speed.
         map.extend([0; PORTS]);
-        map.extend(self.channels.each_ref().map(Channel::shown_state));
-        map.extend(self.channels.each_ref().map(Channel::shown_error));
-        let is_busy = |channel: &Channel| matches!(channel.state, State::Busy { .. });
+        map.extend(self.channels.each_ref().map(LowSpeedChannel::shown_state));
+        map.extend(self.channels.each_ref().map(LowSpeedChannel::shown_error));
+        let is_busy = |channel: &LowSpeedChannel| matches!(channel.state, ChannelState::Busy { .. });
         let busy = (0_u8..).zip(&self.channels);
         map.push(busy.fold(0, |bits, (port, channel)| bits | (u8::from(is_busy(channel)) << port)));
         map.push(0);
@@ -142,24 +142,23 @@ impl LowSpeed {
     }
 }
 
-impl Channel {
-    fn step(&mut self, inside: Inside<'_>) {
-        let State::Busy { passes } = self.state else {
+impl LowSpeedChannel {
+    fn step(&mut self, inside: DeviceInputs<'_>) {
+        let ChannelState::Busy { passes } = self.state else {
             return;
         };
         if passes > 1 {
-            self.state = State::Busy { passes: passes - 1 };
+            self.state = ChannelState::Busy { passes: passes - 1 };
             return;
         }
-        let request = (self.request.as_slice(), self.wanted);
-        match self.device.transact(self.sensor, request, inside) {
+        match self.device.transact(self.sensor, &self.request, self.wanted, inside) {
             Some(answer) => {
-                self.state = State::Idle;
+                self.state = ChannelState::Idle;
                 for byte in answer {
                     self.push(byte);
                 }
             }
-            None => self.state = State::Failed,
+            None => self.state = ChannelState::Failed,
         }
     }
 
@@ -167,8 +166,8 @@ impl Channel {
         if let Some(place) = self.ring.get_mut(self.next_in) {
             *place = byte;
         }
-        self.next_in = (self.next_in + 1) % LONGEST;
-        if self.unread == LONGEST {
+        self.next_in = (self.next_in + 1) % MAX_MESSAGE_BYTES;
+        if self.unread == MAX_MESSAGE_BYTES {
             self.next_out = self.next_in;
         } else {
             self.unread += 1;
@@ -177,16 +176,16 @@ impl Channel {
 
     const fn shown_state(&self) -> u8 {
         match self.state {
-            State::Idle => STATE_IDLE,
-            State::Busy { .. } => STATE_COMMUNICATING,
-            State::Failed => STATE_ERROR,
+            ChannelState::Idle => STATE_IDLE,
+            ChannelState::Busy { .. } => STATE_COMMUNICATING,
+            ChannelState::Failed => STATE_ERROR,
         }
     }
 
     const fn shown_error(&self) -> u8 {
         match self.state {
-            State::Failed => ERROR_NO_DEVICE,
-            State::Idle | State::Busy { .. } => 0,
+            ChannelState::Failed => ERROR_NO_DEVICE,
+            ChannelState::Idle | ChannelState::Busy { .. } => 0,
         }
     }
 }
@@ -194,25 +193,25 @@ impl Channel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::personality::senses::Senses;
+    use crate::personality::plugged_sensors::PluggedSensors;
     use crate::scenario::Scenario;
 
-    fn pass(bus: &mut LowSpeed, count: u32) {
-        let senses = Senses::new(&Scenario::default());
-        let inside = Inside { senses: &senses, temperature_c: 20.0 };
+    fn pass(bus: &mut LowSpeedBus, count: u32) {
+        let senses = PluggedSensors::new(&Scenario::default());
+        let inside = DeviceInputs { senses: &senses, temperature_c: 20.0 };
         (0..count).for_each(|_| bus.step(inside));
     }
 
-    const ASK: (&[u8], usize) = (&[0x02, 0x42], 6);
+    const REQUEST: &[u8] = &[0x02, 0x42];
 
     #[test]
     fn an_answer_is_pending_for_as_long_as_its_bytes_take() {
-        let mut bus = LowSpeed::default();
-        bus.write(1, PortSensor::Accelerometer, ASK).unwrap();
+        let mut bus = LowSpeedBus::default();
+        bus.write(1, PortSensor::Accelerometer, REQUEST, 6).unwrap();
         // 2 out, the address again, 6 in: 9 bytes of 1.04 ms.
         pass(&mut bus, 9);
         assert_eq!(bus.ready(1), Err(status::PENDING));
-        assert_eq!(bus.write(1, PortSensor::Accelerometer, ASK), Err(status::PENDING));
+        assert_eq!(bus.write(1, PortSensor::Accelerometer, REQUEST, 6), Err(status::PENDING));
         assert_eq!((bus.map()[19 + 18], bus.map()[157], bus.map()[164]), (6, 3, 2));
         pass(&mut bus, 1);
         assert_eq!(bus.ready(1), Ok(6));
@@ -223,9 +222,9 @@ mod tests {
 
     #[test]
     fn a_ring_that_nobody_empties_holds_the_last_sixteen_bytes() {
-        let mut bus = LowSpeed::default();
+        let mut bus = LowSpeedBus::default();
         for _ in 0..3 {
-            bus.write(0, PortSensor::Accelerometer, ASK).unwrap();
+            bus.write(0, PortSensor::Accelerometer, REQUEST, 6).unwrap();
             pass(&mut bus, 10);
         }
         assert_eq!((bus.map()[16], bus.ready(0)), (2, Ok(16)));
@@ -236,22 +235,22 @@ mod tests {
 
     #[test]
     fn an_empty_port_is_a_bus_error_until_the_next_transaction() {
-        let mut bus = LowSpeed::default();
-        bus.write(2, PortSensor::None, ASK).unwrap();
+        let mut bus = LowSpeedBus::default();
+        bus.write(2, PortSensor::None, REQUEST, 6).unwrap();
         pass(&mut bus, 10);
         assert_eq!(bus.ready(2), Err(status::BUS_ERROR));
         assert_eq!(bus.read(2), Err(status::BUS_ERROR));
-        bus.write(2, PortSensor::Ultrasonic, ASK).unwrap();
+        bus.write(2, PortSensor::Ultrasonic, REQUEST, 6).unwrap();
         pass(&mut bus, 10);
         assert_eq!(bus.ready(2), Ok(6));
     }
 
     #[test]
     fn what_does_not_fit_is_refused() {
-        let mut bus = LowSpeed::default();
-        assert_eq!(bus.write(4, PortSensor::None, ASK), Err(status::OUT_OF_RANGE));
-        assert_eq!(bus.write(0, PortSensor::None, (&[], 1)), Err(status::ILLEGAL_SIZE));
-        assert_eq!(bus.write(0, PortSensor::None, (&[2], 17)), Err(status::ILLEGAL_SIZE));
+        let mut bus = LowSpeedBus::default();
+        assert_eq!(bus.write(4, PortSensor::None, REQUEST, 6), Err(status::OUT_OF_RANGE));
+        assert_eq!(bus.write(0, PortSensor::None, &[], 1), Err(status::ILLEGAL_SIZE));
+        assert_eq!(bus.write(0, PortSensor::None, &[2], 17), Err(status::ILLEGAL_SIZE));
         assert_eq!(bus.map().len(), 166);
     }
 }

@@ -12,7 +12,7 @@ const QUEUES: usize = 20;
 /// Messages that a queue holds.
 const DEPTH: usize = 5;
 /// Longest message with its final zero, in bytes.
-pub(super) const LONGEST: usize = 59;
+pub(super) const MAX_MESSAGE_BYTES: usize = 59;
 
 /// All queues.
 #[derive(Clone, Debug, Default)]
@@ -24,7 +24,7 @@ impl Mailboxes {
     /// Adds a message, `size` bytes long by its sender's word.
     pub(super) fn write(&mut self, queue: u8, size: u8, message: &[u8]) -> Result<(), u8> {
         let queue = self.queues.get_mut(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
-        if message.len() != usize::from(size) || message.len() > LONGEST {
+        if message.len() != usize::from(size) || message.len() > MAX_MESSAGE_BYTES {
             return Err(status::ILLEGAL_SIZE);
         }
         if message.last() != Some(&0) {
@@ -44,7 +44,7 @@ impl Mailboxes {
     }
 
     /// Takes the oldest message out.
-    pub(super) fn take(&mut self, queue: u8) -> Option<Vec<u8>> {
+    pub(super) fn pop(&mut self, queue: u8) -> Option<Vec<u8>> {
         self.queues.get_mut(usize::from(queue))?.pop_front()
     }
 
@@ -64,7 +64,7 @@ mod tests {
         for number in 1..=6 {
             boxes.write(3, 2, &[number, 0]).unwrap();
         }
-        let taken: Vec<_> = std::iter::from_fn(|| boxes.take(3)).collect();
+        let taken: Vec<_> = std::iter::from_fn(|| boxes.pop(3)).collect();
         assert_eq!(taken, [2, 3, 4, 5, 6].map(|number| vec![number, 0]));
         assert_eq!(boxes.oldest(3), Err(status::MAILBOX_EMPTY));
     }

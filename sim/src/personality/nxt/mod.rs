@@ -26,49 +26,49 @@ mod tests;
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Pose, Span, Stamp};
+use posebridge_telemetry::{Arena, BrickClock, Pose, TimeDelta, Timestamp};
 
-use self::devices::Inside;
-use self::inputs::Inputs;
-use self::low_speed::LowSpeed;
+use self::devices::DeviceInputs;
+use self::inputs::InputPorts;
+use self::low_speed::LowSpeedBus;
 use self::mailboxes::Mailboxes;
-use self::outputs::Outputs;
-use self::telegram::{Family, Request, answer_telegram};
-use self::wire::Wire;
-use super::Moment;
+use self::outputs::OutputPorts;
+use self::telegram::{CommandFamily, TelegramRequest, reply_telegram};
+use self::wire::NxtWire;
 use super::estimate::{NXT_INBOX, estimate_from};
-use crate::firmware::Talk;
+use super::firmware_pass::FirmwarePass;
+use crate::firmware::BrickMessenger;
 use crate::scenario::{BrickProgram, Personality, Scenario};
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// The brick falls asleep after this time without a key or a keep-alive, unless a program runs. The factory's setting.
-const SLEEPS_AFTER: Span = Span::from_millis(600_000);
+const SLEEP_TIMEOUT: TimeDelta = TimeDelta::from_millis(600_000);
 /// The temperature of a room whose thermometer is not simulated, in degrees Celsius.
-const ROOM_C: f64 = 21.0;
+const AMBIENT_C: f64 = 21.0;
 /// Frames that a pushing program holds back while the radio is busy; the oldest are given up.
-const PUSHED: usize = 8;
+const PUSH_QUEUE_CAPACITY: usize = 8;
 
 /// An NXT.
 #[derive(Debug)]
 pub(super) struct Nxt {
-    wire: Wire,
-    inputs: Inputs,
-    outputs: Outputs,
-    low_speed: LowSpeed,
+    wire: NxtWire,
+    inputs: InputPorts,
+    outputs: OutputPorts,
+    low_speed: LowSpeedBus,
     mailboxes: Mailboxes,
     /// The name of the program that runs.
     program: Option<Vec<u8>>,
     /// What the program says by itself, if it does.
-    talk: Option<Talk>,
-    pushed: VecDeque<Vec<u8>>,
+    messenger: Option<BrickMessenger>,
+    push_queue: VecDeque<Vec<u8>>,
     name: Vec<u8>,
-    awake_since: Span,
+    awake_since: TimeDelta,
     is_asleep: bool,
     scenario_program: BrickProgram,
     /// Somebody has spoken to it, or it is one that speaks first: its program may drive.
     is_addressed: bool,
     outgoing: VecDeque<Vec<u8>>,
-    estimates: Vec<(Stamp<BrickClock>, Pose<Arena>)>,
+    estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
 /// The file name of the program that drives the path.
@@ -78,19 +78,19 @@ const FACTORY_NAME: &[u8] = b"NXT";
 
 impl Nxt {
     /// A brick that is switched on at `now`.
-    pub(super) fn new(scenario: &Scenario, now: Stamp<BrickClock>) -> Self {
+    pub(super) fn new(scenario: &Scenario, now: Timestamp<BrickClock>) -> Self {
         let brick = &scenario.brick;
         let mut nxt = Self {
-            wire: Wire::new(brick.telegram_bytes, brick.turn_around()),
-            inputs: Inputs::new(brick.sensors, scenario.seed),
-            outputs: Outputs::new(&scenario.robot),
-            low_speed: LowSpeed::default(),
+            wire: NxtWire::new(brick.telegram_bytes, brick.turn_around()),
+            inputs: InputPorts::new(brick.sensors, scenario.seed),
+            outputs: OutputPorts::new(&scenario.robot),
+            low_speed: LowSpeedBus::default(),
             mailboxes: Mailboxes::default(),
             program: None,
-            talk: (brick.personality == Personality::NxtPush).then(|| Talk::new(scenario, now)),
-            pushed: VecDeque::new(),
+            messenger: (brick.personality == Personality::NxtPush).then(|| BrickMessenger::new(scenario, now)),
+            push_queue: VecDeque::new(),
             name: FACTORY_NAME.to_vec(),
-            awake_since: Span::ZERO,
+            awake_since: TimeDelta::ZERO,
             is_asleep: false,
             scenario_program: brick.program,
             is_addressed: brick.personality == Personality::NxtPush,
@@ -102,30 +102,32 @@ impl Nxt {
     }
 
     /// One pass; returns the duty of both motors.
-    pub(super) fn step(&mut self, moment: &mut Moment<'_>) -> Pair<f64> {
+    pub(super) fn step(&mut self, moment: &mut FirmwarePass<'_>) -> PerWheel<f64> {
         if self.program.is_some() {
-            self.awake_since = moment.world;
+            self.awake_since = moment.sim_time;
         }
-        self.is_asleep |= moment.world - self.awake_since >= SLEEPS_AFTER;
+        self.is_asleep |= moment.sim_time - self.awake_since >= SLEEP_TIMEOUT;
         if self.is_asleep {
-            moment.program.watch(moment.now, moment.counts());
-            return Pair::default();
+            moment.program.observe_odometry(moment.now, moment.counts());
+            return PerWheel::default();
         }
         self.inputs.step(moment.senses);
-        self.low_speed
-            .step(Inside { senses: moment.senses, temperature_c: moment.board.read_temperature().unwrap_or(ROOM_C) });
+        self.low_speed.step(DeviceInputs {
+            senses: moment.senses,
+            temperature_c: moment.board.read_temperature().unwrap_or(AMBIENT_C),
+        });
         if let Some(telegram) = self.wire.next_telegram() {
-            self.follow(&telegram, moment);
+            self.execute(&telegram, moment);
         }
         self.run(moment);
         let duty = self.outputs.step(moment.counts());
         self.push(moment);
-        self.outgoing.extend(self.wire.step(moment.world));
+        self.outgoing.extend(self.wire.step(moment.sim_time));
         duty
     }
 
     /// Takes bytes that arrive from the station.
-    pub(super) fn receive(&mut self, world: Span, bytes: &[u8]) {
+    pub(super) fn receive(&mut self, world: TimeDelta, bytes: &[u8]) {
         if !self.is_asleep {
             self.wire.receive(world, bytes);
         }
@@ -137,25 +139,25 @@ impl Nxt {
     }
 
     /// Switched off and on: as from the beginning, but for its name and its gyro.
-    pub(super) fn restart(&mut self, moment: &mut Moment<'_>) {
+    pub(super) fn restart(&mut self, moment: &mut FirmwarePass<'_>) {
         self.wire.reopen();
         self.is_asleep = false;
-        self.awake_since = moment.world;
+        self.awake_since = moment.sim_time;
         self.outputs.step(moment.counts());
         self.forget();
-        if let Some(talk) = &mut self.talk {
+        if let Some(talk) = &mut self.messenger {
             talk.restart(moment.now, moment.counts());
         }
         self.autostart();
     }
 
     /// The next telegram on its way to the station.
-    pub(super) fn take(&mut self) -> Option<Vec<u8>> {
+    pub(super) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         self.outgoing.pop_front()
     }
 
     /// The estimates that the program took out of its mailbox: of which instant, and where.
-    pub(super) fn take_estimates(&mut self) -> Vec<(Stamp<BrickClock>, Pose<Arena>)> {
+    pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
         std::mem::take(&mut self.estimates)
     }
 
@@ -163,30 +165,30 @@ impl Nxt {
         self.program = (self.scenario_program == BrickProgram::Path).then(|| PATH_PROGRAM.to_vec());
     }
 
-    fn follow(&mut self, telegram: &[u8], moment: &mut Moment<'_>) {
-        let Some(request) = Request::of(telegram) else {
+    fn execute(&mut self, telegram: &[u8], moment: &mut FirmwarePass<'_>) {
+        let Some(request) = TelegramRequest::parse(telegram) else {
             return;
         };
         self.is_addressed = true;
         let answer = match request.family {
-            Family::Direct => self.direct(request, moment),
-            Family::System => self.system(request, moment),
+            CommandFamily::Direct => self.direct(request, moment),
+            CommandFamily::System => self.system(request, moment),
         };
         if request.is_answered {
-            self.wire.send(&answer_telegram(request.opcode, &answer));
+            self.wire.send(&reply_telegram(request.opcode, &answer));
         }
     }
 
     /// Lets the program run, which looks into its mailbox first.
-    fn run(&mut self, moment: &mut Moment<'_>) {
+    fn run(&mut self, moment: &mut FirmwarePass<'_>) {
         // A program that is looked at from outside waits for whoever looks, who must see the robot rest.
         if self.program.is_none() || !self.is_addressed {
-            moment.program.watch(moment.now, moment.counts());
+            moment.program.observe_odometry(moment.now, moment.counts());
             return;
         }
-        while let Some(message) = self.mailboxes.take(NXT_INBOX) {
+        while let Some(message) = self.mailboxes.pop(NXT_INBOX) {
             if let Some((stamp, pose)) = estimate_from(&message) {
-                let instant = moment.program.take_estimate(moment.now, stamp, pose);
+                let instant = moment.program.apply_estimate(moment.now, stamp, pose);
                 self.estimates.push((instant, pose));
             }
         }
@@ -195,35 +197,35 @@ impl Nxt {
     }
 
     /// Lets the program say what it has to say. It waits until the last frame is sent, so that the firmware has a buffer for its answers.
-    fn push(&mut self, moment: &mut Moment<'_>) {
-        let Some(talk) = self.talk.as_mut().filter(|_| self.program.is_some()) else {
+    fn push(&mut self, moment: &mut FirmwarePass<'_>) {
+        let Some(talk) = self.messenger.as_mut().filter(|_| self.program.is_some()) else {
             return;
         };
         talk.step(moment.now, moment.board);
-        self.pushed.extend(talk.take_frames());
-        while self.pushed.len() > PUSHED {
-            self.pushed.pop_front();
+        self.push_queue.extend(talk.take_frames());
+        while self.push_queue.len() > PUSH_QUEUE_CAPACITY {
+            self.push_queue.pop_front();
         }
         if self.wire.is_idle()
-            && let Some(frame) = self.pushed.pop_front()
+            && let Some(frame) = self.push_queue.pop_front()
         {
             self.wire.send(&frame);
         }
     }
 
     /// A program begins: all ports, counters and mailboxes begin anew.
-    fn start(&mut self, name: &[u8], moment: &mut Moment<'_>) {
+    fn start(&mut self, name: &[u8], moment: &mut FirmwarePass<'_>) {
         self.outputs.step(moment.counts());
         self.forget();
         self.program = Some(name.to_vec());
         moment.program.begin(moment.now, moment.counts());
-        if let Some(talk) = &mut self.talk {
+        if let Some(talk) = &mut self.messenger {
             talk.restart(moment.now, moment.counts());
         }
     }
 
     /// Somebody stops the program and starts it again.
-    pub(super) fn restart_program(&mut self, moment: &mut Moment<'_>) {
+    pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
         if let Some(name) = self.program.clone() {
             self.start(&name, moment);
         }
@@ -240,6 +242,6 @@ impl Nxt {
         self.inputs.reset();
         self.low_speed.reset();
         self.mailboxes.clear();
-        self.pushed.clear();
+        self.push_queue.clear();
     }
 }

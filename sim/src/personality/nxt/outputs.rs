@@ -16,7 +16,7 @@
 
 use crate::firmware::SpeedControl;
 use crate::scenario::{RobotSettings, TICK_RAD};
-use crate::wheels::Pair;
+use crate::wheels::PerWheel;
 
 /// Number of ports.
 pub(super) const PORTS: usize = 3;
@@ -60,7 +60,7 @@ const TURN_RATIO_AT: usize = 28;
 
 /// What a port is told.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Order {
+pub(super) struct OutputCommand {
     /// Percent, negative backwards.
     pub(super) power: i8,
     /// On, brake, regulated.
@@ -77,7 +77,7 @@ pub(super) struct Order {
 
 /// Which counter is to be zeroed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Counter {
+pub(super) enum TachoCounter {
     /// Since the program began.
     Rotation,
     /// Since the block began.
@@ -86,15 +86,15 @@ pub(super) enum Counter {
 
 /// One port.
 #[derive(Clone, Debug)]
-struct Output {
-    order: Order,
+struct OutputPort {
+    command: OutputCommand,
     /// What the encoder has counted since power-up.
     position: i64,
     tacho_zero: i64,
     block_zero: i64,
     rotation_zero: i64,
     /// Where the order began.
-    begun: i64,
+    start_position: i64,
     control: SpeedControl,
     duty: f64,
     is_overloaded: bool,
@@ -104,23 +104,23 @@ struct Output {
 
 /// All ports.
 #[derive(Clone, Debug)]
-pub(super) struct Outputs {
-    ports: [Output; PORTS],
+pub(super) struct OutputPorts {
+    ports: [OutputPort; PORTS],
     fresh_control: SpeedControl,
     passes: u32,
 }
 
-impl Outputs {
+impl OutputPorts {
     /// Ports at rest.
     pub(super) fn new(robot: &RobotSettings) -> Self {
         let control = SpeedControl::new(robot);
-        let port = || Output {
-            order: Order::default(),
+        let port = || OutputPort {
+            command: OutputCommand::default(),
             position: 0,
             tacho_zero: 0,
             block_zero: 0,
             rotation_zero: 0,
-            begun: 0,
+            start_position: 0,
             control: control.clone(),
             duty: 0.0,
             is_overloaded: false,
@@ -130,7 +130,7 @@ impl Outputs {
     }
 
     /// Follows the encoders by one pass and returns the duty of both motors.
-    pub(super) fn step(&mut self, positions: Pair<i64>) -> Pair<f64> {
+    pub(super) fn step(&mut self, positions: PerWheel<i64>) -> PerWheel<f64> {
         for (place, position) in [(LEFT, positions.left), (RIGHT, positions.right)] {
             if let Some(port) = self.ports.get_mut(place) {
                 port.position = position;
@@ -145,31 +145,31 @@ impl Outputs {
             }
         }
         let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        Pair { left: duty(LEFT), right: duty(RIGHT) }
+        PerWheel { left: duty(LEFT), right: duty(RIGHT) }
     }
 
     /// Gives an order to a port, or to all; false if there is no such port.
-    pub(super) fn order(&mut self, port: u8, order: Order) -> bool {
+    pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> bool {
         let fresh = self.fresh_control.clone();
         let places = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
         let Some(ports) = self.ports.get_mut(places) else {
             return false;
         };
         for port in ports {
-            port.follow(order, fresh.clone());
+            port.apply(order, fresh.clone());
         }
         true
     }
 
     /// What the program on the brick does: both motors on at these duties.
-    pub(super) fn drive(&mut self, duty: Pair<f64>) {
+    pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
             if let Some(port) = self.ports.get_mut(place) {
-                port.order = Order {
+                port.command = OutputCommand {
                     power: (duty * 100.0).round() as i8,
                     mode: ON | BRAKE,
                     run_state: RUNNING,
-                    ..Order::default()
+                    ..OutputCommand::default()
                 };
                 port.duty = duty;
             }
@@ -177,13 +177,13 @@ impl Outputs {
     }
 
     /// Zeroes a counter of a port; false if there is no such port.
-    pub(super) fn zero(&mut self, port: u8, counter: Counter) -> bool {
+    pub(super) fn zero(&mut self, port: u8, counter: TachoCounter) -> bool {
         let Some(port) = self.ports.get_mut(usize::from(port)) else {
             return false;
         };
         match counter {
-            Counter::Rotation => port.rotation_zero = port.position,
-            Counter::Block => port.block_zero = port.position,
+            TachoCounter::Rotation => port.rotation_zero = port.position,
+            TachoCounter::Block => port.block_zero = port.position,
         }
         true
     }
@@ -191,7 +191,7 @@ impl Outputs {
     /// A program was started or stopped: all motors idle, all counters at zero.
     pub(super) fn reset(&mut self) {
         for port in &mut self.ports {
-            port.follow(Order::default(), self.fresh_control.clone());
+            port.apply(OutputCommand::default(), self.fresh_control.clone());
             port.duty = 0.0;
             port.tacho_zero = port.position;
             port.block_zero = port.position;
@@ -202,7 +202,7 @@ impl Outputs {
     /// What GETOUTPUTSTATE answers after its status, if there is such a port.
     pub(super) fn state(&self, port: u8) -> Option<Vec<u8>> {
         let output = self.ports.get(usize::from(port))?;
-        let order = output.order;
+        let order = output.command;
         let mut state = vec![port, order.power as u8, order.mode, order.regulation];
         state.extend([order.turn_ratio as u8, order.run_state]);
         state.extend(order.limit.to_le_bytes());
@@ -214,7 +214,7 @@ impl Outputs {
 
     /// The Output module.
     pub(super) fn map(&self) -> Vec<u8> {
-        let mut map: Vec<u8> = self.ports.iter().flat_map(Output::map).collect();
+        let mut map: Vec<u8> = self.ports.iter().flat_map(OutputPort::map).collect();
         // The motors' pulse frequency, in kilohertz.
         map.push(8);
         map
@@ -230,63 +230,66 @@ impl Outputs {
             }
         }
         for port in &mut self.ports {
-            port.take_over(&fresh);
+            port.reset_control(&fresh);
         }
     }
 }
 
-impl Output {
+impl OutputPort {
     fn step(&mut self) {
-        let limit = i64::from(self.order.limit);
-        if limit > 0 && (self.position - self.begun).abs() >= limit {
-            self.order.run_state = IDLE;
-            self.order.limit = 0;
+        let limit = i64::from(self.command.limit);
+        if limit > 0 && (self.position - self.start_position).abs() >= limit {
+            self.command.run_state = IDLE;
+            self.command.limit = 0;
         }
         if !self.is_on() {
             self.duty = 0.0;
             self.is_overloaded = false;
-        } else if !self.is_regulated() && (self.duty * 100.0).round() as i8 != self.order.power {
+        } else if !self.is_regulated() && (self.duty * 100.0).round() as i8 != self.command.power {
             // A running program has set a finer duty than percent.
-            self.duty = f64::from(self.order.power) / 100.0;
+            self.duty = f64::from(self.command.power) / 100.0;
         }
     }
 
     fn regulate(&mut self, place: usize) {
         if self.is_on() && self.is_regulated() {
             let wanted = self.regulated_percent(place) * RAD_PER_S_PER_PERCENT;
-            self.duty = self.control.duty(wanted, self.position - self.begun);
+            self.duty = self.control.duty(wanted, self.position - self.start_position);
             self.is_overloaded = self.duty.abs() >= 1.0;
         }
     }
 
     const fn is_on(&self) -> bool {
-        self.order.mode & ON != 0 && self.order.run_state != IDLE
+        self.command.mode & ON != 0 && self.command.run_state != IDLE
     }
 
     const fn is_regulated(&self) -> bool {
-        self.order.mode & REGULATED != 0 && self.order.regulation != 0
+        self.command.mode & REGULATED != 0 && self.command.regulation != 0
     }
 
     fn regulated_percent(&self, place: usize) -> f64 {
-        let power = f64::from(self.order.power);
-        let ratio = f64::from(self.order.turn_ratio);
+        let power = f64::from(self.command.power);
+        let ratio = f64::from(self.command.turn_ratio);
         let is_slower = (ratio < 0.0) == (place == RIGHT);
-        if self.order.regulation == SYNC && is_slower { power * (1.0 - ratio.abs() / 50.0) } else { power }
+        if self.command.regulation == SYNC && is_slower { power * (1.0 - ratio.abs() / 50.0) } else { power }
     }
 
-    fn follow(&mut self, order: Order, fresh: SpeedControl) {
-        self.order =
-            Order { power: order.power.clamp(-100, 100), turn_ratio: order.turn_ratio.clamp(-100, 100), ..order };
-        self.begun = self.position;
+    fn apply(&mut self, order: OutputCommand, fresh: SpeedControl) {
+        self.command = OutputCommand {
+            power: order.power.clamp(-100, 100),
+            turn_ratio: order.turn_ratio.clamp(-100, 100),
+            ..order
+        };
+        self.start_position = self.position;
         self.control = fresh;
     }
 
-    fn take_over(&mut self, fresh: &SpeedControl) {
+    fn reset_control(&mut self, fresh: &SpeedControl) {
         let written = self.written;
         let flags = std::mem::take(&mut self.written[FLAGS_AT]);
         let is_set = |flag: u8| flags & flag != 0;
         if is_set(UPDATE_MODE | UPDATE_SPEED | UPDATE_LIMIT) {
-            let mut order = self.order;
+            let mut order = self.command;
             if is_set(UPDATE_MODE) {
                 (order.mode, order.regulation) = (written[MODE_AT], written[REGULATION_AT]);
             }
@@ -299,7 +302,7 @@ impl Output {
                 let limit = written.get(LIMIT_AT..).and_then(<[u8]>::first_chunk);
                 order.limit = limit.map_or(0, |limit| u32::from_le_bytes(*limit));
             }
-            self.follow(order, fresh.clone());
+            self.apply(order, fresh.clone());
         }
         for (flag, zero) in [
             (RESET_TACHO, &mut self.tacho_zero),
@@ -320,17 +323,17 @@ impl Output {
     fn map(&self) -> [u8; MAP_BYTES] {
         let mut map = [0; MAP_BYTES];
         let counts = self.counts().into_iter().flat_map(i32::to_le_bytes);
-        let head = counts.chain(self.order.limit.to_le_bytes());
+        let head = counts.chain(self.command.limit.to_le_bytes());
         for (place, byte) in map.iter_mut().zip(head) {
             *place = byte;
         }
-        map[MODE_AT] = self.order.mode;
-        map[SPEED_AT] = self.order.power as u8;
+        map[MODE_AT] = self.command.mode;
+        map[SPEED_AT] = self.command.power as u8;
         map[ACTUAL_SPEED_AT] = (self.duty * 100.0).round() as i8 as u8;
-        map[RUN_STATE_AT] = self.order.run_state;
-        map[REGULATION_AT] = self.order.regulation;
+        map[RUN_STATE_AT] = self.command.run_state;
+        map[REGULATION_AT] = self.command.regulation;
         map[OVERLOADED_AT] = u8::from(self.is_overloaded);
-        map[TURN_RATIO_AT] = self.order.turn_ratio as u8;
+        map[TURN_RATIO_AT] = self.command.turn_ratio as u8;
         map
     }
 }
@@ -339,51 +342,52 @@ impl Output {
 mod tests {
     use super::*;
 
-    const RUN: Order = Order { power: 50, mode: ON, regulation: 0, turn_ratio: 0, run_state: RUNNING, limit: 0 };
+    const RUN: OutputCommand =
+        OutputCommand { power: 50, mode: ON, regulation: 0, turn_ratio: 0, run_state: RUNNING, limit: 0 };
 
-    fn at(left: i64, right: i64) -> Pair<i64> {
-        Pair { left, right }
+    fn at(left: i64, right: i64) -> PerWheel<i64> {
+        PerWheel { left, right }
     }
 
     #[test]
     fn power_is_a_duty_and_an_idle_port_stands() {
-        let mut outputs = Outputs::new(&RobotSettings::default());
-        assert!(outputs.order(1, RUN));
-        assert!(outputs.order(2, Order { power: -120, ..RUN }));
+        let mut outputs = OutputPorts::new(&RobotSettings::default());
+        assert!(outputs.command(1, RUN));
+        assert!(outputs.command(2, OutputCommand { power: -120, ..RUN }));
         let duty = outputs.step(at(0, 0));
         assert_eq!((duty.left, duty.right), (0.5, -1.0));
-        assert!(outputs.order(0xFF, Order::default()));
+        assert!(outputs.command(0xFF, OutputCommand::default()));
         let duty = outputs.step(at(0, 0));
         assert_eq!((duty.left, duty.right), (0.0, 0.0));
-        assert!(!outputs.order(3, RUN));
+        assert!(!outputs.command(3, RUN));
     }
 
     #[test]
     fn a_limit_ends_the_run() {
-        let mut outputs = Outputs::new(&RobotSettings::default());
+        let mut outputs = OutputPorts::new(&RobotSettings::default());
         outputs.step(at(1_000, 0));
-        outputs.order(1, Order { limit: 90, ..RUN });
+        outputs.command(1, OutputCommand { limit: 90, ..RUN });
         assert_eq!(outputs.step(at(1_089, 0)).left, 0.5);
         assert_eq!(outputs.step(at(1_090, 0)).left, 0.0);
     }
 
     #[test]
     fn each_counter_has_its_own_zero() {
-        let mut outputs = Outputs::new(&RobotSettings::default());
+        let mut outputs = OutputPorts::new(&RobotSettings::default());
         outputs.step(at(10, 0));
-        assert!(outputs.zero(1, Counter::Block));
+        assert!(outputs.zero(1, TachoCounter::Block));
         outputs.step(at(14, 0));
-        assert!(outputs.zero(1, Counter::Rotation));
+        assert!(outputs.zero(1, TachoCounter::Rotation));
         outputs.step(at(20, 0));
         assert_eq!(outputs.ports[1].counts(), [20, 10, 6]);
         outputs.reset();
         assert_eq!(outputs.ports[1].counts(), [0, 0, 0]);
-        assert!(!outputs.zero(3, Counter::Block));
+        assert!(!outputs.zero(3, TachoCounter::Block));
     }
 
     #[test]
     fn what_is_written_into_the_module_waits_for_its_flag() {
-        let mut outputs = Outputs::new(&RobotSettings::default());
+        let mut outputs = OutputPorts::new(&RobotSettings::default());
         // Port C: mode on, speed 30, then run state, each in a telegram of its own.
         outputs.write(64 + MODE_AT, &[ON, 30]);
         outputs.write(64 + RUN_STATE_AT, &[RUNNING]);
@@ -397,12 +401,12 @@ mod tests {
 
     #[test]
     fn in_step_a_turn_ratio_slows_the_motor_inside_the_turn() {
-        let mut outputs = Outputs::new(&RobotSettings::default());
-        let order = Order { mode: ON | REGULATED, regulation: SYNC, turn_ratio: 25, ..RUN };
-        outputs.order(0xFF, order);
-        let percent = |outputs: &Outputs, place: usize| outputs.ports[place].regulated_percent(place);
+        let mut outputs = OutputPorts::new(&RobotSettings::default());
+        let order = OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio: 25, ..RUN };
+        outputs.command(0xFF, order);
+        let percent = |outputs: &OutputPorts, place: usize| outputs.ports[place].regulated_percent(place);
         assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (25.0, 50.0));
-        outputs.order(0xFF, Order { turn_ratio: -50, ..order });
+        outputs.command(0xFF, OutputCommand { turn_ratio: -50, ..order });
         assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (50.0, 0.0));
     }
 }

@@ -1,8 +1,8 @@
 //! The NXT's system commands: versions, name, IO maps, poll buffers.
 
-use super::super::Moment;
+use super::super::firmware_pass::FirmwarePass;
 use super::direct::padded;
-use super::telegram::{Answer, Request, system};
+use super::telegram::{TelegramReply, TelegramRequest, system};
 use super::{Nxt, io_map, status};
 
 /// Protocol 1.124 and firmware 1.31, as an up-to-date brick answers: minor before major.
@@ -20,7 +20,7 @@ const MAP_HEAD: usize = 9;
 
 impl Nxt {
     /// Follows a system command.
-    pub(super) fn system(&mut self, request: Request<'_>, moment: &Moment<'_>) -> Answer {
+    pub(super) fn system(&mut self, request: TelegramRequest<'_>, moment: &FirmwarePass<'_>) -> TelegramReply {
         match request.opcode {
             system::VERSIONS => Ok(VERSIONS.to_vec()),
             system::DEVICE_INFO => {
@@ -42,7 +42,7 @@ impl Nxt {
         }
     }
 
-    fn read_map(&mut self, request: Request<'_>, moment: &Moment<'_>) -> Answer {
+    fn read_map(&mut self, request: TelegramRequest<'_>, moment: &FirmwarePass<'_>) -> TelegramReply {
         let (id, offset, count) = (request.long(0)?, request.word(4)?, request.word(6)?);
         let map = self.map(id, moment).ok_or(status::MODULE_NOT_FOUND)?;
         if usize::from(count) + MAP_HEAD > self.wire.longest() {
@@ -54,7 +54,7 @@ impl Nxt {
         Ok([&id.to_le_bytes()[..], &count.to_le_bytes(), data].concat())
     }
 
-    fn write_map(&mut self, request: Request<'_>) -> Answer {
+    fn write_map(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         let (id, offset, count) = (request.long(0)?, request.word(4)?, request.word(6)?);
         let data = request.bytes(8, usize::from(count))?;
         let from = usize::from(offset);
@@ -73,7 +73,7 @@ impl Nxt {
 }
 
 /// Buffer 0 is that of USB, 1 that of the high-speed port.
-fn poll_buffer(request: Request<'_>) -> Result<u8, u8> {
+fn poll_buffer(request: TelegramRequest<'_>) -> Result<u8, u8> {
     let buffer = request.byte(0)?;
     if buffer > 1 {
         return Err(status::OUT_OF_RANGE);

@@ -52,7 +52,7 @@ pub(super) mod system {
 
 /// Who is to follow a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Family {
+pub(super) enum CommandFamily {
     /// The virtual machine.
     Direct,
     /// The loader.
@@ -61,9 +61,9 @@ pub(super) enum Family {
 
 /// A request, taken apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Request<'a> {
+pub(super) struct TelegramRequest<'a> {
     /// Who is to follow it.
-    pub(super) family: Family,
+    pub(super) family: CommandFamily,
     /// Whether an answer is wanted.
     pub(super) is_answered: bool,
     /// What to do.
@@ -72,15 +72,15 @@ pub(super) struct Request<'a> {
     pub(super) rest: &'a [u8],
 }
 
-impl<'a> Request<'a> {
+impl<'a> TelegramRequest<'a> {
     /// Takes a telegram apart; `None` if it is no request.
-    pub(super) fn of(telegram: &'a [u8]) -> Option<Self> {
+    pub(super) fn parse(telegram: &'a [u8]) -> Option<Self> {
         let [kind, opcode, rest @ ..] = telegram else {
             return None;
         };
         let family = match kind & !NO_ANSWER {
-            DIRECT => Family::Direct,
-            SYSTEM => Family::System,
+            DIRECT => CommandFamily::Direct,
+            SYSTEM => CommandFamily::System,
             _ => return None,
         };
         Some(Self { family, is_answered: kind & NO_ANSWER == 0, opcode: *opcode, rest })
@@ -110,10 +110,10 @@ impl<'a> Request<'a> {
 }
 
 /// What an answer holds behind its status, or the status that says why there is none.
-pub(super) type Answer = Result<Vec<u8>, u8>;
+pub(super) type TelegramReply = Result<Vec<u8>, u8>;
 
 /// The telegram of an answer.
-pub(super) fn answer_telegram(opcode: u8, answer: &Answer) -> Vec<u8> {
+pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
     match answer {
         Ok(body) => [&[ANSWER, opcode, status::OK], body.as_slice()].concat(),
         Err(status) => vec![ANSWER, opcode, *status],
@@ -122,10 +122,10 @@ pub(super) fn answer_telegram(opcode: u8, answer: &Answer) -> Vec<u8> {
 
 /// How long a request with this beginning is, in bytes; `None` if its command is unknown or its length cannot be told yet.
 pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
-    let request = Request::of(bytes)?;
+    let request = TelegramRequest::parse(bytes)?;
     let counted = |index: usize| request.byte(index).ok().map(usize::from);
     match (request.family, request.opcode) {
-        (Family::Direct, opcode) => match opcode {
+        (CommandFamily::Direct, opcode) => match opcode {
             direct::STOP_PROGRAM | direct::BATTERY | direct::STOP_SOUND | direct::KEEP_ALIVE | direct::PROGRAM_NAME => {
                 Some(2)
             }
@@ -142,7 +142,7 @@ pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
             direct::BUS_WRITE => counted(1).map(|size| 5 + size),
             _ => None,
         },
-        (Family::System, opcode) => match opcode {
+        (CommandFamily::System, opcode) => match opcode {
             system::VERSIONS | system::DEVICE_INFO => Some(2),
             system::POLL_LENGTH => Some(3),
             system::POLL => Some(4),

@@ -272,9 +272,9 @@ fn the_program_takes_the_estimate_out_of_its_mailbox() {
     host.tell(&estimate);
     let received = host.simulation.received_estimates();
     assert_eq!(received.len(), 1);
-    assert_eq!(received[0].instant.as_micros(), 5_100_000);
+    assert_eq!(received[0].estimate_time.as_micros(), 5_100_000);
     assert_eq!(received[0].pose.x.0, 1.5);
-    assert_eq!(host.simulation.truth().last().unwrap().belief.x.0, 1.5);
+    assert_eq!(host.simulation.truth().last().unwrap().onboard_estimate.x.0, 1.5);
     // An outbox is read and found empty; a message without its zero is refused.
     assert_eq!(host.ask(&[0x00, 0x13, 10, 0, 1]), [2, 0x13, 0x40]);
     assert_eq!(host.ask(&[0x00, 0x09, 0, 1, 7]), [2, 0x09, 0xC0]);

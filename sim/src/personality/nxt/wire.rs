@@ -16,7 +16,7 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::Span;
+use posebridge_telemetry::TimeDelta;
 
 use super::super::radio::{Radio, RadioSettings};
 use super::telegram::request_length;
@@ -32,13 +32,13 @@ const RECEIVE_BYTES: usize = 16 * 1024;
 /// Answers under way: one on the air, one queued.
 const SEND_BUFFERS: usize = 2;
 /// After this much silence a new telegram begins.
-const QUIET: Span = Span::from_millis(100);
+const RESYNC_TIMEOUT: TimeDelta = TimeDelta::from_millis(100);
 /// Time of a byte on the UART between the processor and the radio, in seconds.
 const BYTE_S: f64 = 10.0 / 460_800.0;
 
 /// How telegrams are told apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Form {
+enum TelegramFraming {
     /// Nothing has been heard on this connection.
     #[default]
     Unknown,
@@ -50,26 +50,26 @@ enum Form {
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub(super) struct Wire {
+pub(super) struct NxtWire {
     longest: usize,
-    form: Form,
+    framing: TelegramFraming,
     received: Vec<u8>,
     /// Bare telegrams that wait to be handled.
     telegrams: VecDeque<Vec<u8>>,
-    last_heard: Span,
+    last_received: TimeDelta,
     is_lost: bool,
     radio: Radio,
 }
 
-impl Wire {
+impl NxtWire {
     /// A link that nobody has used. Telegrams are `longest` bytes at most, either way.
-    pub(super) fn new(longest: usize, turn_around: Span) -> Self {
+    pub(super) fn new(longest: usize, turn_around: TimeDelta) -> Self {
         Self {
             longest,
-            form: Form::Unknown,
+            framing: TelegramFraming::Unknown,
             received: Vec::new(),
             telegrams: VecDeque::new(),
-            last_heard: Span::ZERO,
+            last_received: TimeDelta::ZERO,
             is_lost: false,
             radio: Radio::new(RadioSettings { turn_around, byte_s: BYTE_S, buffers: SEND_BUFFERS }),
         }
@@ -82,7 +82,7 @@ impl Wire {
 
     /// Somebody else is at the other end.
     pub(super) fn reopen(&mut self) {
-        self.form = Form::Unknown;
+        self.framing = TelegramFraming::Unknown;
         self.received.clear();
         self.telegrams.clear();
         self.is_lost = false;
@@ -90,23 +90,23 @@ impl Wire {
     }
 
     /// Takes bytes that arrive at `now`, the time since the beginning of the world.
-    pub(super) fn receive(&mut self, now: Span, bytes: &[u8]) {
+    pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         let Some(first) = bytes.first() else {
             return;
         };
-        let was_quiet = now - self.last_heard >= QUIET;
-        self.last_heard = now;
+        let was_quiet = now - self.last_received >= RESYNC_TIMEOUT;
+        self.last_received = now;
         self.radio.receive();
-        match self.form {
-            Form::Unknown if *first == HELLO => {
-                self.form = Form::Bare;
+        match self.framing {
+            TelegramFraming::Unknown if *first == HELLO => {
+                self.framing = TelegramFraming::Bare;
                 self.radio.send(KIND_OF_LINK.to_vec());
                 self.receive_bare(bytes.get(1..).unwrap_or_default());
             }
-            Form::Bare if bytes == [GOODBYE] => self.reopen(),
-            Form::Bare => self.receive_bare(bytes),
-            Form::Unknown | Form::Prefixed => {
-                self.form = Form::Prefixed;
+            TelegramFraming::Bare if bytes == [GOODBYE] => self.reopen(),
+            TelegramFraming::Bare => self.receive_bare(bytes),
+            TelegramFraming::Unknown | TelegramFraming::Prefixed => {
+                self.framing = TelegramFraming::Prefixed;
                 if was_quiet {
                     self.received.clear();
                     self.is_lost = false;
@@ -134,7 +134,7 @@ impl Wire {
 
     /// The next whole telegram.
     pub(super) fn next_telegram(&mut self) -> Option<Vec<u8>> {
-        if self.form == Form::Bare {
+        if self.framing == TelegramFraming::Bare {
             return self.telegrams.pop_front();
         }
         let length = usize::from(u16::from_le_bytes(*self.received.first_chunk()?));
@@ -157,12 +157,12 @@ impl Wire {
     /// Sends a telegram; one for which there is no buffer is dropped.
     pub(super) fn send(&mut self, telegram: &[u8]) {
         let prefix = (telegram.len() as u16).to_le_bytes();
-        let prefix = if self.form == Form::Bare { &[][..] } else { &prefix[..] };
+        let prefix = if self.framing == TelegramFraming::Bare { &[][..] } else { &prefix[..] };
         self.radio.send([prefix, telegram].concat());
     }
 
     /// What has gone over the air at `now`.
-    pub(super) fn step(&mut self, now: Span) -> Option<Vec<u8>> {
+    pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         self.radio.step(now)
     }
 }
@@ -171,16 +171,16 @@ impl Wire {
 mod tests {
     use super::*;
 
-    fn ms(count: i64) -> Span {
-        Span::from_millis(count)
+    fn ms(count: i64) -> TimeDelta {
+        TimeDelta::from_millis(count)
     }
 
-    fn wire() -> Wire {
-        Wire::new(128, ms(30))
+    fn wire() -> NxtWire {
+        NxtWire::new(128, ms(30))
     }
 
     /// When what is sent at once goes out, in milliseconds after 1000.
-    fn sent_at(wire: &mut Wire) -> Vec<(i64, Vec<u8>)> {
+    fn sent_at(wire: &mut NxtWire) -> Vec<(i64, Vec<u8>)> {
         let pass = |at: i64| Some((at, wire.step(ms(1_000 + at))?));
         (0..200).filter_map(pass).collect()
     }

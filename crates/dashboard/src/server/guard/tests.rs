@@ -2,9 +2,9 @@ use super::*;
 
 use axum::body::Body;
 
-fn guard(token: Option<&Token>) -> Guard {
+fn guard(token: Option<&AccessToken>) -> RequestGuard {
     let ip = if token.is_some() { "192.0.2.7" } else { "127.0.0.1" };
-    Guard::new(format!("{ip}:4680").parse().unwrap(), token.cloned())
+    RequestGuard::new(format!("{ip}:4680").parse().unwrap(), token.cloned())
 }
 
 fn request(path: &str, headers: &[(&str, &str)]) -> Request {
@@ -15,7 +15,7 @@ fn request(path: &str, headers: &[(&str, &str)]) -> Request {
     request.body(Body::empty()).unwrap()
 }
 
-fn refused(guard: &Guard, path: &str, headers: &[(&str, &str)]) -> Option<Count> {
+fn refused(guard: &RequestGuard, path: &str, headers: &[(&str, &str)]) -> Option<ServerCounter> {
     guard.check(&request(path, headers)).err().map(|denial| denial.count)
 }
 
@@ -38,15 +38,15 @@ fn only_a_host_of_this_computer_with_the_right_port_is_this_station() {
         "localhost:4680/",
     ] {
         let refused = refused(&guard, "/", &[("host", host)]);
-        assert_eq!(refused, Some(Count::WrongHost), "{host}");
+        assert_eq!(refused, Some(ServerCounter::WrongHost), "{host}");
     }
-    assert_eq!(refused(&guard, "/", &[]), Some(Count::WrongHost));
+    assert_eq!(refused(&guard, "/", &[]), Some(ServerCounter::WrongHost));
     let twice = [("host", "localhost:4680"), ("host", "evil.example")];
-    assert_eq!(refused(&guard, "/", &twice), Some(Count::WrongHost));
+    assert_eq!(refused(&guard, "/", &twice), Some(ServerCounter::WrongHost));
     let host = [("host", "localhost:4680")];
     assert_eq!(refused(&guard, "http://localhost:4680/", &host), None);
     let other = refused(&guard, "http://evil.example/", &host);
-    assert_eq!(other, Some(Count::WrongHost));
+    assert_eq!(other, Some(ServerCounter::WrongHost));
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn an_origin_must_be_the_station_itself() {
         "http://localhost:4680.evil.example",
         "",
     ] {
-        assert_eq!(with(origin), Some(Count::WrongOrigin), "{origin}");
+        assert_eq!(with(origin), Some(ServerCounter::WrongOrigin), "{origin}");
     }
 }
 
@@ -90,32 +90,32 @@ fn a_foreign_page_may_lead_to_the_page_and_load_nothing() {
             ("/", "navigate", "iframe"),
         ] {
             let refused = with(path, site, mode, dest);
-            assert_eq!(refused, Some(Count::WrongOrigin), "{site} {mode} {dest}");
+            assert_eq!(refused, Some(ServerCounter::WrongOrigin), "{site} {mode} {dest}");
         }
     }
 }
 
 #[test]
 fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
-    let token = Token::random().unwrap();
-    let other = Token::random().unwrap();
+    let token = AccessToken::random().unwrap();
+    let other = AccessToken::random().unwrap();
     let guard = guard(Some(&token));
     let host = ("host", "brick-station.lan:4680");
-    assert_eq!(refused(&guard, "/", &[host]), Some(Count::WrongToken));
-    let bearer = |token: &Token| format!("Bearer {}", token.expose());
+    assert_eq!(refused(&guard, "/", &[host]), Some(ServerCounter::WrongToken));
+    let bearer = |token: &AccessToken| format!("Bearer {}", token.expose());
     let with = |name, value: &str| refused(&guard, "/", &[host, (name, value)]);
     assert_eq!(with("authorization", &bearer(&token)), None);
     assert_eq!(with("authorization", &bearer(&token).to_lowercase()), None);
     let basic = bearer(&token).replace("Bearer", "Basic");
-    assert_eq!(with("authorization", &basic), Some(Count::WrongToken));
-    assert_eq!(with("authorization", &bearer(&other)), Some(Count::WrongToken));
-    assert_eq!(with("authorization", token.expose()), Some(Count::WrongToken));
-    let cookie = |token: &Token| format!("theme=dark; posebridge_4680={}", token.expose());
+    assert_eq!(with("authorization", &basic), Some(ServerCounter::WrongToken));
+    assert_eq!(with("authorization", &bearer(&other)), Some(ServerCounter::WrongToken));
+    assert_eq!(with("authorization", token.expose()), Some(ServerCounter::WrongToken));
+    let cookie = |token: &AccessToken| format!("theme=dark; posebridge_4680={}", token.expose());
     assert_eq!(with("cookie", &cookie(&token)), None);
-    assert_eq!(with("cookie", &cookie(&other)), Some(Count::WrongToken));
+    assert_eq!(with("cookie", &cookie(&other)), Some(ServerCounter::WrongToken));
     let by_query = format!("/?theme=dark&token={}", token.expose());
     let admitted = guard.check(&request(&by_query, &[host]));
-    assert_eq!(admitted, Ok(Admission::WithCookie));
+    assert_eq!(admitted, Ok(RequestAdmission::WithCookie));
     let cookie = guard.cookie().unwrap();
     let cookie = cookie.to_str().unwrap();
     let (value, attributes) = cookie.split_once("; ").unwrap();
@@ -123,7 +123,7 @@ fn from_elsewhere_the_token_is_needed_in_one_of_three_places() {
     assert_eq!(with("cookie", value), None);
     // A foreign page has the browser's cookie, but its own origin.
     let foreign = [host, ("cookie", value), ("origin", "http://evil.example")];
-    assert_eq!(refused(&guard, "/", &foreign), Some(Count::WrongOrigin));
+    assert_eq!(refused(&guard, "/", &foreign), Some(ServerCounter::WrongOrigin));
 }
 
 #[test]

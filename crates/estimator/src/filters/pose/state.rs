@@ -16,15 +16,17 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Known, Meters, Pose, PoseJump, Span, Stamp, quantities::wrap_rad,
+    Arena, BrickClock, Calibration, Heading, Meters, Pose, PoseCorrection, TimeDelta, Timestamp, UncertainValue,
+    quantities::wrap_rad,
 };
 
-use super::observer_spaces::ObserverSpaces;
-use super::scales::Scales;
-use crate::filters::intake::{RESTART_HEADING_RAD, RESTART_POSITION_M, jump_between};
-use crate::filters::{FilterConfig, StartPose};
+use super::noise_scales::NoiseScales;
+use super::observer_frames::ObserverFrames;
+use crate::filter::{FilterConfig, StartPose};
 use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, rounding_variance};
+use crate::observations::speed::SpeedReading;
+use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, correction_between};
 
 /// Error of the position along the body's x axis, m.
 pub const FORWARD: usize = 0;
@@ -45,7 +47,7 @@ pub const TRACK: usize = 7;
 /// By how much the encoders' heading was rounded where the gyro window began, rad.
 pub const ROUNDING: usize = 8;
 /// Number of states of a robot whose fixes are in time and whose tag is where they say.
-pub const CORE: usize = 9;
+pub const CORE_STATES: usize = 9;
 /// Delay of the fixes, s.
 pub const DELAY: usize = 9;
 /// Where the tag is against where the fix says, forward, m.
@@ -53,49 +55,49 @@ pub const TAG_FORWARD: usize = 10;
 /// The same to the left, m.
 pub const TAG_LEFT: usize = 11;
 /// Number of states when delay or lever arm are estimated.
-pub const WITH_CAMERA: usize = 12;
+pub const CAMERA_STATES: usize = 12;
 /// First row of the beacons: offset and scale of each.
 pub const BEACONS: usize = 12;
 /// As many beacons have an offset and a scale of their own; the ranges of further ones are taken as they are.
-pub const MOST_BEACONS: usize = 8;
+pub const MAX_BEACONS: usize = 8;
 /// Offset of the ranges to landmarks, m: they are all measured by the robot's own camera.
-pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MOST_BEACONS;
+pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MAX_BEACONS;
 /// Scale of the ranges to landmarks.
 pub const LANDMARK_SCALE: usize = LANDMARK_OFFSET + 1;
 /// Number of states when the offsets and scales of ranges are estimated.
-pub const WITH_RANGES: usize = LANDMARK_OFFSET + 2;
+pub const RANGE_STATES: usize = LANDMARK_OFFSET + 2;
 
 /// A heading is published as known once its sigma is below this, rad: a third of a right angle.
-const HEADING_KNOWN_RAD: f64 = 0.5;
+const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
 
 /// Covariance of the pose's error in the body: forward m, left m, turn rad.
 pub(super) type PoseBlock = [[f64; 3]; 3];
 
 /// How far the filter knows where in the arena it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Located {
+pub enum PositionState {
     /// Nothing absolute is known; the pose counts from where the robot was switched on.
-    No,
+    Unknown,
     /// A position is known.
-    Yes,
+    Known,
 }
 
 /// A speed beside the pose: it foretells, and is told by wheels and gyro.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Speed {
+pub struct ScalarState {
     /// The speed, m/s or rad/s.
     pub value: f64,
     /// Its variance.
     pub variance: f64,
 }
 
-impl Speed {
+impl ScalarState {
     /// Uses one reading of it.
-    pub fn observe(&mut self, value: f64, variance: f64) {
-        let s = self.variance + variance;
+    pub fn observe(&mut self, reading: SpeedReading) {
+        let s = self.variance + reading.variance;
         if s > 0.0 {
             let gain = self.variance / s;
-            self.value += gain * (value - self.value);
+            self.value += gain * (reading.value - self.value);
             self.variance *= 1.0 - gain;
         }
     }
@@ -103,29 +105,29 @@ impl Speed {
 
 /// Fixes refused in a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Refused {
+pub struct RejectedFixes {
     /// How many.
     pub count: u32,
     /// The stamp of the first of them.
-    pub since: Option<Stamp<BrickClock>>,
+    pub since: Option<Timestamp<BrickClock>>,
     /// Innovation of the last of them, in the arena, m.
     pub innovation_m: [f64; 2],
 }
 
 /// When the wheels' counts changed, and how far apart: what tells a robot that stands from one that creeps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Counts {
+pub struct TickActivity {
     /// The last reading in which a count had changed.
-    pub changed_at: Option<Stamp<BrickClock>>,
+    pub changed_at: Option<Timestamp<BrickClock>>,
     /// The times between the last changes.
-    pub apart: [Span; 3],
+    pub recent_intervals: [TimeDelta; 3],
 }
 
-impl Counts {
+impl TickActivity {
     /// Counts changed between the reading before and this one.
-    pub fn change(&mut self, stamp: Stamp<BrickClock>) {
+    pub fn record_change(&mut self, stamp: Timestamp<BrickClock>) {
         if let Some(last) = self.changed_at {
-            self.apart = [stamp - last, self.apart[0], self.apart[1]];
+            self.recent_intervals = [stamp - last, self.recent_intervals[0], self.recent_intervals[1]];
         }
         self.changed_at = Some(stamp);
     }
@@ -133,9 +135,10 @@ impl Counts {
     /// Whether the robot stood from one instant to another: no count changed for clearly longer than between the last changes. A
     /// robot that creeps has longer and longer pauses before it has one that is twice as long as all of the last three.
     #[must_use]
-    pub fn stood(&self, from: Stamp<BrickClock>, until: Stamp<BrickClock>) -> bool {
-        let longest = self.apart.into_iter().max().unwrap_or(Span::ZERO);
-        longest > Span::ZERO && self.changed_at.is_some_and(|last| last <= from && until - last > longest + longest)
+    pub fn is_stationary(&self, from: Timestamp<BrickClock>, until: Timestamp<BrickClock>) -> bool {
+        let longest = self.recent_intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
+        longest > TimeDelta::ZERO
+            && self.changed_at.is_some_and(|last| last <= from && until - last > longest + longest)
     }
 }
 
@@ -143,9 +146,9 @@ impl Counts {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseState<const N: usize> {
     /// For which instant it holds; `None` before the first observation.
-    pub stamp: Option<Stamp<BrickClock>>,
+    pub stamp: Option<Timestamp<BrickClock>>,
     /// Up to which instant speeds and gyro bias have aged; they may be ahead of the pose.
-    pub aged_to: Option<Stamp<BrickClock>>,
+    pub speeds_predicted_to: Option<Timestamp<BrickClock>>,
     /// The pose in the arena.
     pub pose: Se2,
     /// The other states, each in its row; the rows of the pose's error are zero between updates.
@@ -153,36 +156,36 @@ pub struct PoseState<const N: usize> {
     /// Covariance of the errors.
     pub covariance: SMatrix<f64, N, N>,
     /// Forward speed, m/s.
-    pub forward: Speed,
+    pub forward: ScalarState,
     /// Turn rate, rad/s.
-    pub turn: Speed,
+    pub turn: ScalarState,
     /// The gyro window that is open, if any.
     pub window: Option<GyroWindow>,
     /// How far it is located.
-    pub located: Located,
+    pub position_state: PositionState,
     /// The stamp of the last absolute observation that was used.
-    pub last_fix: Option<Stamp<BrickClock>>,
+    pub last_fix: Option<Timestamp<BrickClock>>,
     /// The stamp of the last motion observation.
-    pub last_motion: Option<Stamp<BrickClock>>,
+    pub last_motion: Option<Timestamp<BrickClock>>,
     /// When the wheels' counts changed.
-    pub counts: Counts,
+    pub tick_activity: TickActivity,
     /// For which instant it was last noticed that wheels have slipped.
-    pub slipped_at: Option<Stamp<BrickClock>>,
+    pub slipped_at: Option<Timestamp<BrickClock>>,
     /// The stamp of the last acceleration.
-    pub last_acceleration: Option<Stamp<BrickClock>>,
+    pub last_acceleration: Option<Timestamp<BrickClock>>,
     /// Fixes refused since the last one that was used.
-    pub refused: Refused,
+    pub rejected_fixes: RejectedFixes,
     /// What the innovations of each source say about its noise.
-    pub scales: Scales,
+    pub noise_scales: NoiseScales,
     /// How often each observer's own space has jumped.
-    pub spaces: ObserverSpaces,
+    pub observer_frames: ObserverFrames,
     /// While the constants are frozen: the variances that they had, each in its row. Meanwhile those of the covariance are zero, as
     /// of constants that were given for certain.
-    pub frozen: Option<SVector<f64, N>>,
+    pub frozen_variances: Option<SVector<f64, N>>,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
     /// The last of them.
-    pub last_jump: Option<PoseJump>,
+    pub last_jump: Option<PoseCorrection>,
 }
 
 impl<const N: usize> PoseState<N> {
@@ -191,34 +194,34 @@ impl<const N: usize> PoseState<N> {
     pub fn initial(config: &FilterConfig) -> Self {
         let mut state = Self {
             stamp: None,
-            aged_to: None,
+            speeds_predicted_to: None,
             pose: Se2::default(),
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
             // At power-up a robot stands, so far as anybody knows: 0.1 m/s and 1 rad/s are generous.
-            forward: Speed { value: 0.0, variance: 0.01 },
-            turn: Speed { value: 0.0, variance: 1.0 },
+            forward: ScalarState { value: 0.0, variance: 0.01 },
+            turn: ScalarState { value: 0.0, variance: 1.0 },
             window: None,
-            located: Located::No,
+            position_state: PositionState::Unknown,
             last_fix: None,
             last_motion: None,
-            counts: Counts::default(),
+            tick_activity: TickActivity::default(),
             slipped_at: None,
             last_acceleration: None,
-            refused: Refused::default(),
-            scales: Scales::default(),
-            spaces: ObserverSpaces::default(),
-            frozen: None,
+            rejected_fixes: RejectedFixes::default(),
+            noise_scales: NoiseScales::default(),
+            observer_frames: ObserverFrames::default(),
+            frozen_variances: None,
             reset_counter: 0,
             last_jump: None,
         };
         state.set_row(GYRO_BIAS, gyro_bias_prior(config));
-        state.forget_rounding(rounding_variance(&config.geometry));
-        for (row, known) in constants_of(&config.calibration) {
+        state.reset_rounding(rounding_variance(&config.geometry));
+        for (row, known) in calibration_rows(&config.calibration) {
             state.set_row(row, known);
         }
         if let Some(start) = &config.start {
-            state.place(start);
+            state.initialize_pose(start);
         }
         state
     }
@@ -228,24 +231,24 @@ impl<const N: usize> PoseState<N> {
     pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
         Self {
             stamp: other.stamp,
-            aged_to: other.aged_to,
+            speeds_predicted_to: other.speeds_predicted_to,
             pose: other.pose,
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
             forward: other.forward,
             turn: other.turn,
             window: other.window,
-            located: other.located,
+            position_state: other.position_state,
             last_fix: other.last_fix,
             last_motion: other.last_motion,
-            counts: other.counts,
+            tick_activity: other.tick_activity,
             slipped_at: other.slipped_at,
             last_acceleration: other.last_acceleration,
-            refused: other.refused,
-            scales: other.scales,
-            spaces: other.spaces,
+            rejected_fixes: other.rejected_fixes,
+            noise_scales: other.noise_scales,
+            observer_frames: other.observer_frames,
             // They have rows of their own; whoever resizes begins with constants that are learned.
-            frozen: None,
+            frozen_variances: None,
             reset_counter: other.reset_counter,
             last_jump: other.last_jump,
         }
@@ -254,23 +257,22 @@ impl<const N: usize> PoseState<N> {
     /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what the refusal
     /// itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
     #[must_use]
-    pub(super) fn after_refusal(&self, tried: &Self) -> Self {
-        Self { refused: tried.refused, scales: tried.scales, spaces: tried.spaces, ..*self }
-    }
-
-    /// Sets a row, independent of all others; rows that this state does not have are left out.
-    pub(super) fn set_row(&mut self, row: usize, known: Known) {
-        if row < N {
-            self.forget_rows(&[row]);
-            self.mean[row] = known.value;
-            self.covariance[(row, row)] = known.sigma.powi(2);
+    pub(super) fn after_rejection(&self, tried: &Self) -> Self {
+        Self {
+            rejected_fixes: tried.rejected_fixes,
+            noise_scales: tried.noise_scales,
+            observer_frames: tried.observer_frames,
+            ..*self
         }
     }
 
-    /// The value of a row, zero where this state does not have it.
-    #[must_use]
-    pub fn value(&self, row: usize) -> f64 {
-        if row < N { self.mean[row] } else { 0.0 }
+    /// Sets a row, independent of all others; rows that this state does not have are left out.
+    pub(super) fn set_row(&mut self, row: usize, known: UncertainValue) {
+        if row < N {
+            self.clear_rows(&[row]);
+            self.mean[row] = known.value;
+            self.covariance[(row, row)] = known.sigma.powi(2);
+        }
     }
 
     /// Where the robot is believed to be.
@@ -282,7 +284,7 @@ impl<const N: usize> PoseState<N> {
     /// Moves what the last update wrote into the rows of the pose's error into the pose.
     pub fn inject(&mut self) {
         let correction = [self.mean[FORWARD], self.mean[LEFT], self.mean[HEADING]];
-        self.pose = self.pose.then(Se2::exp(correction));
+        self.pose = self.pose.compose(Se2::exp(correction));
         self.mean[FORWARD] = 0.0;
         self.mean[LEFT] = 0.0;
         self.mean[HEADING] = 0.0;
@@ -290,66 +292,66 @@ impl<const N: usize> PoseState<N> {
 
     /// Whether the heading in the arena is known.
     #[must_use]
-    pub fn knows_heading(&self) -> bool {
-        self.knows_heading_by(self.covariance[(HEADING, HEADING)])
+    pub fn is_heading_known(&self) -> bool {
+        self.is_heading_known_at(self.covariance[(HEADING, HEADING)])
     }
 
     /// The same of a heading with this variance.
-    pub(super) fn knows_heading_by(&self, heading_rad2: f64) -> bool {
-        self.located == Located::Yes && heading_rad2 < HEADING_KNOWN_RAD.powi(2)
+    pub(super) fn is_heading_known_at(&self, heading_rad2: f64) -> bool {
+        self.position_state == PositionState::Known && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
     }
 
     /// Puts the robot somewhere; counted as a jump that is not motion.
-    pub fn jump_to(&mut self, start: &StartPose) {
+    pub fn reset_pose_to(&mut self, start: &StartPose) {
         let before = self.arena_pose();
-        self.place(start);
-        self.count_jump_from(before);
+        self.initialize_pose(start);
+        self.record_correction_from(before);
     }
 
     /// Counts a jump that is not motion, from `before` to the pose that is now believed.
-    pub fn count_jump_from(&mut self, before: Pose<Arena>) {
+    pub fn record_correction_from(&mut self, before: Pose<Arena>) {
         self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(jump_between(before, self.arena_pose()));
+        self.last_jump = Some(correction_between(before, self.arena_pose()));
     }
 
     /// The brick was switched off and on: its speeds and its gyro's bias are as unknown as in the `fresh` state, and it may have
     /// been carried a little. What was learned about wheels and tag stays.
     pub fn restart_clock(&mut self, fresh: &Self) {
-        self.forget_rows(&[GYRO_BIAS]);
+        self.clear_rows(&[GYRO_BIAS]);
         self.mean[GYRO_BIAS] = fresh.mean[GYRO_BIAS];
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] = fresh.covariance[(GYRO_BIAS, GYRO_BIAS)];
         self.forward = fresh.forward;
         self.turn = fresh.turn;
-        self.add_doubt(RESTART_POSITION_M.powi(2), RESTART_HEADING_RAD.powi(2));
+        self.inflate_pose_covariance(RESTART_POSITION_SIGMA_M.powi(2), RESTART_HEADING_SIGMA_RAD.powi(2));
         self.close_window();
         self.stamp = None;
-        self.aged_to = None;
+        self.speeds_predicted_to = None;
         self.last_fix = None;
         self.last_motion = None;
-        self.counts = Counts::default();
+        self.tick_activity = TickActivity::default();
         self.last_acceleration = None;
-        self.refused = Refused::default();
+        self.rejected_fixes = RejectedFixes::default();
     }
 
     /// Adds to the variance of each coordinate and of the heading.
-    pub fn add_doubt(&mut self, position_m2: f64, heading_rad2: f64) {
+    pub fn inflate_pose_covariance(&mut self, position_m2: f64, heading_rad2: f64) {
         self.covariance[(FORWARD, FORWARD)] += position_m2;
         self.covariance[(LEFT, LEFT)] += position_m2;
         self.covariance[(HEADING, HEADING)] += heading_rad2;
     }
 
     /// Puts the robot somewhere; what was known about its pose is forgotten.
-    pub fn place(&mut self, start: &StartPose) {
-        self.forget_rows(&[FORWARD, LEFT, HEADING]);
+    pub fn initialize_pose(&mut self, start: &StartPose) {
+        self.clear_rows(&[FORWARD, LEFT, HEADING]);
         self.pose = Se2 { x_m: start.pose.x.0, y_m: start.pose.y.0, heading_rad: wrap_rad(start.pose.heading.rad()) };
-        self.add_doubt(start.position_sigma_m.powi(2), start.heading_sigma_rad.powi(2));
+        self.inflate_pose_covariance(start.position_sigma_m.powi(2), start.heading_sigma_rad.powi(2));
         self.close_window();
-        self.located = Located::Yes;
-        self.refused = Refused::default();
+        self.position_state = PositionState::Known;
+        self.rejected_fixes = RejectedFixes::default();
     }
 
     /// Makes rows certain and independent of all others.
-    pub fn forget_rows(&mut self, rows: &[usize]) {
+    pub fn clear_rows(&mut self, rows: &[usize]) {
         for &row in rows {
             self.covariance.row_mut(row).fill(0.0);
             self.covariance.column_mut(row).fill(0.0);
@@ -357,21 +359,21 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// Closes the gyro window; the next one begins at the same instant.
-    pub fn restart_window(&mut self, at: Stamp<BrickClock>) {
+    pub fn restart_window(&mut self, at: Timestamp<BrickClock>) {
         self.close_window();
         self.window = Some(GyroWindow::starting(at));
     }
 
     /// Nothing is known about the rounding but how large it can be.
-    pub fn forget_rounding(&mut self, variance_rad2: f64) {
-        self.forget_rows(&[ROUNDING]);
+    pub fn reset_rounding(&mut self, variance_rad2: f64) {
+        self.clear_rows(&[ROUNDING]);
         self.mean[ROUNDING] = 0.0;
         self.covariance[(ROUNDING, ROUNDING)] = variance_rad2;
     }
 
     /// Closes the gyro window.
     pub fn close_window(&mut self) {
-        self.forget_rows(&[WINDOW_TURN]);
+        self.clear_rows(&[WINDOW_TURN]);
         self.mean[WINDOW_TURN] = 0.0;
         self.window = None;
     }
@@ -409,15 +411,19 @@ impl<const N: usize> PoseState<N> {
 
     /// How well a row is known; while the constants are frozen, how well they were when they froze.
     fn variance(&self, row: usize) -> f64 {
-        let kept = self.frozen.map_or(0.0, |variances| variances[row]);
+        let kept = self.frozen_variances.map_or(0.0, |variances| variances[row]);
         self.covariance[(row, row)].max(kept)
     }
 
     /// What has been learned, on top of the prior that it began from.
     #[must_use]
     pub fn calibration(&self, prior: &Calibration) -> Calibration {
-        let known = |row: usize, prior: Known| {
-            if row < N { Known { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() } } else { prior }
+        let known = |row: usize, prior: UncertainValue| {
+            if row < N {
+                UncertainValue { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() }
+            } else {
+                prior
+            }
         };
         Calibration {
             radius_scale: known(RADIUS, prior.radius_scale),
@@ -441,14 +447,18 @@ pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
 }
 
 /// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
-pub(super) fn gyro_bias_prior(config: &FilterConfig) -> Known {
+pub(super) fn gyro_bias_prior(config: &FilterConfig) -> UncertainValue {
     let known = config.calibration.gyro_bias_rad_per_s;
-    if known.sigma > 0.0 { known } else { Known { value: known.value, sigma: config.noise.gyro_bias_rad_per_s } }
+    if known.sigma > 0.0 {
+        known
+    } else {
+        UncertainValue { value: known.value, sigma: config.noise.gyro_bias_rad_per_s }
+    }
 }
 
 /// The constants of a calibration with their rows.
-pub(super) fn constants_of(calibration: &Calibration) -> impl Iterator<Item = (usize, Known)> {
-    let of_beacons = (0..MOST_BEACONS).flat_map(|slot| {
+pub(super) fn calibration_rows(calibration: &Calibration) -> impl Iterator<Item = (usize, UncertainValue)> {
+    let of_beacons = (0..MAX_BEACONS).flat_map(|slot| {
         [(BEACONS + 2 * slot, calibration.beacon_offset_m), (BEACONS + 2 * slot + 1, calibration.beacon_scale)]
     });
     [

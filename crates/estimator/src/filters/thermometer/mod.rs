@@ -2,7 +2,7 @@
 //!
 //! Gets temperatures as they come, for hours. [`super::dynamic`] answers for one approach to one constant temperature, with dynamics
 //! that are given; here stands what it takes to leave it running: dynamics that are learnt where none are given
-//! (`bank`), and a test that finds where a new approach begins and lets damaged readings pass (`surprise`).
+//! (`bank`), and a test that finds where a new approach begins and lets damaged readings pass (`change_detector`).
 //!
 //! # Model
 //! ```text
@@ -16,21 +16,22 @@
 //! # Sources
 //! Paper 2 (Markovsky); docs/maths/paper2.md, section 7.
 
-mod bank;
-mod surprise;
+mod change_detector;
+mod filter_bank;
 
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, Observation, Observed, ScalarEstimate, SensorId, Stamp, Verdict,
+    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
+    Timestamp,
 };
 
-use self::bank::{Bank, Moments};
-use self::surprise::{Judgement, Surprise};
+use self::change_detector::{ChangeDetector, ReadingClass};
+use self::filter_bank::{FilterBank, MeanVariance};
 use super::dynamic::DynamicFilter;
-use super::intake;
-use super::records::{add_innovation, verdict_without_pose};
-use super::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::{add_innovation, outcome_without_pose};
 use crate::models::dynamic_measurement::DynamicModel;
-use crate::update::{ScalarOutcome, Usage};
+use crate::update::{ScalarOutcome, UpdateOutcome};
+use crate::validation;
 
 /// Half a last digit of a thermometer with sixteen steps per kelvin: what is taken where no noise is given.
 const DEFAULT_SIGMA_K: f64 = 0.03;
@@ -48,18 +49,18 @@ pub struct ThermometerSettings {
 
 /// Predicts the final value of one thermometer, reading by reading.
 pub struct Thermometer {
-    core: Core,
-    surprise: Surprise,
+    model: ThermometerModel,
+    change_detector: ChangeDetector,
     history_s: f64,
-    last: Option<Stamp<BrickClock>>,
+    last: Option<Timestamp<BrickClock>>,
 }
 
-enum Core {
+enum ThermometerModel {
     Known(Box<DynamicFilter>),
     Learning {
-        bank: Box<Bank>,
+        bank: Box<FilterBank>,
         /// When it began.
-        origin: Option<Stamp<BrickClock>>,
+        origin: Option<Timestamp<BrickClock>>,
     },
 }
 
@@ -71,73 +72,73 @@ impl Thermometer {
         let sigma_k = given.into_iter().find(|sigma| *sigma > 0.0);
         let rounding_k = settings.resolution_k.max(0.0) / 12.0_f64.sqrt();
         let sigma_k = sigma_k.unwrap_or(DEFAULT_SIGMA_K).hypot(rounding_k);
-        let core = match &settings.model {
+        let model = match &settings.model {
             Some(model) => {
                 let mut config = config.clone();
                 config.noise.temperature_k = sigma_k;
-                Core::Known(Box::new(DynamicFilter::with_model(&config, model.clone())))
+                ThermometerModel::Known(Box::new(DynamicFilter::with_model(&config, model.clone())))
             }
-            None => Core::Learning { bank: Box::new(Bank::new(sigma_k)), origin: None },
+            None => ThermometerModel::Learning { bank: Box::new(FilterBank::new(sigma_k)), origin: None },
         };
-        Self { core, surprise: Surprise::default(), history_s: config.params.history_s, last: None }
+        Self { model, change_detector: ChangeDetector::default(), history_s: config.params.history_s, last: None }
     }
 
     /// What it will show in the end, as of its last reading, in degrees Celsius; `None` before the first.
     #[must_use]
-    pub fn settled(&self) -> Option<ScalarEstimate> {
+    pub fn final_value(&self) -> Option<ScalarEstimate> {
         self.scalar_at(self.last?)
     }
 
     fn use_reading(&mut self, record: &mut FusionRecord, observation: &Observation, shown: f64) {
-        let expected = self.core.expected(observation.stamp);
+        let expected = self.model.expected(observation.stamp);
         if let Some(expected) = expected {
             let innovation = shown - expected.mean;
-            let outcome = outcome_of(innovation, expected.variance);
+            let outcome = scalar_outcome(innovation, expected.variance);
             add_innovation(record, innovation, &outcome);
-            match self.surprise.judge(innovation / expected.variance.sqrt()) {
-                Judgement::Expected => {}
-                Judgement::Outlier => {
-                    record.verdict = Verdict::Gated;
+            match self.change_detector.classify(innovation / expected.variance.sqrt()) {
+                ReadingClass::Expected => {}
+                ReadingClass::Outlier => {
+                    record.outcome = FusionOutcome::Gated;
                     return;
                 }
-                Judgement::Break => self.core.forget(),
+                ReadingClass::StepChange => self.model.reset(),
             }
         }
-        let is_new = expected.is_some() && !self.core.has_begun();
-        let verdict = self.core.take(observation, shown, self.surprise.inflation());
-        record.verdict = verdict;
-        if verdict == Verdict::Accepted {
+        let is_new = expected.is_some() && !self.model.has_begun();
+        let verdict = self.model.update(observation, shown, self.change_detector.inflation());
+        record.outcome = verdict;
+        if verdict == FusionOutcome::Accepted {
             self.last = Some(observation.stamp);
             if is_new {
-                record.verdict = Verdict::ResetTo;
+                record.outcome = FusionOutcome::PoseReset;
             }
         }
     }
 }
 
-impl Core {
+impl ThermometerModel {
     /// What a reading of this instant should show; `None` before the first.
-    fn expected(&mut self, stamp: Stamp<BrickClock>) -> Option<Moments> {
+    fn expected(&mut self, stamp: Timestamp<BrickClock>) -> Option<MeanVariance> {
         match self {
             Self::Known(filter) => {
                 let (mean, variance) = filter.expected(SensorId::THERMOMETER, stamp)?;
-                Some(Moments { mean, variance })
+                Some(MeanVariance { mean, variance })
             }
             Self::Learning { bank, origin } => {
                 let origin = (*origin)?;
-                Some(bank.expect((stamp - origin).as_secs_f64()))
+                Some(bank.predict((stamp - origin).as_secs_f64()))
             }
         }
     }
 
     fn has_begun(&self) -> bool {
         match self {
-            Self::Known(filter) => filter.latest().is_some(),
+            Self::Known(filter) => filter.latest_time().is_some(),
             Self::Learning { origin, .. } => origin.is_some(),
         }
     }
 
-    fn forget(&mut self) {
+    fn reset(&mut self) {
         match self {
             Self::Known(filter) => filter.restart_clock(),
             Self::Learning { origin, .. } => *origin = None,
@@ -145,82 +146,87 @@ impl Core {
     }
 
     /// Uses a reading of the instant that was expected last.
-    fn take(&mut self, observation: &Observation, shown: f64, inflation: f64) -> Verdict {
+    fn update(&mut self, observation: &Observation, shown: f64, inflation: f64) -> FusionOutcome {
         match self {
-            Self::Known(filter) => filter.observe(observation).verdict,
+            Self::Known(filter) => filter.observe(observation).outcome,
             Self::Learning { bank, origin } => {
                 if origin.is_none() {
                     *origin = Some(observation.stamp);
-                    bank.begin(shown);
-                    bank.expect(0.0);
+                    bank.restart(shown);
+                    bank.predict(0.0);
                 }
-                bank.take(shown, inflation);
-                Verdict::Accepted
+                bank.update(shown, inflation);
+                FusionOutcome::Accepted
             }
         }
     }
 
     /// The final value with its variance as the configured noise makes it.
-    fn settled(&self, stamp: Stamp<BrickClock>, inflation: f64) -> Option<Moments> {
+    fn final_value(&self, stamp: Timestamp<BrickClock>, inflation: f64) -> Option<MeanVariance> {
         match self {
             Self::Known(filter) => {
                 let estimate = filter.scalar_at(stamp)?;
-                Some(Moments { mean: estimate.value, variance: inflation * estimate.sigma * estimate.sigma })
+                Some(MeanVariance { mean: estimate.value, variance: inflation * estimate.sigma * estimate.sigma })
             }
             Self::Learning { bank, origin } => {
                 (*origin)?;
-                Some(bank.settled(inflation))
+                Some(bank.final_value(inflation))
             }
         }
     }
 }
 
-fn outcome_of(innovation: f64, variance: f64) -> ScalarOutcome {
-    ScalarOutcome { innovation_variance: variance, nis: innovation * innovation / variance, usage: Usage::Used }
+fn scalar_outcome(innovation: f64, variance: f64) -> ScalarOutcome {
+    ScalarOutcome {
+        innovation_variance: variance,
+        nis: innovation * innovation / variance,
+        outcome: UpdateOutcome::Used,
+    }
 }
 
 impl Filter for Thermometer {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let lag = intake::lag_of(observation, self.last);
-        let mut record = intake::bare_record(observation, lag, Verdict::Unused);
-        let refused = intake::refuse_outright(observation, self.last, self.history_s);
+        let lag = validation::lag_of(observation, self.last);
+        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
+        let refused = validation::reject_invalid(observation, self.last, self.history_s);
         if let Some(verdict) = refused {
-            record.verdict = verdict;
-        } else if let (Observed::Temperature(shown), SensorId::THERMOMETER) = (observation.observed, observation.sensor)
+            record.outcome = verdict;
+        } else if let (ObservationKind::Temperature(shown), SensorId::THERMOMETER) =
+            (observation.measurement, observation.sensor)
         {
-            match intake::refuse_repeated(self.last, observation.stamp) {
-                Some(verdict) => record.verdict = verdict,
+            match validation::reject_repeated(self.last, observation.stamp) {
+                Some(verdict) => record.outcome = verdict,
                 None => self.use_reading(&mut record, observation, shown.0),
             }
         }
         record
     }
 
-    /// A thermometer has no pose: [`Verdict::Unused`], or [`Verdict::Malformed`] for a pose that cannot be.
-    fn set_pose(&mut self, start: &StartPose) -> Verdict {
-        verdict_without_pose(start)
+    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        outcome_without_pose(start)
     }
 
     /// How long the break was is not known: it begins anew. What was learnt of the noise stays.
     fn restart_clock(&mut self) {
-        self.core.forget();
+        self.model.reset();
         self.last = None;
     }
 
-    fn latest(&self) -> Option<Stamp<BrickClock>> {
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.last
     }
 
-    fn estimate_at(&self, _: Stamp<BrickClock>) -> Option<Estimate> {
+    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
         None
     }
 
     /// The final value for an instant, in degrees Celsius; for a constant all that was seen counts for every instant.
-    fn scalar_at(&self, stamp: Stamp<BrickClock>) -> Option<ScalarEstimate> {
+    fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
         if (stamp - self.last?).as_secs_f64() < -self.history_s {
             return None;
         }
-        let settled = self.core.settled(stamp, self.surprise.inflation())?;
+        let settled = self.model.final_value(stamp, self.change_detector.inflation())?;
         Some(ScalarEstimate {
             stamp,
             value: settled.mean,

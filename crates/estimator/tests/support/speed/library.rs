@@ -1,8 +1,8 @@
 //! The filter by the library's own parts, sparse as its filters use them, and dense as a textbook prints it.
 
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Vector4, Vector5};
-use posebridge_estimator::models::planar_speeds::{Acceleration, Step, jacobian};
-use posebridge_estimator::update::{Scalar, Usage, use_scalar};
+use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep, jacobian};
+use posebridge_estimator::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use posebridge_telemetry::estimate::row;
 
 use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
@@ -12,7 +12,7 @@ const ROWS: [usize; 4] = [row::FORWARD, row::HEADING, row::HEADING, row::TURN];
 /// Six sigma: every scalar is held against the gate, and none of the inputs is refused, so that all ways do the same.
 const GATE: f64 = 36.0;
 
-const STEP: Step = Step { interval_s: INTERVAL_S, variances: PROCESS_VARIANCES };
+const STEP: PredictionStep = PredictionStep { interval_s: INTERVAL_S, variances: PROCESS_VARIANCES };
 
 const fn acceleration(input: &Input) -> Acceleration {
     Acceleration { forward_m_per_s2: input.forward_m_per_s2, turn_rad_per_s2: input.turn_rad_per_s2 }
@@ -29,14 +29,14 @@ pub(super) fn run(inputs: &[Input]) -> Belief {
     for input in inputs {
         STEP.predict(&mut mean, &mut covariance, acceleration(input));
         for i in 0..4 {
-            let scalar = Scalar {
+            let scalar = ScalarMeasurement {
                 innovation: input.observed[i] - mean[ROWS[i]],
                 rows: [ROWS[i]],
-                by_row: [1.0],
+                jacobian: [1.0],
                 variance: OBSERVED_VARIANCES[i],
             };
             let outcome = use_scalar(&mut mean, &mut covariance, &scalar, GATE);
-            refused += usize::from(outcome.usage != Usage::Used);
+            refused += usize::from(outcome.outcome != UpdateOutcome::Used);
         }
     }
     assert_eq!(refused, 0, "the inputs pass the gate");

@@ -1,12 +1,12 @@
-//! What an EV3 says of itself in the network.
+//! The announcement of an EV3 in the network.
 
-/// Longest announcement that is looked at; real ones have some 70 bytes.
-pub(super) const LONGEST: usize = 512;
+/// Longest announcement; real ones have some 70 bytes.
+pub(super) const MAX_ANNOUNCEMENT_BYTES: usize = 512;
 
 /// A brick that announced itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Announcement {
-    /// Twelve hexadecimal digits, which open the brick.
+    /// Twelve hexadecimal digits, required to open the brick.
     pub(super) serial_number: String,
     /// The TCP port on which it listens.
     pub(super) port: u16,
@@ -15,9 +15,9 @@ pub(super) struct Announcement {
 }
 
 impl Announcement {
-    /// What a datagram announces; `None` if that is no EV3.
-    pub(super) fn of(datagram: &[u8]) -> Option<Self> {
-        let text = std::str::from_utf8(datagram.get(..LONGEST).unwrap_or(datagram)).ok()?;
+    /// Parses a datagram; `None` if it is not from an EV3.
+    pub(super) fn parse(datagram: &[u8]) -> Option<Self> {
+        let text = std::str::from_utf8(datagram.get(..MAX_ANNOUNCEMENT_BYTES).unwrap_or(datagram)).ok()?;
         let value_of = |wanted: &str| {
             let pairs = text.lines().filter_map(|line| line.split_once(':'));
             let mut values = pairs.filter(|(key, _)| key.trim().eq_ignore_ascii_case(wanted));
@@ -43,13 +43,13 @@ mod tests {
     #[test]
     fn a_brick_announces_itself() {
         let expected = Announcement { serial_number: "0016533f0c1e".to_owned(), port: 5555, name: "EV3".to_owned() };
-        assert_eq!(Announcement::of(DATAGRAM), Some(expected));
+        assert_eq!(Announcement::parse(DATAGRAM), Some(expected));
     }
 
     #[test]
     fn what_is_no_announcement_is_none() {
         for end in 0..DATAGRAM.len() - 2 {
-            assert_eq!(Announcement::of(&DATAGRAM[..end]), None, "{end} bytes");
+            assert_eq!(Announcement::parse(&DATAGRAM[..end]), None, "{end} bytes");
         }
         let text = String::from_utf8(DATAGRAM.to_vec()).unwrap();
         for (from, to) in [
@@ -59,8 +59,8 @@ mod tests {
             ("Serial-Number", "Serial"),
         ] {
             let other = text.replace(from, to);
-            assert_eq!(Announcement::of(other.as_bytes()), None, "{to}");
+            assert_eq!(Announcement::parse(other.as_bytes()), None, "{to}");
         }
-        assert_eq!(Announcement::of(&[0xFF; 70]), None);
+        assert_eq!(Announcement::parse(&[0xFF; 70]), None);
     }
 }

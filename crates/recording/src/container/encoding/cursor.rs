@@ -1,29 +1,29 @@
-//! The fields of the layout, taken one by one from what is left of a message.
+//! A cursor over the fields of a message.
 
 use posebridge_telemetry::{
-    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, Learning, LinkId, LinkState, Meters,
-    MetersPerSecond, MetersPerSecondSquared, Observation, Observed, ParameterStorage, PeerId, Point2, PortCounts, Pose,
-    PositionCovariance, Radians, RadiansPerSecond, SensorId, Span, Stamp, Switch,
+    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState, Meters,
+    MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage, PeerId,
+    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SensorSwitch, TimeDelta, Timestamp,
 };
 
 use super::{DecodeError, command, fix_flag, kind, tag};
 
 /// What is left of a message while it is taken apart.
-pub(super) struct Cursor<'a> {
+pub(super) struct InputDecoder<'a> {
     bytes: &'a [u8],
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> InputDecoder<'a> {
     pub(super) const fn new(bytes: &'a [u8]) -> Self {
         Self { bytes }
     }
 
     /// How many bytes are left.
-    pub(super) const fn left(&self) -> usize {
+    pub(super) const fn remaining(&self) -> usize {
         self.bytes.len()
     }
 
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+    fn read_bytes<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         let (head, rest) =
             self.bytes.split_first_chunk::<N>().ok_or(DecodeError::TooShort { wanted: N, left: self.bytes.len() })?;
         self.bytes = rest;
@@ -31,31 +31,31 @@ impl<'a> Cursor<'a> {
     }
 
     pub(super) fn u8(&mut self) -> Result<u8, DecodeError> {
-        self.take::<1>().map(|[byte]| byte)
+        self.read_bytes::<1>().map(|[byte]| byte)
     }
 
     fn u16(&mut self) -> Result<u16, DecodeError> {
-        self.take().map(u16::from_le_bytes)
+        self.read_bytes().map(u16::from_le_bytes)
     }
 
     fn u32(&mut self) -> Result<u32, DecodeError> {
-        self.take().map(u32::from_le_bytes)
+        self.read_bytes().map(u32::from_le_bytes)
     }
 
     pub(super) fn i64(&mut self) -> Result<i64, DecodeError> {
-        self.take().map(i64::from_le_bytes)
+        self.read_bytes().map(i64::from_le_bytes)
     }
 
     pub(super) fn f64(&mut self) -> Result<f64, DecodeError> {
-        self.take().map(f64::from_le_bytes)
+        self.read_bytes().map(f64::from_le_bytes)
     }
 
     fn u64(&mut self) -> Result<u64, DecodeError> {
-        self.take().map(u64::from_le_bytes)
+        self.read_bytes().map(u64::from_le_bytes)
     }
 
-    fn counts(&mut self) -> Result<PortCounts, DecodeError> {
-        Ok(PortCounts {
+    fn counts(&mut self) -> Result<LinkCounts, DecodeError> {
+        Ok(LinkCounts {
             bytes_out: self.u64()?,
             drops_out: self.u64()?,
             peers: self.u32()?,
@@ -111,7 +111,7 @@ impl<'a> Cursor<'a> {
                 heading_sigma_rad: self.f64()?,
             }),
             tag::COMMAND => Input::Command(self.command()?),
-            tag::REPORT => Input::Report { severity: self.u8()?, text: self.rest_as_text("a report")?.to_owned() },
+            tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
             tag::SIMULATOR => Input::Command(Command::Simulator(self.simulator()?)),
             tag::TICK => Input::Tick,
             value => {
@@ -124,16 +124,16 @@ impl<'a> Cursor<'a> {
         Ok(match self.u8()? {
             command::RESET_POSE => Command::ResetPose,
             command::SET_PARAMETER => {
-                Command::SetParameter { value: self.f64()?, name: self.rest_as_name("a parameter's name")? }
+                Command::SetParameter { value: self.f64()?, name: self.remaining_name("a parameter's name")? }
             }
             command::SAVE_PARAMETERS => Command::Parameters(ParameterStorage::Save),
             command::RELOAD_PARAMETERS => Command::Parameters(ParameterStorage::Reload),
             command::DEFAULT_PARAMETERS => Command::Parameters(ParameterStorage::Default),
-            command::FREEZE => Command::Learning(Learning::Frozen),
-            command::LEARN => Command::Learning(Learning::Free),
+            command::FREEZE => Command::OnlineCalibration(OnlineCalibration::Frozen),
+            command::LEARN => Command::OnlineCalibration(OnlineCalibration::Enabled),
             command::RESET_CALIBRATION => Command::ResetCalibration,
-            command::SOURCE_OFF => Command::SwitchSource { sensor: SensorId(self.u8()?), to: Switch::Off },
-            command::SOURCE_ON => Command::SwitchSource { sensor: SensorId(self.u8()?), to: Switch::On },
+            command::SOURCE_OFF => Command::SwitchSource { sensor: SensorId(self.u8()?), to: SensorSwitch::Off },
+            command::SOURCE_ON => Command::SwitchSource { sensor: SensorId(self.u8()?), to: SensorSwitch::On },
             command::START_RECORDING => Command::StartRecording,
             command::STOP_RECORDING => Command::StopRecording,
             value => {
@@ -142,13 +142,13 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    fn rest_as_text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
+    fn remaining_text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
         let rest = std::mem::take(&mut self.bytes);
         std::str::from_utf8(rest).map_err(|_invalid| DecodeError::Text(what))
     }
 
-    pub(super) fn rest_as_name(&mut self, what: &'static str) -> Result<ChannelName, DecodeError> {
-        let text = self.rest_as_text(what)?;
+    pub(super) fn remaining_name(&mut self, what: &'static str) -> Result<ChannelName, DecodeError> {
+        let text = self.remaining_text(what)?;
         let name = ChannelName::from_bytes(text.as_bytes());
         // What a name would change was not written by us.
         if name.as_str() == text { Ok(name) } else { Err(DecodeError::Text(what)) }
@@ -157,34 +157,39 @@ impl<'a> Cursor<'a> {
     fn observation(&mut self) -> Result<Observation, DecodeError> {
         Ok(Observation {
             sensor: SensorId(self.u8()?),
-            stamp: Stamp::from_nanos(self.i64()?),
-            stamp_sigma: Span::from_nanos(self.i64()?),
-            observed: self.observed()?,
+            stamp: Timestamp::from_nanos(self.i64()?),
+            stamp_sigma: TimeDelta::from_nanos(self.i64()?),
+            measurement: self.observation_kind()?,
         })
     }
 
-    fn observed(&mut self) -> Result<Observed, DecodeError> {
+    fn observation_kind(&mut self) -> Result<ObservationKind, DecodeError> {
         Ok(match self.u8()? {
-            kind::WHEEL_ANGLES => Observed::WheelAngles { left: Radians(self.f64()?), right: Radians(self.f64()?) },
-            kind::ODOMETER_POSE => Observed::OdometerPose(self.pose()?),
-            kind::BODY_VELOCITY => {
-                Observed::BodyVelocity { forward: MetersPerSecond(self.f64()?), turn: RadiansPerSecond(self.f64()?) }
+            kind::WHEEL_ANGLES => {
+                ObservationKind::WheelAngles { left: Radians(self.f64()?), right: Radians(self.f64()?) }
             }
-            kind::TURN_RATE => Observed::TurnRate(RadiansPerSecond(self.f64()?)),
-            kind::WHEEL_ACCELERATIONS => Observed::WheelAccelerations {
+            kind::ODOMETER_POSE => ObservationKind::OdometerPose(self.pose()?),
+            kind::BODY_VELOCITY => ObservationKind::BodyVelocity {
+                forward: MetersPerSecond(self.f64()?),
+                turn: RadiansPerSecond(self.f64()?),
+            },
+            kind::TURN_RATE => ObservationKind::TurnRate(RadiansPerSecond(self.f64()?)),
+            kind::WHEEL_ACCELERATIONS => ObservationKind::WheelAccelerations {
                 left: MetersPerSecondSquared(self.f64()?),
                 right: MetersPerSecondSquared(self.f64()?),
             },
-            kind::FIX => Observed::Fix(self.fix()?),
-            kind::LANDMARK => Observed::Landmark {
+            kind::FIX => ObservationKind::Fix(self.fix()?),
+            kind::LANDMARK => ObservationKind::Landmark {
                 id: LandmarkId(self.u32()?),
                 range: Meters(self.f64()?),
                 bearing: Radians(self.f64()?),
             },
-            kind::BEACON_RANGE => Observed::BeaconRange { id: BeaconId(self.u32()?), range: Meters(self.f64()?) },
-            kind::WALL_RANGE => Observed::WallRange(Meters(self.f64()?)),
-            kind::COMPASS_HEADING => Observed::CompassHeading(self.heading()?),
-            kind::TEMPERATURE => Observed::Temperature(Celsius(self.f64()?)),
+            kind::BEACON_RANGE => {
+                ObservationKind::BeaconRange { id: BeaconId(self.u32()?), range: Meters(self.f64()?) }
+            }
+            kind::WALL_RANGE => ObservationKind::WallRange(Meters(self.f64()?)),
+            kind::COMPASS_HEADING => ObservationKind::CompassHeading(self.heading()?),
+            kind::TEMPERATURE => ObservationKind::Temperature(Celsius(self.f64()?)),
             value => {
                 return Err(DecodeError::Unknown { field: "observation kind", value });
             }

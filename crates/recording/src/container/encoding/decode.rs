@@ -1,12 +1,12 @@
-//! From the bytes of one message to the input: the frame around the layout.
+//! Decodes one message: version, checksum and input.
 
 use posebridge_telemetry::Input;
 
-use super::cursor::Cursor;
-use super::{CHECKSUM_BYTES, DecodeError, OLDEST, Place, VERSION};
+use super::cursor::InputDecoder;
+use super::{CHECKSUM_BYTES, DecodeError, ENCODING_VERSION, OLDEST_VERSION, RecordPosition};
 
 /// Turns the bytes of one message into the input that was given.
-pub(in crate::container) fn decode(bytes: &[u8], place: Place) -> Result<Input, DecodeError> {
+pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Result<Input, DecodeError> {
     let Some((body, checksum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else {
         return Err(DecodeError::TooShort { wanted: CHECKSUM_BYTES, left: bytes.len() });
     };
@@ -17,13 +17,13 @@ pub(in crate::container) fn decode(bytes: &[u8], place: Place) -> Result<Input, 
     if i64::try_from(place.log_time).is_err() {
         return Err(DecodeError::Time(place.log_time));
     }
-    let mut cursor = Cursor::new(body);
+    let mut cursor = InputDecoder::new(body);
     let version = cursor.u8()?;
-    if !(OLDEST..=VERSION).contains(&version) {
+    if !(OLDEST_VERSION..=ENCODING_VERSION).contains(&version) {
         return Err(DecodeError::Version(version));
     }
     let input = cursor.input()?;
-    match cursor.left() {
+    match cursor.remaining() {
         0 => Ok(input),
         left => Err(DecodeError::TooLong(left)),
     }

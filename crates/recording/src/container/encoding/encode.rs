@@ -1,15 +1,16 @@
-//! From an input to its bytes.
+//! Encodes an input.
 
 use posebridge_telemetry::{
-    Command, Fix, Input, Learning, LinkState, Observation, Observed, ParameterStorage, PeerId, PortCounts, Pose, Switch,
+    Command, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
+    PeerId, Pose, SensorSwitch,
 };
 
 use super::simulated::put_simulator;
-use super::{Place, VERSION, command, fix_flag, kind, tag};
+use super::{ENCODING_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, tag};
 
 /// Appends the bytes of `input` to `bytes`, which must be empty.
-pub(in crate::container) fn encode(input: &Input, place: Place, bytes: &mut Vec<u8>) {
-    bytes.push(VERSION);
+pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: &mut Vec<u8>) {
+    bytes.push(ENCODING_VERSION);
     match input {
         Input::Bytes { link, peer, bytes: payload } => {
             let is_first = *peer == PeerId::default();
@@ -55,17 +56,17 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
         Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
             bytes.push(tag::SET_POSE);
             put_pose(*pose, bytes);
-            put_all(&[*position_sigma_m, *heading_sigma_rad], bytes);
+            put_numbers(&[*position_sigma_m, *heading_sigma_rad], bytes);
         }
         Command::SetParameter { name, value } => {
             put(command::SET_PARAMETER);
-            put_all(&[*value], bytes);
+            put_numbers(&[*value], bytes);
             bytes.extend_from_slice(name.as_str().as_bytes());
         }
         Command::SwitchSource { sensor, to } => {
             put(match to {
-                Switch::Off => command::SOURCE_OFF,
-                Switch::On => command::SOURCE_ON,
+                SensorSwitch::Off => command::SOURCE_OFF,
+                SensorSwitch::On => command::SOURCE_ON,
             });
             bytes.push(sensor.0);
         }
@@ -73,8 +74,8 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
         Command::Parameters(ParameterStorage::Save) => put(command::SAVE_PARAMETERS),
         Command::Parameters(ParameterStorage::Reload) => put(command::RELOAD_PARAMETERS),
         Command::Parameters(ParameterStorage::Default) => put(command::DEFAULT_PARAMETERS),
-        Command::Learning(Learning::Frozen) => put(command::FREEZE),
-        Command::Learning(Learning::Free) => put(command::LEARN),
+        Command::OnlineCalibration(OnlineCalibration::Frozen) => put(command::FREEZE),
+        Command::OnlineCalibration(OnlineCalibration::Enabled) => put(command::LEARN),
         Command::ResetCalibration => put(command::RESET_CALIBRATION),
         Command::StartRecording => put(command::START_RECORDING),
         Command::StopRecording => put(command::STOP_RECORDING),
@@ -85,62 +86,56 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
     }
 }
 
-pub(super) fn put_all(values: &[f64], bytes: &mut Vec<u8>) {
-    for value in values {
-        bytes.extend_from_slice(&value.to_le_bytes());
-    }
-}
-
 fn put_pose<S>(pose: Pose<S>, bytes: &mut Vec<u8>) {
-    put_all(&[pose.x.0, pose.y.0, pose.heading.rad()], bytes);
+    put_numbers(&[pose.x.0, pose.y.0, pose.heading.rad()], bytes);
 }
 
-fn put_counts(counts: &PortCounts, bytes: &mut Vec<u8>) {
+fn put_counts(counts: &LinkCounts, bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&counts.bytes_out.to_le_bytes());
     bytes.extend_from_slice(&counts.drops_out.to_le_bytes());
     for count in [counts.peers, counts.queued_frames, counts.queued_bytes] {
         bytes.extend_from_slice(&count.to_le_bytes());
     }
     // No link takes less than nothing: a negative capacity says that none was measured.
-    put_all(&[counts.capacity_bytes_per_s.unwrap_or(-1.0)], bytes);
+    put_numbers(&[counts.capacity_bytes_per_s.unwrap_or(-1.0)], bytes);
 }
 
 fn put_observation(observation: &Observation, bytes: &mut Vec<u8>) {
     bytes.push(observation.sensor.0);
     bytes.extend_from_slice(&observation.stamp.as_nanos().to_le_bytes());
     bytes.extend_from_slice(&observation.stamp_sigma.as_nanos().to_le_bytes());
-    put_observed(&observation.observed, bytes);
+    put_observation_kind(&observation.measurement, bytes);
 }
 
-fn put_observed(observed: &Observed, bytes: &mut Vec<u8>) {
+fn put_observation_kind(observed: &ObservationKind, bytes: &mut Vec<u8>) {
     let mut put = |kind: u8, values: &[f64]| {
         bytes.push(kind);
-        put_all(values, bytes);
+        put_numbers(values, bytes);
     };
     match observed {
-        Observed::WheelAngles { left, right } => put(kind::WHEEL_ANGLES, &[left.0, right.0]),
-        Observed::OdometerPose(pose) => put(kind::ODOMETER_POSE, &[pose.x.0, pose.y.0, pose.heading.rad()]),
-        Observed::BodyVelocity { forward, turn } => put(kind::BODY_VELOCITY, &[forward.0, turn.0]),
-        Observed::TurnRate(rate) => put(kind::TURN_RATE, &[rate.0]),
-        Observed::WheelAccelerations { left, right } => {
+        ObservationKind::WheelAngles { left, right } => put(kind::WHEEL_ANGLES, &[left.0, right.0]),
+        ObservationKind::OdometerPose(pose) => put(kind::ODOMETER_POSE, &[pose.x.0, pose.y.0, pose.heading.rad()]),
+        ObservationKind::BodyVelocity { forward, turn } => put(kind::BODY_VELOCITY, &[forward.0, turn.0]),
+        ObservationKind::TurnRate(rate) => put(kind::TURN_RATE, &[rate.0]),
+        ObservationKind::WheelAccelerations { left, right } => {
             put(kind::WHEEL_ACCELERATIONS, &[left.0, right.0]);
         }
-        Observed::WallRange(range) => put(kind::WALL_RANGE, &[range.0]),
-        Observed::CompassHeading(heading) => put(kind::COMPASS_HEADING, &[heading.rad()]),
-        Observed::Temperature(temperature) => put(kind::TEMPERATURE, &[temperature.0]),
-        Observed::Fix(fix) => {
+        ObservationKind::WallRange(range) => put(kind::WALL_RANGE, &[range.0]),
+        ObservationKind::CompassHeading(heading) => put(kind::COMPASS_HEADING, &[heading.rad()]),
+        ObservationKind::Temperature(temperature) => put(kind::TEMPERATURE, &[temperature.0]),
+        ObservationKind::Fix(fix) => {
             bytes.push(kind::FIX);
             put_fix(fix, bytes);
         }
-        Observed::Landmark { id, range, bearing } => {
+        ObservationKind::Landmark { id, range, bearing } => {
             bytes.push(kind::LANDMARK);
             bytes.extend_from_slice(&id.0.to_le_bytes());
-            put_all(&[range.0, bearing.0], bytes);
+            put_numbers(&[range.0, bearing.0], bytes);
         }
-        Observed::BeaconRange { id, range } => {
+        ObservationKind::BeaconRange { id, range } => {
             bytes.push(kind::BEACON_RANGE);
             bytes.extend_from_slice(&id.0.to_le_bytes());
-            put_all(&[range.0], bytes);
+            put_numbers(&[range.0], bytes);
         }
     }
 }
@@ -150,11 +145,11 @@ fn put_fix(fix: &Fix, bytes: &mut Vec<u8>) {
     let covariance = if fix.covariance.is_some() { fix_flag::COVARIANCE } else { 0 };
     bytes.push(heading | covariance);
     bytes.push(fix.reset_counter);
-    put_all(&[fix.position.x.0, fix.position.y.0, fix.tag_in_body.x.0, fix.tag_in_body.y.0], bytes);
+    put_numbers(&[fix.position.x.0, fix.position.y.0, fix.tag_in_body.x.0, fix.tag_in_body.y.0], bytes);
     if let Some(heading) = fix.heading {
-        put_all(&[heading.rad()], bytes);
+        put_numbers(&[heading.rad()], bytes);
     }
     if let Some(c) = fix.covariance {
-        put_all(&[c.xx_m2, c.xy_m2, c.yy_m2, c.heading_rad2], bytes);
+        put_numbers(&[c.xx_m2, c.xy_m2, c.yy_m2, c.heading_rad2], bytes);
     }
 }

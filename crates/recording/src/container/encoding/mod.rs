@@ -1,7 +1,7 @@
-//! The pipeline's inputs as bytes and back, bit for bit: docs/recording-format.md in code.
+//! The encoding of the station's inputs, bit for bit, as in docs/recording-format.md.
 //!
 //! Little-endian, no padding, every `f64` by its bits. The last four bytes are a CRC-32 over the message's sequence
-//! number, its time and the bytes before, so that damage is noticed and named instead of being replayed.
+//! number, its time and the bytes before, so that damage is detected and reported instead of being replayed.
 
 mod cursor;
 mod decode;
@@ -16,9 +16,9 @@ pub(super) use decode::decode;
 pub(super) use encode::encode;
 
 /// First byte of every message; a change of layout changes it.
-const VERSION: u8 = 4;
+const ENCODING_VERSION: u8 = 4;
 /// The oldest layout that is still read: it has the same tags, but for those that came later.
-const OLDEST: u8 = 1;
+const OLDEST_VERSION: u8 = 1;
 /// Bytes of the checksum at the end.
 const CHECKSUM_BYTES: usize = 4;
 
@@ -139,19 +139,25 @@ pub enum DecodeError {
 
 /// Where a message stands in the recording: part of its checksum.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct RecordPosition {
     /// Its number, from 0.
     pub(super) sequence: u32,
     /// Its time, host nanoseconds.
     pub(super) log_time: u64,
 }
 
-impl Place {
+impl RecordPosition {
     fn checksum(self, bytes: &[u8]) -> u32 {
         let mut crc = Crc::new();
         crc.update(&self.sequence.to_le_bytes());
         crc.update(&self.log_time.to_le_bytes());
         crc.update(bytes);
         crc.sum()
+    }
+}
+
+fn put_numbers(values: &[f64], bytes: &mut Vec<u8>) {
+    for value in values {
+        bytes.extend_from_slice(&value.to_le_bytes());
     }
 }

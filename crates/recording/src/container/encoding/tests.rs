@@ -1,17 +1,17 @@
-//! The bytes of the format page, written by hand, and what is refused.
+//! The bytes of the format page, written by hand, and the errors.
 
 use posebridge_telemetry::{
-    ChannelName, Command, Input, Learning, LinkId, LinkState, Observation, Observed, ParameterName, ParameterStorage,
-    PeerId, PortCounts, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, Span, Stamp, SteeringSource,
-    Switch,
+    ChannelName, Command, Input, LinkCounts, LinkId, LinkState, Observation, ObservationKind, OnlineCalibration,
+    ParameterName, ParameterStorage, PeerId, RadiansPerSecond, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel,
+    SteeringSource, TimeDelta, Timestamp,
 };
 
 use super::*;
 
-const PLACE: Place = Place { sequence: 0, log_time: 0 };
+const POSITION: RecordPosition = RecordPosition { sequence: 0, log_time: 0 };
 
 /// Appends the checksum as the format page describes it, computed bit by bit and not by the library.
-fn sealed(body: &[u8], place: Place) -> Vec<u8> {
+fn with_checksum(body: &[u8], place: RecordPosition) -> Vec<u8> {
     let mut crc = u32::MAX;
     let prefix = [&place.sequence.to_le_bytes()[..], &place.log_time.to_le_bytes()[..]].concat();
     for byte in prefix.iter().chain(body) {
@@ -26,8 +26,8 @@ fn sealed(body: &[u8], place: Place) -> Vec<u8> {
 #[test]
 fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
     let at = |log_time| {
-        let place = Place { sequence: 0, log_time };
-        decode(&sealed(&[VERSION, tag::TICK], place), place)
+        let place = RecordPosition { sequence: 0, log_time };
+        decode(&with_checksum(&[ENCODING_VERSION, tag::TICK], place), place)
     };
     let last = i64::MAX as u64;
     assert_eq!(at(last), Ok(Input::Tick));
@@ -36,8 +36,8 @@ fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
 }
 
 fn check(body: &[u8], input: &Input) {
-    let place = Place { sequence: 7, log_time: 1_234_567_890 };
-    let bytes = sealed(body, place);
+    let place = RecordPosition { sequence: 7, log_time: 1_234_567_890 };
+    let bytes = with_checksum(body, place);
     let mut written = Vec::new();
     encode(input, place, &mut written);
     assert_eq!(written, bytes, "{input:?}");
@@ -63,7 +63,7 @@ fn the_bytes_are_those_of_the_format_page() {
         &counts,
         &Input::Port {
             link: LinkId(7),
-            counts: PortCounts {
+            counts: LinkCounts {
                 bytes_out: 1,
                 drops_out: 2,
                 peers: 3,
@@ -88,10 +88,10 @@ fn commands_and_reports_stand_where_the_format_page_says() {
     command(&[4, 7, 2], Command::Parameters(ParameterStorage::Save));
     command(&[4, 7, 3], Command::Parameters(ParameterStorage::Reload));
     command(&[4, 7, 4], Command::Parameters(ParameterStorage::Default));
-    command(&[4, 7, 5], Command::Learning(Learning::Frozen));
-    command(&[4, 7, 6], Command::Learning(Learning::Free));
+    command(&[4, 7, 5], Command::OnlineCalibration(OnlineCalibration::Frozen));
+    command(&[4, 7, 6], Command::OnlineCalibration(OnlineCalibration::Enabled));
     command(&[4, 7, 7], Command::ResetCalibration);
-    for (kind, to) in [(8, Switch::Off), (9, Switch::On)] {
+    for (kind, to) in [(8, SensorSwitch::Off), (9, SensorSwitch::On)] {
         let sensor = SensorId::CAMERA;
         command(&[4, 7, kind, 3], Command::SwitchSource { sensor, to });
     }
@@ -107,7 +107,7 @@ fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
     let half = [0, 0, 0, 0, 0, 0, 0xE0, 0x3F];
     let second = [0x00, 0xCA, 0x9A, 0x3B, 0, 0, 0, 0]; // 1e9 ns
     let of = |kind: u8, fields: &[&[u8]]| [&[4, 9, kind][..], &fields.concat()].concat();
-    let duration = Span::from_millis(1_000);
+    let duration = TimeDelta::from_millis(1_000);
     command(
         &of(0, &[&half, &minus_half, &[0; 8]]),
         SimulatorCommand::Kidnap { forward_m: 0.5, left_m: -0.5, turn_rad: 0.0 },
@@ -115,8 +115,8 @@ fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
     for (place, wheel) in SlippingWheel::ALL.into_iter().enumerate() {
         command(&of(1, &[&half, &second, &[place as u8]]), SimulatorCommand::Slip { wheel, factor: 0.5, duration });
     }
-    command(&[4, 9, 2], SimulatorCommand::Camera(Switch::Off));
-    command(&[4, 9, 3], SimulatorCommand::Camera(Switch::On));
+    command(&[4, 9, 2], SimulatorCommand::Camera(SensorSwitch::Off));
+    command(&[4, 9, 3], SimulatorCommand::Camera(SensorSwitch::On));
     let delay = duration;
     command(&of(4, &[&second]), SimulatorCommand::CameraDelay { delay });
     let rad_per_s = -0.5;
@@ -144,9 +144,9 @@ fn a_turn_rate_stands_where_the_format_page_says() {
         &body,
         &Input::Observation(Observation {
             sensor: SensorId::GYRO,
-            stamp: Stamp::from_nanos(1_000_000_000),
-            stamp_sigma: Span::from_nanos(-1),
-            observed: Observed::TurnRate(RadiansPerSecond(-0.5)),
+            stamp: Timestamp::from_nanos(1_000_000_000),
+            stamp_sigma: TimeDelta::from_nanos(-1),
+            measurement: ObservationKind::TurnRate(RadiansPerSecond(-0.5)),
         }),
     );
 }
@@ -154,7 +154,7 @@ fn a_turn_rate_stands_where_the_format_page_says() {
 #[test]
 fn what_the_layout_does_not_have_is_named() {
     let check = |body: &[u8], error: DecodeError| {
-        assert_eq!(decode(&sealed(body, PLACE), PLACE), Err(error));
+        assert_eq!(decode(&with_checksum(body, POSITION), POSITION), Err(error));
     };
     check(&[9, 4], DecodeError::Version(9));
     check(&[1, 4, 0, 0], DecodeError::TooLong(2));
@@ -180,14 +180,14 @@ fn what_the_layout_does_not_have_is_named() {
 
 #[test]
 fn the_layouts_before_this_one_are_still_read() {
-    assert_eq!(decode(&sealed(&[1, 4], PLACE), PLACE), Ok(Input::Tick));
-    assert_eq!(decode(&sealed(&[2, 4], PLACE), PLACE), Ok(Input::Tick));
-    assert_eq!(decode(&sealed(&[3, 4], PLACE), PLACE), Ok(Input::Tick));
+    assert_eq!(decode(&with_checksum(&[1, 4], POSITION), POSITION), Ok(Input::Tick));
+    assert_eq!(decode(&with_checksum(&[2, 4], POSITION), POSITION), Ok(Input::Tick));
+    assert_eq!(decode(&with_checksum(&[3, 4], POSITION), POSITION), Ok(Input::Tick));
 }
 
 #[test]
 fn a_message_at_another_place_is_damage() {
-    let bytes = sealed(&[1, 4], PLACE);
-    let elsewhere = Place { sequence: 1, log_time: 0 };
+    let bytes = with_checksum(&[1, 4], POSITION);
+    let elsewhere = RecordPosition { sequence: 1, log_time: 0 };
     assert!(matches!(decode(&bytes, elsewhere), Err(DecodeError::Checksum { .. })));
 }

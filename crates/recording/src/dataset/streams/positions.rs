@@ -1,63 +1,63 @@
-//! Positions and poses: fixes from outside, the truth, and what a foreign odometer has integrated.
+//! Positions and poses: external fixes, the truth, and integrated poses of a foreign odometer.
 
 use posebridge_telemetry::{
-    Arena, Body, Fix, Heading, Meters, Observed, Odom, Point2, Pose, PositionCovariance, Transform2,
+    Arena, Body, Fix, Heading, Meters, ObservationKind, Odom, Point2, Pose, PositionCovariance, Transform2,
 };
 
-use super::super::bad_rows::{Fault, Reason};
-use super::super::column::{Angle, Area, Column, Length, Number};
+use super::super::bad_rows::{BadRowReason, RowError};
+use super::super::column::{Angle, Area, Column, FiniteNumber, Length};
+use super::super::error::LoadError;
 use super::super::geodetic::LocalPlane;
-use super::super::load::LoadError;
-use super::super::schema::{Fixes, Odometer, TagPlace, Truth};
-use super::super::table::{Bound, Row, Table};
-use super::{Reader, Step};
+use super::super::schema::{Fixes, Odometer, TagPosition, Truth};
+use super::super::table::{BoundColumn, DatasetTable, TableRow};
+use super::{RowReader, TimeStep};
 
 /// Two columns that make a point.
-enum Place {
+enum PositionColumns {
     /// In the arena.
-    Plane { x: Bound<Length>, y: Bound<Length> },
+    Plane { x: BoundColumn<Length>, y: BoundColumn<Length> },
     /// On the earth.
-    Earth { latitude: Bound<Angle>, longitude: Bound<Angle>, plane: LocalPlane },
+    Earth { latitude: BoundColumn<Angle>, longitude: BoundColumn<Angle>, plane: LocalPlane },
 }
 
-impl Place {
+impl PositionColumns {
     /// x and y in metres.
-    fn read(&self, row: &Row<'_>) -> Result<(f64, f64), Fault> {
+    fn read(&self, row: &TableRow<'_>) -> Result<(f64, f64), RowError> {
         match self {
             Self::Plane { x, y } => Ok((x.read(row)?, y.read(row)?)),
-            Self::Earth { latitude, longitude, plane } => plane.place(latitude.read(row)?, longitude.read(row)?),
+            Self::Earth { latitude, longitude, plane } => plane.project(latitude.read(row)?, longitude.read(row)?),
         }
     }
 }
 
 /// Points of a stream, and the speed beyond which their motion is not believed.
-struct Points {
-    place: Place,
+struct PositionReader {
+    columns: PositionColumns,
     max_speed_m_per_s: Option<f64>,
     last: Option<(f64, f64)>,
 }
 
-impl Points {
-    fn new(place: Place, max_speed_m_per_s: Option<Number>) -> Self {
-        Self { place, max_speed_m_per_s: max_speed_m_per_s.map(|limit| limit.0), last: None }
+impl PositionReader {
+    fn new(columns: PositionColumns, max_speed_m_per_s: Option<FiniteNumber>) -> Self {
+        Self { columns, max_speed_m_per_s: max_speed_m_per_s.map(|limit| limit.0), last: None }
     }
 
     fn bind(
-        table: &Table,
-        columns: (&Column<Length>, &Column<Length>),
-        max_speed_m_per_s: Option<Number>,
+        table: &DatasetTable,
+        x: &Column<Length>,
+        y: &Column<Length>,
+        max_speed_m_per_s: Option<FiniteNumber>,
     ) -> Result<Self, LoadError> {
-        let (x, y) = (table.bind(columns.0)?, table.bind(columns.1)?);
-        Ok(Self::new(Place::Plane { x, y }, max_speed_m_per_s))
+        Ok(Self::new(PositionColumns::Plane { x: table.bind(x)?, y: table.bind(y)? }, max_speed_m_per_s))
     }
 
-    fn read<S>(&mut self, row: &Row<'_>, interval_s: Option<f64>) -> Result<Point2<S>, Fault> {
-        let (x_m, y_m) = self.place.read(row)?;
+    fn read<S>(&mut self, row: &TableRow<'_>, interval_s: Option<f64>) -> Result<Point2<S>, RowError> {
+        let (x_m, y_m) = self.columns.read(row)?;
         if let (Some(last), Some(interval_s), Some(limit)) = (self.last, interval_s, self.max_speed_m_per_s) {
             let speed = (x_m - last.0).hypot(y_m - last.1) / interval_s;
             if speed > limit {
                 let detail = format!("{speed:.2} m/s, the limit is {limit}");
-                return Err(Fault::new(Reason::ImpossibleJump, detail));
+                return Err(RowError::new(BadRowReason::ImpossibleJump, detail));
             }
         }
         self.last = Some((x_m, y_m));
@@ -66,18 +66,18 @@ impl Points {
 }
 
 /// What a fix claims about its error.
-struct Claims {
+struct UncertaintyColumns {
     /// The same for every row, each axis.
     position_sigma_m: Option<f64>,
     /// Or a column for each axis.
-    variances: Option<(Bound<Area>, Bound<Area>)>,
+    variances: Option<(BoundColumn<Area>, BoundColumn<Area>)>,
     heading_sigma_rad: Option<f64>,
 }
 
-impl Claims {
-    fn bind(stream: &Fixes, table: &Table) -> Result<Self, LoadError> {
-        let x = table.bind_some(stream.variance_x.as_ref())?;
-        let y = table.bind_some(stream.variance_y.as_ref())?;
+impl UncertaintyColumns {
+    fn bind(stream: &Fixes, table: &DatasetTable) -> Result<Self, LoadError> {
+        let x = table.bind_optional(stream.variance_x.as_ref())?;
+        let y = table.bind_optional(stream.variance_y.as_ref())?;
         Ok(Self {
             position_sigma_m: stream.position_sigma_m.map(|sigma| sigma.0),
             variances: x.zip(y),
@@ -85,7 +85,7 @@ impl Claims {
         })
     }
 
-    fn read(&self, row: &Row<'_>) -> Result<Option<PositionCovariance>, Fault> {
+    fn read(&self, row: &TableRow<'_>) -> Result<Option<PositionCovariance>, RowError> {
         let (xx_m2, yy_m2) = match (&self.variances, self.position_sigma_m) {
             (Some((x, y)), _) => (x.read(row)?, y.read(row)?),
             (None, Some(sigma_m)) => (sigma_m * sigma_m, sigma_m * sigma_m),
@@ -93,7 +93,7 @@ impl Claims {
         };
         if xx_m2 <= 0.0 || yy_m2 <= 0.0 {
             let detail = format!("variances of {xx_m2} and {yy_m2} m2");
-            return Err(Fault::new(Reason::OutOfRange, detail));
+            return Err(RowError::new(BadRowReason::OutOfRange, detail));
         }
         Ok(Some(PositionCovariance {
             xx_m2,
@@ -105,37 +105,40 @@ impl Claims {
 }
 
 /// The columns of a fix's position, which the descriptor's check has found to be complete.
-fn place_of(stream: &Fixes, table: &Table) -> Result<Option<Place>, LoadError> {
+fn bind_position(stream: &Fixes, table: &DatasetTable) -> Result<Option<PositionColumns>, LoadError> {
     if let (Some(x), Some(y)) = (&stream.x, &stream.y) {
-        let (x, y) = (table.bind(x)?, table.bind(y)?);
-        return Ok(Some(Place::Plane { x, y }));
+        return Ok(Some(PositionColumns::Plane { x: table.bind(x)?, y: table.bind(y)? }));
     }
     let (Some(latitude), Some(longitude), Some(origin)) = (&stream.latitude, &stream.longitude, stream.origin) else {
         return Ok(None);
     };
-    Ok(Some(Place::Earth {
+    Ok(Some(PositionColumns::Earth {
         latitude: table.bind(latitude)?,
         longitude: table.bind(longitude)?,
-        plane: LocalPlane::at(origin.latitude_deg.0.to_radians(), origin.longitude_deg.0.to_radians()),
+        plane: LocalPlane::new(origin.latitude_deg.0.to_radians(), origin.longitude_deg.0.to_radians()),
     }))
 }
 
 /// Binds the columns of a `[[fixes]]` stream; `tag` is where the observed point sits on the body.
-pub(in super::super) fn fixes(stream: &Fixes, tag: TagPlace, table: &Table) -> Result<Reader<Fix>, LoadError> {
-    let Some(place) = place_of(stream, table)? else {
+pub(in super::super) fn fixes(
+    stream: &Fixes,
+    tag: TagPosition,
+    table: &DatasetTable,
+) -> Result<RowReader<Fix>, LoadError> {
+    let Some(place) = bind_position(stream, table)? else {
         return Ok(Box::new(|_, _| Ok(None)));
     };
-    let mut points = Points::new(place, stream.max_speed_m_per_s);
+    let mut points = PositionReader::new(place, stream.max_speed_m_per_s);
     let heading = match &stream.heading {
         Some(columns) => Some(table.bind_heading(columns)?),
         None => None,
     };
     let tag_in_body = Point2::<Body>::new(Meters(tag.x_m.0), Meters(tag.y_m.0));
-    let claims = Claims::bind(stream, table)?;
+    let claims = UncertaintyColumns::bind(stream, table)?;
     Ok(Box::new(move |row, step| {
-        if step == Step::Same {
+        if step == TimeStep::Repeated {
             let detail = "the stamp of the fix before";
-            return Err(Fault::new(Reason::RepeatedStamp, detail));
+            return Err(RowError::new(BadRowReason::RepeatedTimestamp, detail));
         }
         let interval_s = step.interval_s()?;
         let heading = match &heading {
@@ -148,11 +151,11 @@ pub(in super::super) fn fixes(stream: &Fixes, tag: TagPlace, table: &Table) -> R
 }
 
 /// Where the body was, and where it pointed if the instrument can tell.
-type TruePose = (Point2<Arena>, Option<Heading>);
+type TruthColumnsPose = (Point2<Arena>, Option<Heading>);
 
 /// Binds the columns of a `[[truth]]` stream.
-pub(in super::super) fn truth(stream: &Truth, table: &Table) -> Result<Reader<TruePose>, LoadError> {
-    let mut points = Points::bind(table, (&stream.x, &stream.y), stream.max_speed_m_per_s)?;
+pub(in super::super) fn truth(stream: &Truth, table: &DatasetTable) -> Result<RowReader<TruthColumnsPose>, LoadError> {
+    let mut points = PositionReader::bind(table, &stream.x, &stream.y, stream.max_speed_m_per_s)?;
     let heading = match &stream.heading {
         Some(columns) => Some(table.bind_heading(columns)?),
         None => None,
@@ -168,43 +171,46 @@ pub(in super::super) fn truth(stream: &Truth, table: &Table) -> Result<Reader<Tr
 }
 
 /// Binds the columns of an `[[odometer]]` stream: poses, or distances and turns to add up.
-pub(in super::super) fn odometer(stream: &Odometer, table: &Table) -> Result<Reader<Observed>, LoadError> {
+pub(in super::super) fn odometer(
+    stream: &Odometer,
+    table: &DatasetTable,
+) -> Result<RowReader<ObservationKind>, LoadError> {
     if let (Some(x), Some(y), Some(heading)) = (&stream.x, &stream.y, &stream.heading) {
-        let mut points = Points::bind(table, (x, y), stream.max_speed_m_per_s)?;
+        let mut points = PositionReader::bind(table, x, y, stream.max_speed_m_per_s)?;
         let heading = table.bind_heading(heading)?;
         return Ok(Box::new(move |row, step| {
             let interval_s = step.interval_s()?;
             let heading = heading.read(row)?;
             let at: Point2<Odom> = points.read(row, interval_s)?;
             let pose = Pose::new(at.x, at.y, heading);
-            Ok(Some(Observed::OdometerPose(pose)))
+            Ok(Some(ObservationKind::OdometerPose(pose)))
         }));
     }
-    increments(stream, table)
+    bind_increments(stream, table)
 }
 
-fn increments(stream: &Odometer, table: &Table) -> Result<Reader<Observed>, LoadError> {
-    let distance = table.bind_some(stream.distance.as_ref())?;
-    let turn = table.bind_some(stream.turn.as_ref())?;
+fn bind_increments(stream: &Odometer, table: &DatasetTable) -> Result<RowReader<ObservationKind>, LoadError> {
+    let distance = table.bind_optional(stream.distance.as_ref())?;
+    let turn = table.bind_optional(stream.turn.as_ref())?;
     let limit = stream.max_speed_m_per_s.map(|limit| limit.0);
     let mut pose = Pose::<Odom>::default();
     Ok(Box::new(move |row, step| {
         let distance_m = distance.as_ref().map_or(Ok(0.0), |column| column.read(row))?;
         let turn_rad = turn.as_ref().map_or(Ok(0.0), |column| column.read(row))?;
         // The first increments belong to an interval before the recording.
-        if step != Step::First {
-            if let (Step::Forward { interval_s }, Some(limit)) = (step, limit) {
+        if step != TimeStep::First {
+            if let (TimeStep::Forward { interval_s }, Some(limit)) = (step, limit) {
                 let speed = (distance_m / interval_s).abs();
                 if speed > limit {
                     let detail = format!("{speed:.2} m/s, the limit is {limit}");
-                    return Err(Fault::new(Reason::ImpossibleJump, detail));
+                    return Err(RowError::new(BadRowReason::ImpossibleJump, detail));
                 }
             }
             pose = advance(pose, distance_m, turn_rad);
         }
         // A row without an interval is left out, but its motion is not: the next row carries it.
         step.interval_s()?;
-        Ok(Some(Observed::OdometerPose(pose)))
+        Ok(Some(ObservationKind::OdometerPose(pose)))
     }))
 }
 

@@ -1,25 +1,25 @@
 //! Wheel counts, as totals or increments, to the total rotation of each wheel.
 //!
-//! Counts add up in the file's own unit, where ticks are whole numbers and exact, and become radians at the end. A row
-//! without an interval is left out, but its counts are not: the next row carries them.
+//! Counts add up in the file's own unit, in which ticks are whole numbers and exact, and become radians at the end. A
+//! row without an interval is dropped, but its counts are not: the next row includes them.
 
-use posebridge_telemetry::{DriveGeometry, Observed, Radians};
+use posebridge_telemetry::{DriveGeometry, ObservationKind, Radians};
 
-use super::super::bad_rows::{Fault, Reason};
+use super::super::bad_rows::{BadRowReason, RowError};
 use super::super::column::{Column, WheelTurn};
-use super::super::load::LoadError;
+use super::super::error::LoadError;
 use super::super::schema::{Counting, Wheels};
-use super::super::table::{Bound, Row, Table};
-use super::{Reader, Step};
+use super::super::table::{BoundColumn, DatasetTable, TableRow};
+use super::{RowReader, TimeStep};
 
 /// Binds the columns of a `[[wheels]]` stream.
 pub(in super::super) fn bind(
     stream: &Wheels,
     geometry: DriveGeometry,
-    table: &Table,
-) -> Result<Reader<Observed>, LoadError> {
+    table: &DatasetTable,
+) -> Result<RowReader<ObservationKind>, LoadError> {
     let (left_m, right_m) = (geometry.left_wheel_radius.0, geometry.right_wheel_radius.0);
-    let mut wheels = WheelPair {
+    let mut wheels = WheelReader {
         left: table.bind(&stream.left)?,
         right: table.bind(&stream.right)?,
         rad_per_left: rad_per_unit(&stream.left, left_m, geometry.tick),
@@ -44,9 +44,9 @@ fn rad_per_unit(column: &Column<WheelTurn>, radius_m: f64, tick: Radians) -> f64
 }
 
 #[derive(Debug)]
-struct WheelPair {
-    left: Bound<WheelTurn>,
-    right: Bound<WheelTurn>,
+struct WheelReader {
+    left: BoundColumn<WheelTurn>,
+    right: BoundColumn<WheelTurn>,
     rad_per_left: f64,
     rad_per_right: f64,
     counting: Counting,
@@ -61,26 +61,26 @@ struct WheelPair {
     total: [f64; 2],
 }
 
-impl WheelPair {
-    fn read(&mut self, row: &Row<'_>, step: Step) -> Result<Observed, Fault> {
+impl WheelReader {
+    fn read(&mut self, row: &TableRow<'_>, step: TimeStep) -> Result<ObservationKind, RowError> {
         let counts = [self.left.read(row)?, self.right.read(row)?];
-        if step == Step::First {
-            self.begin(counts);
+        if step == TimeStep::First {
+            self.reset_counts(counts);
         } else {
-            self.add(counts);
+            self.add_counts(counts);
             if let Some(interval_s) = step.interval_s()? {
                 self.check_speed(interval_s)?;
             }
             self.total = [self.total[0] + self.pending[0], self.total[1] + self.pending[1]];
             self.pending = [0.0; 2];
         }
-        Ok(Observed::WheelAngles {
+        Ok(ObservationKind::WheelAngles {
             left: Radians(self.total[0] * self.rad_per_left),
             right: Radians(self.total[1] * self.rad_per_right),
         })
     }
 
-    fn begin(&mut self, counts: [f64; 2]) {
+    fn reset_counts(&mut self, counts: [f64; 2]) {
         match self.counting {
             Counting::Absolute => {
                 self.last = Some(counts);
@@ -91,7 +91,7 @@ impl WheelPair {
         }
     }
 
-    fn add(&mut self, counts: [f64; 2]) {
+    fn add_counts(&mut self, counts: [f64; 2]) {
         let last = match self.counting {
             Counting::Absolute => self.last.replace(counts).unwrap_or(counts),
             Counting::Increments => [0.0; 2],
@@ -106,7 +106,7 @@ impl WheelPair {
     }
 
     /// Refuses motion that is faster than the limit, and forgets it: what a spike adds, the way back takes away.
-    fn check_speed(&mut self, interval_s: f64) -> Result<(), Fault> {
+    fn check_speed(&mut self, interval_s: f64) -> Result<(), RowError> {
         let Some(limit) = self.max_rad_per_s else {
             return Ok(());
         };
@@ -117,6 +117,6 @@ impl WheelPair {
         }
         self.pending = [0.0; 2];
         let detail = format!("wheels at {left:.1} and {right:.1} rad/s, the limit is {limit}");
-        Err(Fault::new(Reason::ImpossibleJump, detail))
+        Err(RowError::new(BadRowReason::ImpossibleJump, detail))
     }
 }

@@ -1,0 +1,182 @@
+//! The server's counters, shared by all tasks.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A counter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ServerCounter {
+    /// Events that were dropped on their way to the dashboard.
+    EventsDropped,
+    /// Points that were dropped because a message was full.
+    PointsDropped,
+    /// Current connections.
+    Connections,
+    /// Current readers of the stream.
+    Clients,
+    /// Messages sent to readers.
+    FramesSent,
+    /// Messages that slow readers have missed.
+    FramesMissed,
+    /// Messages that slow readers in this process have missed.
+    TapFramesMissed,
+    /// Commands sent to the station.
+    Commands,
+    /// Rejected: too many connections.
+    TooManyConnections,
+    /// Rejected: too many readers of the stream.
+    TooManyClients,
+    /// Rejected: the Host is not this station, as in DNS rebinding.
+    WrongHost,
+    /// Rejected: the page of another origin.
+    WrongOrigin,
+    /// Rejected: no token, or a wrong one.
+    WrongToken,
+    /// Rejected: a request that is not HTTP, too large, too slow or malformed.
+    BadRequest,
+    /// Rejected: unknown path or recording.
+    NotFound,
+    /// Rejected: an invalid command.
+    BadCommand,
+    /// Rejected: a command while too many wait.
+    CommandsFull,
+    /// Rejected: a command above the rate limit.
+    CommandRate,
+    /// Rejected: a replay while another one runs.
+    ReplayBusy,
+    /// Readers that were disconnected: they received nothing for too long, or broke the protocol. Readers that left do
+    /// not count.
+    ClientsDropped,
+}
+
+/// All counters: the name in `/metrics`, the reason of a rejection, the description.
+pub(crate) const COUNTER_TABLE: &[CounterRow] = &[
+    total_counter(
+        ServerCounter::EventsDropped,
+        "events_dropped_total",
+        "Events that found no room on their way to the dashboard.",
+    ),
+    total_counter(
+        ServerCounter::PointsDropped,
+        "points_dropped_total",
+        "Points that found no room in a message, or of robots beyond those that are shown.",
+    ),
+    CounterRow { kind: "gauge", ..total_counter(ServerCounter::Connections, "connections", "Open connections.") },
+    CounterRow { kind: "gauge", ..total_counter(ServerCounter::Clients, "clients", "Readers of the stream.") },
+    total_counter(ServerCounter::FramesSent, "frames_sent_total", "Messages handed to readers of the stream."),
+    total_counter(
+        ServerCounter::FramesMissed,
+        "frames_missed_total",
+        "Messages that readers have missed because they were slow.",
+    ),
+    total_counter(
+        ServerCounter::TapFramesMissed,
+        "tap_frames_missed_total",
+        "Messages that the terminal view or PlotJuggler's sender has missed because it was slow.",
+    ),
+    total_counter(ServerCounter::Commands, "commands_total", "Commands handed to the engine."),
+    total_counter(
+        ServerCounter::ClientsDropped,
+        "clients_dropped_total",
+        "Readers let go because they took nothing for too long or sent what is no WebSocket.",
+    ),
+    refusal_counter(ServerCounter::TooManyConnections, "connections"),
+    refusal_counter(ServerCounter::TooManyClients, "clients"),
+    refusal_counter(ServerCounter::WrongHost, "host"),
+    refusal_counter(ServerCounter::WrongOrigin, "origin"),
+    refusal_counter(ServerCounter::WrongToken, "token"),
+    refusal_counter(ServerCounter::BadRequest, "request"),
+    refusal_counter(ServerCounter::NotFound, "not_found"),
+    refusal_counter(ServerCounter::BadCommand, "command"),
+    refusal_counter(ServerCounter::CommandsFull, "commands_full"),
+    refusal_counter(ServerCounter::CommandRate, "command_rate"),
+    refusal_counter(ServerCounter::ReplayBusy, "replay"),
+];
+
+/// A row of [`COUNTER_TABLE`].
+pub(crate) struct CounterRow {
+    pub(crate) count: ServerCounter,
+    pub(crate) name: &'static str,
+    pub(crate) kind: &'static str,
+    pub(crate) help: &'static str,
+    /// The reason, for rejections.
+    pub(crate) reason: Option<&'static str>,
+}
+
+const fn total_counter(count: ServerCounter, name: &'static str, help: &'static str) -> CounterRow {
+    CounterRow { count, name, kind: "counter", help, reason: None }
+}
+
+const fn refusal_counter(count: ServerCounter, reason: &'static str) -> CounterRow {
+    CounterRow {
+        reason: Some(reason),
+        ..total_counter(count, "refused_total", "Connections, requests and commands that were refused.")
+    }
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct ServerCounters {
+    cells: [AtomicU64; COUNTER_TABLE.len()],
+}
+
+impl ServerCounters {
+    pub(crate) fn increment(&self, count: ServerCounter) {
+        self.add(count, 1);
+    }
+
+    pub(crate) fn add(&self, count: ServerCounter, amount: u64) {
+        self.counter_cell(count).fetch_add(amount, Ordering::Relaxed);
+    }
+
+    /// Subtracts one from a current number.
+    pub(crate) fn decrement(&self, count: ServerCounter) {
+        self.counter_cell(count).fetch_sub(1, Ordering::Relaxed);
+    }
+
+    /// Sets a number that was counted elsewhere.
+    pub(crate) fn set(&self, count: ServerCounter, number: u64) {
+        self.counter_cell(count).store(number, Ordering::Relaxed);
+    }
+
+    /// The current value.
+    pub(crate) fn value(&self, count: ServerCounter) -> u64 {
+        self.counter_cell(count).load(Ordering::Relaxed)
+    }
+
+    /// All rejections.
+    pub(crate) fn refused(&self) -> u64 {
+        let refusals = COUNTER_TABLE.iter().filter(|row| row.reason.is_some());
+        refusals.map(|row| self.value(row.count)).sum()
+    }
+
+    fn counter_cell(&self, count: ServerCounter) -> &AtomicU64 {
+        &self.cells[count as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_count_has_a_row_and_a_cell_of_its_own() {
+        let mut seen: Vec<usize> = COUNTER_TABLE.iter().map(|row| row.count as usize).collect();
+        seen.sort_unstable();
+        assert_eq!(seen, (0..COUNTER_TABLE.len()).collect::<Vec<_>>());
+        let counts = ServerCounters::default();
+        for (index, row) in COUNTER_TABLE.iter().enumerate() {
+            counts.add(row.count, index as u64 + 1);
+        }
+        for (index, row) in COUNTER_TABLE.iter().enumerate() {
+            assert_eq!(counts.value(row.count), index as u64 + 1, "{}", row.name);
+        }
+    }
+
+    #[test]
+    fn refusals_are_summed() {
+        let counts = ServerCounters::default();
+        counts.increment(ServerCounter::WrongHost);
+        counts.increment(ServerCounter::WrongToken);
+        counts.increment(ServerCounter::FramesSent);
+        assert_eq!(counts.refused(), 2);
+    }
+}

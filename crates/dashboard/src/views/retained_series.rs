@@ -1,0 +1,305 @@
+//! Time series: points for the next message, and points retained for the history.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
+
+/// Most points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second
+/// has four.
+const MAX_PENDING: usize = 256;
+/// Most robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
+pub(super) const MAX_ROBOTS: usize = 64;
+
+/// The points retained for the history.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RetentionPolicy {
+    /// The points of the last `duration`, at most `max_points`, evenly spaced.
+    SlidingWindow { duration: TimeDelta, max_points: usize },
+    /// The whole session, at most `max_points`: when it is full every second normal point is dropped, and important
+    /// ones only if they alone fill it.
+    WholeSession { max_points: usize },
+}
+
+/// The importance of a point for thinning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PointPriority {
+    /// One of many.
+    Normal,
+    /// One that people search for: a rejected fix, a reset.
+    Keep,
+}
+
+#[derive(Clone, Debug)]
+struct RetainedPoint<T> {
+    at: Timestamp<HostClock>,
+    point: T,
+    priority: PointPriority,
+}
+
+/// Thinning of the points of one priority over a whole session.
+#[derive(Clone, Copy, Debug)]
+struct Downsampler {
+    /// One of this many is retained.
+    stride: usize,
+    seen: usize,
+    retained: usize,
+}
+
+impl Downsampler {
+    const NONE: Self = Self { stride: 1, seen: 0, retained: 0 };
+
+    /// Whether the next point is retained.
+    fn retains_next(&mut self) -> bool {
+        let is_kept = self.seen.is_multiple_of(self.stride);
+        self.seen += 1;
+        if is_kept {
+            self.retained += 1;
+        }
+        is_kept
+    }
+}
+
+/// A series with bounded memory.
+#[derive(Clone, Debug)]
+pub(super) struct RetainedSeries<T> {
+    policy: RetentionPolicy,
+    kept: VecDeque<RetainedPoint<T>>,
+    last: Option<Timestamp<HostClock>>,
+    normal: Downsampler,
+    important: Downsampler,
+    pending: Vec<T>,
+    dropped: u64,
+}
+
+impl<T: Clone> RetainedSeries<T> {
+    pub(super) const fn new(policy: RetentionPolicy) -> Self {
+        Self {
+            policy,
+            kept: VecDeque::new(),
+            last: None,
+            normal: Downsampler::NONE,
+            important: Downsampler::NONE,
+            pending: Vec::new(),
+            dropped: 0,
+        }
+    }
+
+    /// Adds a point: pending for the next message, and perhaps retained.
+    pub(super) fn push(&mut self, now: Timestamp<HostClock>, point: T, priority: PointPriority) {
+        if self.pending.len() < MAX_PENDING {
+            self.pending.push(point.clone());
+        } else {
+            self.dropped += 1;
+        }
+        let retained = RetainedPoint { at: now, point, priority };
+        match self.policy {
+            RetentionPolicy::SlidingWindow { duration, max_points } => {
+                self.retain_window(retained, duration, max_points);
+            }
+            RetentionPolicy::WholeSession { max_points } => self.retain_session(retained, max_points),
+        }
+    }
+
+    /// The points since the last call.
+    pub(super) fn take_pending(&mut self) -> Vec<T> {
+        std::mem::take(&mut self.pending)
+    }
+
+    /// The retained points, oldest first.
+    pub(super) fn retained(&self) -> Vec<T> {
+        self.kept.iter().map(|one| one.point.clone()).collect()
+    }
+
+    pub(super) const fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn retain_window(&mut self, one: RetainedPoint<T>, duration: TimeDelta, max_points: usize) {
+        let spacing = TimeDelta::from_nanos(duration.as_nanos() / max_points.max(1) as i64);
+        let now = one.at;
+        if one.priority == PointPriority::Normal && self.last.is_some_and(|last| now - last < spacing) {
+            return;
+        }
+        self.last = Some(now);
+        self.kept.push_back(one);
+        while self.kept.len() > max_points || self.kept.front().is_some_and(|oldest| now - oldest.at > duration) {
+            self.kept.pop_front();
+        }
+    }
+
+    fn retain_session(&mut self, one: RetainedPoint<T>, max_points: usize) {
+        if self.downsampler(one.priority).retains_next() {
+            self.kept.push_back(one);
+        }
+        if self.kept.len() >= max_points {
+            // If a quarter or more are normal, halving those frees enough space.
+            let is_usual_enough = self.normal.retained >= max_points.div_ceil(4);
+            self.halve(if is_usual_enough { PointPriority::Normal } else { PointPriority::Keep });
+        }
+    }
+
+    /// Drops every second point of a priority.
+    fn halve(&mut self, priority: PointPriority) {
+        let mut index = 0_usize;
+        self.kept.retain(|one| {
+            if one.priority == priority {
+                index += 1;
+            }
+            one.priority != priority || index % 2 == 1
+        });
+        let thinned = self.downsampler(priority);
+        thinned.stride *= 2;
+        thinned.retained = index.div_ceil(2);
+    }
+
+    const fn downsampler(&mut self, priority: PointPriority) -> &mut Downsampler {
+        match priority {
+            PointPriority::Normal => &mut self.normal,
+            PointPriority::Keep => &mut self.important,
+        }
+    }
+}
+
+/// A series for each robot, or for each sensor of each robot.
+#[derive(Clone, Debug)]
+pub(super) struct RetainedSeriesMap<K, T> {
+    policy: RetentionPolicy,
+    series: BTreeMap<(RobotId, K), RetainedSeries<T>>,
+    max_series: usize,
+    ignored: u64,
+}
+
+impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
+    /// At most `max_series` series.
+    pub(super) const fn new(policy: RetentionPolicy, max_series: usize) -> Self {
+        Self { policy, series: BTreeMap::new(), max_series, ignored: 0 }
+    }
+
+    pub(super) fn push(&mut self, now: Timestamp<HostClock>, key: (RobotId, K), point: T, priority: PointPriority) {
+        if !self.series.contains_key(&key) && self.series.len() >= self.max_series {
+            self.ignored += 1;
+            return;
+        }
+        let keep = self.policy;
+        let trail = self.series.entry(key).or_insert_with(|| RetainedSeries::new(keep));
+        trail.push(now, point, priority);
+    }
+
+    /// The points since the last call, for each robot that has any.
+    pub(super) fn take_pending(&mut self) -> Vec<(RobotId, Vec<T>)> {
+        let trails = self.series.iter_mut();
+        let news = trails.map(|((robot, _), trail)| (*robot, trail.take_pending()));
+        news.filter(|(_, news)| !news.is_empty()).collect()
+    }
+
+    /// The retained points of each robot.
+    pub(super) fn retained(&self) -> Vec<(RobotId, Vec<T>)> {
+        let trails = self.series.iter();
+        trails.map(|((robot, _), trail)| (*robot, trail.retained())).collect()
+    }
+
+    pub(super) fn dropped(&self) -> u64 {
+        let dropped: u64 = self.series.values().map(RetainedSeries::dropped).sum();
+        dropped + self.ignored
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
+    }
+
+    #[test]
+    fn the_last_minute_is_kept_evenly_and_never_grows() {
+        let mut trail = RetainedSeries::new(RetentionPolicy::SlidingWindow {
+            duration: TimeDelta::from_millis(60_000),
+            max_points: 1_200,
+        });
+        for millis in (0..300_000).step_by(5) {
+            trail.push(at(millis), millis, PointPriority::Normal);
+        }
+        let kept = trail.retained();
+        assert!((1_195..=1_200).contains(&kept.len()), "{}", kept.len());
+        assert!(kept.windows(2).all(|pair| pair[1] - pair[0] == 50));
+        assert!(kept[0] >= 240_000 - 50 && *kept.last().unwrap() >= 299_900);
+    }
+
+    #[test]
+    fn what_is_rare_is_not_thinned_but_bounded() {
+        let span = TimeDelta::from_millis(60_000);
+        let mut trail = RetainedSeries::new(RetentionPolicy::SlidingWindow { duration: span, max_points: 10 });
+        trail.push(at(0), 0, PointPriority::Normal);
+        trail.push(at(1), 1, PointPriority::Normal);
+        trail.push(at(2), 2, PointPriority::Keep);
+        assert_eq!(trail.retained(), [0, 2]);
+        for millis in 3..1_000 {
+            trail.push(at(millis), millis, PointPriority::Keep);
+        }
+        assert_eq!(trail.retained(), (990..1_000).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_whole_session_is_thinned_by_halves() {
+        let mut trail = RetainedSeries::new(RetentionPolicy::WholeSession { max_points: 100 });
+        for millis in 0..10_000 {
+            trail.push(at(millis), millis, PointPriority::Normal);
+        }
+        let kept = trail.retained();
+        assert!((50..100).contains(&kept.len()), "{}", kept.len());
+        assert_eq!(kept[0], 0);
+        let step = kept[1] - kept[0];
+        assert!(kept.windows(2).all(|pair| pair[1] - pair[0] == step));
+    }
+
+    #[test]
+    fn what_is_rare_outlives_the_thinning_of_a_whole_session() {
+        let mut trail = RetainedSeries::new(RetentionPolicy::WholeSession { max_points: 1_000 });
+        let weight_of = |millis: i64| {
+            if millis % 1_000 == 7 { PointPriority::Keep } else { PointPriority::Normal }
+        };
+        for millis in 0..90_000 {
+            trail.push(at(millis), millis, weight_of(millis));
+        }
+        let kept = trail.retained();
+        let is_rare = |millis: &&i64| weight_of(**millis) == PointPriority::Keep;
+        assert_eq!(kept.iter().filter(is_rare).count(), 90);
+        assert!((500..1_000).contains(&kept.len()), "{}", kept.len());
+        assert!(kept.is_sorted());
+    }
+
+    #[test]
+    fn a_flood_of_what_is_rare_is_thinned_as_well() {
+        let mut trail = RetainedSeries::new(RetentionPolicy::WholeSession { max_points: 100 });
+        for millis in 0..10_000 {
+            trail.push(at(millis), millis, PointPriority::Keep);
+        }
+        let kept = trail.retained();
+        assert!((50..100).contains(&kept.len()), "{}", kept.len());
+        assert!(kept[0] == 0 && *kept.last().unwrap() > 9_700, "{kept:?}");
+    }
+
+    #[test]
+    fn news_are_bounded_and_counted() {
+        let mut trail = RetainedSeries::new(RetentionPolicy::WholeSession { max_points: 10 });
+        for millis in 0..1_000 {
+            trail.push(at(millis), millis, PointPriority::Normal);
+        }
+        assert_eq!(trail.take_pending().len(), MAX_PENDING);
+        assert_eq!(trail.dropped(), 1_000 - MAX_PENDING as u64);
+        assert!(trail.take_pending().is_empty());
+    }
+
+    #[test]
+    fn robots_beyond_the_most_are_counted_and_not_kept() {
+        let mut trails = RetainedSeriesMap::new(RetentionPolicy::WholeSession { max_points: 10 }, 2);
+        for system in 0..5 {
+            let robot = RobotId { address: posebridge_telemetry::Address::new(system, 1), ..RobotId::default() };
+            trails.push(at(0), (robot, ()), system, PointPriority::Normal);
+        }
+        assert_eq!(trails.retained().len(), 2);
+        assert_eq!(trails.dropped(), 3);
+    }
+}

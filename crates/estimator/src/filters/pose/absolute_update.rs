@@ -1,0 +1,291 @@
+//! What absolute observations do to the state of the pose filter: gate, weight, update.
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, FusionRecord, ObservationKind, TimeDelta, Timestamp};
+
+use super::columns::linearize;
+use super::entry::kind_index;
+use super::iterated_update::{ITERATE_ABOVE_RAD, iterate};
+use super::motion_update::{UpdateContext, has_slipped, update_gyro_window};
+use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
+use super::relocalize::{initialize_from_fix, reject_fix, reset_to_fix};
+use super::state::{DELAY, HEADING, PoseState, PositionState, RejectedFixes};
+use crate::fusion_records::write_innovation;
+use crate::models::lie::Se2;
+use crate::observations::beacon::Beacon;
+use crate::observations::landmark::RangeBearing;
+use crate::observations::model::{ObservationModel, PoseView, StateTerm};
+use crate::observations::{beacon, compass, fix, landmark, wall};
+use crate::update::{LinearizedMeasurement, apply_measurement};
+
+/// The speeds at an earlier instant are told over this time about it: two readings of a 20 Hz brick.
+const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
+/// No camera is later than this, nor earlier.
+const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
+/// How far before the state's instant the track is asked.
+pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
+
+/// Updates the state by something absolute that was seen; the record says what happened.
+pub(super) fn update_absolute<const N: usize>(
+    state: &mut PoseState<N>,
+    seen: &ObservationKind,
+    stamp_sigma: TimeDelta,
+    context: &UpdateContext<'_>,
+    record: &mut FusionRecord,
+) {
+    // A slip that the gyro has noticed must not make the gate refuse the fix that would show it.
+    if has_slipped(state, context)
+        && let Some(window) = state.window
+    {
+        update_gyro_window(state, context);
+        state.restart_window(window.until);
+    }
+    let mut update = AbsoluteUpdate { context, kind: kind_index(seen), record };
+    let outcome = if let ObservationKind::Fix(seen) = seen {
+        update.update_fix(state, seen, stamp_sigma)
+    } else if state.position_state == PositionState::Unknown {
+        FusionOutcome::Unused
+    } else {
+        update.update_other(state, seen)
+    };
+    record.outcome = outcome;
+    if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
+        state.last_fix = state.stamp;
+        // A compass, a wall or a range that agrees does not tell that the position is right: only a fix answers for the fixes.
+        if matches!(seen, ObservationKind::Fix(_)) {
+            state.rejected_fixes = RejectedFixes::default();
+        }
+    }
+}
+
+/// The update by one absolute observation.
+struct AbsoluteUpdate<'a> {
+    context: &'a UpdateContext<'a>,
+    kind: u8,
+    record: &'a mut FusionRecord,
+}
+
+/// The position errs alike along both axes, the heading for itself.
+const POSE_GROUPS: [NoiseGroup; 3] = [NoiseGroup::Position, NoiseGroup::Position, NoiseGroup::Heading];
+/// The same without heading.
+const POSITION_GROUPS: [NoiseGroup; 2] = [NoiseGroup::Position; 2];
+
+impl AbsoluteUpdate<'_> {
+    fn update_fix<const N: usize>(
+        &mut self,
+        state: &mut PoseState<N>,
+        seen: &Fix,
+        stamp_sigma: TimeDelta,
+    ) -> FusionOutcome {
+        let circumstances = self.fix_context(state, stamp_sigma);
+        let scales = [NoiseGroup::Position, NoiseGroup::Heading].map(|group| self.noise_scale(state, group));
+        let noise = fix::fix_noise(seen, &self.context.config.noise, scales, &circumstances);
+        let has_jumped = state.observer_frames.has_jumped(self.record.sensor, seen.reset_counter);
+        if state.position_state == PositionState::Unknown {
+            return initialize_from_fix(state, seen, &noise, &circumstances);
+        }
+        if has_jumped {
+            return reset_to_fix(state, seen, &noise, &circumstances);
+        }
+        let verdict = match seen.heading {
+            Some(heading) => {
+                let heading_rad = heading.rad();
+                self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
+                    linearize(&fix::pose(state, seen, heading_rad, &noise, &circumstances))
+                })
+            }
+            None => self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
+                linearize(&fix::position(state, seen, &noise, &circumstances))
+            }),
+        };
+        let turned_since_rad = circumstances.moved_since.heading_rad;
+        let params = &self.context.config.params;
+        if verdict == FusionOutcome::Gated && reject_fix(state, self.record, turned_since_rad, params) {
+            return reset_to_fix(state, seen, &noise, &circumstances);
+        }
+        verdict
+    }
+
+    const fn noise_source(&self, group: NoiseGroup) -> NoiseSource {
+        NoiseSource { sensor: self.record.sensor, kind: self.kind, group }
+    }
+
+    /// By how much the configured variance of a group of components is to be multiplied.
+    fn noise_scale<const N: usize>(&self, state: &PoseState<N>, group: NoiseGroup) -> f64 {
+        state.noise_scales.factor(self.noise_source(group))
+    }
+
+    /// Uses a fix once, or again and again while the heading is hardly known.
+    fn apply_fix<const N: usize, const M: usize>(
+        &mut self,
+        state: &mut PoseState<N>,
+        groups: [NoiseGroup; M],
+        measure: &impl Fn(&PoseState<N>) -> LinearizedMeasurement<N, M>,
+    ) -> FusionOutcome {
+        if state.covariance[(HEADING, HEADING)] <= ITERATE_ABOVE_RAD.powi(2) {
+            return self.gate_and_apply(state, &measure(state), groups);
+        }
+        if self.record_innovation(&measure(state), &state.covariance).is_none() {
+            return FusionOutcome::Malformed;
+        }
+        // A fix from which no correction is found is too far away: it must count among the refused, or nothing ever helps.
+        let Some(found) = iterate(state, measure) else {
+            return FusionOutcome::Gated;
+        };
+        self.record.log_likelihood -= 0.5 * (found.nis - self.record.nis);
+        self.record.nis = found.nis;
+        if found.nis > self.context.gates[M - 1] {
+            return FusionOutcome::Gated;
+        }
+        *state = found.state;
+        FusionOutcome::Accepted
+    }
+
+    /// What is known about the instant that a fix shows, which may lie before its stamp.
+    fn fix_context<const N: usize>(&self, state: &PoseState<N>, stamp_sigma: TimeDelta) -> fix::FixContext {
+        let now = state.stamp.unwrap_or(Timestamp::ZERO);
+        let delay = TimeDelta::from_secs_f64(state.term(StateTerm::FixDelay)).clamp(-MAX_DELAY, MAX_DELAY);
+        let shown = now - delay;
+        let (track, config) = (self.context.track, self.context.config);
+        let moved_since = if delay > TimeDelta::ZERO {
+            state.motion_since(shown, track, config)
+        } else {
+            let ahead_s = -delay.as_secs_f64();
+            Se2::exp([-state.forward.value * ahead_s, 0.0, -state.turn.value * ahead_s])
+        };
+        let (forward_m_per_s, turn_rad_per_s) = if N > DELAY && state.covariance[(DELAY, DELAY)] > 0.0 {
+            self.speeds_near(state, shown)
+        } else {
+            (state.forward.value, state.turn.value)
+        };
+        fix::FixContext { moved_since, stamp_sigma_s: stamp_sigma.as_secs_f64(), forward_m_per_s, turn_rad_per_s }
+    }
+
+    /// Forward speed and turn rate about an instant, by the wheels where they tell, else the held ones.
+    fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
+        let (track, config) = (self.context.track, self.context.config);
+        let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
+        let earlier = state.motion_since(from, track, config);
+        let until = from + SPEED_WINDOW;
+        let later = state.motion_since(until, track, config);
+        let covered_s = state.stamp.map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
+        if covered_s < 0.5 * SPEED_WINDOW.as_secs_f64() {
+            return (state.forward.value, state.turn.value);
+        }
+        let [forward_m, _, turn_rad] = earlier.compose(later.inverse()).log();
+        (forward_m / covered_s, turn_rad / covered_s)
+    }
+
+    fn update_other<const N: usize>(&mut self, state: &mut PoseState<N>, seen: &ObservationKind) -> FusionOutcome {
+        let config = self.context.config;
+        let (noise, world) = (&config.noise, &config.arena_map);
+        match *seen {
+            ObservationKind::Landmark { id, range, bearing } => {
+                let range_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.landmark_range_m.powi(2);
+                let bearing_rad2 = self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2);
+                let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
+                let model = world
+                    .landmarks
+                    .get(&id)
+                    .and_then(|place| landmark::measurement(state, *place, sighting, range_m2, bearing_rad2));
+                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range, NoiseGroup::Bearing])
+            }
+            ObservationKind::BeaconRange { id, range } => {
+                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.beacon_range_m.powi(2);
+                let known = world.beacons.iter().enumerate().find(|(_, (known, _))| **known == id);
+                let model = known.and_then(|(slot, (_, place))| {
+                    let beacon = Beacon { position: *place, slot };
+                    beacon::measurement(state, beacon, range.0, variance_m2)
+                });
+                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
+            }
+            ObservationKind::WallRange(range) => {
+                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
+                let model = wall::measurement(state, &world.walls, range.0, variance_m2);
+                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
+            }
+            ObservationKind::CompassHeading(heading) => {
+                let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
+                let model = compass::measurement(state, heading.rad(), variance_rad2);
+                self.gate_and_apply_if_some(state, Some(&model), [NoiseGroup::Heading])
+            }
+            ObservationKind::WheelAngles { .. }
+            | ObservationKind::OdometerPose(_)
+            | ObservationKind::BodyVelocity { .. }
+            | ObservationKind::TurnRate(_)
+            | ObservationKind::WheelAccelerations { .. }
+            | ObservationKind::Fix(_)
+            | ObservationKind::Temperature(_) => FusionOutcome::Unused,
+        }
+    }
+
+    fn gate_and_apply_if_some<const N: usize, const M: usize>(
+        &mut self,
+        state: &mut PoseState<N>,
+        model: Option<&ObservationModel<M>>,
+        groups: [NoiseGroup; M],
+    ) -> FusionOutcome {
+        model.map_or(FusionOutcome::Unused, |model| self.gate_and_apply(state, &linearize(model), groups))
+    }
+
+    /// Updates the state if the innovation passes the gate.
+    ///
+    /// With `student_dof` set there is no hard gate: outliers are weighted down, as if the errors followed Student's t distribution.
+    fn gate_and_apply<const N: usize, const M: usize>(
+        &mut self,
+        state: &mut PoseState<N>,
+        measurement: &LinearizedMeasurement<N, M>,
+        groups: [NoiseGroup; M],
+    ) -> FusionOutcome {
+        let Some(s) = self.record_innovation(measurement, &state.covariance) else {
+            return FusionOutcome::Malformed;
+        };
+        let nis = self.record.nis;
+        let params = &self.context.config.params;
+        self.learn_scales(state, measurement, &s, groups);
+        let mut weighted = *measurement;
+        if params.student_dof > 0.0 {
+            weighted.noise *= (params.student_dof + nis) / (params.student_dof + M as f64);
+        } else if nis > self.context.gates[M - 1] {
+            return FusionOutcome::Gated;
+        }
+        if !apply_measurement(&mut state.mean, &mut state.covariance, &weighted) {
+            return FusionOutcome::Malformed;
+        }
+        state.inject();
+        FusionOutcome::Accepted
+    }
+
+    /// What an innovation says about the noise of its source, group by group.
+    fn learn_scales<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        measurement: &LinearizedMeasurement<N, M>,
+        s: &SMatrix<f64, M, M>,
+        groups: [NoiseGroup; M],
+    ) {
+        for group in NoiseGroup::ALL {
+            let mut votes = 0.0;
+            let mut members = 0.0;
+            for (i, _) in groups.iter().enumerate().filter(|(_, of)| **of == group) {
+                votes += scale_vote(measurement.innovation[i], s[(i, i)], measurement.noise[(i, i)]);
+                members += 1.0;
+            }
+            if members > 0.0 {
+                let gain = self.context.config.params.adapt_gain;
+                let source = self.noise_source(group);
+                state.noise_scales.learn(source, votes / members, gain);
+            }
+        }
+    }
+
+    /// Writes innovation, S, NIS and log-likelihood into the record, and returns S; `None` when it is not positive definite.
+    fn record_innovation<const N: usize, const M: usize>(
+        &mut self,
+        measurement: &LinearizedMeasurement<N, M>,
+        covariance: &SMatrix<f64, N, N>,
+    ) -> Option<SMatrix<f64, M, M>> {
+        let s = measurement.innovation_covariance(covariance);
+        write_innovation(self.record, &measurement.innovation, &s).then_some(s)
+    }
+}

@@ -1,0 +1,243 @@
+//! What motion observations do to the state of the pose filter: speeds, gyro windows, slip.
+
+use posebridge_telemetry::{BrickClock, FusionRecord, TimeDelta, Timestamp};
+
+use super::columns::linearize_gyro_window;
+use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDOW_TURN};
+use crate::filter::FilterConfig;
+use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
+use crate::motion::{GyroTrack, MotionTrack};
+use crate::numerics::chi_square::chi_square_quantile;
+use crate::observations::accelerometer::{WheelAccelerations, speed_change};
+use crate::observations::gyro_window::{EndRounding, largest_rounding, rounding_variance};
+use crate::observations::{gyro_window, speed};
+use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
+
+/// What the update of one observation needs besides the state.
+pub struct UpdateContext<'a> {
+    /// The filter's configuration.
+    pub config: &'a FilterConfig,
+    /// The wheels' travel.
+    pub track: &'a MotionTrack,
+    /// The gyro.
+    pub gyro: &'a GyroTrack,
+    /// The gate for one, two and three components.
+    pub gates: &'a ChiSquareGates,
+}
+
+/// The gate: quantiles of chi-square with one, two and three degrees of freedom.
+pub type ChiSquareGates = [f64; 3];
+
+/// The gates of a configuration.
+#[must_use]
+pub fn chi_square_gates(config: &FilterConfig) -> ChiSquareGates {
+    [1, 2, 3].map(|degrees| chi_square_quantile(degrees, config.params.gate_probability))
+}
+
+/// A gyro that has been silent for longer no longer outranks the encoders' turn rate.
+const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
+/// Accelerations further apart than this say nothing about the time between.
+const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
+
+/// Motion was observed: the pose has been carried there already; speeds and gyro window follow.
+pub fn update_motion<const N: usize>(
+    state: &mut PoseState<N>,
+    stamp: Timestamp<BrickClock>,
+    context: &UpdateContext<'_>,
+    record: &mut FusionRecord,
+) {
+    let step = context.track.step_to(stamp);
+    if step.is_none_or(|(_, travel)| travel != WheelTravel::default()) {
+        state.tick_activity.record_change(stamp);
+    }
+    if let Some((before, travel)) = step {
+        let geometry = &context.config.geometry;
+        let step = body_step(travel, geometry);
+        let noise = step_noise(travel, geometry, &context.config.noise);
+        let dt_s = (stamp - before).as_secs_f64();
+        state.forward.observe(speed::forward_reading(step, &noise, dt_s, geometry));
+        let gyro_speaks = context.gyro.last_at_or_before(stamp).is_some_and(|last| last + GYRO_TIMEOUT > stamp);
+        if !gyro_speaks {
+            state.turn.observe(speed::turn_reading(step, &noise, dt_s, geometry));
+        }
+    }
+    state.last_motion = Some(stamp);
+    let length_s = context.config.params.gyro_window_s;
+    match state.window {
+        None => {
+            // What the rounding was where the last window ended says nothing about where this one begins.
+            state.reset_rounding(rounding_variance(&context.config.geometry));
+            state.restart_window(stamp);
+        }
+        Some(window) if (stamp - window.start).as_secs_f64() >= length_s => {
+            if context.gyro.covers(window.start, stamp)
+                && let Some((scalar, outcome)) = update_gyro_window(state, context)
+            {
+                record_scalar_innovation(record, &scalar, &outcome);
+            } else {
+                state.reset_rounding(rounding_variance(&context.config.geometry));
+            }
+            state.restart_window(stamp);
+        }
+        Some(_) => {}
+    }
+}
+
+/// The gyro spoke: the turn rate follows at once, the heading when the window closes.
+pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &UpdateContext<'_>) {
+    let (bias_rad_per_s, bias_variance) = (state.mean[GYRO_BIAS], state.covariance[(GYRO_BIAS, GYRO_BIAS)]);
+    let reading = speed::gyro_reading(rate_rad_per_s, bias_rad_per_s, bias_variance, &context.config.noise);
+    state.turn.observe(reading);
+}
+
+/// The accelerometers spoke: the speeds follow.
+pub fn update_accelerations<const N: usize>(
+    state: &mut PoseState<N>,
+    felt: WheelAccelerations,
+    stamp: Timestamp<BrickClock>,
+    context: &UpdateContext<'_>,
+) {
+    let since = state.last_acceleration.map(|last| stamp - last);
+    if let Some(dt) = since.filter(|dt| *dt > TimeDelta::ZERO && *dt <= MAX_ACCELERATION_INTERVAL) {
+        let change = speed_change(felt, dt.as_secs_f64(), &context.config.geometry, &context.config.noise);
+        state.forward.value += change.forward_m_per_s;
+        state.forward.variance += change.forward_variance;
+        state.turn.value += change.turn_rad_per_s;
+        state.turn.variance += change.turn_variance;
+    }
+    state.last_acceleration = Some(stamp);
+}
+
+/// Uses what the gyro says about the window so far. Where gyro and encoders disagree beyond chance the wheels slipped: the
+/// disagreement is then added to the uncertainty of the encoders' turn, and the gyro decides.
+pub fn update_gyro_window<const N: usize>(
+    state: &mut PoseState<N>,
+    context: &UpdateContext<'_>,
+) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
+    let (scalar, before) = preview_gyro_window(state, context)?;
+    if is_slip(state, &scalar, context) {
+        inflate_for_slip(state, scalar.innovation.powi(2), before.nis, context);
+        state.slipped_at = state.window.map(|window| window.until);
+    }
+    let outcome = match end_rounding(state, context) {
+        EndRounding::Independent { variance_rad2 } => update_with_end_rounding(state, &scalar, variance_rad2),
+        EndRounding::Unchanged => {
+            let (mean, covariance) = (&mut state.mean, &mut state.covariance);
+            use_scalar(mean, covariance, &scalar, f64::INFINITY)
+        }
+    };
+    state.inject();
+    (outcome.outcome == UpdateOutcome::Used).then_some((scalar, outcome))
+}
+
+/// Uses the window, and puts the rounding at its end in the place of that at its beginning. The new rounding n takes part in the
+/// innovation with -1, so that after the update
+///
+/// ```text
+/// mean n = -v nu / S      var n = v - v^2 / S      cov(x, n) = v P H' / S         v its variance before
+/// ```
+fn update_with_end_rounding<const N: usize>(
+    state: &mut PoseState<N>,
+    scalar: &ScalarMeasurement<3>,
+    variance: f64,
+) -> ScalarOutcome {
+    let cross = scalar.cross_covariance(&state.covariance);
+    let (mean, covariance) = (&mut state.mean, &mut state.covariance);
+    let outcome = use_scalar(mean, covariance, scalar, f64::INFINITY);
+    if outcome.outcome == UpdateOutcome::Used {
+        let share = variance / outcome.innovation_variance;
+        for row in 0..N {
+            covariance[(row, ROUNDING)] = cross[row] * share;
+            covariance[(ROUNDING, row)] = cross[row] * share;
+        }
+        covariance[(ROUNDING, ROUNDING)] = variance * (1.0 - share);
+        mean[ROUNDING] = -share * scalar.innovation;
+    }
+    outcome
+}
+
+/// Whether gyro and encoders disagree so far that the wheels must have slipped.
+pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> bool {
+    preview_gyro_window(state, context).is_some_and(|(scalar, _)| is_slip(state, &scalar, context))
+}
+
+/// Whether gyro and encoders disagree by more than rounding can, beyond what chance adds. Rounding is not normal but bounded: while
+/// a robot turns slowly, counts of both wheels that come together reach the bound again and again.
+pub(super) fn is_slip<const N: usize>(
+    state: &PoseState<N>,
+    scalar: &ScalarMeasurement<3>,
+    context: &UpdateContext<'_>,
+) -> bool {
+    let counted_rad = (scalar.innovation + scalar.jacobian[2] * state.mean[ROUNDING]).abs();
+    let beyond_rad = counted_rad - largest_rounding(&context.config.geometry);
+    if beyond_rad <= 0.0 {
+        return false;
+    }
+    let rounding_rad2 = match end_rounding(state, context) {
+        EndRounding::Independent { variance_rad2 } => variance_rad2,
+        EndRounding::Unchanged => 0.0,
+    };
+    let but_rounding = ScalarMeasurement {
+        innovation: beyond_rad,
+        rows: [scalar.rows[0], scalar.rows[1]],
+        jacobian: [scalar.jacobian[0], scalar.jacobian[1]],
+        variance: scalar.variance - rounding_rad2,
+    };
+    let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
+    beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
+}
+
+/// The wheels counted a turn too much that may be all of the disagreement. Nobody knows which share of it was either wheel's: the
+/// distance is wrong by something between minus and plus half of it, alike, and the window's path was laid out in a wrong
+/// direction. For these the share that chance explains does not count: a false alarm must not cost position.
+fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, context: &UpdateContext<'_>) {
+    let forward_m = state.window.map_or(0.0, |window| window.forward_m);
+    for row in [HEADING, WINDOW_TURN] {
+        for column in [HEADING, WINDOW_TURN] {
+            state.covariance[(row, column)] += slip_rad2;
+        }
+    }
+    // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
+    let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis).max(0.0);
+    let along_m2 = beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2) / 12.0;
+    let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
+    state.covariance[(FORWARD, FORWARD)] += along_m2;
+    state.covariance[(LEFT, LEFT)] += across_m2;
+}
+
+/// What the rounding is where the window ends.
+fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> EndRounding {
+    match state.window {
+        Some(window) if state.tick_activity.is_stationary(window.start, window.until) => EndRounding::Unchanged,
+        _ => EndRounding::Independent { variance_rad2: rounding_variance(&context.config.geometry) },
+    }
+}
+
+/// The window so far: its measurement and how it fits, nothing changed.
+pub(super) fn preview_gyro_window<const N: usize>(
+    state: &PoseState<N>,
+    context: &UpdateContext<'_>,
+) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
+    let window = state.window?;
+    if window.until <= window.start {
+        return None;
+    }
+    let turn = context.gyro.covered_turn(window.start, window.until)?;
+    let noise = &context.config.noise;
+    let model = gyro_window::measurement(state, &window, &turn, noise, end_rounding(state, context));
+    let scalar = linearize_gyro_window(&model);
+    let s = scalar.innovation_variance(&state.covariance);
+    (s > 0.0).then(|| {
+        let outcome =
+            ScalarOutcome { innovation_variance: s, nis: scalar.innovation.powi(2) / s, outcome: UpdateOutcome::Used };
+        (scalar, outcome)
+    })
+}
+
+fn record_scalar_innovation(record: &mut FusionRecord, scalar: &ScalarMeasurement<3>, outcome: &ScalarOutcome) {
+    record.innovation[0] = scalar.innovation;
+    record.innovation_covariance[0][0] = outcome.innovation_variance;
+    record.nis = outcome.nis;
+    record.degrees_of_freedom = 1;
+    record.log_likelihood = -0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
+}

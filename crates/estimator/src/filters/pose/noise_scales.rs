@@ -1,0 +1,97 @@
+//! How much noisier a source really is than it was said to be: learned from its innovations, refused ones included.
+//!
+//! # Model
+//! ```text
+//! R_i = s_g R_0i           s_g the scale of the group of component i: position, heading, range, bearing
+//! ln s_g <- ln s_g + gain * mean over the group of  u_i sign(nu_i^2 / S_ii - m)
+//! gain = max(g_min, 2.33 / (3 + k))       k observations so far         m = 0.4549, the median of chi-square with one degree
+//! u_i = sqrt(R_i / S_ii)                  how much of the innovation's spread is the sensor's own
+//! ```
+//! The median is not moved by a few gross outliers, however gross, and a gate that was set too narrow opens by itself, because
+//! what it refuses counts as well.
+//!
+//! # Source
+//! docs/maths/pose.md section 6; Robbins and Monro (1951) for quantiles by stochastic approximation.
+
+use posebridge_telemetry::SensorId;
+
+/// As many sources are followed; further ones keep the noise that they were given.
+const MAX_SOURCES: usize = 8;
+/// Variances are scaled by no more than this, either way: ten times the standard deviation.
+const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
+
+/// The median of chi-square with one degree of freedom.
+const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_573;
+
+/// The gain that finds a median soonest is 1 over twice the density there: for ln chi-square with one degree of freedom,
+/// 1 / (2 * 0.2143).
+const FIRST_GAIN: f64 = 2.33;
+
+/// One source: a group of components of one kind of observation by one sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoiseSource {
+    /// The sensor.
+    pub sensor: SensorId,
+    /// The number of its kind, see `entry`.
+    pub kind: u8,
+    /// Which of the kind's components.
+    pub group: NoiseGroup,
+}
+
+/// Components of an observation that err alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoiseGroup {
+    /// Both coordinates of a position.
+    Position,
+    /// A distance.
+    Range,
+    /// A heading.
+    Heading,
+    /// A direction from the body.
+    Bearing,
+}
+
+impl NoiseGroup {
+    /// All groups, in the order in which an observation's are learned.
+    pub const ALL: [Self; 4] = [Self::Position, Self::Range, Self::Heading, Self::Bearing];
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct NoiseScale {
+    source: NoiseSource,
+    ln_factor: f64,
+    count: u32,
+}
+
+/// The scales of all sources.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NoiseScales {
+    slots: [Option<NoiseScale>; MAX_SOURCES],
+}
+
+impl NoiseScales {
+    /// By how much the variances of a source are to be multiplied.
+    #[must_use]
+    pub fn factor(&self, source: NoiseSource) -> f64 {
+        self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
+    }
+
+    /// Learns from the scale_votes of a group: the mean of [`scale_vote`] over its components; `least_gain` of zero learns nothing.
+    pub fn learn(&mut self, source: NoiseSource, votes: f64, least_gain: f64) {
+        if least_gain <= 0.0 || !votes.is_finite() {
+            return;
+        }
+        let slot = self.slots.iter_mut().find(|slot| slot.is_none_or(|scale| scale.source == source));
+        let Some(slot) = slot else { return };
+        let scale = slot.get_or_insert(NoiseScale { source, ln_factor: 0.0, count: 0 });
+        let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
+        scale.ln_factor = (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
+        scale.count = scale.count.saturating_add(1);
+    }
+}
+
+/// Which way a component would have its noise changed, and how strongly: its innovation, S_ii and R_i.
+#[must_use]
+pub fn scale_vote(innovation: f64, s: f64, noise: f64) -> f64 {
+    (noise / s).sqrt().copysign(innovation * innovation / s - CHI_SQUARE_MEDIAN)
+}

@@ -1,0 +1,374 @@
+//! How the state of the pose filter moves: by the known travel of the wheels, else by the held speeds.
+//!
+//! # Model
+//! ```text
+//! X <- X exp((d, 0), dth)               d, dth from the wheels with the learned radii and track
+//! xi <- Ad(step^-1) xi + G (d, dth)'s errors
+//! psi <- psi + dth
+//! ```
+//! The errors' motion does not depend on where the robot is or where it points: that is what makes the filter bear a heading of
+//! which nothing is known.
+//!
+//! # Source
+//! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
+
+use super::state::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN};
+use crate::filter::FilterConfig;
+use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
+use crate::models::lie::{ArcStep, Se2};
+use crate::motion::{MotionTrack, TravelSegment};
+
+/// Speeds are held no longer than this after the last motion observation.
+const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
+/// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
+/// walking pace.
+const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
+/// The same for its heading, rad per sqrt(s).
+const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
+/// Accelerations measured longer ago than this say nothing about how the speeds change now.
+const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
+
+/// Whether the gyro's window is open: only then somebody asks for the turn since it began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GyroWindowStatus {
+    /// It is open.
+    Open,
+    /// It is not.
+    Closed,
+}
+
+impl GyroWindowStatus {
+    /// The share of a turn that counts for the window.
+    fn share(self) -> f64 {
+        match self {
+            Self::Open => 1.0,
+            Self::Closed => 0.0,
+        }
+    }
+}
+
+/// How a step carries errors from its beginning to its end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transition {
+    /// The step in the body's space.
+    pub step: ArcStep,
+    /// Derivatives of the distance by the errors of mean radius and of the difference of radii.
+    pub forward_by_scales: [f64; 2],
+    /// Derivatives of the turn by the errors of mean radius, of the difference of radii and of the track.
+    pub turn_by_scales: [f64; 3],
+    /// Whether the turn counts for an open window.
+    pub window: GyroWindowStatus,
+}
+
+impl Transition {
+    /// A step over known travel with the learned radii and track: its distance, its turn, and what they depend on.
+    #[must_use]
+    pub fn over_travel<const N: usize>(
+        travel: WheelTravel,
+        state: &PoseState<N>,
+        geometry: &DriveGeometry,
+    ) -> (Self, f64, f64) {
+        let (mean, difference) = (state.mean[RADIUS], state.mean[DIFFERENCE]);
+        let track_m = geometry.track_width.0 * (1.0 + state.mean[TRACK]);
+        let left_m = travel.left_m * (1.0 + mean - 0.5 * difference);
+        let right_m = travel.right_m * (1.0 + mean + 0.5 * difference);
+        let forward_m = 0.5 * (left_m + right_m);
+        let turn_rad = (right_m - left_m) / track_m;
+        let transition = Self {
+            step: ArcStep::new(forward_m, turn_rad),
+            forward_by_scales: [0.5 * (travel.left_m + travel.right_m), 0.25 * (travel.right_m - travel.left_m)],
+            turn_by_scales: [
+                (travel.right_m - travel.left_m) / track_m,
+                0.5 * (travel.right_m + travel.left_m) / track_m,
+                -turn_rad / (1.0 + state.mean[TRACK]),
+            ],
+            window: state.window.map_or(GyroWindowStatus::Closed, |_| GyroWindowStatus::Open),
+        };
+        (transition, forward_m, turn_rad)
+    }
+
+    /// A step at held speeds.
+    #[must_use]
+    pub fn at_speeds(forward_m: f64, turn_rad: f64) -> Self {
+        Self {
+            step: ArcStep::new(forward_m, turn_rad),
+            forward_by_scales: [0.0; 2],
+            turn_by_scales: [0.0; 3],
+            window: GyroWindowStatus::Closed,
+        }
+    }
+
+    /// F, for those who need the whole matrix.
+    #[must_use]
+    pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
+        let mut f = SMatrix::identity();
+        for column in 0..N {
+            let moved = self.propagate_error(|row| if row == column { 1.0 } else { 0.0 });
+            for (row, value) in MOVED_ROWS.into_iter().zip(moved) {
+                f[(row, column)] = value;
+            }
+        }
+        f
+    }
+
+    /// What errors before the step become in the rows that it moves: forward, left, heading, turn since the window began. The
+    /// errors are given by `error`, row for row.
+    #[inline]
+    fn propagate_error(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
+        let step = &self.step;
+        let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
+        let along = mean * self.forward_by_scales[0] + difference * self.forward_by_scales[1];
+        let turned =
+            mean * self.turn_by_scales[0] + difference * self.turn_by_scales[1] + error(TRACK) * self.turn_by_scales[2];
+        let heading = error(HEADING);
+        let x = error(FORWARD) - heading * step.motion.y_m;
+        let y = error(LEFT) + heading * step.motion.x_m;
+        [
+            x * step.cos + y * step.sin + along * step.by_forward[0] + turned * step.by_turn[0],
+            y * step.cos - x * step.sin + along * step.by_forward[1] + turned * step.by_turn[1],
+            heading + turned,
+            error(WINDOW_TURN) + turned * self.window.share(),
+        ]
+    }
+
+    /// P <- F P F' + G q G'.
+    ///
+    /// Only `MOVED` rows and columns change. F P is formed for these rows; of its product with F' only the block where they
+    /// meet is left to do, the rest follows by symmetry. A row of P is read as the column that it equals, which lies in one
+    /// piece in memory: so the compiler takes two of its numbers at a time.
+    pub fn propagate<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
+        let mut rows = [[0.0; N]; 4];
+        for i in 0..N {
+            let moved = self.propagate_error(|row| p[(i, row)]);
+            for (row, moved) in rows.iter_mut().zip(moved) {
+                row[i] = moved;
+            }
+        }
+        let q = self.noise(noise);
+        for (&row, values) in MOVED_ROWS.iter().zip(&rows) {
+            p.column_mut(row).copy_from_slice(values);
+            for column in 0..N {
+                p[(row, column)] = values[column];
+            }
+        }
+        for (i, &row) in MOVED_ROWS.iter().enumerate() {
+            let meeting = self.propagate_error(|column| rows[i][column]);
+            for (j, &column) in MOVED_ROWS.iter().enumerate().take(i + 1) {
+                let value = meeting[j] + q[i][j];
+                p[(row, column)] = value;
+                p[(column, row)] = value;
+            }
+        }
+    }
+
+    /// G q G' in the rows that move.
+    fn noise(&self, noise: &StepNoise) -> [[f64; 4]; 4] {
+        let step = &self.step;
+        let along = [step.by_forward[0], step.by_forward[1], 0.0, 0.0];
+        let turned = [step.by_turn[0], step.by_turn[1], 1.0, self.window.share()];
+        let mut q = [[0.0; 4]; 4];
+        for (i, row) in q.iter_mut().enumerate() {
+            let by_forward = noise.forward_var_m2 * along[i] + noise.forward_turn_m_rad * turned[i];
+            let by_turn = noise.forward_turn_m_rad * along[i] + noise.turn_var_rad2 * turned[i];
+            for (j, value) in row.iter_mut().enumerate() {
+                *value = by_forward * along[j] + by_turn * turned[j];
+            }
+        }
+        q
+    }
+}
+
+/// The rows that a step moves.
+const MOVED_ROWS: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
+
+impl<const N: usize> PoseState<N> {
+    /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
+    pub fn advance(&mut self, to: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
+        let Some(from) = self.stamp else {
+            self.stamp = Some(to);
+            self.predict_speeds_and_bias(to, config);
+            return;
+        };
+        if to <= from {
+            return;
+        }
+        let mut at = from;
+        while at < to {
+            at = match track.segment(at, to) {
+                TravelSegment::Known { until, travel, path_var_m2 } => {
+                    self.move_by_travel(travel, until, config);
+                    self.inflate_pose_covariance(path_var_m2, 0.0);
+                    until
+                }
+                TravelSegment::Gap { until } => {
+                    // What the gyro says about a window means nothing without the encoders' turn over all of it.
+                    self.close_window();
+                    self.move_unobserved(at, until, config);
+                    until
+                }
+                TravelSegment::BeyondData { until } => {
+                    self.move_unobserved(at, until, config);
+                    until
+                }
+            };
+        }
+        self.predict_speeds_and_bias(to, config);
+        self.stamp = Some(to);
+    }
+
+    /// What changes with time alone: speeds and the gyro's bias, up to an instant that may lie ahead of the pose's.
+    pub fn predict_speeds_and_bias(&mut self, to: Timestamp<BrickClock>, config: &FilterConfig) {
+        let from = self.speeds_predicted_to.unwrap_or(to);
+        self.speeds_predicted_to = Some(from.max(to));
+        let dt_s = (to - from).as_secs_f64();
+        if dt_s <= 0.0 {
+            return;
+        }
+        // While accelerations tell how the speeds change they do not walk.
+        let walks_from = self.last_acceleration.map_or(from, |last| from.max(last + ACCELERATION_HOLD));
+        let walked_s = (to - walks_from).as_secs_f64().max(0.0);
+        self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * walked_s;
+        self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s;
+        let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
+    }
+
+    fn move_by_travel(&mut self, travel: WheelTravel, to: Timestamp<BrickClock>, config: &FilterConfig) {
+        let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
+        if let Some(window) = &mut self.window {
+            window.until = to;
+        }
+        if !moved {
+            return;
+        }
+        let (transition, forward_m, turn_rad) = Transition::over_travel(travel, self, &config.geometry);
+        let noise = step_noise(travel, &config.geometry, &config.noise);
+        transition.propagate(&mut self.covariance, &noise);
+        self.pose = self.pose.compose(transition.step.motion);
+        self.add_scale_noise(forward_m, to, config);
+        if let Some(window) = &mut self.window {
+            window.forward_m += forward_m;
+            self.mean[WINDOW_TURN] += turn_rad;
+        }
+    }
+
+    /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
+    fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
+        let timeout_s = config.params.fix_timeout_s;
+        let is_told = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
+        let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
+        if !is_told || walk_var <= 0.0 {
+            return;
+        }
+        for row in [RADIUS, DIFFERENCE, TRACK] {
+            // A row that was given for certain stays so.
+            if self.covariance[(row, row)] > 0.0 {
+                self.covariance[(row, row)] += walk_var;
+            }
+        }
+    }
+
+    fn move_unobserved(&mut self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>, config: &FilterConfig) {
+        let last = self.last_motion.unwrap_or(from);
+        let held_to = (last + SPEED_HOLD).clamp(from, to);
+        if held_to > from {
+            self.move_by_speeds((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64(), config);
+        }
+        let unseen_s = (to - held_to).as_secs_f64();
+        self.inflate_pose_covariance(
+            UNOBSERVED_M_PER_SQRT_S.powi(2) * unseen_s,
+            UNOBSERVED_RAD_PER_SQRT_S.powi(2) * unseen_s,
+        );
+    }
+
+    /// Moves by the held speeds over an interval that begins and ends so many seconds after the last motion observation. The
+    /// errors of the speeds are the same all the way, so the variance grows with the square of the time, and by the integrated
+    /// random walk of the speeds with its cube.
+    fn move_by_speeds(&mut self, start_s: f64, end_s: f64, config: &FilterConfig) {
+        let dt_s = end_s - start_s;
+        let transition = Transition::at_speeds(self.forward.value * dt_s, self.turn.value * dt_s);
+        let squared = end_s * end_s - start_s * start_s;
+        let cubed = (end_s.powi(3) - start_s.powi(3)) / 3.0;
+        let acceleration = config.params.acceleration_m_per_s2.powi(2);
+        let turn_acceleration = config.params.turn_acceleration_rad_per_s2.powi(2);
+        let noise = StepNoise {
+            forward_var_m2: self.forward.variance * squared + acceleration * cubed,
+            turn_var_rad2: self.turn.variance * squared + turn_acceleration * cubed,
+            forward_turn_m_rad: 0.0,
+        };
+        transition.propagate(&mut self.covariance, &noise);
+        self.pose = self.pose.compose(transition.step.motion);
+    }
+
+    /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
+    #[must_use]
+    pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
+        let Some(now) = self.stamp else {
+            return Se2::default();
+        };
+        let mut moved = Se2::default();
+        let mut at = from;
+        while at < now {
+            at = match track.segment(at, now) {
+                TravelSegment::Known { until, travel, .. } => {
+                    let (transition, ..) = Transition::over_travel(travel, self, &config.geometry);
+                    moved = moved.compose(transition.step.motion);
+                    until
+                }
+                TravelSegment::Gap { until } | TravelSegment::BeyondData { until } => {
+                    let dt_s = (until - at).as_secs_f64();
+                    let step = [self.forward.value * dt_s, 0.0, self.turn.value * dt_s];
+                    moved = moved.compose(Se2::exp(step));
+                    until
+                }
+            };
+        }
+        moved
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::filters::pose::state::CORE_STATES;
+    use crate::params::Params;
+    use posebridge_telemetry::{Calibration, Meters, Radians, SensorNoise};
+
+    /// A robot without errors.
+    pub(in super::super) fn config() -> FilterConfig {
+        FilterConfig {
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.03),
+                right_wheel_radius: Meters(0.03),
+                track_width: Meters(0.1),
+                tick: Radians(0.017),
+            },
+            noise: SensorNoise::EXACT,
+            start: None,
+            params: Params::default(),
+            calibration: Calibration::default(),
+            arena_map: std::sync::Arc::default(),
+        }
+    }
+
+    #[test]
+    fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
+        let ms = Timestamp::from_millis;
+        let config = config();
+        let mut whole = PoseState::<CORE_STATES>::initial(&config);
+        whole.predict_speeds_and_bias(ms(0), &config);
+        whole.last_acceleration = Some(ms(0));
+        let mut parts = whole;
+        whole.predict_speeds_and_bias(ms(300), &config);
+        for millis in [50, 150, 190, 230, 300] {
+            parts.predict_speeds_and_bias(ms(millis), &config);
+        }
+        // For 0.2 s they are felt, and for 0.1 s the speed walks at 1 m/s per root of a second.
+        assert!((whole.forward.variance - 0.01 - 0.1).abs() < 1e-12);
+        assert!((parts.forward.variance - whole.forward.variance).abs() < 1e-12);
+        assert!((parts.turn.variance - whole.turn.variance).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,130 @@
+//! Where the pose filter puts a robot of which it knows nothing, or nothing true: the first fix, and the way out when the gate is
+//! wrong.
+//!
+//! # Model
+//! A fix with a heading has as many components as the pose, so that the pose follows from it alone. With H_x the derivatives of
+//! the innovation's prediction by the pose's rows and H_o those by all others (delay, tag):
+//! ```text
+//! 0 = H_x xi + H_o o + n       xi = A o - H_x^-1 n        A = -H_x^-1 H_o
+//! cov(xi, o) = A P_o           P_xi = A P_o A' + H_x^-1 R H_x^-T
+//! ```
+//! A heading that the fix does not tell is uniform on the circle. Left-invariant, the robot that turns about its tag goes along a
+//! straight line in xi, so that this says exactly what is known, however far the tag is from mid-axle.
+//!
+//! # Source
+//! docs/maths/pose.md section 4.
+
+use std::f64::consts::PI;
+
+use nalgebra::SMatrix;
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters};
+
+use super::columns::linearize;
+use super::state::{PoseState, RejectedFixes};
+use crate::filter::StartPose;
+use crate::observations::fix::{self, FixContext, FixNoise};
+use crate::observations::model::{PoseView, StateTerm};
+use crate::params::Params;
+use crate::update::LinearizedMeasurement;
+
+/// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
+const AGREEMENT_SIGMAS: f64 = 5.0;
+/// Variance of a heading of which nothing is known, uniform on the circle, rad².
+const ANY_HEADING_RAD2: f64 = PI * PI / 3.0;
+
+/// Counts a refused fix, since whose instant the body has turned by `turned_since_rad`; true when enough of them agree with each
+/// other for long enough that the estimate must be wrong.
+pub(super) fn reject_fix<const N: usize>(
+    state: &mut PoseState<N>,
+    record: &FusionRecord,
+    turned_since_rad: f64,
+    params: &Params,
+) -> bool {
+    // In the arena, where fixes that stay at one place agree although the robot turns.
+    let (sin, cos) = (state.pose.heading_rad - turned_since_rad).sin_cos();
+    let [forward_m, left_m, _] = record.innovation;
+    let innovation_m = [cos * forward_m - sin * left_m, sin * forward_m + cos * left_m];
+    let last = state.rejected_fixes.innovation_m;
+    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1]).max(0.0).sqrt();
+    let apart_m = (innovation_m[0] - last[0]).hypot(innovation_m[1] - last[1]);
+    let agrees = state.rejected_fixes.count == 0 || apart_m < AGREEMENT_SIGMAS * sigma_m;
+    if !agrees {
+        state.rejected_fixes = RejectedFixes::default();
+    }
+    state.rejected_fixes.count = state.rejected_fixes.count.saturating_add(1);
+    state.rejected_fixes.since = state.rejected_fixes.since.or(state.stamp);
+    state.rejected_fixes.innovation_m = innovation_m;
+    let lasted_s = match (state.rejected_fixes.since, state.stamp) {
+        (Some(since), Some(stamp)) => (stamp - since).as_secs_f64(),
+        _ => 0.0,
+    };
+    lasted_s >= params.reset_after_s && f64::from(state.rejected_fixes.count) >= params.reset_after_fixes
+}
+
+/// Moves the estimate to a fix: a reset, counted, with its jump.
+pub(super) fn reset_to_fix<const N: usize>(
+    state: &mut PoseState<N>,
+    seen: &Fix,
+    noise: &FixNoise,
+    circumstances: &FixContext,
+) -> FusionOutcome {
+    let before = state.arena_pose();
+    // Without a heading in the fix the heading may be as wrong as the position was: it is found anew.
+    if initialize_from_fix(state, seen, noise, circumstances) == FusionOutcome::Malformed {
+        return FusionOutcome::Malformed;
+    }
+    state.record_correction_from(before);
+    FusionOutcome::PoseReset
+}
+
+/// Takes position, and heading if there is one, from a fix: of the tag where it is believed to be, at the instant that it shows.
+pub(super) fn initialize_from_fix<const N: usize>(
+    state: &mut PoseState<N>,
+    seen: &Fix,
+    noise: &FixNoise,
+    circumstances: &FixContext,
+) -> FusionOutcome {
+    let moved = circumstances.moved_since;
+    let shown_rad = seen.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
+    let mut tagged = *seen;
+    tagged.tag_in_body.x += Meters(state.term(StateTerm::TagForward));
+    tagged.tag_in_body.y += Meters(state.term(StateTerm::TagLeft));
+    state.initialize_pose(&StartPose {
+        pose: fix::mid_axle(&tagged, shown_rad),
+        position_sigma_m: 0.0,
+        heading_sigma_rad: 0.0,
+    });
+    state.pose = state.pose.compose(moved);
+    let noise = FixNoise {
+        position: noise.position,
+        heading_rad2: seen.heading.map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
+    };
+    let measurement = linearize(&fix::pose(state, seen, shown_rad, &noise, circumstances));
+    set_covariance_from_fix(state, &measurement)
+}
+
+/// Gives the pose the covariance that follows from the fix alone, with what it then has in common with delay and tag.
+fn set_covariance_from_fix<const N: usize>(
+    state: &mut PoseState<N>,
+    measurement: &LinearizedMeasurement<N, 3>,
+) -> FusionOutcome {
+    let by_pose = measurement.jacobian.fixed_view::<3, 3>(0, 0).into_owned();
+    let Some(inverse) = by_pose.try_inverse() else {
+        return FusionOutcome::Malformed;
+    };
+    // The pose's rows and columns are zero since it was placed, so that only the others enter.
+    let by_others: SMatrix<f64, 3, N> = -inverse * measurement.jacobian;
+    let cross = by_others * state.covariance;
+    let of_pose = cross * by_others.transpose() + inverse * measurement.noise * inverse.transpose();
+    for row in 0..3 {
+        for column in 3..N {
+            state.covariance[(row, column)] = cross[(row, column)];
+            state.covariance[(column, row)] = cross[(row, column)];
+        }
+        for column in 0..=row {
+            state.covariance[(row, column)] = of_pose[(row, column)];
+            state.covariance[(column, row)] = of_pose[(row, column)];
+        }
+    }
+    FusionOutcome::Accepted
+}

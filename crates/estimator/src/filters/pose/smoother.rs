@@ -1,0 +1,252 @@
+//! The pose filter run forwards over a whole recording and back again: Rauch, Tung and Striebel's smoother.
+//!
+//! # Model
+//! Beside each state x stands a copy c of what it was one observation ago, carried through the same steps and updates, so that
+//! the filter itself gives their joint covariance after it:
+//! ```text
+//! x_k^s = c_k + C (x_(k+1)^s - x_(k+1))          C = Cov(c_k, x_(k+1)) Cov(x_(k+1))^-1
+//! P_k^s = Cov(c_k) + C (P_(k+1)^s - Cov(x_(k+1))) C'
+//! ```
+//! That is the textbook's recursion with the filtered covariances of the joint state in the place of the predicted ones: it needs
+//! no Jacobian of what lies between, and bears rows that are forgotten on the way (gyro windows), which make the predicted
+//! covariance singular. The inverse is taken on what is uncertain at all.
+//!
+//! # Source
+//! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
+
+use nalgebra::{DMatrix, DVector};
+use posebridge_telemetry::{BrickClock, Calibration, FusionOutcome, Observation, Timestamp};
+
+use super::entry::{PoseEntry, UpdateKind};
+use super::motion_update::{self, UpdateContext};
+use super::state::{FORWARD, HEADING, LEFT, PoseState, RANGE_STATES};
+use super::{apply_update, scratch_record, update_kind};
+use crate::filter::FilterConfig;
+use crate::history::HistoryEntry;
+use crate::models::lie::Se2;
+use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
+use crate::numerics::covariance::inverse_of_uncertain;
+use crate::validation;
+
+/// Rows of the state and of its copy.
+const AUGMENTED_ROWS: usize = 2 * RANGE_STATES;
+
+/// A state in hindsight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SmoothedState {
+    /// The instant.
+    pub stamp: Timestamp<BrickClock>,
+    /// The state with its smoothed covariance; its speeds are the filter's.
+    pub state: PoseState<RANGE_STATES>,
+}
+
+/// A run forwards and back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SmootherResult {
+    /// The states after each motion reading and each sight that was used, in the order of time.
+    pub states: Vec<SmoothedState>,
+    /// Sum of the NIS of the sights that were used.
+    pub nis: f64,
+    /// How many sights were used.
+    pub used: usize,
+    /// How many were not.
+    pub rejected: usize,
+    /// What was learned, in hindsight.
+    pub calibration: Calibration,
+}
+
+/// What the way back needs of one observation.
+struct ForwardStep {
+    stamp: Timestamp<BrickClock>,
+    after: PoseState<RANGE_STATES>,
+    /// The state one observation ago, corrected by what came since.
+    copy_correction: DVector<f64>,
+    copy_covariance: DMatrix<f64>,
+    /// Cov(copy, state).
+    cross: DMatrix<f64>,
+}
+
+/// Smooths a run; an empty result means that nothing moved.
+#[must_use]
+pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
+    let (told, track, gyro) = prepare_entries(config, observations);
+    let context = UpdateContext { config, track: &track, gyro: &gyro, gates: &motion_update::chi_square_gates(config) };
+    let initial = PoseState::<RANGE_STATES>::initial(config);
+    let mut smoothing =
+        SmootherResult { states: Vec::new(), nis: 0.0, used: 0, rejected: 0, calibration: config.calibration };
+    let rows = uncertain_rows(&told, &initial);
+    let passed = forward_pass(&told, &context, &initial, &rows, &mut smoothing);
+    backward_pass(&passed, &rows, &mut smoothing);
+    if let Some(last) = smoothing.states.last() {
+        smoothing.calibration = last.state.calibration(&config.calibration);
+    }
+    smoothing
+}
+
+/// What can be used, in the order of time, with the whole of what wheels and gyro said.
+fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, MotionTrack, GyroTrack) {
+    let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
+    let mut gyro = GyroTrack::default();
+    let mut told = Vec::with_capacity(observations.len());
+    for observation in validation::valid_in_time_order(observations) {
+        let Some(action) = update_kind(observation) else {
+            continue;
+        };
+        let added = match action {
+            UpdateKind::TurnRate(rate) => gyro.insert(observation.stamp, rate),
+            UpdateKind::Motion => MotionReading::from_observation(&observation.measurement)
+                .map_or(InsertOutcome::TooOld, |reading| track.insert(observation.stamp, &reading)),
+            UpdateKind::Accelerations(_)
+            | UpdateKind::Absolute(..)
+            | UpdateKind::SetPose(_)
+            | UpdateKind::Command(_) => InsertOutcome::Inserted(None),
+        };
+        if matches!(added, InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_)) {
+            told.push(PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action });
+        }
+    }
+    told.sort_by(PoseEntry::order);
+    // What says the same stands side by side now.
+    told.dedup_by(|later, earlier| earlier.is_duplicate_of(later));
+    (told, track, gyro)
+}
+
+/// The rows that are ever uncertain: the others need no smoothing. All of the pose's and the gyro's are.
+fn uncertain_rows(told: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<usize> {
+    let always = super::state::RADIUS;
+    let has_gyro = told.iter().any(|entry| matches!(entry.update, UpdateKind::TurnRate(_)));
+    (0..RANGE_STATES)
+        .filter(|&row| {
+            let is_of_gyro = row == super::state::ROUNDING;
+            row < always || (is_of_gyro && has_gyro) || (!is_of_gyro && initial.covariance[(row, row)] > 0.0)
+        })
+        .collect()
+}
+
+fn forward_pass(
+    told: &[PoseEntry],
+    context: &UpdateContext<'_>,
+    initial: &PoseState<RANGE_STATES>,
+    rows: &[usize],
+    smoothing: &mut SmootherResult,
+) -> Vec<ForwardStep> {
+    let mut state = augmented_state(initial);
+    copy_rows(&mut state);
+    let mut passed = Vec::with_capacity(told.len());
+    for entry in told {
+        let tells_of_pose = matches!(entry.update, UpdateKind::Motion | UpdateKind::Absolute(..));
+        let before = state;
+        let mut record = scratch_record(entry);
+        apply_update(&mut state, entry, context, &mut record);
+        if matches!(entry.update, UpdateKind::Absolute(..)) {
+            if !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
+                smoothing.rejected += 1;
+                state = PoseState {
+                    rejected_fixes: state.rejected_fixes,
+                    noise_scales: state.noise_scales,
+                    observer_frames: state.observer_frames,
+                    ..before
+                };
+                continue;
+            }
+            smoothing.used += 1;
+            smoothing.nis += record.nis;
+        }
+        if tells_of_pose {
+            passed.push(forward_step(&state, entry.stamp, rows));
+            // At once: what the gyro's entries let grow until the next one lies between the copy and that.
+            copy_rows(&mut state);
+        }
+    }
+    passed
+}
+
+/// The state with room for its copy.
+fn augmented_state(state: &PoseState<RANGE_STATES>) -> PoseState<AUGMENTED_ROWS> {
+    let mut wide = PoseState::<AUGMENTED_ROWS>::resized(state);
+    for row in 0..RANGE_STATES {
+        wide.mean[row] = state.mean[row];
+        for column in 0..RANGE_STATES {
+            wide.covariance[(row, column)] = state.covariance[(row, column)];
+        }
+    }
+    wide
+}
+
+/// Makes the copy: the same errors, and no correction yet.
+fn copy_rows(state: &mut PoseState<AUGMENTED_ROWS>) {
+    for row in 0..RANGE_STATES {
+        state.mean[RANGE_STATES + row] = 0.0;
+        for column in 0..RANGE_STATES {
+            let value = state.covariance[(row, column)];
+            state.covariance[(RANGE_STATES + row, column)] = value;
+            state.covariance[(row, RANGE_STATES + column)] = value;
+            state.covariance[(RANGE_STATES + row, RANGE_STATES + column)] = value;
+        }
+    }
+}
+
+fn forward_step(state: &PoseState<AUGMENTED_ROWS>, stamp: Timestamp<BrickClock>, rows: &[usize]) -> ForwardStep {
+    let n = rows.len();
+    let block = |row_base: usize, column_base: usize| {
+        DMatrix::from_fn(n, n, |i, j| state.covariance[(row_base + rows[i], column_base + rows[j])])
+    };
+    let mut after = PoseState::<RANGE_STATES>::resized(state);
+    for row in 0..RANGE_STATES {
+        after.mean[row] = state.mean[row];
+        for column in 0..RANGE_STATES {
+            after.covariance[(row, column)] = state.covariance[(row, column)];
+        }
+    }
+    ForwardStep {
+        stamp,
+        after,
+        copy_correction: DVector::from_fn(n, |i, _| state.mean[RANGE_STATES + rows[i]]),
+        copy_covariance: block(RANGE_STATES, RANGE_STATES),
+        cross: block(RANGE_STATES, 0),
+    }
+}
+
+fn backward_pass(passed: &[ForwardStep], rows: &[usize], smoothing: &mut SmootherResult) {
+    let Some(last) = passed.last() else { return };
+    let n = rows.len();
+    let filtered = |passed: &ForwardStep| DMatrix::from_fn(n, n, |i, j| passed.after.covariance[(rows[i], rows[j])]);
+    // Correction of the state after the observation at hand, and its smoothed covariance.
+    let mut correction = DVector::zeros(n);
+    let mut smoothed = filtered(last);
+    for (index, at) in passed.iter().enumerate().rev() {
+        smoothing
+            .states
+            .push(SmoothedState { stamp: at.stamp, state: smoothed_state(at, &correction, &smoothed, rows) });
+        if index == 0 {
+            break;
+        }
+        let of_state = filtered(at);
+        let gain = &at.cross * inverse_of_uncertain(&of_state);
+        correction = &at.copy_correction + &gain * correction;
+        smoothed = &at.copy_covariance + &gain * (smoothed - of_state) * gain.transpose();
+        smoothed = 0.5 * (&smoothed + smoothed.transpose());
+    }
+    smoothing.states.reverse();
+}
+
+fn smoothed_state(
+    at: &ForwardStep,
+    correction: &DVector<f64>,
+    smoothed: &DMatrix<f64>,
+    rows: &[usize],
+) -> PoseState<RANGE_STATES> {
+    let mut state = at.after;
+    for (i, &row) in rows.iter().enumerate() {
+        state.mean[row] += correction[i];
+        for (j, &column) in rows.iter().enumerate() {
+            state.covariance[(row, column)] = smoothed[(i, j)];
+        }
+    }
+    let twist = [state.mean[FORWARD], state.mean[LEFT], state.mean[HEADING]];
+    state.pose = state.pose.compose(Se2::exp(twist));
+    for row in [FORWARD, LEFT, HEADING] {
+        state.mean[row] = 0.0;
+    }
+    state
+}

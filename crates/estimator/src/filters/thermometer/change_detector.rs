@@ -1,0 +1,118 @@
+//! Is a reading what was expected, a slip, or the sign that something new has begun?
+//!
+//! The models of a thermometer believe in one constant temperature. When the thermometer is moved to another bath, or when the model is
+//! wrong, the readings leave what was expected, all to the same side. Noise does not.
+//!
+//! # Model
+//! ```text
+//! z = (y - expected) / (kappa sqrt(S)), within +-5
+//! c+ <- max(0, c+ + z - 1)        c- <- max(0, c- - z - 1)        a break when c+ or c- exceeds 8
+//! kappa^2 = max(1, (10 + sum of z^2 kappa^2) / (10 + n))          sums forgotten over 100 readings
+//! ```
+//! With these numbers white noise makes a break about once in exp(2 * 8) readings (Wald's approximation), which at 10 Hz is ten days;
+//! a step of many sigmas makes one with the third reading, and a single damaged reading makes none.
+//!
+//! # Sources
+//! Page (1954), the cumulative sum test.
+
+/// Further from what is expected than this, in sigmas, a reading is not used, and counts as this far.
+const GATE: f64 = 5.0;
+/// So much of each deviation is forgiven, in sigmas.
+const ALLOWANCE: f64 = 1.0;
+/// So much in a row is no chance. Two readings at the gate make exactly this.
+const LIMIT: f64 = 8.0;
+/// The configured noise counts as so many readings.
+const PRIOR_READINGS: f64 = 10.0;
+/// The spread is that of so many readings.
+const MEMORY_READINGS: f64 = 100.0;
+
+/// What a reading is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ReadingClass {
+    /// Within what was expected.
+    Expected,
+    /// Far from it, once.
+    Outlier,
+    /// The last ones say together that something new has begun.
+    StepChange,
+}
+
+/// Watches the deviations of readings from what was expected.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct ChangeDetector {
+    above: f64,
+    below: f64,
+    squares: f64,
+    readings: f64,
+}
+
+impl ChangeDetector {
+    /// Takes a deviation in sigmas of the model.
+    pub(super) fn classify(&mut self, deviation: f64) -> ReadingClass {
+        let scale = self.inflation().sqrt();
+        let z = deviation / scale;
+        let counted = z.clamp(-GATE, GATE);
+        self.above = (self.above + counted - ALLOWANCE).max(0.0);
+        self.below = (self.below - counted - ALLOWANCE).max(0.0);
+        let kept = 1.0 - 1.0 / MEMORY_READINGS;
+        self.squares = kept * self.squares + (counted * scale).powi(2);
+        self.readings = kept * self.readings + 1.0;
+        if self.above.max(self.below) > LIMIT {
+            self.above = 0.0;
+            self.below = 0.0;
+            ReadingClass::StepChange
+        } else if z.abs() > GATE {
+            ReadingClass::Outlier
+        } else {
+            ReadingClass::Expected
+        }
+    }
+
+    /// How many times larger the variance is than the model says; at least 1.
+    pub(super) fn inflation(&self) -> f64 {
+        ((PRIOR_READINGS + self.squares) / (PRIOR_READINGS + self.readings)).max(1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+    use rand_pcg::Pcg64;
+
+    #[test]
+    fn a_step_is_a_break_with_the_third_reading_and_a_slip_is_none() {
+        for side in [1.0, -1.0] {
+            let mut surprise = ChangeDetector::default();
+            (0..50).for_each(|_| assert_eq!(surprise.classify(0.0), ReadingClass::Expected));
+            let judged: Vec<_> = (0..3).map(|_| surprise.classify(side * 40.0)).collect();
+            let (slip, end) = (ReadingClass::Outlier, ReadingClass::StepChange);
+            assert_eq!(judged, [slip, slip, end]);
+
+            let mut surprise = ChangeDetector::default();
+            assert_eq!(surprise.classify(side * 1e6), ReadingClass::Outlier);
+            assert_eq!(surprise.classify(0.1), ReadingClass::Expected);
+        }
+    }
+
+    #[test]
+    fn a_small_deviation_that_stays_is_a_break_in_the_end() {
+        let mut surprise = ChangeDetector::default();
+        let first = (0..100).find(|_| surprise.classify(2.0) == ReadingClass::StepChange);
+        assert!((8..=30).contains(&first.unwrap()), "{first:?}");
+    }
+
+    #[test]
+    fn noise_makes_no_break_even_where_it_is_twice_what_was_configured() {
+        for (sigma, inflation) in [(1.0_f64, 1.0..1.3), (2.0, 2.5..6.0)] {
+            let mut surprise = ChangeDetector::default();
+            let mut random = Pcg64::seed_from_u64(4);
+            for k in 0..20_000 {
+                let deviation = sigma * random.sample::<f64, _>(StandardNormal);
+                assert_ne!(surprise.classify(deviation), ReadingClass::StepChange, "{k}");
+            }
+            assert!(inflation.contains(&surprise.inflation()), "{surprise:?}");
+        }
+    }
+}

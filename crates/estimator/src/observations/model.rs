@@ -1,0 +1,66 @@
+//! What an observation model asks of a filter and what it gives back: states by name, never by the filter's rows.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::models::lie::Se2;
+
+/// A state besides the pose that a sensor's reading may depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StateTerm {
+    /// Gyro bias, rad/s.
+    GyroBias,
+    /// Turn since the gyro window began, as the encoders tell it, rad.
+    WindowTurn,
+    /// By how much the encoders' heading was rounded where the gyro window began, rad.
+    HeadingRounding,
+    /// Delay of the fixes, s.
+    FixDelay,
+    /// Where the tag is against where the fix says, forward, m.
+    TagForward,
+    /// The same to the left, m.
+    TagLeft,
+    /// Offset of the ranges to one beacon, m: its number among the beacons of the arena.
+    BeaconOffset(usize),
+    /// Relative error of the ranges to one beacon.
+    BeaconScale(usize),
+    /// Offset of the ranges to landmarks, m.
+    LandmarkOffset,
+    /// Relative error of the ranges to landmarks.
+    LandmarkScale,
+}
+
+/// The belief of a filter, as far as an observation model may see it.
+pub trait PoseView {
+    /// The pose in the arena.
+    fn pose(&self) -> Se2;
+
+    /// The value of a state; zero where the filter does not have it.
+    fn term(&self, term: StateTerm) -> f64;
+}
+
+/// No component of an observation depends on more states besides the pose.
+const MAX_TERMS: usize = 2;
+
+/// A row of H by name: how one component of a prediction changes with the left-invariant error of the pose and with other states.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JacobianRow {
+    /// Derivative by an error forward.
+    pub forward: f64,
+    /// Derivative by an error to the left.
+    pub left: f64,
+    /// Derivative by an error of the heading.
+    pub heading: f64,
+    /// Derivatives by other states; a filter that does not have one leaves it out.
+    pub terms: [Option<(StateTerm, f64)>; MAX_TERMS],
+}
+
+/// An observation against its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObservationModel<const M: usize> {
+    /// z - h(x), angles wrapped.
+    pub innovation: SVector<f64, M>,
+    /// H, a row per component.
+    pub rows: [JacobianRow; M],
+    /// R.
+    pub noise: SMatrix<f64, M, M>,
+}

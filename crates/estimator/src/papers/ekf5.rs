@@ -1,0 +1,240 @@
+//! The five-state EKF with two integrated headings as observations: the third filter of paper 1.
+//!
+//! # Model
+//! ```text
+//! x = [x, y, th, v, w]'           moves as models::planar_speeds, driven by the accelerations of the wheels
+//! z = [v_enc, th_enc, th_gyro]'   h = [v, th, th]'
+//! R = diag(5.1, 0.938, 0.332)     P0 = 0.05 I     x0 = 0                    cm and degrees
+//! Q per 0.05 s: 2 for x, 2 for y, 0.1 for th, and 1 and 3 for the speeds: see [`SpeedVarianceOrder`]
+//! ```
+//! th_enc and th_gyro are integrals. Their errors do not come anew with each sample, as a Kalman filter assumes, but stay:
+//! the filter is over-confident in its heading by design. `ekf5-corrected` is what becomes of it without that.
+//!
+//! # Assumptions
+//! A known bias of the gyro is subtracted; an unknown one drifts into th_gyro, and into the pose. The integrals begin anew,
+//! at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the counters, and, with fixes,
+//! after each fix that was used: otherwise their drift would be held against every fix for ever.
+//!
+//! # Sources
+//! Paper 1 (Valera et al.), equations 24 to 26; docs/maths/paper1.md section 4.
+
+use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, quantities::wrap_rad};
+
+use super::arena_fix::{position_in_arena, with_heading};
+use super::paper_scaffold::{
+    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, innovation, rows,
+};
+use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::write_innovation;
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
+use crate::observations::fix::{FixContext, fix_noise};
+use crate::update::{LinearizedMeasurement, ScalarMeasurement, apply_measurement};
+
+/// Variance of v_enc, (cm/s)²: paper 1, equation 26.
+const FORWARD_VARIANCE: f64 = 5.1;
+/// Variance of th_enc, degrees²: paper 1, equation 26.
+const WHEEL_HEADING_VARIANCE: f64 = 0.938;
+/// Variance of th_gyro, degrees²: paper 1, equation 26.
+const GYRO_HEADING_VARIANCE: f64 = 0.332;
+/// Diagonal of P0: paper 1, below equation 26.
+const INITIAL_VARIANCES: [f64; N] = [0.05; N];
+
+/// How the last two rows of the paper's Q, 1 and 3, are read.
+///
+/// The state of equation 24 ends in v, w; the matrix of equation 25 has the 1 of v_enc in its *fifth* column, so there the state
+/// ends in w, v.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SpeedVarianceOrder {
+    /// As equation 25 is printed: 1 is for the turn rate, 3 for the forward speed.
+    Printed,
+    /// As equation 24 is: 1 is for the forward speed, 3 for the turn rate.
+    Swapped,
+}
+
+/// Whether fixes are used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FixUsage {
+    /// As in the paper.
+    Unused,
+    /// As in the paper's outlook: when they come.
+    Used,
+}
+
+/// Builds the filter: as the paper has it with [`SpeedVarianceOrder::Printed`].
+#[must_use]
+pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
+    Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes), config))
+}
+
+/// Q over `dt_s`, SI units.
+#[must_use]
+pub fn process_noise(order: SpeedVarianceOrder, dt_s: f64) -> Covariance {
+    // Paper 1, equation 26, in the order x, y, th, v, w.
+    let diagonal = match order {
+        SpeedVarianceOrder::Printed => [2.0, 2.0, 0.1, 3.0, 1.0],
+        SpeedVarianceOrder::Swapped => [2.0, 2.0, 0.1, 1.0, 3.0],
+    };
+    covariance_si(diagonal) * (dt_s / SAMPLING_INTERVAL_S)
+}
+
+/// State, covariance and the two integrals.
+#[derive(Clone, Copy)]
+pub(super) struct FiveStateEkf {
+    pub(super) mean: Mean,
+    pub(super) covariance: Covariance,
+    pub(super) order: SpeedVarianceOrder,
+    fixes: FixUsage,
+    /// th_enc, rad.
+    wheel_heading_rad: f64,
+    /// th_gyro, rad.
+    gyro_heading_rad: f64,
+}
+
+impl FiveStateEkf {
+    pub(super) fn new(order: SpeedVarianceOrder, fixes: FixUsage) -> Self {
+        Self {
+            mean: Mean::zeros(),
+            covariance: covariance_si(INITIAL_VARIANCES),
+            order,
+            fixes,
+            wheel_heading_rad: 0.0,
+            gyro_heading_rad: 0.0,
+        }
+    }
+
+    fn rebase_headings(&mut self) {
+        self.wheel_heading_rad = self.mean[HEADING];
+        self.gyro_heading_rad = self.mean[HEADING];
+    }
+
+    fn gate_and_apply<const M: usize>(
+        &mut self,
+        measurement: &LinearizedMeasurement<N, M>,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let s = measurement.innovation_covariance(&self.covariance);
+        if !write_innovation(record, &measurement.innovation, &s) {
+            return FusionOutcome::Malformed;
+        }
+        if record.nis > context.gates[M - 1] {
+            return FusionOutcome::Gated;
+        }
+        if !apply_measurement(&mut self.mean, &mut self.covariance, measurement) {
+            return FusionOutcome::Malformed;
+        }
+        self.rebase_headings();
+        FusionOutcome::Accepted
+    }
+}
+
+impl SampledFilter for FiveStateEkf {
+    fn uses(&self, extra: OptionalSensor) -> bool {
+        match extra {
+            OptionalSensor::Gyro | OptionalSensor::Accelerometers => true,
+            OptionalSensor::Camera => self.fixes == FixUsage::Used,
+        }
+    }
+
+    fn gaussian_state(&self, _context: &SampledContext) -> GaussianState {
+        GaussianState { mean: self.mean, covariance: self.covariance }
+    }
+
+    fn initialize_pose(&mut self, start: &StartPose) {
+        rows::initialize_pose(&mut self.mean, &mut self.covariance, start);
+        self.rebase_headings();
+    }
+
+    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, _context: &SampledContext) {
+        let start = variances_si(INITIAL_VARIANCES);
+        let speeds = [start[FORWARD], start[TURN]];
+        rows::reset_speeds(&mut self.mean, &mut self.covariance, position_m, heading_rad, speeds);
+        self.rebase_headings();
+    }
+
+    fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
+        let step = PredictionStep { interval_s: dt_s, variances: process_noise(self.order, dt_s).diagonal().into() };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
+    }
+
+    fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
+        self.covariance += process_noise(self.order, dt_s);
+        rows::add_unobserved_motion(&mut self.covariance, dt_s);
+    }
+
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
+        rows::bridge_gap(&mut self.mean, &mut self.covariance, speeds, path_m2);
+    }
+
+    fn rebase_wheels(&mut self, _context: &SampledContext) {
+        self.wheel_heading_rad = self.mean[HEADING];
+    }
+
+    fn rebase_gyro(&mut self) {
+        self.gyro_heading_rad = self.mean[HEADING];
+    }
+
+    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let body = step.body_step(&context.config.geometry);
+        self.wheel_heading_rad += body.turn_rad;
+        let speed_m_per_s = body.forward_m / step.interval.as_secs_f64();
+        let scalars = [
+            scalar_observation(&self.mean, FORWARD, speed_m_per_s, FORWARD_VARIANCE),
+            scalar_observation(&self.mean, HEADING, self.wheel_heading_rad, WHEEL_HEADING_VARIANCE),
+        ];
+        innovation::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
+    }
+
+    fn use_gyro(
+        &mut self,
+        rate_rad_per_s: f64,
+        dt_s: f64,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let known_bias = context.config.calibration.gyro_bias_rad_per_s.value;
+        self.gyro_heading_rad += (rate_rad_per_s - known_bias) * dt_s;
+        let seen_rad = self.gyro_heading_rad;
+        let scalar = scalar_observation(&self.mean, HEADING, seen_rad, GYRO_HEADING_VARIANCE);
+        innovation::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
+    }
+
+    fn use_fix(
+        &mut self,
+        fix: &Fix,
+        stamp_sigma_s: f64,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let circumstances = FixContext {
+            stamp_sigma_s,
+            forward_m_per_s: self.mean[FORWARD],
+            turn_rad_per_s: self.mean[TURN],
+            ..FixContext::default()
+        };
+        let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
+        let rows = [X, Y, HEADING];
+        let (innovation, jacobian) = position_in_arena(rows.map(|row| self.mean[row]), rows, fix);
+        let position = LinearizedMeasurement { innovation, jacobian, noise: noise.position };
+        match fix.heading {
+            None => self.gate_and_apply(&position, context, record),
+            Some(heading) => {
+                let turn_rad = wrap_rad(heading.rad() - self.mean[HEADING]);
+                let full = with_heading(&position, HEADING, turn_rad, noise.heading_rad2);
+                self.gate_and_apply(&full, context, record)
+            }
+        }
+    }
+}
+
+/// A row that is observed directly, with a variance in the paper's unit of that row.
+fn scalar_observation(mean: &Mean, row: usize, seen: f64, variance: f64) -> ScalarMeasurement<1> {
+    ScalarMeasurement {
+        innovation: seen - mean[row],
+        rows: [row],
+        jacobian: [1.0],
+        variance: variance * UNITS[row] * UNITS[row],
+    }
+}

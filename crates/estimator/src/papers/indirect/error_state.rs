@@ -1,0 +1,233 @@
+//! The errors that the indirect filter follows: of the wheels' path, of the geometry, of the instruments beside it.
+//!
+//! # Model
+//! ```text
+//! error = true - nominal for the path; reading - true for the instruments
+//! row  e_x e_y e_th e_s | m dr tb | p_s c_v b_v | p_w c_w b_w | g b_g
+//!      path, m m rad m  | geometry | accelerometers: distance, | gyro: angle, bias
+//!                       |          | speed, bias; angle, rate, bias
+//!
+//! step of the nominal path, with the wheels' travel t_L, t_R over dt:
+//!   s_L = t_L (1 + m - dr/2)   s_R = t_R (1 + m + dr/2)   d = (s_L + s_R)/2   dth = (s_R - s_L)/(b (1 + tb))
+//! e' = F e + Gamma w:
+//!   e_x' = e_x + dx/dth0 e_th + dx/dd D c + dx/d(dth) T c      c = [m, dr, tb]    (e_y alike)
+//!   e_th' = e_th + T c         e_s' = e_s + D c                D = dd/dc   T = d(dth)/dc
+//!   p' = p + c dt + b dt^2/2   c' = c + b dt                   g' = g + b_g dt
+//! ```
+//! # Sources
+//! Paper 4, equations 9 to 12 and 21 to 22 (F, Gamma, Q in general form); the choice of states is ours: docs/maths/paper4.md section 2.
+
+use nalgebra::{SMatrix, SVector};
+use posebridge_telemetry::{DriveGeometry, SensorNoise};
+
+use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
+use crate::models::se2::{BodyStep, Displacement, StepRule, displace};
+use crate::numerics::covariance::symmetrise;
+use crate::observations::gyro_window::gyro_variance;
+
+/// Number of rows.
+pub const N: usize = 15;
+/// Error of x in the arena, m.
+pub const X: usize = 0;
+/// Error of y in the arena, m.
+pub const Y: usize = 1;
+/// Error of the heading, rad.
+pub const HEADING: usize = 2;
+/// Error of the distance driven, m.
+pub const DISTANCE: usize = 3;
+/// Relative error of the mean wheel radius.
+pub const RADIUS_SCALE: usize = 4;
+/// Relative difference of the wheels' radii, right minus left.
+pub const RADIUS_DIFFERENCE: usize = 5;
+/// Relative error of the track width.
+pub const TRACK_SCALE: usize = 6;
+/// Error of the distance by accelerometers, m; speed and bias follow.
+pub const ACCELERATED_DISTANCE: usize = 7;
+/// Error of the speed by accelerometers, m/s.
+pub const ACCELERATED_SPEED: usize = 8;
+/// Bias of the forward acceleration, m/s².
+pub const FORWARD_BIAS: usize = 9;
+/// Error of the angle by accelerometers, rad; turn rate and bias follow.
+pub const ACCELERATED_ANGLE: usize = 10;
+/// Error of the turn rate by accelerometers, rad/s.
+pub const ACCELERATED_TURN: usize = 11;
+/// Bias of the angular acceleration, rad/s².
+pub const TURN_BIAS: usize = 12;
+/// Error of the gyro's angle, rad.
+pub const GYRO_ANGLE: usize = 13;
+/// Bias of the gyro, rad/s.
+pub const GYRO_BIAS: usize = 14;
+
+/// The errors.
+pub type ErrorState = SVector<f64, N>;
+/// Their covariance.
+pub type Covariance = SMatrix<f64, N, N>;
+
+/// Systematic errors of the geometry: mean radius, difference of the radii, track width.
+pub type GeometryScales = [f64; 3];
+
+/// A step of the nominal path and what it means for the errors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NominalStep {
+    /// Distance and change of heading.
+    pub step: BodyStep,
+    /// Displacement and its derivatives.
+    pub displacement: Displacement,
+    /// D: derivatives of the distance by the scales, m.
+    pub forward_by_scales: GeometryScales,
+    /// T: derivatives of the change of heading by the scales, rad.
+    pub turn_by_scales: GeometryScales,
+    /// Noise of distance and change of heading.
+    pub noise: StepNoise,
+    /// Variance of each coordinate because the order of distance and turn is unknown, m².
+    pub path_var_m2: f64,
+}
+
+/// What the instruments gathered during a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SampleIntervals {
+    /// Its length, s.
+    pub dt_s: f64,
+    /// Sum of the squared intervals of the gyro's samples, s²: white noise per sample adds up by these.
+    pub gyro_s2: f64,
+    /// The same of the accelerometers' samples.
+    pub accelerometer_s2: f64,
+}
+
+/// The nominal step from a heading by the wheels' travel.
+#[must_use]
+pub fn nominal_step(
+    heading_rad: f64,
+    travel: WheelTravel,
+    scales: &GeometryScales,
+    geometry: &DriveGeometry,
+    noise: &SensorNoise,
+) -> NominalStep {
+    let [m, dr, tb] = *scales;
+    let b = geometry.track_width.0 * (1.0 + tb);
+    let scaled =
+        WheelTravel { left_m: travel.left_m * (1.0 + m - 0.5 * dr), right_m: travel.right_m * (1.0 + m + 0.5 * dr) };
+    let step =
+        BodyStep { forward_m: 0.5 * (scaled.left_m + scaled.right_m), turn_rad: (scaled.right_m - scaled.left_m) / b };
+    let (sum_m, difference_m) = (travel.left_m + travel.right_m, travel.right_m - travel.left_m);
+    NominalStep {
+        step,
+        displacement: displace(heading_rad, step, StepRule::Arc),
+        forward_by_scales: [0.5 * sum_m, 0.25 * difference_m, 0.0],
+        turn_by_scales: [difference_m / b, 0.5 * sum_m / b, -step.turn_rad / (1.0 + tb)],
+        noise: step_noise(scaled, geometry, noise),
+        path_var_m2: 0.0,
+    }
+}
+
+impl NominalStep {
+    /// The same step, but for the scales it turned by so much: the turn without the jitter of the counts.
+    ///
+    /// The rounding of a count is in the measured turn and in the innovation as well. A derivative that follows it is correlated
+    /// with the innovation, and a robot that drives straight would learn a wrong track width from its own counts.
+    #[must_use]
+    pub fn with_turn(mut self, turn_rad: f64, scales: &GeometryScales, track_width_m: f64) -> Self {
+        let [_, _, tb] = *scales;
+        self.forward_by_scales[1] = 0.25 * turn_rad * track_width_m * (1.0 + tb);
+        self.turn_by_scales[0] = turn_rad;
+        self.turn_by_scales[2] = -turn_rad / (1.0 + tb);
+        self
+    }
+}
+
+/// F of a step.
+#[must_use]
+pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
+    let mut f = Covariance::identity();
+    let moved = &nominal.displacement;
+    f[(X, HEADING)] = moved.by_heading[0];
+    f[(Y, HEADING)] = moved.by_heading[1];
+    for (k, row) in [RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE].into_iter().enumerate() {
+        let (d, t) = (nominal.forward_by_scales[k], nominal.turn_by_scales[k]);
+        f[(X, row)] = moved.by_forward[0] * d + moved.by_turn[0] * t;
+        f[(Y, row)] = moved.by_forward[1] * d + moved.by_turn[1] * t;
+        f[(HEADING, row)] = t;
+        f[(DISTANCE, row)] = d;
+    }
+    for first in [ACCELERATED_DISTANCE, ACCELERATED_ANGLE] {
+        f[(first, first + 1)] = dt_s;
+        f[(first, first + 2)] = 0.5 * dt_s * dt_s;
+        f[(first + 1, first + 2)] = dt_s;
+    }
+    f[(GYRO_ANGLE, GYRO_BIAS)] = dt_s;
+    f
+}
+
+/// Gamma Q Gamma' of a step.
+#[must_use]
+pub fn process_noise(
+    nominal: &NominalStep,
+    elapsed: &SampleIntervals,
+    geometry: &DriveGeometry,
+    noise: &SensorNoise,
+) -> Covariance {
+    let mut q = Covariance::zeros();
+    let moved = &nominal.displacement;
+    // Gamma: how each row of the path takes the noise of distance and of turn.
+    let gamma = [
+        (X, moved.by_forward[0], moved.by_turn[0]),
+        (Y, moved.by_forward[1], moved.by_turn[1]),
+        (HEADING, 0.0, 1.0),
+        (DISTANCE, 1.0, 0.0),
+    ];
+    let of_step = nominal.noise;
+    for (row, forward, turn) in gamma {
+        for (column, other_forward, other_turn) in gamma {
+            q[(row, column)] = forward * other_forward * of_step.forward_var_m2
+                + turn * other_turn * of_step.turn_var_rad2
+                + (forward * other_turn + turn * other_forward) * of_step.forward_turn_m_rad;
+        }
+    }
+    q[(X, X)] += nominal.path_var_m2;
+    q[(Y, Y)] += nominal.path_var_m2;
+
+    let white = noise.accelerometer_m_per_s2.powi(2) * elapsed.accelerometer_s2;
+    // The mean of two accelerometers, and their difference over the distance between them.
+    let b = geometry.track_width.0;
+    for (first, variance) in [(ACCELERATED_DISTANCE, 0.5 * white), (ACCELERATED_ANGLE, 2.0 * white / (b * b))] {
+        let dt_s = elapsed.dt_s;
+        q[(first, first)] = variance * dt_s * dt_s / 3.0;
+        q[(first, first + 1)] = 0.5 * variance * dt_s;
+        q[(first + 1, first)] = 0.5 * variance * dt_s;
+        q[(first + 1, first + 1)] = variance;
+    }
+    q[(GYRO_ANGLE, GYRO_ANGLE)] = gyro_variance(noise, elapsed.gyro_s2);
+    q[(GYRO_BIAS, GYRO_BIAS)] = noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2) * elapsed.dt_s;
+    q
+}
+
+/// Carries the errors over a step: paper 4, equations 21 and 22.
+pub fn predict(errors: &mut ErrorState, covariance: &mut Covariance, f: &Covariance, q: &Covariance) {
+    *errors = f * *errors;
+    *covariance = f * *covariance * f.transpose() + q;
+    symmetrise(covariance);
+}
+
+/// Makes a row exactly known to be zero.
+pub fn clear_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize) {
+    errors[row] = 0.0;
+    for i in 0..N {
+        covariance[(row, i)] = 0.0;
+        covariance[(i, row)] = 0.0;
+    }
+}
+
+/// Starts an instrument's row where the path's is: what the instrument reads is set to the nominal value, so its error is the
+/// opposite of the path's, but for the counts' rounding.
+pub fn start_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize, path: usize, rounding_var: f64) {
+    clear_row(errors, covariance, row);
+    errors[row] = -errors[path];
+    for i in 0..N {
+        if i != row {
+            let value = -covariance[(path, i)];
+            covariance[(row, i)] = value;
+            covariance[(i, row)] = value;
+        }
+    }
+    covariance[(row, row)] = covariance[(path, path)] + rounding_var;
+}

@@ -1,0 +1,149 @@
+//! What runs beside the wheels: the angle by a gyro, speed, distance and angle by accelerometers, each summed up on its own.
+//!
+//! Each sum is compared with the nominal path at instants that lie within the wheels' last step, so that angle meets angle: the
+//! rounding of the counters then enters once and does not add up.
+
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+
+/// Across a longer silence nothing is summed up: the instrument starts anew.
+const MAX_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
+
+/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SampleOutcome {
+    /// Summed up.
+    Continued,
+    /// The first, or the first after a silence.
+    Started,
+    /// Its stamp is that of the sample before.
+    Duplicate,
+    /// Older than the sample before.
+    TooOld,
+}
+
+/// When an instrument spoke, and how its sums stand with the filter.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct InstrumentTiming {
+    last: Option<Timestamp<BrickClock>>,
+    /// Sum of the squared intervals since the filter asked last, s².
+    squared_intervals_s2: f64,
+    /// The filter's rows go with the sums.
+    pub(super) is_tracked: bool,
+    /// The sums were compared with the path since the last sample.
+    pub(super) is_compared: bool,
+}
+
+impl InstrumentTiming {
+    /// The interval that a sample ends, in seconds; zero for the first.
+    fn record_sample(&mut self, stamp: Timestamp<BrickClock>) -> (SampleOutcome, f64) {
+        let Some(last) = self.last else {
+            self.restart(stamp);
+            return (SampleOutcome::Started, 0.0);
+        };
+        if stamp == last {
+            return (SampleOutcome::Duplicate, 0.0);
+        }
+        if stamp < last {
+            return (SampleOutcome::TooOld, 0.0);
+        }
+        if stamp - last > MAX_INTERVAL {
+            self.restart(stamp);
+            return (SampleOutcome::Started, 0.0);
+        }
+        let interval_s = (stamp - last).as_secs_f64();
+        self.last = Some(stamp);
+        self.squared_intervals_s2 += interval_s * interval_s;
+        self.is_compared = false;
+        (SampleOutcome::Continued, interval_s)
+    }
+
+    fn restart(&mut self, stamp: Timestamp<BrickClock>) {
+        *self = Self { last: Some(stamp), ..Self::default() };
+    }
+
+    /// The instant of the sums, when they were not yet compared.
+    pub(super) fn pending_comparison(&self) -> Option<Timestamp<BrickClock>> {
+        self.last.filter(|_| !self.is_compared)
+    }
+
+    /// Whether the instrument has been silent for too long at an instant.
+    pub(super) fn is_silent_at(&self, stamp: Timestamp<BrickClock>) -> bool {
+        self.last.is_none_or(|last| stamp - last > MAX_INTERVAL)
+    }
+
+    /// Hands over the sum of the squared intervals.
+    pub(super) fn take_squared_intervals_s2(&mut self) -> f64 {
+        std::mem::take(&mut self.squared_intervals_s2)
+    }
+}
+
+/// The angle by a gyro.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct GyroAngle {
+    pub(super) timing: InstrumentTiming,
+    pub(super) angle_rad: f64,
+}
+
+impl GyroAngle {
+    /// Sums up the mean rate since the sample before.
+    pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> SampleOutcome {
+        let (sampled, interval_s) = self.timing.record_sample(stamp);
+        self.angle_rad += rate_rad_per_s * interval_s;
+        sampled
+    }
+}
+
+/// Distance and angle by a pair of accelerometers, one at each wheel.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct AccelerometerIntegral {
+    pub(super) timing: InstrumentTiming,
+    pub(super) distance_m: f64,
+    pub(super) speed_m_per_s: f64,
+    pub(super) angle_rad: f64,
+    pub(super) turn_rad_per_s: f64,
+}
+
+impl AccelerometerIntegral {
+    /// Sums up accelerations, m/s² and rad/s², twice: each is the mean since the sample before.
+    pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, forward: f64, turn: f64) -> SampleOutcome {
+        let (sampled, interval_s) = self.timing.record_sample(stamp);
+        let half_s2 = 0.5 * interval_s * interval_s;
+        self.distance_m += self.speed_m_per_s * interval_s + forward * half_s2;
+        self.speed_m_per_s += forward * interval_s;
+        self.angle_rad += self.turn_rad_per_s * interval_s + turn * half_s2;
+        self.turn_rad_per_s += turn * interval_s;
+        sampled
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(millis: i64) -> Timestamp<BrickClock> {
+        Timestamp::from_millis(millis)
+    }
+
+    #[test]
+    fn constant_acceleration_gives_speed_and_distance_whatever_the_intervals() {
+        let mut sums = AccelerometerIntegral::default();
+        let verdicts = [0, 100, 130, 330, 330, 200, 500].map(|at| sums.integrate(ms(at), 2.0, -4.0));
+        assert_eq!(verdicts[0], SampleOutcome::Started);
+        assert_eq!(verdicts[4], SampleOutcome::Duplicate);
+        assert_eq!(verdicts[5], SampleOutcome::TooOld);
+        assert!((sums.speed_m_per_s - 1.0).abs() < 1e-12);
+        assert!((sums.distance_m - 0.25).abs() < 1e-12);
+        assert!((sums.angle_rad + 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn after_a_silence_an_instrument_begins_anew() {
+        let mut gyro = GyroAngle::default();
+        gyro.integrate(ms(0), 1.0);
+        gyro.timing.is_tracked = true;
+        assert_eq!(gyro.integrate(ms(300), 1.0), SampleOutcome::Continued);
+        assert!(gyro.timing.is_tracked && gyro.timing.is_silent_at(ms(601)));
+        assert_eq!(gyro.integrate(ms(601), 1.0), SampleOutcome::Started);
+        assert!(!gyro.timing.is_tracked);
+    }
+}

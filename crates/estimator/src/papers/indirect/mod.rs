@@ -1,0 +1,224 @@
+//! The indirect filter: the wheels make the path, a Kalman filter follows only what is wrong with it.
+//!
+//! Gets wheels, accelerometers, a gyro and fixes. The nominal path comes from the wheels alone; the filter's state is its error
+//! (see [`error_state`]) and its measurements are differences: what another sensor says minus what the nominal path says.
+//!
+//! # Model
+//! ```text
+//! x = x_ref + e            x_ref from the wheels, without noise            e, P by F, Gamma Q Gamma'
+//! dz = z - h(x_ref)        angle by gyro     - heading of the path   = e_th + g   + rounding of the counts
+//!                          angle by accel.   - heading of the path   = e_th + p_w + rounding
+//!                          distance by accel. - distance of the path = e_s + p_s  + rounding
+//!                          fix - pose of the path                    = [e_x, e_y, e_th]' and the tag's lever
+//! feed-forward: x_ref is never touched, the estimate is x_ref + e
+//! feedback:     after each update the path's and the geometry's errors move into x_ref, and become zero
+//! ```
+//! Observations are used when they come, against the state that is there, as in the paper: a late fix errs by what was driven
+//! since. The gate for fixes and the way out of it are ours.
+//!
+//! # Sources
+//! Paper 4, equations 1 to 22; docs/maths/paper4.md.
+
+pub mod error_state;
+mod fixes;
+mod instruments;
+mod nominal_path;
+mod path_state;
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{
+    BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId,
+    TimeDelta, Timestamp, UncertainValue,
+};
+
+use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
+use self::instruments::SampleOutcome;
+pub use self::nominal_path::CorrectionMode;
+use self::nominal_path::NominalPath;
+use self::path_state::PathState;
+use super::state_history::StateHistory;
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
+use crate::validation;
+
+/// Fixes that the gate refused in a row.
+#[derive(Clone, Copy, Debug)]
+struct RejectedFixStreak {
+    since: Timestamp<BrickClock>,
+    count: f64,
+}
+
+/// The indirect filter.
+pub struct IndirectFilter {
+    config: FilterConfig,
+    track: MotionTrack,
+    path: NominalPath,
+    history: StateHistory<PathState>,
+    latest: Option<Timestamp<BrickClock>>,
+    /// The last fix of each sensor that was used.
+    last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
+    rejected_fixes: Option<RejectedFixStreak>,
+}
+
+impl IndirectFilter {
+    /// Starts at the configured pose, or at the arena's origin until the first fix places it.
+    #[must_use]
+    pub fn new(config: &FilterConfig, correction: CorrectionMode) -> Self {
+        Self {
+            config: config.clone(),
+            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
+            path: NominalPath::new(config, correction),
+            history: StateHistory::new(config.params.history_s),
+            latest: None,
+            last_fixes: BTreeMap::new(),
+            rejected_fixes: None,
+        }
+    }
+
+    fn observe_motion(&mut self, record: &mut FusionRecord, stamp: Timestamp<BrickClock>, reading: &MotionReading) {
+        let is_late = self.path.stamp().is_some_and(|last| stamp < last);
+        let added = self.track.insert(stamp, reading);
+        record.outcome = match (added, is_late) {
+            // The path has gone past it: as late as it is, it changes nothing.
+            (InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_), true) => FusionOutcome::TooOld,
+            _ => validation::fusion_outcome(added),
+        };
+        if record.outcome == FusionOutcome::Accepted {
+            self.path.advance(&self.track, stamp);
+            self.path.compare_instruments(record);
+        } else if record.outcome == FusionOutcome::Rebased {
+            self.path.advance_unobserved(stamp);
+        } else {
+            return;
+        }
+        self.track.discard_before(stamp - TimeDelta::from_secs_f64(self.config.params.history_s));
+        self.save_state(stamp);
+    }
+
+    fn observe_sample(&mut self, record: &mut FusionRecord, sampled: SampleOutcome) {
+        record.outcome = match sampled {
+            SampleOutcome::Continued | SampleOutcome::Started => FusionOutcome::Accepted,
+            SampleOutcome::Duplicate => FusionOutcome::Malformed,
+            SampleOutcome::TooOld => FusionOutcome::TooOld,
+        };
+        if record.outcome == FusionOutcome::Accepted {
+            self.path.compare_instruments(record);
+            self.save_state(record.stamp);
+        }
+    }
+
+    fn observe_fix(&mut self, record: &mut FusionRecord, fix: &Fix, stamp_sigma_s: f64) {
+        let stamp = record.stamp;
+        let before = self.last_fixes.get(&record.sensor).copied();
+        if let Some(verdict) = validation::reject_repeated(before, stamp) {
+            record.outcome = verdict;
+            return;
+        }
+        record.outcome = if self.path.is_placed() {
+            self.path.use_fix(record, fix, stamp_sigma_s)
+        } else {
+            self.path.initialize_from_fix(fix);
+            FusionOutcome::PoseReset
+        };
+        if record.outcome == FusionOutcome::Gated && self.is_locked_out(stamp) {
+            self.path.initialize_from_fix(fix);
+            record.outcome = FusionOutcome::PoseReset;
+        }
+        if !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
+            return;
+        }
+        self.last_fixes.insert(record.sensor, stamp);
+        self.rejected_fixes = None;
+        self.path.record_fix_time(stamp);
+        if self.path.stamp().is_none() {
+            self.path.start_at(stamp);
+        }
+        self.save_state(stamp);
+    }
+
+    /// Counts a refused fix; true when they have been refused for so long that the gate must be wrong.
+    fn is_locked_out(&mut self, stamp: Timestamp<BrickClock>) -> bool {
+        let refused = self.rejected_fixes.get_or_insert(RejectedFixStreak { since: stamp, count: 0.0 });
+        refused.count += 1.0;
+        (stamp - refused.since).as_secs_f64() >= self.config.params.reset_after_s
+            && refused.count >= self.config.params.reset_after_fixes
+    }
+
+    /// Notes the latest instant, and what is believed at the path's end.
+    fn save_state(&mut self, stamp: Timestamp<BrickClock>) {
+        self.latest = self.latest.max(Some(stamp));
+        if let Some(end) = self.path.stamp() {
+            self.history.push(end, self.path.path_state());
+        }
+    }
+}
+
+impl Filter for IndirectFilter {
+    fn observe(&mut self, observation: &Observation) -> FusionRecord {
+        let lag = validation::lag_of(observation, self.latest);
+        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
+        let history_s = self.config.params.history_s;
+        let stamp = observation.stamp;
+        if let Some(verdict) = validation::reject_invalid(observation, self.latest, history_s) {
+            record.outcome = verdict;
+        } else if let Some(reading) = MotionReading::from_observation(&observation.measurement) {
+            self.observe_motion(&mut record, stamp, &reading);
+        } else if let ObservationKind::TurnRate(rate) = observation.measurement {
+            let sampled = self.path.add_gyro(stamp, rate.0);
+            self.observe_sample(&mut record, sampled);
+        } else if let ObservationKind::WheelAccelerations { left, right } = observation.measurement {
+            let sampled = self.path.add_accelerations(stamp, left.0, right.0);
+            self.observe_sample(&mut record, sampled);
+        } else if let ObservationKind::Fix(fix) = observation.measurement {
+            self.observe_fix(&mut record, &fix, observation.stamp_sigma.as_secs_f64());
+        }
+        record
+    }
+
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        if !validation::is_valid_start(start) {
+            return FusionOutcome::Malformed;
+        }
+        self.path.set_pose(start);
+        self.history.clear();
+        self.rejected_fixes = None;
+        if let Some(end) = self.latest {
+            self.path.start_at(end);
+            self.save_state(end);
+        }
+        FusionOutcome::PoseReset
+    }
+
+    fn restart_clock(&mut self) {
+        self.path.restart_clock();
+        self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
+        self.history.clear();
+        self.latest = None;
+        self.last_fixes.clear();
+        self.rejected_fixes = None;
+    }
+
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.latest
+    }
+
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        let (at, belief) = self.history.last_at_or_before(stamp)?;
+        Some(belief.estimate(&self.config, at, stamp))
+    }
+
+    fn calibration(&self) -> Option<Calibration> {
+        let known = |row| {
+            let (value, sigma) = self.path.calibration_value(row);
+            UncertainValue { value, sigma }
+        };
+        Some(Calibration {
+            radius_scale: known(RADIUS_SCALE),
+            radius_difference: known(RADIUS_DIFFERENCE),
+            track_scale: known(TRACK_SCALE),
+            gyro_bias_rad_per_s: known(GYRO_BIAS),
+            ..self.config.calibration
+        })
+    }
+}

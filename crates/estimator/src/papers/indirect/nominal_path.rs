@@ -1,0 +1,404 @@
+//! The nominal path with its errors: what moves it, what is measured against it, and what comes out.
+
+use posebridge_telemetry::{Arena, BrickClock, FusionRecord, Heading, Meters, Pose, PoseCorrection, Timestamp};
+
+use super::error_state::{
+    ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, ErrorState,
+    FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
+    TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, predict, process_noise, start_row, transition,
+};
+use super::instruments::{AccelerometerIntegral, GyroAngle, SampleOutcome};
+use super::path_state::PathState;
+use crate::filter::FilterConfig;
+use crate::fusion_records::add_innovation;
+use crate::models::differential_drive::WheelTravel;
+use crate::motion::{MotionTrack, TravelSegment};
+use crate::update::{ScalarMeasurement, use_scalar};
+
+/// What is left of an accelerometer's zero after it was set to zero at rest, m/s²: a hundredth of g.
+const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
+/// How well the wheels tell the speed with which the accelerometers' sums begin: a LEGO wheel's count in 50 ms is 0.01 m/s.
+const START_SPEED_M_PER_S: f64 = 0.02;
+/// The same for the turn rate: the difference of two such wheels over a track of a decimetre.
+const START_TURN_RAD_PER_S: f64 = 0.2;
+/// A heading that is not better known than this is none, rad².
+const USABLE_HEADING_RAD2: f64 = 0.25;
+/// A scale beyond this is no wheel of this robot: what feedback may make of the geometry.
+const LARGEST_SCALE: f64 = 0.5;
+/// The least rounding of a path that does not come from counts, rad² and m².
+const LEAST_ROUNDING: f64 = 1e-10;
+
+/// What happens to the errors that were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CorrectionMode {
+    /// They are added to the output only: the paper's equations as they stand.
+    FeedForward,
+    /// They correct the nominal path, which therefore stays close to the truth.
+    Feedback,
+}
+
+/// A place on the nominal path; the angle is not wrapped.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PathPoint {
+    pub(super) angle_rad: f64,
+    pub(super) distance_m: f64,
+}
+
+/// The nominal path, its errors and the instruments beside it.
+pub(super) struct NominalPath {
+    pub(super) config: FilterConfig,
+    pub(super) correction: CorrectionMode,
+    pub(super) x_m: f64,
+    pub(super) y_m: f64,
+    pub(super) end: PathPoint,
+    /// The angle without the jitter of the counts, rad.
+    pub(super) debounced_angle_rad: f64,
+    /// Where the last step began.
+    pub(super) previous: Option<(Timestamp<BrickClock>, PathPoint)>,
+    pub(super) stamp: Option<Timestamp<BrickClock>>,
+    pub(super) scales: GeometryScales,
+    pub(super) errors: ErrorState,
+    pub(super) covariance: Covariance,
+    pub(super) gyro: GyroAngle,
+    pub(super) accelerometers: AccelerometerIntegral,
+    pub(super) forward_m_per_s: f64,
+    pub(super) turn_rad_per_s: f64,
+    pub(super) last_motion: Option<Timestamp<BrickClock>>,
+    pub(super) is_placed: bool,
+    pub(super) last_fix: Option<Timestamp<BrickClock>>,
+    pub(super) reset_counter: u8,
+    pub(super) last_jump: Option<PoseCorrection>,
+}
+
+impl NominalPath {
+    pub(super) fn new(config: &FilterConfig, correction: CorrectionMode) -> Self {
+        let known = &config.calibration;
+        let mut path = Self {
+            config: config.clone(),
+            correction,
+            x_m: 0.0,
+            y_m: 0.0,
+            end: PathPoint::default(),
+            debounced_angle_rad: 0.0,
+            previous: None,
+            stamp: None,
+            scales: [known.radius_scale.value, known.radius_difference.value, known.track_scale.value],
+            errors: ErrorState::zeros(),
+            covariance: Covariance::zeros(),
+            gyro: GyroAngle::default(),
+            accelerometers: AccelerometerIntegral::default(),
+            forward_m_per_s: 0.0,
+            turn_rad_per_s: 0.0,
+            last_motion: None,
+            is_placed: false,
+            last_fix: None,
+            reset_counter: 0,
+            last_jump: None,
+        };
+        path.errors[GYRO_BIAS] = known.gyro_bias_rad_per_s.value;
+        let b = config.geometry.track_width.0;
+        for (row, sigma) in [
+            (RADIUS_SCALE, known.radius_scale.sigma),
+            (RADIUS_DIFFERENCE, known.radius_difference.sigma),
+            (TRACK_SCALE, known.track_scale.sigma),
+            (GYRO_BIAS, known.gyro_bias_rad_per_s.sigma.max(config.noise.gyro_bias_rad_per_s)),
+            (FORWARD_BIAS, ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::FRAC_1_SQRT_2),
+            (TURN_BIAS, ACCELEROMETER_BIAS_M_PER_S2 * std::f64::consts::SQRT_2 / b),
+        ] {
+            path.covariance[(row, row)] = sigma * sigma;
+        }
+        if let Some(start) = &config.start {
+            path.reset_to(start);
+        }
+        path
+    }
+
+    /// The end of the path.
+    pub(super) const fn stamp(&self) -> Option<Timestamp<BrickClock>> {
+        self.stamp
+    }
+
+    pub(super) const fn is_placed(&self) -> bool {
+        self.is_placed
+    }
+
+    /// A number that is learned, and its standard deviation: what went into the path, and what is still an error of it.
+    pub(super) fn calibration_value(&self, row: usize) -> (f64, f64) {
+        let used = match row {
+            RADIUS_SCALE => self.scales[0],
+            RADIUS_DIFFERENCE => self.scales[1],
+            TRACK_SCALE => self.scales[2],
+            _ => 0.0,
+        };
+        let sigma = self.covariance[(row, row)].max(0.0).sqrt();
+        (used + self.errors[row], sigma)
+    }
+
+    /// The path is here at this instant, without having moved.
+    pub(super) fn start_at(&mut self, stamp: Timestamp<BrickClock>) {
+        self.stamp = Some(stamp);
+        self.previous = None;
+    }
+
+    /// Goes on along what the wheels did up to their newest reading.
+    pub(super) fn advance(&mut self, track: &MotionTrack, to: Timestamp<BrickClock>) {
+        let Some(mut from) = self.stamp else {
+            self.start_at(to);
+            return;
+        };
+        if from < to {
+            self.previous = Some((from, self.end));
+        }
+        let began = self.end;
+        let (whole, length_s) = (from, (to - from).as_secs_f64());
+        while from < to {
+            let until = match track.segment(from, to) {
+                TravelSegment::Known { until, travel, path_var_m2 } => {
+                    self.step((until - from).as_secs_f64(), travel, path_var_m2);
+                    until
+                }
+                TravelSegment::Gap { until } | TravelSegment::BeyondData { until } => until,
+            };
+            from = until;
+        }
+        self.stamp = Some(to);
+        if whole < to {
+            self.forward_m_per_s = (self.end.distance_m - began.distance_m) / length_s;
+            self.turn_rad_per_s = (self.end.angle_rad - began.angle_rad) / length_s;
+            self.last_motion = Some(to);
+        }
+        self.drop_silent_instruments(to);
+    }
+
+    fn step(&mut self, dt_s: f64, travel: WheelTravel, path_var_m2: f64) {
+        let nominal = nominal_step(self.end.angle_rad, travel, &self.scales, &self.config.geometry, &self.config.noise);
+        let settled_rad = self.debounce_angle(self.end.angle_rad + nominal.step.turn_rad);
+        let (geometry, noise) = (&self.config.geometry, &self.config.noise);
+        let track_width_m = geometry.track_width.0;
+        let mut nominal = nominal.with_turn(settled_rad, &self.scales, track_width_m);
+        nominal.path_var_m2 = path_var_m2;
+        let elapsed = SampleIntervals {
+            dt_s,
+            gyro_s2: self.gyro.timing.take_squared_intervals_s2(),
+            accelerometer_s2: self.accelerometers.timing.take_squared_intervals_s2(),
+        };
+        let f = transition(&nominal, dt_s);
+        let q = process_noise(&nominal, &elapsed, geometry, noise);
+        predict(&mut self.errors, &mut self.covariance, &f, &q);
+        self.x_m += nominal.displacement.dx_m;
+        self.y_m += nominal.displacement.dy_m;
+        self.end.angle_rad += nominal.step.turn_rad;
+        self.end.distance_m += nominal.step.forward_m;
+    }
+
+    /// How far the angle has turned for certain, when it arrives at a new value: a play of one count of either wheel is left to it.
+    fn debounce_angle(&mut self, angle_rad: f64) -> f64 {
+        let play_rad = (6.0 * self.rounding().angle_rad2).sqrt();
+        let before_rad = self.debounced_angle_rad;
+        self.debounced_angle_rad = before_rad.clamp(angle_rad - play_rad, angle_rad + play_rad);
+        self.debounced_angle_rad - before_rad
+    }
+
+    /// The wheels jumped: how the robot moved since the path's end is not known.
+    pub(super) fn advance_unobserved(&mut self, to: Timestamp<BrickClock>) {
+        let dt_s = self.stamp.map_or(0.0, |from| (to - from).as_secs_f64());
+        let driven_m2 = (self.forward_m_per_s * dt_s).powi(2);
+        let turned_rad2 = (self.turn_rad_per_s * dt_s).powi(2);
+        self.covariance[(X, X)] += driven_m2;
+        self.covariance[(Y, Y)] += driven_m2;
+        self.covariance[(HEADING, HEADING)] += turned_rad2;
+        self.reset_instruments();
+        self.start_at(to);
+    }
+
+    pub(super) fn add_gyro(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> SampleOutcome {
+        self.gyro.integrate(stamp, rate_rad_per_s)
+    }
+
+    /// Forward accelerations at the left and at the right wheel, m/s².
+    pub(super) fn add_accelerations(&mut self, stamp: Timestamp<BrickClock>, left: f64, right: f64) -> SampleOutcome {
+        let turn = (right - left) / self.config.geometry.track_width.0;
+        self.accelerometers.integrate(stamp, 0.5 * (left + right), turn)
+    }
+
+    /// Holds the instruments against the path, where their sums end within its last step.
+    pub(super) fn compare_instruments(&mut self, record: &mut FusionRecord) {
+        if let Some(mark) = self.gyro.timing.pending_comparison().and_then(|at| self.point_at(at)) {
+            self.compare_gyro(record, mark);
+        }
+        if let Some(mark) = self.accelerometers.timing.pending_comparison().and_then(|at| self.point_at(at)) {
+            self.compare_accelerometers(record, mark);
+        }
+        self.apply_feedback();
+    }
+
+    fn compare_gyro(&mut self, record: &mut FusionRecord, mark: PathPoint) {
+        let rounding = self.rounding();
+        if self.gyro.timing.is_tracked {
+            let dz = self.gyro.angle_rad - mark.angle_rad;
+            self.apply_difference(record, dz, HEADING, GYRO_ANGLE, rounding.angle_rad2);
+        } else {
+            self.gyro.angle_rad = mark.angle_rad;
+            start_row(&mut self.errors, &mut self.covariance, GYRO_ANGLE, HEADING, rounding.angle_rad2);
+            self.gyro.timing.is_tracked = true;
+        }
+        self.gyro.timing.is_compared = true;
+    }
+
+    fn compare_accelerometers(&mut self, record: &mut FusionRecord, mark: PathPoint) {
+        let rounding = self.rounding();
+        if self.accelerometers.timing.is_tracked {
+            let dz = self.accelerometers.angle_rad - mark.angle_rad;
+            self.apply_difference(record, dz, HEADING, ACCELERATED_ANGLE, rounding.angle_rad2);
+            let dz = self.accelerometers.distance_m - mark.distance_m;
+            self.apply_difference(record, dz, DISTANCE, ACCELERATED_DISTANCE, rounding.distance_m2);
+        } else {
+            self.start_accelerometers(mark, &rounding);
+        }
+        self.accelerometers.timing.is_compared = true;
+    }
+
+    fn start_accelerometers(&mut self, mark: PathPoint, rounding: &RoundingNoise) {
+        let sums = &mut self.accelerometers;
+        sums.angle_rad = mark.angle_rad;
+        sums.distance_m = mark.distance_m;
+        sums.speed_m_per_s = self.forward_m_per_s;
+        sums.turn_rad_per_s = self.turn_rad_per_s;
+        sums.timing.is_tracked = true;
+        for (row, path, variance) in
+            [(ACCELERATED_ANGLE, HEADING, rounding.angle_rad2), (ACCELERATED_DISTANCE, DISTANCE, rounding.distance_m2)]
+        {
+            start_row(&mut self.errors, &mut self.covariance, row, path, variance);
+        }
+        for (row, sigma) in [(ACCELERATED_SPEED, START_SPEED_M_PER_S), (ACCELERATED_TURN, START_TURN_RAD_PER_S)] {
+            clear_row(&mut self.errors, &mut self.covariance, row);
+            self.covariance[(row, row)] = sigma * sigma;
+        }
+    }
+
+    /// dz = error of the path + error of the instrument + rounding.
+    fn apply_difference(&mut self, record: &mut FusionRecord, dz: f64, path: usize, instrument: usize, variance: f64) {
+        let scalar = ScalarMeasurement {
+            innovation: dz - self.errors[path] - self.errors[instrument],
+            rows: [path, instrument],
+            jacobian: [1.0, 1.0],
+            variance,
+        };
+        // The paper has no gate here: what the wheels do not feel must not be refused.
+        let outcome = use_scalar(&mut self.errors, &mut self.covariance, &scalar, f64::INFINITY);
+        add_innovation(record, scalar.innovation, &outcome);
+    }
+}
+
+/// Variance of what a count of the wheels leaves open, each wheel uniform within one.
+#[derive(Clone, Copy, Debug)]
+struct RoundingNoise {
+    angle_rad2: f64,
+    distance_m2: f64,
+}
+
+impl NominalPath {
+    fn rounding(&self) -> RoundingNoise {
+        let geometry = &self.config.geometry;
+        let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
+        let count_m2 = (radius_m * geometry.tick.0).powi(2) / 12.0;
+        RoundingNoise {
+            angle_rad2: (2.0 * count_m2 / geometry.track_width.0.powi(2)).max(LEAST_ROUNDING),
+            distance_m2: (0.5 * count_m2).max(LEAST_ROUNDING),
+        }
+    }
+
+    /// Where the path was at an instant of its last step; `None` for other instants.
+    fn point_at(&self, at: Timestamp<BrickClock>) -> Option<PathPoint> {
+        let end = self.stamp?;
+        if at == end {
+            return Some(self.end);
+        }
+        let (start, mark) = self.previous?;
+        if at < start || at > end {
+            return None;
+        }
+        let share = (at - start).as_secs_f64() / (end - start).as_secs_f64();
+        Some(PathPoint {
+            angle_rad: mark.angle_rad + share * (self.end.angle_rad - mark.angle_rad),
+            distance_m: mark.distance_m + share * (self.end.distance_m - mark.distance_m),
+        })
+    }
+
+    /// Feedback: what was found to be wrong with path and geometry moves into them.
+    pub(super) fn apply_feedback(&mut self) {
+        if self.correction == CorrectionMode::FeedForward {
+            return;
+        }
+        self.x_m += self.errors[X];
+        self.y_m += self.errors[Y];
+        let (turned_rad, driven_m) = (self.errors[HEADING], self.errors[DISTANCE]);
+        self.debounced_angle_rad += turned_rad;
+        for mark in self.previous.iter_mut().map(|(_, mark)| mark).chain([&mut self.end]) {
+            mark.angle_rad += turned_rad;
+            mark.distance_m += driven_m;
+        }
+        for (scale, row) in self.scales.iter_mut().zip([RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE]) {
+            *scale = (*scale + self.errors[row]).clamp(-LARGEST_SCALE, LARGEST_SCALE);
+        }
+        for row in [X, Y, HEADING, DISTANCE, RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE] {
+            self.errors[row] = 0.0;
+        }
+    }
+
+    /// An instrument that fell silent is let go, lest its errors grow without bound.
+    fn drop_silent_instruments(&mut self, at: Timestamp<BrickClock>) {
+        if self.gyro.timing.is_silent_at(at) {
+            self.gyro.timing.is_tracked = false;
+        }
+        if self.accelerometers.timing.is_silent_at(at) {
+            self.accelerometers.timing.is_tracked = false;
+        }
+        self.clear_untracked();
+    }
+
+    pub(super) fn reset_instruments(&mut self) {
+        self.gyro = GyroAngle::default();
+        self.accelerometers = AccelerometerIntegral::default();
+        self.clear_untracked();
+    }
+
+    fn clear_untracked(&mut self) {
+        let of_gyro: &[usize] = &[GYRO_ANGLE];
+        let of_accelerometers: &[usize] =
+            &[ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_ANGLE, ACCELERATED_TURN];
+        for (timing, rows) in [(&self.gyro.timing, of_gyro), (&self.accelerometers.timing, of_accelerometers)] {
+            if !timing.is_tracked {
+                for &row in rows {
+                    clear_row(&mut self.errors, &mut self.covariance, row);
+                }
+            }
+        }
+    }
+
+    /// The corrected pose: the path and its errors.
+    pub(super) fn pose(&self) -> Pose<Arena> {
+        Pose::new(
+            Meters(self.x_m + self.errors[X]),
+            Meters(self.y_m + self.errors[Y]),
+            Heading::from_rad(self.end.angle_rad + self.errors[HEADING]),
+        )
+    }
+
+    /// What is believed at the path's end.
+    pub(super) fn path_state(&self) -> PathState {
+        let heading_rad2 = self.covariance[(HEADING, HEADING)];
+        PathState {
+            pose: self.pose(),
+            covariance: self.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+            forward_m_per_s: self.forward_m_per_s,
+            turn_rad_per_s: self.turn_rad_per_s,
+            last_motion: self.last_motion,
+            is_placed: self.is_placed,
+            has_heading: self.is_placed && heading_rad2 < USABLE_HEADING_RAD2,
+            last_fix: self.last_fix,
+            reset_counter: self.reset_counter,
+            last_jump: self.last_jump,
+        }
+    }
+}

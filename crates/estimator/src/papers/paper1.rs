@@ -1,0 +1,28 @@
+//! What the filters of paper 1 share of its numbers: its sampling interval and its units.
+//!
+//! The paper prints its matrices without units; only centimetres and degrees make sense of them (docs/maths/paper1.md
+//! section 1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so
+//! the states here are SI and the printed numbers are brought to SI, which changes no gain.
+
+use crate::models::planar_speeds::{Covariance, Mean, N};
+
+/// The paper samples every 50 ms; its Q is that of one such interval.
+pub const SAMPLING_INTERVAL_S: f64 = 0.05;
+/// A centimetre, in metres.
+pub const CENTIMETRE: f64 = 0.01;
+/// A degree, in radians.
+pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
+/// The units of x, y, heading, forward speed and turn rate in the paper: cm, cm, degrees, cm/s, degrees/s.
+pub const UNITS: [f64; N] = [CENTIMETRE, CENTIMETRE, DEGREE, CENTIMETRE, DEGREE];
+
+/// A printed diagonal of five variances in SI units.
+#[must_use]
+pub fn variances_si(diagonal: [f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| diagonal[i] * UNITS[i] * UNITS[i])
+}
+
+/// A printed diagonal of five variances as a matrix in SI units.
+#[must_use]
+pub fn covariance_si(diagonal: [f64; N]) -> Covariance {
+    Covariance::from_diagonal(&Mean::from(variances_si(diagonal)))
+}

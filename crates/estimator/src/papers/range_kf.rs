@@ -1,0 +1,273 @@
+//! The distance to a wall ahead, between and through the readings of a slow range sensor.
+//!
+//! Gets ranges and the motor's command, gives the distance. Between readings the model of the drive train predicts; a reading
+//! that is too far off is refused.
+//!
+//! # Model
+//! ```text
+//! x = [z, v]'    models::wall_approach       h(x) = z     H = [1 0]     R = sigma_z^2
+//! u = d c        c the command, in m/s: the speed that the robot would settle at. PWM p is c = (p / 80) / d
+//! start, with the first reading: x = [z, 0]', P = Sigma_u
+//! gate: refused if |nu| > max(GATE_MIN, 3 sqrt S)
+//! ```
+//! | | `range-kf`, as printed | `range-kf-corrected` |
+//! |---|---|---|
+//! | A, B | Euler's rule with the measured dt | exact for a held input |
+//! | process noise | Sigma_u = diag(50 mm, 50 mm/s)^2 at every step, however short | that much per 7.6 ms, by its density |
+//! | a reading within 50 ms of the last step | used as if made at that step | used at its own time, and the state carried there |
+//!
+//! # Sources
+//! Paper 3 (Lab 7); docs/maths/paper3.md.
+
+use nalgebra::{Matrix2, Vector2};
+use posebridge_telemetry::{
+    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, TimeDelta,
+    Timestamp,
+};
+
+use super::state_history::StateHistory;
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::{add_innovation, outcome_without_pose};
+use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
+use crate::numerics::covariance::symmetrise;
+use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
+use crate::validation;
+
+/// The mean interval of the paper's loop: what its process noise per step is for.
+const PAPER_STEP_S: f64 = 0.0076;
+/// The paper's Sigma_z is 20 mm: taken where the robot's file gives no noise.
+const PAPER_RANGE_SIGMA_M: f64 = 0.02;
+/// The paper's matching takes a reading and a step for simultaneous when they are no further apart.
+const MATCH_WINDOW: TimeDelta = TimeDelta::from_millis(50);
+/// Longer steps than this are exact in both variants. The paper's are 7.6 ms.
+const LONGEST_EULER_STEP_S: f64 = 0.1;
+/// The same for a step in time constants of the drive train: at one Euler's rule begins to swing, at two it turns unstable.
+const LONGEST_EULER_STEP: f64 = 1.0;
+/// Three standard deviations, squared.
+const GATE_NIS: f64 = 9.0;
+
+/// Which reading of the paper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RangeFilterVariant {
+    /// As printed.
+    Paper,
+    /// Noise per second, exact hold, readings at their own time.
+    Corrected,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct State {
+    stamp: Timestamp<BrickClock>,
+    mean: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    /// The command from here on, m/s.
+    command_m_per_s: f64,
+}
+
+/// The wall filter.
+pub struct RangeFilter {
+    variant: RangeFilterVariant,
+    model: WallApproachModel,
+    range_var_m2: f64,
+    process_var: f64,
+    gate_min_m: f64,
+    history_s: f64,
+    /// `None` before the first reading.
+    state: Option<State>,
+    history: StateHistory<State>,
+    command: Option<(Timestamp<BrickClock>, f64)>,
+    last_range: Option<Timestamp<BrickClock>>,
+}
+
+impl RangeFilter {
+    /// Waits for its first reading.
+    #[must_use]
+    pub fn new(config: &FilterConfig, variant: RangeFilterVariant) -> Self {
+        let params = &config.params;
+        let sigma_m = config.noise.wall_range_m;
+        let sigma_m = if sigma_m > 0.0 { sigma_m } else { PAPER_RANGE_SIGMA_M };
+        Self {
+            variant,
+            model: WallApproachModel {
+                drag_s_per_m: params.wall_drag_s_per_m,
+                mass_s2_per_m: params.wall_mass_s2_per_m,
+            },
+            range_var_m2: sigma_m * sigma_m,
+            process_var: params.wall_process_m.powi(2),
+            gate_min_m: params.wall_gate_m,
+            history_s: params.history_s,
+            state: None,
+            history: StateHistory::new(params.history_s),
+            command: None,
+            last_range: None,
+        }
+    }
+
+    /// The state carried on to an instant; unchanged for one that is not ahead.
+    fn predict_state(&self, mut state: State, to: Timestamp<BrickClock>) -> State {
+        let dt_s = (to - state.stamp).as_secs_f64();
+        if dt_s <= 0.0 {
+            return state;
+        }
+        let is_euler = self.variant == RangeFilterVariant::Paper
+            && dt_s <= LONGEST_EULER_STEP_S
+            && self.model.rate_per_s() * dt_s <= LONGEST_EULER_STEP;
+        let step = if is_euler { self.model.euler(dt_s) } else { self.model.exact(dt_s) };
+        let input = self.model.drag_s_per_m * state.command_m_per_s;
+        state.stamp = to;
+        state.mean = step.a * state.mean + step.b * input;
+        state.covariance = step.a * state.covariance * step.a.transpose() + self.process_noise(dt_s);
+        symmetrise(&mut state.covariance);
+        state
+    }
+
+    fn process_noise(&self, dt_s: f64) -> Matrix2<f64> {
+        match self.variant {
+            RangeFilterVariant::Paper => Matrix2::from_diagonal_element(self.process_var),
+            RangeFilterVariant::Corrected => {
+                let density = self.process_var / PAPER_STEP_S;
+                self.model.exact_noise(dt_s, density, density)
+            }
+        }
+    }
+
+    fn observe_command(&mut self, stamp: Timestamp<BrickClock>, command_m_per_s: f64) -> FusionOutcome {
+        if let Some(verdict) = validation::reject_repeated(self.command.map(|(last, _)| last), stamp) {
+            return verdict;
+        }
+        self.command = Some((stamp, command_m_per_s));
+        if let Some(state) = self.state {
+            let mut next = self.predict_state(state, stamp);
+            next.command_m_per_s = command_m_per_s;
+            self.save_state(next);
+        }
+        FusionOutcome::Accepted
+    }
+
+    fn observe_range(&mut self, record: &mut FusionRecord, stamp: Timestamp<BrickClock>, range_m: f64) {
+        if let Some(verdict) = validation::reject_repeated(self.last_range, stamp) {
+            record.outcome = verdict;
+            return;
+        }
+        record.outcome = FusionOutcome::Accepted;
+        let Some(state) = self.state else {
+            self.last_range = Some(stamp);
+            let first = self.initial_state(stamp, range_m);
+            self.save_state(first);
+            return;
+        };
+        let is_matched = self.variant == RangeFilterVariant::Paper && stamp - state.stamp <= MATCH_WINDOW;
+        let mut next = if is_matched { state } else { self.predict_state(state, stamp) };
+        let Some(scalar) = self.innovation(&next, stamp, range_m) else {
+            record.outcome = FusionOutcome::TooOld;
+            return;
+        };
+        let gate = self.gate_nis(&next, &scalar);
+        let outcome = use_scalar(&mut next.mean, &mut next.covariance, &scalar, gate);
+        add_innovation(record, scalar.innovation, &outcome);
+        match outcome.outcome {
+            UpdateOutcome::Used => {
+                self.last_range = Some(stamp);
+                self.save_state(next);
+            }
+            UpdateOutcome::Gated => record.outcome = FusionOutcome::Gated,
+            UpdateOutcome::Indefinite => record.outcome = FusionOutcome::Malformed,
+        }
+    }
+
+    /// A reading against a state that may be later; `None` when it is too late to be used.
+    fn innovation(&self, state: &State, stamp: Timestamp<BrickClock>, range_m: f64) -> Option<ScalarMeasurement<2>> {
+        let lag = (state.stamp - stamp).max(TimeDelta::ZERO);
+        if lag > MATCH_WINDOW {
+            return None;
+        }
+        let (mut by_row, mut predicted_m, mut variance) = ([1.0, 0.0], state.mean[DISTANCE], self.range_var_m2);
+        if self.variant == RangeFilterVariant::Corrected && lag > TimeDelta::ZERO {
+            let lag_s = lag.as_secs_f64();
+            let back = self.model.exact(-lag_s);
+            let then = back.a * state.mean + back.b * (self.model.drag_s_per_m * state.command_m_per_s);
+            by_row = [back.a[(0, DISTANCE)], back.a[(0, SPEED)]];
+            predicted_m = then[DISTANCE];
+            variance += self.process_noise(lag_s)[(DISTANCE, DISTANCE)];
+        }
+        Some(ScalarMeasurement {
+            innovation: range_m - predicted_m,
+            rows: [DISTANCE, SPEED],
+            jacobian: by_row,
+            variance,
+        })
+    }
+
+    /// The paper's gate as a bound of the NIS: nu^2 > max(GATE_MIN^2, 9 S).
+    fn gate_nis(&self, state: &State, scalar: &ScalarMeasurement<2>) -> f64 {
+        let h = Vector2::from(scalar.jacobian);
+        let s = (h.transpose() * state.covariance * h)[0] + scalar.variance;
+        (self.gate_min_m.powi(2) / s).max(GATE_NIS)
+    }
+
+    fn initial_state(&self, stamp: Timestamp<BrickClock>, range_m: f64) -> State {
+        let (commanded, command_m_per_s) = self.command.unwrap_or((stamp, 0.0));
+        State {
+            stamp: stamp.max(commanded),
+            mean: Vector2::new(range_m, 0.0),
+            covariance: Matrix2::from_diagonal_element(self.process_var),
+            command_m_per_s,
+        }
+    }
+
+    fn save_state(&mut self, state: State) {
+        self.state = Some(state);
+        self.history.push(state.stamp, state);
+    }
+}
+
+impl Filter for RangeFilter {
+    fn observe(&mut self, observation: &Observation) -> FusionRecord {
+        let latest = self.latest_time();
+        let lag = validation::lag_of(observation, latest);
+        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
+        if let Some(verdict) = validation::reject_invalid(observation, latest, self.history_s) {
+            record.outcome = verdict;
+        } else if let ObservationKind::BodyVelocity { forward, .. } = observation.measurement {
+            record.outcome = self.observe_command(observation.stamp, forward.0);
+        } else if let ObservationKind::WallRange(range) = observation.measurement {
+            self.observe_range(&mut record, observation.stamp, range.0);
+        }
+        record
+    }
+
+    /// There is no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        outcome_without_pose(start)
+    }
+
+    /// How far it drove in the break is not known: the next reading starts it anew.
+    fn restart_clock(&mut self) {
+        self.state = None;
+        self.history.clear();
+        self.command = None;
+        self.last_range = None;
+    }
+
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        let commanded = self.command.map(|(stamp, _)| stamp);
+        self.state.map(|state| state.stamp).max(commanded)
+    }
+
+    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
+        None
+    }
+
+    /// The distance to the wall, in metres, and how fast it changes.
+    fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
+        let (_, state) = self.history.last_at_or_before(stamp)?;
+        let state = self.predict_state(state, stamp);
+        Some(ScalarEstimate {
+            stamp,
+            value: state.mean[DISTANCE],
+            sigma: state.covariance[(DISTANCE, DISTANCE)].max(0.0).sqrt(),
+            rate_per_s: -state.mean[SPEED],
+            unit: "m",
+        })
+    }
+}

@@ -1,0 +1,63 @@
+//! What a filter believed at recent instants: for the filters that use observations as they come and so need no replay, but
+//! are asked about the past all the same.
+
+use std::collections::VecDeque;
+
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+
+/// Beliefs in the order of their instants, oldest first.
+#[derive(Clone, Debug)]
+pub(super) struct StateHistory<T> {
+    entries: VecDeque<(Timestamp<BrickClock>, T)>,
+    length: TimeDelta,
+}
+
+impl<T: Copy> StateHistory<T> {
+    /// An empty one that reaches back so far.
+    pub(super) fn new(length_s: f64) -> Self {
+        Self { entries: VecDeque::new(), length: TimeDelta::from_secs_f64(length_s) }
+    }
+
+    /// Adds the belief for an instant that is not before the last one; takes the place of what was believed for the same.
+    pub(super) fn push(&mut self, stamp: Timestamp<BrickClock>, belief: T) {
+        if self.entries.back().is_some_and(|(last, _)| *last == stamp) {
+            self.entries.pop_back();
+        }
+        self.entries.push_back((stamp, belief));
+        let horizon = stamp - self.length;
+        // One belief at or before the horizon stays, to start from.
+        while self.entries.get(1).is_some_and(|(second, _)| *second <= horizon) {
+            self.entries.pop_front();
+        }
+    }
+
+    /// The last belief for an instant at or before this one.
+    pub(super) fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, T)> {
+        let index = self.entries.partition_point(|(at, _)| *at <= stamp);
+        self.entries.get(index.checked_sub(1)?).copied()
+    }
+
+    /// Forgets everything.
+    pub(super) fn clear(&mut self) {
+        self.entries.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_reaches_back_as_far_as_it_was_told_and_no_further() {
+        let mut timeline = StateHistory::new(0.25);
+        for k in 0..10_i64 {
+            timeline.push(Timestamp::from_millis(100 * k), k);
+        }
+        timeline.push(Timestamp::from_millis(900), 90);
+        let at = |millis| timeline.last_at_or_before(Timestamp::from_millis(millis));
+        assert_eq!(at(5_000).map(|(_, belief)| belief), Some(90));
+        assert_eq!(at(899).map(|(_, belief)| belief), Some(8));
+        assert_eq!(at(650).map(|(_, belief)| belief), Some(6), "kept to start from");
+        assert_eq!(at(599), None);
+    }
+}

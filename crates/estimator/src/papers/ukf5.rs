@@ -1,0 +1,175 @@
+//! The five states of [`super::ekf5`] carried by sigma points instead of a Jacobian: the outlook of paper 1.
+//!
+//! # Model
+//! ```text
+//! X_0 = x, X_i = x + sqrt(5) L e_i, X_(5+i) = x - sqrt(5) L e_i      P = L L'
+//! each X_i moves as models::planar_speeds
+//! x' = sum W_i X_i        th' = th_0 + atan2(sum W_i sin(th_i - th_0), sum W_i cos(th_i - th_0))
+//! P' = sum W_i (X_i - x')(X_i - x')' + Q                 W_0 = 0, W_i = 1/10
+//! ```
+//! The weights are those of the unscented transform with kappa = 0, alpha = 1, beta = 0, known as the cubature rule. None of them
+//! is negative, so P' is positive semi-definite whatever the model does. The customary kappa = 3 - n = -2 gives the middle point
+//! -2/3 and can make P' indefinite.
+//!
+//! The observations are rows of the state. For a linear h the sigma points give the Kalman update itself, so the update is that
+//! of the EKF, and only the prediction differs.
+//!
+//! # Sources
+//! Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et al.),
+//! equations 24 to 26; docs/maths/paper1.md section 6.
+
+use posebridge_telemetry::estimate::row::HEADING;
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
+
+use super::ekf5::{FiveStateEkf, FixUsage, SpeedVarianceOrder, process_noise};
+use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance};
+use crate::numerics::cholesky::factorise;
+use crate::numerics::covariance::symmetrise;
+
+/// A pivot this far below zero, as a share of its diagonal element, is rounding; further below the matrix is no covariance.
+const ROUNDING: f64 = 1e-9;
+
+/// A matrix that is no covariance: no square root of it exists.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("the covariance is not positive semi-definite in row {row}: pivot {pivot}")]
+pub struct NotPositiveSemidefinite {
+    /// Where it shows.
+    pub row: usize,
+    /// What is left of the diagonal there, in the row's unit squared.
+    pub pivot: f64,
+}
+
+/// Mean and covariance after `dt_s` by sigma points, without process noise; SI units, rows as telemetry's `estimate::row`.
+///
+/// # Errors
+/// [`NotPositiveSemidefinite`] when the covariance has no square root.
+pub fn predict(
+    mean: &Mean,
+    covariance: &Covariance,
+    felt: Acceleration,
+    dt_s: f64,
+) -> Result<(Mean, Covariance), NotPositiveSemidefinite> {
+    let spread = square_root(covariance)? * (N as f64).sqrt();
+    let middle = advance(mean, felt, dt_s);
+    let mut from_middle = [Mean::zeros(); 2 * N];
+    for i in 0..N {
+        let column = spread.column(i).into_owned();
+        from_middle[i] = advance(&(mean + column), felt, dt_s) - middle;
+        from_middle[N + i] = advance(&(mean - column), felt, dt_s) - middle;
+    }
+    let weight = 1.0 / (2.0 * N as f64);
+    let mut shift = Mean::zeros();
+    let (mut sin, mut cos) = (0.0, 0.0);
+    for point in &from_middle {
+        shift += point * weight;
+        sin += point[HEADING].sin() * weight;
+        cos += point[HEADING].cos() * weight;
+    }
+    // Points all around the circle have no mean direction; that of the middle one is then as good as any.
+    shift[HEADING] = if cos > 0.0 { sin.atan2(cos) } else { 0.0 };
+    let mut spread_after = Covariance::zeros();
+    for point in &from_middle {
+        let off = point - shift;
+        spread_after += off * off.transpose() * weight;
+    }
+    symmetrise(&mut spread_after);
+    Ok((middle + shift, spread_after))
+}
+
+/// The lower triangle L with L L' = P. A row without variance gets a column of zeros.
+///
+/// # Errors
+/// [`NotPositiveSemidefinite`] when P has a negative eigenvalue beyond rounding or is not finite.
+pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositiveSemidefinite> {
+    let root = factorise(covariance, |row, pivot| {
+        let rounding = ROUNDING * covariance[(row, row)].abs();
+        if !pivot.is_finite() || pivot < -rounding {
+            return Err(NotPositiveSemidefinite { row, pivot });
+        }
+        Ok(if pivot <= rounding { 0.0 } else { pivot.sqrt() })
+    })?;
+    // Rows without variance of their own can share none with the rows below.
+    for row in (0..N).filter(|&row| root[(row, row)] == 0.0) {
+        for below in row + 1..N {
+            let left = covariance[(below, row)] - root.row(below).dot(&root.row(row));
+            let scale = (covariance[(below, below)] * covariance[(row, row)]).sqrt();
+            if left.is_nan() || left.abs() > ROUNDING.sqrt() * scale {
+                return Err(NotPositiveSemidefinite { row, pivot: 0.0 });
+            }
+        }
+    }
+    Ok(root)
+}
+
+/// The five states with another prediction.
+#[derive(Clone, Copy)]
+struct SigmaPointFilter(FiveStateEkf);
+
+/// Builds the filter.
+pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
+    let maths = SigmaPointFilter(FiveStateEkf::new(SpeedVarianceOrder::Printed, FixUsage::Unused));
+    Box::new(OnArrivalFilter::new(maths, config))
+}
+
+impl SampledFilter for SigmaPointFilter {
+    fn predict(&mut self, dt_s: f64, felt: Acceleration, context: &SampledContext) {
+        let states = &mut self.0;
+        let predicted = predict(&states.mean, &states.covariance, felt, dt_s);
+        if let Ok((mean, covariance)) = predicted {
+            states.mean = mean;
+            states.covariance = covariance + process_noise(states.order, dt_s);
+        } else {
+            // Without a square root of P nothing can be spread. The correlations are dropped, which leaves a covariance.
+            states.covariance = Covariance::from_diagonal(&states.covariance.diagonal().map(f64::abs));
+            states.predict(dt_s, felt, context);
+        }
+    }
+
+    fn uses(&self, extra: OptionalSensor) -> bool {
+        self.0.uses(extra)
+    }
+
+    fn gaussian_state(&self, context: &SampledContext) -> GaussianState {
+        self.0.gaussian_state(context)
+    }
+
+    fn initialize_pose(&mut self, start: &StartPose) {
+        self.0.initialize_pose(start);
+    }
+
+    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext) {
+        self.0.reset_speeds(position_m, heading_rad, context);
+    }
+
+    fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext) {
+        self.0.predict_unobserved(dt_s, context);
+    }
+
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
+        self.0.bridge_gap(speeds, path_m2);
+    }
+
+    fn rebase_wheels(&mut self, context: &SampledContext) {
+        self.0.rebase_wheels(context);
+    }
+
+    fn rebase_gyro(&mut self) {
+        self.0.rebase_gyro();
+    }
+
+    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        self.0.use_wheels(step, context, record)
+    }
+
+    fn use_gyro(
+        &mut self,
+        rate_rad_per_s: f64,
+        dt_s: f64,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        self.0.use_gyro(rate_rad_per_s, dt_s, context, record)
+    }
+}

@@ -1,0 +1,123 @@
+//! A Kalman filter for the two speeds, driven by the accelerations of the wheels: the second filter of paper 1.
+//!
+//! # Model
+//! ```text
+//! x = [v, w]'      x_k = x_(k-1) + dt [a, alpha]'      z = x      both from the encoders
+//! Q = diag(2.2, 2.2) per 0.05 s      R = diag(5.1, 1.938)      P0 = diag(10, 10)      x0 = 0      cm and degrees
+//! then the pose by the midpoint rule from v and w at k-1
+//! ```
+//! F and C are identities and Q and R diagonal, so v and w are two filters of one state each.
+//!
+//! # Assumptions
+//! The paper gives the pose no covariance. Here pose and speeds share one matrix in which the pose is carried along but never
+//! corrected: its gain is zero, as in the paper, and its covariance is that which Joseph's form gives for such a gain.
+//!
+//! # Sources
+//! Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/maths/paper1.md section 3.
+
+use nalgebra::{Matrix2, SVector};
+use posebridge_telemetry::estimate::row::{FORWARD, TURN};
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
+
+use super::paper_scaffold::{
+    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, rows,
+};
+use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::write_innovation;
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, PredictionStep};
+
+/// Diagonal of R, (cm/s)² and (degrees/s)²: paper 1, equation 23.
+const MEASUREMENT_VARIANCES: [f64; 2] = [5.1, 1.938];
+/// Diagonal of Q for v and w over one of the paper's intervals: paper 1, equation 23. The pose has none.
+const PROCESS_VARIANCES: [f64; 5] = [0.0, 0.0, 0.0, 2.2, 2.2];
+/// Diagonal of P0 for v and w: paper 1, below equation 23.
+const INITIAL_VARIANCES: [f64; 5] = [0.0, 0.0, 0.0, 10.0, 10.0];
+
+#[derive(Clone, Copy)]
+struct VelocityKf {
+    mean: Mean,
+    covariance: Covariance,
+}
+
+/// Builds the filter.
+pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
+    let maths = VelocityKf { mean: Mean::zeros(), covariance: covariance_si(INITIAL_VARIANCES) };
+    Box::new(OnArrivalFilter::new(maths, config))
+}
+
+impl VelocityKf {
+    /// Uses z = x_row for that row alone.
+    fn correct(&mut self, row: usize, innovation: f64, variance: f64) {
+        let gain = self.covariance[(row, row)] / (self.covariance[(row, row)] + variance);
+        self.mean[row] += gain * innovation;
+        // Joseph's form for a gain in one row only.
+        for other in 0..self.mean.len() {
+            self.covariance[(row, other)] *= 1.0 - gain;
+            self.covariance[(other, row)] *= 1.0 - gain;
+        }
+        self.covariance[(row, row)] += gain * gain * variance;
+    }
+}
+
+impl SampledFilter for VelocityKf {
+    fn uses(&self, extra: OptionalSensor) -> bool {
+        extra == OptionalSensor::Accelerometers
+    }
+
+    fn gaussian_state(&self, _context: &SampledContext) -> GaussianState {
+        GaussianState { mean: self.mean, covariance: self.covariance }
+    }
+
+    fn initialize_pose(&mut self, start: &StartPose) {
+        rows::initialize_pose(&mut self.mean, &mut self.covariance, start);
+    }
+
+    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, _context: &SampledContext) {
+        let start = variances_si(INITIAL_VARIANCES);
+        let speeds = [start[FORWARD], start[TURN]];
+        rows::reset_speeds(&mut self.mean, &mut self.covariance, position_m, heading_rad, speeds);
+    }
+
+    fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
+        let step = PredictionStep {
+            interval_s: dt_s,
+            variances: variances_si(PROCESS_VARIANCES).map(|variance| variance * (dt_s / SAMPLING_INTERVAL_S)),
+        };
+        step.predict(&mut self.mean, &mut self.covariance, felt);
+    }
+
+    fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
+        self.covariance += covariance_si(PROCESS_VARIANCES) * (dt_s / SAMPLING_INTERVAL_S);
+        rows::add_unobserved_motion(&mut self.covariance, dt_s);
+    }
+
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
+        rows::bridge_gap(&mut self.mean, &mut self.covariance, speeds, path_m2);
+    }
+
+    fn rebase_wheels(&mut self, _context: &SampledContext) {}
+
+    fn rebase_gyro(&mut self) {}
+
+    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let body = step.body_step(&context.config.geometry);
+        let dt_s = step.interval.as_secs_f64();
+        let seen = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
+        let noise: [f64; 2] = [0, 1].map(|i: usize| MEASUREMENT_VARIANCES[i] * UNITS[seen[i].0].powi(2));
+        let nu = SVector::<f64, 2>::from_fn(|i, _| seen[i].1 - self.mean[seen[i].0]);
+        let s = Matrix2::new(
+            self.covariance[(FORWARD, FORWARD)] + noise[0],
+            0.0,
+            0.0,
+            self.covariance[(TURN, TURN)] + noise[1],
+        );
+        if !write_innovation(record, &nu, &s) {
+            return FusionOutcome::Malformed;
+        }
+        for i in 0..2 {
+            self.correct(seen[i].0, nu[i], noise[i]);
+        }
+        FusionOutcome::Accepted
+    }
+}

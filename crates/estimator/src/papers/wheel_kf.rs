@@ -1,0 +1,271 @@
+//! One Kalman filter per wheel, then odometry from the filtered wheels: the first filter of paper 1.
+//!
+//! It sees nothing but the encoders. Its pose cannot be better than theirs, only smoother: slip and wrong geometry pass through.
+//!
+//! # Model
+//! ```text
+//! x = [phi, phidot]'   degrees, degrees/s      F = [ 1 dt ]      C = [ 1 0 ]
+//!                                                  [ 0 1  ]
+//! Q = diag(0.1, 10) per 0.05 s      R_right = 2.5, R_left = 1.5 degrees^2      x0 = 0, P0 = 10 I
+//! s_i = r_i (phi_k - phi_(k-1))     d = (s_L + s_R) / 2     dth = (s_R - s_L) / b     pose by the midpoint rule
+//! ```
+//! # Assumptions
+//! The intervals are those that were observed; Q grows with them. The paper gives the pose no covariance: it is that of the
+//! configured noise of motion plus what the two wheels' own covariances leave open.
+//!
+//! # Sources
+//! Paper 1 (Valera et al.), equations 13 to 19; docs/maths/paper1.md section 2.
+
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, estimate::row};
+
+use super::paper_scaffold::{
+    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, rows,
+};
+use super::paper1::SAMPLING_INTERVAL_S;
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::fusion_records::write_innovation;
+use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, step_noise};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
+use crate::models::se2::{StepRule, displace};
+use crate::numerics::covariance::symmetrise;
+use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
+
+/// Variance of a reading of the left counter, degrees²: paper 1, equation 19.
+pub const LEFT_VARIANCE: f64 = 1.5;
+/// Variance of a reading of the right counter, degrees²: paper 1, equation 19.
+pub const RIGHT_VARIANCE: f64 = 2.5;
+/// Diagonal of Q over one of the paper's intervals, degrees² and (degrees/s)²: paper 1, equation 19.
+const PROCESS_VARIANCES: [f64; 2] = [0.1, 10.0];
+/// Diagonal of P0, degrees² and (degrees/s)²: paper 1, below equation 19.
+const INITIAL_VARIANCE: f64 = 10.0;
+
+const ANGLE: usize = 0;
+const RATE: usize = 1;
+
+/// The filter of one wheel, in degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SingleWheelFilter {
+    /// [phi, phidot]: rotation in degrees, its rate in degrees/s.
+    pub mean: Vector2<f64>,
+    /// P, 2 x 2.
+    pub covariance: Matrix2<f64>,
+    /// R, degrees².
+    variance: f64,
+}
+
+impl SingleWheelFilter {
+    /// A wheel at rest at zero whose counter has the variance R, in degrees².
+    #[must_use]
+    pub fn at_rest(variance: f64) -> Self {
+        Self { mean: Vector2::zeros(), covariance: Matrix2::identity() * INITIAL_VARIANCE, variance }
+    }
+
+    /// Predicts over `dt_s` seconds.
+    pub fn predict(&mut self, dt_s: f64) {
+        let f = Matrix2::new(1.0, dt_s, 0.0, 1.0);
+        self.mean = f * self.mean;
+        self.covariance = f * self.covariance * f.transpose() + process(dt_s);
+        symmetrise(&mut self.covariance);
+    }
+
+    /// Uses a reading of the counter, in degrees, and returns innovation and S; `None` when S is no variance.
+    pub fn update(&mut self, counted: f64) -> Option<(f64, f64)> {
+        let innovation = counted - self.mean[ANGLE];
+        let scalar = ScalarMeasurement { innovation, rows: [ANGLE], jacobian: [1.0], variance: self.variance };
+        let outcome = use_scalar(&mut self.mean, &mut self.covariance, &scalar, f64::INFINITY);
+        (outcome.outcome == UpdateOutcome::Used).then_some((innovation, outcome.innovation_variance))
+    }
+}
+
+fn process(dt_s: f64) -> Matrix2<f64> {
+    Matrix2::from_diagonal(&Vector2::from(PROCESS_VARIANCES)) * (dt_s / SAMPLING_INTERVAL_S)
+}
+
+/// Both wheels, and the pose up to their last reading.
+#[derive(Clone, Copy)]
+struct WheelKf {
+    /// Left, right.
+    wheels: [SingleWheelFilter; 2],
+    /// What the counters say since the first base, degrees: left, right.
+    counted_deg: [f64; 2],
+    /// The wheels' angles up to which the pose has been moved, degrees: left, right.
+    moved: [f64; 2],
+    /// How much of the angles' variance is no doubt about the pose, degrees²: all that there was when the pose was given.
+    settled: [f64; 2],
+    pose: Vector3<f64>,
+    pose_covariance: Matrix3<f64>,
+}
+
+/// Builds the filter.
+pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
+    let maths = WheelKf {
+        wheels: [LEFT_VARIANCE, RIGHT_VARIANCE].map(SingleWheelFilter::at_rest),
+        counted_deg: [0.0; 2],
+        moved: [0.0; 2],
+        settled: [INITIAL_VARIANCE; 2],
+        pose: Vector3::zeros(),
+        pose_covariance: Matrix3::zeros(),
+    };
+    Box::new(OnArrivalFilter::new(maths, config))
+}
+
+impl WheelKf {
+    /// What the filtered wheels travelled since the pose was moved.
+    fn travel(&self, context: &SampledContext) -> WheelTravel {
+        let geometry = &context.config.geometry;
+        let turned = |wheel: usize| (self.wheels[wheel].mean[ANGLE] - self.moved[wheel]).to_radians();
+        WheelTravel {
+            left_m: geometry.left_wheel_radius.0 * turned(0),
+            right_m: geometry.right_wheel_radius.0 * turned(1),
+        }
+    }
+
+    /// The pose after that travel, with the noise of the motion and whatever else is open.
+    fn propagate_pose(&self, open: StepNoise, context: &SampledContext) -> (Vector3<f64>, Matrix3<f64>) {
+        let travel = self.travel(context);
+        let config = &context.config;
+        let step = body_step(travel, &config.geometry);
+        let moved = displace(self.pose[row::HEADING], step, StepRule::Midpoint);
+        let pose = self.pose + Vector3::new(moved.dx_m, moved.dy_m, step.turn_rad);
+        let mut f = Matrix3::identity();
+        f[(0, 2)] = moved.by_heading[0];
+        f[(1, 2)] = moved.by_heading[1];
+        let [along_x, along_y] = moved.by_forward;
+        let [turn_x, turn_y] = moved.by_turn;
+        let g = SMatrix::<f64, 3, 2>::new(along_x, turn_x, along_y, turn_y, 0.0, 1.0);
+        let noise = step_noise(travel, &config.geometry, &config.noise);
+        let shared = noise.forward_turn_m_rad + open.forward_turn_m_rad;
+        let q = Matrix2::new(
+            noise.forward_var_m2 + open.forward_var_m2,
+            shared,
+            shared,
+            noise.turn_var_rad2 + open.turn_var_rad2,
+        );
+        let mut covariance = f * self.pose_covariance * f.transpose() + g * q * g.transpose();
+        symmetrise(&mut covariance);
+        (pose, covariance)
+    }
+
+    /// Variances of the body's motion that follow from those of the wheels, left and right, in degrees².
+    fn motion_noise(variances: [f64; 2], context: &SampledContext) -> StepNoise {
+        let geometry = &context.config.geometry;
+        let radii = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0];
+        let b = geometry.track_width.0;
+        let degree = 1.0_f64.to_radians();
+        let [left, right] = [0, 1].map(|wheel: usize| (radii[wheel] * degree).powi(2) * variances[wheel]);
+        StepNoise {
+            forward_var_m2: 0.25 * (left + right),
+            turn_var_rad2: (left + right) / (b * b),
+            forward_turn_m_rad: (right - left) / (2.0 * b),
+        }
+    }
+
+    /// What of the angles' variance is doubt about the pose, left and right, in degrees².
+    fn pending_variances(&self) -> [f64; 2] {
+        [0, 1].map(|wheel: usize| (self.wheels[wheel].covariance[(ANGLE, ANGLE)] - self.settled[wheel]).max(0.0))
+    }
+
+    fn move_pose(&mut self, open: StepNoise, context: &SampledContext) {
+        (self.pose, self.pose_covariance) = self.propagate_pose(open, context);
+        self.settle();
+    }
+
+    /// Moves the pose to where the angles are, which no later reading will correct: their doubt stays with the pose.
+    fn commit_angles(&mut self, context: &SampledContext) {
+        self.move_pose(Self::motion_noise(self.pending_variances(), context), context);
+    }
+
+    fn settle(&mut self) {
+        self.moved = self.wheels.map(|wheel| wheel.mean[ANGLE]);
+        self.settled = self.wheels.map(|wheel| wheel.covariance[(ANGLE, ANGLE)]);
+    }
+}
+
+impl SampledFilter for WheelKf {
+    fn uses(&self, _extra: OptionalSensor) -> bool {
+        false
+    }
+
+    fn gaussian_state(&self, context: &SampledContext) -> GaussianState {
+        // The angles' variance is bounded: it belongs to the pose as it is now and must not be summed up from step to step.
+        let open = Self::motion_noise(self.pending_variances(), context);
+        let (pose, pose_covariance) = self.propagate_pose(open, context);
+        let rates = self.wheels.map(|wheel| wheel.covariance[(RATE, RATE)]);
+        let speeds = Self::motion_noise(rates, context);
+        let geometry = &context.config.geometry;
+        let [left, right] = self.wheels.map(|wheel| wheel.mean[RATE].to_radians());
+        let step = body_step(
+            WheelTravel { left_m: geometry.left_wheel_radius.0 * left, right_m: geometry.right_wheel_radius.0 * right },
+            geometry,
+        );
+        let mut covariance = Covariance::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose_covariance);
+        covariance[(row::FORWARD, row::FORWARD)] = speeds.forward_var_m2;
+        covariance[(row::TURN, row::TURN)] = speeds.turn_var_rad2;
+        covariance[(row::FORWARD, row::TURN)] = speeds.forward_turn_m_rad;
+        covariance[(row::TURN, row::FORWARD)] = speeds.forward_turn_m_rad;
+        GaussianState { mean: Mean::new(pose[0], pose[1], pose[2], step.forward_m, step.turn_rad), covariance }
+    }
+
+    fn initialize_pose(&mut self, start: &StartPose) {
+        rows::initialize_pose(&mut self.pose, &mut self.pose_covariance, start);
+        self.settle();
+    }
+
+    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext) {
+        self.commit_angles(context);
+        rows::inflate_pose(&mut self.pose_covariance, position_m, heading_rad);
+        self.wheels = self.wheels.map(|wheel| SingleWheelFilter::at_rest(wheel.variance));
+        self.counted_deg = [0.0; 2];
+        self.settle();
+    }
+
+    fn predict(&mut self, dt_s: f64, _felt: Acceleration, _context: &SampledContext) {
+        for wheel in &mut self.wheels {
+            wheel.predict(dt_s);
+        }
+    }
+
+    fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
+        for wheel in &mut self.wheels {
+            wheel.covariance += process(dt_s);
+        }
+        rows::add_unobserved_motion(&mut self.pose_covariance, dt_s);
+    }
+
+    fn bridge_gap(&mut self, _speeds: [f64; 2], path_m2: f64) {
+        // The counters are cumulative: the next reading tells the whole way, whatever is predicted until then.
+        self.pose_covariance[(0, 0)] += path_m2;
+        self.pose_covariance[(1, 1)] += path_m2;
+    }
+
+    fn rebase_wheels(&mut self, context: &SampledContext) {
+        self.commit_angles(context);
+        self.counted_deg = self.moved;
+    }
+
+    fn rebase_gyro(&mut self) {}
+
+    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let turned = [step.left_rad, step.right_rad];
+        let mut next = *self;
+        let mut nu = SVector::<f64, 2>::zeros();
+        let mut s = Matrix2::zeros();
+        for (i, wheel) in next.wheels.iter_mut().enumerate() {
+            next.counted_deg[i] += turned[i].to_degrees();
+            let Some((innovation, variance)) = wheel.update(next.counted_deg[i]) else {
+                return FusionOutcome::Malformed;
+            };
+            nu[i] = innovation.to_radians();
+            s[(i, i)] = variance * 1.0_f64.to_radians().powi(2);
+        }
+        if !write_innovation(record, &nu, &s) {
+            return FusionOutcome::Malformed;
+        }
+        *self = next;
+        self.move_pose(StepNoise::default(), context);
+        self.settled = [0.0; 2];
+        FusionOutcome::Accepted
+    }
+}

@@ -1,0 +1,298 @@
+//! One walk over a problem in the order of time: to linearise it, or to filter a first guess.
+//!
+//! Both meet the same rows in the same order. To linearise, the rows are taken at given values and each variable is
+//! eliminated when its last row has come. To filter, the values themselves are made on the way: each pose is predicted from
+//! the one before it, and after each observation everything that is active moves to the solution so far. That is an
+//! extended information filter; what it leaves behind is a first guess near enough for the descent.
+//!
+//! Source: docs/maths/batch.md sections 3 and 4.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::factors::{WhitenedRow, bias_row, constant_row, start_rows, window_row};
+use super::fix_factors::fix_rows;
+use super::motion_factors::{Whitener, calibrated_step, motion_rows};
+use super::problem::{AssociatedFix, MotionSegment, SmoothingProblem};
+use super::values::{CONSTANTS, ProblemValues, VariableKind, VariableLayout};
+use crate::numerics::elimination::{EliminationChain, EliminationFront};
+use crate::update::nis_and_log_likelihood;
+
+/// What a problem is walked with.
+#[derive(Clone, Copy)]
+pub(super) struct PassContext<'p, 'a> {
+    /// The problem.
+    pub(super) problem: &'p SmoothingProblem<'a>,
+    /// For each move.
+    pub(super) whiteners: &'p [Whitener],
+    /// Which fixes of the run are used.
+    pub(super) is_used: &'p [bool],
+}
+
+/// A linearised problem, eliminated.
+#[derive(Clone, Debug)]
+pub(super) struct LinearizedProblem {
+    /// Sum of the squared residuals at the values.
+    pub(super) cost: f64,
+    /// All variables, each given the later ones.
+    pub(super) chain: EliminationChain,
+}
+
+/// Linearises a problem at `values`; `damping` per variable holds the step back.
+pub(super) fn linearize(ground: PassContext<'_, '_>, values: &ProblemValues, damping: f64) -> LinearizedProblem {
+    let mut walk = ForwardPass::new(ground, values.clone(), PassMode::Linearise { damping });
+    walk.run();
+    LinearizedProblem { cost: walk.cost, chain: walk.chain }
+}
+
+/// How a first guess is made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct InitialGuess {
+    /// Leaves fixes out whose NIS exceeds these quantiles, by their degrees of freedom; infinite for none.
+    pub(super) gates: [f64; 3],
+    /// For how well the guessed heading of the first pose is taken, rad; infinite adds nothing to what is known.
+    pub(super) heading_sigma_rad: f64,
+}
+
+/// Filters a first guess, from the first pose and the constants of `values`; says which fixes the gates let through.
+pub(super) fn filter_initial_guess(
+    ground: PassContext<'_, '_>,
+    values: &ProblemValues,
+    guess: InitialGuess,
+) -> (ProblemValues, Vec<bool>) {
+    let mut walk = ForwardPass::new(ground, values.clone(), PassMode::Filter(guess));
+    walk.run();
+    (walk.values, walk.is_used)
+}
+
+#[derive(Clone, Copy, Debug)]
+enum PassMode {
+    Linearise { damping: f64 },
+    Filter(InitialGuess),
+}
+
+struct ForwardPass<'p, 'a> {
+    context: PassContext<'p, 'a>,
+    layout: VariableLayout,
+    mode: PassMode,
+    values: ProblemValues,
+    is_used: Vec<bool>,
+    front: EliminationFront,
+    chain: EliminationChain,
+    cost: f64,
+    /// The gyro window that has begun and not ended.
+    open_window: Option<usize>,
+    next_window: usize,
+}
+
+impl<'p, 'a> ForwardPass<'p, 'a> {
+    fn new(context: PassContext<'p, 'a>, values: ProblemValues, mode: PassMode) -> Self {
+        Self {
+            context,
+            layout: context.problem.layout(),
+            mode,
+            values,
+            is_used: context.is_used.to_vec(),
+            front: EliminationFront::default(),
+            chain: EliminationChain::default(),
+            cost: 0.0,
+            open_window: None,
+            next_window: 0,
+        }
+    }
+
+    fn run(&mut self) {
+        self.start();
+        for node in 0..self.context.problem.poses {
+            if node > 0 {
+                self.advance_to(node);
+            }
+            self.use_windows(node);
+            for seen in self.context.problem.fixes_at(node) {
+                self.use_fix(seen);
+            }
+        }
+        while let Some(&variable) = self.front.variables().first() {
+            self.front.eliminate(variable, &mut self.chain);
+        }
+    }
+
+    fn start(&mut self) {
+        let problem = self.context.problem;
+        for constant in 0..CONSTANTS {
+            if problem.is_free[constant] {
+                self.add_variable(constant);
+                let value = self.values.constants[constant];
+                self.add_row(&constant_row(problem.config, constant, value));
+            }
+        }
+        self.add_pose(0);
+        for row in start_rows(problem.config, self.layout, self.values.poses[0]) {
+            self.add_row(&row);
+        }
+        if let PassMode::Filter(guess) = self.mode {
+            let weight = 1.0 / guess.heading_sigma_rad;
+            self.add_row(&WhitenedRow::from_residual(0.0).with_derivative(self.layout.pose(0, 2), weight));
+            self.correct(0);
+        }
+    }
+
+    fn add_row(&mut self, row: &WhitenedRow) {
+        self.cost += row.residual * row.residual;
+        self.front.add_row(row.entries(), -row.residual);
+    }
+
+    /// Poses come before all others in the front and biases before constants, so that what is eliminated next stands first.
+    fn add_variable(&mut self, variable: usize) {
+        let rank = |meaning| match meaning {
+            VariableKind::Pose(..) => 0,
+            VariableKind::Bias(_) => 1,
+            VariableKind::Constant(_) => 2,
+        };
+        let own = rank(self.layout.kind_of(variable));
+        let position = self
+            .front
+            .variables()
+            .iter()
+            .position(|other| rank(self.layout.kind_of(*other)) > own)
+            .unwrap_or(self.front.variables().len());
+        self.front.add_variable(variable, position);
+        if let PassMode::Linearise { damping } = self.mode
+            && damping > 0.0
+        {
+            self.front.add_row(&[(variable, damping.sqrt())], 0.0);
+        }
+    }
+
+    fn add_pose(&mut self, node: usize) {
+        for row in 0..3 {
+            self.add_variable(self.layout.pose(node, row));
+        }
+    }
+
+    fn advance_to(&mut self, node: usize) {
+        let problem = self.context.problem;
+        let before = node - 1;
+        if let PassMode::Filter(_) = self.mode {
+            self.predict(node);
+        }
+        self.add_pose(node);
+        let whitener = &self.context.whiteners[before];
+        for row in motion_rows(problem, &self.values, before, whitener) {
+            self.add_row(&row);
+        }
+        let is_window_start = self.open_window.is_some_and(|open| problem.windows[open].from == before);
+        let last = if is_window_start { 2 } else { 3 };
+        for row in 0..last {
+            self.front.eliminate(self.layout.pose(before, row), &mut self.chain);
+        }
+    }
+
+    /// Puts a pose where the wheels lead from the one before it.
+    fn predict(&mut self, node: usize) {
+        let from = self.values.poses[node - 1];
+        self.values.poses[node] = match self.context.problem.segments[node - 1] {
+            MotionSegment::Driven { travel, .. } => {
+                let config = self.context.problem.config;
+                let step = calibrated_step(travel, config, &self.values.constants);
+                from.retract([step.forward_m, 0.0, step.turn_rad])
+            }
+            MotionSegment::Unobserved(_) => from,
+        };
+    }
+
+    /// Closes the gyro windows that end at a pose and opens those that begin there.
+    fn use_windows(&mut self, node: usize) {
+        let windows = &self.context.problem.windows;
+        loop {
+            if let Some(index) = self.open_window {
+                let window = &windows[index];
+                if window.to != node {
+                    return;
+                }
+                self.add_row(&window_row(self.layout, window, index, &self.values));
+                self.correct(node);
+                self.open_window = None;
+                if window.from != node {
+                    self.front.eliminate(self.layout.pose(window.from, 2), &mut self.chain);
+                }
+            } else {
+                let next = windows.get(self.next_window);
+                if next.is_none_or(|window| window.from != node) {
+                    return;
+                }
+                self.open_window(self.next_window);
+            }
+        }
+    }
+
+    fn open_window(&mut self, index: usize) {
+        if let (PassMode::Filter(_), Some(before)) = (self.mode, index.checked_sub(1)) {
+            self.values.biases[index] = self.values.biases[before];
+        }
+        self.add_variable(VariableLayout::bias(index));
+        let row = bias_row(self.context.problem, &self.values, index);
+        self.add_row(&row);
+        if let Some(before) = index.checked_sub(1) {
+            self.front.eliminate(VariableLayout::bias(before), &mut self.chain);
+        }
+        self.open_window = Some(index);
+        self.next_window = index + 1;
+    }
+
+    fn use_fix(&mut self, seen: &AssociatedFix) {
+        let Some((rows, degrees)) = fix_rows(self.context.problem, seen, &self.values) else {
+            self.is_used[seen.index] = false;
+            return;
+        };
+        if !self.is_used[seen.index] {
+            return;
+        }
+        if let PassMode::Filter(guess) = self.mode
+            && self.nis(&rows) > guess.gates[usize::from(degrees) - 1]
+        {
+            self.is_used[seen.index] = false;
+            return;
+        }
+        for row in &rows {
+            self.add_row(row);
+        }
+        self.correct(seen.node);
+    }
+
+    /// Normalised innovation squared of whitened rows at the solution so far.
+    fn nis(&self, rows: &[WhitenedRow; 3]) -> f64 {
+        let white = rows.map(|row| self.front.whiten(row.entries()));
+        let s = Matrix3::from_fn(|i, j| {
+            let shared: f64 = white[i].iter().zip(&white[j]).map(|(a, b)| a * b).sum();
+            shared + f64::from(u8::from(i == j))
+        });
+        let innovation = Vector3::from(rows.map(|row| row.residual));
+        nis_and_log_likelihood(&innovation, &s).map_or(f64::INFINITY, |(nis, _)| nis)
+    }
+
+    /// When filtering, moves everything active to the solution so far.
+    fn correct(&mut self, node: usize) {
+        let (PassMode::Filter(_), Some(solved)) = (self.mode, self.front.solve()) else {
+            return;
+        };
+        let mut moves = [(node, [0.0; 3]), (node, [0.0; 3])];
+        if let Some(open) = self.open_window {
+            moves[1].0 = self.context.problem.windows[open].from;
+        }
+        for (&variable, step) in self.front.variables().iter().zip(solved) {
+            match self.layout.kind_of(variable) {
+                VariableKind::Constant(constant) => self.values.constants[constant] += step,
+                VariableKind::Bias(window) => self.values.biases[window] += step,
+                VariableKind::Pose(of, row) => {
+                    if let Some((_, xi)) = moves.iter_mut().find(|(owner, _)| *owner == of) {
+                        xi[row] = step;
+                    }
+                }
+            }
+        }
+        for (owner, xi) in moves {
+            self.values.poses[owner] = self.values.poses[owner].retract(xi);
+        }
+        self.front.clear_right_hand_sides();
+    }
+}

@@ -1,0 +1,209 @@
+//! When a robot stood, and what its gyro and its accelerometers said meanwhile.
+//!
+//! What these readings say of the sensors is found by [`crate::noise_identification`]; docs/lab/calibrate.md, section 5.
+
+use posebridge_telemetry::{Observation, ObservationKind};
+
+use crate::noise_identification::{RestError, RestNoise, RestRecord, noise_at_rest};
+
+/// A robot counts as standing when its counters have not moved for this long, in seconds.
+pub const MIN_STANDSTILL_S: f64 = 0.4;
+
+/// One channel of a sensor, with its stamps in seconds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RestChannel {
+    /// Stretches of rest in the order of time: (stamp in s, reading in SI).
+    pub stretches: Vec<Vec<(f64, f64)>>,
+}
+
+/// The channels of a robot that stands now and then.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RestObservations {
+    /// Turn rate, in rad/s.
+    pub gyro: RestChannel,
+    /// Forward acceleration at the left wheel, in m/s².
+    pub left_accelerometer: RestChannel,
+    /// At the right wheel.
+    pub right_accelerometer: RestChannel,
+}
+
+impl RestObservations {
+    /// Picks the readings made while no wheel had moved for [`MIN_STANDSTILL_S`] and would not move before the next wheel reading.
+    ///
+    /// Takes observations in the order of their stamps. Without wheel readings nothing counts as rest.
+    #[must_use]
+    pub fn from_observations(observations: &[Observation]) -> Self {
+        let mut resting = Self::default();
+        for (from_s, until_s) in rest_intervals(observations) {
+            let first = observations.partition_point(|one| seconds(one) <= from_s);
+            let rest = observations.iter().skip(first);
+            let mut stretch = [const { Vec::new() }; 3];
+            for observation in rest.take_while(|one| seconds(one) <= until_s) {
+                let at_s = seconds(observation);
+                for (channel, value) in stretch.iter_mut().zip(sensor_readings(&observation.measurement)) {
+                    channel.extend(value.filter(|v| v.is_finite()).map(|v| (at_s, v)));
+                }
+            }
+            let [gyro, left, right] = stretch;
+            resting.gyro.add(gyro);
+            resting.left_accelerometer.add(left);
+            resting.right_accelerometer.add(right);
+        }
+        resting
+    }
+}
+
+fn seconds(observation: &Observation) -> f64 {
+    observation.stamp.as_secs_f64()
+}
+
+/// Gyro, left and right accelerometer.
+const fn sensor_readings(observed: &ObservationKind) -> [Option<f64>; 3] {
+    match observed {
+        ObservationKind::TurnRate(rate) => [Some(rate.0), None, None],
+        ObservationKind::WheelAccelerations { left, right } => [None, Some(left.0), Some(right.0)],
+        ObservationKind::WheelAngles { .. }
+        | ObservationKind::OdometerPose(_)
+        | ObservationKind::BodyVelocity { .. }
+        | ObservationKind::Fix(_)
+        | ObservationKind::Landmark { .. }
+        | ObservationKind::BeaconRange { .. }
+        | ObservationKind::WallRange(_)
+        | ObservationKind::CompassHeading(_)
+        | ObservationKind::Temperature(_) => [None; 3],
+    }
+}
+
+/// From when to when the robot certainly stood, in seconds.
+fn rest_intervals(observations: &[Observation]) -> Vec<(f64, f64)> {
+    let mut rests = Vec::new();
+    let mut last: Option<([f64; 2], f64, f64)> = None;
+    for observation in observations {
+        let ObservationKind::WheelAngles { left, right } = observation.measurement else {
+            continue;
+        };
+        let at_s = seconds(observation);
+        let angles = [left.0, right.0];
+        last = match last {
+            Some((before, since_s, _)) if before == angles => Some((angles, since_s, at_s)),
+            Some((_, since_s, until_s)) => {
+                rests.push((since_s, until_s));
+                Some((angles, at_s, at_s))
+            }
+            None => Some((angles, at_s, at_s)),
+        };
+    }
+    rests.extend(last.map(|(_, since_s, until_s)| (since_s, until_s)));
+    rests
+        .into_iter()
+        .filter(|(since_s, until_s)| until_s - since_s > MIN_STANDSTILL_S)
+        .map(|(since_s, until_s)| (since_s + MIN_STANDSTILL_S, until_s))
+        .collect()
+}
+
+impl RestChannel {
+    fn add(&mut self, stretch: Vec<(f64, f64)>) {
+        if !stretch.is_empty() {
+            self.stretches.push(stretch);
+        }
+    }
+
+    /// What the channel says.
+    ///
+    /// # Errors
+    /// [`RestError`], with the reason.
+    pub fn noise(&self) -> Result<RestNoise, RestError> {
+        noise_at_rest(&RestRecord::from_stretches(&self.stretches)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    fn seen(millis: i64, observed: ObservationKind) -> Observation {
+        Observation {
+            sensor: SensorId::GYRO,
+            stamp: Timestamp::from_millis(millis),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: observed,
+        }
+    }
+
+    #[test]
+    fn only_what_was_read_while_the_counters_stood_counts() {
+        let mut observations = Vec::new();
+        for i in 0..300 {
+            let angle = Radians(if i < 200 { 0.0 } else { f64::from(i) });
+            let wheels = ObservationKind::WheelAngles { left: angle, right: angle };
+            observations.push(seen(i64::from(i) * 50, wheels));
+            let rate = if i < 200 { 0.01 } else { 5.0 };
+            let rate = rate + 1e-3 * f64::from(i % 2);
+            let rate = ObservationKind::TurnRate(RadiansPerSecond(rate));
+            observations.push(seen(i64::from(i) * 50 + 1, rate));
+        }
+        observations.push(seen(20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
+        let rest = RestObservations::from_observations(&observations).gyro.noise().unwrap();
+        assert!((rest.bias - 0.0105).abs() < 1e-5);
+        // 9.95 s of standing less the first 0.4 s, one reading each 50 ms.
+        assert_eq!(rest.samples, 191);
+    }
+
+    #[test]
+    fn noise_step_and_bias_of_a_rounding_gyro_are_found() {
+        let mut random = Pcg64::seed_from_u64(3);
+        let mut draw = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let step = 0.017_453_3;
+        let readings = (0..4_000).map(|i| {
+            let exact = 0.031 + 0.03 * draw();
+            (f64::from(i) * 0.05, (exact / step).round() * step)
+        });
+        let channel = RestChannel { stretches: vec![readings.collect()] };
+        let rest = channel.noise().unwrap();
+        assert!((rest.quantum.unwrap() - step).abs() < 1e-9, "{rest:?}");
+        // The filter adds step² / 12 itself: what it is told has none of it.
+        assert!((rest.white - 0.03).abs() < 3.0 * rest.white_sigma);
+        assert!(rest.white_sigma < 0.02 * rest.white, "{rest:?}");
+        assert!((rest.bias - 0.031).abs() < 4.0 * rest.bias_sigma);
+        assert_eq!(rest.walk, None, "a bias that does not walk");
+    }
+
+    #[test]
+    fn a_walking_bias_is_told_from_noise() {
+        let mut random = Pcg64::seed_from_u64(5);
+        let mut draw = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let (walk, dt_s) = (0.004, 0.05_f64);
+        let mut bias = 0.0;
+        let readings = (0..40_000).map(|i| {
+            bias += walk * dt_s.sqrt() * draw();
+            (f64::from(i) * dt_s, bias + 0.01 * draw())
+        });
+        let channel = RestChannel { stretches: vec![readings.collect()] };
+        let (found, sigma) = channel.noise().unwrap().walk.unwrap();
+        assert!((found / walk - 1.0).abs() < 0.1, "{found}");
+        assert!((found - walk).abs() < 3.0 * sigma, "{found} {sigma}");
+    }
+
+    #[test]
+    fn one_wild_stamp_is_a_silence_and_no_memory() {
+        let readings = (0..400).map(|i| (f64::from(i) * 0.05, f64::from(i % 3)));
+        // The last rows in seconds since 1970.
+        let wild = (0..5).map(|i| (1.7e9 + f64::from(i) * 0.05, f64::from(i % 3)));
+        let channel = RestChannel { stretches: vec![readings.chain(wild).collect()] };
+        let rest = channel.noise().unwrap();
+        assert_eq!(rest.samples, 405);
+        assert!((rest.rest_s - 20.15).abs() < 1e-3, "{rest:?}");
+    }
+
+    #[test]
+    fn too_little_rest_and_a_gyro_that_never_changes_are_said() {
+        let found = RestChannel::default().noise();
+        assert_eq!(found, Err(RestError::TooShort(0)));
+        let readings = (0..400).map(|i| (f64::from(i) * 0.05, 0.017));
+        let channel = RestChannel { stretches: vec![readings.collect()] };
+        assert_eq!(channel.noise(), Err(RestError::Silent));
+    }
+}

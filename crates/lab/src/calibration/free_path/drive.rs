@@ -1,0 +1,154 @@
+//! A drive as the calibration needs it: the wheels' travel step by step, and the places where the robot was seen.
+
+use posebridge_estimator::models::differential_drive::WheelTravel;
+use posebridge_estimator::motion::{MotionReading, MotionTrack, TravelSegment};
+use posebridge_estimator::{FilterConfig, StartPose};
+use posebridge_telemetry::{BrickClock, Observation, Timestamp};
+
+/// A drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FreePath {
+    /// Its name, for people.
+    pub name: String,
+    /// Where it begins.
+    pub start: PathStart,
+    /// What the wheels did, by the nominal geometry, in the order of time; rest is left out.
+    pub steps: Vec<TravelStep>,
+    /// Where the robot was seen, in the order of time.
+    pub fixes: Vec<PositionFix>,
+}
+
+/// Where a drive begins, and how well that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathStart {
+    /// x, y in metres, heading in radians; a guess where the sigmas are large.
+    pub pose: [f64; 3],
+    /// One standard deviation of x and of y, in metres.
+    pub position_sigma_m: f64,
+    /// One standard deviation of the heading, in radians.
+    pub heading_sigma_rad: f64,
+}
+
+/// The wheels' travel from one instant to the next, along an arc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TravelStep {
+    /// When it begins, in seconds of the recording's clock.
+    pub from_s: f64,
+    /// When it ends.
+    pub until_s: f64,
+    /// The travel.
+    pub travel: WheelTravel,
+}
+
+/// One look at the robot from outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionFix {
+    /// Its stamp, in seconds of the same clock.
+    pub at_s: f64,
+    /// Where the tag was seen, x, y in metres.
+    pub position_m: [f64; 2],
+    /// One standard deviation of each, in metres.
+    pub sigma_m: f64,
+    /// The tag in the body's space as it is configured: forward, left, in metres.
+    pub tag_m: [f64; 2],
+}
+
+/// Sights closer than this, in seconds, say the same twice: what errs at both is the path.
+const MIN_FIX_SPACING_S: f64 = 0.19;
+
+/// A sight of a start that nobody knows: a guess, and no news.
+const UNKNOWN_POSITION_M: f64 = 1e3;
+const UNKNOWN_HEADING_RAD: f64 = 10.0;
+
+/// A stamp in seconds.
+#[must_use]
+pub fn seconds(stamp: Timestamp<BrickClock>) -> f64 {
+    stamp.as_nanos() as f64 / 1e9
+}
+
+impl FreePath {
+    /// A drive from observations in any order; `config` brings the nominal geometry, the start and the limits of the wheels.
+    ///
+    /// Motion that is not known (a counter that jumped) counts as none. Sights that are not finite are left out, and so are those
+    /// that follow another within a fifth of a second. Without a start the drive begins at its first sight, with any heading.
+    #[must_use]
+    pub fn new(
+        name: &str,
+        config: &FilterConfig,
+        observations: &[Observation],
+        sights: impl IntoIterator<Item = PositionFix>,
+    ) -> Self {
+        let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
+        let mut stamps = Vec::new();
+        for observation in observations {
+            if let Some(reading) = MotionReading::from_observation(&observation.measurement).filter(is_finite) {
+                track.insert(observation.stamp, &reading);
+                stamps.push(observation.stamp);
+            }
+        }
+        stamps.sort_unstable();
+        stamps.dedup();
+        let steps = stamps
+            .windows(2)
+            .filter_map(|pair| match track.segment(pair[0], pair[1]) {
+                TravelSegment::Known { travel, .. } if travel != WheelTravel::default() => {
+                    Some(TravelStep { from_s: seconds(pair[0]), until_s: seconds(pair[1]), travel })
+                }
+                TravelSegment::Known { .. } | TravelSegment::Gap { .. } | TravelSegment::BeyondData { .. } => None,
+            })
+            .collect();
+        let fixes = downsample_fixes(sights);
+        Self { name: name.to_owned(), start: start_of(config.start, fixes.first()), steps, fixes }
+    }
+
+    /// Length of the way of the axle's middle by the nominal geometry, in metres.
+    #[must_use]
+    pub fn length_m(&self) -> f64 {
+        let lengths = self.steps.iter().map(|step| {
+            let WheelTravel { left_m, right_m } = step.travel;
+            (0.5 * (left_m + right_m)).abs()
+        });
+        lengths.sum()
+    }
+}
+
+fn is_finite(reading: &MotionReading) -> bool {
+    match reading {
+        MotionReading::Wheels { left_rad, right_rad } => left_rad.is_finite() && right_rad.is_finite(),
+        MotionReading::Velocity { forward_m_per_s, turn_rad_per_s } => {
+            forward_m_per_s.is_finite() && turn_rad_per_s.is_finite()
+        }
+        MotionReading::Odometer(pose) => pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite(),
+    }
+}
+
+fn downsample_fixes(sights: impl IntoIterator<Item = PositionFix>) -> Vec<PositionFix> {
+    let is_usable = |sight: &PositionFix| {
+        let numbers = [sight.at_s, sight.position_m[0], sight.position_m[1]];
+        let tag = sight.tag_m.iter().all(|m| m.is_finite());
+        numbers.iter().all(|n| n.is_finite()) && tag && sight.sigma_m > 0.0 && sight.sigma_m.is_finite()
+    };
+    let mut sights: Vec<PositionFix> = sights.into_iter().filter(is_usable).collect();
+    sights.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    let mut last_s = f64::NEG_INFINITY;
+    sights.retain(|sight| {
+        let is_new = sight.at_s - last_s >= MIN_FIX_SPACING_S;
+        if is_new {
+            last_s = sight.at_s;
+        }
+        is_new
+    });
+    sights
+}
+
+fn start_of(known: Option<StartPose>, first: Option<&PositionFix>) -> PathStart {
+    if let Some(start) = known {
+        return PathStart {
+            pose: [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()],
+            position_sigma_m: start.position_sigma_m,
+            heading_sigma_rad: start.heading_sigma_rad,
+        };
+    }
+    let [x, y] = first.map_or([0.0; 2], |sight| sight.position_m);
+    PathStart { pose: [x, y, 0.0], position_sigma_m: UNKNOWN_POSITION_M, heading_sigma_rad: UNKNOWN_HEADING_RAD }
+}

@@ -1,0 +1,295 @@
+//! Mistakes in a description that no fine adjustment can cure: wheels exchanged, half the track, counts per turn off by a factor.
+//!
+//! Every combination is a hypothesis. Each predicts the shape of the way; the one under which the sights are most likely wins, and
+//! is reported if it is not the description as given.
+//!
+//! # Model
+//! ```text
+//! the drive is cut into pieces; each piece is laid onto its sights by the best turn and shift      (Umeyama 1991, without scale)
+//! ln L = -n ln(sum |rest|^2)              n places of two numbers each, with equal and independent errors
+//! ```
+//! Laid on by its own turn and shift, a piece is blind to start, heading and drift, and so are the hypotheses. In exchange wheels
+//! that are exchanged look like wheels that both count backwards: the first moves against a known heading, the second along with it.
+//! A negative track looks like exchanged wheels altogether.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use posebridge_estimator::models::differential_drive::WheelTravel;
+use posebridge_telemetry::quantities::wrap_rad;
+
+use super::drive::{FreePath, TravelStep};
+use super::predict::PathPredictor;
+
+/// What may be wrong with the two counters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wiring {
+    /// Nothing.
+    AsGiven,
+    /// The left wheel is called right, or the track has the wrong sign.
+    Swapped,
+    /// Both wheels count backwards.
+    BothReversed,
+    /// The left wheel counts backwards.
+    LeftReversed,
+    /// The right wheel counts backwards.
+    RightReversed,
+    /// Exchanged, and what is called left counts backwards.
+    SwappedLeftReversed,
+    /// Exchanged, and what is called right counts backwards.
+    SwappedRightReversed,
+}
+
+impl Wiring {
+    /// All of them, in the order of preference where two are as likely.
+    pub const ALL: [Self; 7] = [
+        Self::AsGiven,
+        Self::Swapped,
+        Self::BothReversed,
+        Self::LeftReversed,
+        Self::RightReversed,
+        Self::SwappedLeftReversed,
+        Self::SwappedRightReversed,
+    ];
+
+    /// The name in JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::AsGiven => "AsGiven",
+            Self::Swapped => "Swapped",
+            Self::BothReversed => "BothReversed",
+            Self::LeftReversed => "LeftReversed",
+            Self::RightReversed => "RightReversed",
+            Self::SwappedLeftReversed => "SwappedLeftReversed",
+            Self::SwappedRightReversed => "SwappedRightReversed",
+        }
+    }
+
+    /// Both wheels' travel as it is if this is what is wrong.
+    #[must_use]
+    pub const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
+        let (left_m, right_m) = match self {
+            Self::AsGiven => (left_m, right_m),
+            Self::Swapped => (right_m, left_m),
+            Self::BothReversed => (-left_m, -right_m),
+            Self::LeftReversed => (-left_m, right_m),
+            Self::RightReversed => (left_m, -right_m),
+            Self::SwappedLeftReversed => (right_m, -left_m),
+            Self::SwappedRightReversed => (-right_m, left_m),
+        };
+        WheelTravel { left_m, right_m }
+    }
+}
+
+/// One way in which a description may be wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hypothesis {
+    /// Of the counters.
+    pub wiring: Wiring,
+    /// True track over the described one.
+    pub track_factor: f64,
+    /// True travel of a count over the described one.
+    pub travel_factor: f64,
+}
+
+/// The description as given.
+pub const AS_GIVEN: Hypothesis = Hypothesis { wiring: Wiring::AsGiven, track_factor: 1.0, travel_factor: 1.0 };
+
+/// Radius for diameter, half track for track, a quadrature decoder's 2 and 4.
+const TRACK_FACTORS: [f64; 3] = [1.0, 2.0, 0.5];
+const TRAVEL_FACTORS: [f64; 5] = [1.0, 2.0, 0.5, 4.0, 0.25];
+
+/// Sights of a piece.
+const SEGMENT_FIXES: usize = 24;
+/// Fewest sights in all that can tell hypotheses apart.
+const MIN_FIXES: usize = 8;
+/// A mistake is only called one if it makes the way fit so many times better: what fine adjustment cures is less.
+const MIN_IMPROVEMENT: f64 = 1.6;
+/// Two fits so close are the same.
+const EQUAL_FIT_FACTOR: f64 = 1.02;
+
+/// How a description stands against its rivals.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HypothesisTest {
+    /// What is most likely; [`AS_GIVEN`] unless another one is clearly better.
+    pub found: Hypothesis,
+    /// Root mean square distance of the sights from the pieces of the way as described, in metres.
+    pub described_rms_m: f64,
+    /// The same under what was found.
+    pub found_rms_m: f64,
+    /// ln L of what was found less that of the description.
+    pub log_likelihood_gain: f64,
+    /// How many hypotheses were compared.
+    pub compared: usize,
+}
+
+impl HypothesisTest {
+    /// Whether something is wrong that calibration cannot cure.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.found == AS_GIVEN
+    }
+}
+
+impl FreePath {
+    /// The drive as it was if a hypothesis is true; the track is not part of it.
+    #[must_use]
+    pub fn with_hypothesis(&self, hypothesis: &Hypothesis) -> Self {
+        let factor = hypothesis.travel_factor;
+        let steps = self.steps.iter().map(|step| {
+            let travel = hypothesis.wiring.undo(step.travel);
+            TravelStep {
+                travel: WheelTravel { left_m: travel.left_m * factor, right_m: travel.right_m * factor },
+                ..*step
+            }
+        });
+        Self { steps: steps.collect(), ..self.clone() }
+    }
+}
+
+/// How well a hypothesis fits.
+#[derive(Clone, Copy, Debug)]
+struct ScoredHypothesis {
+    hypothesis: Hypothesis,
+    square_m2: f64,
+    /// Turn from the reckoned start to the seen one, in radians, of the runs whose heading at the start is known.
+    start_off_rad: Option<f64>,
+}
+
+/// Compares all hypotheses; `None` with too few sights.
+pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<HypothesisTest> {
+    let sights: usize = paths.iter().map(|path| path.fixes.len()).sum();
+    if sights < MIN_FIXES {
+        return None;
+    }
+    let mut all = Vec::new();
+    for wiring in Wiring::ALL {
+        for track_factor in TRACK_FACTORS {
+            for travel_factor in TRAVEL_FACTORS {
+                let hypothesis = Hypothesis { wiring, track_factor, travel_factor };
+                all.push(score_hypothesis(prediction, paths, hypothesis));
+            }
+        }
+    }
+    let described = *all.first()?;
+    let smallest = all.iter().map(|s| s.square_m2).fold(f64::INFINITY, f64::min);
+    let as_good = all.iter().filter(|scored| scored.square_m2 <= smallest * EQUAL_FIT_FACTOR * EQUAL_FIT_FACTOR);
+    // Of those that fit alike the one that sets out as the start says, then the simplest.
+    let is_forward = |scored: &ScoredHypothesis| scored.start_off_rad.is_none_or(|off| off.abs() < FRAC_PI_2);
+    let best = as_good.clone().find(|scored| is_forward(scored)).or(as_good.clone().next())?;
+    let ratio = (described.square_m2 / best.square_m2).sqrt();
+    let found = if ratio >= MIN_IMPROVEMENT { best } else { &described };
+    let rms = |square_m2: f64| (square_m2 / sights as f64).sqrt();
+    Some(HypothesisTest {
+        found: found.hypothesis,
+        described_rms_m: rms(described.square_m2),
+        found_rms_m: rms(found.square_m2),
+        log_likelihood_gain: sights as f64 * (described.square_m2 / found.square_m2).ln(),
+        compared: all.len(),
+    })
+}
+
+fn score_hypothesis(prediction: &PathPredictor<'_>, paths: &[FreePath], hypothesis: Hypothesis) -> ScoredHypothesis {
+    let mut prediction = *prediction;
+    prediction.parameters.track_width_m *= hypothesis.track_factor;
+    let mut square_m2 = 0.0;
+    let mut start_off_rad = None;
+    for path in paths {
+        let path = path.with_hypothesis(&hypothesis);
+        let reckoned: Vec<[f64; 2]> =
+            prediction.predict_tags(&path, path.start.pose[2]).iter().map(|reckoned| reckoned.tag_m).collect();
+        let seen: Vec<[f64; 2]> = path.fixes.iter().map(|sight| sight.position_m).collect();
+        for (index, (ours, theirs)) in reckoned.chunks(SEGMENT_FIXES).zip(seen.chunks(SEGMENT_FIXES)).enumerate() {
+            let laid = align_paths(ours, theirs);
+            square_m2 += laid.square_m2;
+            let knows_heading = index == 0 && path.start.heading_sigma_rad < PI / 6.0;
+            if knows_heading && laid.length_m > 0.0 {
+                start_off_rad = start_off_rad.or(Some(wrap_rad(laid.turn_rad)));
+            }
+        }
+        // What the sights' own noise leaves is no fit.
+        square_m2 += path.fixes.iter().map(|s| 0.1 * s.sigma_m.powi(2)).sum::<f64>();
+    }
+    ScoredHypothesis { hypothesis, square_m2, start_off_rad }
+}
+
+/// Tracks that are tried, over the one of the prediction.
+const COARSE_FROM: f64 = 0.7;
+const COARSE_STEP: f64 = 0.01;
+const COARSE_STEPS: u32 = 70;
+
+/// The track under which pieces of the way fit best, over that of the prediction: where a descent may begin.
+///
+/// Over a long drive the heading is wrong by whole turns for a track that is off by a few percent, and a descent ends in one of many
+/// side minima. A piece is too short for that.
+pub(super) fn coarse_track_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> f64 {
+    let factor = |step: u32| COARSE_FROM + COARSE_STEP * f64::from(step);
+    let scored = (0..=COARSE_STEPS).map(|step| {
+        let hypothesis = Hypothesis { track_factor: factor(step), ..AS_GIVEN };
+        (step, score_hypothesis(prediction, paths, hypothesis).square_m2)
+    });
+    match scored.min_by(|a, b| a.1.total_cmp(&b.1)) {
+        // At an end there is no minimum: the pieces do not tell.
+        None | Some((0 | COARSE_STEPS, _)) => 1.0,
+        Some((step, _)) => factor(step),
+    }
+}
+
+/// One piece laid onto another.
+struct PathAlignment {
+    square_m2: f64,
+    turn_rad: f64,
+    length_m: f64,
+}
+
+/// Turns and shifts `ours` onto `theirs` by least squares.
+fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
+    let count = ours.len().max(1) as f64;
+    let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
+    let (a0, b0) = (centre(ours), centre(theirs));
+    let (mut dot, mut cross, mut ours_m2, mut theirs_m2) = (0.0, 0.0, 0.0, 0.0);
+    for (a, b) in ours.iter().zip(theirs) {
+        let a = [a[0] - a0[0], a[1] - a0[1]];
+        let b = [b[0] - b0[0], b[1] - b0[1]];
+        dot += a[0] * b[0] + a[1] * b[1];
+        cross += a[0] * b[1] - a[1] * b[0];
+        ours_m2 += a[0] * a[0] + a[1] * a[1];
+        theirs_m2 += b[0] * b[0] + b[1] * b[1];
+    }
+    PathAlignment {
+        square_m2: (ours_m2 + theirs_m2 - 2.0 * dot.hypot(cross)).max(0.0),
+        turn_rad: cross.atan2(dot),
+        length_m: ours_m2.sqrt(),
+    }
+}
+
+/// The turn and the heading at which a drive fits its sights best, for a start that nobody knows: turned about the start.
+pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
+    let reckoned = prediction.predict_tags(path, 0.0);
+    let [x, y, _] = path.start.pose;
+    let (mut dot, mut cross) = (0.0, 0.0);
+    for (ours, sight) in reckoned.iter().zip(&path.fixes) {
+        let a = [ours.tag_m[0] - x, ours.tag_m[1] - y];
+        let b = [sight.position_m[0] - x, sight.position_m[1] - y];
+        dot += a[0] * b[0] + a[1] * b[1];
+        cross += a[0] * b[1] - a[1] * b[0];
+    }
+    cross.atan2(dot)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_piece_is_laid_on_by_turn_and_shift_and_no_scale() {
+        let ours = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]];
+        let (sin, cos) = 2.0_f64.sin_cos();
+        let theirs = ours.map(|[x, y]| [5.0 + cos * x - sin * y, -1.0 + sin * x + cos * y]);
+        let laid = align_paths(&ours, &theirs);
+        assert!(laid.square_m2 < 1e-12 && (laid.turn_rad - 2.0).abs() < 1e-12);
+        let doubled = theirs.map(|[x, y]| [2.0 * x, 2.0 * y]);
+        // About their centre the points have 4/3 m²; all that doubling adds is left.
+        assert!((align_paths(&ours, &doubled).square_m2 - 4.0 / 3.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,82 @@
+//! Wheels, track, tag and camera delay from any drive that was watched: by a camera, by a truth, or by a tape at a few places.
+//!
+//! # Model
+//! ```text
+//! 1. sanity      wheels exchanged? half the track? counts off by a factor? The likeliest description goes on.
+//! 2. length      e_m from the length of the way over short windows: no heading takes part in it
+//! 3. shape       e_b, e_d, tau, l_f, l_l and headings at the start by least squares over whitened innovations, e_m given; a heading
+//!                that is roughly known pulls by (th - th_0) / sigma
+//! ```
+//! The order matters. In one fit over everything a heading that was wrong by a degree at the start bends wheel size and track to
+//! make up for it; the length of the way does not know headings. What it finds is not the optimum of one likelihood but of two, each
+//! where it is blind to the other's mistakes.
+//!
+//! A number is only estimated where its prior has a sigma, where the drive tells more of it than the prior did, and where it does not
+//! blur the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Else it stays where the
+//! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
+//!
+//! # Source
+//! docs/lab/calibrate.md section 3.
+
+mod drive;
+mod heading_noise;
+mod hypotheses;
+mod length;
+mod parameter_fit;
+mod path_calibration;
+mod predict;
+mod score;
+
+use posebridge_estimator::FilterConfig;
+
+use super::CalibrationError;
+
+pub use drive::{FreePath, PathStart, PositionFix, TravelStep, seconds};
+pub use hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest, Wiring};
+pub use path_calibration::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
+pub use predict::RobotParameters;
+pub use score::{DeadReckonedPath, DeadReckoningError, dead_reckon, mean_error, start_heading};
+
+use hypotheses::test_hypotheses;
+use parameter_fit::ParameterSolver;
+use predict::PathPredictor;
+
+/// Rounds over the second and the third step; the second changes by hundredths of its sigma.
+const MAX_ROUNDS: u32 = 3;
+
+/// Calibrates a robot from drives; `config` is its description with the priors.
+///
+/// # Errors
+/// [`CalibrationError::TooFewData`] without motion or sights; [`CalibrationError::Undetermined`], [`CalibrationError::Diverged`].
+pub fn calibrate_path(config: &FilterConfig, paths: &[FreePath]) -> Result<PathCalibration, CalibrationError> {
+    check_data(paths)?;
+    let before = RobotParameters::from_config(config);
+    let prediction = PathPredictor { parameters: before, noise: &config.noise };
+    let sanity = test_hypotheses(&prediction, paths);
+    let hypothesis = sanity.as_ref().map_or(AS_GIVEN, |sanity| sanity.found);
+    let paths: Vec<FreePath> = paths.iter().map(|path| path.with_hypothesis(&hypothesis)).collect();
+    let mut shape = ParameterSolver::new(config, &paths, hypothesis.track_factor);
+    let mut length = shape.estimate_length();
+    shape.initialize_track();
+    let (mut chosen, mut standings) = shape.select_unknowns(length)?;
+    for _ in 1..MAX_ROUNDS {
+        // The second step knows the tag and the delay only by the third.
+        shape.adopt(&chosen);
+        length = shape.estimate_length();
+        (chosen, standings) = shape.select_unknowns(length)?;
+    }
+    Ok(PathCalibration { hypothesis_test: sanity, before, ..shape.report(&chosen, standings, length) })
+}
+
+fn check_data(paths: &[FreePath]) -> Result<(), CalibrationError> {
+    let steps: usize = paths.iter().map(|path| path.steps.len()).sum();
+    let sights: usize = paths.iter().map(|path| path.fixes.len()).sum();
+    for (what, found, needed) in
+        [("intervals in which the wheels turned", steps, 2), ("places where the robot was seen", sights, 3)]
+    {
+        if found < needed {
+            return Err(CalibrationError::TooFewData { what, found, needed });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,330 @@
+//! The second and the third step of a calibration: the length of the way, then everything that its shape tells.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_telemetry::UncertainValue;
+use posebridge_telemetry::quantities::wrap_rad;
+
+use super::super::CalibrationError;
+use super::super::least_squares::{LeastSquaresFit, Residuals, fit, solution_shift};
+use super::drive::FreePath;
+use super::heading_noise::{apply_jump, heading_jumps};
+use super::hypotheses::{coarse_track_factor, estimate_start_heading};
+use super::length::length_factor;
+use super::path_calibration::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
+use super::predict::{PathPredictor, RobotParameters};
+
+/// An unknown blurs the track if it makes its sigma so many times larger.
+const INSEPARABLE_FACTOR: f64 = 3.0;
+/// Something is told of an unknown if its sigma is below this share of the prior's.
+const INFORMATIVE_SHARE: f64 = 0.5;
+/// A heading that is known so well is not estimated, in radians: about what a person or a tracker can do.
+const KNOWN_HEADING_RAD: f64 = 0.02;
+/// Half width of the central difference of a heading, in radians.
+const HEADING_STEP_RAD: f64 = 1e-4;
+
+/// The second and the third step: which unknowns are free, and what they are.
+#[derive(Clone)]
+pub(super) struct ParameterSolver<'a> {
+    config: &'a FilterConfig,
+    paths: &'a [FreePath],
+    base_track_m: f64,
+    /// As described, with the wheel size of the second step.
+    parameters: RobotParameters,
+    /// As the last round has found them: what the second step reckons with.
+    latest: RobotParameters,
+    radius_scale: Option<UncertainValue>,
+    /// Where the descent of the track begins.
+    first_track_scale: f64,
+    headings_rad: Vec<f64>,
+    /// The runs whose heading is estimated.
+    free_headings: Vec<usize>,
+}
+
+/// A fit with what its unknowns are.
+pub(super) struct ParameterFit {
+    unknowns: Vec<CalibrationUnknown>,
+    fit: LeastSquaresFit,
+}
+
+impl ParameterFit {
+    fn value_of(&self, unknown: CalibrationUnknown) -> Option<UncertainValue> {
+        let place = self.unknowns.iter().position(|one| *one == unknown)?;
+        Some(UncertainValue { value: self.fit.values[place], sigma: self.fit.sigma(place) })
+    }
+}
+
+impl<'a> ParameterSolver<'a> {
+    pub(super) fn new(config: &'a FilterConfig, paths: &'a [FreePath], track_factor: f64) -> Self {
+        let mut parameters = RobotParameters::from_config(config);
+        parameters.track_width_m *= track_factor;
+        let prediction = PathPredictor { parameters, noise: &config.noise };
+        let is_free = |path: &FreePath| path.start.heading_sigma_rad > KNOWN_HEADING_RAD;
+        let headings_rad = paths.iter().map(|path| {
+            // Beyond a radian the given heading is no place to begin a descent.
+            if path.start.heading_sigma_rad > 1.0 {
+                estimate_start_heading(&prediction, path)
+            } else {
+                path.start.pose[2]
+            }
+        });
+        Self {
+            config,
+            paths,
+            base_track_m: config.geometry.track_width.0 * track_factor,
+            latest: parameters,
+            parameters,
+            radius_scale: None,
+            first_track_scale: config.calibration.track_scale.value,
+            headings_rad: headings_rad.collect(),
+            free_headings: (0..paths.len()).filter(|run| is_free(&paths[*run])).collect(),
+        }
+    }
+
+    /// Finds a place from which the track can be descended to.
+    pub(super) fn initialize_track(&mut self) {
+        if self.is_fixed(CalibrationUnknown::TrackScale) {
+            return;
+        }
+        let prediction = PathPredictor { parameters: self.parameters, noise: &self.config.noise };
+        let factor = coarse_track_factor(&prediction, self.paths);
+        let track_m = self.parameters.track_width_m * factor;
+        self.first_track_scale = track_m / self.base_track_m - 1.0;
+        self.latest.track_width_m = track_m;
+    }
+
+    pub(super) fn adopt(&mut self, chosen: &ParameterFit) {
+        (self.latest, _) = self.robot(&chosen.unknowns, &chosen.fit.values);
+    }
+
+    fn is_fixed(&self, unknown: CalibrationUnknown) -> bool {
+        unknown.prior(&self.config.calibration).sigma <= 0.0
+    }
+
+    /// The second step; returns how many windows it stands on.
+    pub(super) fn estimate_length(&mut self) -> Option<usize> {
+        let prior = CalibrationUnknown::RadiusScale.prior(&self.config.calibration);
+        if self.is_fixed(CalibrationUnknown::RadiusScale) {
+            return None;
+        }
+        let prediction = PathPredictor { parameters: self.latest, noise: &self.config.noise };
+        let (factor, windows) = length_factor(&prediction, self.paths)?;
+        let reckoned_with = 1.0 + self.latest.radius_scale;
+        let sigma = factor.sigma * reckoned_with;
+        if sigma > prior.sigma {
+            return None;
+        }
+        let value = reckoned_with * factor.value - 1.0;
+        self.parameters.radius_scale = value;
+        self.radius_scale = Some(UncertainValue { value, sigma });
+        Some(windows)
+    }
+
+    /// Adds one unknown after the other and keeps what the drives tell apart.
+    pub(super) fn select_unknowns(
+        &self,
+        length: Option<usize>,
+    ) -> Result<(ParameterFit, Vec<UnknownStatus>), CalibrationError> {
+        let mut chosen = self.fit(Vec::new())?;
+        let mut standings = Vec::new();
+        let mut tried_beside = Vec::new();
+        for unknown in UNKNOWNS {
+            tried_beside.push(chosen.unknowns.len());
+            standings.push(if self.is_fixed(unknown) {
+                UnknownStatus::Fixed
+            } else if unknown == CalibrationUnknown::RadiusScale && length.is_some() {
+                UnknownStatus::Estimated
+            } else {
+                self.try_unknown(unknown, &mut chosen)
+            });
+        }
+        // Errors hide each other: over a minute unequal wheels turn the whole way, and no track seems to help until they are found.
+        for ((unknown, standing), beside) in UNKNOWNS.into_iter().zip(&mut standings).zip(tried_beside) {
+            if *standing == UnknownStatus::Unobservable && chosen.unknowns.len() > beside {
+                *standing = self.try_unknown(unknown, &mut chosen);
+            }
+        }
+        Ok((chosen, standings))
+    }
+
+    fn try_unknown(&self, unknown: CalibrationUnknown, chosen: &mut ParameterFit) -> UnknownStatus {
+        let mut free = chosen.unknowns.clone();
+        free.push(unknown);
+        let is_basic = matches!(unknown, CalibrationUnknown::RadiusScale | CalibrationUnknown::TrackScale);
+        // What cannot be solved with it cannot be told with it.
+        let Ok(with) = self.fit(free) else {
+            return if is_basic { UnknownStatus::Unobservable } else { UnknownStatus::NotSeparable };
+        };
+        let prior = unknown.prior(&self.config.calibration);
+        if with.value_of(unknown).is_none_or(|found| found.sigma >= INFORMATIVE_SHARE * prior.sigma) {
+            return UnknownStatus::Unobservable;
+        }
+        let track = |fit: &ParameterFit| fit.value_of(CalibrationUnknown::TrackScale).map(|track| track.sigma);
+        if let (Some(alone), Some(together)) = (track(chosen), track(&with))
+            && together > INSEPARABLE_FACTOR * alone
+        {
+            return UnknownStatus::NotSeparable;
+        }
+        *chosen = with;
+        UnknownStatus::Estimated
+    }
+
+    fn fit(&self, unknowns: Vec<CalibrationUnknown>) -> Result<ParameterFit, CalibrationError> {
+        let start = unknowns.iter().map(|unknown| match unknown {
+            CalibrationUnknown::RadiusScale => self.parameters.radius_scale,
+            CalibrationUnknown::TrackScale => self.first_track_scale,
+            CalibrationUnknown::RadiusDifference
+            | CalibrationUnknown::FixDelay
+            | CalibrationUnknown::TagForward
+            | CalibrationUnknown::TagLeft => unknown.prior(&self.config.calibration).value,
+        });
+        let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
+        let start: Vec<f64> = start.chain(headings).collect();
+        let steps = self.steps(&unknowns);
+        if start.is_empty() {
+            return Ok(ParameterFit { fit: LeastSquaresFit::default(), unknowns });
+        }
+        let fit = fit(&start, &steps, |values| self.residuals(&unknowns, values))?;
+        Ok(ParameterFit { unknowns, fit })
+    }
+
+    /// Half widths of the central differences.
+    fn steps(&self, unknowns: &[CalibrationUnknown]) -> Vec<f64> {
+        let unknowns = unknowns.iter().map(|unknown| unknown.step());
+        let headings = self.free_headings.iter().map(|_| HEADING_STEP_RAD);
+        unknowns.chain(headings).collect()
+    }
+
+    fn residuals(&self, unknowns: &[CalibrationUnknown], values: &[f64]) -> Residuals {
+        let (numbers, headings) = self.robot(unknowns, values);
+        let prediction = PathPredictor { parameters: numbers, noise: &self.config.noise };
+        let mut all = Vec::with_capacity(self.paths.len());
+        for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
+            let mut residuals = prediction.innovations(path, heading_rad);
+            if self.free_headings.contains(&run) {
+                let off_rad = wrap_rad(heading_rad - path.start.pose[2]);
+                residuals.push([off_rad / path.start.heading_sigma_rad, 0.0]);
+            }
+            all.push(residuals);
+        }
+        all
+    }
+
+    fn robot(&self, unknowns: &[CalibrationUnknown], values: &[f64]) -> (RobotParameters, Vec<f64>) {
+        let mut numbers = self.parameters;
+        for (unknown, value) in unknowns.iter().zip(values) {
+            unknown.apply(*value, self.base_track_m, &mut numbers);
+        }
+        let mut headings = self.headings_rad.clone();
+        for (run, value) in self.free_headings.iter().zip(&values[unknowns.len()..]) {
+            headings[*run] = *value;
+        }
+        (numbers, headings)
+    }
+
+    pub(super) fn report(
+        &self,
+        chosen: &ParameterFit,
+        standings: Vec<UnknownStatus>,
+        length_windows: Option<usize>,
+    ) -> PathCalibration {
+        let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
+        let by_others = self.shift_by_other_unknowns(chosen, &standings);
+        let by_wandering = self.shift_by_heading_noise(chosen);
+        let looked_at = UNKNOWNS.iter().zip(standings);
+        let looked_at = looked_at.zip(by_others.into_iter().zip(by_wandering));
+        let entries = looked_at.map(|((unknown, standing), (by_others, by_wandering))| {
+            let before = unknown.prior(&self.config.calibration);
+            let after = match unknown {
+                CalibrationUnknown::RadiusScale => self.radius_scale.or(chosen.value_of(*unknown)),
+                CalibrationUnknown::TrackScale
+                | CalibrationUnknown::RadiusDifference
+                | CalibrationUnknown::FixDelay
+                | CalibrationUnknown::TagForward
+                | CalibrationUnknown::TagLeft => chosen
+                    .value_of(*unknown)
+                    .map(|found| UncertainValue { sigma: found.sigma.hypot(by_others).hypot(by_wandering), ..found }),
+            };
+            UnknownEstimate { unknown: *unknown, before, after: after.unwrap_or(before), status: standing }
+        });
+        let residuals = self.residuals(&chosen.unknowns, &chosen.fit.values);
+        let all: Vec<f64> = residuals.into_iter().flatten().flatten().collect();
+        PathCalibration {
+            entries: entries.collect(),
+            hypothesis_test: None,
+            length_windows,
+            headings_rad,
+            consistency: all.iter().map(|r| r * r).sum::<f64>() / all.len().max(1) as f64,
+            before: after,
+            after,
+        }
+    }
+
+    /// How far each unknown moves by a heading that wanders as the robot's noise says, one sigma.
+    fn shift_by_heading_noise(&self, chosen: &ParameterFit) -> [f64; UNKNOWNS.len()] {
+        let (unknowns, values) = (&chosen.unknowns, &chosen.fit.values);
+        let (numbers, headings) = self.robot(unknowns, values);
+        let (noise, track_m) = (&self.config.noise, numbers.track_width_m);
+        let prediction = PathPredictor { parameters: numbers, noise };
+        let here = self.residuals(unknowns, values);
+        let mut disturbances = Vec::new();
+        for (run, (path, heading_rad)) in self.paths.iter().zip(headings).enumerate() {
+            for jump in heading_jumps(path, track_m, noise) {
+                let sigma_rad = jump.var_rad2.sqrt();
+                let by = |by_rad: f64| prediction.innovations(&apply_jump(path, jump, by_rad, track_m), heading_rad);
+                let (above, below) = (by(HEADING_STEP_RAD), by(-HEADING_STEP_RAD));
+                let mut disturbance: Residuals = here.iter().map(|run| vec![[0.0; 2]; run.len()]).collect();
+                let sights = disturbance[run].iter_mut();
+                for ((change, up), down) in sights.zip(above).zip(below) {
+                    *change = [0, 1].map(|axis| sigma_rad * (up[axis] - down[axis]) / (2.0 * HEADING_STEP_RAD));
+                }
+                disturbances.push(disturbance);
+            }
+        }
+        let steps = self.steps(unknowns);
+        let residuals = |values: &[f64]| self.residuals(unknowns, values);
+        // What could be fitted can be solved here, too.
+        let moved = solution_shift(disturbances.into_iter(), values, &steps, residuals);
+        let mut squares = [0.0; UNKNOWNS.len()];
+        for shift in moved.unwrap_or_default() {
+            for (square, unknown) in squares.iter_mut().zip(UNKNOWNS) {
+                let place = unknowns.iter().position(|one| *one == unknown);
+                let shift = place.and_then(|place| shift.get(place));
+                *square += shift.map_or(0.0, |shift| shift * shift);
+            }
+        }
+        squares.map(f64::sqrt)
+    }
+
+    /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second step,
+    /// and what the drive does not tell.
+    fn shift_by_other_unknowns(&self, chosen: &ParameterFit, standings: &[UnknownStatus]) -> [f64; UNKNOWNS.len()] {
+        let mut others = Vec::new();
+        if let Some(radius) = self.radius_scale {
+            let mut other = self.clone();
+            other.parameters.radius_scale += radius.sigma;
+            others.push(other);
+        }
+        for (unknown, standing) in UNKNOWNS.iter().zip(standings) {
+            if matches!(standing, UnknownStatus::Unobservable | UnknownStatus::NotSeparable) {
+                let prior = unknown.prior(&self.config.calibration);
+                let mut other = self.clone();
+                let wrong = prior.value + prior.sigma;
+                unknown.apply(wrong, self.base_track_m, &mut other.parameters);
+                others.push(other);
+            }
+        }
+        let mut squares = [0.0; UNKNOWNS.len()];
+        for other in others {
+            // Where it cannot be fitted with a wrong number there is nothing to compare.
+            let Ok(moved) = other.fit(chosen.unknowns.clone()) else {
+                continue;
+            };
+            for (square, unknown) in squares.iter_mut().zip(UNKNOWNS) {
+                if let (Some(here), Some(there)) = (chosen.value_of(unknown), moved.value_of(unknown)) {
+                    *square += (there.value - here.value).powi(2);
+                }
+            }
+        }
+        squares.map(f64::sqrt)
+    }
+}

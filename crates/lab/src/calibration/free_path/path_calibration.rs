@@ -1,0 +1,141 @@
+//! What drives may tell of a robot, and what they told.
+
+use posebridge_telemetry::{Calibration, UncertainValue};
+
+use super::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest};
+use super::predict::RobotParameters;
+
+/// What a drive may tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CalibrationUnknown {
+    /// e_m: relative error of the mean wheel radius.
+    RadiusScale,
+    /// e_b: relative error of the track width.
+    TrackScale,
+    /// e_d: relative difference of the radii, right minus left.
+    RadiusDifference,
+    /// tau: how much earlier than its stamp a sight was true, in seconds.
+    FixDelay,
+    /// l_f: where the tag is, forward of where it is said to be, in metres.
+    TagForward,
+    /// l_l: the same to the left.
+    TagLeft,
+}
+
+/// All of them, in the order in which they are tried.
+pub const UNKNOWNS: [CalibrationUnknown; 6] = [
+    CalibrationUnknown::RadiusScale,
+    CalibrationUnknown::TrackScale,
+    CalibrationUnknown::FixDelay,
+    CalibrationUnknown::RadiusDifference,
+    CalibrationUnknown::TagForward,
+    CalibrationUnknown::TagLeft,
+];
+
+impl CalibrationUnknown {
+    /// Its key in `[robot.calibration]`.
+    #[must_use]
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::RadiusScale => "radius_scale",
+            Self::TrackScale => "track_scale",
+            Self::RadiusDifference => "radius_difference",
+            Self::FixDelay => "fix_delay_s",
+            Self::TagForward => "tag_forward_m",
+            Self::TagLeft => "tag_left_m",
+        }
+    }
+
+    /// What was known of it before.
+    #[must_use]
+    pub const fn prior(self, calibration: &Calibration) -> UncertainValue {
+        match self {
+            Self::RadiusScale => calibration.radius_scale,
+            Self::TrackScale => calibration.track_scale,
+            Self::RadiusDifference => calibration.radius_difference,
+            Self::FixDelay => calibration.fix_delay_s,
+            Self::TagForward => calibration.tag_forward_m,
+            Self::TagLeft => calibration.tag_left_m,
+        }
+    }
+
+    /// The half width of its central difference, in its own unit. A delay has kinks at the counters' readings: it wants a wide one.
+    pub(super) const fn step(self) -> f64 {
+        match self {
+            Self::RadiusScale | Self::TrackScale | Self::RadiusDifference => 1e-5,
+            Self::FixDelay => 1e-2,
+            Self::TagForward | Self::TagLeft => 1e-4,
+        }
+    }
+
+    pub(super) fn apply(self, value: f64, base_track_m: f64, numbers: &mut RobotParameters) {
+        match self {
+            Self::RadiusScale => numbers.radius_scale = value,
+            Self::TrackScale => numbers.track_width_m = base_track_m * (1.0 + value),
+            Self::RadiusDifference => numbers.radius_difference = value,
+            Self::FixDelay => numbers.fix_delay_s = value,
+            Self::TagForward => numbers.tag_m[0] = value,
+            Self::TagLeft => numbers.tag_m[1] = value,
+        }
+    }
+}
+
+/// What became of an unknown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UnknownStatus {
+    /// Estimated.
+    Estimated,
+    /// Its prior has no sigma: taken as given.
+    Fixed,
+    /// The drive tells less of it than the prior: left where it was.
+    Unobservable,
+    /// It cannot be told from the track on this drive: left where it was.
+    NotSeparable,
+}
+
+/// An unknown with its value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnknownEstimate {
+    /// Which.
+    pub unknown: CalibrationUnknown,
+    /// What was known before.
+    pub before: UncertainValue,
+    /// What is known after; equal to `before` unless found.
+    pub after: UncertainValue,
+    /// What became of it.
+    pub status: UnknownStatus,
+}
+
+/// What drives say about a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathCalibration {
+    /// One per unknown, in the order of [`UNKNOWNS`]; relative to the description under [`Self::hypothesis_test`].
+    pub entries: Vec<UnknownEstimate>,
+    /// The description against its rivals; `None` with too few sights.
+    pub hypothesis_test: Option<HypothesisTest>,
+    /// How many windows the wheel size stands on; `None` if it was not taken from the length of the way.
+    pub length_windows: Option<usize>,
+    /// Heading at the start of each run, in radians.
+    pub headings_rad: Vec<f64>,
+    /// Sum of the squared whitened innovations over their number: about one if the noise is as described.
+    pub consistency: f64,
+    /// The robot before, as dead reckoning uses it.
+    pub before: RobotParameters,
+    /// The robot after.
+    pub after: RobotParameters,
+}
+
+impl PathCalibration {
+    /// What became of an unknown.
+    #[must_use]
+    pub fn entry(&self, unknown: CalibrationUnknown) -> UnknownEstimate {
+        let place = UNKNOWNS.iter().position(|one| *one == unknown);
+        self.entries[place.unwrap_or(0)]
+    }
+
+    /// The mistake under which the numbers hold.
+    #[must_use]
+    pub fn hypothesis(&self) -> Hypothesis {
+        self.hypothesis_test.as_ref().map_or(AS_GIVEN, |sanity| sanity.found)
+    }
+}

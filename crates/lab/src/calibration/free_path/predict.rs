@@ -1,0 +1,203 @@
+//! Where a robot with given numbers would have been seen, and how unlikely it is that it was seen elsewhere.
+//!
+//! # Model
+//! ```text
+//! s_L = s_L0 (1 + e_m - e_d/2)     s_R = s_R0 (1 + e_m + e_d/2)     b = b0 (1 + e_b)
+//! d = (s_L + s_R) / 2              dth = (s_R - s_L) / b            arcs, one behind the other, from the start
+//! h = p(t - tau) + R(th) (l_f, l_l)                                 where the tag is seen at the stamp t
+//!
+//! z = p + R(th) l + v       v ~ N(0, sigma^2 I)                     the camera
+//! p <- p + d e(th) + w e(th)      w ~ N(0, k_w^2 (|s_L| + |s_R|)/4 + k_d^2 |d|)      slip along the way
+//! ```
+//! The heading has no noise here: all of it is the work of the numbers that are looked for. So a heading that ends wrong after a
+//! hundred turns counts in full, which is what finds a track; slip along the way is forgiven after a while, which keeps one bump
+//! from bending the rest. The whitened innovations of this Kalman filter of two states are the residuals; log S hardly depends
+//! on the unknowns and is left out.
+//!
+//! # Source
+//! Larsen, Hansen, Andersen and Ravn (1999), Proceedings of FUSION (calibration by innovations); docs/lab/calibrate.md section 3.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::models::differential_drive::{WheelTravel, body_step, step_noise};
+use posebridge_estimator::models::se2::{StepRule, displace};
+use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
+
+use super::drive::{FreePath, TravelStep};
+
+/// A robot's numbers: factors on nominal travel and track, and how it is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotParameters {
+    /// e_m.
+    pub radius_scale: f64,
+    /// e_d.
+    pub radius_difference: f64,
+    /// b, in metres.
+    pub track_width_m: f64,
+    /// tau, in seconds.
+    pub fix_delay_s: f64,
+    /// Added to the tag's configured place, forward and left, in metres.
+    pub tag_m: [f64; 2],
+}
+
+impl RobotParameters {
+    /// As a description has them: its geometry with the values of its calibration.
+    #[must_use]
+    pub fn from_config(config: &FilterConfig) -> Self {
+        let known = &config.calibration;
+        Self {
+            radius_scale: known.radius_scale.value,
+            radius_difference: known.radius_difference.value,
+            track_width_m: config.geometry.track_width.0 * (1.0 + known.track_scale.value),
+            fix_delay_s: known.fix_delay_s.value,
+            tag_m: [known.tag_forward_m.value, known.tag_left_m.value],
+        }
+    }
+}
+
+/// The numbers and the noise with which a drive is predicted.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PathPredictor<'a> {
+    pub(super) parameters: RobotParameters,
+    pub(super) noise: &'a SensorNoise,
+}
+
+/// Whether a sight corrects the position that comes after it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FixHandling {
+    Correct,
+    CompareOnly,
+}
+
+/// Position with its covariance, and a heading without.
+struct PathFilter<'a> {
+    robot: PathPredictor<'a>,
+    geometry: DriveGeometry,
+    pose: [f64; 3],
+    /// xx, xy, yy in m².
+    var: [f64; 3],
+}
+
+/// A pose at the instant of a sight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PredictedTag {
+    /// x, y in metres of the tag.
+    pub(super) tag_m: [f64; 2],
+    /// Heading, not wrapped, in radians.
+    pub(super) heading_rad: f64,
+}
+
+impl PathPredictor<'_> {
+    /// The whitened innovations of a drive that begins with this heading.
+    pub(super) fn innovations(&self, path: &FreePath, heading_rad: f64) -> Vec<[f64; 2]> {
+        let mut white = Vec::with_capacity(path.fixes.len());
+        self.run(path, heading_rad, FixHandling::Correct, |_, innovation| {
+            white.push(innovation);
+        });
+        white
+    }
+
+    /// Where dead reckoning from the start would have been seen.
+    pub(super) fn predict_tags(&self, path: &FreePath, heading_rad: f64) -> Vec<PredictedTag> {
+        let mut seen = Vec::with_capacity(path.fixes.len());
+        self.run(path, heading_rad, FixHandling::CompareOnly, |reckoned, _| {
+            seen.push(reckoned);
+        });
+        seen
+    }
+
+    fn run(&self, path: &FreePath, heading_rad: f64, mode: FixHandling, mut seen: impl FnMut(PredictedTag, [f64; 2])) {
+        let [x, y, _] = path.start.pose;
+        let var = path.start.position_sigma_m.powi(2);
+        let mut walk = PathFilter {
+            robot: *self,
+            geometry: nominal(self.parameters.track_width_m),
+            pose: [x, y, heading_rad],
+            var: [var, 0.0, var],
+        };
+        let mut steps = path.steps.iter();
+        let mut open = steps.next().copied();
+        for sight in &path.fixes {
+            let until_s = sight.at_s - self.parameters.fix_delay_s;
+            while let Some(step) = open {
+                if step.from_s >= until_s {
+                    break;
+                }
+                if step.until_s <= until_s {
+                    walk.drive(step.travel);
+                    open = steps.next().copied();
+                } else {
+                    open = Some(walk.drive_until(step, until_s));
+                }
+            }
+            let tag = [0, 1].map(|axis| sight.tag_m[axis] + self.parameters.tag_m[axis]);
+            let reckoned = walk.predicted_tag(tag);
+            let innovation = match mode {
+                FixHandling::Correct => walk.correct(reckoned.tag_m, sight.position_m, sight.sigma_m),
+                FixHandling::CompareOnly => [0.0; 2],
+            };
+            seen(reckoned, innovation);
+        }
+    }
+}
+
+/// Only the track is asked of it.
+pub(super) const fn nominal(track_width_m: f64) -> DriveGeometry {
+    DriveGeometry {
+        left_wheel_radius: Meters(1.0),
+        right_wheel_radius: Meters(1.0),
+        track_width: Meters(track_width_m),
+        tick: Radians(1.0),
+    }
+}
+
+impl PathFilter<'_> {
+    /// Rolls along a part of a step and returns the rest of it.
+    fn drive_until(&mut self, step: TravelStep, until_s: f64) -> TravelStep {
+        let share = (until_s - step.from_s) / (step.until_s - step.from_s);
+        let part =
+            |share: f64| WheelTravel { left_m: step.travel.left_m * share, right_m: step.travel.right_m * share };
+        self.drive(part(share));
+        TravelStep { from_s: until_s, until_s: step.until_s, travel: part(1.0 - share) }
+    }
+
+    fn drive(&mut self, nominal: WheelTravel) {
+        let numbers = &self.robot.parameters;
+        let travel = WheelTravel {
+            left_m: nominal.left_m * (1.0 + numbers.radius_scale - 0.5 * numbers.radius_difference),
+            right_m: nominal.right_m * (1.0 + numbers.radius_scale + 0.5 * numbers.radius_difference),
+        };
+        let step = body_step(travel, &self.geometry);
+        let moved = displace(self.pose[2], step, StepRule::Arc);
+        let slip_var = step_noise(travel, &self.geometry, self.robot.noise).forward_var_m2;
+        let (sin, cos) = (self.pose[2] + 0.5 * step.turn_rad).sin_cos();
+        self.pose = [self.pose[0] + moved.dx_m, self.pose[1] + moved.dy_m, self.pose[2] + step.turn_rad];
+        self.var[0] += slip_var * cos * cos;
+        self.var[1] += slip_var * cos * sin;
+        self.var[2] += slip_var * sin * sin;
+    }
+
+    fn predicted_tag(&self, [forward_m, left_m]: [f64; 2]) -> PredictedTag {
+        let [x, y, heading_rad] = self.pose;
+        let (sin, cos) = heading_rad.sin_cos();
+        PredictedTag { tag_m: [x + cos * forward_m - sin * left_m, y + sin * forward_m + cos * left_m], heading_rad }
+    }
+
+    /// Takes the two numbers of a sight one after the other and returns the whitened innovations.
+    fn correct(&mut self, reckoned_m: [f64; 2], seen_m: [f64; 2], sigma_m: f64) -> [f64; 2] {
+        let mut corrected_m = [0.0; 2];
+        let mut white = [0.0; 2];
+        for axis in 0..2 {
+            let [xx, xy, yy] = self.var;
+            let (to_x, to_y) = if axis == 0 { (xx, xy) } else { (xy, yy) };
+            let s = if axis == 0 { xx } else { yy } + sigma_m * sigma_m;
+            let nu = seen_m[axis] - reckoned_m[axis] - corrected_m[axis];
+            white[axis] = nu / s.sqrt();
+            corrected_m[0] += to_x / s * nu;
+            corrected_m[1] += to_y / s * nu;
+            self.var = [xx - to_x * to_x / s, xy - to_x * to_y / s, yy - to_y * to_y / s];
+        }
+        self.pose[0] += corrected_m[0];
+        self.pose[1] += corrected_m[1];
+        white
+    }
+}

@@ -1,0 +1,297 @@
+//! UMBmark: wheel diameters and track from squares that are driven in both directions.
+//!
+//! The robot drives a square and believes to be home; a ruler says where it really is. A wrong track turns all corners too far or too
+//! little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same hand in both directions. So
+//! the two errors look alike in one direction and are told apart by the other.
+//!
+//! # Model
+//! ```text
+//! e  = measured end - end by odometry, in the space of the start       mean over the runs of one direction
+//! alpha = (x_cw + x_ccw) / (-4 L) = (y_cw - y_ccw) / (-4 L)            turned too little at each corner, rad
+//! beta  = (x_cw - x_ccw) / (-4 L) = (y_cw + y_ccw) / (-4 L)            turned along each side, rad
+//! R   = (L / 2) / sin(beta / 2)                                        radius of a bent side
+//! E_d = D_R / D_L = (R + b/2) / (R - b/2)
+//! E_b = 90 deg / (90 deg - alpha)
+//! b  <- E_b b      c_L = 2 / (E_d + 1)      c_R = 2 / (1 / E_d + 1)    factors on the wheels; their mean stays
+//! ```
+//! `alpha` and `beta` are the means of what x and y say. The mean wheel size cannot be seen in a closed square.
+//!
+//! # Assumptions
+//! Errors are small: the sine of an angle is the angle. The runs of one direction differ by chance only.
+//!
+//! # Source
+//! Borenstein and Feng (1996), IEEE Transactions on Robotics and Automation 12(6), 869-880.
+
+use std::f64::consts::FRAC_PI_2;
+
+use posebridge_telemetry::UncertainValue;
+
+use super::CalibrationError;
+
+/// Which way a square was driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SquareDirection {
+    /// To the right at each corner.
+    Clockwise,
+    /// To the left at each corner.
+    CounterClockwise,
+}
+
+/// One square.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SquareRun {
+    /// Which way.
+    pub direction: SquareDirection,
+    /// Measured end minus the end by odometry, ahead of the start, in metres.
+    pub ahead_m: f64,
+    /// The same to the left of the start, in metres.
+    pub left_m: f64,
+}
+
+/// The robot's numbers as odometry used them, and the square.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SquareRobot {
+    /// Distance between the wheels, in metres.
+    pub track_width_m: f64,
+    /// Length of a side, in metres.
+    pub side_m: f64,
+}
+
+/// What the squares say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Umbmark {
+    /// Relative error of the track.
+    pub track_scale: UncertainValue,
+    /// Relative difference of the radii, right minus left.
+    pub radius_difference: UncertainValue,
+    /// alpha, in radians.
+    pub corner_rad: f64,
+    /// beta, in radians.
+    pub bend_rad: f64,
+    /// Factor on the left wheel's radius.
+    pub left_factor: f64,
+    /// Factor on the right wheel's radius.
+    pub right_factor: f64,
+    /// What x and y say about alpha and beta lies apart by so many radians, at most; large beside them: no square was driven.
+    pub disagreement_rad: f64,
+    /// The figure of merit of these runs.
+    pub error: SquareError,
+}
+
+/// How far squares end from home.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SquareError {
+    /// Mean end error (ahead, left) of the runs clockwise, in metres.
+    pub clockwise_m: [f64; 2],
+    /// The same of those counter-clockwise.
+    pub counter_clockwise_m: [f64; 2],
+    /// The larger distance of both means from home: E_max,syst, in metres.
+    pub systematic_m: f64,
+    /// Root mean square distance of the runs from the mean of their direction, in metres.
+    pub scatter_m: f64,
+}
+
+/// Fewest runs of a direction.
+const MIN_RUNS: usize = 1;
+
+/// The figure of merit of runs in both directions.
+///
+/// # Errors
+/// [`CalibrationError::TooFewData`]: a direction is missing; [`CalibrationError::ImplausibleValue`]: an end that is not finite.
+pub fn square_error(runs: &[SquareRun]) -> Result<SquareError, CalibrationError> {
+    let (clockwise, by_cw) = mean_of(runs, SquareDirection::Clockwise)?;
+    let (counter, by_ccw) = mean_of(runs, SquareDirection::CounterClockwise)?;
+    let count = runs.len() as f64;
+    Ok(SquareError {
+        clockwise_m: clockwise,
+        counter_clockwise_m: counter,
+        systematic_m: clockwise[0].hypot(clockwise[1]).max(counter[0].hypot(counter[1])),
+        scatter_m: ((by_cw.iter().sum::<f64>() + by_ccw.iter().sum::<f64>()) / count).sqrt(),
+    })
+}
+
+/// Mean end of a direction, and the sums of squares about it along both axes.
+fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], [f64; 2]), CalibrationError> {
+    let ends: Vec<[f64; 2]> =
+        runs.iter().filter(|run| run.direction == direction).map(|run| [run.ahead_m, run.left_m]).collect();
+    if ends.len() < MIN_RUNS {
+        return Err(CalibrationError::TooFewData {
+            what: match direction {
+                SquareDirection::Clockwise => "squares driven clockwise",
+                SquareDirection::CounterClockwise => "squares driven counter-clockwise",
+            },
+            found: ends.len(),
+            needed: MIN_RUNS,
+        });
+    }
+    if let Some(value) = ends.iter().flatten().find(|value| !value.is_finite()) {
+        return Err(CalibrationError::ImplausibleValue { what: "the end of a square", value: *value });
+    }
+    let count = ends.len() as f64;
+    let mean = [0, 1].map(|axis| ends.iter().map(|end| end[axis]).sum::<f64>() / count);
+    let squares = [0, 1].map(|axis| {
+        let apart = ends.iter().map(|end| (end[axis] - mean[axis]).powi(2));
+        apart.sum::<f64>()
+    });
+    Ok((mean, squares))
+}
+
+/// Track and wheels from the ends of squares.
+///
+/// # Errors
+/// As [`square_error`]; [`CalibrationError::ImplausibleValue`] for a side or a track that is not positive, or for corners so wrong that no
+/// track explains them.
+pub fn estimate_umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, CalibrationError> {
+    for (what, value) in [("the side of the square", robot.side_m), ("the track width", robot.track_width_m)] {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(CalibrationError::ImplausibleValue { what, value });
+        }
+    }
+    let error = square_error(runs)?;
+    let ([x_cw, y_cw], [x_ccw, y_ccw]) = (error.clockwise_m, error.counter_clockwise_m);
+    let four_sides_m = 4.0 * robot.side_m;
+    let alphas = [(x_cw + x_ccw) / -four_sides_m, (y_cw - y_ccw) / -four_sides_m];
+    let betas = [(x_cw - x_ccw) / -four_sides_m, (y_cw + y_ccw) / -four_sides_m];
+    let alpha = f64::midpoint(alphas[0], alphas[1]);
+    let beta = f64::midpoint(betas[0], betas[1]);
+    if alpha.abs() >= 0.5 * FRAC_PI_2 || beta.abs() >= 0.5 * FRAC_PI_2 {
+        let value = if alpha.abs() > beta.abs() { alpha } else { beta };
+        return Err(CalibrationError::ImplausibleValue { what: "the error of a corner (rad)", value });
+    }
+    let ratio = wheel_ratio(beta, robot);
+    let sigma = angle_sigma(runs, robot.side_m)?;
+    Ok(Umbmark {
+        track_scale: UncertainValue { value: FRAC_PI_2 / (FRAC_PI_2 - alpha) - 1.0, sigma: sigma / FRAC_PI_2 },
+        radius_difference: UncertainValue {
+            value: 2.0 * (ratio - 1.0) / (ratio + 1.0),
+            // d E_d / d beta = b / L for small angles.
+            sigma: sigma * robot.track_width_m / robot.side_m,
+        },
+        corner_rad: alpha,
+        bend_rad: beta,
+        left_factor: 2.0 / (ratio + 1.0),
+        right_factor: 2.0 / (1.0 / ratio + 1.0),
+        disagreement_rad: (alphas[0] - alphas[1]).abs().max((betas[0] - betas[1]).abs()),
+        error,
+    })
+}
+
+/// E_d; a side that is not bent has no radius.
+fn wheel_ratio(beta: f64, robot: SquareRobot) -> f64 {
+    let half_track_m = 0.5 * robot.track_width_m;
+    // (R + b/2) / (R - b/2) with the curvature 1/R, so that a straight side divides by nothing that is zero.
+    let curvature_per_m = (0.5 * beta).sin() / (0.5 * robot.side_m);
+    (1.0 + curvature_per_m * half_track_m) / (1.0 - curvature_per_m * half_track_m)
+}
+
+/// One standard deviation of alpha and of beta, from the scatter of the runs; both are means of two sums of two means, over 4 L.
+fn angle_sigma(runs: &[SquareRun], side_m: f64) -> Result<f64, CalibrationError> {
+    let mut variance_m2 = 0.0;
+    for direction in [SquareDirection::Clockwise, SquareDirection::CounterClockwise] {
+        let (_, squares) = mean_of(runs, direction)?;
+        let count = runs.iter().filter(|run| run.direction == direction).count() as f64;
+        if count > 1.0 {
+            variance_m2 += (squares[0] + squares[1]) / ((count - 1.0) * count);
+        }
+    }
+    Ok(0.5 * variance_m2.sqrt() / (4.0 * side_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where a robot with these true numbers ends that drives a square by the nominal ones, integrated finely.
+    fn end(direction: SquareDirection, track_scale: f64, difference: f64) -> SquareRun {
+        const SIDE_M: f64 = 4.0;
+        const TRACK_M: f64 = 0.34;
+        const PARTS: u32 = 400;
+        let sign = match direction {
+            SquareDirection::Clockwise => -1.0,
+            SquareDirection::CounterClockwise => 1.0,
+        };
+        let (mut x, mut y, mut heading) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let mut roll = |forward: f64, turn: f64| {
+            let left = (forward - 0.5 * turn * TRACK_M) * (1.0 - 0.5 * difference);
+            let right = (forward + 0.5 * turn * TRACK_M) * (1.0 + 0.5 * difference);
+            let turned = (right - left) / (TRACK_M * (1.0 + track_scale));
+            let middle = heading + 0.5 * turned;
+            x += 0.5 * (left + right) * middle.cos();
+            y += 0.5 * (left + right) * middle.sin();
+            heading += turned;
+        };
+        for _ in 0..4 {
+            for _ in 0..PARTS {
+                roll(SIDE_M / f64::from(PARTS), 0.0);
+            }
+            for _ in 0..PARTS {
+                roll(0.0, sign * FRAC_PI_2 / f64::from(PARTS));
+            }
+        }
+        SquareRun { direction, ahead_m: x, left_m: y }
+    }
+
+    const ROBOT: SquareRobot = SquareRobot { track_width_m: 0.34, side_m: 4.0 };
+
+    #[test]
+    fn squares_of_a_wrong_robot_tell_what_is_wrong() {
+        for (track_scale, difference) in [(0.01, 0.0), (-0.01, 0.0), (0.0, 0.001), (0.0, -0.001), (0.012, -0.0007)] {
+            let runs = [SquareDirection::Clockwise, SquareDirection::CounterClockwise]
+                .map(|direction| end(direction, track_scale, difference));
+            let found = estimate_umbmark(&runs, ROBOT).unwrap();
+            // The formulae are of first order: what is left is the square of a corner's error.
+            assert!(
+                (found.track_scale.value - track_scale).abs() < 0.05 * track_scale.abs() + 5e-5,
+                "{track_scale} {difference}: {found:?}"
+            );
+            assert!(
+                (found.radius_difference.value - difference).abs() < 0.05 * difference.abs() + 2e-5,
+                "{track_scale} {difference}: {found:?}"
+            );
+            assert!((found.right_factor / found.left_factor - 1.0 - difference).abs() < 1e-4);
+            assert!((found.left_factor + found.right_factor - 2.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn by_hand_from_the_equations() {
+        let run = |direction, ahead_m, left_m| SquareRun { direction, ahead_m, left_m };
+        // L = 4: alpha = 0.02 and beta = 0.01 give x_cw = -0.24, x_ccw = -0.08, y_cw = -0.24, y_ccw = 0.08.
+        let runs = [run(SquareDirection::Clockwise, -0.24, -0.24), run(SquareDirection::CounterClockwise, -0.08, 0.08)];
+        let found = estimate_umbmark(&runs, ROBOT).unwrap();
+        assert!((found.corner_rad - 0.02).abs() < 1e-12 && (found.bend_rad - 0.01).abs() < 1e-12);
+        assert!(found.disagreement_rad < 1e-12);
+        assert!((found.error.systematic_m - 0.24_f64.hypot(0.24)).abs() < 1e-12);
+        // R = 2 / sin 0.005 = 400.00167; E_d = 400.17167 / 399.83167.
+        assert!((found.right_factor / found.left_factor - 1.000_850_357).abs() < 1e-8);
+    }
+
+    #[test]
+    fn the_scatter_of_the_runs_becomes_sigmas() {
+        let mut runs = Vec::new();
+        for direction in [SquareDirection::Clockwise, SquareDirection::CounterClockwise] {
+            for off_m in [-0.01, 0.0, 0.01] {
+                runs.push(SquareRun { direction, ahead_m: off_m, left_m: -off_m });
+            }
+        }
+        let found = estimate_umbmark(&runs, ROBOT).unwrap();
+        // Variance of a mean of three along an axis: 1e-4 / 3; four of them, half their root, over 16 m.
+        let sigma_rad = 0.5 * (4.0 * 1e-4_f64 / 3.0).sqrt() / 16.0;
+        assert!((found.track_scale.sigma - sigma_rad / FRAC_PI_2).abs() < 1e-12);
+        assert!((found.error.scatter_m - (2.0_f64 * 4e-4 * 2.0 / 2.0 / 6.0).sqrt()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn one_direction_and_numbers_that_are_none_are_refused() {
+        let one = [SquareRun { direction: SquareDirection::Clockwise, ahead_m: 0.1, left_m: 0.0 }];
+        assert!(matches!(estimate_umbmark(&one, ROBOT), Err(CalibrationError::TooFewData { found: 0, .. })));
+        let mut both = [one[0], one[0]];
+        both[1].direction = SquareDirection::CounterClockwise;
+        both[1].left_m = f64::NAN;
+        assert!(estimate_umbmark(&both, ROBOT).is_err());
+        both[1].left_m = 1e9;
+        assert!(estimate_umbmark(&both, ROBOT).is_err());
+        let side_m = 0.0;
+        assert!(estimate_umbmark(&one, SquareRobot { side_m, ..ROBOT }).is_err());
+    }
+}

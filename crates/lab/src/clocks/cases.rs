@@ -1,0 +1,155 @@
+//! Links and clocks whose truth is known.
+//!
+//! The link is that of a Bluetooth serial port: about 30 ms for the radio to turn around, jitter, and stalls that its users report.
+//! Nothing overtakes, because a serial port keeps the order.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::ClockExchange;
+
+/// Time between two requests, s.
+const PERIOD_S: f64 = 0.1;
+/// Smallest delay each way, s.
+const BASE_DELAY_S: f64 = 0.015;
+/// Mean of the exponential delay on top, s.
+const JITTER_S: f64 = 0.008;
+/// Share of messages that stall, and for how long, s.
+const STALL_PROBABILITY: f64 = 0.01;
+const STALL_S: std::ops::Range<f64> = 0.05..0.5;
+/// What the clock shows when the session begins, s: the brick was on before.
+const START_S: f64 = 1_234.5;
+
+/// A clock behind a link.
+#[derive(Clone, Copy, Debug)]
+pub struct ClockCase {
+    /// The name in tables.
+    pub name: &'static str,
+    /// What is special about it.
+    pub summary: &'static str,
+    /// Host seconds in all.
+    pub duration_s: f64,
+    /// The error counts from this host instant on, s.
+    pub scored_from_s: f64,
+    /// So much longer is the way to the brick, s.
+    pub extra_forward_delay_s: f64,
+    /// What the clock has gained on the host's after so many host seconds, s.
+    pub drift_s: fn(f64) -> f64,
+    /// Host instant at which the clock begins at zero again, s.
+    pub restart_at_s: Option<f64>,
+}
+
+/// 50 ppm: a good crystal.
+const CRYSTAL_CASE: ClockCase = ClockCase {
+    name: "50ppm",
+    summary: "a crystal that is 50 ppm fast",
+    duration_s: 180.0,
+    scored_from_s: 100.0,
+    extra_forward_delay_s: 0.0,
+    drift_s: |host_s| 50e-6 * host_s,
+    restart_at_s: None,
+};
+
+/// All cases, in the order of the table.
+pub const CLOCK_CASES: &[ClockCase] = &[
+    CRYSTAL_CASE,
+    ClockCase {
+        name: "2021ppm",
+        summary: "a ceramic resonator that is 2021 ppm fast",
+        drift_s: |host_s| 2_021e-6 * host_s,
+        ..CRYSTAL_CASE
+    },
+    ClockCase {
+        name: "asymmetric",
+        summary: "50 ppm, and 15 ms more to the brick than back",
+        extra_forward_delay_s: 0.015,
+        ..CRYSTAL_CASE
+    },
+    ClockCase {
+        name: "drift",
+        summary: "from 50 to 60 ppm within ten minutes",
+        duration_s: 600.0,
+        drift_s: |host_s| 50e-6 * host_s + 10e-6 * host_s * host_s / 1_200.0,
+        ..CRYSTAL_CASE
+    },
+    ClockCase {
+        name: "reboot",
+        summary: "50 ppm, and begins at zero again after 120 s",
+        restart_at_s: Some(120.0),
+        ..CRYSTAL_CASE
+    },
+];
+
+/// An exchange with its truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SimulatedExchange {
+    pub(super) exchange: ClockExchange,
+    /// Host instant of the stamp, s.
+    pub(super) answered_s: f64,
+}
+
+impl ClockCase {
+    /// What the clock shows at a host instant, s, in whole microseconds.
+    fn remote_time_s(&self, host_s: f64) -> f64 {
+        let exact_s = match self.restart_at_s {
+            Some(restart_s) if host_s >= restart_s => {
+                host_s - restart_s + (self.drift_s)(host_s) - (self.drift_s)(restart_s)
+            }
+            _ => START_S + host_s + (self.drift_s)(host_s),
+        };
+        (exact_s * 1e6).floor() * 1e-6
+    }
+
+    /// All exchanges of one seed, in order.
+    pub(super) fn exchanges(&self, seed: u64) -> Vec<SimulatedExchange> {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let (mut answered_s, mut received_s) = (0.0_f64, 0.0_f64);
+        let count = (self.duration_s / PERIOD_S).round() as u32;
+        let exchanges = (0..count).map(|k| {
+            let sent_s = f64::from(k) * PERIOD_S;
+            answered_s = answered_s.max(sent_s + self.extra_forward_delay_s + draw_delay_s(&mut rng));
+            received_s = received_s.max(answered_s + draw_delay_s(&mut rng));
+            SimulatedExchange {
+                exchange: ClockExchange { sent_s, remote_s: self.remote_time_s(answered_s), received_s },
+                answered_s,
+            }
+        });
+        exchanges.collect()
+    }
+}
+
+fn draw_delay_s(rng: &mut Pcg64) -> f64 {
+    let jitter_s = -JITTER_S * (1.0 - rng.random::<f64>()).ln();
+    let stall_s = if rng.random::<f64>() < STALL_PROBABILITY { rng.random_range(STALL_S) } else { 0.0 };
+    BASE_DELAY_S + jitter_s + stall_s
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_overtakes_and_nothing_is_quicker_than_the_link() {
+        for case in CLOCK_CASES {
+            let exchanges = case.exchanges(3);
+            for pair in exchanges.windows(2) {
+                assert!(pair[0].answered_s <= pair[1].answered_s, "{}", case.name);
+                assert!(pair[0].exchange.received_s <= pair[1].exchange.received_s);
+            }
+            for known in &exchanges {
+                let forth_s = known.answered_s - known.exchange.sent_s;
+                assert!(forth_s >= BASE_DELAY_S + case.extra_forward_delay_s - 1e-9);
+                assert!(known.exchange.received_s - known.answered_s >= BASE_DELAY_S - 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn a_restarted_clock_begins_at_zero() {
+        let reboot = CLOCK_CASES.iter().find(|case| case.restart_at_s.is_some());
+        let reboot = reboot.unwrap();
+        assert_eq!(reboot.remote_time_s(120.0), 0.0);
+        assert!((reboot.remote_time_s(130.0) - 10.0005).abs() < 1e-6);
+        assert!((reboot.remote_time_s(100.0) - 1_334.505).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,180 @@
+//! Where an estimate ends: errors in x and y at the end of a course, over many runs.
+//!
+//! A course that closes on itself is judged by its end point alone; that is what the source papers give.
+
+use posebridge_estimator::Filter;
+use posebridge_telemetry::{Arena, Observation, Pose};
+
+use posebridge_report::metrics::PoseError;
+use posebridge_report::metrics::anees::anees;
+
+/// The share of runs that a 95 % figure leaves below it.
+const HIGH_QUANTILE: f64 = 0.95;
+
+/// An estimate over a course: its end, and the way that it believed in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FilteredDrive {
+    /// Estimated minus true at the end; `None` if there was no estimate.
+    pub end: Option<PoseError>,
+    /// x and y after each observation that moved it, m.
+    pub track_m: Vec<(f64, f64)>,
+}
+
+/// Runs a filter over a course that ends at `truth`.
+pub fn run_filter<'a>(
+    filter: &mut dyn Filter,
+    observations: impl Iterator<Item = &'a Observation>,
+    truth: Pose<Arena>,
+) -> FilteredDrive {
+    let mut way_m = Vec::new();
+    let mut last = None;
+    for observation in observations {
+        filter.observe(observation);
+        let estimate = filter.latest_time().and_then(|at| filter.estimate_at(at));
+        let Some(estimate) = estimate else { continue };
+        let here = (estimate.pose.x.0, estimate.pose.y.0);
+        if way_m.last() != Some(&here) {
+            way_m.push(here);
+        }
+        last = Some(estimate);
+    }
+    FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track_m: way_m }
+}
+
+/// End errors over many runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EndErrorSummary {
+    /// Runs with an end.
+    pub runs: usize,
+    /// Root mean square in x and y, m.
+    pub rms_m: (f64, f64),
+    /// What 95 % of the runs stay below in x and y, without sign, m.
+    pub p95_m: (f64, f64),
+    /// Median of the distance from the true end, m.
+    pub median_m: f64,
+    /// Runs within the limits in x and in y, and in both.
+    pub within: (usize, usize, usize),
+    /// Mean of e' P^-1 e / 3 at the end; 1 if the claim is honest.
+    pub anees: Option<f64>,
+}
+
+/// Sums up ends; `limits_m` are those in x and y that count as within.
+#[must_use]
+pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndErrorSummary {
+    let ends: Vec<PoseError> = ends.iter().flatten().copied().collect();
+    let of = |value: &dyn Fn(&PoseError) -> f64| -> Vec<f64> {
+        let mut values: Vec<f64> = ends.iter().map(value).collect();
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    let x = of(&|end| end.dx_m.abs());
+    let y = of(&|end| end.dy_m.abs());
+    let rms = |values: &[f64]| {
+        let squares = values.iter().map(|value| value * value).sum::<f64>();
+        (squares / values.len().max(1) as f64).sqrt()
+    };
+    let count = |fits: &dyn Fn(&PoseError) -> bool| ends.iter().filter(|end| fits(end)).count();
+    let in_x = |end: &PoseError| end.dx_m.abs() <= limits_m.0;
+    let in_y = |end: &PoseError| end.dy_m.abs() <= limits_m.1;
+    EndErrorSummary {
+        runs: ends.len(),
+        rms_m: (rms(&x), rms(&y)),
+        p95_m: (quantile(&x, HIGH_QUANTILE), quantile(&y, HIGH_QUANTILE)),
+        median_m: quantile(&of(&PoseError::position_m), 0.5),
+        within: (count(&in_x), count(&in_y), count(&|end| in_x(end) && in_y(end))),
+        anees: anees(&ends).value,
+    }
+}
+
+/// The value that this share of the sorted values does not exceed (nearest rank); 0 without values.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
+/// In how many runs the first ends nearer to the truth than the second; who has no end is not near.
+#[must_use]
+pub fn count_nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> usize {
+    let pairs = ours.iter().zip(theirs);
+    let wins = pairs.filter(|(ours, theirs)| match (ours, theirs) {
+        (Some(ours), Some(theirs)) => ours.position_m() < theirs.position_m(),
+        (Some(_), None) => true,
+        (None, _) => false,
+    });
+    wins.count()
+}
+
+/// By how much the squared errors of one estimator are smaller than those of another, run by run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairedDifference {
+    /// Mean of theirs less ours, in x and y, m²: more than zero if ours is nearer.
+    pub mean_m2: (f64, f64),
+    /// One standard deviation of that mean, m².
+    pub sigma_m2: (f64, f64),
+}
+
+/// Compares two estimators over the same runs. The luck of a run is in both, so that the difference is known far better than either
+/// error; `None` with fewer than two runs in which both have an end.
+#[must_use]
+pub fn paired_difference(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> Option<PairedDifference> {
+    let pairs = ours.iter().zip(theirs);
+    let both: Vec<(f64, f64)> = pairs
+        .filter_map(|(ours, theirs)| {
+            let (ours, theirs) = (ours.as_ref()?, theirs.as_ref()?);
+            Some((theirs.dx_m.powi(2) - ours.dx_m.powi(2), theirs.dy_m.powi(2) - ours.dy_m.powi(2)))
+        })
+        .collect();
+    let (x, y) = (mean_and_sigma(both.iter().map(|pair| pair.0))?, mean_and_sigma(both.iter().map(|pair| pair.1))?);
+    Some(PairedDifference { mean_m2: (x.0, y.0), sigma_m2: (x.1, y.1) })
+}
+
+/// A mean and its standard deviation; `None` with fewer than two values.
+fn mean_and_sigma(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)> {
+    let count = values.clone().count() as f64;
+    if count < 2.0 {
+        return None;
+    }
+    let mean = values.clone().sum::<f64>() / count;
+    let squares: f64 = values.map(|value| (value - mean).powi(2)).sum();
+    Some((mean, (squares / (count - 1.0) / count).sqrt()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn end(dx_m: f64, dy_m: f64) -> PoseError {
+        PoseError { dx_m, dy_m, heading_rad: None, covariance: None }
+    }
+
+    #[test]
+    fn ninety_five_of_a_hundred_stay_below_the_figure() {
+        let ends: Vec<_> = (1..=100).map(|run| Some(end(-0.01 * f64::from(run), 0.0))).collect();
+        let found = summarise_ends(&ends, (0.235, 0.32));
+        assert!((found.p95_m.0 - 0.95).abs() < 1e-12);
+        assert!((found.median_m - 0.5).abs() < 1e-12);
+        assert_eq!(found.within, (23, 100, 23));
+        // Sum of squares of 1 to 100 is 338350.
+        assert!((found.rms_m.0 - 0.01 * 3_383.5_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(found.anees, None);
+        assert_eq!(summarise_ends(&[None], (1.0, 1.0)).runs, 0);
+    }
+
+    #[test]
+    fn nearer_counts_run_by_run() {
+        let ours = [Some(end(0.1, 0.0)), Some(end(0.3, 0.4)), None, Some(end(9.0, 9.0))];
+        let theirs = [Some(end(0.0, 0.2)), Some(end(0.4, 0.2)), Some(end(5.0, 5.0)), None];
+        assert_eq!(count_nearer(&ours, &theirs), 2);
+    }
+
+    #[test]
+    fn paired_errors_are_compared_run_by_run() {
+        let ours = [Some(end(0.1, 0.0)), None, Some(end(0.2, 0.3))];
+        let theirs = [Some(end(0.3, 0.1)), Some(end(9.0, 9.0)), Some(end(-0.4, 0.0))];
+        let found = paired_difference(&ours, &theirs).unwrap();
+        // x: 0.08 and 0.12; y: 0.01 and -0.09.
+        assert!((found.mean_m2.0 - 0.10).abs() < 1e-12 && (found.mean_m2.1 + 0.04).abs() < 1e-12);
+        assert!((found.sigma_m2.0 - 0.02).abs() < 1e-12 && (found.sigma_m2.1 - 0.05).abs() < 1e-12);
+        assert_eq!(paired_difference(&ours[..2], &theirs[..2]), None);
+    }
+}

@@ -1,0 +1,214 @@
+//! One sensor out of all that a robot says, as samples of one number.
+//!
+//! ```text
+//! speed of a wheel   (phi_k - phi_(k-1)) / (t_k - t_(k-1)) at the middle of the interval      sigma = tick / dt / sqrt(6)   (18)
+//! ```
+//! The mean speed of an interval is that at its middle, to the second order of the interval over the lag. Both readings are rounded down to
+//! whole ticks: a difference of two uniform errors.
+//!
+//! # Sources
+//! docs/lab/identify.md.
+
+use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId, SensorNoise};
+
+use super::parameter_uncertainty::Sampling;
+use super::{TimedSample, estimate_noise, sorted_by_time, sorted_finite};
+
+/// A number that a robot or a recording has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SensorChannel {
+    /// The first thermometer.
+    Temperature,
+    /// Speed of the left wheel by its encoder.
+    LeftWheel,
+    /// Speed of the right wheel by its encoder.
+    RightWheel,
+    /// The gyro.
+    TurnRate,
+    /// The range to what is ahead.
+    WallRange,
+}
+
+impl SensorChannel {
+    /// For people.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Temperature => "temperature",
+            Self::LeftWheel => "left wheel",
+            Self::RightWheel => "right wheel",
+            Self::TurnRate => "turn rate",
+            Self::WallRange => "range",
+        }
+    }
+
+    /// The unit of its samples.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Temperature => "°C",
+            Self::LeftWheel | Self::RightWheel | Self::TurnRate => "rad/s",
+            Self::WallRange => "m",
+        }
+    }
+
+    /// The samples in the order of time, in seconds of the brick's clock; those that are not finite or not later than the one before are left out.
+    #[must_use]
+    pub fn samples(self, observations: &[Observation]) -> Vec<TimedSample> {
+        let values: Vec<TimedSample> = self.finite_samples(observations).collect();
+        let values = sorted_by_time(&values);
+        match self {
+            Self::LeftWheel | Self::RightWheel => differences(&values),
+            Self::Temperature | Self::TurnRate | Self::WallRange => values,
+        }
+    }
+
+    /// How many of the sensor's observations [`Self::samples`] leaves out.
+    #[must_use]
+    pub fn excluded_count(self, observations: &[Observation]) -> usize {
+        let values: Vec<TimedSample> = self.finite_samples(observations).collect();
+        values.len() - sorted_by_time(&values).len()
+    }
+
+    fn finite_samples(self, observations: &[Observation]) -> impl Iterator<Item = TimedSample> {
+        observations.iter().filter_map(move |observation| {
+            Some(TimedSample { at_s: observation.stamp.as_secs_f64(), value: self.value_of(observation)? })
+        })
+    }
+
+    /// What its samples are.
+    #[must_use]
+    pub const fn sampling(self) -> Sampling {
+        match self {
+            Self::LeftWheel | Self::RightWheel => Sampling::Differences,
+            Self::Temperature | Self::TurnRate | Self::WallRange => Sampling::Readings,
+        }
+    }
+
+    fn value_of(self, observation: &Observation) -> Option<f64> {
+        match (self, observation.measurement) {
+            (Self::Temperature, ObservationKind::Temperature(temperature)) => {
+                // A recording may hold further ones.
+                (observation.sensor == SensorId::THERMOMETER).then_some(temperature.0)
+            }
+            (Self::LeftWheel, ObservationKind::WheelAngles { left, .. }) => Some(left.0),
+            (Self::RightWheel, ObservationKind::WheelAngles { right, .. }) => Some(right.0),
+            (Self::TurnRate, ObservationKind::TurnRate(rate)) => Some(rate.0),
+            (Self::WallRange, ObservationKind::WallRange(range)) => Some(range.0),
+            _ => None,
+        }
+    }
+
+    /// The noise of a sample by the robot's description, or by the samples themselves where it says nothing; `None` where neither does.
+    #[must_use]
+    pub fn noise(self, noise: &SensorNoise, geometry: &DriveGeometry, samples: &[TimedSample]) -> Option<f64> {
+        let described = match self {
+            Self::Temperature => noise.temperature_k,
+            Self::LeftWheel | Self::RightWheel => wheel_speed_sigma(geometry.tick.0, samples)?,
+            Self::TurnRate => noise.gyro_rad_per_s.hypot(noise.gyro_resolution_rad_per_s / 12.0_f64.sqrt()),
+            Self::WallRange => noise.wall_range_m,
+        };
+        let is_usable = described > 0.0 && described.is_finite();
+        is_usable.then_some(described).or_else(|| estimate_noise(samples))
+    }
+}
+
+/// Equation (18).
+fn differences(angles: &[TimedSample]) -> Vec<TimedSample> {
+    let pairs = angles.windows(2).filter_map(|pair| match pair {
+        [a, b] => Some((a, b)),
+        _ => None,
+    });
+    pairs
+        .map(|(a, b)| TimedSample {
+            at_s: f64::midpoint(a.at_s, b.at_s),
+            value: (b.value - a.value) / (b.at_s - a.at_s),
+        })
+        .collect()
+}
+
+fn mean_interval_s(samples: &[TimedSample]) -> Option<f64> {
+    let (first, last) = (samples.first()?, samples.last()?);
+    let dt_s = (last.at_s - first.at_s) / samples.len().checked_sub(1)? as f64;
+    (dt_s > 0.0).then_some(dt_s)
+}
+
+/// The speed of a wheel whose encoder was read at these instants, by equation (18): instants in seconds, angles in radians.
+#[must_use]
+pub fn wheel_speed(readings: &[(f64, f64)]) -> Vec<TimedSample> {
+    let angles: Vec<TimedSample> = readings.iter().map(|&(at_s, value)| TimedSample { at_s, value }).collect();
+    differences(&sorted_finite(&angles))
+}
+
+/// The sigma of such a speed, in rad/s, of an encoder with this tick in radians; `None` for fewer than two samples.
+#[must_use]
+pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> {
+    Some(tick_rad / mean_interval_s(samples)? / 6.0_f64.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Celsius, Meters, Radians, RadiansPerSecond, TimeDelta, Timestamp};
+
+    fn observed(millis: i64, observed: ObservationKind) -> Observation {
+        Observation {
+            stamp: Timestamp::from_micros(1_000 * millis),
+            stamp_sigma: TimeDelta::ZERO,
+            sensor: SensorId::THERMOMETER,
+            measurement: observed,
+        }
+    }
+
+    fn wheels(millis: i64, left: f64, right: f64) -> Observation {
+        let (left, right) = (Radians(left), Radians(right));
+        observed(millis, ObservationKind::WheelAngles { left, right })
+    }
+
+    #[test]
+    fn each_channel_takes_its_own_in_the_order_of_time() {
+        let all = [
+            wheels(0, 0.0, 0.0),
+            wheels(200, 0.5, -0.4),
+            wheels(100, 0.1, 0.0),
+            wheels(100, 7.0, 7.0),
+            observed(50, ObservationKind::TurnRate(RadiansPerSecond(0.3))),
+            observed(60, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))),
+            observed(70, ObservationKind::Temperature(Celsius(21.0))),
+            Observation { sensor: SensorId(77), ..observed(80, ObservationKind::Temperature(Celsius(5.0))) },
+        ];
+        let left = SensorChannel::LeftWheel.samples(&all);
+        let right = SensorChannel::RightWheel.samples(&all);
+        assert_eq!(left.len(), 2);
+        for (found, (at_s, value)) in left.iter().zip([(0.05, 1.0), (0.15, 4.0)]) {
+            assert!((found.at_s - at_s).abs() < 1e-12 && (found.value - value).abs() < 1e-9);
+        }
+        assert!((right[1].value + 4.0).abs() < 1e-9);
+        assert_eq!(SensorChannel::TurnRate.samples(&all).len(), 1);
+        assert_eq!(SensorChannel::Temperature.samples(&all).len(), 1);
+        assert_eq!(SensorChannel::WallRange.samples(&all), []);
+    }
+
+    #[test]
+    fn the_noise_is_the_described_one_and_else_that_of_the_samples() {
+        let noise = SensorNoise {
+            gyro_rad_per_s: 0.03,
+            gyro_resolution_rad_per_s: 0.04 * 12.0_f64.sqrt(),
+            ..SensorNoise::EXACT
+        };
+        let geometry = DriveGeometry {
+            left_wheel_radius: Meters(0.03),
+            right_wheel_radius: Meters(0.03),
+            track_width: Meters(0.1),
+            tick: Radians(0.01),
+        };
+        let of = |channel: SensorChannel, samples: &[TimedSample]| channel.noise(&noise, &geometry, samples);
+        assert!((of(SensorChannel::TurnRate, &[]).unwrap() - 0.05).abs() < 1e-12);
+        let readings: Vec<(f64, f64)> = (0..11).map(|k| (0.1 * f64::from(k), 0.0)).collect();
+        let samples = wheel_speed(&readings);
+        let by_tick = of(SensorChannel::LeftWheel, &samples).unwrap();
+        assert!((by_tick - 0.1 / 6.0_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(wheel_speed_sigma(0.01, &samples), Some(by_tick));
+        assert_eq!(of(SensorChannel::Temperature, &samples), None);
+    }
+}

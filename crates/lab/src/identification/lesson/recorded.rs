@@ -1,0 +1,172 @@
+//! The same on recordings: what was identified, and how predictions did on runs that were not used for it.
+
+use super::super::expectation::StepDirection;
+use super::super::prediction::EndPrediction;
+use super::super::sensor_kind::{RunSimilarity, SensorKind, predict};
+use super::super::settling_time_s;
+use super::super::step::IdentifiedStep;
+use super::identified::SHARES;
+use super::live::{band, level, line, sample_points, temperatures};
+use super::section::{LessonSection, header, seconds};
+
+/// A run of a recording that holds a step.
+#[derive(Clone, Debug)]
+pub struct RecordedRun {
+    /// Its name.
+    pub name: String,
+    /// What was identified on it. Of a run that is only predicted, this finds the step and its end.
+    pub identified: IdentifiedStep,
+}
+
+/// A run that was predicted, with those by which it was.
+#[derive(Clone, Debug)]
+pub struct RecordedPrediction {
+    /// The run.
+    pub name: String,
+    /// Names of the runs that were used.
+    pub identified_from: Vec<String>,
+    /// The order that was chosen.
+    pub order: usize,
+    /// One prediction for each sample, or sparser later on.
+    pub predictions: Vec<EndPrediction>,
+    /// Until the sensor is within 10, 5 and 2 % of its step for good, in seconds.
+    pub shown_s: [Option<f64>; 3],
+    /// The same of the prediction.
+    pub predicted_s: [Option<f64>; 3],
+    /// The share of predictions whose 95 % bound contained the end.
+    pub inside: Option<f64>,
+}
+
+impl RecordedPrediction {
+    /// Predicts a run by others; `None` where there are none, or none of a common order.
+    #[must_use]
+    pub fn predict_run(run: &RecordedRun, others: &[&RecordedRun], likeness: RunSimilarity) -> Option<Self> {
+        let used: Vec<IdentifiedStep> = others.iter().map(|other| other.identified.clone()).collect();
+        let kind = SensorKind::from_runs(&used, likeness).ok()?;
+        let step = &run.identified;
+        let predictions = predict(&step.samples, step.sigma, &kind);
+        let series: Vec<(f64, f64)> = predictions.iter().map(|p| (p.at_s, p.value)).collect();
+        let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
+        let inside = moving.iter().filter(|prediction| {
+            let (low, high) = prediction.bound();
+            low <= step.end && step.end <= high
+        });
+        let inside = inside.count() as f64 / moving.len() as f64;
+        Some(Self {
+            name: run.name.clone(),
+            identified_from: others.iter().map(|other| other.name.clone()).collect(),
+            order: kind.order(),
+            shown_s: settling_times_s(step, &sample_points(&step.samples)),
+            predicted_s: settling_times_s(step, &series),
+            inside: inside.is_finite().then_some(inside),
+            predictions,
+        })
+    }
+}
+
+fn settling_times_s(step: &IdentifiedStep, series: &[(f64, f64)]) -> [Option<f64>; 3] {
+    let response = step.response();
+    let size = (step.end - response.start).abs();
+    SHARES.map(|share| settling_time_s(series, response.onset_s, step.end, share * size))
+}
+
+/// The sections on recordings: what was identified, and a section for each run that was predicted.
+#[must_use]
+pub fn recorded_sections(
+    identified: &[RecordedRun],
+    predicted: &[(RecordedRun, RecordedPrediction)],
+) -> Vec<LessonSection> {
+    let first = [identification_section(identified), overview_section(predicted)];
+    first.into_iter().chain(predicted.iter().map(|(run, recorded)| run_section(run, recorded))).collect()
+}
+
+fn identification_section(runs: &[RecordedRun]) -> LessonSection {
+    let mut section = LessonSection {
+        name: "identified",
+        title: "What was identified".to_owned(),
+        paragraphs: vec!["Each run by itself, with the order that its own data ask for.".to_owned()],
+        header: header(&["run", "way", "from", "to", "order", "lags [s]", "shares", "left over, rms"]),
+        ..LessonSection::default()
+    };
+    for run in runs {
+        let found = &run.identified;
+        let lags = found.lags();
+        let of = |text: Vec<String>| text.join(", ");
+        let way = match StepDirection::from_step(found.response().step) {
+            StepDirection::Up => "up",
+            StepDirection::Down => "down",
+        };
+        section.rows.push(vec![
+            run.name.clone(),
+            way.to_owned(),
+            format!("{:.2}", found.response().start),
+            format!("{:.2}", found.end),
+            found.order().to_string(),
+            of(lags
+                .iter()
+                .map(|lag| format!("{:.2} +- {:.2}", lag.time_constant_s, lag.time_constant_sigma_s))
+                .collect()),
+            of(lags.iter().map(|lag| format!("{:.3} +- {:.3}", lag.share, lag.share_sigma)).collect()),
+            format!("{:.3}", found.chosen().residual_rms),
+        ]);
+        section.record_value(format!("{}.order", run.name), found.order() as f64);
+        for (j, lag) in lags.iter().enumerate() {
+            section.record_value(format!("{}.lag_{}_s", run.name, j + 1), lag.time_constant_s);
+            section.record_value(format!("{}.lag_{}_sigma_s", run.name, j + 1), lag.time_constant_sigma_s);
+        }
+    }
+    section
+}
+
+fn overview_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSection {
+    let mut section = LessonSection {
+        name: "predicted",
+        title: "How the predictions did".to_owned(),
+        paragraphs: vec![
+            "Seconds from the onset until within 10, 5 and 2 % of the step for good. The end is what the sensor itself shows in the last tenth of its step. Each run is predicted by the runs \
+             named beside it; a sample is used when it comes, and no later one.".to_owned(),
+        ],
+        header: header(&["run", "by", "order", "shown 10 %", "5 %", "2 %", "predicted 10 %", "5 %", "2 %", "end within bound"]),
+        ..LessonSection::default()
+    };
+    for (_, run) in predicted {
+        let inside = run.inside.map_or_else(String::new, |inside| format!("{:.0} %", 100.0 * inside));
+        let cells = run.shown_s.into_iter().chain(run.predicted_s).map(seconds);
+        let names = [run.name.clone(), run.identified_from.join(" "), run.order.to_string()];
+        section.rows.push(names.into_iter().chain(cells).chain([inside]).collect());
+        section.record_value(format!("{}.order", run.name), run.order as f64);
+        for (what, settled) in [("shown", run.shown_s), ("predicted", run.predicted_s)] {
+            for (share, settled) in ["10", "5", "2"].into_iter().zip(settled) {
+                section.record_value(format!("{}.{what}_{share}_percent_s", run.name), settled);
+            }
+        }
+        section.record_value(format!("{}.inside", run.name), run.inside);
+    }
+    section
+}
+
+fn run_section(run: &RecordedRun, recorded: &RecordedPrediction) -> LessonSection {
+    let step = &run.identified;
+    let size = (step.end - step.response().start).abs();
+    // Before a step is seen, and while nothing is known, the bound would be all of the picture.
+    let known: Vec<(f64, f64, f64)> = recorded
+        .predictions
+        .iter()
+        .filter(|p| p.is_settling && p.sigma < 0.2 * size)
+        .map(|p| (p.at_s, p.value, p.sigma))
+        .collect();
+    let curves = vec![
+        level("end", step.end),
+        line("predicted", known.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()),
+        line("shown", sample_points(&step.samples)),
+        band("95 % bound", &known),
+    ];
+    let title = format!("{}, by {}", run.name, recorded.identified_from.join(" and "));
+    let caption = format!("{} shown and predicted, order {}.", run.name, recorded.order);
+    LessonSection {
+        name: "run",
+        title: title.clone(),
+        figure: Some((temperatures(&title, vec![curves]), caption)),
+        ..LessonSection::default()
+    }
+}

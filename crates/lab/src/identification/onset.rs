@@ -1,0 +1,278 @@
+//! Where in a recording the step is: from rest before it to the plateau after it.
+//!
+//! A recording holds more than a step: the sensor lies in its box, is plunged, and is warmed up again for another purpose. What comes
+//! before the rest and after the plateau belongs to no step response.
+//!
+//! # Method
+//! ```text
+//! steepest    the shortest window w whose means before and after some sample differ by more than 8 sigma sqrt(2 / w)
+//! onset       from there back to the last mean that is within 3 sigma / sqrt(w) of the rest before
+//! plateau     on to the farthest that the smoothed signal gets before it turns back by a tenth of its way
+//! ```
+//! The offline search sees the whole recording. [`OnsetDetector`] is its causal half: it tells from the past alone that a step has begun.
+
+use super::{TimedSample, mean_of, sorted_finite};
+
+/// A window's mean must differ by so many sigma to be a step: a false alarm in ten thousand samples has a chance below 1e-10.
+const STEEP_SIGMAS: f64 = 8.0;
+/// Within so many sigma a mean counts as at rest.
+const REST_SIGMAS: f64 = 3.0;
+/// By this share of its way the signal turns back where a plateau has ended.
+const TURN_BACK: f64 = 0.1;
+/// The rest before the step that belongs to it, as a share of the time from onset to end.
+const REST_SHARE: f64 = 0.125;
+/// The end of the step that counts as its final value, as a share of its samples.
+const TAIL_SHARE: usize = 10;
+/// Samples of rest of which the level before the step is the mean, at most.
+const REST_SAMPLES: usize = 64;
+
+/// A step within a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepSegment {
+    /// The samples that belong to it: some rest, the transient and the plateau.
+    pub samples: Vec<TimedSample>,
+    /// The last instant of rest, in seconds of the sensor's clock.
+    pub onset_s: f64,
+    /// The level before.
+    pub start: f64,
+    /// The level at the end: the mean of the last tenth.
+    pub end: f64,
+}
+
+/// Finds the steepest step of a recording of a sensor with this noise (standard deviation of a sample, positive).
+///
+/// `None` where nothing moves beyond the noise, or where there are fewer than eight usable samples. Samples that are not finite or
+/// not later than the one before are left out.
+#[must_use]
+pub fn find_step(samples: &[TimedSample], sigma: f64) -> Option<StepSegment> {
+    let samples = sorted_finite(samples);
+    if !(sigma > 0.0 && sigma.is_finite()) || samples.len() < MIN_SAMPLES {
+        return None;
+    }
+    let sums = PrefixSums::from_samples(&samples);
+    let change = steepest_change(&sums, sigma)?;
+    let rest_until = change.index.saturating_sub(change.width).max(1);
+    let rest_from = rest_until.saturating_sub(REST_SAMPLES.max(change.width));
+    let start = sums.mean(rest_from, rest_until);
+    let onset = onset_before(&sums, change, start, sigma);
+    let until = plateau_end(&sums, change, start, sigma);
+    let onset_s = samples.get(onset)?.at_s;
+    let duration_s = samples.get(until - 1)?.at_s - onset_s;
+    let from_s = onset_s - REST_SHARE * duration_s;
+    let own: Vec<TimedSample> = samples.get(..until)?.iter().filter(|sample| sample.at_s >= from_s).copied().collect();
+    let tail = (until - onset).div_ceil(TAIL_SHARE);
+    Some(StepSegment { end: sums.mean(until - tail, until), samples: own, onset_s, start })
+}
+
+/// With fewer samples there is no rest, no transient and no plateau to tell apart.
+const MIN_SAMPLES: usize = 8;
+
+/// Running sums, so that any mean costs two look-ups.
+struct PrefixSums(Vec<f64>);
+
+impl PrefixSums {
+    fn from_samples(samples: &[TimedSample]) -> Self {
+        let mut sum = 0.0;
+        let after = samples.iter().map(|sample| {
+            sum += sample.value;
+            sum
+        });
+        Self(std::iter::once(0.0).chain(after).collect())
+    }
+
+    fn count(&self) -> usize {
+        self.0.len() - 1
+    }
+
+    /// The mean of the samples from one index to before another; the nearest that there is where they leave the recording.
+    fn mean(&self, from: usize, until: usize) -> f64 {
+        let until = until.clamp(1, self.count());
+        let from = from.min(until - 1);
+        (self.0[until] - self.0[from]) / (until - from) as f64
+    }
+}
+
+/// Where the signal leaps most.
+#[derive(Clone, Copy)]
+struct SteepestChange {
+    /// The sample before which it leaps.
+    index: usize,
+    /// Samples of the window that tells it.
+    width: usize,
+}
+
+fn steepest_change(sums: &PrefixSums, sigma: f64) -> Option<SteepestChange> {
+    let mut width = 1;
+    while 4 * width <= sums.count() {
+        let leap_at = |k: usize| (sums.mean(k, k + width) - sums.mean(k - width, k)).abs();
+        let index = (width..=sums.count() - width).max_by(|a, b| leap_at(*a).total_cmp(&leap_at(*b)))?;
+        if leap_at(index) > STEEP_SIGMAS * sigma * (2.0 / width as f64).sqrt() {
+            return Some(SteepestChange { index, width });
+        }
+        width *= 2;
+    }
+    None
+}
+
+/// The index of the last sample at rest.
+fn onset_before(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64) -> usize {
+    let SteepestChange { mut index, width } = change;
+    let limit = REST_SIGMAS * sigma / (width as f64).sqrt();
+    while index > width && (sums.mean(index - width, index) - start).abs() > limit {
+        index -= 1;
+    }
+    index.saturating_sub(1)
+}
+
+/// The index after the last sample of the plateau.
+fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64) -> usize {
+    let SteepestChange { index, width } = change;
+    let count = sums.count();
+    let smooth = (2 * width).max((count - index) / 64).max(1);
+    let direction = (sums.mean(index, index + width) - start).signum();
+    let white = REST_SIGMAS * sigma / (smooth as f64).sqrt();
+    let way = |k: usize| direction * (sums.mean(k, k + smooth) - start);
+    let mut farthest = way(index);
+    let mut turned = None;
+    for k in index..=count.saturating_sub(smooth) {
+        farthest = farthest.max(way(k));
+        if farthest - way(k) > (TURN_BACK * farthest).max(2.0 * white) {
+            turned = Some(k);
+            break;
+        }
+    }
+    let Some(turned) = turned else { return count };
+    let last = (index..turned).rev().find(|k| farthest - way(*k) <= white);
+    last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
+}
+
+/// Tells from the past alone that a step has begun.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OnsetDetector {
+    sigma: f64,
+}
+
+/// What a [`OnsetDetector`] has seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DetectedOnset {
+    /// When the step began, in seconds of the sensor's clock, roughly.
+    pub onset_s: f64,
+    /// How far that may be off, one standard deviation in seconds.
+    pub onset_sigma_s: f64,
+    /// The level before.
+    pub start: f64,
+    /// Where it goes from there: +1 up, -1 down.
+    pub direction: f64,
+}
+
+impl OnsetDetector {
+    /// Windows that are compared with the rest before them.
+    const WIDTHS: [usize; 5] = [1, 2, 4, 8, 16];
+    /// Samples of rest that a window is compared with, as many times its own.
+    const REST_WIDTHS: usize = 4;
+    /// At a hundred samples a second and five windows a false alarm every few hours.
+    const SIGMAS: f64 = 5.5;
+
+    /// For a sensor with this noise, standard deviation of a sample.
+    #[must_use]
+    pub const fn new(sigma: f64) -> Self {
+        Self { sigma }
+    }
+
+    /// Whether the last of these samples say that a step has begun; samples in the order of time.
+    #[must_use]
+    pub fn detect(self, samples: &[TimedSample]) -> Option<DetectedOnset> {
+        Self::WIDTHS.into_iter().find_map(|width| self.detect_with_width(samples, width))
+    }
+
+    fn detect_with_width(self, samples: &[TimedSample], width: usize) -> Option<DetectedOnset> {
+        let split = samples.len().checked_sub(width)?;
+        let (past, window) = samples.split_at(split);
+        let rest = past.get(past.len().saturating_sub(Self::REST_WIDTHS * width)..)?;
+        if rest.len() < width {
+            return None;
+        }
+        let (start, reached) = (mean_of(rest)?, mean_of(window)?);
+        let variance = 1.0 / width as f64 + 1.0 / rest.len() as f64;
+        let leap = reached - start;
+        if leap.is_nan() || leap.abs() <= Self::SIGMAS * self.sigma * variance.sqrt() {
+            return None;
+        }
+        let (first, last) = (rest.last()?, window.last()?);
+        Some(DetectedOnset {
+            onset_s: first.at_s,
+            onset_sigma_s: last.at_s - first.at_s,
+            start,
+            direction: leap.signum(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rest at 20 for 30 s, then down to 4 with a lag of 10 s until 130 s, then a slow ramp up for another use.
+    fn recording(sigma: f64, per_s: u32) -> Vec<TimedSample> {
+        let mut alternate = 1.0;
+        (0..260 * per_s)
+            .map(|k| {
+                let at_s = f64::from(k) / f64::from(per_s);
+                alternate = -alternate;
+                let value = if at_s < 30.0 {
+                    20.0
+                } else if at_s < 130.0 {
+                    4.0 + 16.0 * ((30.0 - at_s) / 10.0).exp()
+                } else {
+                    4.0 + 0.1 * (at_s - 130.0)
+                };
+                TimedSample { at_s, value: value + sigma * alternate }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_step_is_cut_out_between_its_rest_and_the_end_of_its_plateau() {
+        for (sigma, per_s) in [(0.05, 1), (0.5, 20)] {
+            let found = find_step(&recording(sigma, per_s), sigma).unwrap();
+            assert!((found.onset_s - 30.0).abs() < 1.5, "{}", found.onset_s);
+            assert!((found.start - 20.0).abs() < 0.1, "{}", found.start);
+            assert!((found.end - 4.0).abs() < 0.3, "{}", found.end);
+            let last = found.samples.last().unwrap();
+            assert!((120.0..150.0).contains(&last.at_s), "{last:?}");
+            assert!(found.samples[0].at_s > 10.0);
+        }
+    }
+
+    #[test]
+    fn noise_alone_holds_no_step() {
+        let quiet: Vec<TimedSample> = recording(0.5, 1).into_iter().take(30).collect();
+        assert_eq!(find_step(&quiet, 0.5), None);
+        assert_eq!(find_step(&[], 0.5), None);
+        assert_eq!(find_step(&quiet, 0.0), None);
+        assert_eq!(find_step(&quiet, f64::NAN), None);
+        assert_eq!(OnsetDetector::new(0.5).detect(&quiet), None);
+    }
+
+    #[test]
+    fn samples_that_are_no_numbers_or_not_in_order_are_left_out() {
+        let mut samples = recording(0.05, 1);
+        samples[3].value = f64::NAN;
+        samples[50].at_s = f64::INFINITY;
+        samples[60].at_s = 1.0;
+        let found = find_step(&samples, 0.05).unwrap();
+        assert!((found.end - 4.0).abs() < 0.3);
+        assert!(found.samples.iter().all(TimedSample::is_finite));
+    }
+
+    #[test]
+    fn the_detector_needs_the_past_alone() {
+        let samples = recording(0.5, 20);
+        let until = (0..samples.len()).find(|&k| OnsetDetector::new(0.5).detect(&samples[..k]).is_some()).unwrap();
+        let detected = OnsetDetector::new(0.5).detect(&samples[..until]).unwrap();
+        let seen_s = samples[until - 1].at_s;
+        assert!((30.0..31.0).contains(&seen_s), "{seen_s}");
+        assert!((detected.onset_s - 30.0).abs() <= 2.0 * detected.onset_sigma_s);
+        assert_eq!(detected.direction, -1.0);
+    }
+}

@@ -1,0 +1,281 @@
+//! What a sensor will show in the end, from sample to sample, when its dynamics are not quite known.
+//!
+//! Gets samples and what other runs say ([`ExpectedDynamics`]); at each sample it has used that sample and those before, and no
+//! later one. The onset is found on the way. The lags are estimated along with the quantity, starting from what is expected of them.
+//!
+//! # Model
+//! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which holds the
+//! noise, the lags, and the faults of the model.
+//!
+//! At rest, before a step is seen, the reading is the quantity. Long after it nothing is left of which the model could be wrong, so that
+//! the reading is the quantity again: nothing switches.
+
+use super::expectation::{ExpectedDynamics, StepDirection};
+use super::fit::{ResponseFit, ResponseNoise, fit_response};
+use super::onset::{DetectedOnset, OnsetDetector};
+use super::prior::{DynamicsPrior, GaussianPrior, ResponsePrior};
+use super::step::IdentifiedStep;
+use super::step_response::StepResponse;
+use super::{TimedSample, sorted_finite};
+
+/// The bound contains the final value with this probability.
+pub const BOUND_RATE: f64 = 0.95;
+/// The two-sided quantile of a Gaussian for it.
+pub const BOUND_SIGMAS: f64 = 1.959_964;
+
+/// What is believed of the final value at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EndPrediction {
+    /// The instant of the latest sample, in seconds of the sensor's clock.
+    pub at_s: f64,
+    /// What the sensor will show in the end.
+    pub value: f64,
+    /// One standard deviation of it, with all that is not known about the dynamics.
+    pub sigma: f64,
+    /// Whether a step has been seen.
+    pub is_settling: bool,
+}
+
+impl EndPrediction {
+    /// The bound: within it the final value is with probability [`BOUND_RATE`].
+    #[must_use]
+    pub fn bound(&self) -> (f64, f64) {
+        let half = BOUND_SIGMAS * self.sigma;
+        (self.value - half, self.value + half)
+    }
+}
+
+/// Predicts from sample to sample, with dynamics that are expected to be so whichever way the step leads. `sigma` is the
+/// noise of a sample, in the sensor's unit.
+///
+/// There is a prediction for each of the first samples after the step was seen, and then for one sample in each fiftieth of the time since.
+/// Samples that are not finite or not later than the one before are left out. Empty for a noise that is not positive and finite.
+#[must_use]
+pub fn predict_with_expectation(
+    samples: &[TimedSample],
+    sigma: f64,
+    expectation: &ExpectedDynamics,
+) -> Vec<EndPrediction> {
+    predict_series(samples, sigma, |_| Some(expectation.clone()))
+}
+
+/// What is believed after the last of these samples; the same as the last of [`predict_with_expectation`], at the cost of one fit.
+#[must_use]
+pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedDynamics) -> Option<EndPrediction> {
+    let samples = sorted_finite(samples);
+    let detector = OnsetDetector::new(sigma);
+    let seen = (1..=samples.len()).find_map(|k| detector.detect(samples.get(..k)?).map(|d| (k, d)));
+    let (_, detected) = seen?;
+    let mut running = PredictorBank::new(&samples, sigma, &detected, expectation)?;
+    running.prediction(&samples)
+}
+
+/// After this many predictions for every sample they become sparser.
+const DENSE_SAMPLES: usize = 60;
+/// Then there is one in each such share of the samples since the onset.
+const SPARSE_SHARE: usize = 50;
+
+/// Predicts from sample to sample; `expect` is asked once the way of the step is known.
+pub(super) fn predict_series(
+    samples: &[TimedSample],
+    sigma: f64,
+    expect: impl Fn(StepDirection) -> Option<ExpectedDynamics>,
+) -> Vec<EndPrediction> {
+    let samples = sorted_finite(samples);
+    if !(sigma > 0.0 && sigma.is_finite()) {
+        return Vec::new();
+    }
+    let detector = OnsetDetector::new(sigma);
+    let mut running: Option<PredictorBank> = None;
+    let mut seen_at = 0;
+    let mut next = 0;
+    let mut predictions = Vec::new();
+    for k in 1..=samples.len() {
+        let so_far = samples.get(..k).unwrap_or_default();
+        if running.is_none() {
+            running = detector.detect(so_far).and_then(|detected| {
+                seen_at = k;
+                let way = StepDirection::from_step(detected.direction);
+                PredictorBank::new(so_far, sigma, &detected, &expect(way)?)
+            });
+        }
+        match &mut running {
+            None => predictions.extend(predict_at_rest(so_far, sigma)),
+            Some(running) => {
+                let since = k - seen_at;
+                if since >= next || k == samples.len() {
+                    predictions.extend(running.prediction(so_far));
+                    next = since + 1 + since.saturating_sub(DENSE_SAMPLES) / SPARSE_SHARE;
+                }
+            }
+        }
+    }
+    predictions
+}
+
+fn predict_at_rest(so_far: &[TimedSample], sigma: f64) -> Option<EndPrediction> {
+    let latest = so_far.last()?;
+    Some(EndPrediction { at_s: latest.at_s, value: latest.value, sigma, is_settling: false })
+}
+
+/// A step that is under way: a bank of models, one for each of several values of the slowest lag.
+struct PredictorBank {
+    noise: ResponseNoise,
+    sigma_factor: f64,
+    members: Vec<BankMember>,
+}
+
+/// One model of the bank.
+struct BankMember {
+    prior: ResponsePrior,
+    /// Minus the logarithm of its weight beforehand, and of the room that it had.
+    cost: f64,
+    guess: StepResponse,
+}
+
+impl PredictorBank {
+    fn new(
+        so_far: &[TimedSample],
+        sigma: f64,
+        detected: &DetectedOnset,
+        expectation: &ExpectedDynamics,
+    ) -> Option<Self> {
+        let latest = so_far.last()?;
+        let members = bank_members(expectation).into_iter().map(|(dynamics, slowest, cost)| {
+            let prior = ResponsePrior {
+                onset: GaussianPrior { mean: detected.onset_s, sigma: detected.onset_sigma_s },
+                dynamics,
+                slowest,
+                end: None,
+            };
+            let unit = prior.expected(0.0, 1.0);
+            let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
+            let step = (latest.value - detected.start) / gone.max(MIN_ELAPSED_SHARE);
+            BankMember { cost, guess: prior.expected(detected.start, step), prior }
+        });
+        Some(Self {
+            noise: ResponseNoise {
+                sigma,
+                model_share: expectation.model_share,
+                error_duration_s: expectation.error_duration_s,
+            },
+            sigma_factor: expectation.sigma_factor,
+            members: members.collect(),
+        })
+    }
+
+    /// Fits all samples so far by each member, and weighs them by how likely they make the samples.
+    fn prediction(&mut self, so_far: &[TimedSample]) -> Option<EndPrediction> {
+        let latest = so_far.last()?;
+        let fits: Vec<(f64, ResponseFit)> = self
+            .members
+            .iter_mut()
+            .filter_map(|member| {
+                let found = fit_response(so_far, &self.noise, &member.prior, &member.guess)?;
+                member.guess = found.response.clone();
+                // Laplace: the probability of the samples is that at the best fit times the volume around it.
+                Some((member.cost + found.cost - found.half_ln_determinant()?, found))
+            })
+            .collect();
+        let least = fits.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
+        let weights: Vec<f64> = fits.iter().map(|(cost, _)| (least - cost).exp()).collect();
+        let sum: f64 = weights.iter().sum();
+        let members = || weights.iter().zip(fits.iter().map(|(_, found)| found));
+        let value = members().map(|(weight, found)| weight * found.response.final_value()).sum::<f64>() / sum;
+        let variance = members()
+            .map(|(weight, found)| {
+                let off = found.response.final_value() - value;
+                weight * (off * off + found.final_sigma().powi(2))
+            })
+            .sum::<f64>()
+            / sum;
+        let sigma = self.sigma_factor * variance.sqrt();
+        (value.is_finite() && sigma.is_finite()).then_some(EndPrediction {
+            at_s: latest.at_s,
+            value,
+            sigma,
+            is_settling: true,
+        })
+    }
+}
+
+/// Dynamics, more about the slowest lag, and minus the logarithm of the weight beforehand.
+type MemberSpec = (DynamicsPrior, Option<GaussianPrior>, f64);
+
+/// The models of the bank: the dynamics of the runs before, and others of their kind. Neither is likelier beforehand.
+fn bank_members(expectation: &ExpectedDynamics) -> Vec<MemberSpec> {
+    let same = expectation.same.iter();
+    let same = same.map(|same| (same.clone(), None, same.half_ln_determinant()));
+    same.chain(quadrature_nodes(&expectation.dynamics)).collect()
+}
+
+/// The values of the slowest lag that stand for a kind: Gaussians as wide as they are apart, which together are flat.
+fn quadrature_nodes(dynamics: &DynamicsPrior) -> Vec<MemberSpec> {
+    let (slowest, ln_room) = (dynamics.slowest(), dynamics.half_ln_determinant());
+    if slowest.sigma < ONE_NODE_BELOW {
+        return vec![(dynamics.clone(), None, ln_room)];
+    }
+    let sigma = NODE_DISTANCE * slowest.sigma;
+    // A Gaussian's density times the distance of two.
+    let cost = ln_room + 0.5 * std::f64::consts::TAU.ln();
+    let node = |k| GaussianPrior { mean: slowest.mean + sigma * f64::from(k), sigma };
+    (-NODES..=NODES).map(|k| (dynamics.clone(), Some(node(k)), cost)).collect()
+}
+
+/// Nodes to each side of the expected lag, and their distance in sigmas of what is expected.
+const NODES: i32 = 4;
+const NODE_DISTANCE: f64 = 0.7;
+/// A lag that is known better than to a thousandth needs no bank.
+const ONE_NODE_BELOW: f64 = 1e-3;
+
+/// A first guess takes no less than this share of the step for gone.
+const MIN_ELAPSED_SHARE: f64 = 0.02;
+
+/// What predictions of a run were worth, from the onset until the sensor itself was within 2 % of the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictionScore {
+    /// How far they were off, as a mean share of the step over time, none counted beyond one.
+    pub mean_error: f64,
+    /// How many of their own sigmas hold [`BOUND_RATE`] of them, as a multiple of [`BOUND_SIGMAS`]; 1 for bounds that hold at their rate.
+    pub bound_factor: f64,
+}
+
+impl Default for PredictionScore {
+    /// Without any prediction.
+    fn default() -> Self {
+        Self { mean_error: 1.0, bound_factor: 0.0 }
+    }
+}
+
+/// Judges predictions by what the run showed in the end; `None` where none is in time.
+#[must_use]
+pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) -> Option<PredictionScore> {
+    let response = run.response();
+    let step = (run.end - response.start).abs();
+    let is_outside = |sample: &&TimedSample| (sample.value - run.end).abs() > SETTLED_SHARE * step;
+    let until_s = run.samples.iter().rfind(is_outside)?.at_s;
+    let in_time = predictions.windows(2).filter(|pair| pair[1].at_s > response.onset_s && pair[1].at_s <= until_s);
+    let (mut all_s, mut miss_s) = (0.0, 0.0);
+    let mut in_sigmas = Vec::new();
+    for pair in in_time {
+        let (off, lasts_s) = ((pair[1].value - run.end).abs(), pair[1].at_s - pair[0].at_s);
+        all_s += lasts_s;
+        miss_s += lasts_s * (off / step).min(1.0);
+        if pair[1].is_settling {
+            in_sigmas.push(off / pair[1].sigma);
+        }
+    }
+    let judged =
+        PredictionScore { mean_error: miss_s / all_s, bound_factor: quantile(in_sigmas, BOUND_RATE) / BOUND_SIGMAS };
+    judged.mean_error.is_finite().then_some(judged)
+}
+
+/// The value below or at which this share of the values is; 0 without values.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let count = (share * values.len() as f64).ceil() as usize;
+    values.get(count.saturating_sub(1)).copied().unwrap_or_default()
+}
+
+/// Within this share of the step a sensor has settled.
+const SETTLED_SHARE: f64 = 0.02;

@@ -1,0 +1,227 @@
+//! What is believed of a step response before its samples are looked at: equation (5) of [`super::fit`].
+//!
+//! [`super::sensor_kind`] makes it from the runs before; [`super::step`](mod@super::step) from next to nothing.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::step_response::{Lag, StepResponse};
+
+/// The most exponentials that a response may have.
+pub const MAX_ORDER: usize = 3;
+/// Rows of the parameters that every response has.
+pub mod row {
+    /// y_0.
+    pub const START: usize = 0;
+    /// D.
+    pub const STEP: usize = 1;
+    /// t_0.
+    pub const ONSET: usize = 2;
+    /// The first ln tau; the others and the shares follow.
+    pub const LAGS: usize = 3;
+}
+
+/// What is believed of one number beforehand: a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GaussianPrior {
+    /// Its mean.
+    pub mean: f64,
+    /// Its standard deviation; positive.
+    pub sigma: f64,
+}
+
+impl GaussianPrior {
+    pub(super) fn cost(&self, value: f64) -> f64 {
+        0.5 * ((value - self.mean) / self.sigma).powi(2)
+    }
+
+    pub(super) fn weight(&self) -> f64 {
+        (self.sigma * self.sigma).recip()
+    }
+}
+
+/// What is believed of the lags and the shares beforehand, equation (5).
+#[derive(Clone, Debug, PartialEq)]
+pub struct DynamicsPrior {
+    order: usize,
+    mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+    inverse: DMatrix<f64>,
+    freedom: f64,
+}
+
+impl DynamicsPrior {
+    /// m in the order ln tau_1 .. ln tau_n (tau in seconds), s_1 .. s_(n-1), with S and nu (positive, or infinite for a Gaussian).
+    ///
+    /// `None` if the rows are not those of an order of 1 to [`MAX_ORDER`], or if S is not positive definite.
+    #[must_use]
+    pub fn new(mean: DVector<f64>, covariance: DMatrix<f64>, freedom: f64) -> Option<Self> {
+        let order = mean.len().div_ceil(2);
+        let is_usable = mean.len() % 2 == 1
+            && order <= MAX_ORDER
+            && covariance.shape() == (mean.len(), mean.len())
+            && freedom > 0.0
+            && mean.iter().all(|value| value.is_finite());
+        if !is_usable {
+            return None;
+        }
+        Some(Self { order, inverse: covariance.clone().cholesky()?.inverse(), mean, covariance, freedom })
+    }
+
+    /// Independent Gaussians.
+    #[must_use]
+    pub fn independent(ln_lags: &[GaussianPrior], shares: &[GaussianPrior]) -> Option<Self> {
+        let all: Vec<GaussianPrior> = ln_lags.iter().chain(shares).copied().collect();
+        let mean = all.iter().map(|belief| belief.mean);
+        let variances = all.iter().map(|belief| belief.sigma * belief.sigma);
+        Self::new(
+            DVector::from_iterator(all.len(), mean),
+            DMatrix::from_diagonal(&DVector::from_iterator(all.len(), variances)),
+            f64::INFINITY,
+        )
+    }
+
+    /// n, how many lags.
+    #[must_use]
+    pub const fn order(&self) -> usize {
+        self.order
+    }
+
+    /// S^-1.
+    pub(super) const fn inverse(&self) -> &DMatrix<f64> {
+        &self.inverse
+    }
+
+    /// m and the root of S for the slowest lag's ln tau.
+    #[must_use]
+    pub fn slowest(&self) -> GaussianPrior {
+        let row = self.order - 1;
+        GaussianPrior { mean: self.mean[row], sigma: self.covariance[(row, row)].sqrt() }
+    }
+
+    /// Half the logarithm of the determinant of S: how much room there is beforehand.
+    #[must_use]
+    pub fn half_ln_determinant(&self) -> f64 {
+        let cholesky = self.inverse.clone().cholesky();
+        cholesky.map_or(0.0, |factor| -factor.l().diagonal().map(f64::ln).sum())
+    }
+
+    /// The response that is most likely beforehand, with a start, a step and an onset.
+    #[must_use]
+    pub fn expected(&self, start: f64, step: f64, onset_s: f64) -> StepResponse {
+        let rows = self.mean.iter().copied();
+        response_of(&[start, step, onset_s], rows.clone().take(self.order), rows.skip(self.order))
+    }
+
+    /// rho, its slope, and the weight of S^-1 in an equal parabola at this place.
+    pub(super) fn cost_at(&self, at: &DVector<f64>) -> (f64, DVector<f64>, f64) {
+        let off = at.rows(row::LAGS, self.mean.len()) - &self.mean;
+        let pull = &self.inverse * &off;
+        let squares = off.dot(&pull);
+        if self.freedom.is_infinite() {
+            return (0.5 * squares, pull, 1.0);
+        }
+        let a = self.freedom + self.mean.len() as f64;
+        let weight = a / (a + squares);
+        (0.5 * a * (squares / a).ln_1p(), pull * weight, weight)
+    }
+}
+
+/// What is known before the samples are looked at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResponsePrior {
+    /// Of t_0, in seconds.
+    pub onset: GaussianPrior,
+    /// Of the lags and the shares.
+    pub dynamics: DynamicsPrior,
+    /// More about the slowest lag's ln tau, for one member of a bank.
+    pub slowest: Option<GaussianPrior>,
+    /// u = y_0 + D, where the end of the step is known.
+    pub end: Option<GaussianPrior>,
+}
+
+impl ResponsePrior {
+    pub(super) fn parameters(&self) -> usize {
+        row::LAGS + self.dynamics.mean.len()
+    }
+
+    /// The response that is most likely beforehand.
+    #[must_use]
+    pub fn expected(&self, start: f64, step: f64) -> StepResponse {
+        let mut response = self.dynamics.expected(start, step, self.onset.mean);
+        if let (Some(belief), Some(lag)) = (&self.slowest, response.lags.last_mut()) {
+            lag.time_constant_s = belief.mean.exp();
+        }
+        response
+    }
+}
+
+/// The response with these rows: y_0, D and t_0, the logarithms of the lags, and all shares but the last.
+pub(super) fn response_of(
+    first: &[f64; 3],
+    ln_lags: impl Iterator<Item = f64>,
+    shares: impl Iterator<Item = f64>,
+) -> StepResponse {
+    let mut rest = 1.0;
+    let mut shares = shares.map(Some).chain(std::iter::repeat(None));
+    let lags = ln_lags.map(|ln_lag| {
+        let share = shares.next().flatten().unwrap_or(rest);
+        rest -= share;
+        Lag { time_constant_s: ln_lag.exp(), share }
+    });
+    StepResponse { lags: lags.collect(), start: first[row::START], step: first[row::STEP], onset_s: first[row::ONSET] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dynamics(freedom: f64) -> DynamicsPrior {
+        let mean = DVector::from_vec(vec![1.0, 2.0, 0.4]);
+        let covariance = DMatrix::from_row_slice(3, 3, &[0.04, 0.01, 0.0, 0.01, 0.09, 0.0, 0.0, 0.0, 0.01]);
+        DynamicsPrior::new(mean, covariance, freedom).unwrap()
+    }
+
+    fn at(off: [f64; 3]) -> DVector<f64> {
+        DVector::from_vec(vec![0.0, 0.0, 0.0, 1.0 + off[0], 2.0 + off[1], 0.4 + off[2]])
+    }
+
+    #[test]
+    fn the_pull_is_the_slope_of_the_cost() {
+        for freedom in [3.0, f64::INFINITY] {
+            let dynamics = dynamics(freedom);
+            let (_, pull, _) = dynamics.cost_at(&at([0.3, -0.5, 0.2]));
+            for i in 0..3 {
+                let mut step = [0.3, -0.5, 0.2];
+                step[i] += 1e-6;
+                let above = dynamics.cost_at(&at(step)).0;
+                step[i] -= 2e-6;
+                let slope = (above - dynamics.cost_at(&at(step)).0) / 2e-6;
+                assert!((slope - pull[i]).abs() < 1e-6, "{freedom}: {slope} {}", pull[i]);
+            }
+        }
+    }
+
+    #[test]
+    fn the_peak_is_the_gaussian_s_and_the_tail_is_not() {
+        let (gaussian, robust) = (dynamics(f64::INFINITY), dynamics(3.0));
+        let cost = |dynamics: &DynamicsPrior, off: f64| dynamics.cost_at(&at([off, 0.0, 0.0])).0;
+        assert!((cost(&robust, 1e-3) / cost(&gaussian, 1e-3) - 1.0).abs() < 1e-4);
+        assert!(cost(&robust, 2.0) < 0.3 * cost(&gaussian, 2.0));
+        // ln of the root of the determinant of S, by hand.
+        let room = 0.5 * ((0.04_f64 * 0.09 - 0.01 * 0.01) * 0.01).ln();
+        assert!((gaussian.half_ln_determinant() - room).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_no_belief_is_refused() {
+        let of = |rows: usize, variance: f64, freedom| {
+            DynamicsPrior::new(DVector::zeros(rows), DMatrix::identity(rows, rows) * variance, freedom)
+        };
+        assert!(of(3, 1.0, 1.0).is_some());
+        assert!(of(2, 1.0, 1.0).is_none(), "a share without its lag");
+        assert!(of(7, 1.0, 1.0).is_none(), "order 4");
+        assert!(of(3, 0.0, 1.0).is_none());
+        assert!(of(3, f64::NAN, 1.0).is_none());
+        assert!(of(3, 1.0, 0.0).is_none());
+    }
+}

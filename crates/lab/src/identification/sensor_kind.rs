@@ -1,0 +1,276 @@
+//! What several identified sensors of one kind say about the next one.
+//!
+//! # Model
+//! Each run i gives ln tau_ij and shares with variances of their own, v_ij. The next run of the same kind is drawn from the same
+//! population. Its mean and spread are learned from n runs and a prior spread that weighs as much as three runs:
+//! ```text
+//! m_j = mean of ln tau_ij      s_j^2 = (3 s_0^2 + sum over i of (ln tau_ij - m_j)^2) / (n + 2)                         (9)
+//! ln tau_j of the next run     Student's t, nu = n + 2, mean m_j, q_j^2 = s_j^2 (1 + 1/n) + mean of v_ij / n          (10)
+//! ```
+//! (10) is the predictive distribution of a Gaussian population whose variance has an inverse gamma prior of three degrees of freedom.
+//! Its heavy tails let the data overrule what was expected; its peak holds as long as they do not. The error of the model, (4) of
+//! [`super::fit`], is learned in the same way:
+//! ```text
+//! delta^2 = (3 s_0^2 + sum of delta_i^2) / (n + 3)     T = mean of T_i, or of the run's mean lag where no error was found      (13)
+//! ```
+//! No sensor is quite a sum of a few exponentials: without s_0 a short noisy run, which cannot show what is wrong with its model, would be
+//! taken for one whose model is right.
+//!
+//! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the next run decide
+//! (prediction.rs). Where there are two runs or more, each is predicted by the others: the order by which they miss least is chosen, and
+//! if their bounds hold less often than they should, the sigmas of the next prediction are larger by what would have made them hold.
+//!
+//! Up and down are identified apart. A step the other way, of which there is no run, is expected like those that there are, but for a
+//! scale that all its lags have in common: heat goes into a body through another film than out of it.
+//! ```text
+//! ln tau_j = ln s + ln tau_j of (10)          ln s of variance s_c^2, the same for all j                               (14)
+//! ```
+//! One scale is found out sooner than several lags, each by itself.
+//!
+//! # Sources
+//! Gelman and others, Bayesian Data Analysis, third edition, sections 3.2 and 3.3; docs/lab/thermometer.md section 4.
+
+use nalgebra::{DMatrix, DVector};
+
+use posebridge_report::metrics::chi_square;
+
+use super::TimedSample;
+use super::expectation::{ExpectedDynamics, StepDirection};
+use super::prediction::{EndPrediction, PredictionScore, predict_series, score_predictions};
+use super::prior::{DynamicsPrior, MAX_ORDER, row};
+use super::step::{CandidateModel, IdentifiedStep};
+
+/// s_0 of ln tau: time constants of one kind differ by a twentieth until the runs say otherwise.
+const LN_LAG_SPREAD: f64 = 0.05;
+/// s_c: another film of water around the sensor stretches all its lags by a fifth, more or less.
+const OTHER_DIRECTION_LN_SCALE: f64 = 0.2;
+/// s_0 of the shares.
+const SHARE_SPREAD: f64 = 0.02;
+/// s_0 of delta: no sensor is quite a sum of exponentials, even if its runs do not show it. Two lags leave 1.5, 2.0 and 3.9 % of what is
+/// still to come of three DS18B20 in ice water (root mean squares of both over the step); the worst of a kind counts.
+const MODEL_SHARE: f64 = 0.04;
+
+/// How much alike runs are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RunSimilarity {
+    /// Sensors of one kind, or one sensor in surroundings that differ: equations (9) and (10).
+    #[default]
+    SameKind,
+    /// The very same dynamics for a step the same way: what differs is what the identification did not find out.
+    SameDynamics,
+}
+
+/// What identified runs say about the next one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorKind {
+    order: usize,
+    similarity: RunSimilarity,
+    sigma_factor: f64,
+    up: Vec<CandidateModel>,
+    down: Vec<CandidateModel>,
+}
+
+/// Why runs make no kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum KindError {
+    /// There are no runs.
+    #[error("no identified run")]
+    NoRun,
+    /// No order was identified in all runs.
+    #[error("there is no order that all {runs} runs could be described by")]
+    NoCommonOrder {
+        /// How many runs.
+        runs: usize,
+    },
+}
+
+impl SensorKind {
+    /// Learns from identified runs. The order is the one by which the runs predict each other best; of a single run, its own.
+    ///
+    /// # Errors
+    /// There is no run, or no order that was tried on all.
+    pub fn from_runs(runs: &[IdentifiedStep], likeness: RunSimilarity) -> Result<Self, KindError> {
+        let first = runs.first().ok_or(KindError::NoRun)?;
+        let kinds: Vec<Self> = (1..=MAX_ORDER)
+            .filter(|order| *order == 1 || is_resolved_in_all(runs, *order))
+            .filter_map(|order| Self::with_order(runs, order, likeness))
+            .collect();
+        let none = KindError::NoCommonOrder { runs: runs.len() };
+        if runs.len() == 1 {
+            let own = kinds.into_iter().find(|kind| kind.order == first.order());
+            return own.ok_or(none);
+        }
+        let tried = kinds.into_iter().map(|kind| {
+            let judged = kind.cross_validate(runs);
+            (judged, kind)
+        });
+        let best = tried.min_by(|(a, _), (b, _)| a.mean_error.total_cmp(&b.mean_error));
+        let (judged, mut kind) = best.ok_or(none)?;
+        kind.sigma_factor = judged.bound_factor.max(1.0);
+        Ok(kind)
+    }
+
+    /// Learns from identified runs by their descriptions of one order; `None` if one of them has none.
+    #[must_use]
+    pub fn with_order(runs: &[IdentifiedStep], order: usize, likeness: RunSimilarity) -> Option<Self> {
+        let mut kind = Self { order, similarity: likeness, sigma_factor: 1.0, up: vec![], down: vec![] };
+        for run in runs {
+            let candidate = run.of_order(order)?.clone();
+            match StepDirection::from_step(candidate.fit.response.step) {
+                StepDirection::Up => kind.up.push(candidate),
+                StepDirection::Down => kind.down.push(candidate),
+            }
+        }
+        (!runs.is_empty()).then_some(kind)
+    }
+
+    /// How many exponentials.
+    #[must_use]
+    pub const fn order(&self) -> usize {
+        self.order
+    }
+
+    /// Each run predicted by the others. What cannot be predicted misses by everything.
+    fn cross_validate(&self, runs: &[IdentifiedStep]) -> PredictionScore {
+        let each = (0..runs.len()).map(|judged| {
+            let others: Vec<IdentifiedStep> =
+                runs.iter().enumerate().filter(|(index, _)| *index != judged).map(|(_, run)| run.clone()).collect();
+            let kind = Self::with_order(&others, self.order, self.similarity)?;
+            let run = runs.get(judged)?;
+            score_predictions(&predict(&run.samples, run.sigma, &kind), run)
+        });
+        let each: Vec<PredictionScore> = each.map(Option::unwrap_or_default).collect();
+        let count = each.len().max(1) as f64;
+        let factors = each.iter().map(|judged| judged.bound_factor);
+        PredictionScore {
+            mean_error: each.iter().map(|judged| judged.mean_error).sum::<f64>() / count,
+            bound_factor: factors.sum::<f64>() / count,
+        }
+    }
+
+    /// What is expected of a step this way.
+    #[must_use]
+    pub fn expectation(&self, direction: StepDirection) -> Option<ExpectedDynamics> {
+        let (own, other) = match direction {
+            StepDirection::Up => (&self.up, &self.down),
+            StepDirection::Down => (&self.down, &self.up),
+        };
+        let is_own = !own.is_empty();
+        let (runs, ln_scale) = if is_own { (own, 0.0) } else { (other, OTHER_DIRECTION_LN_SCALE) };
+        let values = RunParameters::from_runs(runs, self.order);
+        let same = (is_own && values.are_consistent()).then(|| values.same()).flatten();
+        let is_known = is_own && self.similarity == RunSimilarity::SameDynamics;
+        let dynamics = if is_known { values.same()? } else { values.of_kind(ln_scale, self.order)? };
+        let (model_share, held_s) = model_error(runs, self.similarity);
+        Some(ExpectedDynamics {
+            same: same.filter(|_| !is_known),
+            dynamics,
+            model_share,
+            error_duration_s: held_s,
+            sigma_factor: self.sigma_factor,
+        })
+    }
+}
+
+/// Predicts a run of this kind from sample to sample, as [`predict_with_expectation`](super::prediction::predict_with_expectation) does.
+#[must_use]
+pub fn predict(samples: &[TimedSample], sigma: f64, kind: &SensorKind) -> Vec<EndPrediction> {
+    predict_series(samples, sigma, |way| kind.expectation(way))
+}
+
+/// Lags and shares of several runs, each with what is known about it.
+struct RunParameters {
+    each: Vec<(DVector<f64>, DMatrix<f64>)>,
+    mean: DVector<f64>,
+}
+
+impl RunParameters {
+    fn from_runs(runs: &[CandidateModel], order: usize) -> Self {
+        let rows = 2 * order - 1;
+        let own = |run: &CandidateModel| {
+            let covariance = &run.fit.covariance;
+            covariance.view((row::LAGS, row::LAGS), (rows, rows)).into_owned()
+        };
+        let each: Vec<_> = runs.iter().map(|run| (parameter_rows(run, rows), own(run))).collect();
+        let sum: DVector<f64> = each.iter().map(|(value, _)| value).sum();
+        Self { mean: sum / runs.len() as f64, each }
+    }
+
+    /// Covariance of the mean by what each run does not know.
+    fn identification_covariance(&self) -> DMatrix<f64> {
+        let sum: DMatrix<f64> = self.each.iter().map(|(_, own)| own).sum();
+        sum / (self.each.len() as f64).powi(2)
+    }
+
+    /// Whether the runs differ by no more than what they do not know about themselves, at a level of 5 %.
+    fn are_consistent(&self) -> bool {
+        let squares: Option<f64> = self
+            .each
+            .iter()
+            .map(|(value, own)| {
+                let off = value - &self.mean;
+                Some(off.dot(&own.clone().cholesky()?.solve(&off)))
+            })
+            .sum();
+        let freedom = (self.each.len() - 1) * self.mean.len();
+        let Some(limit) = chi_square::quantile(0.95, freedom as u64) else {
+            return true;
+        };
+        squares.is_some_and(|squares| squares <= limit)
+    }
+
+    fn same(&self) -> Option<DynamicsPrior> {
+        DynamicsPrior::new(self.mean.clone(), self.identification_covariance(), f64::INFINITY)
+    }
+
+    /// Equations (9) and (10), with a scale that all lags have in common by (14).
+    fn of_kind(&self, ln_scale: f64, order: usize) -> Option<DynamicsPrior> {
+        let count = self.each.len() as f64;
+        let freedom = PRIOR_FREEDOM + count - 1.0;
+        let variances = (0..self.mean.len()).map(|i| {
+            let spread = if i < order { LN_LAG_SPREAD } else { SHARE_SPREAD };
+            let off = self.each.iter().map(|(value, _)| (value[i] - self.mean[i]).powi(2));
+            let scatter: f64 = off.sum();
+            (PRIOR_FREEDOM * spread * spread + scatter) / freedom * (1.0 + 1.0 / count)
+        });
+        let between = DVector::from_iterator(self.mean.len(), variances);
+        let mut covariance = self.identification_covariance() + DMatrix::from_diagonal(&between);
+        covariance.view_mut((0, 0), (order, order)).add_scalar_mut(ln_scale * ln_scale);
+        DynamicsPrior::new(self.mean.clone(), covariance, freedom)
+    }
+}
+
+/// The lags' ln tau and the free shares of a description.
+fn parameter_rows(run: &CandidateModel, rows: usize) -> DVector<f64> {
+    let lags = &run.fit.response.lags;
+    let ln_lags = lags.iter().map(|lag| lag.time_constant_s.ln());
+    let shares = lags.iter().map(|lag| lag.share);
+    DVector::from_iterator(rows, ln_lags.chain(shares).take(rows))
+}
+
+/// delta and T of the next run: by what the runs show, and within a kind also by what is believed beforehand.
+fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
+    let count = runs.len() as f64;
+    let squares: f64 = runs.iter().map(|run| run.model_share.powi(2)).sum();
+    if likeness == RunSimilarity::SameDynamics {
+        let held_s = runs.iter().map(|run| run.error_duration_s).sum::<f64>() / count;
+        return ((squares / count).sqrt(), held_s);
+    }
+    let believed = PRIOR_FREEDOM * MODEL_SHARE * MODEL_SHARE;
+    let held_s = runs.iter().map(|run| {
+        let lags = run.fit.response.lags.iter();
+        let mean_lag_s: f64 = lags.map(|lag| lag.share * lag.time_constant_s).sum();
+        if run.error_duration_s > 0.0 { run.error_duration_s } else { mean_lag_s.max(0.0) }
+    });
+    (((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
+}
+
+/// Degrees of freedom of the prior spread: it weighs as much as so many runs.
+const PRIOR_FREEDOM: f64 = 3.0;
+
+/// An order with a share that may be zero in one of the runs has lags that are anywhere.
+fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
+    let mut candidates = runs.iter().map(|run| run.of_order(order));
+    candidates.all(|candidate| candidate.is_some_and(IdentifiedStep::is_resolved))
+}

@@ -1,0 +1,425 @@
+//! Gain, delay, lags and order of a sensor from the samples of one step.
+//!
+//! # Method
+//! ```text
+//! find the step (onset.rs); fit 1, 2 and 3 exponentials to it (fit.rs) with a prior that says next to nothing
+//! order    least  m ln(e'e / N) + k ln m        m = N / c independent residuals, k parameters            (7)
+//! delta    from neighbours: white noise has no covariance with the next sample, a wrong model has
+//!          delta^2 = mean(e_k e_(k+1)) / mean((D r_k)^2)        c = 1 + 2 sum over i of rho_i            (8)
+//!          T = c / 2 times the distance of samples: what correlations of e^(-t / T) add up to
+//! ```
+//! A second fit with delta and T gives the sigmas: those of a fit that takes the residuals of a wrong model for white noise are too small.
+//!
+//! # Sources
+//! Schwarz (1978), (7); docs/lab/thermometer.md section 3.
+
+use super::fit::{ResponseFit, ResponseNoise, fit_response};
+use super::onset::{StepSegment, find_step};
+use super::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
+use super::step_response::{Lag, StepResponse};
+use super::{TimedSample, sorted_finite};
+
+/// How many exponentials to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ModelOrder {
+    /// As many as the data ask for, by equation (7).
+    #[default]
+    Automatic,
+    /// So many, 1 to [`MAX_ORDER`].
+    Fixed(usize),
+}
+
+/// What is known about a step beforehand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepOptions {
+    /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its last digit over the root of 12.
+    pub sigma: f64,
+    /// How many exponentials.
+    pub order: ModelOrder,
+    /// When the quantity stepped, in seconds of the sensor's clock; without it there is no delay to be told.
+    pub onset_s: Option<f64>,
+    /// How far the quantity stepped, in its own unit; without it there is no gain to be told.
+    pub input_step: Option<f64>,
+    /// What the sensor shows in the end, if that is known; it need not be.
+    pub end: Option<f64>,
+}
+
+impl StepOptions {
+    /// Nothing is known but the noise.
+    #[must_use]
+    pub const fn with_sigma(sigma: f64) -> Self {
+        Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
+    }
+}
+
+/// A lag with what is known about it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IdentifiedLag {
+    /// tau, in seconds.
+    pub time_constant_s: f64,
+    /// Its standard deviation, in seconds.
+    pub time_constant_sigma_s: f64,
+    /// Its share of the step.
+    pub share: f64,
+    /// The share's standard deviation.
+    pub share_sigma: f64,
+}
+
+/// One way to describe the step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CandidateModel {
+    /// The response and what is known about it.
+    pub fit: ResponseFit,
+    /// Root mean square of what it leaves, in the sensor's unit.
+    pub residual_rms: f64,
+    /// delta of equation (8).
+    pub model_share: f64,
+    /// T of equation (8): how long an error of the model holds, in seconds; 0 where none was found.
+    pub error_duration_s: f64,
+    /// The criterion (7); the least is best.
+    pub criterion: f64,
+}
+
+/// A sensor's answer to a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IdentifiedStep {
+    /// The samples that were used.
+    pub samples: Vec<TimedSample>,
+    /// What the sensor shows per unit of the quantity, if the step of the quantity was given.
+    pub gain: Option<f64>,
+    /// From the step of the quantity until the sensor begins to move, in seconds, if the former was given.
+    pub delay_s: Option<f64>,
+    /// What the sensor shows in the end: as given, else the mean of the last tenth of the samples.
+    pub end: f64,
+    /// Noise of a sample that was used, in the sensor's unit.
+    pub sigma: f64,
+    /// The descriptions that were tried, by rising order.
+    pub candidates: Vec<CandidateModel>,
+    chosen: usize,
+}
+
+impl IdentifiedStep {
+    /// The description that was chosen.
+    #[must_use]
+    pub fn chosen(&self) -> &CandidateModel {
+        &self.candidates[self.chosen]
+    }
+
+    /// The description of this order, if it was tried and found.
+    #[must_use]
+    pub fn of_order(&self, order: usize) -> Option<&CandidateModel> {
+        let mut all = self.candidates.iter();
+        all.find(|candidate| candidate.fit.response.lags.len() == order)
+    }
+
+    /// How many exponentials were chosen.
+    #[must_use]
+    pub fn order(&self) -> usize {
+        self.response().lags.len()
+    }
+
+    /// The response that was chosen; its `model` is what the dynamic measurement filter needs.
+    #[must_use]
+    pub fn response(&self) -> &StepResponse {
+        &self.chosen().fit.response
+    }
+
+    /// Whether each share of this description is known to differ from zero, at a level of 5 % to one side.
+    #[must_use]
+    pub fn is_resolved(candidate: &CandidateModel) -> bool {
+        let fit = &candidate.fit;
+        let mut lags = fit.response.lags.iter().enumerate();
+        lags.all(|(j, lag)| lag.share.abs() > ONE_SIDED_SIGMAS * fit.share_sigma(j))
+    }
+
+    /// The lags with their sigmas, the fastest first.
+    #[must_use]
+    pub fn lags(&self) -> Vec<IdentifiedLag> {
+        let fit = &self.chosen().fit;
+        let of = |(j, lag): (usize, &Lag)| IdentifiedLag {
+            time_constant_s: lag.time_constant_s,
+            time_constant_sigma_s: lag.time_constant_s * fit.ln_lag_sigma(j),
+            share: lag.share,
+            share_sigma: fit.share_sigma(j),
+        };
+        fit.response.lags.iter().enumerate().map(of).collect()
+    }
+}
+
+/// The quantile of a Gaussian at 95 %.
+const ONE_SIDED_SIGMAS: f64 = 1.644_854;
+
+/// Why nothing was identified.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum IdentificationError {
+    /// The noise makes no sense.
+    #[error("a noise of {sigma} is not positive and finite")]
+    Sigma {
+        /// The noise.
+        sigma: f64,
+    },
+    /// The order makes no sense.
+    #[error("an order of {order} is not 1 to {MAX_ORDER}")]
+    Order {
+        /// The order.
+        order: usize,
+    },
+    /// Something that was given about the step makes no sense.
+    #[error("{what} of {value} is not finite, or zero")]
+    InvalidOption {
+        /// What was given.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Nothing moves.
+    #[error("no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains")]
+    NoStep {
+        /// Usable samples.
+        samples: usize,
+        /// The noise.
+        sigma: f64,
+    },
+    /// There are too few samples for any fit.
+    #[error("{samples} samples after the onset are too few for an order of {order}")]
+    TooFew {
+        /// Samples after the onset.
+        samples: usize,
+        /// The lowest order that was asked for.
+        order: usize,
+    },
+}
+
+/// Identifies a sensor from the samples of a recording with a step in it.
+///
+/// Samples that are not finite or not later than the one before are left out.
+///
+/// # Errors
+/// The options make no sense, or there is no step.
+pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<IdentifiedStep, IdentificationError> {
+    validate_options(options)?;
+    let no_step = || IdentificationError::NoStep { samples: sorted_finite(samples).len(), sigma: options.sigma };
+    let found = find_step(samples, options.sigma).ok_or_else(no_step)?;
+    let orders = match options.order {
+        ModelOrder::Automatic => 1..=MAX_ORDER,
+        ModelOrder::Fixed(order) => order..=order,
+    };
+    let work = StepFitter::new(&found, options);
+    let mut candidates: Vec<CandidateModel> = orders.clone().filter_map(|order| work.candidate(order)).collect();
+    work.score_candidates(&mut candidates);
+    let best = candidates
+        .iter()
+        .enumerate()
+        .filter(|(index, candidate)| *index == 0 || IdentifiedStep::is_resolved(candidate))
+        .min_by(|(_, a), (_, b)| a.criterion.total_cmp(&b.criterion));
+    let Some((chosen, best)) = best else {
+        return Err(IdentificationError::TooFew { samples: work.samples_after_onset, order: *orders.start() });
+    };
+    let response = &best.fit.response;
+    let step = response.step;
+    Ok(IdentifiedStep {
+        gain: options.input_step.map(|input| step / input),
+        delay_s: options.onset_s.map(|onset_s| response.onset_s - onset_s),
+        end: options.end.unwrap_or(found.end),
+        sigma: work.sigma,
+        samples: found.samples,
+        chosen,
+        candidates,
+    })
+}
+
+fn validate_options(options: &StepOptions) -> Result<(), IdentificationError> {
+    let sigma = options.sigma;
+    if !(sigma > 0.0 && sigma.is_finite()) {
+        return Err(IdentificationError::Sigma { sigma });
+    }
+    if let ModelOrder::Fixed(order) = options.order
+        && !(1..=MAX_ORDER).contains(&order)
+    {
+        return Err(IdentificationError::Order { order });
+    }
+    let given = [
+        ("an onset", options.onset_s, true),
+        ("a step of the quantity", options.input_step, false),
+        ("an end", options.end, true),
+    ];
+    for (what, value, may_be_zero) in given {
+        if let Some(value) = value
+            && !(value.is_finite() && (may_be_zero || value != 0.0))
+        {
+            return Err(IdentificationError::InvalidOption { what, value });
+        }
+    }
+    Ok(())
+}
+
+/// Where next to nothing is known, shares are about equal, and lags lie within two decades of each other.
+const WEAK_SHARE_SIGMA: f64 = 0.5;
+const WEAK_LN_LAG_SIGMA: f64 = 1.5;
+/// The onset is known to a few hundredths of the step's duration.
+const WEAK_ONSET_SHARE: f64 = 0.03;
+/// Lags from which the fits begin, as shares of the duration: for each order close ones and distant ones.
+const FIRST_LAGS: [[&[f64]; 2]; MAX_ORDER] =
+    [[&[0.12], &[0.3]], [&[0.04, 0.14], &[0.01, 0.15]], [&[0.02, 0.06, 0.16], &[0.005, 0.04, 0.15]]];
+/// The end of a step is known to this share of it at best.
+const END_SHARE: f64 = 0.002;
+
+struct StepFitter<'a> {
+    segment: &'a StepSegment,
+    sigma: f64,
+    /// Samples after the onset.
+    samples_after_onset: usize,
+    duration_s: f64,
+    interval_s: f64,
+    end: Option<GaussianPrior>,
+}
+
+impl<'a> StepFitter<'a> {
+    fn new(segment: &'a StepSegment, options: &StepOptions) -> Self {
+        let is_moving = |sample: &&TimedSample| sample.at_s > segment.onset_s;
+        let samples_after_onset = segment.samples.iter().filter(is_moving).count();
+        let last_s = segment.samples.last().map_or(0.0, |sample| sample.at_s);
+        let duration_s = last_s - segment.onset_s;
+        let step = (segment.end - segment.start).abs();
+        let known = |mean| GaussianPrior { mean, sigma: (END_SHARE * step).max(1e-12) };
+        Self {
+            segment,
+            sigma: options.sigma,
+            samples_after_onset,
+            duration_s,
+            interval_s: duration_s / (samples_after_onset.max(1) as f64),
+            end: options.end.map(known),
+        }
+    }
+
+    /// The best response of an order; `None` where there are fewer samples than parameters.
+    fn candidate(&self, order: usize) -> Option<CandidateModel> {
+        if self.samples_after_onset <= 3 + 2 * order {
+            return None;
+        }
+        let starts = FIRST_LAGS.get(order - 1)?;
+        let fits = starts.iter().filter_map(|shares| self.fit_from(shares));
+        let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        let residuals = self.residuals(&best.response);
+        let (model_share, held_s) = self.model_error(&best.response, &residuals);
+        let noise = ResponseNoise { sigma: self.sigma, model_share, error_duration_s: held_s };
+        let prior = self.weak_prior(starts[0])?;
+        let honest = fit_response(&self.segment.samples, &noise, &prior, &best.response).unwrap_or(best);
+        let squares: f64 = residuals.iter().map(|e| e * e).sum();
+        Some(CandidateModel {
+            residual_rms: (squares / residuals.len() as f64).sqrt(),
+            fit: honest,
+            model_share,
+            error_duration_s: held_s,
+            criterion: f64::INFINITY,
+        })
+    }
+
+    fn fit_from(&self, shares_of_duration: &[f64]) -> Option<ResponseFit> {
+        let prior = self.weak_prior(shares_of_duration)?;
+        let guess = prior.expected(self.segment.start, self.segment.end - self.segment.start);
+        let noise = ResponseNoise::white(self.sigma);
+        let mut found = fit_response(&self.segment.samples, &noise, &prior, &guess)?;
+        let mut sorted = found.response.clone();
+        sorted.lags.sort_by(|a, b| a.time_constant_s.total_cmp(&b.time_constant_s));
+        if sorted != found.response {
+            found = fit_response(&self.segment.samples, &noise, &prior, &sorted)?;
+        }
+        Some(found)
+    }
+
+    /// What is known next to nothing about.
+    fn weak_prior(&self, shares_of_duration: &[f64]) -> Option<ResponsePrior> {
+        let order = shares_of_duration.len();
+        let ln_lag = |share: &f64| GaussianPrior { mean: (share * self.duration_s).ln(), sigma: WEAK_LN_LAG_SIGMA };
+        let ln_lags: Vec<GaussianPrior> = shares_of_duration.iter().map(ln_lag).collect();
+        let share = GaussianPrior { mean: 1.0 / order as f64, sigma: WEAK_SHARE_SIGMA };
+        Some(ResponsePrior {
+            onset: GaussianPrior {
+                mean: self.segment.onset_s,
+                sigma: (WEAK_ONSET_SHARE * self.duration_s).max(2.0 * self.interval_s),
+            },
+            dynamics: DynamicsPrior::independent(&ln_lags, &vec![share; order - 1])?,
+            slowest: None,
+            end: self.end,
+        })
+    }
+
+    /// What the response leaves of each sample after the onset.
+    fn residuals(&self, response: &StepResponse) -> Vec<f64> {
+        let moving = self.segment.samples.iter();
+        let moving = moving.filter(|sample| sample.at_s > self.segment.onset_s);
+        moving.map(|sample| sample.value - response.value_at(sample.at_s)).collect()
+    }
+
+    /// delta and T in seconds, equation (8).
+    fn model_error(&self, response: &StepResponse, residuals: &[f64]) -> (f64, f64) {
+        let left = self.segment.samples.iter().filter_map(|sample| {
+            let since_s = sample.at_s - self.segment.onset_s;
+            (since_s > 0.0).then(|| (response.step * response.remaining(since_s)).powi(2))
+        });
+        let mean_left = left.sum::<f64>() / residuals.len().max(1) as f64;
+        let held = ResidualCorrelation::from_residuals(residuals);
+        if held.model_variance <= 0.0 || mean_left <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let held_s = 0.5 * held.model_samples * self.interval_s;
+        ((held.model_variance / mean_left).sqrt(), held_s)
+    }
+
+    /// Gives each candidate its criterion (7), with as many independent residuals as the best one leaves.
+    fn score_candidates(&self, candidates: &mut [CandidateModel]) {
+        let held = candidates
+            .iter()
+            .map(|candidate| {
+                ResidualCorrelation::from_residuals(&self.residuals(&candidate.fit.response)).samples_per_residual
+            })
+            .fold(f64::INFINITY, f64::min);
+        let independent = self.samples_after_onset as f64 / held.max(1.0);
+        for candidate in candidates {
+            let parameters = 2.0 + 2.0 * candidate.fit.response.lags.len() as f64;
+            // No residual is told apart below a tenth of the noise.
+            let rms = candidate.residual_rms.max(0.1 * self.sigma);
+            candidate.criterion = 2.0 * independent * rms.ln() + parameters * independent.ln();
+        }
+    }
+}
+
+/// What neighbouring residuals have in common.
+struct ResidualCorrelation {
+    /// Variance of what holds from one sample to the next; 0 where that is no more than chance.
+    model_variance: f64,
+    /// Over how many samples that part holds.
+    model_samples: f64,
+    /// Samples to one independent residual, white noise included.
+    samples_per_residual: f64,
+}
+
+impl ResidualCorrelation {
+    fn from_residuals(residuals: &[f64]) -> Self {
+        let count = residuals.len().max(1);
+        let all = covariance(residuals, 0);
+        // Two standard deviations of the covariance of white noise.
+        let chance = 2.0 * all / (count as f64).sqrt();
+        let common: Vec<f64> = (1..count / 4)
+            .map(|lag| covariance(residuals, lag))
+            .take_while(|covariance| *covariance > chance)
+            .collect();
+        let sum: f64 = common.iter().sum();
+        let Some(&next) = common.first() else {
+            return Self { model_variance: 0.0, model_samples: 1.0, samples_per_residual: 1.0 };
+        };
+        Self {
+            model_variance: next,
+            model_samples: 1.0 + 2.0 * sum / next,
+            samples_per_residual: 1.0 + 2.0 * sum / all,
+        }
+    }
+}
+
+/// The mean product of residuals so many samples apart.
+fn covariance(residuals: &[f64], lag: usize) -> f64 {
+    let pairs = residuals.iter().zip(residuals.iter().skip(lag));
+    pairs.map(|(a, b)| a * b).sum::<f64>() / residuals.len().max(1) as f64
+}

@@ -1,0 +1,218 @@
+//! How late a camera speaks, by its motion against the wheels': equation (5) of the module's head.
+//!
+//! ```text
+//! d^       the delay of the largest correlation: a grid, then a golden section
+//! e'       de/dd, less its share along e, because g is not known either
+//! var d^ = sum_|j|<=2 sum_k e'_k e'_k+j n_k n_k+j / (g sum e'_k^2)^2     whatever the noise is like (W. K. Newey, K. D. West, 1987)
+//! ```
+
+use posebridge_telemetry::quantities::wrap_rad;
+
+use super::cumulative_motion::{CameraSample, CumulativeMotion, MotionAxis};
+
+/// How to search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DelaySearch {
+    /// The smallest delay that is looked at, in seconds; negative for a camera whose stamps are early.
+    pub from_s: f64,
+    /// The largest.
+    pub to_s: f64,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixDelay {
+    /// The delay, in seconds.
+    pub delay_s: f64,
+    /// Its standard deviation.
+    pub sigma_s: f64,
+    /// The correlation there.
+    pub correlation: f64,
+    /// Sightings that were used.
+    pub fixes: usize,
+    /// Whether headings were compared, or only paths.
+    pub by_heading: bool,
+    /// Correlation over delay, in the order of the delays.
+    pub curve: Vec<(f64, f64)>,
+}
+
+/// Why no delay is found.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum DelayError {
+    /// Too little to compare.
+    #[error("only {0} sightings lie within what the wheels tell at every delay; 30 are the least")]
+    TooFew(usize),
+    /// The robot does the same all the time.
+    #[error("the robot hardly changes its motion (correlation {0:.2}): let it turn to and fro")]
+    NoMotion(f64),
+    /// The best delay is at the end of the search.
+    #[error("the best delay, {0:.3} s, is at the end of the search: widen it with --most")]
+    AtSearchLimit(f64),
+    /// No range to search.
+    #[error("the search must go from a smaller to a larger number of seconds, both finite")]
+    NoRange,
+}
+
+const MIN_FIXES: usize = 30;
+/// Sightings on either side of the one from which their mean is taken: drift slower than that does not count.
+const MEAN_HALF_WINDOW: usize = 10;
+/// Step of the first look.
+const GRID_S: f64 = 0.01;
+/// Sections of the last two steps of the grid: 0.02 s / 1.618^30.
+const SECTIONS: u32 = 30;
+/// Half a step for the derivative: about a sampling interval of the wheels, over which they are drawn as a line.
+const SLOPE_HALF_WIDTH_S: f64 = 0.02;
+/// Lags of the noise that are taken for correlated: the moving mean and a camera that filters make some.
+const LAGS: usize = 2;
+/// Below this correlation the best delay is chance.
+const MIN_CORRELATION: f64 = 0.5;
+
+/// Finds it.
+///
+/// # Errors
+/// [`DelayError`].
+pub fn find_delay(
+    levels: &CumulativeMotion,
+    sightings: &[CameraSample],
+    search: &DelaySearch,
+) -> Result<FixDelay, DelayError> {
+    let is_range = search.from_s.is_finite() && search.to_s.is_finite() && search.from_s < search.to_s;
+    if !is_range {
+        return Err(DelayError::NoRange);
+    }
+    let seen = CameraMotion::of(levels, sightings, search)?;
+    let points = ((search.to_s - search.from_s) / GRID_S).ceil() as u32;
+    let grid = (0..=points).map(|i| search.from_s + (search.to_s - search.from_s) * f64::from(i) / f64::from(points));
+    let curve: Vec<(f64, f64)> = grid.map(|delay_s| (delay_s, seen.correlation(delay_s))).collect();
+    let best = curve.iter().max_by(|a, b| a.1.total_cmp(&b.1)).copied();
+    let (coarse_s, correlation) = best.unwrap_or_default();
+    if correlation < MIN_CORRELATION {
+        return Err(DelayError::NoMotion(correlation));
+    }
+    if coarse_s <= search.from_s || coarse_s >= search.to_s {
+        return Err(DelayError::AtSearchLimit(coarse_s));
+    }
+    let delay_s = seen.refine(coarse_s);
+    Ok(FixDelay {
+        delay_s,
+        sigma_s: seen.sigma_s(delay_s),
+        correlation: seen.correlation(delay_s),
+        fixes: seen.at_s.len(),
+        by_heading: seen.axis == MotionAxis::Turn,
+        curve,
+    })
+}
+
+/// What the camera saw, less its moving mean, and what to hold it against.
+struct CameraMotion<'a> {
+    levels: &'a CumulativeMotion,
+    axis: MotionAxis,
+    at_s: Vec<f64>,
+    camera: Vec<f64>,
+}
+
+impl<'a> CameraMotion<'a> {
+    fn of(levels: &'a CumulativeMotion, sightings: &[CameraSample], search: &DelaySearch) -> Result<Self, DelayError> {
+        let (first_s, last_s) = levels.time_range_s().ok_or(DelayError::TooFew(0))?;
+        let from_s = first_s + search.to_s.max(0.0) + SLOPE_HALF_WIDTH_S;
+        let until_s = last_s + search.from_s.min(0.0) - SLOPE_HALF_WIDTH_S;
+        let mut last_s = f64::NEG_INFINITY;
+        let mut used: Vec<&CameraSample> = Vec::new();
+        for sighting in sightings {
+            let is_finite = sighting.position_m.iter().all(|value| value.is_finite());
+            if is_finite && sighting.at_s > last_s && (from_s..=until_s).contains(&sighting.at_s) {
+                last_s = sighting.at_s;
+                used.push(sighting);
+            }
+        }
+        if used.len() < MIN_FIXES {
+            return Err(DelayError::TooFew(used.len()));
+        }
+        let headings: Option<Vec<f64>> =
+            used.iter().map(|sighting| sighting.heading_rad.filter(|rad| rad.is_finite())).collect();
+        let of = if headings.is_some() { MotionAxis::Turn } else { MotionAxis::Path };
+        let steps: Vec<f64> = match headings {
+            Some(headings) => headings
+                .windows(2)
+                .map(|pair| pair.iter().copied().reduce(|a, b| wrap_rad(b - a)).unwrap_or(0.0))
+                .collect(),
+            None => used
+                .iter()
+                .zip(used.iter().skip(1))
+                .map(|(a, b)| (b.position_m[0] - a.position_m[0]).hypot(b.position_m[1] - a.position_m[1]))
+                .collect(),
+        };
+        let mut level = 0.0;
+        let mut c = vec![0.0];
+        c.extend(steps.iter().map(|step| {
+            level += step;
+            level
+        }));
+        Ok(Self {
+            levels,
+            axis: of,
+            at_s: used.iter().map(|sighting| sighting.at_s).collect(),
+            camera: without_mean(&c),
+        })
+    }
+
+    /// What the wheels counted so much earlier, less its moving mean.
+    fn predicted(&self, delay_s: f64) -> Vec<f64> {
+        let at = |at_s: &f64| self.levels.at(at_s - delay_s, self.axis).unwrap_or(0.0);
+        without_mean(&self.at_s.iter().map(at).collect::<Vec<_>>())
+    }
+
+    fn correlation(&self, delay_s: f64) -> f64 {
+        let e = self.predicted(delay_s);
+        let both = dot(&e, &e) * dot(&self.camera, &self.camera);
+        if both > 0.0 { dot(&e, &self.camera) / both.sqrt() } else { 0.0 }
+    }
+
+    fn refine(&self, coarse_s: f64) -> f64 {
+        let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
+        let (mut low, mut high) = (coarse_s - GRID_S, coarse_s + GRID_S);
+        for _ in 0..SECTIONS {
+            let (a, b) = (high - golden * (high - low), low + golden * (high - low));
+            if self.correlation(a) > self.correlation(b) {
+                high = b;
+            } else {
+                low = a;
+            }
+        }
+        0.5 * (low + high)
+    }
+
+    fn sigma_s(&self, delay_s: f64) -> f64 {
+        let e = self.predicted(delay_s);
+        let slope: Vec<f64> = self
+            .predicted(delay_s + SLOPE_HALF_WIDTH_S)
+            .iter()
+            .zip(self.predicted(delay_s - SLOPE_HALF_WIDTH_S))
+            .map(|(later, earlier)| (later - earlier) / (2.0 * SLOPE_HALF_WIDTH_S))
+            .collect();
+        let g = dot(&e, &self.camera) / dot(&e, &e);
+        let share = dot(&slope, &e) / dot(&e, &e);
+        let scores: Vec<f64> =
+            slope.iter().zip(&e).zip(&self.camera).map(|((slope, e), c)| (slope - share * e) * (c - g * e)).collect();
+        let own = dot(&slope, &slope) - share * dot(&slope, &e);
+        let lagged = |lag: usize| scores.iter().zip(scores.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
+        // Bartlett's weights keep the sum above zero.
+        let weight = |lag: usize| 2.0 * (1.0 - lag as f64 / (LAGS + 1) as f64);
+        let variance = lagged(0) + (1..=LAGS).map(|lag| weight(lag) * lagged(lag)).sum::<f64>();
+        variance.max(0.0).sqrt() / (g.abs() * own)
+    }
+}
+
+fn without_mean(values: &[f64]) -> Vec<f64> {
+    let about = |i: usize| {
+        let from = i.saturating_sub(MEAN_HALF_WINDOW);
+        let until = (i + MEAN_HALF_WINDOW + 1).min(values.len());
+        let window = values.get(from..until).unwrap_or(&[]);
+        window.iter().sum::<f64>() / window.len() as f64
+    };
+    values.iter().enumerate().map(|(i, value)| value - about(i)).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

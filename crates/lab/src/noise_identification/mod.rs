@@ -1,0 +1,37 @@
+//! What a sensor's noise is, from a robot that rests or drives straight, and how late one sensor speaks, from its motion.
+//!
+//! Paper 1 finds its R by hand: a robot that stands, recorded, and one that drives straight. Here the same two recordings give the
+//! numbers with their standard deviations, and a third, in which a robot turns to and fro, gives the delay of a camera.
+//!
+//! # Model
+//! ```text
+//! rest      y_k = b_k + v_k     b_k+1 = b_k + w_k     var v = s^2 + q^2 / 12     var w = K^2 dt                  (1)
+//! Allan     s_A^2(tau) = mean((a_k+2m - 2 a_k+m + a_k)^2) / (2 tau^2)     a the integral of y, tau = m dt       (2)
+//! straight  v_k = r (phi_k - phi_k-1) / dt,  R = its variance about a straight line                            (3)
+//!           of rounding to whole counts: R = (r tick / dt)^2 / 6 on average over speeds                        (4)
+//! delay     c_k = g e(t_k - d) + n_k     c what the camera saw the robot turn, e what the wheels counted       (5)
+//!           d^ = argmax of the correlation of c and e(. - d), both less their moving mean
+//! ```
+//! # Source
+//! (1): A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), chapter 4, the local level model.
+//! (2): IEEE Std 952-1997, annex C. (3): paper 1, "R from a stop and a straight run". (4): the variance of a difference of two
+//! rounding errors, each uniform. (5): C. H. Knapp, G. C. Carter, The generalized correlation method for estimation of time delay,
+//! IEEE Trans. ASSP 24(4), 1976.
+
+mod allan;
+mod cumulative_motion;
+mod delay;
+mod quantization_step;
+mod rest;
+mod rest_record;
+mod straight;
+mod white_and_walk;
+
+pub use allan::{AllanPoint, allan_deviation};
+pub use cumulative_motion::{CameraSample, CumulativeMotion, cumulative_motion_of};
+pub use delay::{DelayError, DelaySearch, FixDelay, find_delay};
+pub use quantization_step::find_quantization_step;
+pub use rest::{RestNoise, noise_at_rest};
+pub use rest_record::{RestError, RestRecord};
+pub use straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
+pub use white_and_walk::{NoiseDecomposition, decompose_noise};

@@ -1,0 +1,158 @@
+//! A sensor that rests: bias, white noise, step and random walk, equation (1) of the module's head.
+//!
+//! ```text
+//! white    s^2 = var v - q^2 / 12: rounding to a step adds the square of the step over twelve
+//! bias     the mean; var = var v / n + K^2 T / 3 + h^2 / 2
+//! hidden   h = q / pi e^(-2 pi^2 s^2 / q^2): by so much may the mean of rounded readings be off, however many there are
+//! ```
+//! Source: B. Widrow, I. Kollár, Quantization Noise (2008), section 4.4 for q^2 / 12, and the first harmonic of the mean of the rounding
+//! error of Gaussian noise for h.
+
+use std::f64::consts::PI;
+
+use super::quantization_step::find_quantization_step;
+use super::rest_record::{RestError, RestRecord};
+use super::white_and_walk::{NoiseDecomposition, decompose_noise};
+
+/// The noise of a sensor that rests, in its own unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RestNoise {
+    /// Samples.
+    pub samples: usize,
+    /// For how long, in seconds; silences are left out.
+    pub rest_s: f64,
+    /// Their usual spacing, in seconds.
+    pub dt_s: f64,
+    /// The mean: the bias, on average over the record.
+    pub bias: f64,
+    /// Its standard deviation, with the walk and with what rounding hides.
+    pub bias_sigma: f64,
+    /// The step in which the sensor speaks; `None` if none is seen.
+    pub quantum: Option<f64>,
+    /// White noise of a sample with its rounding, one standard deviation.
+    pub total: f64,
+    /// White noise without the rounding; zero where rounding alone scatters as much.
+    pub white: f64,
+    /// Its standard deviation; where `white` is zero, the largest that it can be.
+    pub white_sigma: f64,
+    /// Angle random walk of a rate: `total` times the root of `dt_s`.
+    pub angle_random_walk: f64,
+    /// Random walk of the bias per root of a second, with its standard deviation; `None` where none can be told from zero.
+    pub walk: Option<(f64, f64)>,
+}
+
+impl RestNoise {
+    /// The noise that a filter shall be told which adds the rounding to `quantum` itself: never zero.
+    ///
+    /// Where rounding hides all other noise, the largest that it can be.
+    #[must_use]
+    pub const fn without_rounding(&self) -> f64 {
+        if self.white > 0.0 { self.white } else { self.white_sigma }
+    }
+}
+
+/// Finds the noise of a sensor that rests.
+///
+/// # Errors
+/// [`RestError::Silent`].
+pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
+    let found = decompose_noise(record).ok_or(RestError::Silent)?;
+    let samples: Vec<f64> = record.readings().collect();
+    let dt_s = record.interval_s();
+    let n = samples.len() as f64;
+    let quantum = find_quantization_step(&samples);
+    let (white, white_sigma) = without_rounding(&found, quantum);
+    let walk = found.walk_per_step.map(|per_step| {
+        let walk = per_step / dt_s.sqrt();
+        (walk, walk * found.walk_ln_sigma)
+    });
+    let walked2 = walk.map_or(0.0, |(walk, _)| walk * walk * n * dt_s / 3.0);
+    let hidden2 = quantum.map_or(0.0, |quantum| quantization_floor(quantum, white).powi(2) / 2.0);
+    Ok(RestNoise {
+        samples: samples.len(),
+        rest_s: record.rest_s(),
+        dt_s,
+        bias: samples.iter().sum::<f64>() / n,
+        bias_sigma: (found.white * found.white / n + walked2 + hidden2).sqrt(),
+        quantum,
+        total: found.white,
+        white,
+        white_sigma,
+        angle_random_walk: found.white * dt_s.sqrt(),
+        walk,
+    })
+}
+
+/// White noise less its rounding to a step, with its standard deviation.
+fn without_rounding(found: &NoiseDecomposition, quantum: Option<f64>) -> (f64, f64) {
+    let rounding2 = quantum.map_or(0.0, |quantum| quantum * quantum / 12.0);
+    let white = (found.white * found.white - rounding2).max(0.0).sqrt();
+    // d white = total / white d total
+    let sigma = if white > 0.0 { found.white_sigma * found.white / white } else { found.white };
+    (white, sigma)
+}
+
+/// h of the module's head.
+fn quantization_floor(quantum: f64, white: f64) -> f64 {
+    quantum / PI * (-2.0 * (PI * white / quantum).powi(2)).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn normal(count: usize, seed: u64) -> Vec<f64> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        (0..count).map(|_| StandardNormal.sample(&mut rng)).collect()
+    }
+
+    /// Twenty a second.
+    fn found(samples: &[f64]) -> Result<RestNoise, RestError> {
+        let stamped = samples.iter().enumerate();
+        let stamped = stamped.map(|(k, sample)| (0.05 * k as f64, *sample));
+        noise_at_rest(&RestRecord::from_stretches(&[stamped.collect()])?)
+    }
+
+    #[test]
+    fn rounding_is_seen_and_taken_out() {
+        let rounded: Vec<f64> = normal(20_000, 5).iter().map(|n| (0.3 + 0.6 * n).round()).collect();
+        let found = found(&rounded).unwrap();
+        let step = found.quantum.unwrap();
+        assert!((step - 1.0).abs() < 1e-9, "{step}");
+        assert!((found.white - 0.6).abs() < 3.0 * found.white_sigma + 0.005, "{found:?}");
+        assert_eq!(found.without_rounding(), found.white);
+        assert!((found.total * found.total - 0.36 - 1.0 / 12.0).abs() < 0.02);
+        assert!((found.bias - 0.3).abs() < 3.0 * found.bias_sigma);
+        let random_walk = found.total * 0.05_f64.sqrt();
+        assert!((found.angle_random_walk - random_walk).abs() < 1e-12);
+        assert!((found.rest_s - 999.95).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_bias_within_a_step_is_known_to_no_better_than_the_step() {
+        // 0.12 steps of noise on a bias of 0.3 steps: five readings of a hundred are not zero.
+        let rounded: Vec<f64> = normal(20_000, 8).iter().map(|n| (0.3 + 0.12 * n).round()).collect();
+        let found = found(&rounded).unwrap();
+        assert!((found.bias - 0.3).abs() > 0.15, "{found:?}");
+        assert!((found.bias - 0.3).abs() < 2.0 * found.bias_sigma);
+        // Rounding alone scatters more than that.
+        assert_eq!(found.white, 0.0);
+        assert_eq!(found.without_rounding(), found.total);
+    }
+
+    #[test]
+    fn fine_values_have_no_step() {
+        let found = found(&normal(1_000, 6)).unwrap();
+        assert_eq!((found.quantum, found.walk), (None, None));
+        assert_eq!(found.white, found.total);
+    }
+
+    #[test]
+    fn what_tells_nothing_says_why() {
+        assert_eq!(found(&[0.0; 10]), Err(RestError::TooShort(10)));
+        assert_eq!(found(&[0.0; 1_000]), Err(RestError::Silent));
+        assert_eq!(found(&[f64::NAN; 1_000]), Err(RestError::NotFinite));
+    }
+}

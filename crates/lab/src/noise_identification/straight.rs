@@ -1,0 +1,164 @@
+//! A straight run: the noise of the speed that is differenced from counts, equations (3) and (4) of the module's head.
+
+use posebridge_telemetry::DriveGeometry;
+
+/// The noise of a wheel's speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StraightNoise {
+    /// Speeds that were used: the stretch at a steady speed.
+    pub samples: usize,
+    /// The first of them among the intervals.
+    pub from: usize,
+    /// Mean speed, in metres per second.
+    pub speed_m_per_s: f64,
+    /// Standard deviation about a straight line through the speeds: the root of R.
+    pub sigma_m_per_s: f64,
+    /// Standard deviation of that.
+    pub sigma_sigma_m_per_s: f64,
+    /// Correlation of successive deviations: -1/2 for rounding alone, because what one interval lacks the next one has.
+    pub rho_1: f64,
+}
+
+/// Why a run tells nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StraightError {
+    /// Too few intervals at a steady speed.
+    #[error(
+        "only {0} intervals at a steady speed; 20 are the least: drive straight for longer, or choose the stretch with --from and --to"
+    )]
+    TooShort(usize),
+    /// A number that is not finite, or time that does not pass.
+    #[error("an interval is not finite or lasts no time")]
+    NotFinite,
+}
+
+const MIN_INTERVALS: usize = 20;
+/// The speed is steady where its mean over so many intervals
+const MEAN_OVER: usize = 10;
+/// is off the median by no more than this share of it.
+const STEADY: f64 = 0.1;
+
+/// Finds the noise of one wheel: `travel` are intervals of time and travel, in seconds and metres.
+///
+/// # Errors
+/// [`StraightError`].
+pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightError> {
+    let is_usable = |(dt_s, by_m): &(f64, f64)| dt_s.is_finite() && *dt_s > 0.0 && by_m.is_finite();
+    if !travel.iter().all(is_usable) {
+        return Err(StraightError::NotFinite);
+    }
+    let speeds: Vec<f64> = travel.iter().map(|(dt_s, by_m)| by_m / dt_s).collect();
+    let (from, steady) = steady_part(&speeds);
+    if steady.len() < MIN_INTERVALS {
+        return Err(StraightError::TooShort(steady.len()));
+    }
+    let deviations = residuals_about_line(steady);
+    let n = deviations.len() as f64;
+    let squares: f64 = deviations.iter().map(|d| d * d).sum();
+    let products: f64 = deviations.iter().zip(deviations.iter().skip(1)).map(|(a, b)| a * b).sum();
+    let rho_1 = if squares > 0.0 { products / squares } else { 0.0 };
+    let sigma = (squares / (n - 2.0)).sqrt();
+    Ok(StraightNoise {
+        samples: steady.len(),
+        from,
+        speed_m_per_s: steady.iter().sum::<f64>() / n,
+        sigma_m_per_s: sigma,
+        // Correlated squares are fewer samples: M. S. Bartlett, J. R. Stat. Soc. Suppl. 8(1), 1946.
+        sigma_sigma_m_per_s: sigma * ((1.0 + 2.0 * rho_1 * rho_1) / (2.0 * n)).sqrt(),
+        rho_1,
+    })
+}
+
+/// What rounding to whole counts makes of a differenced speed, one standard deviation on average over speeds: equation (4), with the
+/// mean interval and the mean wheel radius.
+#[must_use]
+pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> f64 {
+    let dt_s = travel.iter().map(|(dt_s, _)| dt_s).sum::<f64>() / travel.len() as f64;
+    let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
+    radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
+}
+
+/// The longest stretch at a steady speed, and where it begins.
+fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
+    let means: Vec<f64> =
+        speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
+    // Rest does not count: a robot may stand for longer than it drives.
+    let fastest = means.iter().fold(0.0_f64, |most, mean| most.max(mean.abs()));
+    let mut moving: Vec<f64> = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest).collect();
+    moving.sort_by(f64::total_cmp);
+    let Some(median) = moving.get(moving.len() / 2).copied().filter(|_| fastest > 0.0) else {
+        return (0, &[]);
+    };
+    let (mut best, mut start) = ((0, 0), None);
+    for (i, mean) in means.iter().chain([&f64::NAN]).enumerate() {
+        if (mean - median).abs() <= STEADY * median.abs() {
+            start.get_or_insert(i);
+        } else if let Some(first) = start.take()
+            && i - first > best.1
+        {
+            best = (first, i - first);
+        }
+    }
+    let (first, count) = best;
+    if count == 0 {
+        return (0, &[]);
+    }
+    (first, speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[]))
+}
+
+/// Deviations from the least-squares line over the index.
+fn residuals_about_line(values: &[f64]) -> Vec<f64> {
+    let n = values.len() as f64;
+    let middle = (n - 1.0) / 2.0;
+    let mean = values.iter().sum::<f64>() / n;
+    let indexed = || values.iter().enumerate().map(|(i, value)| (i as f64 - middle, value - mean));
+    let (xy, xx) = indexed().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
+    let slope = if xx > 0.0 { xy / xx } else { 0.0 };
+    indexed().map(|(x, y)| y - slope * x).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// Rest, then 0.2 m/s that slowly rises, with white noise of 0.01 m/s.
+    fn run(count: usize, seed: u64) -> Vec<(f64, f64)> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let interval = |i: usize| {
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            let speed = if i < 50 { 0.0 } else { 0.2 + 1e-5 * i as f64 + 0.01 * noise };
+            (0.05, 0.05 * speed)
+        };
+        (0..count).map(interval).collect()
+    }
+
+    #[test]
+    fn white_noise_about_a_rising_speed_is_found_behind_the_rest() {
+        for seed in 0..5 {
+            let found = straight_noise(&run(850, seed)).unwrap();
+            let off = (found.sigma_m_per_s - 0.01) / found.sigma_sigma_m_per_s;
+            assert!(off.abs() < 3.0, "{seed}: {found:?}");
+            assert!(found.from > 40 && found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn rounding_makes_successive_speeds_differ_the_opposite_way() {
+        // 2.5 counts an interval: 2, 3, 2, 3 and so on.
+        let counts = |i: usize| (2.5 * i as f64).floor();
+        let travel: Vec<_> = (0..200).map(|i| (0.05, 0.001 * (counts(i + 1) - counts(i)))).collect();
+        let found = straight_noise(&travel).unwrap();
+        assert!((found.sigma_m_per_s - 0.5 * 0.001 / 0.05).abs() < 2e-4, "{found:?}");
+        assert!(found.rho_1 < -0.95);
+    }
+
+    #[test]
+    fn what_tells_nothing_says_why() {
+        assert_eq!(straight_noise(&[(0.05, 0.0); 100]), Err(StraightError::TooShort(0)));
+        assert_eq!(straight_noise(&[(0.05, 0.01); 15]), Err(StraightError::TooShort(15)));
+        assert_eq!(straight_noise(&[(0.0, 0.01); 100]), Err(StraightError::NotFinite));
+        assert_eq!(straight_noise(&[(0.05, f64::NAN); 100]), Err(StraightError::NotFinite));
+    }
+}

@@ -1,0 +1,85 @@
+//! The square of paper 1: three filters over one table of sensor readings, and what is left of the order that the paper promises.
+//!
+//! Gets a [`SensorTable`], from a simulated drive or from a file, and a filter's configuration; gives errors, orders, pictures and the page
+//! of `posebridge lab nxt-square`. It draws no drive and reads no file; the compass that it can add draws by a given seed.
+//!
+//! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/maths/paper1.md; docs/lab/nxt-square.md.
+
+mod figures;
+mod matched;
+mod methods;
+mod noise;
+mod page;
+mod recorded;
+mod score;
+mod table;
+mod table_changes;
+mod text;
+mod text_error;
+
+pub use figures::SquareExample;
+pub use matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};
+pub use methods::{Method, corrected_methods, extended, printed_methods, swapped_methods};
+pub use noise::{MeanAndVariance, NoiseRecord, noise_at_stop, noise_on_straight};
+pub use page::{MethodRanking, PaperInterpretation, SquareReport};
+pub use recorded::table_of;
+pub use score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, true_speeds};
+pub use table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor};
+pub use table_changes::{add_compass, add_jitter, align_accelerations, delay_reference};
+pub use text::{parse, write};
+pub use text_error::{COLUMNS, MAX_ROWS, SensorTextError};
+
+use posebridge_estimator::{FilterConfig, StartPose};
+use posebridge_telemetry::{Heading, Meters, Pose, UncertainValue};
+
+/// Fewer readings of the gyro at rest than this do not make a bias.
+const MIN_REST_ROWS: usize = 20;
+/// What a true start is known to, m and rad; as the Monte-Carlo scenarios tell it.
+const EXACT_START_SIGMA: f64 = 1e-4;
+
+/// The configuration for one table: the start from its first row, the gyro's bias from the stop that it begins with.
+///
+/// Without a pose in the first row the configured start stays, and without that the arena's origin.
+#[must_use]
+pub fn prepare_config(table: &SensorTable, base: &FilterConfig) -> FilterConfig {
+    let mut config = base.clone();
+    config.start = Some(start_pose(table, base));
+    if let Some(bias) = bias_at_rest(table, base) {
+        config.calibration.gyro_bias_rad_per_s = bias;
+    }
+    config
+}
+
+fn start_pose(table: &SensorTable, base: &FilterConfig) -> StartPose {
+    let first = table.rows.first();
+    let exact = StartPose {
+        pose: Pose::new(Meters(0.0), Meters(0.0), Heading::from_rad(0.0)),
+        position_sigma_m: EXACT_START_SIGMA,
+        heading_sigma_rad: EXACT_START_SIGMA,
+    };
+    if let Some(truth) = first.and_then(|row| row.truth) {
+        return StartPose { pose: truth.pose(), ..exact };
+    }
+    let placed = first.and_then(|row| row.camera).filter(|seen| seen.theta_deg.is_some());
+    if let Some(seen) = placed {
+        return StartPose {
+            pose: seen.pose(),
+            position_sigma_m: base.noise.fix_position_m,
+            heading_sigma_rad: base.noise.fix_heading_rad,
+        };
+    }
+    base.start.unwrap_or(exact)
+}
+
+/// What a robot's owner does before the drive: the gyro's mean while the robot stands is its bias.
+fn bias_at_rest(table: &SensorTable, base: &FilterConfig) -> Option<UncertainValue> {
+    let readings = table.at_rest().iter().filter_map(|row| row.gyro_deg_per_s);
+    let readings: Vec<f64> = readings.collect();
+    if readings.len() < MIN_REST_ROWS {
+        return None;
+    }
+    let n = readings.len() as f64;
+    let noise = &base.noise;
+    let variance = noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
+    Some(UncertainValue { value: (readings.iter().sum::<f64>() / n).to_radians(), sigma: (variance / n).sqrt() })
+}

@@ -1,0 +1,306 @@
+//! One table of sensor readings: what a brick logged, or a simulated one would have.
+//!
+//! Both ways into the experiment go through it, so that a drive that is exported and read back is the same drive to the last bit.
+//! Units are those of the file and of the paper's brick (counts, degrees); they become SI in [`SensorTable::observations`].
+
+use posebridge_telemetry::{
+    Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation, ObservationKind,
+    Point2, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
+};
+
+const NANOS_PER_S: f64 = 1e9;
+
+/// In what the encoders' columns count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EncoderUnit {
+    /// Counts of the robot's encoders.
+    #[default]
+    Counts,
+    /// Degrees of wheel rotation.
+    Degrees,
+}
+
+impl EncoderUnit {
+    /// One of it, in radians of wheel rotation.
+    #[must_use]
+    pub fn rad_per_unit(self, geometry: &DriveGeometry) -> f64 {
+        match self {
+            Self::Counts => geometry.tick.0,
+            Self::Degrees => 1.0_f64.to_radians(),
+        }
+    }
+}
+
+/// A pose as somebody outside saw it, or as it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredPose {
+    /// x in the arena, m.
+    pub x_m: f64,
+    /// y in the arena, m.
+    pub y_m: f64,
+    /// Heading against the arena's x axis, counter-clockwise, degrees; none if it was not seen.
+    pub theta_deg: Option<f64>,
+}
+
+/// What the sensors said at one instant; `None` where a sensor said nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorRow {
+    /// Since any zero, in seconds.
+    pub time_s: f64,
+    /// Rotation of the left and of the right wheel since the counters were zeroed, forward positive, in the table's unit.
+    pub encoders: [f64; 2],
+    /// Mean turn rate since the row before, bias included, counter-clockwise positive, degrees/s.
+    pub gyro_deg_per_s: Option<f64>,
+    /// Forward acceleration at the left and at the right wheel, m/s².
+    pub accelerations_m_per_s2: Option<[f64; 2]>,
+    /// What the camera above saw.
+    pub camera: Option<MeasuredPose>,
+    /// Heading by the compass, as [`MeasuredPose::theta_deg`].
+    pub compass_deg: Option<f64>,
+    /// The true pose, where it is known.
+    pub truth: Option<MeasuredPose>,
+}
+
+/// Rows in the order of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorTable {
+    /// In what the encoders count.
+    pub unit: EncoderUnit,
+    /// The rows; each is later than the one before.
+    pub rows: Vec<SensorRow>,
+}
+
+/// A sensor of which not every method makes use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableSensor {
+    /// The encoders of both wheels.
+    Wheels,
+    /// The gyro.
+    Gyro,
+    /// The accelerometers at both wheels.
+    Accelerometers,
+    /// The camera above.
+    Camera,
+    /// The compass.
+    Compass,
+}
+
+impl SensorRow {
+    /// A row in which no sensor has said anything yet.
+    #[must_use]
+    pub fn empty(stamp: Timestamp<BrickClock>) -> Self {
+        Self {
+            time_s: stamp.as_nanos() as f64 / NANOS_PER_S,
+            encoders: [0.0; 2],
+            gyro_deg_per_s: None,
+            accelerations_m_per_s2: None,
+            camera: None,
+            compass_deg: None,
+            truth: None,
+        }
+    }
+
+    /// Writes down what a sensor said, the opposite of [`SensorRow::observations`]; kinds that have no column are left out. A
+    /// counter is a whole number of `unit_rad`.
+    pub fn record(&mut self, observed: &ObservationKind, unit_rad: f64) {
+        match observed {
+            ObservationKind::WheelAngles { left, right } => {
+                self.encoders = [left, right].map(|angle| (angle.0 / unit_rad).round());
+            }
+            ObservationKind::TurnRate(rate) => self.gyro_deg_per_s = Some(rate.0.to_degrees()),
+            ObservationKind::WheelAccelerations { left, right } => {
+                self.accelerations_m_per_s2 = Some([left.0, right.0]);
+            }
+            ObservationKind::Fix(fix) => {
+                self.camera = Some(MeasuredPose {
+                    x_m: fix.position.x.0,
+                    y_m: fix.position.y.0,
+                    theta_deg: fix.heading.map(|heading| heading.rad().to_degrees()),
+                });
+            }
+            ObservationKind::CompassHeading(heading) => {
+                self.compass_deg = Some(heading.rad().to_degrees());
+            }
+            ObservationKind::OdometerPose(_)
+            | ObservationKind::BodyVelocity { .. }
+            | ObservationKind::Landmark { .. }
+            | ObservationKind::BeaconRange { .. }
+            | ObservationKind::WallRange(_)
+            | ObservationKind::Temperature(_) => {}
+        }
+    }
+
+    /// What the sensors among `senses` said, wheels first. `unit_rad` is one of the table's encoder unit, in rad.
+    pub fn observations(&self, unit_rad: f64, senses: &[TableSensor]) -> impl Iterator<Item = Observation> {
+        let stamp = self.stamp();
+        let said = senses.iter().filter_map(move |sense| {
+            let (sensor, observed) = self.observation(*sense, unit_rad)?;
+            Some(Observation { sensor, stamp, stamp_sigma: TimeDelta::ZERO, measurement: observed })
+        });
+        said.collect::<Vec<_>>().into_iter()
+    }
+
+    /// The row's instant.
+    #[must_use]
+    pub fn stamp(&self) -> Timestamp<BrickClock> {
+        Timestamp::from_nanos(TimeDelta::from_secs_f64(self.time_s).as_nanos())
+    }
+
+    fn observation(&self, sense: TableSensor, unit_rad: f64) -> Option<(SensorId, ObservationKind)> {
+        match sense {
+            TableSensor::Wheels => {
+                let [left, right] = self.encoders.map(|count| Radians(count * unit_rad));
+                Some((SensorId::WHEELS, ObservationKind::WheelAngles { left, right }))
+            }
+            TableSensor::Gyro => {
+                let rate = RadiansPerSecond(self.gyro_deg_per_s?.to_radians());
+                Some((SensorId::GYRO, ObservationKind::TurnRate(rate)))
+            }
+            TableSensor::Accelerometers => {
+                let [left, right] = self.accelerations_m_per_s2?.map(MetersPerSecondSquared);
+                let observed = ObservationKind::WheelAccelerations { left, right };
+                Some((SensorId::ACCELEROMETER, observed))
+            }
+            TableSensor::Camera => Some((SensorId::CAMERA, ObservationKind::Fix(self.camera?.fix()))),
+            TableSensor::Compass => {
+                let heading = Heading::from_rad(self.compass_deg?.to_radians());
+                Some((SensorId::COMPASS, ObservationKind::CompassHeading(heading)))
+            }
+        }
+    }
+}
+
+impl MeasuredPose {
+    /// A pose as it stands in a table.
+    #[must_use]
+    pub fn from_pose(pose: Pose<Arena>) -> Self {
+        Self { x_m: pose.x.0, y_m: pose.y.0, theta_deg: Some(pose.heading.rad().to_degrees()) }
+    }
+
+    /// The same as a pose of the arena; a heading that was not seen is zero.
+    #[must_use]
+    pub fn pose(&self) -> Pose<Arena> {
+        let heading = Heading::from_rad(self.theta_deg.unwrap_or(0.0).to_radians());
+        Pose::new(Meters(self.x_m), Meters(self.y_m), heading)
+    }
+
+    fn fix(&self) -> Fix {
+        Fix {
+            position: Point2::<Arena>::new(Meters(self.x_m), Meters(self.y_m)),
+            heading: self.theta_deg.map(|theta_deg| Heading::from_rad(theta_deg.to_radians())),
+            covariance: None,
+            tag_in_body: Point2::ORIGIN,
+            reset_counter: 0,
+        }
+    }
+}
+
+impl SensorTable {
+    /// The rows from the first one on until a wheel counts: the stop-and-record test that a drive begins with.
+    #[must_use]
+    pub fn at_rest(&self) -> &[SensorRow] {
+        let Some(first) = self.rows.first() else {
+            return &self.rows;
+        };
+        let still = |row: &&SensorRow| row.encoders == first.encoders;
+        let count = self.rows.iter().take_while(still).count();
+        &self.rows[..count]
+    }
+
+    /// Of each row, whether the filters that use a camera are given its image: that of every `every`-th one. The first row's does not
+    /// count: there all begin.
+    #[must_use]
+    pub fn used_images(&self, every: usize) -> Vec<bool> {
+        let mut images = 0_usize;
+        let rows = self.rows.iter().enumerate();
+        rows.map(|(index, row)| {
+            let has_image = index > 0 && row.camera.is_some();
+            images += usize::from(has_image);
+            has_image && images.is_multiple_of(every)
+        })
+        .collect()
+    }
+
+    /// What a filter is judged by in each row: the truth, or, where there is none in the whole table, an image that no filter was
+    /// given. The first row is where all begin.
+    #[must_use]
+    pub fn references(&self, every: usize) -> Vec<Option<MeasuredPose>> {
+        let has_truth = self.has_truth();
+        let rows = self.rows.iter().zip(self.used_images(every)).enumerate();
+        rows.map(|(index, (row, is_given))| match (index, has_truth) {
+            (0, _) => None,
+            (_, true) => row.truth,
+            (_, false) => row.camera.filter(|_| !is_given),
+        })
+        .collect()
+    }
+
+    /// Whether the true pose is known anywhere.
+    #[must_use]
+    pub fn has_truth(&self) -> bool {
+        self.rows.first().is_some_and(|row| row.truth.is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_heard_is_said_again() {
+        let stamp = Timestamp::from_nanos(1_050_000_000);
+        let tick_rad = 1.0_f64.to_radians();
+        let said = [
+            ObservationKind::WheelAngles { left: Radians(3.0 * tick_rad), right: Radians(-4.0 * tick_rad) },
+            ObservationKind::WheelAccelerations {
+                left: MetersPerSecondSquared(0.1),
+                right: MetersPerSecondSquared(-0.2),
+            },
+            ObservationKind::TurnRate(RadiansPerSecond(2.0_f64.to_radians())),
+        ];
+        let mut row = SensorRow::empty(stamp);
+        for observed in &said {
+            row.record(observed, tick_rad);
+        }
+        row.record(&ObservationKind::WallRange(Meters(1.0)), tick_rad);
+        assert_eq!((row.time_s, row.encoders), (1.05, [3.0, -4.0]));
+        let all = [TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro, TableSensor::Camera];
+        let again: Vec<Observation> = row.observations(tick_rad, &all).collect();
+        assert_eq!(again.len(), 3, "the camera said nothing");
+        for (observation, observed) in again.iter().zip(said) {
+            assert_eq!((observation.stamp, observation.measurement), (stamp, observed));
+        }
+    }
+
+    #[test]
+    fn an_image_either_helps_or_judges() {
+        let seen = MeasuredPose { x_m: 1.0, y_m: 2.0, theta_deg: None };
+        let rows = (0..9).map(|step| {
+            let mut row = SensorRow::empty(Timestamp::from_nanos(50_000_000 * step));
+            row.camera = Some(seen);
+            row
+        });
+        let table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
+        let helps = |table: &SensorTable, every| -> Vec<usize> {
+            let given = table.used_images(every).into_iter().enumerate();
+            given.filter(|(_, given)| *given).map(|(row, _)| row).collect()
+        };
+        let judges = |table: &SensorTable| -> Vec<usize> {
+            let seen = table.references(4).into_iter().enumerate();
+            seen.filter(|(_, seen)| seen.is_some()).map(|(row, _)| row).collect()
+        };
+        assert_eq!(helps(&table, 4), [4, 8]);
+        assert_eq!(judges(&table), [1, 2, 3, 5, 6, 7]);
+        let mut sparse = table.clone();
+        for row in [1, 4, 6] {
+            sparse.rows[row].camera = None;
+        }
+        assert_eq!(helps(&sparse, 4), [7], "the fourth image, not the fourth row");
+        assert_eq!(judges(&sparse), [2, 3, 5, 8]);
+        let mut known = table;
+        known.rows[0].truth = Some(seen);
+        known.rows[4].truth = Some(seen);
+        let judges = judges(&known);
+        assert_eq!(judges, [4], "the truth alone judges where there is one");
+    }
+}

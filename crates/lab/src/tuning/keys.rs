@@ -1,0 +1,181 @@
+//! What can be tuned: the noise of a robot by the keys of `[robot.noise]`, and the positive tunables of a filter by theirs.
+
+use posebridge_estimator::params::{PARAMS, Param};
+use posebridge_estimator::{FilterConfig, Params};
+use posebridge_telemetry::{Observation, ObservationKind, SensorNoise};
+
+/// A noise of a robot.
+#[derive(Debug)]
+pub struct NoiseKey {
+    /// Its key in `[robot.noise]`.
+    pub key: &'static str,
+    /// Reads it.
+    pub read: fn(&SensorNoise) -> f64,
+    /// Writes it.
+    pub write: fn(&mut SensorNoise, f64),
+    /// Whether an observation of this kind tells of it, so that it is tuned without being asked for.
+    told_by: fn(&ObservationKind) -> bool,
+}
+
+macro_rules! noise_keys {
+    ($($key:ident: $told_by:expr;)+) => {
+        /// Every noise of a robot, in the order of [`SensorNoise`].
+        pub const NOISE_KEYS: &[NoiseKey] = &[$(NoiseKey {
+            key: stringify!($key),
+            read: |noise| noise.$key,
+            write: |noise, value| noise.$key = value,
+            told_by: $told_by,
+        },)+];
+        /// A field that [`SensorNoise`] gains does not build until it has a line above.
+        const _: fn(&SensorNoise) = |noise| {
+            let SensorNoise { $($key: _,)+ } = *noise;
+        };
+    };
+}
+
+noise_keys! {
+    wheel_travel_m_per_sqrt_m: |seen| matches!(seen, ObservationKind::WheelAngles { .. });
+    travel_m_per_sqrt_m: is_motion_observation;
+    turn_rad_per_sqrt_rad: is_motion_observation;
+    heading_rad_per_sqrt_m: is_motion_observation;
+    gyro_rad_per_s: |seen| matches!(seen, ObservationKind::TurnRate(_));
+    gyro_resolution_rad_per_s: |_| false;
+    gyro_bias_rad_per_s: |_| false;
+    gyro_bias_walk_rad_per_s_sqrt_s: |_| false;
+    fix_position_m: |seen| matches!(seen, ObservationKind::Fix(fix) if fix.covariance.is_none());
+    fix_heading_rad: |seen| matches!(seen, ObservationKind::Fix(fix) if fix.covariance.is_none() && fix.heading.is_some());
+    accelerometer_m_per_s2: |_| false;
+    compass_rad: |seen| matches!(seen, ObservationKind::CompassHeading(_));
+    landmark_range_m: |seen| matches!(seen, ObservationKind::Landmark { .. });
+    landmark_bearing_rad: |seen| matches!(seen, ObservationKind::Landmark { .. });
+    beacon_range_m: |seen| matches!(seen, ObservationKind::BeaconRange { .. });
+    wall_range_m: |seen| matches!(seen, ObservationKind::WallRange(_));
+    temperature_k: |seen| matches!(seen, ObservationKind::Temperature(_));
+}
+
+const fn is_motion_observation(seen: &ObservationKind) -> bool {
+    matches!(
+        seen,
+        ObservationKind::WheelAngles { .. } | ObservationKind::OdometerPose(_) | ObservationKind::BodyVelocity { .. }
+    )
+}
+
+/// One parameter that is tuned.
+#[derive(Clone, Copy)]
+pub enum TunedKey {
+    /// A noise of the robot.
+    Noise(&'static NoiseKey),
+    /// A tunable of the filter.
+    Param(&'static Param),
+}
+
+/// There is nothing to tune under this name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{key}` cannot be tuned; there are {known}, and filter.KEY for the tunables of `[filter]`")]
+pub struct UnknownKey {
+    key: String,
+    known: String,
+}
+
+impl TunedKey {
+    /// The parameter of this key: `fix_position_m`, `noise.fix_position_m`, `robot.noise.fix_position_m` or `filter.accel_m_s2`.
+    ///
+    /// # Errors
+    /// [`UnknownKey`] lists the keys that exist.
+    pub fn from_name(text: &str) -> Result<Self, UnknownKey> {
+        let found = if let Some(key) = text.strip_prefix("filter.") {
+            PARAMS.iter().find(|row| row.key == key).map(Self::Param)
+        } else {
+            let key = text.strip_prefix("robot.").unwrap_or(text);
+            let key = key.strip_prefix("noise.").unwrap_or(key);
+            let mut rows = NOISE_KEYS.iter();
+            rows.find(|row| row.key == key).map(Self::Noise)
+        };
+        found.ok_or_else(|| UnknownKey {
+            key: text.to_owned(),
+            known: NOISE_KEYS.iter().map(|row| row.key).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// As it is written in a configuration, below the robot or the filter: `noise.fix_position_m`, `filter.accel_m_s2`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Noise(row) => format!("noise.{}", row.key),
+            Self::Param(row) => format!("filter.{}", row.key),
+        }
+    }
+
+    /// Its value.
+    #[must_use]
+    pub fn read(&self, config: &FilterConfig) -> f64 {
+        match self {
+            Self::Noise(row) => (row.read)(&config.noise),
+            Self::Param(row) => (row.read)(&config.params),
+        }
+    }
+
+    /// Multiplies it; a tunable stays within the range of its row.
+    pub fn scale(&self, config: &mut FilterConfig, factor: f64) {
+        match self {
+            Self::Noise(row) => {
+                let value = (row.read)(&config.noise);
+                (row.write)(&mut config.noise, value * factor);
+            }
+            Self::Param(row) => scale_param(row, &mut config.params, factor),
+        }
+    }
+}
+
+fn scale_param(row: &Param, params: &mut Params, factor: f64) {
+    let value = (row.read)(params) * factor;
+    (row.write)(params, value.clamp(*row.range.start(), *row.range.end()));
+}
+
+/// What is tuned unless something else is asked for: the noises above zero of which the observations tell.
+#[must_use]
+pub fn default_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<TunedKey> {
+    let is_told = |row: &NoiseKey| {
+        let mut seen = observations.iter();
+        seen.any(|observation| (row.told_by)(&observation.measurement))
+    };
+    NOISE_KEYS.iter().filter(|row| (row.read)(noise) > 0.0 && is_told(row)).map(TunedKey::Noise).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_found_under_every_way_to_write_it_and_an_unknown_one_lists_the_others() {
+        for text in ["gyro_rad_per_s", "noise.gyro_rad_per_s", "robot.noise.gyro_rad_per_s"] {
+            assert_eq!(TunedKey::from_name(text).unwrap().name(), "noise.gyro_rad_per_s");
+        }
+        let filter = TunedKey::from_name("filter.accel_m_s2").unwrap();
+        assert_eq!(filter.name(), "filter.accel_m_s2");
+        let said = TunedKey::from_name("noise.gyro").err().unwrap().to_string();
+        assert!(said.contains("`noise.gyro`") && said.contains("fix_heading_rad"), "{said}");
+    }
+
+    #[test]
+    fn every_row_reads_what_it_writes_and_nothing_else() {
+        for (index, row) in NOISE_KEYS.iter().enumerate() {
+            let mut noise = SensorNoise::EXACT;
+            (row.write)(&mut noise, 2.0);
+            for (other_index, other) in NOISE_KEYS.iter().enumerate() {
+                let wanted = if index == other_index { 2.0 } else { 0.0 };
+                assert_eq!((other.read)(&noise), wanted, "{} {}", row.key, other.key);
+            }
+        }
+    }
+
+    #[test]
+    fn a_tunable_is_scaled_within_its_range() {
+        let row = PARAMS.iter().find(|row| row.key == "accel_m_s2").unwrap();
+        let mut params = Params::default();
+        scale_param(row, &mut params, 2.0);
+        assert_eq!(params.acceleration_m_per_s2, 2.0);
+        scale_param(row, &mut params, 1e9);
+        assert_eq!(params.acceleration_m_per_s2, *row.range.end());
+    }
+}

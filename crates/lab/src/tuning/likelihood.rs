@@ -1,0 +1,268 @@
+//! How probable a run was under a filter: equations (1), (2) and (5) of the module's head.
+
+use posebridge_estimator::{Filter, Params};
+use posebridge_telemetry::{FusionRecord, Observation, SensorId};
+
+use super::folds::TimeBlocks;
+
+/// Share of observations that are taken for outliers: a good camera's mismatches (about 1 % in the sets of docs/recordings.md).
+const OUTLIER_SHARE: f64 = 0.01;
+/// By so much wider are they; Huber's contamination with a spread that a gate at 99.9 % refuses.
+const OUTLIER_SIGMA_FACTOR: f64 = 10.0;
+
+/// What a filter does on line with the noise that it was told is switched off, so that the numbers themselves are judged.
+///
+/// ```text
+/// adapt_gain   0          a noise that is learned on the way hides the one that was told
+/// slip_nis     infinite   a slip widens S by what is to be explained: noise of zero would explain everything
+/// gate_prob    0.999999   what is refused says nothing to the state; the density (2) takes care of gross ones
+/// ```
+#[must_use]
+pub const fn offline_params(params: Params) -> Params {
+    Params { adapt_gain: 0.0, slip_nis: f64::INFINITY, gate_probability: 0.999_999, ..params }
+}
+
+/// The innovations of one sensor over one run or many.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SourceFit {
+    /// The sensor.
+    pub sensor: SensorId,
+    /// Innovations, each with one to three components.
+    pub count: u64,
+    /// Their components.
+    pub components: u64,
+    /// Sum of ln p.
+    pub log_likelihood: f64,
+    nis: f64,
+    squares: f64,
+    products: f64,
+    last: [Option<f64>; 3],
+}
+
+impl SourceFit {
+    const fn new(sensor: SensorId) -> Self {
+        Self {
+            sensor,
+            count: 0,
+            components: 0,
+            log_likelihood: 0.0,
+            nis: 0.0,
+            squares: 0.0,
+            products: 0.0,
+            last: [None; 3],
+        }
+    }
+
+    fn add(&mut self, record: &FusionRecord, ln_p: f64) {
+        self.count += 1;
+        self.components += u64::from(record.degrees_of_freedom);
+        self.log_likelihood += ln_p;
+        self.nis += record.nis;
+        for (i, last) in self.last.iter_mut().enumerate() {
+            let variance = record.innovation_covariance[i][i];
+            let is_used = i < usize::from(record.degrees_of_freedom) && variance > 0.0;
+            let whitened = is_used.then(|| record.innovation[i] / variance.sqrt());
+            if let (Some(before), Some(now)) = (*last, whitened) {
+                self.products += before * now;
+            }
+            if let Some(now) = whitened {
+                self.squares += now * now;
+                *last = whitened;
+            }
+        }
+    }
+
+    /// Mean normalised innovation squared per component, refused ones included; 1 is honest.
+    #[must_use]
+    pub fn nis(&self) -> Option<f64> {
+        (self.components > 0).then(|| self.nis / self.components as f64)
+    }
+
+    /// Correlation of successive whitened innovations; 0 for a filter that misses nothing.
+    #[must_use]
+    pub fn rho_1(&self) -> Option<f64> {
+        (self.squares > 0.0).then(|| self.products / self.squares)
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.count += other.count;
+        self.components += other.components;
+        self.log_likelihood += other.log_likelihood;
+        self.nis += other.nis;
+        self.squares += other.squares;
+        self.products += other.products;
+    }
+}
+
+/// How probable one run or many were under a filter.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunFit {
+    /// By sensor, in the order in which they were heard.
+    pub sources: Vec<SourceFit>,
+}
+
+impl RunFit {
+    /// Sum of ln p over all innovations.
+    #[must_use]
+    pub fn log_likelihood(&self) -> f64 {
+        self.sources.iter().map(|fit| fit.log_likelihood).sum()
+    }
+
+    /// Components of all innovations.
+    #[must_use]
+    pub fn components(&self) -> u64 {
+        self.sources.iter().map(|fit| fit.components).sum()
+    }
+
+    /// Adds another run.
+    pub fn merge(&mut self, other: &Self) {
+        for theirs in &other.sources {
+            match self.source_mut(theirs.sensor) {
+                Some(own) => own.merge(theirs),
+                None => self.sources.push(SourceFit { last: [None; 3], ..*theirs }),
+            }
+        }
+    }
+
+    /// Takes what became of an observation; one that was not held against a prediction says nothing.
+    pub fn add(&mut self, record: &FusionRecord) {
+        let Some(ln_p) = ln_density(record) else {
+            return;
+        };
+        if let Some(fit) = self.source_mut(record.sensor) {
+            fit.add(record, ln_p);
+        } else {
+            let mut fit = SourceFit::new(record.sensor);
+            fit.add(record, ln_p);
+            self.sources.push(fit);
+        }
+    }
+
+    fn source_mut(&mut self, sensor: SensorId) -> Option<&mut SourceFit> {
+        self.sources.iter_mut().find(|fit| fit.sensor == sensor)
+    }
+}
+
+/// Gives a run to a filter, in the order of arrival, and judges each block of time by itself: one entry per block. The filter runs
+/// through.
+pub fn fit_in_blocks(observations: &[Observation], filter: &mut dyn Filter, blocks: &TimeBlocks) -> Vec<RunFit> {
+    let mut fits = vec![RunFit::default(); blocks.count()];
+    for observation in observations {
+        let record = filter.observe(observation);
+        if let Some(fit) = fits.get_mut(blocks.index(record.stamp)) {
+            fit.add(&record);
+        }
+    }
+    fits
+}
+
+/// Gives a run to a filter, in the order of arrival.
+pub fn fit_run(observations: &[Observation], filter: &mut dyn Filter) -> RunFit {
+    let mut fit = RunFit::default();
+    for observation in observations {
+        fit.add(&filter.observe(observation));
+    }
+    fit
+}
+
+/// How well the numbers to start from are known, as a standard deviation of their logarithm: ln 3, a factor of three either way.
+pub const PRIOR_SIGMA: f64 = 1.098_612_288_668_109_8;
+
+/// The second term of equation (3).
+#[must_use]
+pub fn ln_prior(log_scales: &[f64]) -> f64 {
+    let squares: f64 = log_scales.iter().map(|x| (x / PRIOR_SIGMA).powi(2)).sum();
+    -0.5 * squares
+}
+
+/// The root of the mean square of several runs' root mean squares; `None` of nothing.
+#[must_use]
+pub fn joint_rms(of_runs: &[f64]) -> Option<f64> {
+    let squares: f64 = of_runs.iter().map(|rms| rms * rms).sum();
+    (!of_runs.is_empty()).then(|| (squares / of_runs.len() as f64).sqrt())
+}
+
+/// ln of equation (2); the record's own log-likelihood has the determinant of S in it.
+fn ln_density(record: &FusionRecord) -> Option<f64> {
+    let d = f64::from(record.degrees_of_freedom);
+    let is_judged = d > 0.0 && record.nis.is_finite() && record.log_likelihood.is_finite();
+    if !is_judged {
+        return None;
+    }
+    let at_centre = record.log_likelihood + 0.5 * record.nis;
+    let good = (1.0 - OUTLIER_SHARE).ln() - 0.5 * record.nis;
+    let spread2 = OUTLIER_SIGMA_FACTOR * OUTLIER_SIGMA_FACTOR;
+    let outlier = OUTLIER_SHARE.ln() - d * OUTLIER_SIGMA_FACTOR.ln() - 0.5 * record.nis / spread2;
+    let more = good.max(outlier);
+    let less = good.min(outlier);
+    Some(at_centre + more + (less - more).exp().ln_1p())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{FusionOutcome, TimeDelta, Timestamp};
+
+    fn record(innovation: f64, s: f64) -> FusionRecord {
+        let nis = innovation * innovation / s;
+        FusionRecord {
+            sensor: SensorId::GYRO,
+            kind: "turn_rate",
+            stamp: Timestamp::ZERO,
+            lag: TimeDelta::ZERO,
+            outcome: FusionOutcome::Accepted,
+            innovation: [innovation, 0.0, 0.0],
+            innovation_covariance: [[s, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+            nis,
+            degrees_of_freedom: 1,
+            log_likelihood: -0.5 * (nis + (std::f64::consts::TAU * s).ln()),
+        }
+    }
+
+    #[test]
+    fn the_density_integrates_to_one() {
+        let (s, step) = (0.3, 0.01);
+        let total: f64 =
+            (-10_000..=10_000).map(|i| ln_density(&record(f64::from(i) * step, s)).unwrap().exp() * step).sum();
+        assert!((total - 1.0).abs() < 1e-6, "{total}");
+    }
+
+    #[test]
+    fn a_gross_outlier_costs_no_more_than_its_share_allows() {
+        let (near, far) = (record(0.0, 1.0), record(20.0, 1.0));
+        let lost = ln_density(&near).unwrap() - ln_density(&far).unwrap();
+        // ln(1/0.01) + ln 10 + 20^2 / 200
+        assert!((lost - (100.0_f64.ln() + 10.0_f64.ln() + 2.0)).abs() < 0.02, "{lost}");
+    }
+
+    #[test]
+    fn alternating_innovations_are_not_white_and_nis_is_a_mean() {
+        let mut fit = RunFit::default();
+        for i in 0..100 {
+            fit.add(&record(if i % 2 == 0 { 2.0 } else { -2.0 }, 1.0));
+        }
+        let gyro = fit.sources[0];
+        assert!((gyro.rho_1().unwrap() + 0.99).abs() < 1e-12);
+        assert_eq!(gyro.nis(), Some(4.0));
+    }
+
+    #[test]
+    fn what_was_not_predicted_or_is_not_finite_says_nothing() {
+        let mut fit = RunFit::default();
+        fit.add(&FusionRecord { degrees_of_freedom: 0, ..record(0.0, 1.0) });
+        fit.add(&record(f64::NAN, 1.0));
+        fit.add(&record(f64::INFINITY, 1.0));
+        assert_eq!(fit, RunFit::default());
+    }
+
+    #[test]
+    fn two_runs_add_up_and_are_not_joined_at_the_seam() {
+        let mut one = RunFit::default();
+        one.add(&record(1.0, 1.0));
+        let mut both = one.clone();
+        both.merge(&one);
+        assert_eq!(both.components(), 2);
+        assert_eq!(both.log_likelihood(), 2.0 * one.log_likelihood());
+        assert_eq!(both.sources[0].rho_1(), Some(0.0));
+    }
+}

@@ -1,0 +1,41 @@
+//! Noise parameters from recordings: what a person finds by trial, found by the likelihood of the innovations.
+//!
+//! A filter predicts each observation before it uses it. Of two sets of noise parameters that one is better under which what then
+//! came was more probable. No truth is needed for that.
+//!
+//! # Model
+//! ```text
+//! x_j    = ln(sigma_j / sigma_j0)                      log-scale of noise parameter j against where the search starts
+//! L(x)   = sum_k ln p(nu_k; S_k)                        over all innovations of all recordings                     (1)
+//! p      = (1 - e) N(nu; 0, S) + e N(nu; 0, K^2 S)      e = 0.01, K = 10                                           (2)
+//! x^     = argmax L(x) - sum_j x_j^2 / (2 ln(3)^2)      by polling along the axes, no derivative                   (3)
+//! var x_j ~ -1 / (second derivative of that by x_j)     with the other parameters held                             (4)
+//! rho(1) = sum_k u_k u_k-1 / sum_k u_k^2                u_ki = nu_ki / sqrt(S_kii), per source; white: 0           (5)
+//! ```
+//! The second term of (3) says that the numbers to start from are right within a factor of three. It weighs as much as one or two
+//! observations: a parameter of which the data tell stays free, one of which they do not stays where it was.
+//!
+//! Equation (2) is the normal density with one observation in a hundred taken for an outlier ten times as wide: refused observations
+//! count, so that nothing is gained by refusing them, and a few gross ones do not decide.
+//!
+//! How far to go from the start towards x^ is then decided by data that the search did not see: the module `folds` has the equations.
+//!
+//! # Source
+//! (1): F. C. Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inform. Theory 11(1), 1965.
+//! (2): P. J. Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35(1), 1964.
+//! (3): R. Hooke, T. A. Jeeves, "Direct search" solution of numerical and statistical problems, J. ACM 8(2), 1961.
+
+mod folds;
+mod keys;
+mod likelihood;
+mod search;
+mod synthetic;
+
+pub use folds::{
+    ChoiceReason, FitQuality, FoldScore, QualityLoss, SHARES, ShareChoice, SquaredErrors, TimeBlocks, blocks_per_run,
+    choose, fold_count,
+};
+pub use keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, default_keys};
+pub use likelihood::{PRIOR_SIGMA, RunFit, SourceFit, fit_in_blocks, fit_run, joint_rms, ln_prior, offline_params};
+pub use search::{SearchOptions, SearchResult, SearchRound, SearchTermination, maximise};
+pub use synthetic::{SyntheticFixes, fixes_from_truth};

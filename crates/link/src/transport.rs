@@ -1,0 +1,251 @@
+//! The table of transports: scheme, URL form and options of each.
+//!
+//! Help texts, the URL parser and the conformance tests read this table. A new transport needs a variant here and a file in
+//! `transports/`.
+
+use std::fmt;
+
+/// Every transport, in the order of the help texts.
+pub const TRANSPORTS: &[Transport] = &[
+    Transport::Serial,
+    Transport::Bluetooth,
+    Transport::Pty,
+    Transport::Tcp,
+    Transport::Udp,
+    Transport::Ev3,
+    Transport::File,
+];
+
+/// The option of every transport; [`crate::Link`] applies it.
+pub(crate) const RATE: OptionHelp = OptionHelp {
+    name: "rate",
+    kind: OptionKind::Integer { min: 0, max: 1_000_000_000, default: 0 },
+    help: "most bytes per second that are sent, counted once per peer; 0 is no limit",
+};
+
+/// The speed of a serial line. 115200 is the factory setting of MAVLink boards and their radios; the range is that of Linux's
+/// termios constants.
+pub(crate) const BAUD: OptionHelp = OptionHelp {
+    name: "baud",
+    kind: OptionKind::Integer { min: 50, max: 4_000_000, default: 115_200 },
+    help: "speed of the line in bits per second; Bluetooth and pseudo-terminals ignore it",
+};
+
+/// What to do with DTR. Linux always raises it when the port is opened.
+pub(crate) const DTR: OptionHelp = OptionHelp {
+    name: "dtr",
+    kind: OptionKind::Choice { words: &["keep", "on", "off"] },
+    help: "keep leaves DTR alone once the port is open, on and off set it then; closing never drops it",
+};
+
+/// The RFCOMM channel, 1 to 30 (Bluetooth RFCOMM specification, section 5.4); NXT, EV3 and HC-05 listen on the first.
+pub(crate) const CHANNEL: OptionHelp = OptionHelp {
+    name: "channel",
+    kind: OptionKind::Integer { min: 1, max: 30, default: 1 },
+    help: "RFCOMM channel of the device",
+};
+
+/// When a UDP peer is forgotten. The default lasts ten MAVLink heartbeats.
+pub(crate) const IDLE: OptionHelp = OptionHelp {
+    name: "idle_s",
+    kind: OptionKind::Integer { min: 1, max: 86_400, default: 10 },
+    help: "seconds of silence after which a peer is not written to any more",
+};
+
+/// The serial number of an EV3.
+pub(crate) const SERIAL_NUMBER: OptionHelp = OptionHelp {
+    name: "serial",
+    kind: OptionKind::HexDigits { count: 12 },
+    help: "the brick's serial number, on the brick under Brick Info; a link that listens takes any brick without it",
+};
+
+/// Whether a file is read or written.
+pub(crate) const MODE: OptionHelp = OptionHelp {
+    name: "mode",
+    kind: OptionKind::Choice { words: &["read", "append"] },
+    help: "read plays the file's bytes in, append writes sent frames to its end and makes it if needed",
+};
+
+/// The size of one read from a file; the default is one page.
+pub(crate) const CHUNK: OptionHelp = OptionHelp {
+    name: "chunk",
+    kind: OptionKind::Integer { min: 1, max: 65_536, default: 4_096 },
+    help: "bytes per delivered chunk",
+};
+
+/// A kind of link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transport {
+    /// A serial port.
+    Serial,
+    /// A Bluetooth Classic serial port (RFCOMM), by the device's address.
+    Bluetooth,
+    /// A pseudo-terminal that this program creates.
+    Pty,
+    /// TCP, client or server.
+    Tcp,
+    /// UDP.
+    Udp,
+    /// An EV3 by WiFi.
+    Ev3,
+    /// A file of raw bytes.
+    File,
+}
+
+impl Transport {
+    /// The word before the colon.
+    #[must_use]
+    pub const fn scheme(self) -> &'static str {
+        match self {
+            Self::Serial => "serial",
+            Self::Bluetooth => "bluetooth",
+            Self::Pty => "pty",
+            Self::Tcp => "tcp",
+            Self::Udp => "udp",
+            Self::Ev3 => "ev3",
+            Self::File => "file",
+        }
+    }
+
+    /// A description of one line.
+    #[must_use]
+    pub const fn summary(self) -> &'static str {
+        match self {
+            Self::Serial => {
+                "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal made by somebody else"
+            }
+            Self::Bluetooth => {
+                "a paired Bluetooth device by its address; needs a program built with `--features bluetooth`"
+            }
+            Self::Pty => "a pseudo-terminal that we make: others open the path like a serial port",
+            Self::Tcp => "a TCP client, or a server for many clients where the link listens",
+            Self::Udp => "UDP: without a host it listens and answers whom it hears, with a host it sends there first",
+            Self::Ev3 => {
+                "an EV3 by WiFi: listens for one that announces itself, or dials one by address and serial number"
+            }
+            Self::File => "raw bytes from a file, or sent frames to the end of one",
+        }
+    }
+
+    /// An example of a link's URL.
+    #[must_use]
+    pub const fn example(self) -> &'static str {
+        match self {
+            Self::Serial => "serial:///dev/ttyUSB0?baud=115200",
+            Self::Bluetooth => "bluetooth://00:16:53:AA:BB:CC?channel=1",
+            Self::Pty => "pty:brick.tty",
+            Self::Tcp => "tcp://192.168.4.1:5760",
+            Self::Udp => "udp://:14550",
+            Self::Ev3 => "ev3://0.0.0.0:3015",
+            Self::File => "file://run.bin",
+        }
+    }
+
+    /// The form of its target.
+    #[must_use]
+    pub const fn target_kind(self) -> TargetKind {
+        match self {
+            Self::Serial | Self::Pty | Self::File => TargetKind::Path,
+            Self::Bluetooth => TargetKind::Bluetooth,
+            Self::Tcp | Self::Udp | Self::Ev3 => TargetKind::Host,
+        }
+    }
+
+    /// The options that may follow the question mark.
+    #[must_use]
+    pub const fn options(self) -> &'static [OptionHelp] {
+        match self {
+            Self::Serial => &[BAUD, DTR, RATE],
+            Self::Bluetooth => &[CHANNEL, RATE],
+            Self::Pty | Self::Tcp => &[RATE],
+            Self::Udp => &[IDLE, RATE],
+            Self::Ev3 => &[SERIAL_NUMBER, RATE],
+            Self::File => &[MODE, CHUNK, RATE],
+        }
+    }
+
+    /// True if each delivered chunk is one datagram, so that no frame crosses two of them.
+    #[must_use]
+    pub const fn is_datagram(self) -> bool {
+        matches!(self, Self::Udp)
+    }
+}
+
+/// The form of a link's target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TargetKind {
+    /// [`Target::Path`](crate::Target::Path).
+    Path,
+    /// [`Target::Host`](crate::Target::Host).
+    Host,
+    /// [`Target::Bluetooth`](crate::Target::Bluetooth).
+    Bluetooth,
+}
+
+/// One option of a transport, with its help text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionHelp {
+    /// Its name in the URL.
+    pub name: &'static str,
+    /// Its values and its default.
+    pub kind: OptionKind,
+    /// Its effect, units included.
+    pub help: &'static str,
+}
+
+/// The values of an option.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptionKind {
+    /// A whole number.
+    Integer {
+        /// The smallest.
+        min: u32,
+        /// The largest.
+        max: u32,
+        /// The default.
+        default: u32,
+    },
+    /// One of several words.
+    Choice {
+        /// The words; the first is the default.
+        words: &'static [&'static str],
+    },
+    /// Hexadecimal digits; the default is none.
+    HexDigits {
+        /// The number of digits.
+        count: usize,
+    },
+}
+
+impl OptionKind {
+    pub(crate) fn accepts(self, value: &str) -> bool {
+        match self {
+            Self::Integer { min, max, .. } => value.parse::<u32>().is_ok_and(|number| (min..=max).contains(&number)),
+            Self::Choice { words } => words.contains(&value),
+            Self::HexDigits { count } => {
+                value.is_empty() || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
+            }
+        }
+    }
+
+    /// The default, as it would be written.
+    #[must_use]
+    pub fn default_text(self) -> String {
+        match self {
+            Self::Integer { default, .. } => default.to_string(),
+            Self::Choice { words } => words.first().copied().unwrap_or_default().to_owned(),
+            Self::HexDigits { .. } => String::new(),
+        }
+    }
+}
+
+impl fmt::Display for OptionKind {
+    /// The accepted values, such as "a whole number from 50 to 4000000".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integer { min, max, .. } => write!(f, "a whole number from {min} to {max}"),
+            Self::Choice { words } => write!(f, "one of {}", words.join(", ")),
+            Self::HexDigits { count } => write!(f, "{count} hexadecimal digits"),
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Pictures of a run, as SVG text.
+//!
+//! A figure is a pure function from the layers of a run to a string. It writes no file, and it draws with its own small
+//! SVG writer at sub-pixel precision, because error ellipses of millimetres in an arena of metres are a pixel or two
+//! wide. Any layer may be missing; values that are not finite, or beyond [`MAX_COORDINATE_M`], are left out, counted
+//! and mentioned in the picture.
+
+pub mod accuracy;
+mod canvas;
+mod detail;
+mod downsample;
+pub mod error;
+mod inline;
+mod layers;
+mod legend;
+mod palette;
+mod panel;
+pub mod plot;
+pub mod session;
+mod strip;
+mod svg;
+pub mod track;
+
+pub use accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
+pub use inline::inline;
+pub use layers::{FixMark, MAX_COORDINATE_M, RunLayers};
+pub use plot::{Axes, Curve, CurveShape, Plot, render_plot};
+pub use posebridge_telemetry::Ellipse;
+
+/// A picture that the command line can name.
+#[derive(Clone, Copy, Debug)]
+pub struct Figure {
+    /// Its name, in lower case.
+    pub name: &'static str,
+    /// What it shows, in one sentence.
+    pub doc: &'static str,
+    /// Draws it; returns a whole SVG document.
+    pub render: fn(&RunLayers<'_>) -> String,
+}
+
+/// Every figure. To add one: a file beside this one and an entry here.
+pub const FIGURES: &[Figure] = &[
+    Figure {
+        name: "track",
+        doc: "Map of the ideal path, truth, odometry, estimate with 2-sigma ellipses, smoothed path and fixes; position error over time.",
+        render: track::render,
+    },
+    Figure {
+        name: "error",
+        doc: "Position error of odometry, estimate and smoothed path over time, with the estimate's 2-sigma claim; logarithmic.",
+        render: error::render,
+    },
+];

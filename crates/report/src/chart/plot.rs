@@ -1,0 +1,371 @@
+//! Curves over common axes, with a legend: the figure of an experiment that is not about one drive.
+//!
+//! One picture holds one or more panels below each other. Values that are not finite split a curve and are counted.
+
+use super::downsample::{downsample_by_deviation, downsample_path, downsample_series};
+use super::layers::MAX_COORDINATE_M;
+use super::legend::{LegendEntry, LegendMark};
+use super::palette::{BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, ORANGE, REDDISH_PURPLE, SKY_BLUE, VERMILLION};
+use super::panel::{PlotPanel, ValueRange, round_ticks};
+use super::svg::{PixelPoint, Rect, Stroke, Svg};
+use super::{canvas, legend};
+
+/// Room above the first panel, for the title.
+const TOP_PX: f64 = 70.0;
+/// Room below each panel, for its ticks and the name of its axis.
+const FOOT_PX: f64 = 62.0;
+const PANEL_WIDTH_PX: f64 = 590.0;
+/// Room above and below the highest and the lowest value, as a share of what they span.
+const MARGIN: f64 = 0.05;
+/// Ticks along an axis.
+const X_TICKS: f64 = 8.0;
+const Y_TICKS: f64 = 6.0;
+
+/// Strokes, discs and fills of the curves in their order; a later curve begins anew.
+const STROKES: [Stroke; 7] = [
+    Stroke::solid(BLACK, 2.0),
+    Stroke::dashed(VERMILLION, 1.6, "9 2.5"),
+    Stroke::solid(BLUE, 1.6),
+    Stroke::dashed(BLUISH_GREEN, 1.6, "5 3"),
+    Stroke::dashed(ORANGE, 1.8, "3 2.5"),
+    Stroke::solid(REDDISH_PURPLE, 1.6),
+    Stroke::solid(SKY_BLUE, 1.6),
+];
+const COLORS: [&str; 7] = [BLACK, VERMILLION, BLUE, BLUISH_GREEN, ORANGE, REDDISH_PURPLE, SKY_BLUE];
+
+/// A picture of one or more panels.
+#[derive(Clone, Debug, Default)]
+pub struct Plot {
+    /// For people; any text.
+    pub title: String,
+    /// A line below the title: the figures that count.
+    pub key_figures: String,
+    /// From top to bottom.
+    pub axes: Vec<Axes>,
+}
+
+/// One panel.
+#[derive(Clone, Debug, Default)]
+pub struct Axes {
+    /// With the unit, as in `time [s]`.
+    pub x_name: String,
+    /// With the unit.
+    pub y_name: String,
+    /// Height in pixels.
+    pub height_px: f64,
+    /// Whether it is a map: a unit is then as long in x as in y.
+    pub is_map: bool,
+    /// Later ones are drawn over earlier ones.
+    pub curves: Vec<Curve>,
+}
+
+/// Something that is drawn.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// For the legend.
+    pub name: String,
+    /// How it is drawn.
+    pub shape: CurveShape,
+}
+
+/// How a curve is drawn; all in the units of the axes.
+#[derive(Clone, Debug)]
+pub enum CurveShape {
+    /// A line through the points.
+    Line(Vec<(f64, f64)>),
+    /// A disc at each point.
+    Dots(Vec<(f64, f64)>),
+    /// An area between two values at each place: x, lower, upper.
+    Band(Vec<(f64, f64, f64)>),
+    /// A line across the panel at this height.
+    Level(f64),
+    /// A diagonal cross at each point.
+    Crosses(Vec<(f64, f64)>),
+    /// A ring at each point.
+    Rings(Vec<(f64, f64)>),
+    /// Closed shapes, lightly filled.
+    Outlines(Vec<Vec<(f64, f64)>>),
+    /// Very many small dots.
+    Specks(Vec<(f64, f64)>),
+}
+
+/// How lines are made shorter where more cannot be seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum CurveDownsampling {
+    /// By dropping what lies next to the last point.
+    Near,
+    /// By dropping what lies on the line between its neighbours: for paths on a map.
+    Deviation,
+    /// By keeping the extremes of each column of pixels, and of those what does not lie on the line: for values over time.
+    Series,
+}
+
+impl CurveDownsampling {
+    fn downsample(self, points: &[PixelPoint]) -> Vec<PixelPoint> {
+        match self {
+            Self::Near => downsample_path(points),
+            Self::Deviation => downsample_by_deviation(points, DEVIATION_PX),
+            Self::Series => downsample_by_deviation(&downsample_series(points), DEVIATION_PX),
+        }
+    }
+
+    /// An edge of an area; with [`Self::Near`] it stays as it is.
+    fn downsample_edge(self, points: Vec<PixelPoint>) -> Vec<PixelPoint> {
+        match self {
+            Self::Near => points,
+            Self::Deviation | Self::Series => self.downsample(&points),
+        }
+    }
+}
+
+/// A line that is off by less than this looks the same on any screen.
+const DEVIATION_PX: f64 = 0.12;
+
+/// With what a curve is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CurveStyle {
+    /// Of lines, rings and crosses.
+    pub(super) stroke: &'static Stroke,
+    /// Of discs and fills.
+    pub(super) color: &'static str,
+}
+
+/// The ink of the curve with this place in a list.
+pub(super) const fn curve_style(index: usize) -> CurveStyle {
+    CurveStyle { stroke: &STROKES[index % STROKES.len()], color: COLORS[index % COLORS.len()] }
+}
+
+/// Draws it; returns a whole SVG document.
+#[must_use]
+pub fn render_plot(plot: &Plot) -> String {
+    let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
+    let height_px = TOP_PX + heights.sum::<f64>();
+    let mut svg = canvas::open_sheet(&plot.title, &plot.key_figures, height_px);
+    let mut top = TOP_PX;
+    let mut dropped = 0;
+    for axes in &plot.axes {
+        let area = Rect { left: canvas::LEFT_PX, top, width: PANEL_WIDTH_PX, height: axes.height_px };
+        dropped += draw_axes(&mut svg, area, axes);
+        top += axes.height_px + FOOT_PX;
+    }
+    canvas::close_figure(svg, height_px, dropped)
+}
+
+/// Draws one panel with its legend; returns how many values were left out.
+fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
+    let scales = if axes.is_map { AxisScaling::Equal } else { AxisScaling::Independent };
+    let panel = panel_of(area, axes.curves.iter().map(|curve| &curve.shape), scales);
+    panel.draw_grid(svg, &round_ticks(panel.x, X_TICKS), &round_ticks(panel.y, Y_TICKS));
+    let mut dropped = 0;
+    svg.clip(&area, "curves", |svg| {
+        for (index, curve) in axes.curves.iter().enumerate() {
+            dropped += draw_shape(svg, &panel, curve_style(index), CurveDownsampling::Near, &curve.shape);
+        }
+    });
+    panel.draw_border(svg);
+    panel.draw_names(svg, &axes.x_name, &axes.y_name);
+    let entries: Vec<LegendEntry> = axes
+        .curves
+        .iter()
+        .enumerate()
+        .map(|(index, curve)| LegendEntry::new(legend_mark(curve_style(index), &curve.shape), &curve.name))
+        .collect();
+    legend::draw(svg, (area.right() + 22.0, area.top), &entries);
+    dropped
+}
+
+/// How long a unit is along the two axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum AxisScaling {
+    /// The same, as on a map.
+    Equal,
+    /// Each fills its side of the panel.
+    #[default]
+    Independent,
+}
+
+/// The panel that holds all shapes.
+pub(super) fn panel_of<'s>(area: Rect, shapes: impl Iterator<Item = &'s CurveShape>, scales: AxisScaling) -> PlotPanel {
+    let corners: Vec<(f64, f64)> = shapes.flat_map(corners).collect();
+    let unit = ValueRange { low: 0.0, high: 1.0 };
+    let drawn = |value: &f64| value.is_finite() && value.abs() <= MAX_COORDINATE_M;
+    let x = ValueRange::of(corners.iter().map(|(x, _)| *x).filter(drawn)).unwrap_or(unit);
+    let y = ValueRange::of(corners.iter().map(|(_, y)| *y).filter(drawn)).unwrap_or(unit);
+    if scales == AxisScaling::Equal {
+        return PlotPanel::equal_scale(area, x, y);
+    }
+    PlotPanel { area, x: with_margin(x, 0.0), y: with_margin(y, MARGIN) }
+}
+
+/// The range with a margin; one without extent is opened by its own size, or by one.
+pub(super) fn with_margin(range: ValueRange, margin: f64) -> ValueRange {
+    let middle = f64::midpoint(range.low, range.high);
+    if range.extent() > 0.0 {
+        return ValueRange::around(middle, range.extent() * (1.0 + 2.0 * margin));
+    }
+    ValueRange::around(middle, if middle == 0.0 { 1.0 } else { middle.abs() })
+}
+
+/// Every point that the panel has to hold. A level has no place along x and takes none; crosses mark what may lie anywhere.
+fn corners(shape: &CurveShape) -> Vec<(f64, f64)> {
+    match shape {
+        CurveShape::Line(points)
+        | CurveShape::Dots(points)
+        | CurveShape::Rings(points)
+        | CurveShape::Specks(points) => points.clone(),
+        CurveShape::Crosses(_) | CurveShape::Outlines(_) => Vec::new(),
+        CurveShape::Band(places) => places.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
+        CurveShape::Level(y) => vec![(f64::NAN, *y)],
+    }
+}
+
+fn is_drawable(point: &(f64, f64)) -> bool {
+    let (x, y) = point;
+    x.abs() <= MAX_COORDINATE_M && y.abs() <= MAX_COORDINATE_M
+}
+
+/// Draws one shape; returns how many values were left out.
+pub(super) fn draw_shape(
+    svg: &mut Svg,
+    panel: &PlotPanel,
+    ink: CurveStyle,
+    thinning: CurveDownsampling,
+    shape: &CurveShape,
+) -> usize {
+    let place =
+        |points: &[(f64, f64)]| -> Vec<PixelPoint> { points.iter().map(|(x, y)| panel.to_pixels(*x, *y)).collect() };
+    let left_out = |points: &[(f64, f64)]| points.iter().filter(|point| !is_drawable(point)).count();
+    match shape {
+        CurveShape::Line(points) => {
+            for part in points.split(|point| !is_drawable(point)) {
+                svg.polyline(&thinning.downsample(&place(part)), ink.stroke);
+            }
+            left_out(points)
+        }
+        CurveShape::Dots(points) | CurveShape::Crosses(points) | CurveShape::Rings(points) => {
+            for point in points.iter().filter(|point| is_drawable(point)) {
+                draw_mark(svg, panel.to_pixels(point.0, point.1), ink, shape);
+            }
+            left_out(points)
+        }
+        CurveShape::Specks(points) => {
+            let drawn: Vec<(f64, f64)> = points.iter().copied().filter(is_drawable).collect();
+            svg.specks(&place(&drawn), ink.color);
+            points.len() - drawn.len()
+        }
+        CurveShape::Band(places) => draw_band(svg, panel, ink, thinning, places),
+        CurveShape::Level(y) => {
+            let ends = [(panel.x.low, *y), (panel.x.high, *y)];
+            svg.polyline(&place(&ends), ink.stroke);
+            usize::from(!is_drawable(&(0.0, *y)))
+        }
+        CurveShape::Outlines(outlines) => {
+            let is_drawn = |outline: &&Vec<(f64, f64)>| outline.iter().all(is_drawable);
+            for outline in outlines.iter().filter(is_drawn) {
+                svg.polygon(&place(outline), ink.color, FILL_OPACITY, Some(ink.stroke));
+            }
+            outlines.iter().filter(|outline| !is_drawn(outline)).count()
+        }
+    }
+}
+
+fn draw_mark(svg: &mut Svg, at: PixelPoint, ink: CurveStyle, shape: &CurveShape) {
+    match shape {
+        CurveShape::Crosses(_) => svg.cross(at, 3.5, ink.stroke),
+        CurveShape::Rings(_) => svg.disc(at, 3.5, "none", Some(ink.stroke)),
+        CurveShape::Line(_)
+        | CurveShape::Dots(_)
+        | CurveShape::Band(_)
+        | CurveShape::Level(_)
+        | CurveShape::Specks(_)
+        | CurveShape::Outlines(_) => {
+            svg.disc(at, 2.6, ink.color, None);
+        }
+    }
+}
+
+fn draw_band(
+    svg: &mut Svg,
+    panel: &PlotPanel,
+    ink: CurveStyle,
+    thinning: CurveDownsampling,
+    places: &[(f64, f64, f64)],
+) -> usize {
+    let is_drawn = |(x, low, high): &(f64, f64, f64)| is_drawable(&(*x, *low)) && is_drawable(&(*x, *high));
+    for part in places.split(|place| !is_drawn(place)) {
+        let lower = part.iter().map(|(x, low, _)| panel.to_pixels(*x, *low));
+        let upper = part.iter().map(|(x, _, high)| panel.to_pixels(*x, *high));
+        let mut outline = thinning.downsample_edge(lower.collect());
+        outline.extend(thinning.downsample_edge(upper.collect()).into_iter().rev());
+        svg.polygon(&outline, ink.color, FILL_OPACITY, None);
+    }
+    places.iter().filter(|place| !is_drawn(place)).count()
+}
+
+/// How a shape is marked in a legend.
+pub(super) const fn legend_mark(ink: CurveStyle, shape: &CurveShape) -> LegendMark {
+    match shape {
+        CurveShape::Line(_) | CurveShape::Level(_) => LegendMark::Line(ink.stroke),
+        CurveShape::Dots(_) | CurveShape::Specks(_) => LegendMark::Disc(ink.color),
+        CurveShape::Crosses(_) => LegendMark::Cross(ink.stroke),
+        CurveShape::Rings(_) => LegendMark::Ring(ink.stroke),
+        CurveShape::Band(_) | CurveShape::Outlines(_) => LegendMark::Area(ink.stroke, ink.color),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(curves: Vec<(&str, CurveShape)>) -> Plot {
+        let curves = curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape });
+        Plot {
+            title: "t".to_owned(),
+            key_figures: String::new(),
+            axes: vec![Axes {
+                x_name: "time [s]".to_owned(),
+                y_name: "value".to_owned(),
+                height_px: 200.0,
+                is_map: false,
+                curves: curves.collect(),
+            }],
+        }
+    }
+
+    #[test]
+    fn every_shape_is_drawn_once_with_its_name() {
+        let svg = render_plot(&of(vec![
+            ("measured", CurveShape::Dots(vec![(0.0, 1.0), (1.0, 2.0)])),
+            ("fitted", CurveShape::Line(vec![(0.0, 1.0), (1.0, 2.0)])),
+            ("2 sigma", CurveShape::Band(vec![(0.0, 0.5, 1.5), (1.0, 1.5, 2.5)])),
+            ("final", CurveShape::Level(3.0)),
+        ]));
+        let count = |needle: &str| svg.matches(needle).count();
+        // Two of the data and one of the legend.
+        assert_eq!(count("<circle"), 3);
+        assert_eq!(count("<polygon"), 2);
+        for name in ["measured", "fitted", "2 sigma", "final"] {
+            assert_eq!(count(&format!(">{name}</text>")), 1, "{name}");
+        }
+        assert!(!svg.contains("left out"));
+    }
+
+    #[test]
+    fn what_is_not_finite_splits_a_line_and_is_counted() {
+        let points = [1.0, 2.0, f64::NAN, 4.0, f64::INFINITY, 1e300, 7.0, 8.0];
+        let line = (0..).map(f64::from).zip(points).collect();
+        let svg = render_plot(&of(vec![("a", CurveShape::Line(line))]));
+        assert!(svg.contains("left out: 3 values"), "{svg}");
+        let curves = svg.split("id=\"curves\"").nth(1).unwrap();
+        let curves = curves.split("</g>").next().unwrap();
+        assert_eq!(curves.matches("<polyline").count(), 2);
+    }
+
+    #[test]
+    fn nothing_and_a_single_value_still_have_axes() {
+        for shape in [CurveShape::Line(Vec::new()), CurveShape::Level(0.0), CurveShape::Dots(vec![(5.0, 5.0)])] {
+            let svg = render_plot(&of(vec![("a", shape)]));
+            assert!(!svg.contains("NaN") && svg.contains("time [s]"));
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! A writer for the little of SVG that the figures need.
+//!
+//! Shapes in pixels, y downward, hundredths of a pixel. Text is escaped; a shape with a coordinate that is not finite is
+//! not written, so that no viewer ever meets a "NaN". It knows nothing of metres, panels or runs.
+//!
+//! Source: W3C, Scalable Vector Graphics 1.1 (second edition).
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::fmt::Write as _;
+
+use crate::markup::Escaped;
+
+/// A point of the picture, in pixels from the top left.
+pub(super) type PixelPoint = (f64, f64);
+
+/// The paper.
+pub(super) const BACKGROUND: &str = "#FFFFFF";
+
+/// Size of the cell that a small dot fills, in pixels.
+const SPECK_RADIUS_PX: f64 = 1.6;
+/// Where there are fewer of them than this, they are drawn larger.
+const FEW_SPECKS: usize = 400;
+const LARGE_SPECK_RADIUS_PX: f64 = 2.6;
+
+/// A rectangle of the picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rect {
+    pub(super) left: f64,
+    pub(super) top: f64,
+    pub(super) width: f64,
+    pub(super) height: f64,
+}
+
+impl Rect {
+    pub(super) const fn right(&self) -> f64 {
+        self.left + self.width
+    }
+    pub(super) const fn bottom(&self) -> f64 {
+        self.top + self.height
+    }
+}
+
+/// How a line looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Stroke {
+    color: &'static str,
+    width_px: f64,
+    dashes: Option<&'static str>,
+}
+
+impl Stroke {
+    pub(super) const fn solid(color: &'static str, width_px: f64) -> Self {
+        Self { color, width_px, dashes: None }
+    }
+    pub(super) const fn dashed(color: &'static str, width_px: f64, dashes: &'static str) -> Self {
+        Self { color, width_px, dashes: Some(dashes) }
+    }
+}
+
+impl fmt::Display for Stroke {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { color, width_px, .. } = self;
+        write!(f, r#"stroke="{color}" stroke-width="{width_px}""#)?;
+        match self.dashes {
+            Some(dashes) => write!(f, r#" stroke-dasharray="{dashes}""#),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Which point of a text stands at its position.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+/// How a text looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TextStyle {
+    pub(super) size_px: f64,
+    pub(super) color: &'static str,
+    pub(super) anchor: Anchor,
+    pub(super) weight: u16,
+}
+
+/// A picture that is being drawn.
+#[derive(Debug)]
+pub(super) struct Svg {
+    text: String,
+    clips: usize,
+}
+
+impl Svg {
+    /// An empty picture on white paper; `title` is what a screen reader says.
+    pub(super) fn new(width_px: f64, height_px: f64, title: &str) -> Self {
+        let mut svg = Self { text: String::new(), clips: 0 };
+        svg.write(format_args!(
+            concat!(
+                r#"<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}" viewBox="0 0 {w} {h}" "#,
+                r#"role="img" font-family="Helvetica, Arial, 'DejaVu Sans', sans-serif">"#,
+                "\n<title>{title}</title>\n",
+                "<rect width=\"{w}\" height=\"{h}\" fill=\"{paper}\"/>\n",
+            ),
+            w = width_px,
+            h = height_px,
+            title = Escaped(title),
+            paper = BACKGROUND,
+        ));
+        svg
+    }
+
+    pub(super) fn rect(&mut self, rect: &Rect, stroke: &Stroke) {
+        self.write(format_args!(
+            "<rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"none\" {stroke}/>\n",
+            rect.left, rect.top, rect.width, rect.height
+        ));
+    }
+
+    pub(super) fn line(&mut self, from: PixelPoint, to: PixelPoint, stroke: &Stroke) {
+        self.polyline(&[from, to], stroke);
+    }
+
+    /// An open line through all points; nothing for fewer than two.
+    pub(super) fn polyline(&mut self, points: &[PixelPoint], stroke: &Stroke) {
+        if points.len() > 1 && points.iter().all(is_finite) {
+            let points = PointList(points);
+            self.write(format_args!(
+                "<polyline points=\"{points}\" fill=\"none\" stroke-linejoin=\"round\" {stroke}/>\n"
+            ));
+        }
+    }
+
+    /// A closed shape; `opacity` is how much its fill covers, from 0 to 1.
+    pub(super) fn polygon(&mut self, points: &[PixelPoint], fill: &str, opacity: f64, stroke: Option<&Stroke>) {
+        if points.len() > 2 && points.iter().all(is_finite) {
+            let points = PointList(points);
+            let outline = stroke.map(Stroke::to_string).unwrap_or_default();
+            self.write(format_args!(
+                "<polygon points=\"{points}\" fill=\"{fill}\" fill-opacity=\"{opacity}\" {outline}/>\n"
+            ));
+        }
+    }
+
+    /// A filled disc with an outline of its own.
+    pub(super) fn disc(&mut self, center: PixelPoint, radius_px: f64, fill: &str, stroke: Option<&Stroke>) {
+        if is_finite(&center) {
+            let outline = stroke.map(Stroke::to_string).unwrap_or_default();
+            self.write(format_args!(
+                "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius_px}\" fill=\"{fill}\" {outline}/>\n",
+                center.0, center.1
+            ));
+        }
+    }
+
+    /// Many small dots: a dot fills a cell of [`SPECK_RADIUS_PX`], and cells above each other become one stroke, so that a hundred thousand
+    /// dots take no more room than the panel has cells.
+    pub(super) fn specks(&mut self, points: &[PixelPoint], color: &str) {
+        let cell = |px: f64| (px / SPECK_RADIUS_PX).floor() as i32;
+        let cells: BTreeSet<(i32, i32)> =
+            points.iter().filter(|point| is_finite(point)).map(|(x, y)| (cell(*x), cell(*y))).collect();
+        if cells.is_empty() {
+            return;
+        }
+        let middle = |cell: i32| (f64::from(cell) + 0.5) * SPECK_RADIUS_PX;
+        let cells: Vec<(i32, i32)> = cells.into_iter().collect();
+        let mut path = String::new();
+        for run in cells.chunk_by(|a, b| a.0 == b.0 && a.1 + 1 == b.1) {
+            if let (Some((x, top)), Some((_, bottom))) = (run.first(), run.last()) {
+                let (x, top, bottom) = (middle(*x), middle(*top), middle(*bottom));
+                // Writing to a String cannot fail.
+                let _ = write!(path, "M{x:.1} {top:.1}V{bottom:.1}");
+            }
+        }
+        self.write(format_args!(
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width}\" stroke-linecap=\"round\"/>\n",
+            width = if cells.len() < FEW_SPECKS { LARGE_SPECK_RADIUS_PX } else { SPECK_RADIUS_PX },
+        ));
+    }
+
+    /// A diagonal cross.
+    pub(super) fn cross(&mut self, center: PixelPoint, reach_px: f64, stroke: &Stroke) {
+        let (x, y) = center;
+        for slant in [reach_px, -reach_px] {
+            self.line((x - reach_px, y - slant), (x + reach_px, y + slant), stroke);
+        }
+    }
+
+    pub(super) fn text(&mut self, at: PixelPoint, style: &TextStyle, text: &str) {
+        self.write_text(at, style, text, "");
+    }
+
+    /// Text that reads from bottom to top, for the axis on the left.
+    pub(super) fn upright_text(&mut self, at: PixelPoint, style: &TextStyle, text: &str) {
+        let turn = format!(" transform=\"rotate(-90 {:.2} {:.2})\"", at.0, at.1);
+        self.write_text(at, style, text, &turn);
+    }
+
+    /// What `draw` draws appears inside the rectangle only; `id` names the group in the document.
+    pub(super) fn clip(&mut self, rect: &Rect, id: &str, draw: impl FnOnce(&mut Self)) {
+        self.clips += 1;
+        let clip = self.clips;
+        self.write(format_args!(
+            concat!(
+                "<clipPath id=\"clip{clip}\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\"/></clipPath>\n",
+                "<g id=\"{id}\" clip-path=\"url(#clip{clip})\">\n",
+            ),
+            rect.left, rect.top, rect.width, rect.height,
+            clip = clip,
+            id = id,
+        ));
+        draw(self);
+        self.write(format_args!("</g>\n"));
+    }
+
+    /// The whole document.
+    pub(super) fn finish(mut self) -> String {
+        self.write(format_args!("</svg>\n"));
+        self.text
+    }
+
+    fn write_text(&mut self, at: PixelPoint, style: &TextStyle, text: &str, turn: &str) {
+        let anchor = match style.anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
+        self.write(format_args!(
+            concat!(
+                "<text x=\"{:.2}\" y=\"{:.2}\" font-size=\"{}\" font-weight=\"{}\" fill=\"{}\" ",
+                "text-anchor=\"{}\"{}>{}</text>\n",
+            ),
+            at.0,
+            at.1,
+            style.size_px,
+            style.weight,
+            style.color,
+            anchor,
+            turn,
+            Escaped(text)
+        ));
+    }
+
+    fn write(&mut self, piece: fmt::Arguments<'_>) {
+        self.text.push_str(&fmt::format(piece));
+    }
+}
+
+fn is_finite(point: &PixelPoint) -> bool {
+    point.0.is_finite() && point.1.is_finite()
+}
+
+struct PointList<'a>(&'a [PixelPoint]);
+
+impl fmt::Display for PointList<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, (x, y)) in self.0.iter().enumerate() {
+            let separator = if index == 0 { "" } else { " " };
+            write!(f, "{separator}{x:.2},{y:.2}")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shape_that_is_not_finite_is_not_written() {
+        let mut svg = Svg::new(10.0, 10.0, "t");
+        let stroke = Stroke::solid("#000000", 1.0);
+        svg.polyline(&[(0.0, 0.0), (f64::NAN, 1.0)], &stroke);
+        svg.disc((f64::INFINITY, 0.0), 2.0, "#000000", None);
+        let text = svg.finish();
+        assert!(!text.contains("polyline") && !text.contains("circle"), "{text}");
+    }
+
+    #[test]
+    fn small_dots_in_one_cell_are_one_and_columns_of_them_a_stroke() {
+        let draw = |points: &[PixelPoint]| {
+            let mut svg = Svg::new(10.0, 10.0, "t");
+            svg.specks(points, "#000000");
+            svg.finish()
+        };
+        let one = draw(&[(2.0, 2.0), (2.1, 2.2), (f64::NAN, 1.0)]);
+        assert!(one.contains("d=\"M2.4 2.4V2.4\""), "{one}");
+        let column = draw(&[(2.0, 0.1), (2.0, 2.0), (2.0, 3.3), (2.0, 8.5)]);
+        assert!(column.contains("d=\"M2.4 0.8V4.0M2.4 8.8V8.8\""), "{column}");
+        assert!(!draw(&[]).contains("<path"));
+    }
+}

@@ -1,0 +1,36 @@
+//! What a run was worth: figures of merit, pictures, tables and pages over estimates, odometry, fixes and truth.
+//!
+//! The program and the experiments give it what a run or a recording left behind; it gives back numbers ([`metrics`]), SVG text ([`chart`]),
+//! aligned plain text ([`tables`]) and HTML ([`page`]). It reads no file, writes none, draws no random number, and holds no estimator: two
+//! calls with the same data give the same bytes.
+//!
+//! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
+//! A value that is not finite is left out and counted, never averaged and never drawn.
+//!
+//! ```
+//! use posebridge_report::metrics::{PoseError, summarise};
+//! let errors = [
+//!     PoseError { dx_m: 0.003, dy_m: 0.004, heading_rad: None, covariance: None },
+//!     PoseError { dx_m: 0.0, dy_m: 0.001, heading_rad: None, covariance: None },
+//! ];
+//! let summary = summarise(&errors);
+//! assert_eq!(summary.position_max_m, Some(0.005));
+//! assert_eq!(summary.position_end_m, Some(0.001));
+//! ```
+
+pub mod chart;
+mod markup;
+pub mod metrics;
+pub mod page;
+pub mod smoothed;
+pub mod tables;
+pub mod track;
+
+pub use chart::{FIGURES, Figure, FixMark, RunLayers};
+pub use metrics::{
+    Consistency, ConsistencyBand, ErrorSummary, METRICS, Metric, MetricInputs, PoseError, RecentNis, SourceTally,
+    mean_over_runs, summarise, tally_sources,
+};
+pub use smoothed::SmoothedPath;
+pub use tables::{EstimatorRow, RunRow};
+pub use track::{PoseTrack, TimedPose};

@@ -1,0 +1,426 @@
+//! What the innovations of one sensor say of the filter's noise: are they as large as claimed, and is there a pattern left in them?
+//!
+//! It is fed with the filter's records, in their order, and keeps sums only: a recording of days takes no more memory than one of
+//! minutes. It needs no truth.
+//!
+//! # Model
+//! ```text
+//! e_i   = nu_i / sqrt(S_ii)                        innovation of component i over its claimed deviation
+//! rho   = sum e_i[k] e_i[k-1] / sum e_i[k]^2       correlation with the one before, over all components; 0 for white innovations
+//! |rho| <= 1.96 / sqrt(n)                          in 95 of 100 cases, of n pairs of white ones
+//! mean  = sum NIS / sum m                          1 for honest claims; m is a record's degrees of freedom
+//! D     = sum m (1 - rho^2) / (1 + rho^2)          on how many independent degrees that mean stands
+//! chi2(0.025, D) / D <= mean <= chi2(0.975, D) / D in 95 of 100 cases
+//! ```
+//! Squares of a Gaussian sequence whose correlation at lag k is rho^k are correlated by rho^2k, which widens the spread of their mean
+//! by (1 + rho^2) / (1 - rho^2). With thousands of innovations the band is so narrow that no real sensor lies in it: a noise that is
+//! right within a tenth is called nearly consistent.
+//!
+//! # Assumptions
+//! Innovations of one sensor are Gaussian but for what the gate turns away, and their order is that of the records.
+//!
+//! # Sources
+//! Bar-Shalom, Li, Kirubarajan (2001), section 5.4.2 (NIS, and the autocorrelation test for whiteness).
+
+use std::fmt;
+
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
+
+use super::consistency::{Consistency, ConsistencyBand};
+
+/// Fewer independent degrees of freedom than this tell nothing: their band reaches from half to 1.7.
+const MIN_DEGREES: f64 = 20.0;
+/// The 97.5 % point of the standard normal distribution.
+const NORMAL_95: f64 = 1.959_963_984_540_054;
+/// A deviation that is right within this share is right for all purposes.
+const NEARLY_CONSISTENT_MARGIN: f64 = 0.1;
+/// Weaker patterns than this are found in long recordings and mean nothing to a filter.
+const MIN_CORRELATION: f64 = 0.1;
+/// A gate that turns away more than this share says something of the sensor or of its noise; by chance it would be one in a thousand.
+const MAX_GATED_SHARE: f64 = 0.05;
+/// What is kept of a correlation of 1: the mean then stands on next to nothing, but not on less.
+const MAX_CORRELATION: f64 = 0.999;
+
+/// Gathers the innovations of one sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct InnovationTest {
+    used: u64,
+    gated: u64,
+    nis_sum: f64,
+    degrees_of_freedom: u64,
+    /// e of the record before, where it had one.
+    last: Option<[Option<f64>; 3]>,
+    pairs: u64,
+    product_sum: f64,
+    square_sum: f64,
+}
+
+impl InnovationTest {
+    /// Takes the next record of the sensor. Only used ones enter the mean, as in [`SourceTally`](super::SourceTally).
+    pub fn add(&mut self, record: &FusionRecord) {
+        match record.outcome {
+            FusionOutcome::Gated => self.gated += 1,
+            FusionOutcome::Accepted | FusionOutcome::Slip => {
+                self.used += 1;
+                if record.nis.is_finite() && record.degrees_of_freedom > 0 {
+                    self.nis_sum += record.nis;
+                    self.degrees_of_freedom += u64::from(record.degrees_of_freedom);
+                    self.add_innovation(record);
+                }
+            }
+            FusionOutcome::TooOld
+            | FusionOutcome::Malformed
+            | FusionOutcome::Rebased
+            | FusionOutcome::PoseReset
+            | FusionOutcome::Unused => {}
+        }
+    }
+
+    fn add_innovation(&mut self, record: &FusionRecord) {
+        let now = normalised(record);
+        for (component, value) in now.iter().enumerate() {
+            let Some(value) = value else { continue };
+            self.square_sum += value * value;
+            let before = self.last.and_then(|last| *last.get(component)?);
+            if let Some(before) = before {
+                self.product_sum += value * before;
+                self.pairs += 1;
+            }
+        }
+        self.last = Some(now);
+    }
+
+    /// Mean NIS per degree of freedom; `None` before the first that was predicted.
+    #[must_use]
+    pub fn mean_nis_per_dof(&self) -> Option<f64> {
+        (self.degrees_of_freedom > 0).then(|| self.nis_sum / self.degrees_of_freedom as f64)
+    }
+
+    /// On how many degrees of freedom the mean stands.
+    #[must_use]
+    pub const fn degrees_of_freedom(&self) -> u64 {
+        self.degrees_of_freedom
+    }
+
+    /// Correlation of successive innovations; `None` of fewer than two.
+    #[must_use]
+    pub fn correlation(&self) -> Option<f64> {
+        let is_known = self.pairs > 0 && self.square_sum > 0.0;
+        is_known.then(|| (self.product_sum / self.square_sum).clamp(-1.0, 1.0))
+    }
+
+    /// The judgement.
+    #[must_use]
+    pub fn evaluate(&self) -> InnovationVerdict {
+        let correlation = self.correlation();
+        let rho = correlation.unwrap_or(0.0).abs().min(MAX_CORRELATION);
+        let spread = (1.0 + rho * rho) / (1.0 - rho * rho);
+        let independent = self.degrees_of_freedom as f64 / spread;
+        let mean = self.mean_nis_per_dof();
+        let band = ConsistencyBand::of_mean(independent as u64);
+        let finding = match (mean, band) {
+            (Some(mean), Some(band)) if independent >= MIN_DEGREES => classify_mean(mean, band),
+            _ => InnovationFinding::TooFew,
+        };
+        let reached = self.used + self.gated;
+        InnovationVerdict {
+            finding,
+            mean_nis_per_dof: mean,
+            degrees_of_freedom: self.degrees_of_freedom,
+            band: band.filter(|_| finding != InnovationFinding::TooFew),
+            correlation,
+            correlation_bound: (self.pairs > 0).then(|| NORMAL_95 / (self.pairs as f64).sqrt()),
+            gated_share: (reached > 0).then(|| self.gated as f64 / reached as f64),
+        }
+    }
+}
+
+/// Each component over its claimed standard deviation; `None` where there is no such component or no such deviation.
+fn normalised(record: &FusionRecord) -> [Option<f64>; 3] {
+    let mut normalised = [None; 3];
+    let components = normalised.iter_mut().zip(record.innovation).enumerate();
+    for (component, (slot, innovation)) in components.take(record.degrees_of_freedom.into()) {
+        let variance = variance(record, component);
+        *slot = (variance > 0.0).then(|| innovation / variance.sqrt()).filter(|value| value.is_finite());
+    }
+    normalised
+}
+
+/// The claimed variance of a component of an innovation, SI units squared; 0 where there is none.
+pub(crate) fn variance(record: &FusionRecord, component: usize) -> f64 {
+    let row = record.innovation_covariance.get(component);
+    row.and_then(|row| row.get(component)).copied().unwrap_or(0.0)
+}
+
+fn classify_mean(mean: f64, band: ConsistencyBand) -> InnovationFinding {
+    let side = band.classify(mean);
+    let is_near = (mean.sqrt() - 1.0).abs() <= NEARLY_CONSISTENT_MARGIN;
+    match side {
+        Consistency::Consistent => InnovationFinding::Consistent,
+        Consistency::OverConfident | Consistency::UnderConfident if is_near => InnovationFinding::NearlyConsistent,
+        Consistency::OverConfident => InnovationFinding::OverConfident,
+        Consistency::UnderConfident => InnovationFinding::UnderConfident,
+        Consistency::Undetermined => InnovationFinding::TooFew,
+    }
+}
+
+/// What the size of the innovations says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InnovationFinding {
+    /// Nothing yet.
+    TooFew,
+    /// They are as large as claimed.
+    Consistent,
+    /// They are not, but so nearly that nothing needs to be done.
+    NearlyConsistent,
+    /// They are larger.
+    OverConfident,
+    /// They are smaller.
+    UnderConfident,
+}
+
+impl InnovationFinding {
+    /// In one word or two, as tables have it.
+    #[must_use]
+    pub const fn as_text(self) -> &'static str {
+        match self {
+            Self::TooFew => "too few to say",
+            Self::Consistent => "consistent",
+            Self::NearlyConsistent => "nearly consistent",
+            Self::OverConfident => "too sure",
+            Self::UnderConfident => "too careful",
+        }
+    }
+}
+
+/// How a reader should take a judgement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum VerdictTone {
+    /// As it should be.
+    Good,
+    /// Nothing can be said.
+    Inconclusive,
+    /// Something should be looked at.
+    Bad,
+}
+
+/// What the innovations of one sensor say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InnovationVerdict {
+    /// By their size.
+    pub finding: InnovationFinding,
+    /// Mean NIS per degree of freedom; `None` if nothing was predicted.
+    pub mean_nis_per_dof: Option<f64>,
+    /// On how many degrees of freedom it stands.
+    pub degrees_of_freedom: u64,
+    /// Where it lies in 95 of 100 cases if the claims are honest; `None` of too few.
+    pub band: Option<ConsistencyBand>,
+    /// Correlation of successive innovations.
+    pub correlation: Option<f64>,
+    /// White innovations stay below this in 95 of 100 cases.
+    pub correlation_bound: Option<f64>,
+    /// Share of the observations at the gate that it turned away.
+    pub gated_share: Option<f64>,
+}
+
+impl InnovationVerdict {
+    /// Whether successive innovations are more alike, or more unlike, than chance and usefulness allow.
+    #[must_use]
+    pub fn has_correlation(&self) -> bool {
+        let limit = self.correlation_bound.unwrap_or(1.0).max(MIN_CORRELATION);
+        self.finding != InnovationFinding::TooFew && self.correlation.is_some_and(|rho| rho.abs() > limit)
+    }
+
+    /// Whether the gate turned many away.
+    #[must_use]
+    pub fn has_many_gated(&self) -> bool {
+        self.gated_share.is_some_and(|share| share > MAX_GATED_SHARE)
+    }
+
+    /// How to take it.
+    #[must_use]
+    pub fn tone(&self) -> VerdictTone {
+        if self.has_correlation() || self.has_many_gated() {
+            return VerdictTone::Bad;
+        }
+        match self.finding {
+            InnovationFinding::OverConfident | InnovationFinding::UnderConfident => VerdictTone::Bad,
+            InnovationFinding::TooFew => VerdictTone::Inconclusive,
+            InnovationFinding::Consistent | InnovationFinding::NearlyConsistent => VerdictTone::Good,
+        }
+    }
+}
+
+impl fmt::Display for InnovationVerdict {
+    /// In plain words, with what to do.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write_size(f, self)?;
+        if let Some(rho) = self.correlation.filter(|_| self.has_correlation()) {
+            let (how, cause) = if rho > 0.0 {
+                ("alike", "something slow is missing from the model")
+            } else {
+                ("opposed", "the filter follows each observation too far, or two sources disagree")
+            };
+            let bound = self.correlation_bound.unwrap_or(0.0);
+            write!(
+                f,
+                "; successive innovations are {how} (correlation {rho:.2}, by chance up to {bound:.2}): {cause}"
+            )?;
+        }
+        if let Some(share) = self.gated_share.filter(|_| self.has_many_gated()) {
+            write!(f, "; the gate turned {:.0} % away: outliers, or a noise that is set too small", share * 100.0)?;
+        }
+        Ok(())
+    }
+}
+
+fn write_size(f: &mut fmt::Formatter<'_>, judgement: &InnovationVerdict) -> fmt::Result {
+    let word = judgement.finding.as_text();
+    let (Some(mean), Some(band)) = (judgement.mean_nis_per_dof, judgement.band) else {
+        return match judgement.degrees_of_freedom {
+            0 => write!(f, "{word}: the filter told no innovation of it"),
+            some => write!(f, "{word}: {some} degrees of freedom"),
+        };
+    };
+    let factor = mean.sqrt();
+    match judgement.finding {
+        InnovationFinding::TooFew | InnovationFinding::Consistent => {
+            write!(f, "{word}: NIS {mean:.2}, due {:.2} to {:.2}", band.low, band.high)
+        }
+        InnovationFinding::NearlyConsistent => write!(
+            f,
+            "{word}: NIS {mean:.2} where 1 is due; its noise is right within {:.0} %",
+            ((factor - 1.0).abs() * 100.0).ceil()
+        ),
+        InnovationFinding::OverConfident => {
+            write!(f, "{word}: NIS {mean:.2} where 1 is due; raise its noise {factor:.1} times")
+        }
+        InnovationFinding::UnderConfident => {
+            write!(f, "{word}: NIS {mean:.2} where 1 is due; lower its noise to {factor:.2} of what it is")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{SensorId, TimeDelta, Timestamp};
+
+    fn record(innovation: f64, sigma: f64) -> FusionRecord {
+        FusionRecord {
+            sensor: SensorId::GYRO,
+            kind: "turn_rate",
+            stamp: Timestamp::ZERO,
+            lag: TimeDelta::ZERO,
+            outcome: FusionOutcome::Accepted,
+            innovation: [innovation, 0.0, 0.0],
+            innovation_covariance: [[sigma * sigma, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+            nis: (innovation / sigma).powi(2),
+            degrees_of_freedom: 1,
+            log_likelihood: 0.0,
+        }
+    }
+
+    /// Standard normal numbers that follow each other with this correlation; the generator is Park and Miller's.
+    fn sequence(count: usize, rho: f64) -> Vec<f64> {
+        let mut state = 20_u64;
+        let mut uniform = || {
+            state = state * 48_271 % 2_147_483_647;
+            state as f64 / 2_147_483_647.0
+        };
+        let mut last = 0.0;
+        let draws = (0..count).map(|_| {
+            let white: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+            last = rho * last + (1.0 - rho * rho).sqrt() * white;
+            last
+        });
+        draws.collect()
+    }
+
+    fn judged(values: &[f64], claimed: f64) -> InnovationVerdict {
+        let mut test = InnovationTest::default();
+        for value in values {
+            test.add(&record(*value, claimed));
+        }
+        test.evaluate()
+    }
+
+    #[test]
+    fn honest_white_innovations_are_consistent() {
+        let judgement = judged(&sequence(2_000, 0.0), 1.0);
+        assert_eq!(judgement.finding, InnovationFinding::Consistent, "{judgement}");
+        assert!(!judgement.has_correlation() && judgement.tone() == VerdictTone::Good);
+        assert!(judgement.to_string().starts_with("consistent: NIS "), "{judgement}");
+    }
+
+    #[test]
+    fn a_claim_that_is_half_of_the_truth_is_too_sure_and_says_by_how_much() {
+        let judgement = judged(&sequence(500, 0.0), 0.5);
+        assert_eq!(judgement.finding, InnovationFinding::OverConfident);
+        let said = judgement.to_string();
+        assert!(said.contains("raise its noise 2.0 times"), "{said}");
+    }
+
+    #[test]
+    fn a_claim_of_twice_the_truth_is_too_careful() {
+        let judgement = judged(&sequence(500, 0.0), 2.0);
+        assert_eq!(judgement.finding, InnovationFinding::UnderConfident);
+        let said = judgement.to_string();
+        assert!(said.contains("lower its noise to 0.5"), "{said}");
+    }
+
+    #[test]
+    fn a_deviation_of_a_few_per_cent_over_many_is_nearly_consistent() {
+        let judgement = judged(&sequence(20_000, 0.0), 0.95);
+        assert_eq!(judgement.finding, InnovationFinding::NearlyConsistent, "{judgement}");
+        assert!(judgement.band.unwrap().high < judgement.mean_nis_per_dof.unwrap());
+    }
+
+    #[test]
+    fn innovations_that_follow_each_other_are_told_and_their_mean_stands_on_fewer() {
+        let judgement = judged(&sequence(2_000, 0.8), 1.0);
+        let rho = judgement.correlation.unwrap();
+        assert!((rho - 0.8).abs() < 0.05, "{rho}");
+        assert!(judgement.has_correlation() && judgement.tone() == VerdictTone::Bad);
+        assert!(judgement.to_string().contains("are alike (correlation 0."));
+        let width = |judgement: &InnovationVerdict| {
+            let band = judgement.band.unwrap();
+            band.high - band.low
+        };
+        let white = judged(&sequence(2_000, 0.0), 1.0);
+        // sqrt((1 + 0.64) / (1 - 0.64)) = 2.13.
+        let ratio = width(&judgement) / width(&white);
+        assert!((ratio - 2.13).abs() < 0.2, "{ratio}");
+        let opposed = judged(&sequence(2_000, -0.5), 1.0);
+        assert!(opposed.to_string().contains("opposed"), "{opposed}");
+    }
+
+    #[test]
+    fn few_say_nothing_and_a_busy_gate_is_told() {
+        let judgement = judged(&sequence(8, 0.0), 0.1);
+        assert_eq!(judgement.to_string(), "too few to say: 8 degrees of freedom");
+        assert_eq!(judgement.tone(), VerdictTone::Inconclusive);
+        assert_eq!(
+            InnovationTest::default().evaluate().to_string(),
+            "too few to say: the filter told no innovation of it"
+        );
+        let mut test = InnovationTest::default();
+        for (index, value) in sequence(400, 0.0).into_iter().enumerate() {
+            let verdict = if index % 10 == 0 { FusionOutcome::Gated } else { FusionOutcome::Accepted };
+            test.add(&FusionRecord { outcome: verdict, ..record(value, 1.0) });
+        }
+        let said = test.evaluate().to_string();
+        assert!(said.contains("the gate turned 10 % away"), "{said}");
+        assert_eq!(test.evaluate().tone(), VerdictTone::Bad);
+    }
+
+    #[test]
+    fn what_is_not_finite_or_was_not_predicted_is_left_out() {
+        let mut test = InnovationTest::default();
+        test.add(&record(f64::NAN, 1.0));
+        test.add(&record(1.0, 0.0));
+        test.add(&FusionRecord { degrees_of_freedom: 0, ..record(1.0, 1.0) });
+        assert_eq!(test.mean_nis_per_dof(), None);
+        assert_eq!(test.correlation(), None);
+    }
+}

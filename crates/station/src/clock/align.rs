@@ -1,0 +1,375 @@
+//! One remote clock against the host's: stamps in, instants out, with how far they may be off.
+
+use posebridge_protocol::message::WireStamp;
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
+
+use super::Endpoint;
+use super::bounds::{ClockBounds, LinearOffset};
+use super::conversion::ClockConversion;
+use super::unwrap::{UnwrapOutcome, Unwrapper};
+
+/// Stands in for the smallest delay of a link whose far end never answers, s: half of a Bluetooth link's usual round trip.
+const ONE_WAY_DELAY_S: f64 = 0.010;
+/// So many answered requests before the two-way line replaces the one-way line.
+const MIN_ANSWERS: u32 = 3;
+/// Without an answer for this long after the first message the one-way line has to do.
+const ONE_WAY_AFTER: TimeDelta = TimeDelta::from_millis(1_500);
+/// Messages between two exchanges tighten the bounds as well; so often the line is sought anew for them, remote s.
+const REFIT_S: f64 = 0.5;
+
+/// No brick counts in longer steps: nxtOSEK and leJOS tick each millisecond, slow schedulers each 10 ms.
+const MAX_STEP_S: f64 = 0.020;
+
+/// The alignment of one remote clock `C`.
+#[derive(Clone, Debug)]
+pub struct ClockAligner<C: Clock> {
+    unwrapper: Unwrapper,
+    bounds: ClockBounds,
+    /// First stamp and first arrival: instants are kept relative to them, so that `f64` seconds resolve nanoseconds.
+    origin: Option<(Timestamp<C>, Timestamp<HostClock>)>,
+    /// What was found last; the conversion turns towards it.
+    linear_offset: Option<LinearOffset>,
+    conversion: ClockConversion,
+    /// Youngest stamp so far, relative.
+    latest_s: f64,
+    answers: u32,
+    round_trip: Option<TimeDelta>,
+    /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
+    step_micros: u64,
+    /// What was known was contradicted and forgotten since somebody asked.
+    is_contradicted: bool,
+}
+
+/// What an exchange of time taught.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment<C: Clock> {
+    /// Remote instant for which it was evaluated.
+    pub remote: Timestamp<C>,
+    /// Host instant for which it was evaluated.
+    pub host: Timestamp<HostClock>,
+    /// Remote minus host there.
+    pub offset: TimeDelta,
+    /// Rate of the remote clock against the host's, minus one, ppm.
+    pub skew_ppm: f64,
+    /// How far the skew may be off, ppm.
+    pub skew_uncertainty_ppm: f64,
+    /// How far the offset may be off.
+    pub uncertainty: TimeDelta,
+    /// Round trip of the exchange.
+    pub round_trip: TimeDelta,
+}
+
+/// An instant on both clocks, relative to the origin.
+#[derive(Clone, Copy, Debug)]
+struct ClockPoint {
+    remote_s: f64,
+    host_s: f64,
+}
+
+impl<C: Clock> Default for ClockAligner<C> {
+    fn default() -> Self {
+        Self {
+            unwrapper: Unwrapper::default(),
+            bounds: ClockBounds::default(),
+            origin: None,
+            linear_offset: None,
+            conversion: ClockConversion::default(),
+            latest_s: 0.0,
+            answers: 0,
+            round_trip: None,
+            step_micros: 0,
+            is_contradicted: false,
+        }
+    }
+}
+
+impl<C: Clock> ClockAligner<C> {
+    /// A message with this stamp arrived by `way`.
+    pub fn observe_arrival(
+        &mut self,
+        way: Endpoint,
+        stamp: WireStamp,
+        arrival: Timestamp<HostClock>,
+    ) -> UnwrapOutcome<C> {
+        let unwrapped = self.unwrap_stamp(way, stamp, arrival);
+        if let UnwrapOutcome::Continued(remote) | UnwrapOutcome::Restarted(remote) = unwrapped {
+            let meeting = self.bound_above(remote, arrival);
+            let is_due = self.linear_offset.is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
+            if is_due && !self.fit(meeting) {
+                self.restart(remote, arrival);
+            }
+        }
+        unwrapped
+    }
+
+    /// A copy of a message that has arrived before came by `way`, too: by that way it bounds the clock as well.
+    pub fn observe_copy(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) {
+        if let Some(remote) = self.unwrapper.unwrap_copy(way, stamp, arrival) {
+            self.bound_above(remote, arrival);
+        }
+    }
+
+    /// The instant of a stamp that may be long past, such as that of a fix that the robot passes on: it says nothing about how the
+    /// clocks run, and being old is no sign of a restart. `None` before any other stamp of this clock.
+    #[must_use]
+    pub fn nearest_instant(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
+        self.unwrapper.nearest(stamp)
+    }
+
+    /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came by `way` at `received`.
+    /// Returns the new alignment, or `None` while there is none. An answer from before its request is only a message that arrived.
+    pub fn observe_exchange(
+        &mut self,
+        way: Endpoint,
+        sent: Timestamp<HostClock>,
+        received: Timestamp<HostClock>,
+        remote_nanos: i64,
+    ) -> (UnwrapOutcome<C>, Option<Alignment<C>>) {
+        let stamp = WireStamp::Micros64(u64::try_from(remote_nanos.div_euclid(1_000)).unwrap_or(0));
+        if received < sent {
+            return (self.observe_arrival(way, stamp, received), None);
+        }
+        let unwrapped = self.unwrap_stamp(way, stamp, received);
+        let (UnwrapOutcome::Continued(remote) | UnwrapOutcome::Restarted(remote)) = unwrapped else {
+            return (unwrapped, None);
+        };
+        let meeting = self.bound_above(remote, received);
+        self.add_answer(remote, sent, received);
+        if self.answers >= MIN_ANSWERS && !self.fit(meeting) {
+            self.restart(remote, received);
+            self.add_answer(remote, sent, received);
+        }
+        (unwrapped, self.alignment(remote, received - sent))
+    }
+
+    /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off. Of two stamps that have
+    /// arrived the younger one never comes out earlier, whatever was learnt in between; see [`ClockConversion`].
+    #[must_use]
+    pub fn host_at(&self, remote: Timestamp<C>) -> Option<(Timestamp<HostClock>, TimeDelta)> {
+        let (remote_zero, host_zero) = self.origin?;
+        let since = remote - remote_zero;
+        let offset_s = self.conversion.offset_at(since.as_secs_f64())?;
+        Some((
+            host_zero + since + TimeDelta::from_secs_f64(offset_s),
+            self.uncertainty_at(since.as_secs_f64(), offset_s)?,
+        ))
+    }
+
+    /// The instant of the host's clock on the remote clock, and how far it may be off. The inverse of [`Self::host_at`]; an instant that
+    /// is still to come is a prediction, and may come out otherwise later.
+    #[must_use]
+    pub fn remote_at(&self, host: Timestamp<HostClock>) -> Option<(Timestamp<C>, TimeDelta)> {
+        let (remote_zero, host_zero) = self.origin?;
+        let since_s = (host - host_zero).as_secs_f64();
+        let remote_s = self.conversion.remote_at(since_s)?;
+        // As a difference, because it is small and keeps the nanoseconds.
+        let offset_s = since_s - remote_s;
+        let remote = remote_zero + (host - host_zero) - TimeDelta::from_secs_f64(offset_s);
+        Some((remote, self.uncertainty_at(remote_s, offset_s)?))
+    }
+
+    /// Whether no line fitted any more and all was forgotten, since this was asked last: the clock stepped, or its rate is further off
+    /// than [`MAX_SKEW`](super::MAX_SKEW).
+    pub fn take_contradiction(&mut self) -> bool {
+        std::mem::take(&mut self.is_contradicted)
+    }
+
+    /// Round trip of the last exchange.
+    #[must_use]
+    pub fn round_trip(&self) -> Option<TimeDelta> {
+        self.round_trip
+    }
+
+    /// How far the youngest stamp, converted, may be off.
+    #[must_use]
+    pub fn uncertainty(&self) -> Option<TimeDelta> {
+        let offset_s = self.conversion.offset_at(self.latest_s)?;
+        self.uncertainty_at(self.latest_s, offset_s)
+    }
+
+    /// The same counter under another name: that of a stranger who turns out to be the robot.
+    #[must_use]
+    pub fn cast_clock<D: Clock>(self) -> ClockAligner<D> {
+        ClockAligner {
+            unwrapper: self.unwrapper,
+            bounds: self.bounds,
+            origin: self.origin.map(|(remote, host)| (Timestamp::from_nanos(remote.as_nanos()), host)),
+            linear_offset: self.linear_offset,
+            conversion: self.conversion,
+            latest_s: self.latest_s,
+            answers: self.answers,
+            round_trip: self.round_trip,
+            step_micros: self.step_micros,
+            is_contradicted: self.is_contradicted,
+        }
+    }
+
+    fn unwrap_stamp(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) -> UnwrapOutcome<C> {
+        let unwrapped = self.unwrapper.unwrap(way, stamp, arrival);
+        if matches!(unwrapped, UnwrapOutcome::Restarted(_)) {
+            self.reset();
+        }
+        if let UnwrapOutcome::Continued(remote) | UnwrapOutcome::Restarted(remote) = unwrapped {
+            let shown_micros = remote.as_micros().unsigned_abs();
+            // Nearly always it is known already, and to find that out is one division.
+            if self.step_micros == 0 || !shown_micros.is_multiple_of(self.step_micros) {
+                self.step_micros = greatest_common_divisor(self.step_micros, shown_micros);
+            }
+        }
+        unwrapped
+    }
+
+    /// A stamp is a bound from above: it was made before it arrived.
+    fn bound_above(&mut self, remote: Timestamp<C>, arrival: Timestamp<HostClock>) -> ClockPoint {
+        let meeting = self.clock_point(remote, arrival);
+        self.latest_s = self.latest_s.max(meeting.remote_s);
+        self.bounds.add_arrival(meeting.remote_s, meeting.host_s);
+        self.bounds.discard_before(self.latest_s);
+        if !self.bounds.is_two_way() {
+            self.answers = 0;
+        }
+        meeting
+    }
+
+    fn add_answer(&mut self, remote: Timestamp<C>, sent: Timestamp<HostClock>, received: Timestamp<HostClock>) {
+        let ClockPoint { remote_s, host_s } = self.clock_point(remote, sent);
+        self.bounds.add_departure(host_s - self.step_s(), remote_s);
+        self.answers = self.answers.saturating_add(1);
+        self.round_trip = Some(received - sent);
+    }
+
+    /// Seeks the line anew and turns the conversion towards it. False if no line fits what is known: the clock stepped.
+    fn fit(&mut self, now: ClockPoint) -> bool {
+        let is_two_way = self.answers >= MIN_ANSWERS;
+        let line = if is_two_way {
+            self.bounds.two_way_offset(self.latest_s)
+        } else if now.host_s >= ONE_WAY_AFTER.as_secs_f64() {
+            self.bounds.one_way_offset(self.latest_s, ONE_WAY_DELAY_S)
+        } else {
+            None
+        };
+        if let Some(line) = &line {
+            // Nothing that has happened may be converted anew: neither a stamp that has arrived nor an instant before now.
+            let present_s = self.conversion.remote_at(now.host_s);
+            let from_s = present_s.map_or(self.latest_s, |present_s| present_s.max(self.latest_s));
+            self.conversion.steer(line, from_s);
+            self.linear_offset = Some(*line);
+        }
+        line.is_some() || !is_two_way
+    }
+
+    /// The clock stepped without falling: all is forgotten but what came last.
+    fn restart(&mut self, remote: Timestamp<C>, arrival: Timestamp<HostClock>) {
+        self.reset();
+        self.is_contradicted = true;
+        self.bound_above(remote, arrival);
+    }
+
+    /// The bounds hold about the line; the conversion may still be on its way to it.
+    fn uncertainty_at(&self, remote_s: f64, offset_s: f64) -> Option<TimeDelta> {
+        let line = self.linear_offset?;
+        let to_go_s = (offset_s - line.offset_at(remote_s)).abs();
+        Some(TimeDelta::from_secs_f64(line.uncertainty_at(remote_s) + to_go_s))
+    }
+
+    fn alignment(&self, remote: Timestamp<C>, round_trip: TimeDelta) -> Option<Alignment<C>> {
+        let (host, uncertainty) = self.host_at(remote)?;
+        let line = self.linear_offset?;
+        Some(Alignment {
+            remote,
+            host,
+            offset: TimeDelta::from_nanos(remote.as_nanos().saturating_sub(host.as_nanos())),
+            skew_ppm: (1.0 / (1.0 + line.slope) - 1.0) * 1e6,
+            skew_uncertainty_ppm: line.slope_uncertainty * 1e6,
+            uncertainty,
+            round_trip,
+        })
+    }
+
+    fn clock_point(&mut self, remote: Timestamp<C>, host: Timestamp<HostClock>) -> ClockPoint {
+        let (remote_zero, host_zero) = *self.origin.get_or_insert((remote, host));
+        ClockPoint { remote_s: (remote - remote_zero).as_secs_f64(), host_s: (host - host_zero).as_secs_f64() }
+    }
+
+    /// What a counter shows may be as old as its step: by so much the lower bound must give way.
+    fn step_s(&self) -> f64 {
+        (self.step_micros as f64 * 1e-6).clamp(1e-6, MAX_STEP_S)
+    }
+
+    fn reset(&mut self) {
+        *self =
+            Self { unwrapper: std::mem::take(&mut self.unwrapper), step_micros: self.step_micros, ..Self::default() };
+    }
+}
+
+fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::BrickClock;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    #[test]
+    fn a_counter_of_whole_milliseconds_contradicts_no_bound_on_a_fast_link() {
+        let mut rng = Pcg64::seed_from_u64(5);
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..600 {
+            let sent_s = f64::from(k) * 0.1 + 0.001 * rng.random::<f64>();
+            let shown_ms = ((1_234.5 + (sent_s + 20e-6) * 1.0001) * 1e3).floor();
+            let (_, alignment) = aligner.observe_exchange(
+                Endpoint::default(),
+                Timestamp::from_secs_f64(sent_s),
+                Timestamp::from_secs_f64(sent_s + 40e-6),
+                shown_ms as i64 * 1_000_000,
+            );
+            assert!(k < 3 || alignment.is_some(), "exchange {k}");
+        }
+        assert_eq!(aligner.step_micros, 1_000);
+    }
+
+    #[test]
+    fn a_restart_begins_anew_and_there_and_back_is_the_identity() {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..20_i64 {
+            let sent = Timestamp::from_millis(k * 100);
+            aligner.observe_exchange(
+                Endpoint::default(),
+                sent,
+                Timestamp::from_millis(k * 100 + 30),
+                (900_000 + k * 100 + 15) * 1_000_000 + k * 1_000,
+            );
+        }
+        let (host, _) = aligner.host_at(Timestamp::from_millis(901_000)).unwrap();
+        assert!((host.as_secs_f64() - 1.0).abs() < 1e-3, "{host:?}");
+        let (back, _) = aligner.remote_at(host).unwrap();
+        assert!((back - Timestamp::from_millis(901_000)).as_nanos().abs() <= 2);
+        let (unwrapped, _) = aligner.observe_exchange(
+            Endpoint::default(),
+            Timestamp::from_millis(2_500),
+            Timestamp::from_millis(2_530),
+            5_000_000,
+        );
+        assert_eq!(unwrapped, UnwrapOutcome::Restarted(Timestamp::from_millis(5)));
+        assert!(aligner.host_at(Timestamp::from_millis(6)).is_none());
+    }
+
+    #[test]
+    fn without_answers_the_one_way_line_takes_over() {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..100_i64 {
+            aligner.observe_arrival(
+                Endpoint::default(),
+                WireStamp::Millis32((5_000 + k * 50) as u32),
+                Timestamp::from_millis(k * 50 + 10 + (k * 7) % 13),
+            );
+        }
+        let (host, uncertainty) = aligner.host_at(Timestamp::from_millis(9_000)).unwrap();
+        assert!((host.as_secs_f64() - 4.0).abs() < 2e-3, "{host:?}");
+        let bound_ms = uncertainty.as_millis_f64();
+        assert!((10.0..15.0).contains(&bound_ms), "{bound_ms}");
+    }
+}

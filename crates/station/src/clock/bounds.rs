@@ -1,0 +1,245 @@
+//! How a remote clock runs against the host's, bounded from both sides by the instants of messages.
+//!
+//! A message that was stamped at remote time b and arrived at host time r says: the host clock showed at most r at b. A
+//! request that left at host time s and was stamped b by the answering side says: it showed at least s. With offset(b) =
+//! host - remote, which bends by at most a (t - b)^2 / 2 from its tangent at t, every message is a half-plane of tangents:
+//!
+//! ```text
+//! offset(t) + s (b_i - t) <= r_i - b_i + a (t - b_i)^2 / 2      from every message with a stamp
+//! offset(t) + s (b_j - t) >= s_j - b_j - a (t - b_j)^2 / 2      from every answered request
+//! ```
+//! For a slope s the bounds at an instant t are U(s) = min_i(u_i + s (t - t_i)) and L(s) = max_j(l_j + s (t - t_j)); U - L is
+//! concave in s. The line taken is the one with the most room for a clock that does not drift (a = 0), half-way between its bounds;
+//! what is reported as uncertainty is the furthest that any tangent which satisfies all bounds of a drifting clock lies from it.
+//! Half of an asymmetry of the path cannot be seen by any two-way method, but it lies within these bounds.
+//!
+//! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011);
+//! docs/maths/clock.md, sections 2 and 3.
+
+use super::MAX_SKEW;
+use super::hull::{BoundHull, BoundSide, OffsetBound};
+use super::maximize::{LinearPiece, argmax, nearest_nonnegative};
+use super::window::BoundWindow;
+
+/// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
+/// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).
+const WINDOW_S: f64 = 120.0;
+/// One bound of each kind is kept per bucket of this length, s; the tightest.
+const BUCKET_S: f64 = 0.5;
+/// Bounds of one kind within the window, and one on each of its ends.
+const MAX_BOUNDS: usize = (WINDOW_S / BUCKET_S) as usize + 2;
+/// The steepest slope of the offset, host minus remote per remote second, for a clock that is slow by [`MAX_SKEW`].
+const MAX_SLOPE: f64 = MAX_SKEW / (1.0 - MAX_SKEW);
+/// A steeper slope than this is sought only if none up to here fits: few clocks are so far off, and the first exchanges on a jittery link
+/// fit many slopes. Resonators of bricks reach 2000 ppm and 10 ppm per degree.
+const USUAL_SLOPE: f64 = 0.003;
+/// How fast the rate of a clock may change, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just switched on.
+const MAX_DRIFT_PER_S: f64 = 2e-7;
+/// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
+/// pass of its main loop answers with a reading as old as a pass.
+const CONTRADICTION_S: f64 = 0.020;
+/// Corners of both hulls, and so pieces of the room between them.
+const MAX_PIECES: usize = 2 * MAX_BOUNDS;
+
+/// A tangent to the offset between the bounds, valid near the window's end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinearOffset {
+    /// Remote instant at which `offset_s` holds, s.
+    pub at_s: f64,
+    /// Host minus remote at `at_s`, s.
+    pub offset_s: f64,
+    /// Change of the offset per remote second.
+    pub slope: f64,
+    /// How far the true offset at `at_s` may lie from `offset_s`, s.
+    pub uncertainty_s: f64,
+    /// How far the true slope at `at_s` may lie from `slope`.
+    pub slope_uncertainty: f64,
+}
+
+impl LinearOffset {
+    /// Host minus remote at a remote instant, s.
+    #[must_use]
+    pub fn offset_at(&self, remote_s: f64) -> f64 {
+        self.offset_s + self.slope * (remote_s - self.at_s)
+    }
+
+    /// How far the true offset at a remote instant may lie from [`Self::offset_at`], s: it grows with the distance from `at_s`, because
+    /// the slope is not known exactly and may change.
+    #[must_use]
+    pub fn uncertainty_at(&self, remote_s: f64) -> f64 {
+        let away_s = (remote_s - self.at_s).abs();
+        self.uncertainty_s + self.slope_uncertainty * away_s + 0.5 * MAX_DRIFT_PER_S * away_s * away_s
+    }
+}
+
+/// A line half-way between the bounds.
+#[derive(Clone, Copy, Debug)]
+struct CentralOffset {
+    slope: f64,
+    offset_s: f64,
+    margin_s: f64,
+}
+
+/// The bounds within the window.
+#[derive(Clone, Debug)]
+pub struct ClockBounds {
+    upper: BoundWindow,
+    lower: BoundWindow,
+    upper_hull: BoundHull,
+    lower_hull: BoundHull,
+    slope: f64,
+}
+
+impl Default for ClockBounds {
+    fn default() -> Self {
+        Self {
+            upper: BoundWindow::new(BoundSide::Upper, MAX_DRIFT_PER_S, MAX_BOUNDS),
+            lower: BoundWindow::new(BoundSide::Lower, MAX_DRIFT_PER_S, MAX_BOUNDS),
+            upper_hull: BoundHull::new(BoundSide::Upper),
+            lower_hull: BoundHull::new(BoundSide::Lower),
+            slope: 0.0,
+        }
+    }
+}
+
+impl ClockBounds {
+    /// A message stamped `remote_s` arrived at `host_s`.
+    pub fn add_arrival(&mut self, remote_s: f64, host_s: f64) {
+        let slope = self.slope;
+        let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
+        keep_tightest(&mut self.upper, bound, |new, old| new.offset_s - old.offset_s < slope * (new.t_s - old.t_s));
+    }
+
+    /// A request that left at `host_s` was stamped `remote_s`.
+    pub fn add_departure(&mut self, host_s: f64, remote_s: f64) {
+        let slope = self.slope;
+        let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
+        keep_tightest(&mut self.lower, bound, |new, old| new.offset_s - old.offset_s > slope * (new.t_s - old.t_s));
+    }
+
+    /// Forgets what lies a window before `t_s`.
+    pub fn discard_before(&mut self, t_s: f64) {
+        for bounds in [&mut self.upper, &mut self.lower] {
+            bounds.drop_outdated(|bound| t_s - bound.t_s > WINDOW_S);
+        }
+    }
+
+    /// Whether both sides are bounded.
+    #[must_use]
+    pub fn is_two_way(&self) -> bool {
+        !self.upper.is_empty() && !self.lower.is_empty()
+    }
+
+    /// The line with the most room at the remote instant `t_s`; `None` when a side is missing or when no line satisfies all bounds,
+    /// because the clock stepped.
+    pub fn two_way_offset(&mut self, t_s: f64) -> Option<LinearOffset> {
+        if !self.is_two_way() {
+            return None;
+        }
+        self.rebuild_hulls(t_s, 0.0);
+        let mut middle = self.central_offset(t_s, USUAL_SLOPE);
+        if middle.margin_s < 0.0 {
+            middle = self.central_offset(t_s, MAX_SLOPE);
+        }
+        self.rebuild_hulls(t_s, MAX_DRIFT_PER_S);
+        if middle.margin_s < 0.0 {
+            // On a link as quick as a cable a drift of minutes is larger than the room: then only a bent clock fits.
+            middle = self.central_offset(t_s, MAX_SLOPE);
+        }
+        if middle.margin_s < -CONTRADICTION_S {
+            return None;
+        }
+        self.slope = middle.slope;
+        Some(self.offset_around(t_s, middle))
+    }
+
+    /// The line below all arrivals that is highest in the middle of the window, for a clock that never answers. Its offset is late by the
+    /// link's smallest delay, which a one-way observer cannot know; `assumed_delay_s` stands in for it, and for its uncertainty.
+    pub fn one_way_offset(&mut self, t_s: f64, assumed_delay_s: f64) -> Option<LinearOffset> {
+        let (first, last) = (self.upper.oldest()?, self.upper.youngest()?);
+        let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
+        self.upper_hull.rebuild(self.upper.candidates(), t_s, 0.0);
+        let slope = argmax(-MAX_SLOPE, MAX_SLOPE, MAX_PIECES, |slope| {
+            let (value_s, touched_s) = self.upper_hull.at(slope, middle_s);
+            linear_piece(slope, value_s, middle_s - touched_s)
+        });
+        self.slope = slope;
+        let offset_s = self.upper_hull.at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
+        Some(LinearOffset {
+            at_s: t_s,
+            offset_s,
+            slope,
+            uncertainty_s: assumed_delay_s,
+            // By so much a line can turn about its middle before an end leaves the assumed band.
+            slope_uncertainty: MAX_SLOPE.min(assumed_delay_s / half_s),
+        })
+    }
+
+    fn rebuild_hulls(&mut self, t_s: f64, drift_per_s: f64) {
+        self.upper_hull.rebuild(self.upper.candidates(), t_s, drift_per_s);
+        self.lower_hull.rebuild(self.lower.candidates(), t_s, drift_per_s);
+    }
+
+    /// The room at a slope; it rises by the distance in time between the two bounds that make it.
+    fn margin(&self, slope: f64, t_s: f64) -> LinearPiece {
+        let (upper_s, upper_at_s) = self.upper_hull.at(slope, t_s);
+        let (lower_s, lower_at_s) = self.lower_hull.at(slope, t_s);
+        linear_piece(slope, upper_s - lower_s, lower_at_s - upper_at_s)
+    }
+
+    /// The line with the most room.
+    fn central_offset(&self, t_s: f64, steepest: f64) -> CentralOffset {
+        let room = |slope| self.margin(slope, t_s);
+        let slope = argmax(-steepest, steepest, MAX_PIECES, room);
+        let (upper_s, lower_s) = (self.upper_hull.at(slope, t_s).0, self.lower_hull.at(slope, t_s).0);
+        CentralOffset { slope, offset_s: 0.5 * (upper_s + lower_s), margin_s: upper_s - lower_s }
+    }
+
+    /// The line with how far any other that satisfies the bounds in the hulls lies from it.
+    fn offset_around(&self, t_s: f64, middle: CentralOffset) -> LinearOffset {
+        let CentralOffset { slope, offset_s, margin_s: room_s } = middle;
+        if room_s < 0.0 {
+            return LinearOffset { at_s: t_s, offset_s, slope, uncertainty_s: -room_s, slope_uncertainty: 0.0 };
+        }
+        let (upper, lower) = (&self.upper_hull, &self.lower_hull);
+        // All slopes that leave room: from the best one outwards to where it vanishes.
+        let room = |slope| self.margin(slope, t_s);
+        let lowest = nearest_nonnegative(-MAX_SLOPE, slope, MAX_PIECES, room);
+        let highest = nearest_nonnegative(MAX_SLOPE, slope, MAX_PIECES, room);
+        // U is concave and L convex in the slope.
+        let at_highest = argmax(lowest, highest, MAX_PIECES, |slope| {
+            let (value_s, touched_s) = upper.at(slope, t_s);
+            linear_piece(slope, value_s, t_s - touched_s)
+        });
+        let at_lowest = argmax(lowest, highest, MAX_PIECES, |slope| {
+            let (value_s, touched_s) = lower.at(slope, t_s);
+            linear_piece(slope, -value_s, touched_s - t_s)
+        });
+        let uncertainty_s = (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
+        LinearOffset {
+            at_s: t_s,
+            offset_s,
+            slope,
+            uncertainty_s,
+            slope_uncertainty: (highest - slope).max(slope - lowest),
+        }
+    }
+}
+
+const fn linear_piece(slope: f64, value_s: f64, rise_s: f64) -> LinearPiece {
+    LinearPiece { slope, value_s, rise_s }
+}
+
+fn keep_tightest(bounds: &mut BoundWindow, new: OffsetBound, is_tighter: impl Fn(&OffsetBound, &OffsetBound) -> bool) {
+    let bucket = |bound: &OffsetBound| (bound.t_s / BUCKET_S).floor();
+    match bounds.youngest() {
+        // Overtaken by half a second: the bounds stay in the order of time.
+        Some(last) if bucket(&last) > bucket(&new) => {}
+        Some(last) if bucket(&last) == bucket(&new) => {
+            if is_tighter(&new, &last) {
+                bounds.tighten(new);
+            }
+        }
+        _ => bounds.append(new),
+    }
+}

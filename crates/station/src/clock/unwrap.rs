@@ -1,0 +1,394 @@
+//! Counters that wrap, restart and lag, turned into instants on the remote clock.
+//!
+//! Everything is reduced to microseconds modulo 2^32, which is what a 32-bit microsecond counter shows; a counter of
+//! milliseconds or of 64 bits agrees with it modulo the same number, and some bricks put their 32-bit register into a 64-bit
+//! field. The instant is the one nearest to what was expected: the last one and the time that passed on the host since. That
+//! holds through a silence for as long as the two rates differ by less than half a period over it: twelve days at 2000 ppm. A
+//! counter whose 64 bits fit the expectation needs no guess at all.
+//!
+//! # What cannot be known
+//! A brick that restarted during a silence shows the time since. If that, modulo the period, lies between what the longest delay
+//! of a link allows and what was expected, it cannot be told from the old clock and is taken for it. After more than a quarter
+//! of an hour that is about a fifth of all values; after a shorter silence fewer, because the clock must not fall either.
+
+use posebridge_protocol::message::WireStamp;
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
+
+use super::stamp_tracks::{StampPlacement, StampTracks};
+use super::{Endpoint, MAX_SKEW};
+
+/// Period of a 32-bit microsecond counter.
+const PERIOD_MICROS: i64 = 1 << 32;
+/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLER_WINDOW`]): datagrams overtake
+/// each other by milliseconds. Shorter falls are refused by the estimator's history instead.
+const RESTART_BACK_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
+/// So long after a queue was let go a datagram may come that all of it has overtaken, and be as much older as the queue was long.
+const STRAGGLER_WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
+/// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
+/// ([`MAX_SKEW`]): 2000 ppm need eight minutes for a second.
+const RESTART_AHEAD_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
+/// A clock that has run this much less than the host's stood still or began anew: no link holds a message for longer than TCP,
+/// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
+const MAX_DELAY: TimeDelta = TimeDelta::from_millis(924_600);
+
+/// Unwraps the stamps of one remote clock, by whichever ways they come.
+#[derive(Clone, Debug, Default)]
+pub struct Unwrapper {
+    tracks: StampTracks,
+}
+
+/// The last stamp of a clock, or of what one way tells of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LastStamp {
+    pub(super) remote_micros: i64,
+    pub(super) arrival: Timestamp<HostClock>,
+    /// By how much it came later than the quickest before it. Behind a queue the next may come at once, and be so much younger.
+    queue_delay: TimeDelta,
+    /// How long the last queue was.
+    queue: TimeDelta,
+    /// When its first message came.
+    released: Timestamp<HostClock>,
+}
+
+/// A stamp on the remote clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum UnwrapOutcome<C: Clock> {
+    /// The clock ran on.
+    Continued(Timestamp<C>),
+    /// The clock fell or leapt: it was restarted, and this is its first stamp.
+    Restarted(Timestamp<C>),
+    /// The stamp is from before a restart that is known already, held back by a slower way. It is no instant of the clock as it runs.
+    Stale,
+}
+
+impl Unwrapper {
+    /// The instant of a stamp that arrived by `way` at `arrival`.
+    pub fn unwrap<C: Clock>(
+        &mut self,
+        way: Endpoint,
+        stamp: WireStamp,
+        arrival: Timestamp<HostClock>,
+    ) -> UnwrapOutcome<C> {
+        match self.tracks.classify(way, stamp, arrival) {
+            None => UnwrapOutcome::Continued(self.restart(way, stamp, arrival)),
+            Some(StampPlacement::Continued(micros)) => UnwrapOutcome::Continued(Timestamp::from_micros(micros)),
+            Some(StampPlacement::Stale) => UnwrapOutcome::Stale,
+            Some(StampPlacement::Restarted) => UnwrapOutcome::Restarted(self.restart(way, stamp, arrival)),
+        }
+    }
+
+    /// The instant of a stamp that another way has brought before; where a way stands is learnt from it, but it is no sign of a
+    /// restart. `None` if it is no instant of the clock as it runs.
+    pub(super) fn unwrap_copy<C: Clock>(
+        &mut self,
+        way: Endpoint,
+        stamp: WireStamp,
+        arrival: Timestamp<HostClock>,
+    ) -> Option<Timestamp<C>> {
+        match self.tracks.classify(way, stamp, arrival)? {
+            StampPlacement::Continued(micros) => Some(Timestamp::from_micros(micros)),
+            StampPlacement::Stale | StampPlacement::Restarted => None,
+        }
+    }
+
+    /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
+    pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
+        let last = self.tracks.youngest()?;
+        Some(Timestamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
+    }
+
+    fn restart<C: Clock>(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) -> Timestamp<C> {
+        let remote_micros = micros_of(stamp);
+        self.tracks.restart(way, remote_micros, arrival);
+        Timestamp::from_micros(remote_micros)
+    }
+}
+
+/// The instants that a stamp may mean without a restart, in microseconds on the remote clock.
+#[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
+pub(super) struct PlausibleRange {
+    earliest_micros: i64,
+    expected_micros: i64,
+    pub(super) latest_micros: i64,
+}
+
+impl LastStamp {
+    /// A stamp of which nothing is known but that it came.
+    pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
+        Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }
+    }
+
+    /// What a stamp that arrives at `arrival` may mean if the clock ran on.
+    pub(super) fn plausible_range(&self, arrival: Timestamp<HostClock>) -> PlausibleRange {
+        let (elapsed, skew) = self.elapsed(arrival);
+        let expected_micros = self.remote_micros + micros(elapsed);
+        let straggling = if arrival - self.released <= STRAGGLER_WINDOW { self.queue } else { TimeDelta::ZERO };
+        PlausibleRange {
+            earliest_micros: (self.remote_micros - micros(RESTART_BACK_THRESHOLD + straggling))
+                .max(expected_micros - micros(skew + MAX_DELAY)),
+            expected_micros,
+            latest_micros: expected_micros + micros(skew + self.queue_delay + RESTART_AHEAD_THRESHOLD),
+        }
+    }
+
+    /// A younger stamp of the same clock.
+    pub(super) fn followed_by(&self, remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
+        let (elapsed, skew) = self.elapsed(arrival);
+        let lag = elapsed - TimeDelta::from_micros(remote_micros - self.remote_micros);
+        // A slow clock lags for ever without being held back: what its rate may explain neither counts nor is kept.
+        let kept = (self.queue_delay - skew).max(TimeDelta::ZERO);
+        let added = if lag > skew { lag } else { lag.min(TimeDelta::ZERO) };
+        let held_back = (kept + added).max(TimeDelta::ZERO).min(MAX_DELAY);
+        let (queue, released) = if held_back >= self.queue || arrival - self.released > STRAGGLER_WINDOW {
+            (held_back, arrival)
+        } else {
+            (self.queue, self.released)
+        };
+        Self { remote_micros, arrival, queue_delay: held_back, queue, released }
+    }
+
+    /// The time on the host since this stamp came, and how much of it the rates of the clocks may make.
+    fn elapsed(&self, arrival: Timestamp<HostClock>) -> (TimeDelta, TimeDelta) {
+        let elapsed = (arrival - self.arrival).max(TimeDelta::ZERO);
+        let skew = TimeDelta::from_secs_f64(elapsed.as_secs_f64() * MAX_SKEW);
+        (elapsed, skew)
+    }
+}
+
+impl PlausibleRange {
+    pub(super) const fn contains(&self, instant_micros: i64) -> bool {
+        self.earliest_micros <= instant_micros && instant_micros <= self.latest_micros
+    }
+
+    /// What the stamp means: its full value if it has 64 bits and that is believable, else the instant next to the expected one.
+    pub(super) fn instant_of(&self, stamp: WireStamp) -> i64 {
+        let whole = micros_of(stamp);
+        match stamp {
+            WireStamp::Micros64(_) if self.contains(whole) => whole,
+            WireStamp::Micros64(_)
+            | WireStamp::Micros32(_)
+            | WireStamp::Millis32(_)
+            // It is no instant of this clock; the engine converts it by what is known of both.
+            | WireStamp::HostInterval { .. } => {
+                nearest_instant(self.expected_micros, whole)
+            }
+        }
+    }
+}
+
+const fn micros(span: TimeDelta) -> i64 {
+    span.as_nanos() / 1_000
+}
+
+/// What a counter shows, in microseconds.
+fn micros_of(stamp: WireStamp) -> i64 {
+    match stamp {
+        WireStamp::Micros32(micros) => i64::from(micros),
+        WireStamp::Millis32(millis) => i64::from(millis) * 1_000,
+        // Beyond i64 nanoseconds there is no instant; damage, which the restart rule then catches.
+        WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => {
+            i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX).min(i64::MAX / 2_000)
+        }
+    }
+}
+
+/// The instant next to `near_micros` at which a counter shows this value modulo its period.
+const fn nearest_instant(near_micros: i64, shown_micros: i64) -> i64 {
+    let ahead = (shown_micros - near_micros).rem_euclid(PERIOD_MICROS);
+    if ahead >= PERIOD_MICROS / 2 { near_micros + ahead - PERIOD_MICROS } else { near_micros + ahead }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::BrickClock;
+
+    fn unwrapped(unwrapper: &mut Unwrapper, stamp: WireStamp, arrival_ms: i64) -> UnwrapOutcome<BrickClock> {
+        unwrapper.unwrap(Endpoint::default(), stamp, Timestamp::from_millis(arrival_ms))
+    }
+
+    #[test]
+    fn a_microsecond_counter_runs_on_across_its_wrap() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
+        let after = unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
+        assert_eq!(after, UnwrapOutcome::Continued(Timestamp::from_micros((1 << 32) + 49_000)));
+    }
+
+    #[test]
+    fn a_millisecond_counter_runs_on_across_its_wrap_after_fifty_days() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Millis32(u32::MAX - 9), 0);
+        let after = unwrapped(&mut unwrapper, WireStamp::Millis32(40), 50);
+        assert_eq!(after, UnwrapOutcome::Continued(Timestamp::from_millis((1 << 32) + 40)));
+    }
+
+    #[test]
+    fn milliseconds_and_microseconds_of_one_clock_agree_across_the_wrap() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
+        unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
+        let millis = unwrapped(&mut unwrapper, WireStamp::Millis32(((1_u64 << 32) / 1_000) as u32 + 100), 100);
+        assert_eq!(millis, UnwrapOutcome::Continued(Timestamp::from_micros(4_295_067_000)));
+    }
+
+    #[test]
+    fn a_fall_to_zero_is_a_restart_and_a_late_datagram_is_not() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Micros32(90_000_000), 0);
+        let late = unwrapped(&mut unwrapper, WireStamp::Micros32(89_990_000), 5);
+        assert_eq!(late, UnwrapOutcome::Continued(Timestamp::from_micros(89_990_000)));
+        let fall = unwrapped(&mut unwrapper, WireStamp::Micros32(2_000_000), 4_000);
+        assert_eq!(fall, UnwrapOutcome::Restarted(Timestamp::from_micros(2_000_000)));
+    }
+
+    #[test]
+    fn a_datagram_that_a_whole_queue_has_overtaken_is_late_and_later_a_fall_is_a_restart() {
+        let mut unwrapper = Unwrapper::default();
+        let mut stamp_at = |millis: u32, arrival_ms| unwrapped(&mut unwrapper, WireStamp::Millis32(millis), arrival_ms);
+        stamp_at(20_000, 20_000);
+        // The link stands still for six seconds, and then everything comes at once; one of it a little later.
+        for millis in (20_100..=26_000).step_by(50) {
+            let continued = UnwrapOutcome::Continued(Timestamp::from_millis(millis.into()));
+            assert_eq!(stamp_at(millis, 26_000), continued);
+        }
+        let late = UnwrapOutcome::Continued(Timestamp::from_millis(20_050));
+        assert_eq!(stamp_at(20_050, 26_900), late);
+        let runs_on = UnwrapOutcome::Continued(Timestamp::from_millis(27_000));
+        assert_eq!(stamp_at(27_000, 27_000), runs_on);
+        let fall = UnwrapOutcome::Restarted(Timestamp::from_millis(21_050));
+        assert_eq!(stamp_at(21_050, 27_050), fall);
+    }
+
+    #[test]
+    fn a_leap_ahead_of_the_host_is_a_restart_and_a_long_silence_is_not() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Micros32(1_000_000), 0);
+        let after_silence = unwrapped(&mut unwrapper, WireStamp::Micros32(601_000_000), 600_000);
+        assert_eq!(after_silence, UnwrapOutcome::Continued(Timestamp::from_micros(601_000_000)));
+        let leap = unwrapped(&mut unwrapper, WireStamp::Micros32(700_000_000), 600_100);
+        assert_eq!(leap, UnwrapOutcome::Restarted(Timestamp::from_micros(700_000_000)));
+    }
+
+    /// The low 32 bits of an instant, as a brick shows them.
+    fn register(instant_micros: i64) -> WireStamp {
+        WireStamp::Micros32(instant_micros as u32)
+    }
+
+    const SECOND: i64 = 1_000_000;
+    const MINUTE: i64 = 60 * SECOND;
+
+    #[test]
+    fn a_clock_runs_on_through_a_silence_of_any_length() {
+        // Instants before the silence: young, shortly before the first wrap, and after several.
+        for last_micros in [2 * SECOND, 4_290 * SECOND, 4_000_000 * SECOND + 7] {
+            for silence_micros in [10 * SECOND, 40 * MINUTE, 80 * MINUTE, 180 * MINUTE] {
+                for skew_ppm in [-2_000, 0, 2_000] {
+                    let mut unwrapper = Unwrapper::default();
+                    unwrapped(&mut unwrapper, WireStamp::Micros64(last_micros as u64), 0);
+                    let ran_micros = silence_micros + silence_micros / 1_000_000 * skew_ppm;
+                    let now_micros = last_micros + ran_micros;
+                    let after = unwrapped(&mut unwrapper, register(now_micros), silence_micros / 1_000);
+                    assert_eq!(
+                        after,
+                        UnwrapOutcome::Continued(Timestamp::from_micros(now_micros)),
+                        "{last_micros} us, then {silence_micros} us at {skew_ppm} ppm"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_link_held_back_during_a_silence_keeps_its_time() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, register(4_290 * SECOND), 0);
+        // Fifteen minutes later everything arrives at once, beginning with what was sent next.
+        for sent_micros in [4_291 * SECOND, 4_296 * SECOND, 5_190 * SECOND] {
+            let after = unwrapped(&mut unwrapper, register(sent_micros), 900_000);
+            assert_eq!(after, UnwrapOutcome::Continued(Timestamp::from_micros(sent_micros)));
+        }
+    }
+
+    #[test]
+    fn a_slow_clock_or_a_jittery_link_does_not_excuse_a_leap() {
+        let mut unwrapper = Unwrapper::default();
+        // An hour at 20 Hz and -2000 ppm, every other message 30 ms late: 7 s behind in all.
+        for k in 0..72_000_i64 {
+            let stamp = register(SECOND + k * 49_900);
+            let arrival_ms = k * 50 + (k % 2) * 30;
+            let after = unwrapped(&mut unwrapper, stamp, arrival_ms);
+            assert!(matches!(after, UnwrapOutcome::Continued(_)), "message {k}");
+        }
+        let leap_micros = SECOND + 72_000 * 49_900 + 1_200_000;
+        let leap = unwrapped(&mut unwrapper, register(leap_micros), 72_000 * 50);
+        assert_eq!(leap, UnwrapOutcome::Restarted(Timestamp::from_micros(leap_micros)));
+    }
+
+    #[test]
+    fn a_restart_during_a_silence_is_seen_where_the_expectation_excludes_the_counter() {
+        // Last stamp, then forty minutes of silence, then a brick that has been up for some seconds or minutes.
+        for (last_s, up_s) in [(100, 5), (3_000, 5), (4_000, 5), (100, 1_400), (4_200, 600)] {
+            let mut unwrapper = Unwrapper::default();
+            unwrapped(&mut unwrapper, register(last_s * SECOND), 0);
+            let after = unwrapped(&mut unwrapper, register(up_s * SECOND), 2_400_000);
+            assert_eq!(
+                after,
+                UnwrapOutcome::Restarted(Timestamp::from_micros(up_s * SECOND)),
+                "{up_s} s after {last_s} s"
+            );
+        }
+    }
+
+    #[test]
+    fn a_restart_whose_counter_fits_the_expectation_cannot_be_told_from_the_old_clock() {
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, register(4_000 * SECOND), 0);
+        // Up for 2000 s, which is 6295 s modulo the period; 6400 s were expected.
+        let after = unwrapped(&mut unwrapper, register(2_000 * SECOND), 2_400_000);
+        let taken = Timestamp::from_micros(2_000 * SECOND + PERIOD_MICROS);
+        assert_eq!(after, UnwrapOutcome::Continued(taken));
+    }
+
+    #[test]
+    fn a_full_counter_is_believed_where_the_rate_leaves_more_than_one_wrap_open() {
+        // Ten days at 5000 ppm are 72 minutes, a whole period more than expected.
+        let ten_days_micros = 10 * 24 * 60 * MINUTE;
+        let now_micros = SECOND + ten_days_micros / 1_000 * 1_005;
+        let mut unwrapper = Unwrapper::default();
+        unwrapped(&mut unwrapper, WireStamp::Micros64(SECOND as u64), 0);
+        let after = unwrapped(&mut unwrapper, WireStamp::Micros64(now_micros as u64), ten_days_micros / 1_000);
+        assert_eq!(after, UnwrapOutcome::Continued(Timestamp::from_micros(now_micros)));
+    }
+
+    #[test]
+    fn a_32_bit_register_in_a_64_bit_field_means_the_same_instant() {
+        let mut unwrapper = Unwrapper::default();
+        let now_micros = 9_000 * SECOND;
+        unwrapped(&mut unwrapper, WireStamp::Micros64(now_micros as u64), 0);
+        let shown = WireStamp::Micros64((now_micros + 50_000) as u64 % (1 << 32));
+        let after = unwrapped(&mut unwrapper, shown, 50);
+        let expected = Timestamp::from_micros(now_micros + 50_000);
+        assert_eq!(after, UnwrapOutcome::Continued(expected));
+    }
+
+    #[test]
+    fn a_relayed_stamp_lies_near_the_last_one_however_long_ago_that_came() {
+        let mut unwrapper = Unwrapper::default();
+        assert_eq!(unwrapper.nearest::<BrickClock>(register(5)), None);
+        unwrapped(&mut unwrapper, register(4_290 * SECOND), 0);
+        for instant_micros in [4_289 * SECOND, 2_200 * SECOND, 4_296 * SECOND] {
+            let placed = unwrapper.nearest::<BrickClock>(register(instant_micros));
+            assert_eq!(placed, Some(Timestamp::from_micros(instant_micros)));
+        }
+    }
+
+    #[test]
+    fn no_stamp_overflows() {
+        let mut unwrapper = Unwrapper::default();
+        for stamp in [WireStamp::Micros64(u64::MAX), WireStamp::Micros64(0), WireStamp::Millis32(u32::MAX)] {
+            unwrapped(&mut unwrapper, stamp, 0);
+        }
+    }
+}

@@ -1,0 +1,370 @@
+//! What people and programs ask of a running station: tunables, the pose, what is learned, sources, recordings.
+//!
+//! A command of the program is an input of its own. What comes over a link stands in the link's bytes, and those are the input: it is
+//! carried out here when the bytes are handled and never becomes a second input, so that a replay does it once and at the same place.
+//!
+//! Everything that was asked leaves an [`Event::Text`]; who asked over a link and was refused hears why. Values of tunables come over
+//! links as 32-bit floats and are taken as the shortest decimal number that has these bits: 0.999 there is 0.999 in the configuration.
+//!
+//! # Sources
+//! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/parameters.md.
+
+use posebridge_estimator::{PARAMS, Params, StartPose};
+use posebridge_protocol::dialect::commands::{CommandError, decode_command};
+use posebridge_protocol::message::{CommandLong, CommandResult, Message};
+use posebridge_telemetry::{
+    Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
+    ParameterStorage, Priority, Request, SensorId, SensorSwitch, SimulatorCommand,
+};
+
+use crate::estimator::Estimator;
+use crate::message_requests::{self, RequestContext};
+use crate::sessions::SenderRole;
+use crate::station::{SEVERITY_WARNING, Station};
+
+/// MAV_SEVERITY_INFO.
+const SEVERITY_INFO: u8 = 6;
+
+/// What was asked of the station and holds until something else is asked.
+pub(crate) struct OperatorState {
+    /// The tunables that were saved last, or with which the run began.
+    saved_params: Params,
+    /// The link over which the program was asked for something last: there it reports what became of it.
+    requested_on: Option<LinkId>,
+    /// The last command of the program.
+    last_command: Option<Command>,
+}
+
+impl OperatorState {
+    pub(crate) const fn new(params: Params) -> Self {
+        Self { saved_params: params, requested_on: None, last_command: None }
+    }
+
+    /// Whether a held key repeats what it said before.
+    fn is_key_repeat(&mut self, command: Command) -> bool {
+        let is_drive = matches!(command, Command::Simulator(SimulatorCommand::Drive { .. }));
+        let before = self.last_command.replace(command);
+        is_drive && before == Some(command)
+    }
+}
+
+/// What was done, or why it was not: a line for people.
+type Outcome = Result<String, String>;
+
+impl Station {
+    pub(crate) fn handle_command(&mut self, command: Command) {
+        let is_held_key = self.operator.is_key_repeat(command);
+        let outcome = self.execute(command);
+        // One line for a key that is held, not several each second.
+        if !(is_held_key && outcome.is_ok()) {
+            self.report_outcome(&outcome);
+        }
+    }
+
+    /// What became of something that the program did.
+    pub(crate) fn handle_report(&mut self, severity: u8, text: &str) {
+        if self.sessions.has_ground_stations() {
+            self.status_texts.push_report(self.time.now, severity, text);
+        }
+        self.outputs.emit(Event::Text { source: self.config.own_address, severity, text: text.to_owned() });
+        if let Some(link) = self.operator.requested_on {
+            self.send_text_answer(link, severity, text);
+        }
+    }
+
+    /// Somebody on a link wants a tunable to have another value.
+    pub(crate) fn handle_parameter_set(&mut self, link: LinkId, index: usize, value: f32) {
+        let Some(row) = PARAMS.get(index) else {
+            return;
+        };
+        let before = (row.read)(&self.config.robot.filter_config.params);
+        let outcome = self.execute(Command::SetParameter {
+            name: ParameterName::from_bytes(row.key.as_bytes()),
+            value: shortest_decimal(value),
+        });
+        if (row.read)(&self.config.robot.filter_config.params).to_bits() == before.to_bits() {
+            // A change was told; that nothing has changed is an answer, too.
+            self.announce_parameter(index);
+        }
+        self.report_outcome(&outcome);
+        if let Err(why) = &outcome {
+            self.send_text_answer(link, SEVERITY_WARNING, why);
+        }
+    }
+
+    /// Somebody on a link sets a tunable by a type that cannot be read: without an answer he would ask until he gives up.
+    pub(crate) fn handle_unsupported_type(&mut self, link: LinkId, index: usize, kind: u8) {
+        let Some(row) = PARAMS.get(index) else {
+            return;
+        };
+        // 9 is REAL32. Short, because it has to fit into a STATUSTEXT.
+        let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
+        self.announce_parameter(index);
+        self.send_text_answer(link, SEVERITY_WARNING, &why);
+        self.report_own_text(SEVERITY_WARNING, why);
+    }
+
+    /// Somebody on a link asks for a tunable that there is not.
+    pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
+        let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
+        self.send_text_answer(link, SEVERITY_WARNING, &why);
+        self.report_own_text(SEVERITY_WARNING, why);
+    }
+
+    /// A command from a link that no session answers by itself.
+    pub(crate) fn handle_link_command(&mut self, id: LinkId, role: SenderRole, by: Address, command: &CommandLong) {
+        let context = RequestContext {
+            config: &self.config,
+            now: self.time.now,
+            robots: &self.robots,
+            egress: &self.egress,
+            link: id,
+            role,
+        };
+        let heartbeat = |sessions: &mut crate::sessions::Sessions| {
+            sessions.session(id, role).and_then(|session| session.active_heartbeat())
+        };
+        let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
+            Some(answer) => answer,
+            None if role == SenderRole::Station => message_requests::Answer::of(self.execute_link_command(id, command)),
+            None => message_requests::Answer::of(CommandResult::Unsupported),
+        };
+        if answer.is_left_to_others(command) {
+            return;
+        }
+        if let Some(session) = self.sessions.session(id, role) {
+            session.acknowledge_command(by, command.command, answer.result);
+            for message in answer.messages {
+                session.queue_message(message);
+            }
+        }
+    }
+
+    /// Does what a command from a link asks for, and tells what became of it.
+    pub(crate) fn execute_link_command(&mut self, link: LinkId, command: &CommandLong) -> CommandResult {
+        let outcome = match decode_command(command) {
+            Ok(wanted) => {
+                self.operator.requested_on = Some(link);
+                self.execute(wanted)
+            }
+            Err(CommandError::Unknown { .. }) => return CommandResult::Unsupported,
+            Err(error) => Err(error.to_string()),
+        };
+        self.report_outcome(&outcome);
+        match outcome {
+            Ok(_) => CommandResult::Accepted,
+            Err(why) => {
+                self.send_text_answer(link, SEVERITY_WARNING, &why);
+                CommandResult::Denied
+            }
+        }
+    }
+
+    fn execute(&mut self, command: Command) -> Outcome {
+        match command {
+            Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
+                self.set_pose(&StartPose { pose, position_sigma_m, heading_sigma_rad })
+            }
+            Command::ResetPose => self.reset_pose(),
+            Command::SetParameter { name, value } => self.set_parameter(name, value),
+            Command::Parameters(storage) => self.store_parameters(storage),
+            Command::OnlineCalibration(learning) => {
+                self.command_all(|estimator| estimator.set_online_calibration(learning), "does not learn")?;
+                Ok(match learning {
+                    OnlineCalibration::Frozen => "calibration frozen".to_owned(),
+                    OnlineCalibration::Enabled => "calibration learned further".to_owned(),
+                })
+            }
+            Command::ResetCalibration => {
+                self.command_all(Estimator::reset_calibration, "does not learn")?;
+                Ok("calibration reset to what is configured".to_owned())
+            }
+            Command::SwitchSource { sensor, to } => Ok(self.switch_sensor(sensor, to)),
+            Command::StartRecording => {
+                let values = self.parameter_values();
+                self.emit_request(Request::StartRecording { values });
+                Ok("a new recording was asked for".to_owned())
+            }
+            Command::StopRecording => {
+                self.emit_request(Request::StopRecording);
+                Ok("the recording's end was asked for".to_owned())
+            }
+            Command::Simulator(command) => {
+                command.validate().map_err(|error| error.to_string())?;
+                self.emit_request(Request::Simulator(command));
+                Ok(command.to_string())
+            }
+        }
+    }
+
+    fn set_pose(&mut self, start: &StartPose) -> Outcome {
+        self.robots.mark_news(0);
+        if self.robots.get_mut(0).estimator.set_pose(start) == FusionOutcome::Malformed {
+            return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
+        }
+        let pose = &start.pose;
+        Ok(format!("pose set to x {:.3} m, y {:.3} m, {:.1} deg", pose.x.0, pose.y.0, pose.heading.rad().to_degrees()))
+    }
+
+    fn reset_pose(&mut self) -> Outcome {
+        if let Some(start) = self.robots.first().estimator.start() {
+            return self.set_pose(&start);
+        }
+        let estimator = &mut self.robots.get_mut(0).estimator;
+        if !estimator.forget_pose() {
+            return Err(format!("the filter {} cannot forget its pose", estimator.filter_name()));
+        }
+        self.robots.mark_news(0);
+        Ok("pose forgotten: the next fix decides".to_owned())
+    }
+
+    fn set_parameter(&mut self, name: ParameterName, value: f64) -> Outcome {
+        let row = PARAMS.iter().find(|row| row.key == name.as_str());
+        let row = row.ok_or_else(|| format!("no parameter `{name}`"))?;
+        if !row.range.contains(&value) {
+            // Short, because it has to fit into a STATUSTEXT.
+            let (low, high) = (row.range.start(), row.range.end());
+            return Err(format!("{name} {value:?} not in {low}..{high}"));
+        }
+        let mut params = self.config.robot.filter_config.params;
+        let before = (row.read)(&params);
+        (row.write)(&mut params, value);
+        self.apply_params(params)?;
+        Ok(format!("{name} set to {value} (was {before})"))
+    }
+
+    fn store_parameters(&mut self, storage: ParameterStorage) -> Outcome {
+        let params = match storage {
+            ParameterStorage::Save => {
+                self.operator.saved_params = self.config.robot.filter_config.params;
+                let values = self.parameter_values();
+                self.emit_request(Request::SaveParameters { values });
+                return Ok("parameters handed over to be saved".to_owned());
+            }
+            ParameterStorage::Reload => self.operator.saved_params,
+            ParameterStorage::Default => Params::default(),
+        };
+        self.apply_params(params)?;
+        Ok(match storage {
+            ParameterStorage::Default => "parameters set to their defaults".to_owned(),
+            ParameterStorage::Save | ParameterStorage::Reload => "parameters as saved last".to_owned(),
+        })
+    }
+
+    /// Gives the filter other tunables and tells those that changed.
+    fn apply_params(&mut self, params: Params) -> Result<(), String> {
+        // Thermometers have filters of their own, which begin with the tunables of the station.
+        self.command_all(|estimator| estimator.set_params(params), "is tuned only by its start")?;
+        let before = std::mem::replace(&mut self.config.robot.filter_config.params, params);
+        for (index, row) in PARAMS.iter().enumerate() {
+            if (row.read)(&before).to_bits() != (row.read)(&params).to_bits() {
+                self.announce_parameter(index);
+            }
+        }
+        Ok(())
+    }
+
+    /// Reports the value of a tunable on every link where somebody has asked for tunables.
+    fn announce_parameter(&mut self, index: usize) {
+        let Some(row) = PARAMS.get(index) else {
+            return;
+        };
+        let value = (row.read)(&self.config.robot.filter_config.params) as f32;
+        for (link, message) in self.sessions.report_parameter(index, value) {
+            self.send_answer(link, &message);
+        }
+    }
+
+    /// Gives every robot's estimator a command; the first that refuses it says why.
+    fn command_all(&mut self, command: impl Fn(&mut Estimator) -> bool, otherwise: &str) -> Result<(), String> {
+        let mut refused = None;
+        for robot in self.robots.all_mut() {
+            if !command(&mut robot.estimator) {
+                refused.get_or_insert(robot.estimator.filter_name());
+            }
+        }
+        refused.map_or(Ok(()), |filter| Err(format!("the filter {filter} {otherwise}")))
+    }
+
+    fn switch_sensor(&mut self, sensor: SensorId, to: SensorSwitch) -> String {
+        for robot in self.robots.all_mut() {
+            robot.estimator.switch_sensor(sensor, to);
+        }
+        let is = match to {
+            SensorSwitch::On => "used",
+            SensorSwitch::Off => "left out",
+        };
+        format!("source {sensor} ({}) is {is}", sensor.name())
+    }
+
+    fn parameter_values(&self) -> Vec<(ParameterName, f64)> {
+        let params = &self.config.robot.filter_config.params;
+        let named = PARAMS.iter().map(|row| {
+            let name = ParameterName::from_bytes(row.key.as_bytes());
+            (name, (row.read)(params))
+        });
+        named.collect()
+    }
+
+    fn emit_request(&mut self, request: Request) {
+        self.outputs.push(Output::Request(request));
+    }
+
+    /// A line to whoever asked over a link; ground stations read it anyway, as they do all that the station reports.
+    fn send_text_answer(&mut self, link: LinkId, severity: u8, text: &str) {
+        if !self.links.contains_key(&link) || self.sessions.vehicles(link).is_some() {
+            return;
+        }
+        for part in self.status_texts.split_text(severity, text) {
+            self.send_answer(link, &part);
+        }
+    }
+
+    /// Sends an answer; a link that went down does not wait for it.
+    fn send_answer(&mut self, link: LinkId, message: &Message) {
+        if self.links.get(&link).is_some_and(|link| link.state == LinkState::Up) {
+            self.send(link, message, Priority::Command);
+        }
+    }
+
+    fn report_outcome(&mut self, outcome: &Outcome) {
+        match outcome {
+            Ok(done) => self.report_own_text(SEVERITY_INFO, done.clone()),
+            Err(why) => self.report_own_text(SEVERITY_WARNING, why.clone()),
+        }
+    }
+
+    pub(crate) fn report_own_text(&mut self, severity: u8, text: String) {
+        let source = self.config.own_address;
+        self.emit(Event::Text { source, severity, text });
+    }
+}
+
+/// The number that somebody typed who sends these bits: the shortest decimal that has them.
+fn shortest_decimal(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or_else(|_| f64::from(value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_over_a_link_is_the_decimal_that_was_typed() {
+        for typed in [0.999, 0.000_03, 148.0, 0.1, 1e-10, 500.0, -0.3] {
+            assert_eq!(shortest_decimal(typed as f32), typed);
+        }
+        assert!(shortest_decimal(f32::NAN).is_nan());
+        assert_eq!(shortest_decimal(f32::NEG_INFINITY), f64::NEG_INFINITY);
+        assert!(shortest_decimal(f32::MAX).is_finite());
+    }
+
+    #[test]
+    fn both_ends_of_every_range_can_be_set_over_a_link() {
+        for row in PARAMS {
+            for end in [*row.range.start(), *row.range.end()] {
+                assert!(row.range.contains(&shortest_decimal(end as f32)), "{}", row.key);
+            }
+        }
+    }
+}

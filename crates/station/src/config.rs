@@ -1,0 +1,243 @@
+//! What a station is built from. Plain values: parsing and merging of files is the program's business.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::filters::thermometer::ThermometerSettings;
+use posebridge_protocol::bricks::{BrickProtocol, CodecSettings};
+use posebridge_protocol::framing::{TransportKind, WireVersion};
+use posebridge_protocol::routing::LinkRules;
+use posebridge_protocol::signing::SigningConfig;
+use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta};
+
+/// Everything that decides what a station does with its inputs. Same configuration and same inputs: same outputs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StationConfig {
+    /// The station's own address on every link.
+    pub own_address: Address,
+    /// Every robot that no block of `robots` is for.
+    pub robot: RobotConfig,
+    /// Robots with a configuration of their own; the first block that matches counts.
+    pub robots: Vec<RobotBlock>,
+    /// Most robots at a time; strangers beyond are not followed.
+    pub max_robots: usize,
+    /// The only system that may be a robot; `None` takes every sender of odometry.
+    pub robot_system: Option<SystemId>,
+    /// When cameras are asked for a fix.
+    pub fix_requests: FixRequestConfig,
+    /// How often to ask the brick and the camera for their time, once the first answers are in.
+    pub timesync_period: TimeDelta,
+    /// Messages that the brick is asked to send, with their interval.
+    pub brick_message_intervals: Vec<(u32, TimeDelta)>,
+    /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
+    pub duplicate_window: TimeDelta,
+    /// What is known of thermometers, by their channels; the others are learnt from what they show.
+    pub thermometers: Vec<ThermometerConfig>,
+    /// The links, by id.
+    pub links: Vec<LinkConfig>,
+}
+
+/// What is known about one robot, or about all that have no block of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotConfig {
+    /// What people call it.
+    pub name: Option<String>,
+    /// Name of a row of [`posebridge_estimator::FILTERS`].
+    pub filter: String,
+    /// Geometry, noise, start and tunables of the filter.
+    pub filter_config: FilterConfig,
+    /// Whether the robot's own description replaces the configured geometry.
+    pub description: DescriptionPolicy,
+    /// Where the camera's tag sits on the robot, if fixes are of a tag and not of mid-axle.
+    pub tag_in_body: Point2<Body>,
+    /// The tag's number, by which fixes name the robot.
+    pub tag: Option<u32>,
+}
+
+/// The configuration of the robots that match.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotBlock {
+    /// Which robots it is for.
+    pub matches: RobotMatch,
+    /// What is known about them.
+    pub robot: RobotConfig,
+}
+
+/// Which robots a block is for: all that is given must hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RobotMatch {
+    /// The link that it is heard on, or one that is redundant to it.
+    pub link: Option<LinkId>,
+    /// Its MAVLink system.
+    pub system: Option<SystemId>,
+    /// Its MAVLink component.
+    pub component: Option<ComponentId>,
+}
+
+impl RobotMatch {
+    /// Whether it is for a robot that is heard on a link under an address.
+    #[must_use]
+    pub fn is_for(&self, link: LinkId, address: Address) -> bool {
+        self.link.is_none_or(|wanted| wanted == link)
+            && self.system.is_none_or(|wanted| wanted == address.system)
+            && self.component.is_none_or(|wanted| wanted == address.component)
+    }
+}
+
+impl StationConfig {
+    /// What is known about the robot that is heard on a link under an address.
+    #[must_use]
+    pub fn robot_for(&self, link: LinkId, address: Address) -> &RobotConfig {
+        let block = self.robots.iter().find(|block| block.matches.is_for(link, address));
+        block.map_or(&self.robot, |block| &block.robot)
+    }
+}
+
+/// When cameras that take requests are asked for a fix: as soon as the station is less sure than this.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FixRequestConfig {
+    /// Above this standard deviation of the position, the larger of both axes, in metres.
+    pub above_m: Option<f64>,
+    /// Above this standard deviation of the heading, in radians.
+    pub above_rad: Option<f64>,
+    /// Not sooner after the last request.
+    pub interval: TimeDelta,
+}
+
+impl Default for FixRequestConfig {
+    /// Nobody is asked.
+    fn default() -> Self {
+        Self { above_m: None, above_rad: None, interval: TimeDelta::from_millis(250) }
+    }
+}
+
+/// What is known of one thermometer, whichever brick it sits on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ThermometerConfig {
+    /// The channel that it is read by.
+    pub channel: ChannelName,
+    /// Its dynamics and noise.
+    pub settings: ThermometerSettings,
+}
+
+/// Whether a robot's own description is believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescriptionPolicy {
+    /// The configured geometry stands.
+    Ignore,
+    /// The robot's own words replace it.
+    Adopt,
+}
+
+/// One link and what goes out on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkConfig {
+    /// Its id.
+    pub id: LinkId,
+    /// What is at its other end, if it speaks no MAVLink. Then nothing below counts but `outputs`, and nothing of it is passed on to
+    /// other links.
+    pub brick: Option<BrickLink>,
+    /// How it cuts its bytes.
+    pub framing: TransportKind,
+    /// MAVLink 1 is accepted only when asked for.
+    pub accepted_versions: AcceptedVersions,
+    /// What the station speaks there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
+    pub send_version: WireVersion,
+    /// What is sent there.
+    pub outputs: Vec<OutputStream>,
+    /// As whom the station speaks there.
+    pub announced_as: AnnouncedAs,
+    /// How its frames are signed; `None` believes everybody and signs nothing.
+    pub signing: Option<SigningConfig>,
+    /// What passes between it and the other links.
+    pub rules: LinkRules,
+}
+
+/// A brick with a protocol of its own.
+#[derive(Clone, Debug)]
+pub struct BrickLink {
+    /// Its protocol, a row of [`BRICK_PROTOCOLS`](posebridge_protocol::bricks::BRICK_PROTOCOLS).
+    pub protocol: &'static BrickProtocol,
+    /// What its codec must be told.
+    pub settings: CodecSettings,
+}
+
+impl PartialEq for BrickLink {
+    fn eq(&self, other: &Self) -> bool {
+        self.protocol.name == other.protocol.name && self.settings == other.settings
+    }
+}
+
+/// As whom the station speaks on a link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AnnouncedAs {
+    /// As itself.
+    #[default]
+    Station,
+    /// As the robot, too: ground stations show a vehicle only if component 1 of its system speaks. For links on which the robot is not
+    /// heard itself.
+    StationAndVehicle,
+}
+
+/// Which MAVLink versions a link accepts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AcceptedVersions {
+    /// Only MAVLink 2.
+    V2,
+    /// MAVLink 1 too.
+    V1AndV2,
+}
+
+/// One kind of message that is sent on a link as estimates come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputStream {
+    /// Which message.
+    pub kind: OutputKind,
+    /// At least this long between two of them; zero sends one with every estimate.
+    pub interval: TimeDelta,
+    /// For which instant.
+    pub instant: OutputInstant,
+}
+
+/// The messages in which an estimate can leave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum OutputKind {
+    /// PB_PLANAR_POSE, compact.
+    PlanarPose,
+    /// ODOMETRY.
+    Odometry,
+    /// LOCAL_POSITION_NED.
+    LocalPosition,
+    /// ATTITUDE.
+    Attitude,
+    /// ESTIMATOR_STATUS.
+    EstimatorStatus,
+    /// PB_FUSION_HEALTH, one per observation that could be held against a prediction.
+    FusionHealth,
+    /// DISTANCE_SENSOR, the robot's range as it was observed.
+    DistanceSensor,
+    /// NAMED_VALUE_FLOAT, the NIS of each sensor.
+    NamedValue,
+    /// DEBUG_FLOAT_ARRAY, innovation, NIS and what was expected of them, of each sensor.
+    FloatArray,
+}
+
+/// Every output, with the name that the configuration uses.
+pub const OUTPUTS: &[(&str, OutputKind)] = &[
+    ("planar_pose", OutputKind::PlanarPose),
+    ("odometry", OutputKind::Odometry),
+    ("local_position", OutputKind::LocalPosition),
+    ("attitude", OutputKind::Attitude),
+    ("estimator_status", OutputKind::EstimatorStatus),
+    ("fusion_health", OutputKind::FusionHealth),
+    ("distance_sensor", OutputKind::DistanceSensor),
+    ("named_value_float", OutputKind::NamedValue),
+    ("debug_float_array", OutputKind::FloatArray),
+];
+
+/// For which instant an estimate is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputInstant {
+    /// That of the last observation.
+    Observed,
+    /// That at which it will arrive, by prediction.
+    Arrival,
+}

@@ -1,0 +1,199 @@
+//! What of a robot leaves on which link: estimates as they come, ranges as they are observed, records of fusion as they are made.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{
+    BrickClock, Estimate, FusionRecord, HostClock, LinkId, Meters, Priority, SensorId, TimeDelta, Timestamp,
+};
+
+use crate::clock_alignment::ClockAlignment;
+use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputStream};
+use crate::estimate_messages::{self, PredictionStatus, PublishContext, host_stamp};
+use crate::estimator::Estimator;
+use crate::output_schedule::{OutputSchedule, priority, priority_of_record};
+use crate::record_messages;
+
+/// A message on its way to one link.
+#[derive(Debug)]
+pub(crate) struct PublishedMessage {
+    pub(crate) link: LinkId,
+    pub(crate) kind: OutputKind,
+    pub(crate) message: Message,
+    pub(crate) priority: Priority,
+}
+
+/// What the messages of an estimate are made from, besides the estimate.
+#[derive(Clone, Copy)]
+pub(crate) struct EstimateSource<'a> {
+    pub(crate) now: Timestamp<HostClock>,
+    pub(crate) clocks: &'a ClockAlignment,
+    pub(crate) estimator: &'a Estimator,
+}
+
+/// The outputs of one robot.
+#[derive(Debug)]
+pub(crate) struct EstimatePublisher {
+    links: BTreeMap<LinkId, LinkOutputs>,
+    /// The robot's range as it was observed last, and when by the host's clock.
+    last_range: Option<(Meters, Timestamp<HostClock>)>,
+    /// What became of each sensor's last observation that was compared with a prediction.
+    last_records: BTreeMap<SensorId, FusionRecord>,
+    /// The estimate that the robot has been sent and the other links have not.
+    pending: Option<Estimate>,
+}
+
+#[derive(Debug)]
+struct LinkOutputs {
+    schedule: OutputSchedule,
+    announced_as: AnnouncedAs,
+}
+
+impl EstimatePublisher {
+    pub(crate) fn new(links: &[LinkConfig]) -> Self {
+        let outputs = links.iter().map(|link| {
+            // Whoever speaks no MAVLink shows no vehicle.
+            let announced_as = if link.brick.is_none() { link.announced_as } else { AnnouncedAs::Station };
+            (link.id, LinkOutputs { schedule: OutputSchedule::new(&link.outputs), announced_as })
+        });
+        Self { links: outputs.collect(), last_range: None, last_records: BTreeMap::new(), pending: None }
+    }
+
+    /// The messages of an estimate that are due on a link, which is up.
+    pub(crate) fn publish(
+        &mut self,
+        link: LinkId,
+        estimate: &Estimate,
+        source: EstimateSource<'_>,
+    ) -> Vec<PublishedMessage> {
+        let Some(outputs) = self.links.get_mut(&link) else {
+            return Vec::new();
+        };
+        let announced_as = outputs.announced_as;
+        let due = outputs.schedule.due(source.now).into_iter();
+        let messages = due.filter_map(|stream| {
+            let message = estimate_message(&stream, estimate, announced_as, source)?;
+            Some(PublishedMessage { link, kind: stream.kind, message, priority: priority(stream.kind) })
+        });
+        messages.collect()
+    }
+
+    /// The estimate waits for [`Self::take_pending`].
+    pub(crate) fn set_pending(&mut self, estimate: &Estimate) {
+        self.pending = Some(*estimate);
+    }
+
+    /// The estimate that the other links have not been sent yet.
+    pub(crate) fn take_pending(&mut self) -> Option<Estimate> {
+        self.pending.take()
+    }
+
+    /// The messages of a record, on every link that wants them.
+    pub(crate) fn publish_record(
+        &mut self,
+        now: Timestamp<HostClock>,
+        record: &FusionRecord,
+        clocks: &ClockAlignment,
+    ) -> Vec<PublishedMessage> {
+        if record.degrees_of_freedom > 0 {
+            self.last_records.insert(record.sensor, record.clone());
+        }
+        let host = || clocks.to_host(record.stamp).unwrap_or(now);
+        let mut published = Vec::new();
+        for (link, outputs) in &mut self.links {
+            for (kind, message) in outputs.schedule.messages_for_record(record, &host, now) {
+                let priority = priority_of_record(kind, record.sensor);
+                published.push(PublishedMessage { link: *link, kind, message, priority });
+            }
+        }
+        published
+    }
+
+    /// The messages of an observed range, on those of the links that are up and want it.
+    pub(crate) fn publish_range(
+        &mut self,
+        now: Timestamp<HostClock>,
+        range: Meters,
+        host: Timestamp<HostClock>,
+        is_up: impl Fn(LinkId) -> bool,
+    ) -> Vec<PublishedMessage> {
+        self.last_range = Some((range, host));
+        let kind = OutputKind::DistanceSensor;
+        let due = self
+            .links
+            .iter_mut()
+            .filter_map(|(link, outputs)| (is_up(*link) && outputs.schedule.range_due(now)).then_some(*link));
+        let message =
+            |link| PublishedMessage { link, kind, message: range_message(range, host), priority: priority(kind) };
+        due.map(message).collect()
+    }
+
+    /// Somebody on a link asks for another interval; `None` stops the message, zero restores what is configured.
+    pub(crate) fn set_interval(&mut self, link: LinkId, message_id: u32, interval: Option<TimeDelta>) {
+        if let Some(outputs) = self.links.get_mut(&link) {
+            outputs.schedule.set_interval(message_id, interval);
+        }
+    }
+
+    /// The interval of an output on a link, as MESSAGE_INTERVAL has it; `None` if there is no such link.
+    pub(crate) fn interval_micros(&self, link: LinkId, kind: OutputKind) -> Option<i32> {
+        Some(self.links.get(&link)?.schedule.interval_micros(kind))
+    }
+
+    /// What an output says at present; nothing if there was nothing to say yet.
+    pub(crate) fn current(&self, link: LinkId, kind: OutputKind, source: EstimateSource<'_>) -> Vec<Message> {
+        let outputs = self.links.get(&link);
+        match kind {
+            OutputKind::DistanceSensor => {
+                self.last_range.map(|(range, host)| range_message(range, host)).into_iter().collect()
+            }
+            OutputKind::FusionHealth | OutputKind::NamedValue | OutputKind::FloatArray => {
+                let messages = self.last_records.values().filter_map(|record| {
+                    let counts = outputs?.schedule.counts_of(record.sensor);
+                    let host = source.clocks.to_host(record.stamp).unwrap_or(source.now);
+                    record_messages::message(kind, record, host, counts)
+                });
+                messages.collect()
+            }
+            OutputKind::PlanarPose
+            | OutputKind::Odometry
+            | OutputKind::LocalPosition
+            | OutputKind::Attitude
+            | OutputKind::EstimatorStatus => {
+                let stream = OutputStream { kind, interval: TimeDelta::ZERO, instant: OutputInstant::Observed };
+                let announced_as = outputs.map_or(AnnouncedAs::Station, |outputs| outputs.announced_as);
+                let estimate = source.estimator.latest_estimate();
+                let message = estimate.and_then(|last| estimate_message(&stream, &last, announced_as, source));
+                message.into_iter().collect()
+            }
+        }
+    }
+}
+
+/// What one output says of an estimate: as it is, or predicted for the instant at which the message arrives.
+fn estimate_message(
+    stream: &OutputStream,
+    observed: &Estimate,
+    announced_as: AnnouncedAs,
+    source: EstimateSource<'_>,
+) -> Option<Message> {
+    let EstimateSource { now, clocks, estimator } = source;
+    let fix_ratio = estimator.fix_ratio();
+    let arrival = now + estimate_messages::travel_time(clocks.round_trip());
+    let ahead: Option<Timestamp<BrickClock>> = match stream.instant {
+        OutputInstant::Observed => None,
+        OutputInstant::Arrival => clocks.at_host_time(arrival, TimeDelta::ZERO).map(|(time, _)| time),
+    };
+    let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
+    if let Some(predicted) = predicted {
+        let context = PublishContext { prediction: PredictionStatus::Ahead, host: arrival, fix_ratio, announced_as };
+        return estimate_messages::message(stream.kind, &predicted, &context);
+    }
+    let host = clocks.to_host(observed.stamp).unwrap_or(now);
+    let context = PublishContext { prediction: PredictionStatus::None, host, fix_ratio, announced_as };
+    estimate_messages::message(stream.kind, observed, &context)
+}
+
+fn range_message(range: Meters, host: Timestamp<HostClock>) -> Message {
+    Message::DistanceSensor { stamp: host_stamp(host), range, sigma: None }
+}

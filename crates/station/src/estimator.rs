@@ -1,0 +1,283 @@
+//! A robot's estimator: its filter, the sensors that are switched off, and what of its results is watched.
+
+use std::collections::BTreeSet;
+
+use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params, StartPose};
+use posebridge_telemetry::{
+    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
+    OnlineCalibration, SensorId, SensorSwitch, TimeDelta, Timestamp,
+};
+
+use crate::slip_watch::SlipWatch;
+
+/// Most components of a fix: x, y and heading.
+const MAX_FIX_COMPONENTS: usize = 3;
+
+/// The filter of one robot.
+pub(crate) struct Estimator {
+    entry: &'static FilterEntry,
+    config: FilterConfig,
+    filter: Box<dyn Filter>,
+    switched_off: BTreeSet<SensorId>,
+    online_calibration: OnlineCalibration,
+    slip_watch: SlipWatch,
+    /// Normalised innovation squared of the last fix over its gate; 0 before the first.
+    fix_ratio: f64,
+    /// The gate of a fix with one, two and three components.
+    fix_gates: [f64; MAX_FIX_COMPONENTS],
+}
+
+/// What became of an observation.
+pub(crate) struct FusionReport {
+    pub(crate) record: FusionRecord,
+    /// The observation was not left out.
+    pub(crate) is_used: bool,
+    /// The wheels have begun to slip; reported once for each episode.
+    pub(crate) slip_began: bool,
+}
+
+impl Estimator {
+    pub(crate) fn new(entry: &'static FilterEntry, config: &FilterConfig) -> Self {
+        Self {
+            entry,
+            config: config.clone(),
+            filter: (entry.build)(config),
+            switched_off: BTreeSet::new(),
+            online_calibration: OnlineCalibration::Enabled,
+            slip_watch: SlipWatch::default(),
+            fix_ratio: 0.0,
+            fix_gates: fix_gates(&config.params),
+        }
+    }
+
+    /// Uses an observation, late or not, unless its sensor is switched off.
+    pub(crate) fn observe(&mut self, observation: &Observation) -> FusionReport {
+        if self.switched_off.contains(&observation.sensor) {
+            return FusionReport { record: unused_record(observation), is_used: false, slip_began: false };
+        }
+        let record = self.filter.observe(observation);
+        let components = usize::from(record.degrees_of_freedom);
+        if matches!(observation.measurement, ObservationKind::Fix(_)) && components > 0 {
+            self.fix_ratio = record.nis / self.fix_gates[components.min(MAX_FIX_COMPONENTS) - 1];
+        }
+        let slip_began = record.outcome == FusionOutcome::Slip && self.slip_watch.observe(record.stamp);
+        FusionReport { record, is_used: true, slip_began }
+    }
+
+    /// The estimate at the latest instant of any observation.
+    pub(crate) fn latest_estimate(&self) -> Option<Estimate> {
+        self.filter.estimate_at(self.filter.latest_time()?)
+    }
+
+    pub(crate) fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.filter.estimate_at(time)
+    }
+
+    pub(crate) fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.filter.latest_time()
+    }
+
+    pub(crate) fn calibration(&self) -> Option<Calibration> {
+        self.filter.calibration()
+    }
+
+    /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
+    pub(crate) const fn fix_ratio(&self) -> f64 {
+        self.fix_ratio
+    }
+
+    /// The nominal geometry: the configured one, or the one that the robot has described.
+    pub(crate) const fn geometry(&self) -> DriveGeometry {
+        self.config.geometry
+    }
+
+    pub(crate) const fn filter_name(&self) -> &'static str {
+        self.entry.name
+    }
+
+    /// Where the robot is configured to start.
+    pub(crate) const fn start(&self) -> Option<StartPose> {
+        self.config.start
+    }
+
+    pub(crate) fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        self.filter.set_pose(start)
+    }
+
+    /// The pose is unknown from now on; whether the filter can forget it.
+    pub(crate) fn forget_pose(&mut self) -> bool {
+        self.filter.apply_command(&FilterCommand::ResetPose) == FusionOutcome::Accepted
+    }
+
+    /// Other tunables from now on; whether the filter takes them.
+    pub(crate) fn set_params(&mut self, params: Params) -> bool {
+        if self.filter.apply_command(&FilterCommand::SetParams(params)) != FusionOutcome::Accepted {
+            return false;
+        }
+        self.config.params = params;
+        self.fix_gates = fix_gates(&params);
+        true
+    }
+
+    /// Whether the filter calibrates online.
+    pub(crate) fn set_online_calibration(&mut self, to: OnlineCalibration) -> bool {
+        if self.filter.apply_command(&FilterCommand::SetOnlineCalibration(to)) != FusionOutcome::Accepted {
+            return false;
+        }
+        self.online_calibration = to;
+        true
+    }
+
+    /// Begins again from the configured constants; whether the filter calibrates online.
+    pub(crate) fn reset_calibration(&mut self) -> bool {
+        self.filter.apply_command(&FilterCommand::ResetCalibration) == FusionOutcome::Accepted
+    }
+
+    pub(crate) fn switch_sensor(&mut self, sensor: SensorId, to: SensorSwitch) {
+        match to {
+            SensorSwitch::On => self.switched_off.remove(&sensor),
+            SensorSwitch::Off => self.switched_off.insert(sensor),
+        };
+    }
+
+    pub(crate) fn switched_off(&self) -> impl Iterator<Item = SensorId> {
+        self.switched_off.iter().copied()
+    }
+
+    /// The robot was switched off and on: its clock and its counters began anew.
+    pub(crate) fn restart_clock(&mut self) {
+        self.filter.restart_clock();
+    }
+
+    /// A filter of another geometry goes on where the old one was, if that knew where it was.
+    pub(crate) fn set_geometry(&mut self, geometry: DriveGeometry) {
+        self.config.geometry = geometry;
+        let mut config = self.config.clone();
+        let estimate =
+            self.latest_estimate().filter(|estimate| estimate.validity.position && estimate.validity.heading);
+        if let Some(estimate) = estimate {
+            config.start = Some(StartPose {
+                pose: estimate.pose,
+                position_sigma_m: estimate.x_sigma_m().max(estimate.y_sigma_m()),
+                heading_sigma_rad: estimate.heading_sigma_rad(),
+            });
+        }
+        self.filter = (self.entry.build)(&config);
+        // A frozen calibration stays frozen; a filter that does not calibrate refuses, and nothing is lost.
+        let _ = self.filter.apply_command(&FilterCommand::SetOnlineCalibration(self.online_calibration));
+    }
+}
+
+/// The gates of a fix by its number of components.
+fn fix_gates(params: &Params) -> [f64; MAX_FIX_COMPONENTS] {
+    [1, 2, 3].map(|components| chi_square_quantile(components, params.gate_probability))
+}
+
+/// The record of an observation that is shown but not used.
+fn unused_record(observation: &Observation) -> FusionRecord {
+    FusionRecord {
+        sensor: observation.sensor,
+        kind: observation.measurement.kind(),
+        stamp: observation.stamp,
+        lag: TimeDelta::ZERO,
+        outcome: FusionOutcome::Unused,
+        innovation: [0.0; 3],
+        innovation_covariance: [[0.0; 3]; 3],
+        nis: 0.0,
+        degrees_of_freedom: 0,
+        log_likelihood: 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_estimator::find_filter;
+    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Pose, Radians, SensorNoise};
+
+    fn estimator() -> Estimator {
+        let config = FilterConfig {
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.028),
+                right_wheel_radius: Meters(0.028),
+                track_width: Meters(0.112),
+                tick: Radians(0.017),
+            },
+            noise: SensorNoise {
+                travel_m_per_sqrt_m: 0.005,
+                turn_rad_per_sqrt_rad: 0.01,
+                fix_position_m: 0.01,
+                fix_heading_rad: 0.01,
+                ..SensorNoise::EXACT
+            },
+            start: Some(StartPose { pose: Pose::default(), position_sigma_m: 0.01, heading_sigma_rad: 0.02 }),
+            params: Params::default(),
+            calibration: Calibration::default(),
+            arena_map: std::sync::Arc::default(),
+        };
+        Estimator::new(find_filter("pose").expect("the main filter"), &config)
+    }
+
+    fn wheels(millis: i64, turned_rad: f64) -> Observation {
+        let angle = Radians(turned_rad);
+        Observation {
+            sensor: SensorId::WHEELS,
+            stamp: Timestamp::from_millis(millis),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::WheelAngles { left: angle, right: angle },
+        }
+    }
+
+    fn fix(millis: i64, x_m: f64) -> Observation {
+        let fix = Fix {
+            position: Point2::new(Meters(x_m), Meters(0.0)),
+            heading: Some(Heading::from_rad(0.0)),
+            covariance: None,
+            tag_in_body: Point2::ORIGIN,
+            reset_counter: 0,
+        };
+        Observation { sensor: SensorId::CAMERA, measurement: ObservationKind::Fix(fix), ..wheels(millis, 0.0) }
+    }
+
+    #[test]
+    fn a_sensor_that_is_switched_off_is_recorded_and_changes_nothing() {
+        let mut estimator = estimator();
+        estimator.observe(&wheels(0, 0.0));
+        estimator.observe(&wheels(100, 1.0));
+        let before = estimator.latest_estimate();
+        estimator.switch_sensor(SensorId::CAMERA, SensorSwitch::Off);
+        let report = estimator.observe(&fix(100, 0.028));
+        assert!(!report.is_used);
+        assert_eq!((report.record.outcome, report.record.kind), (FusionOutcome::Unused, "fix"));
+        assert_eq!(estimator.latest_estimate(), before);
+        estimator.switch_sensor(SensorId::CAMERA, SensorSwitch::On);
+        assert!(estimator.observe(&fix(100, 0.028)).is_used);
+    }
+
+    #[test]
+    fn the_fix_ratio_is_above_one_exactly_for_a_fix_that_the_gate_rejects() {
+        let mut estimator = estimator();
+        estimator.observe(&wheels(0, 0.0));
+        estimator.observe(&wheels(100, 0.0));
+        assert_eq!(estimator.fix_ratio(), 0.0);
+        assert_eq!(estimator.observe(&fix(100, 0.005)).record.outcome, FusionOutcome::Accepted);
+        assert!(estimator.fix_ratio() < 1.0, "{}", estimator.fix_ratio());
+        assert_eq!(estimator.observe(&fix(100, 0.5)).record.outcome, FusionOutcome::Gated);
+        assert!(estimator.fix_ratio() > 1.0, "{}", estimator.fix_ratio());
+    }
+
+    #[test]
+    fn another_geometry_goes_on_at_the_pose_and_a_frozen_calibration_stays_frozen() {
+        let mut estimator = estimator();
+        estimator.observe(&wheels(0, 0.0));
+        estimator.observe(&wheels(100, 2.0));
+        assert!(estimator.set_online_calibration(OnlineCalibration::Frozen));
+        let before = estimator.latest_estimate().expect("it has a start");
+        estimator.set_geometry(DriveGeometry { track_width: Meters(0.2), ..estimator.geometry() });
+        estimator.observe(&wheels(200, 2.0));
+        let after = estimator.latest_estimate().expect("it goes on");
+        assert!((after.pose.x.0 - before.pose.x.0).abs() < 1e-9, "{} {}", after.pose.x.0, before.pose.x.0);
+        assert_eq!(estimator.geometry().track_width, Meters(0.2));
+    }
+}

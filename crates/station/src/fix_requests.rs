@@ -1,0 +1,135 @@
+//! Fixes that are asked for: when the station is no longer sure enough where the robot is, it asks the cameras that answer.
+//!
+//! # Model
+//! ```text
+//! ask  if  max(sigma_x, sigma_y) > above_m  or  sigma_heading > above_rad  or  the pose is not known
+//!          and the last request is at least `interval` old
+//! ```
+//! The question is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the codec of cameras
+//! that speak JSON says it in its own words. Asked is who has said in a heartbeat that it is a camera. One that refuses the command is
+//! not asked again until it is restarted; one that does not react rests for a while, so that a slow link is not filled with questions.
+//!
+//! # Sources
+//! MAVLink common.xml: MAV_CMD_REQUEST_MESSAGE, MAV_RESULT; minimal.xml: MAV_TYPE_CAMERA. docs/protocols/camera-json.md.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::{CommandAck, CommandLong, Message};
+use posebridge_telemetry::{Address, Estimate, HostClock, LinkId, TimeDelta, Timestamp};
+
+use crate::config::FixRequestConfig;
+
+/// MAV_TYPE_CAMERA.
+const MAV_TYPE_CAMERA: u8 = 30;
+/// MAV_RESULT_ACCEPTED, _TEMPORARILY_REJECTED and _IN_PROGRESS: all others refuse for good.
+const NOT_REFUSED: [u8; 3] = [0, 1, 5];
+/// So many cameras are remembered; those that come later are not asked, and share the last sensor's number.
+pub(crate) const MAX_CAMERAS: usize = 64;
+/// So many requests in a row without a fix, and a camera rests.
+const MAX_UNANSWERED: u32 = 4;
+/// For so long.
+const PAUSE: TimeDelta = TimeDelta::from_millis(5_000);
+
+/// Who can be asked, and when somebody was asked last.
+#[derive(Debug, Default)]
+pub(crate) struct FixRequests {
+    cameras: BTreeMap<(LinkId, Address), Camera>,
+    last_request: Option<Timestamp<HostClock>>,
+}
+
+/// A camera that may be asked.
+#[derive(Clone, Copy, Debug, Default)]
+struct Camera {
+    /// It does not know the command.
+    has_refused: bool,
+    unanswered: u32,
+    paused_until: Option<Timestamp<HostClock>>,
+}
+
+/// The question for a fix.
+pub(crate) fn fix_request(target: Address) -> Message {
+    let mut params = [0.0; 7];
+    params[0] = ids::VISION_POSITION_ESTIMATE as f32;
+    Message::Command(CommandLong { target, command: ids::COMMAND_REQUEST_MESSAGE, params })
+}
+
+impl FixRequests {
+    /// Whom to ask now, if the estimate is so poor.
+    pub(crate) fn due(
+        &mut self,
+        now: Timestamp<HostClock>,
+        config: &FixRequestConfig,
+        estimate: Option<&Estimate>,
+    ) -> Vec<(LinkId, Address)> {
+        let is_early = self.last_request.is_some_and(|last| now - last < config.interval);
+        if is_early || !is_fix_needed(config, estimate) {
+            return Vec::new();
+        }
+        let mut asked = Vec::new();
+        for (who, camera) in &mut self.cameras {
+            if camera.has_refused || camera.paused_until.is_some_and(|until| now < until) {
+                continue;
+            }
+            camera.unanswered += 1;
+            camera.paused_until = None;
+            if camera.unanswered >= MAX_UNANSWERED {
+                camera.unanswered = 0;
+                camera.paused_until = Some(now + PAUSE);
+            }
+            asked.push(*who);
+        }
+        if !asked.is_empty() {
+            self.last_request = Some(now);
+        }
+        asked
+    }
+
+    pub(crate) fn observe_message(&mut self, who: (LinkId, Address), message: &Message) {
+        #[expect(clippy::wildcard_enum_match_arm, reason = "no other message says whether a camera answers")]
+        match message {
+            Message::Heartbeat(heartbeat)
+                if heartbeat.vehicle_type == MAV_TYPE_CAMERA && self.cameras.len() < MAX_CAMERAS =>
+            {
+                self.cameras.entry(who).or_default();
+            }
+            Message::CommandAck(CommandAck { command: ids::COMMAND_REQUEST_MESSAGE, result, .. })
+                if !NOT_REFUSED.contains(result) =>
+            {
+                if let Some(camera) = self.cameras.get_mut(&who) {
+                    camera.has_refused = true;
+                }
+            }
+            Message::VisionPosition(_) | Message::MocapPosition(_) | Message::Odometry(_) => {
+                if let Some(camera) = self.cameras.get_mut(&who) {
+                    camera.unanswered = 0;
+                    camera.paused_until = None;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whoever began anew may know more than before.
+    pub(crate) fn reset_camera(&mut self, who: (LinkId, Address)) {
+        if let Some(camera) = self.cameras.get_mut(&who) {
+            *camera = Camera::default();
+        }
+    }
+}
+
+fn is_fix_needed(config: &FixRequestConfig, estimate: Option<&Estimate>) -> bool {
+    if config.above_m.is_none() && config.above_rad.is_none() {
+        return false;
+    }
+    let Some(estimate) = estimate else {
+        return true;
+    };
+    let position_sigma_m = estimate.x_sigma_m().max(estimate.y_sigma_m());
+    let exceeds =
+        |limit: Option<f64>, is_valid: bool, sigma: f64| limit.is_some_and(|limit| !is_valid || sigma > limit);
+    let is_placed = estimate.validity.position;
+    let is_turned = estimate.validity.heading;
+    exceeds(config.above_m, is_placed, position_sigma_m)
+        || exceeds(config.above_rad, is_turned, estimate.heading_sigma_rad())
+}

@@ -1,0 +1,119 @@
+//! Frames of others on their way through one input: which of them are new, and to which links they go.
+//!
+//! The router decides ([`posebridge_protocol::routing`]); this collects what it decided, because frames are forwarded only after the
+//! station's own output.
+
+use posebridge_protocol::dialect::{self, ids, is_signed};
+use posebridge_protocol::framing::{FrameRef, WireVersion};
+use posebridge_protocol::routing::{
+    DuplicateStatus, Endpoint, FrameRouter, LinkSharing, SenderCheck, SenderInfo, priority_of,
+};
+use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, Timestamp};
+
+use crate::vehicle_proxy::VehicleProxies;
+
+/// Looks at the frames of one input as they are found, and keeps those that go on.
+pub(crate) struct ForwardingPass<'a> {
+    router: &'a mut FrameRouter,
+    now: Timestamp<HostClock>,
+    from: Endpoint,
+    sharing: LinkSharing,
+    /// The robots as vehicles on the link: the station may have to answer a command in their place.
+    vehicles: Option<&'a VehicleProxies>,
+    report: ForwardingReport,
+}
+
+/// What a passage leaves behind.
+#[derive(Debug, Default)]
+pub(crate) struct ForwardingReport {
+    /// Frames that the inward filter kept out.
+    pub(crate) filtered: u64,
+    /// Frames that had come before by another way.
+    pub(crate) duplicates: u64,
+    /// Frames under the station's own address that it has not said.
+    pub(crate) address_conflicts: u64,
+    pub(crate) forwarded: Vec<ForwardedFrame>,
+}
+
+/// A frame that goes on.
+#[derive(Debug)]
+pub(crate) struct ForwardedFrame {
+    pub(crate) message_id: u32,
+    pub(crate) source: Address,
+    pub(crate) sequence: u8,
+    pub(crate) is_signed: bool,
+    pub(crate) version: WireVersion,
+    pub(crate) priority: Priority,
+    /// By which way it came.
+    pub(crate) from: Endpoint,
+    pub(crate) to: Vec<(LinkId, Recipients)>,
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl ForwardingReport {
+    /// Whether there is anything to be done about it.
+    pub(crate) const fn has_content(&self) -> bool {
+        self.filtered > 0 || self.duplicates > 0 || self.address_conflicts > 0 || !self.forwarded.is_empty()
+    }
+}
+
+impl<'a> ForwardingPass<'a> {
+    /// A passage of what comes by one way at `now`; `voice` is the robot's on the link that it comes by.
+    pub(crate) fn new(
+        router: &'a mut FrameRouter,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        sharing: LinkSharing,
+        vehicles: Option<&'a VehicleProxies>,
+    ) -> Self {
+        Self { router, now, from, sharing, vehicles, report: ForwardingReport::default() }
+    }
+
+    /// What it leaves behind.
+    pub(crate) fn finish(self) -> ForwardingReport {
+        self.report
+    }
+
+    /// Takes a frame: whether it has come before, or `None` if it must not be believed.
+    pub(crate) fn route(&mut self, frame: &FrameRef<'_>, check: SenderCheck) -> Option<DuplicateStatus> {
+        if !self.router.admits(self.from.link, frame) {
+            self.report.filtered += 1;
+            return None;
+        }
+        let sharing = self.sharing;
+        let sender = SenderInfo { check, sharing };
+        let mut routed = self.router.route(self.now, self.from, frame, sender);
+        match routed.duplicate_status {
+            DuplicateStatus::Duplicate | DuplicateStatus::Loop => self.report.duplicates += 1,
+            DuplicateStatus::AddressConflict => self.report.address_conflicts += 1,
+            DuplicateStatus::New | DuplicateStatus::Echo => {}
+        }
+        if self.is_answered_here(frame) {
+            routed.to.clear();
+        }
+        if !routed.to.is_empty() {
+            self.report.forwarded.push(ForwardedFrame {
+                message_id: frame.message_id,
+                source: frame.source,
+                sequence: frame.sequence,
+                is_signed: is_signed(frame.raw),
+                from: self.from,
+                version: frame.version,
+                priority: priority_of(frame),
+                to: routed.to,
+                bytes: frame.raw.to_vec(),
+            });
+        }
+        Some(routed.duplicate_status)
+    }
+
+    /// Whether a frame commands the robot what the station does in its name.
+    fn is_answered_here(&self, frame: &FrameRef<'_>) -> bool {
+        let is_command = matches!(frame.message_id, ids::COMMAND_LONG | ids::COMMAND_INT);
+        let Some(vehicles) = self.vehicles.filter(|_| is_command) else {
+            return false;
+        };
+        let message = dialect::decode(frame).ok().flatten();
+        message.is_some_and(|message| vehicles.commanded_vehicle(self.now, &message).is_some())
+    }
+}

@@ -1,0 +1,48 @@
+//! The engine: decode, align clocks, estimate, publish, as one deterministic value.
+//!
+//! [`Station`] takes what links, people and recordings give it and gives back events and bytes to send. It reads no
+//! clock, opens nothing and knows no runtime; live runs, replays, simulations and tests drive the very same object.
+//!
+//! ```text
+//! bytes > framing > messages > readings > clock > estimator > publisher > events, bytes
+//! ```
+
+pub mod clock;
+mod clock_alignment;
+mod codec_events;
+mod commands;
+pub mod config;
+mod decoder;
+mod egress;
+mod estimate_messages;
+mod estimate_publisher;
+mod estimator;
+mod fix_requests;
+mod forwarding;
+mod link_context;
+mod message_requests;
+mod observation_extractor;
+mod observations;
+mod observers;
+mod output_queue;
+mod output_schedule;
+mod peer_framers;
+mod receive;
+mod receive_pass;
+mod record_messages;
+mod robot;
+mod robot_table;
+mod sender_identity;
+mod sessions;
+mod slip_watch;
+mod station;
+mod status_text;
+mod thermometer_bank;
+mod vehicle_proxy;
+
+pub use config::{
+    AcceptedVersions, AnnouncedAs, BrickLink, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant,
+    OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig, ThermometerConfig,
+};
+pub use robot::Robot;
+pub use station::{BuildError, Station};

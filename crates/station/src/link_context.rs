@@ -1,0 +1,127 @@
+//! The receiving side of one link: its state, its framers or its codec, its verifier, its counters.
+
+use std::collections::BTreeSet;
+
+use posebridge_protocol::bricks::BrickCodec;
+use posebridge_protocol::frame_verifier::FrameVerifier;
+use posebridge_protocol::framing::FramerConfig;
+use posebridge_protocol::routing::LinkSharing;
+use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealth, Timestamp};
+
+use crate::config::{AcceptedVersions, LinkConfig};
+use crate::decoder::Decoder;
+use crate::peer_framers::PeerFramers;
+
+/// One link.
+pub(crate) struct LinkContext {
+    pub(crate) state: LinkState,
+    has_been_up: bool,
+    pub(crate) health: LinkHealth,
+    pub(crate) framers: PeerFramers,
+    pub(crate) verifier: FrameVerifier,
+    pub(crate) decoder: Decoder,
+    /// Peers that have said in a heartbeat that they are ground stations.
+    ground_stations: BTreeSet<PeerId>,
+    /// The codec of a robot that speaks no MAVLink; then framers and verifier have nothing to do.
+    pub(crate) codec: Option<Box<dyn BrickCodec>>,
+}
+
+impl LinkContext {
+    pub(crate) fn new(config: &LinkConfig) -> Self {
+        Self {
+            state: LinkState::Down,
+            has_been_up: false,
+            health: LinkHealth::default(),
+            framers: PeerFramers::new(framer_config(config)),
+            verifier: FrameVerifier::new(config.signing.clone()),
+            decoder: Decoder::default(),
+            ground_stations: BTreeSet::new(),
+            codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
+        }
+    }
+
+    /// The link came up or was lost: then what was half received will never be completed.
+    pub(crate) fn set_state(&mut self, now: Timestamp<HostClock>, state: LinkState) {
+        if let (Some(codec), LinkState::Up) = (&mut self.codec, state) {
+            codec.on_link_up(now);
+        }
+        match (self.state, state) {
+            (LinkState::Down, LinkState::Up) => {
+                self.health.reconnects += u64::from(self.has_been_up);
+                self.has_been_up = true;
+            }
+            (_, LinkState::Down) => {
+                self.framers.handle_link_loss();
+                self.verifier.handle_link_loss();
+                self.ground_stations.clear();
+            }
+            (LinkState::Up, LinkState::Up) => {}
+        }
+        self.state = state;
+    }
+
+    /// Whether a peer has the link for itself.
+    pub(crate) fn sharing(&self, peer: PeerId, now: Timestamp<HostClock>) -> LinkSharing {
+        let is_shared = self.framers.has_other_than(peer, now, self.health.port.peers);
+        if is_shared { LinkSharing::Shared } else { LinkSharing::Exclusive }
+    }
+
+    /// Makes room for a peer that is not present yet.
+    pub(crate) fn admit_peer(&mut self, peer: PeerId) {
+        for evicted in self.framers.admit(peer) {
+            self.verifier.forget(evicted);
+            self.ground_stations.remove(&evicted);
+        }
+    }
+
+    /// Forgets peers that have been silent for long.
+    pub(crate) fn evict_idle_peers(&mut self, now: Timestamp<HostClock>) {
+        for evicted in self.framers.evict_idle(now) {
+            self.verifier.forget(evicted);
+            self.ground_stations.remove(&evicted);
+        }
+    }
+
+    /// A peer has said in a heartbeat that it is a ground station.
+    pub(crate) fn add_ground_station(&mut self, peer: PeerId) {
+        self.ground_stations.insert(peer);
+    }
+
+    pub(crate) fn ground_stations(&self) -> impl Iterator<Item = PeerId> {
+        self.ground_stations.iter().copied()
+    }
+
+    /// When framers or codec must be woken.
+    pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        [self.framers.deadline(), self.codec_deadline()].into_iter().flatten().min()
+    }
+
+    /// When the codec must be woken; never while there is nobody to talk to.
+    pub(crate) fn codec_deadline(&self) -> Option<Timestamp<HostClock>> {
+        let codec = self.codec.as_ref()?;
+        (self.state == LinkState::Up).then(|| codec.deadline())?
+    }
+
+    /// Brings the framers' and senders' counters into the health record and returns what each sender has sent.
+    pub(crate) fn refresh_health(&mut self) -> Vec<SourceHealth> {
+        let (sources, counters) = match &self.codec {
+            Some(codec) => (codec.source_health(), codec.counters()),
+            None => (self.verifier.source_health(), self.framers.counters()),
+        };
+        self.health.frames_lost = sources.iter().map(|source| source.lost).sum();
+        self.health.frames_in = counters.frames;
+        self.health.checksum_errors = counters.checksum_errors;
+        self.health.garbage_bytes = counters.garbage_bytes;
+        self.health.unknown_ids = counters.unknown_ids;
+        self.health.timeouts = counters.stalls;
+        sources
+    }
+}
+
+fn framer_config(config: &LinkConfig) -> FramerConfig {
+    FramerConfig {
+        accept_v1: config.accepted_versions == AcceptedVersions::V1AndV2,
+        transport: config.framing,
+        ..FramerConfig::default()
+    }
+}

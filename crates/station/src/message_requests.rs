@@ -1,0 +1,186 @@
+//! Commands about messages: what the station sends once because somebody asks, and how often it sends the rest.
+//!
+//! Both answer alike, the station's own component and, on a link for ground stations, the robot as which it speaks there.
+//!
+//! Sources: MAVLink guide, "Command Protocol"; common.xml, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_GET_MESSAGE_INTERVAL.
+
+use posebridge_protocol::dialect::ids::{
+    self, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
+};
+use posebridge_protocol::framing::WireVersion;
+use posebridge_protocol::message::{
+    AutopilotVersion, CommandLong, CommandResult, ComponentInformation, Heartbeat, Message, MessageInterval,
+    ProtocolVersion,
+};
+use posebridge_telemetry::{ComponentId, HostClock, LinkId, Timestamp};
+
+use crate::config::{AcceptedVersions, StationConfig};
+use crate::egress::Egress;
+use crate::estimate_messages::host_stamp;
+use crate::output_schedule::output_for_message;
+use crate::robot::Robot;
+use crate::robot_table::RobotTable;
+use crate::sessions::SenderRole;
+
+/// Of MAV_PROTOCOL_CAPABILITY: COMMAND_INT is understood.
+const CAPABILITY_COMMAND_INT: u64 = 8;
+/// Parameters are sent as the bytes of their type.
+const CAPABILITY_PARAM_BYTEWISE: u64 = 16;
+/// MAVLink 2 is spoken.
+const CAPABILITY_MAVLINK2: u64 = 8_192;
+/// FIRMWARE_VERSION_TYPE_DEV and FIRMWARE_VERSION_TYPE_OFFICIAL.
+const FIRMWARE_DEVELOPMENT: u8 = 0;
+const FIRMWARE_RELEASE: u8 = 255;
+/// An interval of a message that there is not.
+const NO_SUCH_MESSAGE: i32 = 0;
+
+/// What becomes of a request, and what is sent behind the answer.
+#[derive(Debug)]
+pub(crate) struct Answer {
+    pub(crate) result: CommandResult,
+    pub(crate) messages: Vec<Message>,
+}
+
+impl Answer {
+    pub(crate) const fn of(result: CommandResult) -> Self {
+        Self { result, messages: Vec::new() }
+    }
+
+    /// A question to all components is for whoever can answer it: when the station cannot, another one may be meant.
+    pub(crate) fn is_left_to_others(&self, command: &CommandLong) -> bool {
+        let is_question = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
+        let is_for_all = command.target.component == ComponentId(0);
+        is_question && is_for_all && self.result != CommandResult::Accepted
+    }
+}
+
+/// What answers are made from.
+#[derive(Clone, Copy)]
+pub(crate) struct RequestContext<'a> {
+    pub(crate) config: &'a StationConfig,
+    pub(crate) now: Timestamp<HostClock>,
+    pub(crate) robots: &'a RobotTable,
+    pub(crate) egress: &'a Egress,
+    pub(crate) link: LinkId,
+    pub(crate) role: SenderRole,
+}
+
+/// The answer to a command about messages; `None` if it is about something else. `heartbeat` is the present one of the role: whoever
+/// does not show that it is there does not say so when asked, either.
+pub(crate) fn answer(
+    context: &RequestContext<'_>,
+    command: &CommandLong,
+    heartbeat: Option<Heartbeat>,
+) -> Option<Answer> {
+    match command.command {
+        COMMAND_REQUEST_MESSAGE => Some(context.requested_message(command, heartbeat)),
+        COMMAND_GET_MESSAGE_INTERVAL => Some(match command.named_message() {
+            Some(message_id) => context.interval(message_id),
+            None => Answer::of(CommandResult::Denied),
+        }),
+        // It names no message, or an interval that is none.
+        COMMAND_SET_MESSAGE_INTERVAL => Some(Answer::of(CommandResult::Denied)),
+        _ => None,
+    }
+}
+
+impl RequestContext<'_> {
+    fn requested_message(&self, command: &CommandLong, heartbeat: Option<Heartbeat>) -> Answer {
+        let Some(message_id) = command.named_message() else {
+            return Answer::of(CommandResult::Denied);
+        };
+        let messages = match message_id {
+            ids::HEARTBEAT => heartbeat.map(Message::Heartbeat).into_iter().collect(),
+            ids::AUTOPILOT_VERSION => vec![Message::AutopilotVersion(AutopilotVersion {
+                capabilities: self.capabilities(),
+                software: firmware_version(),
+            })],
+            ids::PROTOCOL_VERSION => vec![self.protocol_version()],
+            ids::COMPONENT_INFORMATION_BASIC => vec![self.component_information()],
+            ids::MESSAGE_INTERVAL => {
+                let [_, about, ..] = command.params;
+                // The id stands in the second parameter, and the answer has room for 16 bits of it.
+                if !(0.0..=f32::from(u16::MAX)).contains(&about) {
+                    return Answer::of(CommandResult::Denied);
+                }
+                return self.interval(about as u32);
+            }
+            other => match output_for_message(other) {
+                Some(kind) => {
+                    let robot = self.robot();
+                    robot.publisher.current(self.link, kind, robot.estimate_source(self.now))
+                }
+                None => return Answer::of(CommandResult::Unsupported),
+            },
+        };
+        if messages.is_empty() {
+            // There was none yet; it may be asked for again.
+            return Answer::of(CommandResult::TemporarilyRejected);
+        }
+        Answer { result: CommandResult::Accepted, messages }
+    }
+
+    /// The robot that the role speaks for; the station speaks for the first.
+    fn robot(&self) -> &Robot {
+        match self.role {
+            SenderRole::Station => self.robots.first(),
+            SenderRole::Vehicle(id) => self.robots.find(id).map_or(self.robots.first(), |index| self.robots.get(index)),
+        }
+    }
+
+    fn interval(&self, message_id: u32) -> Answer {
+        let Ok(on_wire) = u16::try_from(message_id) else {
+            return Answer::of(CommandResult::Denied);
+        };
+        let kind = output_for_message(message_id);
+        let interval = kind.and_then(|kind| self.robot().publisher.interval_micros(self.link, kind));
+        let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);
+        let reply = Message::MessageInterval(MessageInterval { message_id: on_wire, interval_micros });
+        Answer { result: CommandResult::Accepted, messages: vec![reply] }
+    }
+
+    fn capabilities(&self) -> u64 {
+        let version = match self.egress.send_version(self.link) {
+            Some(WireVersion::V2) => CAPABILITY_MAVLINK2,
+            Some(WireVersion::V1) | None => 0,
+        };
+        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | version
+    }
+
+    fn protocol_version(&self) -> Message {
+        let link = self.config.links.iter().find(|link| link.id == self.link);
+        let sends_v1 = link.is_some_and(|link| link.send_version == WireVersion::V1);
+        let accepts_v1 = link.is_some_and(|link| link.accepted_versions == AcceptedVersions::V1AndV2);
+        Message::ProtocolVersion(ProtocolVersion {
+            version: if sends_v1 { 100 } else { 200 },
+            min_version: if accepts_v1 { 100 } else { 200 },
+            max_version: 200,
+        })
+    }
+
+    fn component_information(&self) -> Message {
+        let model = match self.role {
+            SenderRole::Station => "pose estimator",
+            SenderRole::Vehicle(_) => "robot seen by posebridge",
+        };
+        Message::ComponentInformation(ComponentInformation {
+            capabilities: self.capabilities(),
+            stamp: host_stamp(self.now),
+            vendor: "posebridge".to_owned(),
+            model: model.to_owned(),
+            software_version: env!("CARGO_PKG_VERSION").to_owned(),
+        })
+    }
+}
+
+/// Our version as AUTOPILOT_VERSION tells it; a number that does not fit reads as 0.
+fn firmware_version() -> [u8; 4] {
+    let number = |text: &str| text.parse().unwrap_or(0);
+    let kind = if env!("CARGO_PKG_VERSION_PRE").is_empty() { FIRMWARE_RELEASE } else { FIRMWARE_DEVELOPMENT };
+    [
+        number(env!("CARGO_PKG_VERSION_MAJOR")),
+        number(env!("CARGO_PKG_VERSION_MINOR")),
+        number(env!("CARGO_PKG_VERSION_PATCH")),
+        kind,
+    ]
+}

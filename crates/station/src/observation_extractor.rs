@@ -1,0 +1,259 @@
+//! From messages to observations: what a message says about the robot, and by which clock it is stamped.
+
+use posebridge_protocol::message::{
+    Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
+};
+use posebridge_telemetry::{Body, DriveGeometry, Fix, ObservationKind, Point2, PositionCovariance, Radians, SensorId};
+
+use crate::config::RobotConfig;
+
+/// Whose clock stamped a reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ClockSource {
+    /// The robot's own.
+    Robot,
+    /// That of an observer outside.
+    Observer,
+}
+
+/// What a message says, before its stamp is aligned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct UnalignedObservation {
+    pub(crate) sensor: SensorId,
+    pub(crate) stamp: WireStamp,
+    pub(crate) clock_source: ClockSource,
+    pub(crate) observed: ObservationKind,
+    /// The gyro's turn since power-up, where the sender tells it: a lost frame then costs nothing.
+    pub(crate) gyro_turn: Option<Radians>,
+    /// The number of the tag that a fix is of.
+    pub(crate) tag: Option<u32>,
+}
+
+/// What interpretation needs to know about the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ObservationExtractor {
+    pub(crate) geometry: DriveGeometry,
+    pub(crate) tag_in_body: Point2<Body>,
+}
+
+impl ObservationExtractor {
+    pub(crate) const fn new(config: &RobotConfig) -> Self {
+        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body }
+    }
+
+    /// What a message says about the robot: none, one or two readings.
+    pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
+        match message {
+            Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
+            Message::WheelDistance { stamp, left, right } => {
+                let observed = ObservationKind::WheelAngles {
+                    left: Radians(left.0 / self.geometry.left_wheel_radius.0),
+                    right: Radians(right.0 / self.geometry.right_wheel_radius.0),
+                };
+                [Some(robot_observation(SensorId::WHEELS, *stamp, observed)), None]
+            }
+            Message::Inertial(inertial) => inertial_readings(inertial),
+            Message::ScaledImu(imu) | Message::HighresImu(imu) => [imu_reading(imu), None],
+            Message::DistanceSensor { stamp, range, .. } => [
+                Some(robot_observation(
+                    SensorId::RANGE,
+                    *stamp,
+                    ObservationKind::WallRange(*range),
+                )),
+                None,
+            ],
+            Message::Compass { stamp, heading } => [
+                Some(robot_observation(
+                    SensorId::COMPASS,
+                    *stamp,
+                    ObservationKind::CompassHeading(*heading),
+                )),
+                None,
+            ],
+            Message::VisionPosition(fix) | Message::MocapPosition(fix) => {
+                [Some(self.fix(fix)), None]
+            }
+            Message::Odometry(odometry) => [Some(odometry_reading(odometry)), None],
+            Message::Heartbeat(_)
+            | Message::SystemTime { .. }
+            | Message::TimeSync(_)
+            | Message::SetMessageInterval(_)
+            | Message::Command(_)
+            | Message::CommandInt(_)
+            | Message::CommandAck(_)
+            | Message::StatusText { .. }
+            | Message::AutopilotVersion(_)
+            | Message::ProtocolVersion(_)
+            | Message::ComponentInformation(_)
+            | Message::MessageInterval(_)
+            | Message::NamedValue(_)
+            | Message::FloatArray(_)
+            // Thermometers have filters of their own.
+            | Message::Thermometer { .. }
+            | Message::PlanarPose(_)
+            | Message::FusionHealth(_)
+            | Message::RobotDescription(_)
+            | Message::LocalPosition { .. }
+            | Message::Attitude { .. }
+            | Message::EstimatorStatus(_)
+            | Message::ParamRequestList { .. }
+            | Message::ParamRequestRead { .. }
+            | Message::ParamSet { .. }
+            | Message::ParamSetUnsupported { .. }
+            | Message::ParamValue { .. } => [None, None],
+        }
+    }
+
+    fn wheel_ticks(&self, ticks: &WheelTicks) -> UnalignedObservation {
+        let tick_rad = self.geometry.tick.0;
+        let observed = ObservationKind::WheelAngles {
+            left: Radians(ticks.left.0 as f64 * tick_rad),
+            right: Radians(ticks.right.0 as f64 * tick_rad),
+        };
+        robot_observation(SensorId::WHEELS, ticks.stamp, observed)
+    }
+
+    fn fix(&self, seen: &VisionFix) -> UnalignedObservation {
+        let covariance = seen.covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
+            xx_m2,
+            xy_m2,
+            yy_m2,
+            heading_rad2: known_or_infinite(heading_rad2),
+        });
+        UnalignedObservation {
+            sensor: SensorId::CAMERA,
+            stamp: seen.stamp,
+            clock_source: ClockSource::Observer,
+            gyro_turn: None,
+            tag: seen.tag,
+            observed: ObservationKind::Fix(Fix {
+                position: Point2::new(seen.x, seen.y),
+                heading: seen.heading,
+                covariance,
+                tag_in_body: self.tag_in_body,
+                reset_counter: seen.reset_counter,
+            }),
+        }
+    }
+}
+
+/// A heading's variance of zero or NaN is what senders write who know that of the position alone.
+fn known_or_infinite(heading_rad2: f64) -> f64 {
+    if heading_rad2 > 0.0 { heading_rad2 } else { f64::INFINITY }
+}
+
+fn robot_observation(sensor: SensorId, stamp: WireStamp, observed: ObservationKind) -> UnalignedObservation {
+    UnalignedObservation { sensor, stamp, clock_source: ClockSource::Robot, observed, gyro_turn: None, tag: None }
+}
+
+fn inertial_readings(inertial: &Inertial) -> [Option<UnalignedObservation>; 2] {
+    let rate = inertial.turn_rate.map(|rate| UnalignedObservation {
+        gyro_turn: inertial.turn,
+        ..robot_observation(SensorId::GYRO, inertial.stamp, ObservationKind::TurnRate(rate))
+    });
+    let accelerations = inertial.wheel_accelerations.map(|(left, right)| {
+        robot_observation(SensorId::ACCELEROMETER, inertial.stamp, ObservationKind::WheelAccelerations { left, right })
+    });
+    [rate, accelerations]
+}
+
+fn imu_reading(imu: &PlanarImu) -> Option<UnalignedObservation> {
+    imu.turn_rate.map(|rate| robot_observation(SensorId::GYRO, imu.stamp, ObservationKind::TurnRate(rate)))
+}
+
+fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
+    match odometry.pose {
+        OdometryPose::Odom(pose) => {
+            robot_observation(SensorId::ODOMETER, odometry.stamp, ObservationKind::OdometerPose(pose))
+        }
+        OdometryPose::Arena(pose) => {
+            UnalignedObservation {
+                sensor: SensorId::CAMERA,
+                stamp: odometry.stamp,
+                clock_source: ClockSource::Observer,
+                gyro_turn: None,
+                tag: None,
+                observed: ObservationKind::Fix(Fix {
+                    position: pose.origin(),
+                    heading: Some(pose.heading),
+                    covariance: odometry.covariance.map(|[xx_m2, xy_m2, _, yy_m2, _, heading_rad2]| {
+                        PositionCovariance { xx_m2, xy_m2, yy_m2, heading_rad2: known_or_infinite(heading_rad2) }
+                    }),
+                    tag_in_body: Point2::ORIGIN,
+                    reset_counter: odometry.reset_counter,
+                }),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Heading, Meters};
+
+    const INTERPRETER: ObservationExtractor = ObservationExtractor {
+        geometry: DriveGeometry {
+            left_wheel_radius: Meters(0.03),
+            right_wheel_radius: Meters(0.02),
+            track_width: Meters(0.1),
+            tick: Radians(0.5),
+        },
+        tag_in_body: Point2::new(Meters(0.07), Meters(0.0)),
+    };
+
+    fn fix_with(covariance: Option<[f64; 4]>) -> Fix {
+        let message = Message::VisionPosition(VisionFix {
+            stamp: WireStamp::Micros64(7),
+            x: Meters(1.0),
+            y: Meters(2.0),
+            heading: Some(Heading::from_rad(0.3)),
+            covariance,
+            reset_counter: 0,
+            tag: None,
+        });
+        let [Some(reading), None] = INTERPRETER.extract(&message) else {
+            panic!("a fix is one reading");
+        };
+        assert_eq!(reading.clock_source, ClockSource::Observer);
+        let ObservationKind::Fix(fix) = reading.observed else {
+            panic!("a fix is a fix");
+        };
+        fix
+    }
+
+    #[test]
+    fn a_heading_variance_that_says_nothing_is_infinite() {
+        for (written, expected) in [(0.01, 0.01), (0.0, f64::INFINITY), (f64::NAN, f64::INFINITY)] {
+            let fix = fix_with(Some([1e-4, 0.0, 1e-4, written]));
+            let covariance = fix.covariance.unwrap();
+            assert_eq!(covariance.heading_rad2, expected, "{written}");
+        }
+        assert_eq!(fix_with(None).covariance, None);
+        assert_eq!(fix_with(None).tag_in_body, INTERPRETER.tag_in_body);
+    }
+
+    #[test]
+    fn a_compass_of_the_brick_is_a_heading() {
+        let heading = Heading::from_rad(0.5);
+        let stamp = WireStamp::Millis32(9);
+        let [Some(reading), None] = INTERPRETER.extract(&Message::Compass { stamp, heading }) else {
+            panic!("a compass is one reading");
+        };
+        assert_eq!(reading.sensor, SensorId::COMPASS);
+        assert_eq!(reading.clock_source, ClockSource::Robot);
+        assert_eq!(reading.observed, ObservationKind::CompassHeading(heading));
+    }
+
+    #[test]
+    fn distances_of_wheels_of_unequal_size_become_their_rotations() {
+        let message = Message::WheelDistance { stamp: WireStamp::Micros64(7), left: Meters(0.3), right: Meters(-0.1) };
+        let [Some(reading), None] = INTERPRETER.extract(&message) else {
+            panic!("both wheels are one reading");
+        };
+        let ObservationKind::WheelAngles { left, right } = reading.observed else {
+            panic!("wheels turn");
+        };
+        assert!((left.0 - 10.0).abs() < 1e-12 && (right.0 + 5.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,414 @@
+//! What messages say about robots: from a message to the robot's clock, estimator and publisher.
+
+use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
+use posebridge_protocol::routing::DuplicateStatus;
+use posebridge_telemetry::{
+    Address, Celsius, ChannelName, Estimate, Event, HostClock, LinkId, Observation, ObservationKind, Priority,
+    ReceiveError, RobotId, TimeDelta, Timestamp,
+};
+
+use crate::clock::align::Alignment;
+use crate::config::DescriptionPolicy;
+use crate::fix_requests::fix_request;
+use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
+use crate::observers::ObserverId;
+use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
+use crate::robot::described_geometry;
+use crate::robot_table::RobotIndex;
+use crate::sender_identity::{SenderIdentity, SenderSign};
+use crate::station::{SEVERITY_WARNING, Station};
+use crate::thermometer_bank::TemperatureReading;
+
+/// MAV_TYPE_GCS.
+const MAV_TYPE_GCS: u8 = 6;
+
+/// Who sent the message that is being handled.
+struct MessageSender {
+    received: ReceiveInfo,
+    sign: SenderSign,
+    robot: Option<RobotIndex>,
+}
+
+impl Station {
+    /// Acts on a message: sessions first, then what it says about robots.
+    pub(crate) fn handle_message(&mut self, received: ReceiveInfo, message: &ReceivedMessage) {
+        let now = self.time.now;
+        let ReceivedMessage { source, duplicate_status, message: ref content } = *message;
+        // Redundant links are one: a robot, its clock and its observations know only the first of them.
+        let home = self.router.first_of_group(received.endpoint.link);
+        let known = self.robots.at_endpoint(received.endpoint, home, source);
+        self.sessions.handle(now, received.endpoint.link, message, known);
+        self.drain_sessions(received);
+        let extractor = known.map(|index| self.robots.get(index).extractor);
+        let extractor = extractor.unwrap_or_else(|| self.extractor_for_unknown(home, source, content.fix_tag()));
+        let observations = extractor.extract(content);
+        if duplicate_status == DuplicateStatus::Duplicate {
+            self.observe_copy(received, (home, source), known, content, &observations);
+            return;
+        }
+        if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
+            self.emit(Event::Text { source, severity: *severity, text: text.clone() });
+        }
+        self.observers.fix_requests.observe_message((home, source), content);
+        if let Message::Heartbeat(heartbeat) = content
+            && heartbeat.vehicle_type == MAV_TYPE_GCS
+            && let Some(link) = self.links.get_mut(&received.endpoint.link)
+        {
+            link.add_ground_station(received.endpoint.peer);
+        }
+        let sign = SenderSign {
+            endpoint: received.endpoint,
+            home,
+            address: source,
+            is_new: duplicate_status == DuplicateStatus::New,
+            is_telemetry: observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot),
+        };
+        let identity = self.robots.identify(now, sign);
+        if identity == SenderIdentity::Contested {
+            return;
+        }
+        let mut sender = MessageSender { received, sign, robot: None };
+        if let SenderIdentity::Robot(index) = identity {
+            sender.robot = Some(index);
+            self.robots.record_seen(index, received.endpoint, now);
+        }
+        if let Message::RobotDescription(description) = content {
+            self.handle_description(&mut sender, description);
+        }
+        if let Message::Thermometer { stamp, channel, temperature } = *content {
+            self.handle_temperature(&sender, stamp, channel, temperature);
+        }
+        for observation in observations.iter().flatten() {
+            // What went round a loop is news only from a robot, whose telemetry counts on its own link alone.
+            if sign.is_new || sender.robot.is_some() || observation.clock_source == ClockSource::Robot {
+                self.handle_observation(&mut sender, observation);
+            }
+        }
+    }
+
+    /// The extractor for a sender that is no robot yet: of its own geometry, and of the tag of the robot that its fixes are for.
+    fn extractor_for_unknown(&self, home: LinkId, source: Address, tag: Option<u32>) -> ObservationExtractor {
+        let unknown = ObservationExtractor::new(self.config.robot_for(home, source));
+        let robot = self.fixed_robot(source, tag).map(|index| self.robots.get(index).extractor);
+        ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
+    }
+
+    /// What came before by another link of the group is nothing new, but by this link it is one more bound of its sender's clock.
+    fn observe_copy(
+        &mut self,
+        received: ReceiveInfo,
+        observer: ObserverId,
+        robot: Option<RobotIndex>,
+        message: &Message,
+        observations: &[Option<UnalignedObservation>],
+    ) {
+        if let Message::Thermometer { stamp, .. } = *message {
+            match robot {
+                Some(index) => self.robots.get_mut(index).clocks.observe_copy(received, stamp),
+                None => self.observers.observe_copy(observer, received, stamp),
+            }
+        }
+        for observation in observations.iter().flatten() {
+            match robot {
+                Some(index) if observation.clock_source == ClockSource::Robot => {
+                    self.robots.get_mut(index).clocks.observe_copy(received, observation.stamp);
+                }
+                Some(_) | None => self.observers.observe_copy(observer, received, observation.stamp),
+            }
+        }
+    }
+
+    fn handle_observation(&mut self, sender: &mut MessageSender, observation: &UnalignedObservation) {
+        match (observation.clock_source, sender.robot) {
+            (ClockSource::Robot, _) => {
+                if let Some(index) = self.adopt_robot(sender) {
+                    self.handle_robot_observation(sender.received, index, observation);
+                }
+            }
+            (ClockSource::Observer, Some(index)) => self.handle_relayed_fix(sender.received, index, observation),
+            (ClockSource::Observer, None) => self.handle_observer_fix(sender, observation),
+        }
+    }
+
+    /// The robot that a sender of odometry is, if it may be one.
+    fn adopt_robot(&mut self, sender: &mut MessageSender) -> Option<RobotIndex> {
+        if sender.robot.is_none() {
+            sender.robot = self.robots.adopt(self.time.now, sender.sign, &self.config, &mut self.observers);
+            if let Some(index) = sender.robot {
+                self.report_announced_system(index, sender.sign.address);
+                self.update_presence();
+            }
+        }
+        sender.robot
+    }
+
+    /// Says so if a robot is announced under another system id than its own.
+    fn report_announced_system(&mut self, index: RobotIndex, address: Address) {
+        let robot = self.robots.get(index);
+        let announced = robot.vehicle_address.system;
+        if announced != address.system {
+            let link = robot.id.link;
+            let text = format!(
+                "another robot has the ids {address} of the one on link {link}: this one is called {announced}/{}",
+                address.component
+            );
+            self.report_own_text(SEVERITY_WARNING, text);
+        }
+    }
+
+    fn handle_robot_observation(
+        &mut self,
+        received: ReceiveInfo,
+        index: RobotIndex,
+        observation: &UnalignedObservation,
+    ) {
+        let Some((time, sigma)) = self.align_robot_time(received, index, observation.stamp) else {
+            return;
+        };
+        let robot = self.robots.get_mut(index);
+        let measurement = robot.clocks.mean_turn_rate(time, observation);
+        let source = robot.id.address;
+        let aligned = Observation { sensor: observation.sensor, stamp: time, stamp_sigma: sigma, measurement };
+        self.observe(index, source, received.host_time, aligned);
+    }
+
+    /// The instant of a robot's timestamp and its sigma; `None` if it has none.
+    fn align_robot_time(
+        &mut self,
+        received: ReceiveInfo,
+        index: RobotIndex,
+        stamp: WireStamp,
+    ) -> Option<(Timestamp<posebridge_telemetry::BrickClock>, TimeDelta)> {
+        let robot = self.robots.get_mut(index);
+        let id = robot.id;
+        let aligned = robot.clocks.align(received, stamp);
+        if aligned.has_restarted {
+            self.handle_robot_restart(index);
+        }
+        if aligned.is_unaligned {
+            self.report_unaligned(received.endpoint.link, id.address);
+        }
+        aligned.time
+    }
+
+    /// A fix that a robot relays, stamped by its own clock: it may be older than any reordering explains.
+    fn handle_relayed_fix(&mut self, received: ReceiveInfo, index: RobotIndex, observation: &UnalignedObservation) {
+        let robot = self.robots.get(index);
+        let source = robot.id.address;
+        let Some(time) = robot.clocks.align_relayed(observation.stamp) else {
+            return;
+        };
+        let aligned = Observation {
+            sensor: observation.sensor,
+            stamp: time,
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: observation.observed,
+        };
+        self.observe(index, source, received.host_time, aligned);
+    }
+
+    /// A fix of an observer with a clock of its own: to the host's clock, then to that of the robot that the fix is for.
+    fn handle_observer_fix(&mut self, sender: &MessageSender, observation: &UnalignedObservation) {
+        let (link, source) = (sender.sign.home, sender.sign.address);
+        let observer = (link, source);
+        let host = self.observers.host_time(observer, sender.received, observation.stamp);
+        if host.has_restarted {
+            self.request_time_burst(observer);
+            self.observers.fix_requests.reset_camera(observer);
+        }
+        let robot = self.fixed_robot(source, observation.tag);
+        let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
+            Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
+        });
+        let Some((index, (time, sigma))) = aligned else {
+            self.report_unaligned(link, source);
+            return;
+        };
+        let aligned = Observation {
+            sensor: self.observers.camera_sensor(observer),
+            stamp: time,
+            stamp_sigma: sigma,
+            measurement: observation.observed,
+        };
+        self.observe(index, source, sender.received.host_time, aligned);
+    }
+
+    /// The robot that a fix is for: the one with the tag that was seen, else the only one, else the one in whose system its sender is.
+    fn fixed_robot(&self, sender: Address, tag: Option<u32>) -> Option<RobotIndex> {
+        let named = tag.and_then(|tag| self.robots.of_tag(tag));
+        named.or_else(|| self.robots.only()).or_else(|| self.robots.of_system(sender.system))
+    }
+
+    /// Gives an observation to a robot's estimator and publishes what became of it.
+    pub(crate) fn observe(
+        &mut self,
+        index: RobotIndex,
+        source: Address,
+        arrival: Timestamp<HostClock>,
+        observation: Observation,
+    ) {
+        let now = self.time.now;
+        let robot = self.robots.get(index).id;
+        self.emit(Event::ObservationAligned { robot, source, arrival, observation });
+        let report = self.robots.get_mut(index).estimator.observe(&observation);
+        if report.is_used {
+            self.robots.mark_news(index);
+        }
+        let record = report.record;
+        if let ObservationKind::WallRange(range) = observation.measurement {
+            let links = &self.links;
+            let is_up =
+                |id: LinkId| links.get(&id).is_some_and(|link| link.state == posebridge_telemetry::LinkState::Up);
+            let robot = self.robots.get_mut(index);
+            let host = robot.clocks.to_host(observation.stamp).unwrap_or(now);
+            for message in robot.publisher.publish_range(now, range, host, is_up) {
+                self.send_published(index, &message);
+            }
+        }
+        let robot_entry = self.robots.get_mut(index);
+        for message in robot_entry.publisher.publish_record(now, &record, &robot_entry.clocks) {
+            self.send_published(index, &message);
+        }
+        self.emit(Event::ObservationFused { robot, record });
+        if report.slip_began {
+            self.report_own_text(SEVERITY_WARNING, "wheels slip: gyro and wheels disagree".to_owned());
+        }
+    }
+
+    /// Asks cameras for a fix if an estimate is not good enough; `None` is none at all.
+    pub(crate) fn request_fixes(&mut self, estimate: Option<&Estimate>) {
+        let due = self.observers.fix_requests.due(self.time.now, &self.config.fix_requests, estimate);
+        for (link, camera) in due {
+            self.send(link, &fix_request(camera), Priority::Command);
+        }
+    }
+
+    /// A time request and its answer.
+    pub(crate) fn handle_time_exchange(&mut self, peer: Address, exchange: &TimeExchange) {
+        // No clock of a robot or a camera counts backwards from its power-up: a negative instant is damage.
+        if exchange.peer_nanos < 0 {
+            return;
+        }
+        let link = exchange.answer.endpoint.link;
+        // Bounds of one clock, whichever of several redundant links they came by.
+        let home = self.router.first_of_group(link);
+        match self.robots.at_endpoint(exchange.answer.endpoint, home, peer) {
+            Some(index) => self.align_robot_clock(index, exchange),
+            None => self.align_observer_clock((home, peer), exchange),
+        }
+    }
+
+    fn align_robot_clock(&mut self, index: RobotIndex, exchange: &TimeExchange) {
+        let robot_entry = self.robots.get_mut(index);
+        let robot = robot_entry.id;
+        let outcome = robot_entry.clocks.observe_exchange(exchange);
+        if outcome.is_contradicted {
+            self.report_unaligned(exchange.answer.endpoint.link, robot.address);
+        }
+        if outcome.has_restarted {
+            self.handle_robot_restart(index);
+        }
+        if let Some(Alignment { remote, host, offset, skew_ppm, uncertainty, round_trip, .. }) = outcome.alignment {
+            let round_trip = Some(round_trip);
+            let brick = remote;
+            self.emit(Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host });
+        }
+    }
+
+    fn align_observer_clock(&mut self, observer: ObserverId, exchange: &TimeExchange) {
+        let outcome = self.observers.observe_exchange(observer, exchange);
+        if outcome.is_contradicted {
+            self.report_unaligned(exchange.answer.endpoint.link, observer.1);
+        }
+        if outcome.has_restarted {
+            self.request_time_burst(observer);
+        }
+        if let Some(Alignment { remote, host, offset, uncertainty, .. }) = outcome.alignment {
+            self.emit(Event::CameraClockAligned { camera: observer.1, offset, uncertainty, stamp: remote, host });
+        }
+    }
+
+    /// Aligns a thermometer's reading and lets it wait for [`Self::process_temperatures`]; other messages say nothing here.
+    ///
+    /// A thermometer may sit on a robot or on any other brick. That one's clock is kept like a camera's, but never converted: the
+    /// thermometer's filter asks only how much time lies between two readings.
+    fn handle_temperature(
+        &mut self,
+        sender: &MessageSender,
+        stamp: WireStamp,
+        channel: ChannelName,
+        temperature: Celsius,
+    ) {
+        let SenderSign { home, address, is_new, .. } = sender.sign;
+        if !is_new && sender.robot.is_none() {
+            return;
+        }
+        let mut brick = RobotId { link: home, address };
+        let time = if let Some(index) = sender.robot {
+            brick = self.robots.get(index).id;
+            self.align_robot_time(sender.received, index, stamp).map(|(time, _)| time)
+        } else {
+            let aligned = self.observers.own_time((home, address), sender.received, stamp);
+            if aligned.has_restarted {
+                self.restart_thermometers(brick);
+                self.request_time_burst((home, address));
+            }
+            if aligned.time.is_none() {
+                self.report_unaligned(home, address);
+            }
+            aligned.time
+        };
+        if let Some(stamp) = time {
+            let arrival = sender.received.host_time;
+            self.thermometers.push(TemperatureReading { brick, channel, arrival, stamp, shown: temperature });
+        }
+    }
+
+    /// What came before a restart is used before it.
+    fn restart_thermometers(&mut self, brick: RobotId) {
+        self.process_temperatures();
+        self.thermometers.restart(brick);
+    }
+
+    /// A robot was switched off and on: it has forgotten what was asked of it.
+    fn handle_robot_restart(&mut self, index: RobotIndex) {
+        let now = self.time.now;
+        let robot = self.robots.get_mut(index);
+        let id = robot.id;
+        robot.estimator.restart_clock();
+        self.restart_thermometers(id);
+        self.robots.get_mut(index).clocks.forget_gyro_turn();
+        for link in self.links.keys() {
+            if self.router.are_redundant(*link, id.link) {
+                self.sessions.handle_peer_restart(now, *link, id.address);
+            }
+        }
+        self.emit(Event::BrickRestarted { robot: id });
+    }
+
+    /// A robot's own word about its geometry.
+    fn handle_description(&mut self, sender: &mut MessageSender, description: &RobotDescription) {
+        let is_wanted = sender.robot.map_or_else(
+            || {
+                let robot = self.config.robot_for(sender.sign.home, sender.sign.address);
+                robot.description == DescriptionPolicy::Adopt
+            },
+            |index| self.robots.get(index).wants_description(),
+        );
+        let Some(geometry) = described_geometry(description).filter(|_| is_wanted) else {
+            return;
+        };
+        if let Some(index) = self.adopt_robot(sender) {
+            self.robots.get_mut(index).set_described_geometry(geometry);
+        }
+    }
+
+    /// Some quick time requests find out how a clock runs that began anew.
+    fn request_time_burst(&mut self, (link, peer): ObserverId) {
+        self.sessions.handle_peer_restart(self.time.now, link, peer);
+    }
+
+    fn report_unaligned(&mut self, link: LinkId, source: Address) {
+        self.emit(Event::ReceiveError { link, defect: ReceiveError::ClockNotAligned { source } });
+    }
+}

@@ -1,0 +1,289 @@
+//! Which outputs leave on one link, and how often.
+//!
+//! Estimates leave as they come, ranges as they are observed, records of fusion as they are made, one stream per sensor. Each kind has
+//! an interval on each link: configured, or asked for by a peer.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{FusionOutcome, FusionRecord, HostClock, Priority, SensorId, TimeDelta, Timestamp};
+
+use crate::config::{OutputInstant, OutputKind, OutputStream};
+use crate::record_messages;
+
+/// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
+pub(crate) const SETTABLE_OUTPUTS: [(u32, OutputKind); 9] = [
+    (ids::PB_PLANAR_POSE, OutputKind::PlanarPose),
+    (ids::ODOMETRY, OutputKind::Odometry),
+    (ids::LOCAL_POSITION_NED, OutputKind::LocalPosition),
+    (ids::ATTITUDE, OutputKind::Attitude),
+    (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
+    (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
+    (ids::DISTANCE_SENSOR, OutputKind::DistanceSensor),
+    (ids::NAMED_VALUE_FLOAT, OutputKind::NamedValue),
+    (ids::DEBUG_FLOAT_ARRAY, OutputKind::FloatArray),
+];
+
+/// The output that a message is; `None` if it is none.
+pub(crate) fn output_for_message(message_id: u32) -> Option<OutputKind> {
+    let row = SETTABLE_OUTPUTS.iter().find(|(id, _)| *id == message_id);
+    row.map(|(_, kind)| *kind)
+}
+
+/// The message that an output is.
+pub(crate) fn message_for_output(kind: OutputKind) -> u32 {
+    let row = SETTABLE_OUTPUTS.iter().find(|(_, known)| *known == kind);
+    row.map_or(0, |(id, _)| *id)
+}
+
+/// What one of the outputs is worth on a slow link.
+pub(crate) fn priority(kind: OutputKind) -> Priority {
+    Priority::Estimate { stream: message_for_output(kind) }
+}
+
+/// The same of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
+pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
+    Priority::Estimate { stream: message_for_output(kind) | u32::from(sensor.0) << 24 }
+}
+
+/// When a stream was sent last, and when it is due.
+#[derive(Clone, Copy, Debug)]
+struct StreamSchedule {
+    last: Timestamp<HostClock>,
+    /// Time between the last two.
+    gap: Option<TimeDelta>,
+    due: Timestamp<HostClock>,
+}
+
+impl StreamSchedule {
+    /// When a stream that was due and is sent now is due again.
+    ///
+    /// There is something to send only now and then, and never at the very instant. Counted from what was due, and not from what was
+    /// sent, such delays do not add up: one of each interval leaves in the mean. One that had nothing to send may be made up for; after
+    /// a longer silence the count begins anew, or a burst would follow it.
+    fn due_after(due: Timestamp<HostClock>, interval: TimeDelta, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
+        let next = due + interval;
+        if now - next < interval { next } else { now + interval }
+    }
+}
+
+/// Keeps the intervals of one link's outputs.
+#[derive(Clone, Debug)]
+pub(crate) struct OutputSchedule {
+    /// What is sent unless a peer asks for something else.
+    configured: Vec<OutputStream>,
+    streams: Vec<OutputStream>,
+    /// By kind, and by sensor where there is one.
+    schedules: BTreeMap<(OutputKind, Option<SensorId>), StreamSchedule>,
+    /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
+    counts: BTreeMap<SensorId, record_messages::FusionCounts>,
+}
+
+impl OutputSchedule {
+    pub(crate) fn new(streams: &[OutputStream]) -> Self {
+        Self {
+            configured: streams.to_vec(),
+            streams: streams.to_vec(),
+            schedules: BTreeMap::new(),
+            counts: BTreeMap::new(),
+        }
+    }
+
+    /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
+    pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<TimeDelta>) {
+        let Some(kind) = output_for_message(message_id) else {
+            return;
+        };
+        let configured = self.configured.iter().find(|stream| stream.kind == kind);
+        let configured = configured.copied();
+        self.streams.retain(|stream| stream.kind != kind);
+        self.schedules.retain(|(sent, _), _| *sent != kind);
+        let asked = |interval| OutputStream {
+            kind,
+            interval,
+            instant: configured.map_or(OutputInstant::Observed, |stream| stream.instant),
+        };
+        self.streams.extend(match interval {
+            None => None,
+            Some(TimeDelta::ZERO) => configured,
+            Some(interval) => Some(asked(interval)),
+        });
+    }
+
+    /// The interval of an output as MESSAGE_INTERVAL tells it, in microseconds: -1 if it is not sent. Of one that is sent as it comes
+    /// the time between the last two; 1 before there were two.
+    pub(crate) fn interval_micros(&self, kind: OutputKind) -> i32 {
+        let Some(stream) = self.streams.iter().find(|stream| stream.kind == kind) else {
+            return -1;
+        };
+        let mut sent = self.schedules.iter().filter(|((sent, _), _)| *sent == kind);
+        let seen = sent.find_map(|(_, sent)| sent.gap).unwrap_or(TimeDelta::ZERO);
+        let span = match stream.interval {
+            TimeDelta::ZERO => seen,
+            interval => interval,
+        };
+        i32::try_from(span.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
+    }
+
+    /// Which messages of estimates are due; they count as sent.
+    pub(crate) fn due(&mut self, now: Timestamp<HostClock>) -> Vec<OutputStream> {
+        let indices = 0..self.streams.len();
+        let of_estimates = indices.filter_map(|index| {
+            let stream = *self.streams.get(index)?;
+            let is_due = stream.kind.is_estimate_output() && self.is_due(&stream, None, now);
+            is_due.then_some(stream)
+        });
+        of_estimates.collect()
+    }
+
+    /// Whether the range of a sensor is due; then it counts as sent.
+    pub(crate) fn range_due(&mut self, now: Timestamp<HostClock>) -> bool {
+        let mut streams = self.streams.iter();
+        let stream = streams.find(|stream| stream.kind == OutputKind::DistanceSensor);
+        let stream = stream.copied();
+        stream.is_some_and(|stream| self.is_due(&stream, None, now))
+    }
+
+    /// The messages of an observation that was held against a prediction, as far as this link wants them; `host` is when it was made.
+    pub(crate) fn messages_for_record(
+        &mut self,
+        record: &FusionRecord,
+        host: &impl Fn() -> Timestamp<HostClock>,
+        now: Timestamp<HostClock>,
+    ) -> Vec<(OutputKind, Message)> {
+        let counts = self.counts.entry(record.sensor).or_default();
+        counts.add(record.outcome);
+        let counts = *counts;
+        if record.degrees_of_freedom == 0 {
+            return Vec::new();
+        }
+        let indices = 0..self.streams.len();
+        let of_records = indices.filter_map(|index| {
+            let stream = *self.streams.get(index)?;
+            if stream.kind.is_estimate_output() {
+                return None;
+            }
+            let message = record_messages::message(stream.kind, record, host(), counts)?;
+            let is_due = self.is_due(&stream, Some(record.sensor), now);
+            is_due.then_some((stream.kind, message))
+        });
+        of_records.collect()
+    }
+
+    /// How the observations of a sensor fared so far.
+    pub(crate) fn counts_of(&self, sensor: SensorId) -> record_messages::FusionCounts {
+        self.counts.get(&sensor).copied().unwrap_or_default()
+    }
+
+    fn is_due(&mut self, stream: &OutputStream, sensor: Option<SensorId>, now: Timestamp<HostClock>) -> bool {
+        let key = (stream.kind, sensor);
+        let (gap, due) = match self.schedules.get(&key) {
+            Some(sent) if now < sent.due => return false,
+            Some(sent) => (Some(now - sent.last), StreamSchedule::due_after(sent.due, stream.interval, now)),
+            None => (None, now + stream.interval),
+        };
+        let last = now;
+        self.schedules.insert(key, StreamSchedule { last, gap, due });
+        true
+    }
+}
+
+impl OutputKind {
+    /// Whether it tells of the estimate, and not of an observation.
+    const fn is_estimate_output(self) -> bool {
+        match self {
+            Self::PlanarPose | Self::Odometry | Self::LocalPosition | Self::Attitude | Self::EstimatorStatus => true,
+            Self::FusionHealth | Self::DistanceSensor | Self::NamedValue | Self::FloatArray => false,
+        }
+    }
+}
+
+impl record_messages::FusionCounts {
+    /// One more observation, with what became of it.
+    const fn add(&mut self, verdict: FusionOutcome) {
+        match verdict {
+            FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset | FusionOutcome::Rebased => {
+                self.accepted = self.accepted.wrapping_add(1);
+            }
+            FusionOutcome::Gated | FusionOutcome::TooOld | FusionOutcome::Malformed => {
+                self.rejected = self.rejected.wrapping_add(1);
+            }
+            FusionOutcome::Unused => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::OUTPUTS;
+
+    #[test]
+    fn every_output_has_one_message_whose_interval_may_be_set() {
+        for (name, kind) in OUTPUTS {
+            assert_eq!(output_for_message(message_for_output(*kind)), Some(*kind), "{name}");
+        }
+        assert_eq!(OUTPUTS.len(), SETTABLE_OUTPUTS.len());
+    }
+
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
+    }
+
+    /// Estimates come at the instants of telemetry, which are no multiples of what a peer asks for, and with the delays of a link.
+    #[test]
+    fn an_interval_is_kept_in_the_mean_whatever_the_instants_of_estimates() {
+        /// Milliseconds by which each of ten in a row is late.
+        const LATE: [i64; 10] = [0, 9, 3, 18, 1, 7, 0, 12, 5, 2];
+        for period in [20, 50] {
+            for wanted in [50, 100, 250, 333, 1_000] {
+                let stream = OutputStream {
+                    kind: OutputKind::Odometry,
+                    interval: TimeDelta::from_millis(wanted),
+                    instant: OutputInstant::Observed,
+                };
+                let mut schedule = OutputSchedule::new(&[stream]);
+                let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
+                let sent = estimates.filter(|now| schedule.due(at(*now)).len() == 1);
+                let (sent, expected) = (sent.count() as i64, 60_000 / wanted);
+                assert!(
+                    (sent - expected).abs() <= 1,
+                    "{sent} of {expected} in a minute, asked for each {wanted} ms, estimates each {period} ms"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_silence_is_not_made_up_for() {
+        let stream = OutputStream {
+            kind: OutputKind::Odometry,
+            interval: TimeDelta::from_millis(100),
+            instant: OutputInstant::Observed,
+        };
+        let mut schedule = OutputSchedule::new(&[stream]);
+        let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
+        let sent: Vec<i64> = silent_until.filter(|now| schedule.due(at(*now)).len() == 1).collect();
+        let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
+        assert_eq!(sent, expected.collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn an_interval_is_told_as_it_is_kept() {
+        let stream =
+            OutputStream { kind: OutputKind::Odometry, interval: TimeDelta::ZERO, instant: OutputInstant::Observed };
+        let mut schedule = OutputSchedule::new(&[stream]);
+        assert_eq!(schedule.interval_micros(OutputKind::Attitude), -1);
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), 1);
+        assert_eq!(schedule.due(at(0)), [stream]);
+        assert_eq!(schedule.due(at(40)), [stream]);
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), 40_000);
+        schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::from_millis(250)));
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), 250_000);
+        assert_eq!(schedule.due(at(41)).len(), 1);
+        assert_eq!(schedule.due(at(290)).len(), 0);
+        schedule.set_interval(ids::ODOMETRY, None);
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), -1);
+    }
+}

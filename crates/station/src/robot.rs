@@ -1,0 +1,141 @@
+//! One robot: its clock, its filter, and what it and its observers are sent.
+
+use posebridge_estimator::FilterEntry;
+use posebridge_protocol::message::RobotDescription;
+use posebridge_protocol::routing::Endpoint;
+use posebridge_telemetry::{
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, Timestamp,
+};
+
+use crate::clock_alignment::ClockAlignment;
+use crate::config::{DescriptionPolicy, LinkConfig, RobotConfig};
+use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
+use crate::estimator::Estimator;
+use crate::observation_extractor::ObservationExtractor;
+use crate::sessions::PEER_TIMEOUT;
+
+/// One robot.
+pub struct Robot {
+    pub(crate) id: RobotId,
+    name: Option<String>,
+    /// The number by which fixes name it.
+    pub(crate) tag: Option<u32>,
+    /// The address that ground stations see as the vehicle.
+    pub(crate) vehicle_address: Address,
+    pub(crate) extractor: ObservationExtractor,
+    pub(crate) clocks: ClockAlignment,
+    pub(crate) estimator: Estimator,
+    pub(crate) publisher: EstimatePublisher,
+    /// By which endpoint and when the robot was heard last.
+    pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
+    description: DescriptionPolicy,
+    is_described: bool,
+}
+
+impl Robot {
+    /// A robot that was not heard yet; `links` are those of the station.
+    pub(crate) fn new(entry: &'static FilterEntry, config: &RobotConfig, links: &[LinkConfig]) -> Self {
+        Self {
+            id: RobotId::default(),
+            name: config.name.clone(),
+            tag: config.tag,
+            vehicle_address: Address::default(),
+            extractor: ObservationExtractor::new(config),
+            clocks: ClockAlignment::default(),
+            estimator: Estimator::new(entry, &config.filter_config),
+            publisher: EstimatePublisher::new(links),
+            last_seen: None,
+            description: config.description,
+            is_described: false,
+        }
+    }
+
+    /// Which robot this is; the default before any robot was heard.
+    #[must_use]
+    pub const fn id(&self) -> RobotId {
+        self.id
+    }
+
+    /// What people call it; `None` if no block of the configuration gives it a name.
+    #[must_use]
+    pub fn name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
+    /// The address that ground stations see as the vehicle.
+    #[must_use]
+    pub const fn vehicle_address(&self) -> Address {
+        self.vehicle_address
+    }
+
+    /// The estimate at an instant of the robot's clock.
+    #[must_use]
+    pub fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.estimator.estimate_at(time)
+    }
+
+    /// The latest instant of any observation.
+    #[must_use]
+    pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.estimator.latest_time()
+    }
+
+    /// What the filter has learned about the robot, relative to [`Self::geometry`].
+    #[must_use]
+    pub fn calibration(&self) -> Option<Calibration> {
+        self.estimator.calibration()
+    }
+
+    /// The nominal geometry that the filter works with: the configured one, or the one that the robot has described.
+    #[must_use]
+    pub const fn geometry(&self) -> DriveGeometry {
+        self.estimator.geometry()
+    }
+
+    /// The sensors that are switched off.
+    pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
+        self.estimator.switched_off()
+    }
+
+    /// Whether the robot was heard recently.
+    pub(crate) fn is_alive(&self, now: Timestamp<HostClock>) -> bool {
+        self.last_seen.is_some_and(|(_, last)| now - last < PEER_TIMEOUT)
+    }
+
+    /// What the messages of an estimate are made from.
+    pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {
+        EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator }
+    }
+
+    /// What the messages of an estimate are made from, and the publisher that makes them.
+    pub(crate) fn publishing(&mut self, now: Timestamp<HostClock>) -> (&mut EstimatePublisher, EstimateSource<'_>) {
+        (&mut self.publisher, EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator })
+    }
+
+    /// The robot's own word about its geometry replaces the configured one, once, if that is wanted and makes sense.
+    pub(crate) fn wants_description(&self) -> bool {
+        self.description == DescriptionPolicy::Adopt && !self.is_described
+    }
+
+    /// Takes over the geometry that the robot has described.
+    pub(crate) fn set_described_geometry(&mut self, geometry: DriveGeometry) {
+        self.is_described = true;
+        if geometry != self.estimator.geometry() {
+            self.extractor.geometry = geometry;
+            self.estimator.set_geometry(geometry);
+        }
+    }
+}
+
+/// The geometry that a robot says it has, if every length of it can be one.
+pub(crate) fn described_geometry(said: &RobotDescription) -> Option<DriveGeometry> {
+    let geometry = DriveGeometry {
+        left_wheel_radius: said.left_wheel_radius,
+        right_wheel_radius: said.right_wheel_radius,
+        track_width: said.track_width,
+        tick: Radians(std::f64::consts::TAU / said.ticks_per_turn),
+    };
+    let lengths =
+        [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0, geometry.tick.0];
+    lengths.iter().all(|length| length.is_finite() && *length > 0.0).then_some(geometry)
+}

@@ -1,0 +1,254 @@
+//! All robots of a station, in the order in which they were first heard.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use posebridge_estimator::{FilterEntry, find_filter};
+use posebridge_protocol::routing::{Endpoint, FrameRouter};
+use posebridge_telemetry::{Address, HostClock, LinkId, RobotId, SystemId, TimeDelta, Timestamp};
+
+use crate::clock_alignment::ClockAlignment;
+use crate::config::StationConfig;
+use crate::observers::Observers;
+use crate::output_schedule::output_for_message;
+use crate::robot::Robot;
+use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
+use crate::sessions::PEER_TIMEOUT;
+use crate::vehicle_proxy::VEHICLE_COMPONENT;
+
+/// Systems that are given to robots whose own is taken; those above are for ground stations.
+const LAST_VEHICLE_SYSTEM: u8 = 250;
+
+/// Which robot of the table.
+pub(crate) type RobotIndex = usize;
+
+/// All robots. There is always a first one: before any is heard it takes what a replay or a person gives.
+pub(crate) struct RobotTable {
+    robots: Vec<Robot>,
+    by_id: BTreeMap<RobotId, RobotIndex>,
+    identities: SenderIdentities,
+    by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
+    /// Which robots are at home on a link, by the first link of its group.
+    by_link: BTreeMap<LinkId, Vec<RobotIndex>>,
+    /// Robots with something new since their last estimate, in the order of the table.
+    news: BTreeSet<RobotIndex>,
+    /// Robots whose estimate the other links have not been sent yet.
+    pending: BTreeSet<RobotIndex>,
+    /// Intervals that peers asked for, which hold for robots that appear later, too.
+    intervals: Vec<(LinkId, u32, Option<TimeDelta>)>,
+    /// Before this instant no robot that is alive can have been silent for too long.
+    presence_until: Option<Timestamp<HostClock>>,
+}
+
+impl RobotTable {
+    pub(crate) fn new(entry: &'static FilterEntry, config: &StationConfig) -> Self {
+        Self {
+            robots: vec![Robot::new(entry, &config.robot, &config.links)],
+            by_id: BTreeMap::new(),
+            identities: SenderIdentities::default(),
+            by_system: BTreeMap::new(),
+            by_link: BTreeMap::new(),
+            news: BTreeSet::new(),
+            pending: BTreeSet::new(),
+            intervals: Vec::new(),
+            presence_until: None,
+        }
+    }
+
+    /// The first robot; before any is heard, the one that is configured.
+    pub(crate) fn first(&self) -> &Robot {
+        &self.robots[0]
+    }
+
+    pub(crate) fn get(&self, index: RobotIndex) -> &Robot {
+        &self.robots[index]
+    }
+
+    pub(crate) fn get_mut(&mut self, index: RobotIndex) -> &mut Robot {
+        &mut self.robots[index]
+    }
+
+    pub(crate) fn all(&self) -> &[Robot] {
+        &self.robots
+    }
+
+    pub(crate) fn all_mut(&mut self) -> &mut [Robot] {
+        &mut self.robots
+    }
+
+    /// The robot with this id.
+    pub(crate) fn find(&self, id: RobotId) -> Option<RobotIndex> {
+        self.by_id.get(&id).copied()
+    }
+
+    /// How many robots were heard.
+    pub(crate) fn len(&self) -> usize {
+        self.by_id.len()
+    }
+
+    /// The only robot that was heard.
+    pub(crate) fn only(&self) -> Option<RobotIndex> {
+        (self.len() == 1).then_some(0)
+    }
+
+    /// The robot of a system; `None` if there is none or more than one.
+    pub(crate) fn of_system(&self, system: SystemId) -> Option<RobotIndex> {
+        match self.by_system.get(&system)?.as_slice() {
+            [index] => Some(*index),
+            _ => None,
+        }
+    }
+
+    /// The robot of a tag; `None` if there is none or more than one.
+    pub(crate) fn of_tag(&self, tag: u32) -> Option<RobotIndex> {
+        let mut robots = self.robots.iter().take(self.len()).enumerate().filter(|(_, robot)| robot.tag == Some(tag));
+        let found = robots.next().map(|(index, _)| index);
+        found.filter(|_| robots.next().is_none())
+    }
+
+    /// Who sent a message that came in now.
+    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, sign: SenderSign) -> SenderIdentity {
+        self.identities.identify(now, sign)
+    }
+
+    /// The robot that is heard by an endpoint under an address; `home` is the first link of the endpoint's group.
+    pub(crate) fn at_endpoint(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
+        self.identities.find(endpoint, home, address)
+    }
+
+    /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
+    pub(crate) fn adopt(
+        &mut self,
+        now: Timestamp<HostClock>,
+        sign: SenderSign,
+        config: &StationConfig,
+        observers: &mut Observers,
+    ) -> Option<RobotIndex> {
+        let address = sign.address;
+        if config.robot_system.is_some_and(|wanted: SystemId| wanted != address.system)
+            || self.len() >= config.max_robots.max(1)
+        {
+            return None;
+        }
+        // Only telemetry tells two robots with the same ids apart.
+        if !sign.is_telemetry && self.identities.is_known(address) {
+            return None;
+        }
+        let vehicle_address = self.free_vehicle_address(address.system, config.own_address);
+        let index = self.len();
+        let robot_config = config.robot_for(sign.home, address);
+        // The first robot takes the place of the one that is configured, with what that was given before it was heard.
+        if index == self.robots.len() || *robot_config != config.robot {
+            let entry = find_filter(&robot_config.filter)?;
+            let mut robot = Robot::new(entry, robot_config, &config.links);
+            robot.estimator.set_params(config.robot.filter_config.params);
+            for (link, message_id, interval) in &self.intervals {
+                robot.publisher.set_interval(*link, *message_id, *interval);
+            }
+            self.robots.truncate(index);
+            self.robots.push(robot);
+        }
+        // Two robots with the same ids on one link are told apart by the system that the second is given.
+        let system = if self.identities.is_taken(sign.home, address) { vehicle_address.system } else { address.system };
+        let id = RobotId { link: sign.home, address: Address { system, ..address } };
+        self.identities.add(now, sign, index);
+        self.by_id.insert(id, index);
+        self.by_link.entry(id.link).or_default().push(index);
+        self.by_system.entry(system).or_default().push(index);
+        let robot = &mut self.robots[index];
+        robot.id = id;
+        robot.vehicle_address = vehicle_address;
+        // Its answers to time requests may have come before its telemetry.
+        if let Some(clock) = observers.remove_clock((sign.home, address)) {
+            robot.clocks = ClockAlignment::from_observer(clock);
+        }
+        self.presence_until = None;
+        Some(index)
+    }
+
+    /// The address under which ground stations see a robot: that of its own system, unless another robot has it.
+    fn free_vehicle_address(&self, wanted: SystemId, own: Address) -> Address {
+        let is_taken = |system: SystemId| {
+            let mut known = self.robots.iter().take(self.len());
+            known.any(|robot| robot.vehicle_address.system == system || robot.id.address.system == system)
+        };
+        let system = if is_taken(wanted) {
+            let mut systems = (1..=LAST_VEHICLE_SYSTEM).map(SystemId);
+            systems.find(|system| *system != own.system && !is_taken(*system)).unwrap_or(wanted)
+        } else {
+            wanted
+        };
+        Address { system, component: VEHICLE_COMPONENT }
+    }
+
+    /// A message of a robot came in.
+    pub(crate) fn record_seen(&mut self, index: RobotIndex, endpoint: Endpoint, now: Timestamp<HostClock>) {
+        let robot = &mut self.robots[index];
+        if !robot.is_alive(now) {
+            self.presence_until = None;
+        }
+        robot.last_seen = Some((endpoint, now));
+    }
+
+    /// Whether any robot was heard recently.
+    pub(crate) fn is_any_alive(&self, now: Timestamp<HostClock>) -> bool {
+        self.robots.iter().any(|robot| robot.is_alive(now))
+    }
+
+    /// Whether a robot may have come, gone or come back since this was asked last.
+    pub(crate) fn take_presence_change(&mut self, now: Timestamp<HostClock>) -> bool {
+        if self.presence_until.is_some_and(|until| now < until) {
+            return false;
+        }
+        let alive = self.robots.iter().filter(|robot| robot.is_alive(now));
+        let ends = alive.filter_map(|robot| robot.last_seen.map(|(_, last)| last + PEER_TIMEOUT));
+        self.presence_until = Some(ends.min().unwrap_or(Timestamp::from_nanos(i64::MAX)));
+        true
+    }
+
+    /// The robots that are at home on a link: heard there, or on a link that is redundant to it.
+    pub(crate) fn at_home(&self, link: LinkId, router: &FrameRouter) -> &[RobotIndex] {
+        self.by_link.get(&router.first_of_group(link)).map_or(&[], Vec::as_slice)
+    }
+
+    /// A peer asks for another interval of a robot's message, or of all robots'.
+    pub(crate) fn set_interval(
+        &mut self,
+        robot: Option<RobotIndex>,
+        link: LinkId,
+        message_id: u32,
+        interval: Option<TimeDelta>,
+    ) {
+        if let Some(index) = robot {
+            self.robots[index].publisher.set_interval(link, message_id, interval);
+            return;
+        }
+        if output_for_message(message_id).is_none() {
+            return;
+        }
+        self.intervals.retain(|(of_link, of_message, _)| (*of_link, *of_message) != (link, message_id));
+        self.intervals.push((link, message_id, interval));
+        for robot in &mut self.robots {
+            robot.publisher.set_interval(link, message_id, interval);
+        }
+    }
+
+    /// Something new is known about a robot.
+    pub(crate) fn mark_news(&mut self, index: RobotIndex) {
+        self.news.insert(index);
+    }
+
+    /// The next robot with something new.
+    pub(crate) fn pop_news(&mut self) -> Option<RobotIndex> {
+        self.news.pop_first()
+    }
+
+    /// A robot was sent its estimate, and the other links were not.
+    pub(crate) fn mark_pending(&mut self, index: RobotIndex) {
+        self.pending.insert(index);
+    }
+
+    /// The next robot whose estimate the other links have not been sent yet.
+    pub(crate) fn pop_pending(&mut self) -> Option<RobotIndex> {
+        self.pending.pop_first()
+    }
+}

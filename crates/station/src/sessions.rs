@@ -1,0 +1,299 @@
+//! The conversations beside the telemetry: heartbeats, time requests, parameters and commands, link by link.
+//!
+//! On every link the station speaks as itself; on a link for ground stations it speaks as each robot, too.
+
+use std::collections::BTreeMap;
+
+use posebridge_estimator::PARAMS;
+use posebridge_protocol::dialect::commands::SUPPORTED_COMMANDS;
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::{Heartbeat, Message};
+use posebridge_protocol::routing::DuplicateStatus;
+use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
+
+use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
+use crate::output_schedule::SETTABLE_OUTPUTS;
+use crate::receive::ReceivedMessage;
+use crate::robot_table::RobotIndex;
+use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
+
+/// MAV_TYPE_ONBOARD_CONTROLLER.
+const ONBOARD_CONTROLLER: u8 = 18;
+/// MAV_AUTOPILOT_INVALID: not an autopilot.
+const NOT_AN_AUTOPILOT: u8 = 8;
+/// MAV_STATE_ACTIVE.
+const ACTIVE: u8 = 4;
+/// The common interval of heartbeats.
+const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+/// Five missed heartbeats: the usual limit of ground stations.
+pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
+/// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
+const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
+
+/// Commands that are taken also when they are for all components: what people ask of the station, and questions about messages,
+/// which whoever can may answer.
+const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
+    let [storage, start, stop, pose, reset, calibration, source] = SUPPORTED_COMMANDS;
+    [
+        ids::COMMAND_GET_MESSAGE_INTERVAL,
+        ids::COMMAND_REQUEST_MESSAGE,
+        storage,
+        start,
+        stop,
+        pose,
+        reset,
+        calibration,
+        source,
+    ]
+};
+
+/// As whom the station sends something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum SenderRole {
+    /// As the station itself.
+    Station,
+    /// As a robot, on a link for ground stations.
+    Vehicle(RobotId),
+}
+
+/// The sessions of all links.
+#[derive(Debug)]
+pub(crate) struct Sessions {
+    links: BTreeMap<LinkId, LinkSessions>,
+    /// What a robot's session as a vehicle is built from.
+    vehicle: SessionConfig,
+    has_ground_stations: bool,
+}
+
+#[derive(Debug)]
+struct LinkSessions {
+    station: Session<HostClock>,
+    /// The robots as vehicles, on a link for ground stations.
+    vehicles: Option<VehicleProxies>,
+}
+
+impl Sessions {
+    pub(crate) fn new(config: &StationConfig, now: Timestamp<HostClock>) -> Self {
+        let links: BTreeMap<LinkId, LinkSessions> = config
+            .links
+            .iter()
+            .map(|link| {
+                let is_for_ground_stations =
+                    link.announced_as == AnnouncedAs::StationAndVehicle && link.brick.is_none();
+                let sessions = LinkSessions {
+                    station: open_session(link, config, now),
+                    vehicles: is_for_ground_stations.then(VehicleProxies::default),
+                };
+                (link.id, sessions)
+            })
+            .collect();
+        let vehicle = SessionConfig {
+            heartbeat: ROVER,
+            timesync_period: None,
+            requested_messages: Vec::new(),
+            ..station_session_config(config)
+        };
+        Self { has_ground_stations: links.values().any(|link| link.vehicles.is_some()), links, vehicle }
+    }
+
+    /// Whether any link is for ground stations.
+    pub(crate) const fn has_ground_stations(&self) -> bool {
+        self.has_ground_stations
+    }
+
+    /// The links for ground stations, with the robots as vehicles.
+    pub(crate) fn ground_station_links(&self) -> impl Iterator<Item = LinkId> {
+        self.links.iter().filter(|(_, link)| link.vehicles.is_some()).map(|(id, _)| *id)
+    }
+
+    /// The robots as vehicles on a link; `None` if it is not for ground stations.
+    pub(crate) fn vehicles(&self, id: LinkId) -> Option<&VehicleProxies> {
+        self.links.get(&id)?.vehicles.as_ref()
+    }
+
+    pub(crate) fn vehicles_mut(&mut self, id: LinkId) -> Option<&mut VehicleProxies> {
+        self.links.get_mut(&id)?.vehicles.as_mut()
+    }
+
+    /// Lets a robot appear as a vehicle on a link for ground stations, under `address`.
+    pub(crate) fn add_vehicle(
+        &mut self,
+        id: LinkId,
+        robot: RobotId,
+        address: Address,
+        responder: CommandResponder,
+        now: Timestamp<HostClock>,
+    ) {
+        let config = SessionConfig { own: address, ..self.vehicle.clone() };
+        if let Some(vehicles) = self.vehicles_mut(id) {
+            vehicles.add(robot, config, responder, now);
+        }
+    }
+
+    /// Whether the station sends heartbeats on the links for ground stations.
+    pub(crate) fn set_heartbeat_mode(&mut self, mode: HeartbeatMode) {
+        for link in self.links.values_mut().filter(|link| link.vehicles.is_some()) {
+            link.station.set_heartbeat_mode(mode);
+        }
+    }
+
+    /// Gives a message to the sessions of the link that it came by; `robot` is its sender, if that is one.
+    ///
+    /// A request that has come before was done then. What went round a loop was not sent on this link; only a robot is always heard on
+    /// its own, because a copy may have been quicker. But answers are waited for where the question left, and so is a sign of life.
+    pub(crate) fn handle(
+        &mut self,
+        now: Timestamp<HostClock>,
+        id: LinkId,
+        received: &ReceivedMessage,
+        robot: Option<RobotIndex>,
+    ) {
+        let message = &received.message;
+        let is_heard = match received.duplicate_status {
+            DuplicateStatus::New => true,
+            DuplicateStatus::Loop if robot.is_none() => is_answer(message),
+            DuplicateStatus::Duplicate | DuplicateStatus::Loop => !is_request(message),
+            DuplicateStatus::Echo | DuplicateStatus::AddressConflict => return,
+        };
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        if !is_heard {
+            link.station.record_activity(now, received.source);
+            return;
+        }
+        link.station.handle(now, received.source, message);
+        if let Some(vehicles) = &mut link.vehicles {
+            vehicles.handle(now, received.source, message);
+        }
+    }
+
+    /// What the sessions of a link want next, and as whom.
+    pub(crate) fn poll(&mut self, id: LinkId) -> Option<(SenderRole, SessionOutput<HostClock>)> {
+        let link = self.links.get_mut(&id)?;
+        if let Some(output) = link.station.poll() {
+            return Some((SenderRole::Station, output));
+        }
+        let (robot, output) = link.vehicles.as_mut()?.poll()?;
+        Some((SenderRole::Vehicle(robot), output))
+    }
+
+    /// Whether no session wants anything.
+    pub(crate) fn are_idle(&self) -> bool {
+        self.links
+            .values()
+            .all(|link| link.station.is_idle() && link.vehicles.as_ref().is_none_or(VehicleProxies::is_idle))
+    }
+
+    /// Whether a session waits for an instant that has come.
+    pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
+        self.links
+            .values_mut()
+            .any(|link| link.station.is_due(now) || link.vehicles.as_mut().is_some_and(|vehicles| vehicles.is_due(now)))
+    }
+
+    /// When the next session must be woken.
+    pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        let deadlines = self.links.values().flat_map(|link| {
+            [link.station.deadline(), link.vehicles.as_ref().and_then(VehicleProxies::deadline)].into_iter().flatten()
+        });
+        deadlines.min()
+    }
+
+    /// Lets the sessions of a link do what is due.
+    pub(crate) fn tick(&mut self, now: Timestamp<HostClock>, id: LinkId) {
+        if let Some(link) = self.links.get_mut(&id) {
+            link.station.tick(now);
+            if let Some(vehicles) = &mut link.vehicles {
+                vehicles.tick(now);
+            }
+        }
+    }
+
+    /// The session that speaks in a role on a link.
+    pub(crate) fn session(&mut self, id: LinkId, role: SenderRole) -> Option<&mut Session<HostClock>> {
+        let link = self.links.get_mut(&id)?;
+        match role {
+            SenderRole::Station => Some(&mut link.station),
+            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.session(robot),
+        }
+    }
+
+    /// A peer's clock began anew: some quick time requests find out how it runs.
+    pub(crate) fn handle_peer_restart(&mut self, now: Timestamp<HostClock>, id: LinkId, peer: Address) {
+        if let Some(link) = self.links.get_mut(&id) {
+            link.station.peer_restarted(now, peer);
+        }
+    }
+
+    /// The messages that report a parameter's value, on every link where somebody has asked for parameters.
+    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(LinkId, Message)> {
+        let reports =
+            self.links.iter_mut().filter_map(|(id, link)| Some((*id, link.station.report_parameter(index, value)?)));
+        reports.collect()
+    }
+}
+
+fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostClock>) -> Session<HostClock> {
+    let mut session_config = station_session_config(config);
+    if link.brick.is_some() {
+        // Whoever speaks no MAVLink cannot be asked for its messages.
+        session_config.requested_messages.clear();
+    }
+    let mut session = Session::new(session_config, now);
+    let params = &config.robot.filter_config.params;
+    session.offer_parameters(
+        PARAMS
+            .iter()
+            // In capitals, as MAVLink's parameters are: MAVProxy asks for no others.
+            .map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)),
+    );
+    session.serve_commands(&SERVED_COMMANDS);
+    session
+}
+
+fn station_session_config(config: &StationConfig) -> SessionConfig {
+    SessionConfig {
+        own: config.own_address,
+        heartbeat: Heartbeat {
+            vehicle_type: ONBOARD_CONTROLLER,
+            autopilot: NOT_AN_AUTOPILOT,
+            base_mode: 0,
+            system_status: ACTIVE,
+        },
+        heartbeat_period: HEARTBEAT_PERIOD,
+        timesync_period: Some(config.timesync_period),
+        peer_timeout: PEER_TIMEOUT,
+        requested_messages: config.brick_message_intervals.clone(),
+        offered_messages: SETTABLE_OUTPUTS.iter().map(|(id, _)| *id).collect(),
+    }
+}
+
+/// What a session's message is worth on a slow link: heartbeats and time requests are sent again, the others are not.
+pub(crate) const fn session_priority(message: &Message) -> Priority {
+    if matches!(message, Message::Heartbeat(_) | Message::TimeSync(_)) { Priority::Session } else { Priority::Command }
+}
+
+/// Whether a message asks the station for something that must not be done twice.
+const fn is_request(message: &Message) -> bool {
+    matches!(
+        message,
+        Message::SetMessageInterval(_)
+            | Message::Command(_)
+            | Message::CommandInt(_)
+            | Message::ParamRequestList { .. }
+            | Message::ParamRequestRead { .. }
+            | Message::ParamSet { .. }
+            | Message::ParamSetUnsupported { .. }
+    )
+}
+
+/// Whether a message answers what the station asked on some link.
+const fn is_answer(message: &Message) -> bool {
+    if let Message::TimeSync(sync) = message {
+        sync.answer_nanos != 0
+    } else {
+        matches!(message, Message::CommandAck(_))
+    }
+}

@@ -1,0 +1,341 @@
+//! Events in words, as STATUSTEXT on links for ground stations.
+//!
+//! A text is said as soon as its input is done with. Of one topic it is said at most every few seconds, and tells how many were left
+//! out: a screen full of the same line hides the other one.
+//!
+//! # Sources
+//! common.xml, STATUSTEXT: at most 50 bytes in a part; parts of one text share an id other than 0 and count from 0; a part with a zero
+//! in it, or shorter than 50 bytes, is the last.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use posebridge_protocol::message::{Message, TextPart};
+use posebridge_protocol::routing::FrameRouter;
+use posebridge_telemetry::{
+    Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkId, LinkState, RobotId, SensorId, TimeDelta,
+    Timestamp,
+};
+
+use crate::link_context::LinkContext;
+use crate::robot_table::{RobotIndex, RobotTable};
+use crate::sessions::{SenderRole, Sessions};
+use crate::station::SEVERITY_WARNING;
+
+/// MAV_SEVERITY_ERROR.
+const SEVERITY_ERROR: u8 = 3;
+/// MAV_SEVERITY_NOTICE.
+const SEVERITY_NOTICE: u8 = 5;
+/// MAV_SEVERITY_INFO.
+const SEVERITY_INFO: u8 = 6;
+/// Time between two texts of one topic. A person reads a line in less.
+const TOPIC_INTERVAL: TimeDelta = TimeDelta::from_millis(5_000);
+/// The same for words of the station or of the robot, of which no two need be alike.
+const TEXT_INTERVAL: TimeDelta = TimeDelta::from_millis(500);
+/// So many reports of the program are told in [`QUIET`]: each answers somebody who asked for it, and the line that it was asked comes just
+/// before. Two hands on buttons ask for less.
+const MAX_REPORTS: u32 = 8;
+/// Bytes of a part.
+const PART_BYTES: usize = 50;
+/// Most bytes of a text; the rest is cut off.
+const MAX_TEXT_BYTES: usize = 4 * PART_BYTES;
+
+/// What a text is about. There are as many as there are links and sensors, and no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Topic {
+    LinkUp(LinkId),
+    LinkDown(LinkId),
+    RobotSeen(RobotIndex),
+    RobotLost(RobotIndex),
+    Restart(RobotIndex),
+    Reset(RobotIndex),
+    FixRejected(RobotIndex, SensorId),
+    SenderText(SenderRole),
+    Report,
+}
+
+impl Topic {
+    /// How many texts of it are said in how long a time.
+    const fn rate_limit(self) -> (u32, TimeDelta) {
+        match self {
+            Self::SenderText(_) => (1, TEXT_INTERVAL),
+            Self::Report => (MAX_REPORTS, TOPIC_INTERVAL),
+            Self::LinkUp(_)
+            | Self::LinkDown(_)
+            | Self::RobotSeen(_)
+            | Self::RobotLost(_)
+            | Self::Restart(_)
+            | Self::Reset(_)
+            | Self::FixRejected(_, _) => (1, TOPIC_INTERVAL),
+        }
+    }
+}
+
+/// Since when a topic is counted, how often it was told since then, and how often it was not.
+#[derive(Clone, Copy, Debug)]
+struct TopicRateLimit {
+    since: Timestamp<HostClock>,
+    sent: u32,
+    suppressed: u32,
+}
+
+/// A text that waits to be said.
+#[derive(Debug)]
+pub(crate) struct PendingText {
+    pub(crate) sender: SenderRole,
+    pub(crate) severity: u8,
+    pub(crate) text: String,
+}
+
+/// What is to be told, and what was.
+#[derive(Debug, Default)]
+pub(crate) struct StatusTextQueue {
+    rate_limits: BTreeMap<Topic, TopicRateLimit>,
+    pending: Vec<PendingText>,
+    last_text_id: u16,
+    reset_counters: BTreeMap<RobotIndex, u8>,
+    /// Robots whose loss was reported, and not yet that they are back.
+    lost_robots: BTreeSet<RobotIndex>,
+}
+
+impl StatusTextQueue {
+    fn push(&mut self, now: Timestamp<HostClock>, topic: Topic, mut text: PendingText) {
+        let (most, quiet) = topic.rate_limit();
+        let fresh = TopicRateLimit { since: now, sent: 0, suppressed: 0 };
+        let told = self.rate_limits.entry(topic).or_insert(fresh);
+        if now - told.since >= quiet {
+            if told.suppressed > 0 {
+                text.text = format!("{} ({} more)", text.text, told.suppressed);
+            }
+            *told = fresh;
+        }
+        if told.sent >= most {
+            told.suppressed += 1;
+            return;
+        }
+        told.sent += 1;
+        self.pending.push(text);
+    }
+
+    /// The messages of a text.
+    pub(crate) fn split_text(&mut self, severity: u8, words: &str) -> Vec<Message> {
+        let words = printable(words);
+        let text_id = if words.len() <= PART_BYTES {
+            0
+        } else {
+            self.last_text_id = self.last_text_id.checked_add(1).unwrap_or(1);
+            self.last_text_id
+        };
+        let mut parts: Vec<&str> = words.as_bytes().chunks(PART_BYTES).filter_map(utf8_prefix).collect();
+        // A part of full length says that another one follows.
+        if text_id != 0 && words.len().is_multiple_of(PART_BYTES) {
+            parts.push("");
+        }
+        let numbered = (0_u8..).zip(parts);
+        numbered
+            .map(|(index, part)| Message::StatusText {
+                severity,
+                text: part.to_owned(),
+                part: TextPart { text_id, index },
+            })
+            .collect()
+    }
+}
+
+fn utf8_prefix(bytes: &[u8]) -> Option<&str> {
+    std::str::from_utf8(bytes).ok()
+}
+
+/// As much of the words as is told, in ASCII, so that they can be cut at any byte.
+fn printable(words: &str) -> String {
+    let shown = |letter: char| match letter {
+        ' '..='~' => letter,
+        _ => '?',
+    };
+    words.chars().map(shown).take(MAX_TEXT_BYTES).collect()
+}
+
+/// What texts about events need to know about the station.
+pub(crate) struct TextContext<'a> {
+    pub(crate) own_address: Address,
+    pub(crate) now: Timestamp<HostClock>,
+    pub(crate) robots: &'a RobotTable,
+    pub(crate) links: &'a BTreeMap<LinkId, LinkContext>,
+    pub(crate) sessions: &'a Sessions,
+    pub(crate) router: &'a FrameRouter,
+}
+
+impl TextContext<'_> {
+    /// The robot of a session's peer, which is known by the link that it was heard on.
+    fn robot(&self, peer: RobotId) -> Option<RobotIndex> {
+        self.robots.find(RobotId { link: self.router.first_of_group(peer.link), ..peer })
+    }
+}
+
+impl StatusTextQueue {
+    /// Keeps what people at ground stations should read of an event.
+    pub(crate) fn push_event(&mut self, context: &TextContext<'_>, event: &Event) {
+        let Some((topic, severity, text)) = self.text_for_event(context, event) else {
+            return;
+        };
+        let sender = if let Topic::SenderText(sender) = topic { sender } else { SenderRole::Station };
+        self.push(context.now, topic, PendingText { sender, severity, text });
+    }
+
+    /// Keeps what became of something that the program was asked for.
+    pub(crate) fn push_report(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) {
+        let text = PendingText { sender: SenderRole::Station, severity, text: text.to_owned() };
+        self.push(now, Topic::Report, text);
+    }
+
+    /// The texts that wait.
+    pub(crate) fn take_pending(&mut self) -> Vec<PendingText> {
+        std::mem::take(&mut self.pending)
+    }
+
+    fn text_for_event(&mut self, context: &TextContext<'_>, event: &Event) -> Option<(Topic, u8, String)> {
+        match event {
+            Event::Link { link, state } => text_for_link(context, *link, *state),
+            Event::RobotDetected { robot } => {
+                let index = context.robot(*robot)?;
+                let text = format!("robot {} is heard again", robot.address);
+                let is_back = self.lost_robots.remove(&index);
+                is_back.then_some((Topic::RobotSeen(index), SEVERITY_INFO, text))
+            }
+            Event::RobotLost { robot, silence } => {
+                let index = context.robot(*robot)?;
+                if context.robots.get(index).is_alive(context.now) {
+                    return None;
+                }
+                self.lost_robots.insert(index);
+                let (address, silence_s) = (robot.address, silence.as_secs_f64());
+                let text = format!("robot {address} is lost: silent for {silence_s:.1} s");
+                Some((Topic::RobotLost(index), SEVERITY_ERROR, text))
+            }
+            Event::BrickRestarted { robot } => {
+                let index = context.robots.find(*robot)?;
+                let text = format!("robot {} has restarted", robot.address);
+                Some((Topic::Restart(index), SEVERITY_WARNING, text))
+            }
+            Event::ObservationFused { record, robot } => {
+                text_for_record(context.robots.find(*robot).unwrap_or_default(), record)
+            }
+            Event::EstimateUpdated { estimate, robot } => {
+                self.text_for_reset(context.robots.find(*robot).unwrap_or_default(), estimate)
+            }
+            Event::Text { source, severity, text } => {
+                let sender = if *source == context.own_address {
+                    SenderRole::Station
+                } else {
+                    // A robot that speaks MAVLink says it itself.
+                    let mut robots = context.robots.all().iter().filter(|robot| robot.id.address == *source);
+                    let has_codec = |id: RobotId| context.links.get(&id.link).is_some_and(|link| link.codec.is_some());
+                    SenderRole::Vehicle(robots.find(|robot| has_codec(robot.id))?.id)
+                };
+                Some((Topic::SenderText(sender), *severity, text.clone()))
+            }
+            Event::ObservationAligned { .. }
+            | Event::Temperature { .. }
+            | Event::BrickClockAligned { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Health { .. }
+            | Event::ReceiveError { .. } => None,
+        }
+    }
+
+    fn text_for_reset(&mut self, robot: RobotIndex, estimate: &Estimate) -> Option<(Topic, u8, String)> {
+        let counter = estimate.reset_counter;
+        let before = self.reset_counters.insert(robot, counter);
+        if before.is_none_or(|before| before == counter) {
+            return None;
+        }
+        let text = match estimate.last_correction {
+            Some(jump) => format!(
+                "pose was reset: moved by {:.3} m, turned by {:.1} deg",
+                jump.dx_m.hypot(jump.dy_m),
+                jump.turn.0.to_degrees()
+            ),
+            None => "pose was reset".to_owned(),
+        };
+        Some((Topic::Reset(robot), SEVERITY_NOTICE, text))
+    }
+}
+
+/// Whoever reads it notices by the link of their own whether that is up.
+fn text_for_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Option<(Topic, u8, String)> {
+    if !context.links.contains_key(&id) || context.sessions.vehicles(id).is_some() {
+        return None;
+    }
+    Some(match state {
+        LinkState::Up => (Topic::LinkUp(id), SEVERITY_INFO, format!("link {id} is up")),
+        LinkState::Down => (Topic::LinkDown(id), SEVERITY_WARNING, format!("link {id} is down")),
+    })
+}
+
+/// Fixes that are not used; of other observations nobody wants to read.
+fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u8, String)> {
+    if record.kind != "fix" {
+        return None;
+    }
+    let name = record.sensor.name();
+    let words = match record.outcome {
+        FusionOutcome::Gated => format!("fix of {name} refused: NIS {:.1}", record.nis),
+        FusionOutcome::TooOld => format!("fix of {name} refused: {:.2} s late", record.lag.as_secs_f64()),
+        FusionOutcome::Malformed => format!("fix of {name} refused: malformed"),
+        FusionOutcome::Accepted
+        | FusionOutcome::Slip
+        | FusionOutcome::Rebased
+        | FusionOutcome::PoseReset
+        | FusionOutcome::Unused => return None,
+    };
+    Some((Topic::FixRejected(robot, record.sensor), SEVERITY_WARNING, words))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(words: &str) -> PendingText {
+        PendingText { sender: SenderRole::Station, severity: SEVERITY_INFO, text: words.to_owned() }
+    }
+
+    fn said(announcer: &mut StatusTextQueue, words: &str) -> Vec<(String, u16, u8)> {
+        let parts = announcer.split_text(SEVERITY_INFO, words).into_iter();
+        let said = parts.filter_map(|message| {
+            if let Message::StatusText { text, part, .. } = message {
+                Some((text, part.text_id, part.index))
+            } else {
+                None
+            }
+        });
+        said.collect()
+    }
+
+    #[test]
+    fn a_long_text_comes_in_parts_of_which_the_last_can_be_told() {
+        let mut announcer = StatusTextQueue::default();
+        let a = |count| "a".repeat(count);
+        assert_eq!(said(&mut announcer, "brief"), [("brief".to_owned(), 0, 0)]);
+        assert_eq!(said(&mut announcer, &a(50)), [(a(50), 0, 0)]);
+        assert_eq!(said(&mut announcer, &a(51)), [(a(50), 1, 0), (a(1), 1, 1)]);
+        assert_eq!(said(&mut announcer, &a(100)), [(a(50), 2, 0), (a(50), 2, 1), (String::new(), 2, 2)]);
+        assert_eq!(said(&mut announcer, &a(1_000)).len(), 5);
+        announcer.last_text_id = u16::MAX;
+        assert_eq!(said(&mut announcer, &a(60))[0].1, 1, "0 means a single part");
+        assert_eq!(said(&mut announcer, "5 \u{b0}C")[0].0, "5 ?C");
+    }
+
+    #[test]
+    fn a_topic_is_told_now_and_then_with_what_was_left_out() {
+        let mut announcer = StatusTextQueue::default();
+        let at = |millis| Timestamp::<HostClock>::from_millis(millis);
+        let camera = Topic::FixRejected(0, SensorId::CAMERA);
+        for millis in [0, 1_000, 4_999] {
+            announcer.push(at(millis), camera, text("refused"));
+        }
+        announcer.push(at(4_999), Topic::Restart(0), text("restarted"));
+        announcer.push(at(5_000), camera, text("refused"));
+        announcer.push(at(10_000), camera, text("refused"));
+        let words: Vec<_> = announcer.pending.iter().map(|text| text.text.as_str()).collect();
+        assert_eq!(words, ["refused", "restarted", "refused (2 more)", "refused"]);
+    }
+}

@@ -1,0 +1,221 @@
+//! The robots as vehicles on a link for ground stations.
+//!
+//! A ground station shows a vehicle if component 1 of a system sends HEARTBEAT, and takes the attitude from that component alone. A
+//! robot that speaks no MAVLink sends nothing there, and one that does sends no attitude. So the station speaks as the robot on such a
+//! link, and a listener must not notice that two senders share one address:
+//!
+//! - Frames that are forwarded to the link take the next number of the same count ([`Encoder::renumber`]); payload and checksum seed
+//!   stay as they are. Each sender has a count of its own, because not all of its frames are for this link.
+//! - What the robot sends itself is not sent a second time.
+//! - Signed frames must not be changed and leave as they came. While they do, the station does not speak as that robot.
+//! - On a link with a key, unsigned frames of others are numbered like everywhere, and stay unsigned. The station's own are signed
+//!   there, and its signature must not stand beside frames that the robot sends without one: it does not speak as the robot there,
+//!   either. docs/adr/0010 gives the reasons.
+//!
+//! [`Encoder::renumber`]: posebridge_protocol::dialect::Encoder::renumber
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::Message;
+use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
+
+use crate::output_schedule::output_for_message;
+
+/// MAV_COMP_ID_AUTOPILOT1: the component that a ground station takes for the vehicle.
+pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
+/// What was not forwarded for this long is no longer sent by the robot: five heartbeats.
+const RECENT_WINDOW: TimeDelta = TimeDelta::from_millis(5_000);
+
+/// Who answers what is commanded to the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CommandResponder {
+    /// The station, because the robot cannot: it speaks no MAVLink, or under another component.
+    Station,
+    /// The robot, except for what the station sends in its name.
+    Robot,
+}
+
+/// All vehicles of one link.
+#[derive(Debug, Default)]
+pub(crate) struct VehicleProxies {
+    vehicles: BTreeMap<RobotId, VehicleProxy>,
+    /// When vehicles' own frames of the messages that the station might send left here last.
+    last_forwarded: BTreeMap<(SystemId, u32), Timestamp<HostClock>>,
+    /// When a frame of somebody that must not be changed left here last.
+    last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
+    /// When a vehicle's own frame left here last while the link has a key.
+    last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
+    /// Vehicles whose session may have something to send.
+    active: BTreeSet<RobotId>,
+    /// No session is due before this instant; `None` when that must be looked up.
+    idle_until: Option<Timestamp<HostClock>>,
+}
+
+/// One robot as a vehicle.
+#[derive(Debug)]
+struct VehicleProxy {
+    address: Address,
+    responder: CommandResponder,
+    session: Session<HostClock>,
+}
+
+impl VehicleProxies {
+    /// A robot appears on this link; `config` has the address under which it does. Nothing happens if it has appeared before.
+    pub(crate) fn add(
+        &mut self,
+        robot: RobotId,
+        config: SessionConfig,
+        responder: CommandResponder,
+        now: Timestamp<HostClock>,
+    ) {
+        self.vehicles.entry(robot).or_insert_with(|| VehicleProxy {
+            address: config.own,
+            responder,
+            session: Session::new(config, now),
+        });
+        self.active.insert(robot);
+        self.idle_until = None;
+    }
+
+    /// The address that a robot appears under; `None` if it does not appear on this link.
+    pub(crate) fn address(&self, robot: RobotId) -> Option<Address> {
+        self.vehicles.get(&robot).map(|vehicle| vehicle.address)
+    }
+
+    pub(crate) fn session(&mut self, robot: RobotId) -> Option<&mut Session<HostClock>> {
+        let vehicle = self.vehicles.get_mut(&robot)?;
+        self.active.insert(robot);
+        self.idle_until = None;
+        Some(&mut vehicle.session)
+    }
+
+    pub(crate) fn set_heartbeat_mode(&mut self, robot: RobotId, mode: HeartbeatMode) {
+        if let Some(vehicle) = self.vehicles.get_mut(&robot) {
+            vehicle.session.set_heartbeat_mode(mode);
+        }
+    }
+
+    /// Gives a message to the session of the vehicle that it commands, if that is for the station to answer.
+    pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, from: Address, message: &Message) {
+        if let Some(robot) = self.commanded_vehicle(now, message)
+            && let Some(session) = self.session(robot)
+        {
+            session.handle(now, from, message);
+        }
+    }
+
+    pub(crate) fn tick(&mut self, now: Timestamp<HostClock>) {
+        for (robot, vehicle) in &mut self.vehicles {
+            if vehicle.session.is_due(now) {
+                vehicle.session.tick(now);
+                self.active.insert(*robot);
+            }
+        }
+        self.idle_until = None;
+    }
+
+    pub(crate) fn poll(&mut self) -> Option<(RobotId, SessionOutput<HostClock>)> {
+        while let Some(robot) = self.active.first().copied() {
+            if let Some(output) = self.vehicles.get_mut(&robot).and_then(|vehicle| vehicle.session.poll()) {
+                return Some((robot, output));
+            }
+            self.active.remove(&robot);
+        }
+        None
+    }
+
+    /// Whether no session has anything to send.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.active.iter().all(|robot| self.vehicles.get(robot).is_none_or(|vehicle| vehicle.session.is_idle()))
+    }
+
+    /// Whether a session waits for an instant that has come.
+    pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
+        if self.idle_until.is_some_and(|until| now < until) {
+            return false;
+        }
+        self.idle_until = self.find_deadline();
+        self.vehicles.values_mut().any(|vehicle| vehicle.session.is_due(now))
+    }
+
+    pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        self.idle_until.or_else(|| self.find_deadline())
+    }
+
+    /// A vehicle's own frame leaves on the link.
+    pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
+        // Nobody asks for the others; so the map stays small whatever comes.
+        if message_id == ids::HEARTBEAT || output_for_message(message_id).is_some() {
+            self.last_forwarded.insert((from, message_id), now);
+        }
+    }
+
+    /// A frame leaves as it came, because it must not be changed.
+    pub(crate) fn record_unmodified(&mut self, now: Timestamp<HostClock>, from: Address) {
+        self.last_unmodified.insert(from, now);
+    }
+
+    /// A vehicle's own frame leaves on a link with a key, where the station's under the same address would be signed.
+    pub(crate) fn record_on_signed_link(&mut self, now: Timestamp<HostClock>, from: SystemId) {
+        self.last_on_signed_link.insert(from, now);
+    }
+
+    /// Whether a sender's frames leave under numbers of its own.
+    pub(crate) fn is_unmodified(&self, now: Timestamp<HostClock>, from: Address) -> bool {
+        is_recent(now, self.last_unmodified.get(&from))
+    }
+
+    /// Whether frames leave under the robot's address beside which the station's must not stand: signed ones, or any where the link
+    /// has a key.
+    pub(crate) fn is_suppressed(&self, now: Timestamp<HostClock>, robot: RobotId) -> bool {
+        self.address(robot).is_some_and(|own| {
+            self.is_unmodified(now, own) || is_recent(now, self.last_on_signed_link.get(&own.system))
+        })
+    }
+
+    /// Whether the robot sends this message here itself.
+    pub(crate) fn is_sent_by_robot(&self, now: Timestamp<HostClock>, robot: RobotId, message_id: u32) -> bool {
+        let own = self.address(robot);
+        is_recent(now, own.and_then(|own| self.last_forwarded.get(&(own.system, message_id))))
+    }
+
+    /// The vehicle that a message commands something that is for the station to answer: all of it where the robot cannot, else what
+    /// concerns messages that the station sends in its name.
+    pub(crate) fn commanded_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
+        let (target, concerns) = command_target(message)?;
+        let (robot, vehicle) = self.vehicles.iter().find(|(_, vehicle)| vehicle.address == target)?;
+        if self.is_suppressed(now, *robot) {
+            return None;
+        }
+        let is_ours = |id| output_for_message(id).is_some() && !self.is_sent_by_robot(now, *robot, id);
+        let is_answered = vehicle.responder == CommandResponder::Station || concerns.is_some_and(is_ours);
+        is_answered.then_some(*robot)
+    }
+
+    fn find_deadline(&self) -> Option<Timestamp<HostClock>> {
+        self.vehicles.values().filter_map(|vehicle| vehicle.session.deadline()).min()
+    }
+}
+
+fn is_recent(now: Timestamp<HostClock>, last: Option<&Timestamp<HostClock>>) -> bool {
+    last.is_some_and(|last| now - *last < RECENT_WINDOW)
+}
+
+/// Whom a message commands, and which message the command is about, if it is about one.
+fn command_target(message: &Message) -> Option<(Address, Option<u32>)> {
+    #[expect(
+        clippy::wildcard_enum_match_arm,
+        reason = "only these are commands, however many kinds of messages there are"
+    )]
+    match message {
+        Message::SetMessageInterval(wanted) => Some((wanted.target, Some(wanted.message_id))),
+        Message::Command(command) => Some((command.target, command.named_message())),
+        Message::CommandInt(command) => {
+            let command = command.to_long();
+            Some((command.target, command.named_message()))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,400 @@
+//! Clocks that run wrong, wrap and begin again: observations keep their place in time.
+#![expect(
+    clippy::expect_used,
+    clippy::wildcard_enum_match_arm,
+    reason = "tests stop at the first surprise, and pick the events that they are about"
+)]
+
+#[path = "support/brick.rs"]
+mod brick;
+#[path = "support/station.rs"]
+mod station;
+#[path = "support/world.rs"]
+mod world;
+
+use std::ops::RangeInclusive;
+
+use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
+use posebridge_protocol::message::{Inertial, Message, TimeSync, VisionFix, WireStamp};
+use posebridge_sim::Scenario;
+use posebridge_telemetry::{
+    Address, BrickClock, Event, FusionOutcome, HostClock, Meters, ObservationKind, Output, Radians, RadiansPerSecond,
+    ReceiveError, SensorId, TimeDelta, Timestamp,
+};
+use station::{STATION, TestStation, at, config};
+use world::World;
+
+/// A robot whose clock runs wrong by so much and whose 32-bit register wraps eight seconds after the beginning.
+fn scenario(skew_ppm: f64) -> Scenario {
+    let mut scenario = Scenario::default().with_seed(11);
+    scenario.brick.clock_skew_ppm = skew_ppm;
+    scenario.brick.clock_start_micros = (1 << 32) - 8_000_000;
+    scenario.camera.dropout = 0.0;
+    scenario
+}
+
+/// How far the stamp of each fix, on the brick's clock, is from the instant at which the camera exposed it, with the station's own
+/// idea of that error (one standard deviation), from five seconds after the beginning.
+fn alignment_errors(world: &World) -> Vec<(TimeDelta, TimeDelta)> {
+    let settings = world.simulation.scenario().brick;
+    let rate = 1.0 + settings.clock_skew_ppm * 1e-6;
+    let start = Timestamp::<BrickClock>::from_micros(settings.clock_start_micros as i64);
+    let mut errors = vec![];
+    for event in world.station.events() {
+        let Event::ObservationAligned { observation, .. } = event else {
+            continue;
+        };
+        let ObservationKind::Fix(seen) = observation.measurement else {
+            continue;
+        };
+        let sent = world.simulation.camera_fixes().iter();
+        let taken = sent
+            .filter(|fix| f64::from(fix.position.x.0 as f32) == seen.position.x.0)
+            .find(|fix| f64::from(fix.position.y.0 as f32) == seen.position.y.0);
+        let exposed = taken.expect("the camera sent it").exposed;
+        if exposed >= TimeDelta::from_millis(5_000) {
+            let expected = start + TimeDelta::from_secs_f64(exposed.as_secs_f64() * rate);
+            errors.push((observation.stamp - expected, observation.stamp_sigma));
+        }
+    }
+    errors
+}
+
+fn worst_ms(errors: &[(TimeDelta, TimeDelta)]) -> f64 {
+    let sizes = errors.iter().map(|(error, _)| error.as_millis_f64().abs());
+    sizes.fold(0.0, f64::max)
+}
+
+#[test]
+fn fixes_stay_aligned_with_a_clock_that_is_2000_ppm_off_and_wraps() {
+    for skew_ppm in [2_000.0, -2_000.0] {
+        let mut world = World::new(scenario(skew_ppm), &config());
+        world.run_for(25);
+        let errors = alignment_errors(&world);
+        assert!(errors.len() > 150, "{} fixes", errors.len());
+        let worst_ms = worst_ms(&errors);
+        println!("{skew_ppm} ppm: worst {worst_ms:.2} ms");
+        // The brick's own ticks are a millisecond; without the skew the last fixes would be 50 ms off.
+        assert!(worst_ms < 4.0, "{skew_ppm} ppm: {worst_ms} ms");
+        for (error, sigma) in errors {
+            let bound_ms = 3.0 * sigma.as_millis_f64() + 0.5;
+            assert!(error.as_millis_f64().abs() < bound_ms, "{error:?} {sigma:?}");
+        }
+        let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
+        assert_eq!(world.station.events().filter(is_restart).count(), 0);
+    }
+}
+
+#[test]
+fn fixes_are_aligned_at_once_when_a_link_comes_back_after_the_wrap() {
+    let mut world = World::new(scenario(-2_000.0), &config());
+    world.run_for(6);
+    let before = alignment_errors(&world).len();
+    world.cut_for(4);
+    world.run_for(2);
+    let errors = alignment_errors(&world);
+    assert!(errors.len() > before + 15, "{}", errors.len());
+    let worst_ms = worst_ms(&errors[before..]);
+    println!("after the cut: worst {worst_ms:.2} ms");
+    assert!(worst_ms < 4.0, "{worst_ms} ms");
+}
+
+#[test]
+fn across_the_wrap_the_estimate_follows_the_robot() {
+    let mut world = World::new(scenario(2_000.0), &config());
+    world.run_for(25);
+    for truth in world.simulation.truth().iter().rev().take(40) {
+        let estimate = world.station.pipeline.estimate_at(truth.brick_time);
+        let estimate = estimate.expect("within the history");
+        let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
+        assert!(error_m < 0.03, "{error_m} at {:?}", truth.sim_time);
+    }
+    let verdicts: Vec<FusionOutcome> = world
+        .station
+        .events()
+        .filter_map(|event| match event {
+            Event::ObservationFused { record, .. } if record.kind == "fix" => Some(record.outcome),
+            _ => None,
+        })
+        .collect();
+    let accepted = verdicts.iter().filter(|verdict| **verdict == FusionOutcome::Accepted);
+    assert!(accepted.count() as f64 > 0.95 * verdicts.len() as f64);
+}
+
+#[test]
+fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
+    let mut world = World::new(scenario(100.0), &config());
+    world.run_for(10);
+    let before = world.station.pipeline.latest_time();
+    world.simulation.restart_brick();
+    let restarted_at = world.now();
+    world.run_for(8);
+    let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
+    assert_eq!(world.station.events().filter(is_restart).count(), 1);
+    assert!(world.station.pipeline.latest_time() < before, "a new clock");
+
+    let truth = world.simulation.truth().last().expect("it is logged");
+    let estimate = world.station.pipeline.estimate_at(truth.brick_time);
+    let estimate = estimate.expect("it was observed");
+    let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
+    assert!(error_m < 0.03, "{error_m}");
+    assert_eq!(estimate.reset_counter, 0, "no jump");
+    assert!(!estimate.is_dead_reckoning, "fixes are used again");
+
+    let asked = world.station.sent().filter(|(now, bytes)| {
+        let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));
+        *now > restarted_at && messages(bytes).iter().any(is_request)
+    });
+    assert_eq!(asked.count(), 2, "once for each message that is wanted");
+}
+
+/// Host instants of what the events or messages of a station say.
+fn when(station: &TestStation, is_it: impl Fn(&Event) -> bool) -> Vec<Timestamp<HostClock>> {
+    let outputs = station.outputs.iter();
+    let instants = outputs.filter_map(|(now, output)| match output {
+        Output::Event(event) if is_it(event) => Some(*now),
+        _ => None,
+    });
+    instants.collect()
+}
+
+/// When the station asked for the time.
+fn asked_for_time(station: &TestStation) -> Vec<Timestamp<HostClock>> {
+    let is_request = |message: &Message| matches!(message, Message::TimeSync(sync) if sync.answer_nanos == 0);
+    let requests = station.sent().filter(|(_, bytes)| messages(bytes).iter().any(is_request));
+    requests.map(|(now, _)| now).collect()
+}
+
+/// From an instant to the first estimate whose stamp can be told in host time, because an alignment went before.
+fn first_usable(station: &TestStation, since: Timestamp<HostClock>) -> TimeDelta {
+    let first = |after: Timestamp<HostClock>, is_it: fn(&Event) -> bool| {
+        let instants = when(station, is_it);
+        let later = instants.into_iter().find(|now| *now > after);
+        later.expect("it comes")
+    };
+    let aligned = first(since, |event| matches!(event, Event::BrickClockAligned { .. }));
+    first(aligned, |event| matches!(event, Event::EstimateUpdated { .. })) - since
+}
+
+/// By how much the alignments within some time left their bounds, when the brick's clock showed `zero_ms` at host zero.
+fn worst_outside_ms(
+    station: &TestStation,
+    during: &RangeInclusive<Timestamp<HostClock>>,
+    zero_ms: f64,
+    ppm: f64,
+) -> f64 {
+    let mut outside_ms = f64::NEG_INFINITY;
+    for (now, output) in &station.outputs {
+        let Output::Event(Event::BrickClockAligned { offset, uncertainty, host, .. }) = output else {
+            continue;
+        };
+        if during.contains(now) {
+            let true_ms = zero_ms + host.as_secs_f64() * ppm * 1e-3;
+            let error_ms = (offset.as_millis_f64() - true_ms).abs();
+            outside_ms = outside_ms.max(error_ms - uncertainty.as_millis_f64());
+        }
+    }
+    outside_ms
+}
+
+#[test]
+fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a_restart() {
+    for seed in 1..=5 {
+        let scenario = Scenario { seed, ..scenario(1_000.0) };
+        let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
+        let mut world = World::new(scenario, &config());
+        world.run_for(12);
+        let asked = asked_for_time(&world.station)[0];
+        let first = first_usable(&world.station, asked);
+        world.simulation.restart_brick();
+        let restarted = world.now();
+        world.run_for(6);
+        let again = first_usable(&world.station, restarted);
+        println!("seed {seed}: first {first:?}, after a restart {again:?}");
+        assert!(first <= TimeDelta::from_millis(3_000) && again <= TimeDelta::from_millis(3_000));
+
+        let zero_ms = -restarted.as_secs_f64() * 1e3 * 1.001;
+        let during = Timestamp::ZERO..=restarted;
+        let at_first = worst_outside_ms(&world.station, &during, start_ms, 1_000.0);
+        let during = restarted + TimeDelta::from_millis(1)..=world.now();
+        let anew = worst_outside_ms(&world.station, &during, zero_ms, 1_000.0);
+        assert!(at_first <= 0.0 && anew <= 0.0, "{at_first} {anew}");
+    }
+}
+
+/// Answers every time request that the station has sent since `first`, with a clock that is 100 s ahead of the host's.
+fn answer(station: &mut TestStation, first: usize, now: Timestamp<HostClock>) {
+    answer_as(station, first, now, (BRICK, 100_000));
+}
+
+/// Answers as somebody, by a clock that is so many milliseconds ahead of the host's.
+fn answer_as(station: &mut TestStation, first: usize, now: Timestamp<HostClock>, (who, ahead_ms): (Address, i64)) {
+    let requests: Vec<i64> = station.outputs[first..]
+        .iter()
+        .filter_map(|(_, output)| match output {
+            Output::Transmit { bytes, .. } => Some(messages(bytes)),
+            Output::Event(_) | Output::Request(_) => None,
+        })
+        .flatten()
+        .filter_map(|message| match message {
+            Message::TimeSync(sync) if sync.answer_nanos == 0 => Some(sync.request_nanos),
+            _ => None,
+        })
+        .collect();
+    for request_nanos in requests {
+        let answer = Message::TimeSync(TimeSync {
+            answer_nanos: now.as_nanos() + ahead_ms * 1_000_000 - 5_000_000,
+            request_nanos,
+            target: Some(STATION),
+        });
+        station.bytes(now, &frame(who, &answer));
+    }
+}
+
+const CAMERA: Address = Address::new(200, 1);
+
+/// A fix of a camera whose clock is so many milliseconds ahead.
+fn fix(exposed: Timestamp<HostClock>, ahead_ms: i64) -> Vec<u8> {
+    let seen = VisionFix {
+        stamp: WireStamp::Micros64((exposed.as_micros() + ahead_ms * 1_000) as u64),
+        x: Meters(0.0),
+        y: Meters(0.0),
+        heading: None,
+        covariance: None,
+        reset_counter: 0,
+        tag: None,
+    };
+    frame(CAMERA, &Message::VisionPosition(seen))
+}
+
+/// Half a second in which brick and camera answer, and nobody sends telemetry.
+fn station_that_only_talked() -> TestStation {
+    let mut station = TestStation::new(&config());
+    station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
+    for k in 0..6_i64 {
+        let now = at(100 + k * 100);
+        let sent = station.outputs.len();
+        station.pass_until(now);
+        for (who, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
+            answer_as(&mut station, sent, now + TimeDelta::from_millis(10), (who, ahead_ms));
+        }
+    }
+    station
+}
+
+#[test]
+fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the_robot() {
+    let mut station = station_that_only_talked();
+    station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
+    station.bytes(at(660), &fix(at(640), 500_000));
+    let fixes: Vec<_> = station
+        .events()
+        .filter_map(|event| match event {
+            Event::ObservationAligned { observation, .. } if observation.sensor == SensorId::CAMERA => {
+                Some(observation.stamp)
+            }
+            _ => None,
+        })
+        .collect();
+    let [stamp] = fixes[..] else {
+        panic!("the fix is placed at once: {fixes:?}");
+    };
+    let error_ms = (stamp - Timestamp::from_millis(100_640)).as_millis_f64();
+    assert!(error_ms.abs() < 10.0, "{error_ms}");
+    assert!(!station.events().any(|event| matches!(event, Event::ReceiveError { .. } | Event::BrickRestarted { .. })));
+}
+
+#[test]
+fn a_camera_that_was_restarted_is_asked_for_its_time_at_once() {
+    let mut station = station_that_only_talked();
+    station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
+    station.pass_until(at(5_000));
+    // It shows its uptime from the start, 495 s less than before.
+    station.bytes(at(5_010), &fix(at(5_000), -4_000));
+    let before = asked_for_time(&station).len();
+    station.pass_until(at(6_000));
+    let quick = asked_for_time(&station).len() - before;
+    assert!(quick >= 9, "{quick} requests in a second");
+    let is_unaligned = |event: &Event| {
+        let unaligned = ReceiveError::ClockNotAligned { source: CAMERA };
+        matches!(event, Event::ReceiveError { defect, .. } if *defect == unaligned)
+    };
+    assert_eq!(when(&station, is_unaligned), [at(5_010)]);
+    let no_restart = |event: &Event| matches!(event, Event::BrickRestarted { .. });
+    assert_eq!(when(&station, no_restart), []);
+}
+
+#[test]
+fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_not_restart_them() {
+    let mut station = TestStation::new(&config());
+    station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
+    for k in 0..20_i64 {
+        let now = at(100 + k * 100);
+        let sent = station.outputs.len();
+        station.pass_until(now);
+        let millis = 100_000 + now.as_micros() as u32 / 1_000;
+        station.bytes(now, &frame(BRICK, &ticks(millis, 0, 0)));
+        answer(&mut station, sent, now + TimeDelta::from_millis(10));
+    }
+    let aligned = station.events().filter_map(|event| match event {
+        Event::BrickClockAligned { offset, uncertainty, .. } => Some((*offset, *uncertainty)),
+        _ => None,
+    });
+    let (offset, uncertainty) = aligned.last().expect("the clocks are aligned");
+    let error = offset - TimeDelta::from_millis(100_000);
+    assert!(error.as_nanos().abs() <= uncertainty.as_nanos(), "{error:?} {uncertainty:?}");
+
+    let sent = station.outputs.len();
+    station.pass_until(at(4_000));
+    let request = station.outputs[sent..]
+        .iter()
+        .find_map(|(now, output)| {
+            let Output::Transmit { bytes, .. } = output else {
+                return None;
+            };
+            let is_request = |message: &Message| matches!(message, Message::TimeSync(_));
+            messages(bytes).iter().any(is_request).then_some(*now)
+        })
+        .expect("it asks all the time");
+    let nonsense =
+        Message::TimeSync(TimeSync { answer_nanos: -5, request_nanos: request.as_nanos(), target: Some(STATION) });
+    station.bytes(at(4_005), &frame(BRICK, &nonsense));
+    assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
+}
+
+/// What the gyro said: the rate in the frame, and its integral.
+fn inertial(millis: u32, rate_rad_per_s: f64, turn_rad: f64) -> Vec<u8> {
+    let message = Message::Inertial(Inertial {
+        stamp: WireStamp::Micros32(millis * 1_000),
+        turn_rate: Some(RadiansPerSecond(rate_rad_per_s)),
+        turn: Some(Radians(turn_rad)),
+        wheel_accelerations: None,
+    });
+    frame(BRICK, &message)
+}
+
+#[test]
+fn a_lost_frame_of_the_gyro_costs_nothing_and_an_overtaken_one_spoils_nothing() {
+    let mut station = TestStation::new(&config());
+    // Rate 1 rad/s throughout but for the lost frame at 1100, in which the robot turned by 0.3 rad.
+    for (arrival_ms, bytes) in [
+        (1_000, inertial(1_000, 1.0, 5.0)),
+        (1_050, inertial(1_050, 1.0, 5.05)),
+        (1_160, inertial(1_150, 1.0, 5.4)),
+        (1_170, inertial(1_100, 6.0, 5.35)),
+        (1_200, inertial(1_200, 1.0, 5.5)),
+    ] {
+        station.bytes(at(arrival_ms), &bytes);
+    }
+    let rates: Vec<f64> = station
+        .events()
+        .filter_map(|event| match event {
+            Event::ObservationAligned { observation, .. } => match observation.measurement {
+                ObservationKind::TurnRate(rate) => Some((rate.0 * 1e3).round() / 1e3),
+                _ => None,
+            },
+            _ => None,
+        })
+        .collect();
+    assert_eq!(rates, [1.0, 1.0, 3.5, 6.0, 2.0]);
+}

@@ -1,0 +1,175 @@
+//! Which robots there are: every sender of odometry is one, the station's own echo is not.
+#![expect(
+    clippy::expect_used,
+    clippy::wildcard_enum_match_arm,
+    reason = "tests stop at the first surprise, and pick the events that they are about"
+)]
+
+#[path = "support/brick.rs"]
+mod brick;
+#[path = "support/station.rs"]
+mod station;
+
+use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
+use posebridge_protocol::message::{Message, RobotDescription};
+use posebridge_station::{DescriptionPolicy, OutputKind};
+use posebridge_telemetry::{Address, Event, LinkId, Meters, ObservationKind, RadiansPerSecond, RobotId, SystemId};
+use station::{LINK, TestStation, at, config, link, stream};
+
+const NEIGHBOUR: Address = Address::new(2, 1);
+
+fn robot(address: Address) -> RobotId {
+    RobotId { link: LINK, address }
+}
+
+/// Who was believed to have observed something.
+fn observers(station: &TestStation) -> Vec<RobotId> {
+    station
+        .events()
+        .filter_map(|event| match event {
+            Event::ObservationAligned { robot, .. } => Some(*robot),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn every_sender_of_odometry_is_a_robot_with_a_clock_of_its_own() {
+    let mut station = TestStation::new(&config());
+    station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
+    station.bytes(at(110), &frame(NEIGHBOUR, &HEARTBEAT));
+    station.bytes(at(120), &frame(NEIGHBOUR, &ticks(900_000, 500, 900)));
+    station.bytes(at(150), &frame(BRICK, &ticks(5_050, 4, 4)));
+    station.pass_until(at(3_000));
+    assert_eq!(observers(&station), [robot(BRICK), robot(NEIGHBOUR), robot(BRICK)]);
+    assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
+}
+
+#[test]
+fn a_configured_robot_is_waited_for() {
+    let mut config = config();
+    config.robot_system = Some(SystemId(2));
+    let mut station = TestStation::new(&config);
+    station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
+    station.bytes(at(120), &frame(NEIGHBOUR, &ticks(900_000, 0, 0)));
+    assert_eq!(observers(&station), [robot(NEIGHBOUR)]);
+}
+
+#[test]
+fn the_same_address_on_another_link_is_another_robot() {
+    let mut config = config();
+    config.links.push(link(LinkId(4), vec![]));
+    let mut station = TestStation::new(&config);
+    station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
+    let input = posebridge_telemetry::Input::Bytes {
+        peer: posebridge_telemetry::PeerId::default(),
+        link: LinkId(4),
+        bytes: frame(BRICK, &ticks(70_000, 0, 0)),
+    };
+    station.give(at(110), input);
+    assert_eq!(observers(&station), [robot(BRICK)]);
+}
+
+#[test]
+fn what_the_station_said_itself_is_no_observation_when_a_link_echoes() {
+    let mut config = config();
+    config.links[0].outputs = vec![stream(OutputKind::Odometry, 0)];
+    let mut station = TestStation::new(&config);
+    for k in 0..20_u32 {
+        let now = at(100 + i64::from(k) * 50);
+        let first = station.sent().count();
+        station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
+        let echo: Vec<u8> = station.sent().skip(first).flat_map(|(_, bytes)| bytes.to_vec()).collect();
+        let is_pose = |message: &Message| matches!(message, Message::Odometry(_));
+        assert!(messages(&echo).iter().any(is_pose));
+        let heard = observers(&station).len();
+        station.bytes(now, &echo);
+        assert_eq!(observers(&station).len(), heard);
+    }
+    assert!(!station.events().any(|event| matches!(event, Event::ReceiveError { .. })));
+}
+
+/// A robot's own words, with a track of this width and encoders of 360 counts per turn.
+fn description(track_width_m: f64, ticks_per_turn: f64) -> Message {
+    Message::RobotDescription(RobotDescription {
+        name: "tester".to_owned(),
+        left_wheel_radius: Meters(0.028),
+        right_wheel_radius: Meters(0.028),
+        track_width: Meters(track_width_m),
+        ticks_per_turn,
+        gyro_sigma: RadiansPerSecond(0.01),
+        gyro_resolution: RadiansPerSecond(0.0),
+    })
+}
+
+/// The heading after the right wheel alone has turned by 90 counts, in radians.
+fn heading_after_a_quarter(station: &mut TestStation) -> f64 {
+    for k in 0..=20_u32 {
+        let counts = i64::from(k) * 90 / 20;
+        let now = at(1_000 + i64::from(k) * 50);
+        station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, counts)));
+    }
+    let pipeline = &station.pipeline;
+    let estimate = pipeline.latest_time().and_then(|latest| pipeline.estimate_at(latest));
+    estimate.expect("it was observed").pose.heading.rad()
+}
+
+#[test]
+fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
+    let quarter_m = 0.028 * std::f64::consts::FRAC_PI_2;
+    for (policy, source, described, expected_width_m) in [
+        (DescriptionPolicy::Adopt, BRICK, description(0.2, 360.0), 0.2),
+        (DescriptionPolicy::Ignore, BRICK, description(0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, NEIGHBOUR, description(0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, BRICK, description(-0.2, 360.0), 0.112),
+        (DescriptionPolicy::Adopt, BRICK, description(0.2, 0.0), 0.112),
+    ] {
+        let mut config = config();
+        config.robot.description = policy;
+        config.robot_system = Some(BRICK.system);
+        let mut station = TestStation::new(&config);
+        station.bytes(at(500), &frame(source, &described));
+        let heading_rad = heading_after_a_quarter(&mut station);
+        let expected_rad = quarter_m / expected_width_m;
+        assert!(
+            (heading_rad - expected_rad).abs() < 1e-6,
+            "{policy:?} {source}: {heading_rad} instead of {expected_rad}"
+        );
+        let used_m = station.pipeline.geometry().track_width.0;
+        assert!((used_m - expected_width_m).abs() < 1e-6, "{used_m}");
+    }
+}
+
+#[test]
+fn a_nonsensical_description_leaves_the_door_open_for_a_sensible_one() {
+    let mut config = config();
+    config.robot.description = DescriptionPolicy::Adopt;
+    let mut station = TestStation::new(&config);
+    station.bytes(at(500), &frame(BRICK, &description(0.0, 360.0)));
+    station.bytes(at(510), &frame(BRICK, &description(0.2, 360.0)));
+    let heading_rad = heading_after_a_quarter(&mut station);
+    let expected_rad = 0.028 * std::f64::consts::FRAC_PI_2 / 0.2;
+    assert!((heading_rad - expected_rad).abs() < 1e-6, "{heading_rad}");
+}
+
+#[test]
+fn a_description_does_not_tell_a_robot_where_it_is() {
+    let mut config = config();
+    config.robot.description = DescriptionPolicy::Adopt;
+    config.robot.filter_config.start = None;
+    let mut station = TestStation::new(&config);
+    station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
+    station.bytes(at(150), &frame(BRICK, &description(0.2, 360.0)));
+    station.bytes(at(200), &frame(BRICK, &ticks(5_100, 0, 0)));
+    let last = station.events().filter_map(|event| match event {
+        Event::EstimateUpdated { estimate, .. } => Some(*estimate),
+        _ => None,
+    });
+    let last = last.last().expect("it was told");
+    assert!(!last.validity.position && !last.validity.heading);
+    let wheels = station.events().filter(|event| {
+        matches!(event, Event::ObservationAligned { observation, .. }
+            if matches!(observation.measurement, ObservationKind::WheelAngles { .. }))
+    });
+    assert_eq!(wheels.count(), 2);
+}

@@ -1,0 +1,190 @@
+//! What comes back round a loop of links, late: it is passed on, obeyed and used once.
+#![expect(
+    clippy::expect_used,
+    clippy::wildcard_enum_match_arm,
+    reason = "tests stop at the first surprise, and pick the events that they are about"
+)]
+#![expect(dead_code, reason = "the helpers are shared with tests that need others of them")]
+
+#[path = "support/brick.rs"]
+mod brick;
+#[path = "support/network.rs"]
+mod network;
+#[path = "support/station.rs"]
+mod station;
+
+use brick::{BRICK, HEARTBEAT, messages, ticks};
+use network::{OnTheirWay, Speaker, passed_on};
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::{Message, SetMessageInterval, TimeSync};
+use posebridge_telemetry::{Address, Event, LinkId, Output, ReceiveError, TimeDelta};
+use station::{LINK, STATION, TestStation, at, config, link};
+
+/// Two links to another station.
+const NEAR: LinkId = LinkId(4);
+const FAR: LinkId = LinkId(5);
+
+fn station_in_a_loop() -> TestStation {
+    let mut config = config();
+    config.links.push(link(NEAR, vec![]));
+    config.links.push(link(FAR, vec![]));
+    TestStation::new(&config)
+}
+
+#[test]
+fn a_frame_that_waited_in_a_full_queue_on_its_way_round_goes_no_further() {
+    // 64 KiB of forwarded frames may wait for a line of 57600 baud.
+    let longest_wait = TimeDelta::from_secs_f64(65_536.0 / 5_760.0);
+    for wait in [TimeDelta::from_millis(1_500), longest_wait] {
+        let mut station = station_in_a_loop();
+        let mut brick = Speaker::new(BRICK, LINK, 0);
+        let far = Speaker::new(BRICK, FAR, 0);
+        let mut on_their_way = OnTheirWay::default();
+        for k in 0..800_u32 {
+            let now = at(i64::from(k) * 50);
+            let (frame, passed) = brick.say(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
+            assert_eq!(passed.len(), 2, "out by both links");
+            on_their_way.send(now + wait, (), frame);
+            while let Some(((), back)) = on_their_way.take_due(now) {
+                let seen = station.outputs.len();
+                far.give(&mut station, now, &back);
+                assert_eq!(passed_on(&station, seen, &back), [], "after {wait:?}");
+            }
+        }
+        let is_observation = |event: &&Event| matches!(event, Event::ObservationAligned { .. });
+        assert_eq!(station.events().filter(is_observation).count(), 800);
+    }
+}
+
+/// The messages that the station sent on a link after the first `seen` outputs.
+fn said(station: &TestStation, seen: usize, on: LinkId) -> Vec<Message> {
+    let outputs = station.outputs[seen..].iter();
+    let sent = outputs.filter_map(|(_, output)| match output {
+        Output::Transmit { link, bytes, .. } if *link == on => Some(messages(bytes)),
+        Output::Transmit { .. } | Output::Event(_) | Output::Request(_) => None,
+    });
+    sent.flatten().collect()
+}
+
+#[test]
+fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_first() {
+    const GCS: Address = Address::new(254, 190);
+    let mut station = station_in_a_loop();
+    let mut near = Speaker::new(GCS, NEAR, 0);
+    let frame = near.frame(&Message::SetMessageInterval(SetMessageInterval {
+        target: STATION,
+        message_id: ids::ODOMETRY,
+        interval: Some(TimeDelta::from_millis(50)),
+    }));
+    let seen = station.outputs.len();
+    near.give(&mut station, at(100), &frame);
+    Speaker::new(GCS, FAR, 0).give(&mut station, at(140), &frame);
+    let mut brick = Speaker::new(BRICK, LINK, 0);
+    for k in 0..20_u32 {
+        let now = at(200 + i64::from(k) * 50);
+        brick.say(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
+    }
+    let counts = [NEAR, FAR].map(|link| {
+        let said = said(&station, seen, link);
+        let acks = said.iter().filter(|m| matches!(m, Message::CommandAck(_)));
+        let stream = said.iter().filter(|m| matches!(m, Message::Odometry(_)));
+        (acks.count(), stream.count())
+    });
+    assert_eq!(counts, [(1, 20), (0, 0)]);
+}
+
+#[test]
+fn an_answer_is_taken_where_the_question_left_even_if_it_was_quicker_round_the_loop() {
+    let mut station = station_in_a_loop();
+    let mut brick = Speaker::new(BRICK, LINK, 0);
+    brick.say(&mut station, at(0), &ticks(5_000, 0, 0));
+    let mut seen = 0;
+    for k in 1..40_i64 {
+        let now = at(k * 100);
+        station.pass_until(now);
+        for message in said(&station, seen, LINK) {
+            let Message::TimeSync(sync) = message else {
+                continue;
+            };
+            let answer = brick.frame(&Message::TimeSync(TimeSync {
+                answer_nanos: sync.request_nanos + 5_002_000_000,
+                request_nanos: sync.request_nanos,
+                target: Some(STATION),
+            }));
+            Speaker::new(BRICK, NEAR, 0).give(&mut station, now, &answer);
+            brick.give(&mut station, now, &answer);
+        }
+        seen = station.outputs.len();
+    }
+    let is_exchange = |event: &&Event| matches!(event, Event::BrickClockAligned { .. });
+    assert!(station.events().filter(is_exchange).count() > 8);
+}
+
+#[test]
+fn a_robot_is_seen_on_its_own_link_and_not_where_its_heartbeats_come_round() {
+    for round_first in [false, true] {
+        let mut station = station_in_a_loop();
+        let mut brick = Speaker::new(BRICK, LINK, 0);
+        let near = Speaker::new(BRICK, NEAR, 0);
+        brick.say(&mut station, at(0), &ticks(5_000, 0, 0));
+        for k in 1..10_i64 {
+            let now = at(k * 1_000);
+            station.pass_until(now);
+            let frame = brick.frame(&HEARTBEAT);
+            if round_first {
+                near.give(&mut station, now, &frame);
+            }
+            brick.give(&mut station, now, &frame);
+            if !round_first {
+                near.give(&mut station, now, &frame);
+            }
+        }
+        let mut seen = Vec::new();
+        for event in station.events() {
+            match event {
+                Event::RobotDetected { robot } => seen.push(robot.link),
+                Event::RobotLost { .. } => panic!("it speaks each second"),
+                _ => {}
+            }
+        }
+        assert!(seen.contains(&LINK), "{round_first}");
+        // A copy that is quicker cannot be told from the word itself.
+        assert_eq!(seen.contains(&NEAR), round_first);
+    }
+}
+
+#[test]
+fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
+    let mut station = station_in_a_loop();
+    station.pass_until(at(3_000));
+    let echoes: Vec<Vec<u8>> = station.sent().map(|(_, bytes)| bytes.to_vec()).collect();
+    assert!(echoes.len() > 9, "{}", echoes.len());
+    let far = Speaker::new(STATION, FAR, 0);
+    for frame in &echoes {
+        far.give(&mut station, at(3_000), frame);
+    }
+    let namesakes = |station: &TestStation| {
+        let is_one = |event: &&Event| {
+            let defect = ReceiveError::AddressConflict { message_id: ids::HEARTBEAT };
+            **event == Event::ReceiveError { link: FAR, defect }
+        };
+        station.events().filter(is_one).count()
+    };
+    assert_eq!(namesakes(&station), 0);
+    let mut other = Speaker::new(STATION, FAR, 0);
+    let seen = station.outputs.len();
+    for k in 0..5 {
+        let (_, passed) = other.say(&mut station, at(3_100 + k), &HEARTBEAT);
+        assert_eq!(passed, []);
+    }
+    assert_eq!(namesakes(&station), 5);
+    assert!(
+        !station.outputs[seen..].iter().any(|(_, output)| matches!(output, Output::Event(Event::RobotDetected { .. })))
+    );
+    station.pass_until(at(4_000));
+    let told = station.events().filter_map(|event| match event {
+        Event::Health { link: FAR, health, .. } => Some(health.address_conflicts),
+        _ => None,
+    });
+    assert_eq!(told.last(), Some(5));
+}

@@ -1,0 +1,86 @@
+//! Speakers with sequence numbers of their own, and lines with delays between pipelines: several links in virtual time.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::WireVersion;
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{Address, HostClock, Input, LinkId, Output, PeerId, Priority, Recipients, Timestamp};
+
+use crate::station::TestStation;
+
+/// Somebody at the other end of a link.
+pub(crate) struct Speaker {
+    address: Address,
+    encoder: Encoder,
+    link: LinkId,
+    peer: PeerId,
+}
+
+impl Speaker {
+    pub(crate) fn new(address: Address, link: LinkId, peer: u32) -> Self {
+        Self { address, encoder: Encoder::new(WireVersion::V2), link, peer: PeerId(peer) }
+    }
+
+    /// The next frame.
+    pub(crate) fn frame(&mut self, message: &Message) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.encoder.encode(self.address, message, &mut bytes);
+        bytes
+    }
+
+    /// Says something to a station, and returns the frame and whom the station passed it on to.
+    pub(crate) fn say(
+        &mut self,
+        station: &mut TestStation,
+        now: Timestamp<HostClock>,
+        message: &Message,
+    ) -> (Vec<u8>, Vec<(LinkId, Recipients, Priority)>) {
+        let bytes = self.frame(message);
+        let seen = station.outputs.len();
+        self.give(station, now, &bytes);
+        let passed = passed_on(station, seen, &bytes);
+        (bytes, passed)
+    }
+
+    /// Gives bytes to a station as if this speaker had sent them.
+    pub(crate) fn give(&self, station: &mut TestStation, now: Timestamp<HostClock>, bytes: &[u8]) {
+        let input = Input::Bytes { link: self.link, peer: self.peer, bytes: bytes.to_vec() };
+        station.give(now, input);
+    }
+}
+
+/// To whom exactly these bytes were sent, among the outputs after the first `seen`.
+pub(crate) fn passed_on(station: &TestStation, seen: usize, frame: &[u8]) -> Vec<(LinkId, Recipients, Priority)> {
+    let outputs = station.outputs[seen..].iter();
+    let passed = outputs.filter_map(|(_, output)| match output {
+        Output::Transmit { link, to, priority, bytes } if bytes == frame => Some((*link, *to, *priority)),
+        Output::Transmit { .. } | Output::Event(_) | Output::Request(_) => None,
+    });
+    passed.collect()
+}
+
+/// Bytes with their instants of arrival and the place where they arrive, first come first.
+#[derive(Default)]
+pub(crate) struct OnTheirWay<P> {
+    queue: BTreeMap<(Timestamp<HostClock>, u64), (P, Vec<u8>)>,
+    sent: u64,
+}
+
+impl<P> OnTheirWay<P> {
+    pub(crate) fn send(&mut self, arrival: Timestamp<HostClock>, place: P, bytes: Vec<u8>) {
+        self.sent += 1;
+        self.queue.insert((arrival, self.sent), (place, bytes));
+    }
+
+    /// The next that arrives until `now`.
+    pub(crate) fn take_due(&mut self, now: Timestamp<HostClock>) -> Option<(P, Vec<u8>)> {
+        let entry = self.queue.first_entry()?;
+        (entry.key().0 <= now).then(|| entry.remove())
+    }
+
+    /// Everything that is on its way to some place is lost.
+    pub(crate) fn lose(&mut self, is_lost: impl Fn(&P) -> bool) {
+        self.queue.retain(|_, (place, _)| !is_lost(place));
+    }
+}

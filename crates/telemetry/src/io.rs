@@ -1,0 +1,76 @@
+//! The station's inputs and outputs.
+//!
+//! A recording is the sequence of [`Input`]s with their times, chunk boundaries included. The two types are in this crate
+//! because the recorder uses them and does not depend on the station.
+
+use crate::command::{Command, Request};
+use crate::event::{Event, LinkState};
+use crate::ids::{LinkId, PeerId};
+use crate::link_health::LinkCounts;
+use crate::observation::Observation;
+use crate::outbound::{Priority, Recipients};
+
+/// An input of the station.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// Bytes from a link, as one read returned them.
+    Bytes {
+        /// The link.
+        link: LinkId,
+        /// The peer that sent them; each peer is a stream of its own.
+        peer: PeerId,
+        /// The bytes.
+        bytes: Vec<u8>,
+    },
+    /// A link came up or went down.
+    Link {
+        /// The link.
+        link: LinkId,
+        /// Its new state.
+        state: LinkState,
+    },
+    /// The counters of a link's transport, given now and then for the link's health.
+    Port {
+        /// The link.
+        link: LinkId,
+        /// Its counts.
+        counts: LinkCounts,
+    },
+    /// An observation from a foreign recording, already in SI units and in brick time.
+    Observation(Observation),
+    /// A command of a person or a program.
+    Command(Command),
+    /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
+    Report {
+        /// MAVLink severity, 0 emergency to 7 debug.
+        severity: u8,
+        /// A line for people.
+        text: String,
+    },
+    /// Time passed; given when the station's deadline is reached.
+    Tick,
+}
+
+/// An output of the station.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "an output is moved once, from the station to its reader; a box would cost an allocation for each event"
+)]
+pub enum Output {
+    /// An event.
+    Event(Event),
+    /// Bytes to send on a link.
+    Transmit {
+        /// The link.
+        link: LinkId,
+        /// The recipients.
+        to: Recipients,
+        /// The priority on a slow link.
+        priority: Priority,
+        /// One whole frame, ready for the wire.
+        bytes: Vec<u8>,
+    },
+    /// A task for the program that runs the station.
+    Request(Request),
+}

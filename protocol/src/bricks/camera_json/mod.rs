@@ -1,0 +1,309 @@
+//! Cameras that send the robot's position in lines of JSON: a few lines of Python with any vision library.
+//!
+//! Takes bytes of one or many senders of a link and returns fixes, replies to time requests and heartbeats; errors in a
+//! line are sent back to its sender. SPEC.md beside this file defines the messages, docs/protocols/camera-json.md
+//! explains their use. A camera has its own clock: the session requests its time and the station aligns it, as for a
+//! camera that sends MAVLink.
+
+mod cameras;
+mod replies;
+mod schema;
+mod settings;
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use posebridge_telemetry::{Address, HostClock, PeerId, ReceiveError, Recipients, SourceHealth, TimeDelta, Timestamp};
+
+use self::cameras::{CameraTable, MAX_CAMERAS};
+use self::replies::ErrorReplies;
+use self::schema::{CameraFixMessage, CameraLine, CameraMessage, FieldError};
+pub use self::settings::CameraJsonSettings;
+use super::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use super::line_splitter::{LineSplitter, SplitItem, printable};
+use crate::dialect::ids;
+use crate::framing::{FramerCounters, TransportKind};
+use crate::message::{CommandLong, Message, TimeSync, VisionFix, WireStamp};
+
+/// Longest line, bytes without its end: all keys with all digits take 400.
+const MAX_LINE_BYTES: usize = 1_024;
+/// So many senders of a link are kept apart; the one that came first goes first.
+const MAX_PEERS: usize = 64;
+/// So many answers wait to be fetched; more are dropped, because complaints come again.
+const MAX_REPLIES: usize = 64;
+/// So many names that mean nothing here are told.
+const MAX_UNKNOWN_KEYS: usize = 8;
+/// MAV_SEVERITY_WARNING, _INFO.
+const WARNING: u8 = 4;
+const INFO: u8 = 6;
+/// What a [`Defect`] calls a line, which has no number.
+const LINE_ID: u32 = 0;
+
+type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
+
+/// The state of one link to cameras.
+#[derive(Debug)]
+struct CameraJsonCodec {
+    settings: CameraJsonSettings,
+    peers: BTreeMap<PeerId, CameraPeer>,
+    cameras: CameraTable,
+    replies: VecDeque<(Recipients, Vec<u8>)>,
+    counts: FramerCounters,
+    unknown: BTreeSet<String>,
+    /// A bad line was quoted since the link came up.
+    is_error_reported: bool,
+    is_overflow_reported: bool,
+    /// Fixes that were asked for.
+    requests: u64,
+}
+
+/// One sender.
+#[derive(Debug, Default)]
+struct CameraPeer {
+    splitter: LineSplitter<MAX_LINE_BYTES>,
+    lines: u64,
+    error_replies: ErrorReplies,
+}
+
+pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    Box::new(CameraJsonCodec {
+        settings: settings.fixes,
+        peers: BTreeMap::new(),
+        cameras: CameraTable::default(),
+        replies: VecDeque::new(),
+        counts: FramerCounters::default(),
+        unknown: BTreeSet::new(),
+        is_error_reported: false,
+        is_overflow_reported: false,
+        requests: 0,
+    })
+}
+
+impl BrickCodec for CameraJsonCodec {
+    fn on_link_up(&mut self, _now: Timestamp<HostClock>) {
+        self.peers.clear();
+        self.replies.clear();
+        self.is_error_reported = false;
+    }
+
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        self.push_from_peer(now, PeerId::default(), bytes, sink);
+    }
+
+    fn push_from_peer(
+        &mut self,
+        now: Timestamp<HostClock>,
+        id: PeerId,
+        bytes: &[u8],
+        sink: &mut dyn FnMut(CodecEvent<'_>),
+    ) {
+        // Taken out while it is read, because its lines need the rest of the state.
+        let mut peer = self.peers.remove(&id).unwrap_or_default();
+        let mut splitter = std::mem::take(&mut peer.splitter);
+        let mut take = |cut: SplitItem<'_>| self.handle_line(now, id, &mut peer, cut, sink);
+        splitter.push(bytes, &mut take);
+        if self.settings.framing == TransportKind::Datagram {
+            splitter.finish(&mut |cut| self.handle_line(now, id, &mut peer, cut, sink));
+        }
+        peer.splitter = splitter;
+        if self.peers.len() >= MAX_PEERS {
+            self.peers.pop_first();
+        }
+        self.peers.insert(id, peer);
+    }
+
+    fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        // Half a line waits for its end; its length is limited.
+        None
+    }
+
+    fn tick(&mut self, _now: Timestamp<HostClock>, _sink: &mut dyn FnMut(CodecEvent<'_>)) {}
+
+    fn poll(&mut self) -> Option<Vec<u8>> {
+        self.poll_addressed().map(|(_, bytes)| bytes)
+    }
+
+    fn poll_addressed(&mut self) -> Option<(Recipients, Vec<u8>)> {
+        self.replies.pop_front()
+    }
+
+    fn encode(&mut self, _now: Timestamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+        #[expect(
+            clippy::wildcard_enum_match_arm,
+            reason = "a camera is told nothing but questions, however many kinds of message there are"
+        )]
+        let line = match message {
+            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => replies::time_request(*request_nanos),
+            Message::Command(command) => match self.fix_request(command) {
+                Some(line) => line,
+                None => return 0,
+            },
+            _ => return 0,
+        };
+        out.extend_from_slice(&line);
+        line.len()
+    }
+
+    fn counters(&self) -> FramerCounters {
+        self.counts
+    }
+
+    fn source_health(&self) -> Vec<SourceHealth> {
+        self.cameras.source_health()
+    }
+}
+
+impl CameraJsonCodec {
+    fn handle_line(
+        &mut self,
+        now: Timestamp<HostClock>,
+        id: PeerId,
+        peer: &mut CameraPeer,
+        cut: SplitItem<'_>,
+        sink: &mut CodecEventSink<'_>,
+    ) {
+        peer.lines += 1;
+        let (line, flaw) = match cut {
+            SplitItem::Line(line) => {
+                let heard = schema::parse_line(line).and_then(|said| self.apply_message(now, &said, sink));
+                let Err(flaw) = heard else {
+                    return;
+                };
+                (line, flaw)
+            }
+            SplitItem::TooLong(bytes) => {
+                let text = format!("a line of {bytes} bytes is longer than {MAX_LINE_BYTES}");
+                self.count_unframed(bytes, sink);
+                (&[][..], FieldError::for_line(text))
+            }
+        };
+        self.count_error(line, &flaw, sink);
+        let answer = peer.error_replies.reply_to(now, peer.lines, &flaw);
+        if self.replies.len() < MAX_REPLIES {
+            let to = Recipients::Peer(id);
+            self.replies.extend(answer.map(|answer| (to, answer)));
+        }
+        if !std::mem::replace(&mut self.is_error_reported, true) {
+            let quoted = printable(line);
+            let text = format!("line {} `{quoted}`: {}", peer.lines, flaw.text);
+            emit_status_text(sink, DEFAULT_BRICK_ADDRESS, WARNING, text);
+        }
+    }
+
+    /// Acts on what a line says.
+    fn apply_message(
+        &mut self,
+        now: Timestamp<HostClock>,
+        line: &CameraLine,
+        sink: &mut CodecEventSink<'_>,
+    ) -> Result<(), FieldError> {
+        let Some((from, camera, is_new)) = self.cameras.get_or_insert(line.camera) else {
+            if !std::mem::replace(&mut self.is_overflow_reported, true) {
+                let text = format!("there are more than {MAX_CAMERAS} cameras on one link");
+                emit_status_text(sink, DEFAULT_BRICK_ADDRESS, WARNING, text);
+            }
+            return Err(FieldError {
+                key: Some("camera"),
+                text: format!("`camera` is one more than the {MAX_CAMERAS} of a link"),
+            });
+        };
+        camera.lines += 1;
+        camera.takes_requests = line.takes_requests.unwrap_or(camera.takes_requests);
+        let pulse = camera.heartbeat.heartbeat_if_due(now);
+        self.counts.frames += 1;
+        if is_new {
+            let text = format!("camera `{}` is {from} here", line.camera);
+            emit_status_text(sink, from, INFO, text);
+        }
+        if let Some(message) = pulse {
+            sink(CodecEvent::Message { from, message });
+        }
+        self.report_unknown_keys(from, &line.unknown, sink);
+        match line.message {
+            CameraMessage::Fix(fix) => self.emit_fix(now, from, &fix, sink),
+            CameraMessage::Time { request, nanos } => {
+                let answer = TimeSync {
+                    // Zero would make a request of it.
+                    answer_nanos: nanos.max(1),
+                    request_nanos: request,
+                    target: None,
+                };
+                let message = Message::TimeSync(answer);
+                sink(CodecEvent::Message { from, message });
+            }
+            CameraMessage::Hello => {}
+        }
+        Ok(())
+    }
+
+    fn emit_fix(
+        &self,
+        now: Timestamp<HostClock>,
+        from: Address,
+        fix: &CameraFixMessage,
+        sink: &mut CodecEventSink<'_>,
+    ) {
+        if fix.quality.is_some_and(|quality| quality < self.settings.min_quality) {
+            // Good to know and no flaw of the line: it is counted, and not used.
+            let message_id = ids::VISION_POSITION_ESTIMATE;
+            sink(CodecEvent::Error(ReceiveError::Payload { message_id }));
+            return;
+        }
+        let latest = now - (self.settings.delay - self.settings.delay_spread).max(TimeDelta::ZERO);
+        let stamp = match fix.exposed_micros {
+            Some(micros) => WireStamp::Micros64(micros),
+            None => WireStamp::HostInterval {
+                sent: now - self.settings.delay - self.settings.delay_spread,
+                answered: latest,
+            },
+        };
+        let message = Message::VisionPosition(VisionFix {
+            stamp,
+            x: fix.x,
+            y: fix.y,
+            heading: fix.heading,
+            covariance: fix.covariance,
+            reset_counter: fix.reset_counter,
+            tag: fix.tag,
+        });
+        sink(CodecEvent::Message { from, message });
+    }
+
+    /// One word about each key that means nothing here.
+    fn report_unknown_keys(&mut self, from: Address, unknown: &[String], sink: &mut CodecEventSink<'_>) {
+        for key in unknown {
+            if self.unknown.len() < MAX_UNKNOWN_KEYS && self.unknown.insert(key.clone()) {
+                emit_status_text(sink, from, INFO, format!("the camera's `{key}` is not used"));
+            }
+        }
+    }
+
+    /// The question for a fix, if a camera takes it.
+    fn fix_request(&mut self, command: &CommandLong) -> Option<Vec<u8>> {
+        let is_for_fix = command.command == ids::COMMAND_REQUEST_MESSAGE
+            && command.params[0] == ids::VISION_POSITION_ESTIMATE as f32;
+        let camera = self.cameras.get(command.target)?;
+        if !is_for_fix || !camera.takes_requests {
+            return None;
+        }
+        self.requests += 1;
+        Some(replies::fix_request(camera.name, self.requests))
+    }
+
+    fn count_error(&mut self, line: &[u8], flaw: &FieldError, sink: &mut CodecEventSink<'_>) {
+        if flaw.key.is_some() {
+            let message_id = LINE_ID;
+            sink(CodecEvent::Error(ReceiveError::Payload { message_id }));
+        } else if !line.is_empty() {
+            self.count_unframed(line.len() as u32, sink);
+        }
+    }
+
+    fn count_unframed(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+        self.counts.garbage_bytes += u64::from(bytes);
+        sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes }));
+    }
+}
+
+fn emit_status_text(sink: &mut CodecEventSink<'_>, from: Address, severity: u8, text: String) {
+    sink(CodecEvent::StatusText { from, severity, text });
+}

@@ -1,0 +1,401 @@
+//! Parses one line of a camera: JSON to values in SI units in the arena, or the error and its key.
+//!
+//! # Model
+//! ```text
+//! space "arena"   x_m, y_m, heading as they stand            counter-clockwise from x
+//! space "ned"     x_m north, y_m east, heading clockwise     x = y_m, y = x_m, heading = pi/2 - heading
+//! ```
+//! `serde_json` parses the JSON and limits its nesting.
+//!
+//! # Sources
+//! docs/protocols/camera-json.md; RFC 8259 (JSON).
+
+use std::ops::RangeInclusive;
+
+use posebridge_telemetry::{ChannelName, Heading, Meters};
+use serde_json::{Map, Value};
+
+use super::super::line_splitter::printable;
+use crate::dialect::frames::{PlanarPoint, turn_ned};
+
+/// Every key that means something.
+pub(super) const KEYS: &[&str] = &[
+    "camera",
+    "exposed_s",
+    "exposed_us",
+    "x_m",
+    "y_m",
+    "heading_rad",
+    "heading_deg",
+    "sigma_m",
+    "sigma_heading_rad",
+    "sigma_heading_deg",
+    "quality",
+    "reset_counter",
+    "tag",
+    "space",
+    "takes_requests",
+    "time_answer",
+    "time_s",
+    "time_us",
+];
+
+/// The name of a camera that does not say one.
+const DEFAULT_CAMERA_NAME: &[u8] = b"camera";
+/// No arena is larger: 100 km.
+const MAX_COORDINATE_M: f64 = 1e5;
+/// A smaller sigma, m or rad, is a mistake: no camera knows a place to a micrometre, and its square must not vanish among numbers of 64
+/// bits.
+const MIN_SIGMA: f64 = 1e-6;
+/// A sigma of more says nothing.
+const MAX_SIGMA: f64 = 1e3;
+/// So many turns are taken for an angle that was never wrapped, and no more.
+const MAX_ANGLE_RAD: f64 = 1e6;
+/// Nanoseconds in 64 bits end after 292 years; UNIX time is far below.
+const MAX_TIME_S: f64 = 9e9;
+
+/// What a line says, and who says it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct CameraLine {
+    /// The camera's name.
+    pub(super) camera: ChannelName,
+    /// Whether it says that it makes a fix when it is asked.
+    pub(super) takes_requests: Option<bool>,
+    /// The rest.
+    pub(super) message: CameraMessage,
+    /// Keys that mean nothing here, made printable.
+    pub(super) unknown: Vec<String>,
+}
+
+/// The kinds of line.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum CameraMessage {
+    /// Where the robot was.
+    Fix(CameraFixMessage),
+    /// The camera's clock between a question and the answer.
+    Time {
+        /// What stood in the question.
+        request: i64,
+        /// Since the clock's zero.
+        nanos: i64,
+    },
+    /// Nothing but who it is.
+    Hello,
+}
+
+/// Where the robot was, in the arena.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CameraFixMessage {
+    /// Middle of the exposure by the camera's clock, microseconds.
+    pub(super) exposed_micros: Option<u64>,
+    pub(super) x: Meters,
+    pub(super) y: Meters,
+    pub(super) heading: Option<Heading>,
+    /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
+    pub(super) covariance: Option<[f64; 4]>,
+    /// 0 to 100 per cent, if the camera says.
+    pub(super) quality: Option<f64>,
+    pub(super) reset_counter: u8,
+    /// The number of the tag that was seen, if the camera tells tags apart.
+    pub(super) tag: Option<u32>,
+}
+
+/// What is wrong with a line.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct FieldError {
+    /// With which key, if it is one.
+    pub(super) key: Option<&'static str>,
+    /// What.
+    pub(super) text: String,
+}
+
+impl FieldError {
+    fn for_key(key: &'static str, what: &str) -> Self {
+        Self { key: Some(key), text: format!("`{key}` {what}") }
+    }
+
+    pub(super) const fn for_line(text: String) -> Self {
+        Self { key: None, text }
+    }
+}
+
+/// What a line says.
+///
+/// # Errors
+/// It is no JSON object, a key is missing or has a value that it cannot have.
+pub(super) fn parse_line(line: &[u8]) -> Result<CameraLine, FieldError> {
+    let value: Value = serde_json::from_slice(line).map_err(|error| json_error(line, &error))?;
+    let Value::Object(map) = value else {
+        let text = "a line must be one JSON object, such as {\"x_m\": 1.0, \"y_m\": 2.0}";
+        return Err(FieldError::for_line(text.to_owned()));
+    };
+    let keys = LineKeys(&map);
+    let is_unknown = |key: &&String| !KEYS.contains(&key.as_str());
+    Ok(CameraLine {
+        camera: keys.camera()?,
+        takes_requests: keys.flag("takes_requests")?,
+        message: keys.message()?,
+        unknown: map.keys().filter(is_unknown).map(|key| printable(key.as_bytes())).collect(),
+    })
+}
+
+fn json_error(line: &[u8], error: &serde_json::Error) -> FieldError {
+    let has = |word: &[u8]| line.windows(word.len()).any(|part| part == word);
+    let hint = if has(b"NaN") || has(b"Infinity") {
+        "; JSON knows no NaN and no Infinity: leave the key out, or the whole line"
+    } else {
+        ""
+    };
+    let byte = error.column();
+    FieldError::for_line(format!("this is no JSON from byte {byte} on{hint}"))
+}
+
+/// The keys of one line.
+struct LineKeys<'a>(&'a Map<String, Value>);
+
+impl LineKeys<'_> {
+    fn message(&self) -> Result<CameraMessage, FieldError> {
+        if let Some(request) = self.0.get("time_answer") {
+            let Some(request) = request.as_i64() else {
+                return Err(FieldError::for_key("time_answer", "must be the number of the request"));
+            };
+            return Ok(CameraMessage::Time { request, nanos: self.time_nanos()? });
+        }
+        let is_hello =
+            self.0.contains_key("takes_requests") && !["x_m", "y_m"].iter().any(|key| self.0.contains_key(*key));
+        if is_hello {
+            return Ok(CameraMessage::Hello);
+        }
+        self.fix().map(CameraMessage::Fix)
+    }
+
+    fn fix(&self) -> Result<CameraFixMessage, FieldError> {
+        let place = self.planar_pose()?;
+        let heading = self.heading_rad()?.map(|_| Heading::from_rad(place.angle));
+        Ok(CameraFixMessage {
+            exposed_micros: self.exposed_micros()?,
+            x: Meters(place.x),
+            y: Meters(place.y),
+            heading,
+            covariance: self.covariance(heading)?,
+            quality: self.bounded("quality", 0.0, 100.0)?,
+            reset_counter: self.whole_number("reset_counter", u32::from(u8::MAX))?.unwrap_or(0) as u8,
+            tag: self.whole_number("tag", u32::MAX)?,
+        })
+    }
+
+    /// Position and heading in the arena; 0 stands for a heading that is not told.
+    fn planar_pose(&self) -> Result<PlanarPoint, FieldError> {
+        let coordinate = |key| {
+            let value = self.bounded(key, -MAX_COORDINATE_M, MAX_COORDINATE_M)?;
+            value.ok_or_else(|| FieldError::for_key(key, "is missing"))
+        };
+        let told =
+            PlanarPoint { x: coordinate("x_m")?, y: coordinate("y_m")?, angle: self.heading_rad()?.unwrap_or(0.0) };
+        match self.0.get("space").map(Value::as_str) {
+            None | Some(Some("arena")) => Ok(told),
+            Some(Some("ned")) => Ok(turn_ned(told)),
+            Some(_) => Err(FieldError::for_key("space", "must be \"arena\" or \"ned\"")),
+        }
+    }
+
+    fn heading_rad(&self) -> Result<Option<f64>, FieldError> {
+        let range = -MAX_ANGLE_RAD..=MAX_ANGLE_RAD;
+        self.angle("heading_rad", "heading_deg", range)
+    }
+
+    /// Variances from the sigmas. Both or none where there is a heading: a sigma of the position alone would leave the heading without
+    /// any, and the station cannot guess it.
+    fn covariance(&self, heading: Option<Heading>) -> Result<Option<[f64; 4]>, FieldError> {
+        let position = self.bounded("sigma_m", MIN_SIGMA, MAX_SIGMA)?;
+        let turn = self.angle("sigma_heading_rad", "sigma_heading_deg", MIN_SIGMA..=MAX_SIGMA)?;
+        let Some(sigma_m) = position else {
+            return match turn {
+                None => Ok(None),
+                Some(_) => Err(FieldError::for_key("sigma_m", "is missing beside the heading's sigma")),
+            };
+        };
+        if heading.is_some() && turn.is_none() {
+            return Err(FieldError::for_key(
+                "sigma_heading_rad",
+                "is missing beside `sigma_m` and a heading; give both sigmas or none",
+            ));
+        }
+        let position_m2 = sigma_m.powi(2);
+        let heading_rad2 = turn.map_or(f64::INFINITY, |sigma_rad| sigma_rad.powi(2));
+        Ok(Some([position_m2, 0.0, position_m2, heading_rad2]))
+    }
+
+    fn exposed_micros(&self) -> Result<Option<u64>, FieldError> {
+        let told_s = self.time_s("exposed_s", "exposed_us")?;
+        Ok(told_s.map(|told| told.micros))
+    }
+
+    fn time_nanos(&self) -> Result<i64, FieldError> {
+        let told = self.time_s("time_s", "time_us")?;
+        let told = told.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
+        Ok(told.nanos)
+    }
+
+    /// An instant, in seconds under one name or in microseconds under the other.
+    fn time_s(&self, seconds: &'static str, micros: &'static str) -> Result<Option<CameraInstant>, FieldError> {
+        let in_seconds = self.bounded(seconds, 0.0, MAX_TIME_S)?;
+        let in_micros = self.bounded(micros, 0.0, MAX_TIME_S * 1e6)?;
+        match (in_seconds, in_micros) {
+            (Some(_), Some(_)) => Err(FieldError::for_key(micros, "says the same as the one in seconds")),
+            (Some(told_s), None) => {
+                Ok(Some(CameraInstant { micros: (told_s * 1e6).round() as u64, nanos: (told_s * 1e9).round() as i64 }))
+            }
+            (None, Some(told_us)) => {
+                Ok(Some(CameraInstant { micros: told_us.round() as u64, nanos: (told_us * 1e3).round() as i64 }))
+            }
+            (None, None) => Ok(None),
+        }
+    }
+
+    /// An angle in radians under one name or in degrees under the other, within a range of radians.
+    fn angle(
+        &self,
+        radians: &'static str,
+        degrees: &'static str,
+        range_rad: RangeInclusive<f64>,
+    ) -> Result<Option<f64>, FieldError> {
+        let (least, most) = range_rad.into_inner();
+        let in_radians = self.bounded(radians, least, most)?;
+        let in_degrees = self.bounded(degrees, least.to_degrees(), most.to_degrees())?;
+        match (in_radians, in_degrees) {
+            (Some(_), Some(_)) => Err(FieldError::for_key(degrees, "says the same as the one in radians")),
+            (in_radians, in_degrees) => Ok(in_radians.or(in_degrees.map(f64::to_radians))),
+        }
+    }
+
+    fn bounded(&self, key: &'static str, least: f64, most: f64) -> Result<Option<f64>, FieldError> {
+        let Some(value) = self.0.get(key).filter(|value| !value.is_null()) else {
+            return Ok(None);
+        };
+        let Some(number) = value.as_f64() else {
+            return Err(FieldError::for_key(key, "must be a number"));
+        };
+        if (least..=most).contains(&number) {
+            return Ok(Some(number));
+        }
+        let range = format!("is {number:?}, must lie between {least:?} and {most:?}");
+        Err(FieldError::for_key(key, &range))
+    }
+
+    fn whole_number(&self, key: &'static str, most: u32) -> Result<Option<u32>, FieldError> {
+        match self.bounded(key, 0.0, f64::from(most))? {
+            Some(number) if number.fract() != 0.0 => Err(FieldError::for_key(key, "must be a whole number")),
+            number => Ok(number.map(|number| number as u32)),
+        }
+    }
+
+    fn flag(&self, key: &'static str) -> Result<Option<bool>, FieldError> {
+        match self.0.get(key) {
+            None => Ok(None),
+            Some(Value::Bool(flag)) => Ok(Some(*flag)),
+            Some(_) => Err(FieldError::for_key(key, "must be true or false")),
+        }
+    }
+
+    fn camera(&self) -> Result<ChannelName, FieldError> {
+        let name = match self.0.get("camera") {
+            None => return Ok(ChannelName::from_bytes(DEFAULT_CAMERA_NAME)),
+            Some(Value::String(name)) => name.as_bytes(),
+            Some(_) => return Err(FieldError::for_key("camera", "must be a text")),
+        };
+        let is_name = (1..=ChannelName::MAX_LEN).contains(&name.len()) && name.iter().all(u8::is_ascii_graphic);
+        if !is_name {
+            let what = "must be 1 to 16 printable ASCII characters without a space";
+            return Err(FieldError::for_key("camera", what));
+        }
+        Ok(ChannelName::from_bytes(name))
+    }
+}
+
+/// An instant of the camera's clock.
+struct CameraInstant {
+    micros: u64,
+    nanos: i64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fix(line: &str) -> CameraFixMessage {
+        match parse_line(line.as_bytes()).unwrap().message {
+            CameraMessage::Fix(fix) => fix,
+            other @ (CameraMessage::Time { .. } | CameraMessage::Hello) => panic!("{line}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_fix_is_told_in_the_arena_or_north_east_down() {
+        let plain = fix("{\"x_m\": 1.5, \"y_m\": -2}");
+        assert_eq!((plain.x, plain.y), (Meters(1.5), Meters(-2.0)));
+        assert_eq!((plain.heading, plain.covariance), (None, None));
+        let turned = fix("{\"x_m\": 3, \"y_m\": 4, \"heading_deg\": 30, \"space\": \"ned\"}");
+        assert_eq!((turned.x, turned.y), (Meters(4.0), Meters(3.0)));
+        assert!((turned.heading.unwrap().rad().to_degrees() - 60.0).abs() < 1e-9);
+        let still = fix("{\"x_m\": 3, \"y_m\": 4, \"space\": \"ned\"}");
+        assert_eq!(still.heading, None);
+    }
+
+    #[test]
+    fn instants_are_the_same_in_either_unit() {
+        for line in
+            ["{\"x_m\": 0, \"y_m\": 0, \"exposed_s\": 12.5}", "{\"x_m\": 0, \"y_m\": 0, \"exposed_us\": 12500000}"]
+        {
+            assert_eq!(fix(line).exposed_micros, Some(12_500_000), "{line}");
+        }
+        let answer = parse_line(b"{\"time_answer\": 77, \"time_us\": 5}").unwrap();
+        let said = CameraMessage::Time { request: 77, nanos: 5_000 };
+        assert_eq!(answer.message, said);
+    }
+
+    #[test]
+    fn sigmas_become_variances_and_no_heading_is_left_without_one() {
+        let line = "{\"x_m\": 0, \"y_m\": 0, \"heading_rad\": 0, \"sigma_m\": 0.1, \"sigma_heading_rad\": 0.2}";
+        let [xx, xy, yy, hh] = fix(line).covariance.unwrap();
+        assert!((xx - 0.01).abs() < 1e-15 && xy == 0.0 && yy == xx);
+        assert!((hh - 0.04).abs() < 1e-15);
+        let [.., hh] = fix("{\"x_m\": 0, \"y_m\": 0, \"sigma_m\": 0.1}").covariance.unwrap();
+        assert_eq!(hh, f64::INFINITY);
+    }
+
+    /// A line, the key that is wrong with it, and what is said about it.
+    const WRONG: &str = r#"
+{"y_m": 0}                                                  | x_m               | is missing
+{"x_m": "1", "y_m": 0}                                      | x_m               | a number
+{"x_m": 1e9, "y_m": 0}                                      | x_m               | 100000
+{"x_m": 0, "y_m": 0, "sigma_m": 0}                          | sigma_m           | between 1e-6
+{"x_m": 0, "y_m": 0, "sigma_m": 1, "heading_rad": 0}        | sigma_heading_rad | both sigmas
+{"x_m": 0, "y_m": 0, "sigma_heading_rad": 1}                | sigma_m           | is missing
+{"x_m": 0, "y_m": 0, "exposed_s": -1}                       | exposed_s         | between 0
+{"x_m": 0, "y_m": 0, "exposed_s": 1, "exposed_us": 1}       | exposed_us        | the same
+{"x_m": 0, "y_m": 0, "heading_rad": 1, "heading_deg": 1}    | heading_deg       | the same
+{"x_m": 0, "y_m": 0, "quality": 101}                        | quality           | 100
+{"x_m": 0, "y_m": 0, "reset_counter": 1.5}                  | reset_counter     | whole
+{"x_m": 0, "y_m": 0, "tag": -1}                             | tag               | between
+{"x_m": 0, "y_m": 0, "space": "moon"}                       | space             | "ned"
+{"x_m": 0, "y_m": 0, "camera": "a b"}                       | camera            | 16
+{"time_answer": 1}                                          | time_s            | is missing
+{"takes_requests": 1}                                       | takes_requests    | true or false
+[1]                                                         | -                 | object
+{"x_m": NaN}                                                | -                 | no NaN
+{"x_m"                                                      | -                 | byte 6
+"#;
+
+    #[test]
+    fn what_is_wrong_is_told_with_its_key() {
+        for row in WRONG.trim().lines() {
+            let [line, key, said] = row.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
+                panic!("{row}");
+            };
+            let flaw = parse_line(line.as_bytes()).unwrap_err();
+            assert_eq!(flaw.key.unwrap_or("-"), key, "{line}: {flaw:?}");
+            assert!(flaw.text.contains(said), "{line}: {flaw:?}");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Telegrams out of a stream that has neither start byte nor checksum.
+//!
+//! Only an answer that is waited for is believed: its length, counter and type must be those that the question asked for. Whatever
+//! else stands there costs one byte, and the search goes on behind it. So a lost or damaged byte costs the answer that it hits and none
+//! after it. A telegram that stops in its middle holds back what follows; [`Inbox::give_up`] ends that.
+//!
+//! # Sources
+//! LEGO MINDSTORMS EV3 Communication Developer Kit, sections 3 and 4; `c_com.h` of the firmware lms2012.
+
+/// Bytes of the length in front of a telegram.
+const LENGTH_BYTES: usize = 2;
+/// Counter and type.
+const HEAD_BYTES: usize = 3;
+/// Longest telegram that an EV3 sends: its buffer for replies.
+const MAX_TELEGRAM_BYTES: usize = 1024;
+/// Reply to a direct command.
+const REPLY: u8 = 0x02;
+/// Reply to a direct command that failed.
+const ERROR: u8 = 0x04;
+/// System command without reply, as a program on the brick sends it.
+const SYSTEM_COMMAND: u8 = 0x81;
+/// WRITEMAILBOX.
+const WRITE_MAILBOX: u8 = 0x9E;
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Ev3Telegram {
+    /// The answer to the question with this counter.
+    Reply { counter: u16, answer: ReplyBody },
+    /// A program on the brick wrote to a mailbox; it means nothing here.
+    Mailbox,
+    /// So many bytes that are no telegram.
+    UnframedBytes(u32),
+}
+
+/// How a question was answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum ReplyBody {
+    /// With these values.
+    Values(Vec<u8>),
+    /// The brick could not do it.
+    Rejected,
+}
+
+/// What the bytes at the front may be.
+enum FrontMatch {
+    Incomplete,
+    NoTelegram,
+    Telegram { bytes: usize },
+}
+
+/// Bytes that came and are no telegram yet; at most one telegram more than the last chunk.
+#[derive(Debug, Default)]
+pub(super) struct ReplyFramer {
+    buffer: Vec<u8>,
+}
+
+impl ReplyFramer {
+    pub(super) fn clear(&mut self) {
+        self.buffer.clear();
+    }
+
+    pub(super) fn push(&mut self, bytes: &[u8]) {
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    pub(super) const fn waiting_bytes(&self) -> usize {
+        self.buffer.len()
+    }
+
+    /// The next find; `None` until more bytes come. `values_of` tells how many bytes of values a question asked for.
+    pub(super) fn next_telegram(&mut self, values_of: &dyn Fn(u16) -> Option<usize>) -> Option<Ev3Telegram> {
+        let mut skipped = 0;
+        loop {
+            let rest = self.buffer.get(skipped..).unwrap_or_default();
+            match match_front(rest, values_of) {
+                FrontMatch::NoTelegram => skipped += 1,
+                FrontMatch::Incomplete | FrontMatch::Telegram { .. } if skipped > 0 => {
+                    self.buffer.drain(..skipped);
+                    return Some(Ev3Telegram::UnframedBytes(skipped as u32));
+                }
+                FrontMatch::Incomplete => return None,
+                FrontMatch::Telegram { bytes } => return self.pop_bytes(bytes),
+            }
+        }
+    }
+
+    /// Skips the first byte of what waits, so that the search goes on behind it.
+    pub(super) fn skip_byte(&mut self) {
+        if !self.buffer.is_empty() {
+            self.buffer.remove(0);
+        }
+    }
+
+    fn pop_bytes(&mut self, bytes: usize) -> Option<Ev3Telegram> {
+        let telegram: Vec<u8> = self.buffer.drain(..bytes.min(self.buffer.len())).collect();
+        let (head, values) = telegram.get(LENGTH_BYTES..)?.split_first_chunk::<HEAD_BYTES>()?;
+        let [low, high, kind] = *head;
+        let counter = u16::from_le_bytes([low, high]);
+        Some(match kind {
+            REPLY => Ev3Telegram::Reply { counter, answer: ReplyBody::Values(values.to_vec()) },
+            ERROR => Ev3Telegram::Reply { counter, answer: ReplyBody::Rejected },
+            _ => Ev3Telegram::Mailbox,
+        })
+    }
+}
+
+fn match_front(rest: &[u8], values_of: &dyn Fn(u16) -> Option<usize>) -> FrontMatch {
+    let Some((length, telegram)) = rest.split_first_chunk::<LENGTH_BYTES>() else {
+        return FrontMatch::Incomplete;
+    };
+    let length = usize::from(u16::from_le_bytes(*length));
+    if !(HEAD_BYTES..=MAX_TELEGRAM_BYTES).contains(&length) {
+        return FrontMatch::NoTelegram;
+    }
+    let [low, high, kind, ..] = *telegram else {
+        return FrontMatch::Incomplete;
+    };
+    let counter = u16::from_le_bytes([low, high]);
+    let is_possible = match kind {
+        REPLY => values_of(counter).is_some_and(|values| length == HEAD_BYTES + values),
+        // The firmware sends the values, for what they are worth, or nothing.
+        ERROR => values_of(counter).is_some_and(|values| length == HEAD_BYTES + values || length == HEAD_BYTES),
+        SYSTEM_COMMAND => may_be_mailbox(telegram.get(HEAD_BYTES..).unwrap_or_default(), length),
+        _ => false,
+    };
+    match (is_possible, telegram.len() >= length) {
+        (false, _) => FrontMatch::NoTelegram,
+        (true, false) => FrontMatch::Incomplete,
+        (true, true) => FrontMatch::Telegram { bytes: LENGTH_BYTES + length },
+    }
+}
+
+/// Whether the bytes behind the type, as many as are there, may be 9E, length of the name, name, length of the payload, payload.
+fn may_be_mailbox(command: &[u8], length: usize) -> bool {
+    let Some((command, rest)) = command.split_first() else {
+        return true;
+    };
+    if *command != WRITE_MAILBOX {
+        return false;
+    }
+    let Some((name_bytes, rest)) = rest.split_first() else {
+        return true;
+    };
+    let name_bytes = usize::from(*name_bytes);
+    // Command, two lengths and the name stand before the payload.
+    let Some(payload_bytes) = length.checked_sub(HEAD_BYTES + 4 + name_bytes) else {
+        return false;
+    };
+    let said = rest.get(name_bytes..).and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
+    said.is_none_or(|said| usize::from(u16::from_le_bytes(*said)) == payload_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Everything in the bytes, when question 7 has asked for four bytes of values.
+    fn found(bytes: &[u8], chunk: usize) -> Vec<Ev3Telegram> {
+        let mut inbox = ReplyFramer::default();
+        let mut found = Vec::new();
+        for part in bytes.chunks(chunk) {
+            inbox.push(part);
+            while let Some(item) = inbox.next_telegram(&|counter| (counter == 7).then_some(4)) {
+                found.push(item);
+            }
+        }
+        found
+    }
+
+    /// A capture by QUT's robotics toolbox for the EV3: `hello!` for the mailbox `abc`.
+    const MAILBOX: [u8; 20] = [
+        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
+        b'!', 0x00,
+    ];
+    const ANSWER: [u8; 9] = [7, 0, 7, 0, 2, 1, 2, 3, 4];
+
+    #[test]
+    fn only_what_is_waited_for_is_an_answer() {
+        let answer = |counter, answer| Ev3Telegram::Reply { counter, answer };
+        let values = answer(7, ReplyBody::Values(vec![1, 2, 3, 4]));
+        assert_eq!(found(&ANSWER, 9), [values]);
+        let refused = answer(7, ReplyBody::Rejected);
+        assert_eq!(found(&[3, 0, 7, 0, 4], 5), std::slice::from_ref(&refused));
+        assert_eq!(found(&[7, 0, 7, 0, 4, 0, 0, 0, 0], 9), [refused]);
+        // Another length, another counter, another type.
+        for at in [0, 2, 4] {
+            let mut other = ANSWER;
+            other[at] += 1;
+            let answers = found(&other, 9);
+            assert!(answers.iter().all(|item| matches!(item, Ev3Telegram::UnframedBytes(_))), "{answers:?}");
+        }
+    }
+
+    #[test]
+    fn a_mailbox_of_a_program_is_a_telegram_in_any_chunks() {
+        let bytes = [&MAILBOX[..], &ANSWER].concat();
+        for chunk in 1..=bytes.len() {
+            let found = found(&bytes, chunk);
+            assert_eq!(found.len(), 2, "chunk {chunk}: {found:?}");
+            assert_eq!(found[0], Ev3Telegram::Mailbox);
+        }
+        let mut torn = MAILBOX;
+        torn[11] = 8;
+        assert_eq!(found(&torn, 20), [Ev3Telegram::UnframedBytes(18)]);
+    }
+}

@@ -1,0 +1,56 @@
+//! A heartbeat once a second for bricks and cameras without one of their own, so that the station detects when they
+//! come and go.
+
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+
+use crate::message::{Heartbeat, Message};
+
+/// The common interval of heartbeats.
+const PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+/// MAV_TYPE_GROUND_ROVER.
+const GROUND_ROVER: u8 = 10;
+/// MAV_AUTOPILOT_GENERIC.
+const GENERIC: u8 = 0;
+/// MAV_STATE_ACTIVE.
+const ACTIVE: u8 = 4;
+
+/// MAV_TYPE_CAMERA.
+const CAMERA: u8 = 30;
+/// MAV_AUTOPILOT_INVALID: not an autopilot.
+const NOT_AN_AUTOPILOT: u8 = 8;
+
+/// Whose sign of life it is, and when the last one was told.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HeartbeatSource {
+    vehicle_type: u8,
+    autopilot: u8,
+    last_sent: Option<Timestamp<HostClock>>,
+}
+
+impl Default for HeartbeatSource {
+    /// A robot's.
+    fn default() -> Self {
+        Self { vehicle_type: GROUND_ROVER, autopilot: GENERIC, last_sent: None }
+    }
+}
+
+impl HeartbeatSource {
+    /// A camera's.
+    pub(super) const fn for_camera() -> Self {
+        Self { vehicle_type: CAMERA, autopilot: NOT_AN_AUTOPILOT, last_sent: None }
+    }
+
+    /// The brick was heard at `now`: its heartbeat, if one is due.
+    pub(super) fn heartbeat_if_due(&mut self, now: Timestamp<HostClock>) -> Option<Message> {
+        if self.last_sent.is_some_and(|last| now - last < PERIOD) {
+            return None;
+        }
+        self.last_sent = Some(now);
+        Some(Message::Heartbeat(Heartbeat {
+            vehicle_type: self.vehicle_type,
+            autopilot: self.autopilot,
+            base_mode: 0,
+            system_status: ACTIVE,
+        }))
+    }
+}

@@ -1,0 +1,309 @@
+//! Boards that print lines of text with a declared layout, such as those of an Arduino sketch or a student's board.
+//!
+//! The station only reads; if configured, it prints the estimate back. SPEC.md beside this file defines the lines.
+//! Without checksums a damaged digit is accepted, so at least the time is compared with the host's.
+
+mod clock;
+mod estimate;
+mod row;
+mod settings;
+
+use std::collections::BTreeSet;
+
+use posebridge_telemetry::{
+    Address, Celsius, ChannelName, EncoderTicks, HostClock, Meters, RadiansPerSecond, ReceiveError, SourceHealth,
+    TimeDelta, Timestamp,
+};
+
+use self::clock::{BoardClock, SubstituteClock};
+use self::row::{BoardReading, BoardTime, ChecksumStatus, LineError};
+pub use self::settings::{
+    ChecksumPolicy, Column, ColumnSign, LayoutError, LineLayout, QUANTITIES, Quantity, Separator, TextLineSettings,
+};
+use super::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use super::heartbeat::HeartbeatSource;
+use super::line_splitter::{LineSplitter, SplitItem, printable};
+use crate::framing::FramerCounters;
+use crate::message::{Inertial, Message, WheelTicks, WireStamp};
+
+/// A line that stops for so long was cut off: a board at 9600 baud prints the longest one in 270 ms.
+const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
+/// So many names that mean nothing here are told.
+const MAX_UNKNOWN: usize = 8;
+/// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
+const MAX_LINE_BYTES: usize = 256;
+/// The channel of the only thermometer.
+const THERMOMETER: &[u8] = b"temperature";
+/// MAV_SEVERITY_WARNING, _INFO.
+const WARNING: u8 = 4;
+const INFO: u8 = 6;
+/// What [`Defect`]s call a line, which has no number.
+const LINE_ID: u32 = 0;
+/// Counts that fell to zero from further than so many steps of the last change were set to zero.
+const CHANGES_TO_ZERO: i64 = 3;
+/// Counts near zero may have rolled there.
+const NEAR_ZERO: i64 = 10;
+
+type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
+
+/// The state of one link to a board that prints.
+#[derive(Debug)]
+struct TextLineCodec {
+    settings: TextLineSettings,
+    splitter: LineSplitter<MAX_LINE_BYTES>,
+    last_byte: Timestamp<HostClock>,
+    /// The next line may be the end of one whose beginning is missing.
+    may_be_truncated: bool,
+    clock: BoardClock,
+    substitute_clock: SubstituteClock,
+    wheels: ResettableCounters,
+    heartbeat: HeartbeatSource,
+    counts: FramerCounters,
+    /// A bad line was quoted since the link came up.
+    is_error_reported: bool,
+    unknown: BTreeSet<String>,
+    last_estimate: Option<Timestamp<HostClock>>,
+}
+
+pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    Box::new(TextLineCodec {
+        settings: settings.line.clone(),
+        splitter: LineSplitter::default(),
+        last_byte: Timestamp::ZERO,
+        may_be_truncated: true,
+        clock: BoardClock::default(),
+        substitute_clock: SubstituteClock::default(),
+        wheels: ResettableCounters::default(),
+        heartbeat: HeartbeatSource::default(),
+        counts: FramerCounters::default(),
+        is_error_reported: false,
+        unknown: BTreeSet::new(),
+        last_estimate: None,
+    })
+}
+
+impl BrickCodec for TextLineCodec {
+    fn on_link_up(&mut self, _now: Timestamp<HostClock>) {
+        self.splitter.clear();
+        self.may_be_truncated = true;
+        self.is_error_reported = false;
+        self.substitute_clock = SubstituteClock::default();
+    }
+
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        self.last_byte = now;
+        // The splitter lends its line while it is read, which needs the rest of the state.
+        let mut splitter = std::mem::take(&mut self.splitter);
+        splitter.push(bytes, &mut |cut| match cut {
+            SplitItem::Line(line) => self.handle_line(now, line, sink),
+            SplitItem::TooLong(bytes) => self.reject_long(bytes, sink),
+        });
+        self.splitter = splitter;
+    }
+
+    fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        (self.splitter.waiting_bytes() > 0).then(|| self.last_byte + QUIET_TIME)
+    }
+
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        if self.deadline().is_some_and(|due| due <= now) {
+            let bytes = self.splitter.clear();
+            self.may_be_truncated = true;
+            self.counts.stalls += 1;
+            self.counts.garbage_bytes += u64::from(bytes);
+            sink(CodecEvent::Error(ReceiveError::Timeout { bytes }));
+        }
+    }
+
+    fn poll(&mut self) -> Option<Vec<u8>> {
+        // It speaks by itself.
+        None
+    }
+
+    fn encode(&mut self, now: Timestamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
+        let (Message::PlanarPose(pose), Some(interval)) = (message, self.settings.estimate_interval) else {
+            return 0;
+        };
+        if self.last_estimate.is_some_and(|last| now - last < interval) {
+            return 0;
+        }
+        let Some(line) = estimate::encode_line(pose, self.clock.last_accepted()) else {
+            return 0;
+        };
+        self.last_estimate = Some(now);
+        out.extend_from_slice(line.as_bytes());
+        line.len()
+    }
+
+    fn counters(&self) -> FramerCounters {
+        self.counts
+    }
+
+    fn source_health(&self) -> Vec<SourceHealth> {
+        let heard = SourceHealth { source: DEFAULT_BRICK_ADDRESS, frames: self.counts.frames, lost: 0 };
+        (heard.frames > 0).then_some(heard).into_iter().collect()
+    }
+}
+
+impl TextLineCodec {
+    fn handle_line(&mut self, now: Timestamp<HostClock>, line: &[u8], sink: &mut CodecEventSink<'_>) {
+        let is_cut = std::mem::replace(&mut self.may_be_truncated, false);
+        let read = row::strip_checksum(line, self.settings.checksum).and_then(|(text, proof)| {
+            let unknown = &mut self.unknown;
+            let row = row::parse_row(text, &self.settings, &mut |name| {
+                if unknown.len() < MAX_UNKNOWN && unknown.insert(name.to_owned()) {
+                    let name = printable(name.as_bytes());
+                    emit_status_text(sink, INFO, format!("the board's `{name}` is not used"));
+                }
+            })?;
+            Ok((row, proof))
+        });
+        match read {
+            Ok((row, proof)) if !is_cut || proof == ChecksumStatus::Verified => self.handle_row(now, &row, sink),
+            // What is left of a line may look whole; nobody need hear of it.
+            Ok(_) => self.count_unframed(line.len() as u32, sink),
+            Err(flaw) => {
+                self.reject(line, flaw, sink);
+                if !is_cut {
+                    self.quote(line, flaw, sink);
+                }
+            }
+        }
+    }
+
+    fn handle_row(&mut self, now: Timestamp<HostClock>, row: &BoardReading, sink: &mut CodecEventSink<'_>) {
+        let stamp = match row.time {
+            Some(time) if !self.clock.accept(time, now) => {
+                sink(CodecEvent::Error(ReceiveError::Payload { message_id: LINE_ID }));
+                return;
+            }
+            Some(BoardTime::Millis(millis)) => WireStamp::Millis32(millis),
+            Some(BoardTime::Micros(micros)) => WireStamp::Micros32(micros),
+            None => self.substitute_stamp(now, sink),
+        };
+        self.counts.frames += 1;
+        if let Some(message) = self.heartbeat.heartbeat_if_due(now) {
+            emit_message(sink, message);
+        }
+        self.emit_row(stamp, row, sink);
+    }
+
+    /// The stamp of a line without a time, by the host's clock.
+    fn substitute_stamp(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) -> WireStamp {
+        if self.substitute_clock.is_due(now) {
+            sink(CodecEvent::ClockReply { from: DEFAULT_BRICK_ADDRESS, sent: now, peer_nanos: now.as_nanos() });
+        }
+        WireStamp::HostInterval { sent: now - self.settings.delay.max(TimeDelta::ZERO), answered: now }
+    }
+
+    fn emit_row(&mut self, stamp: WireStamp, row: &BoardReading, sink: &mut CodecEventSink<'_>) {
+        if let (Some(left), Some(right)) = (row.left, row.right) {
+            let (total, is_rebased) = self.wheels.push([left, right]);
+            // At each doubling: a loose wire resets a board many times a second.
+            let falls = self.wheels.reset_count;
+            if is_rebased && falls.is_power_of_two() {
+                let times = if falls == 1 { String::new() } else { format!(", {falls} times so far") };
+                let text = format!("the board's counts fell to zero{times}; that is taken for no motion");
+                emit_status_text(sink, INFO, text);
+            }
+            let [left, right] = total.map(EncoderTicks);
+            emit_message(sink, Message::WheelTicks(WheelTicks { stamp, left, right }));
+        }
+        if let Some(rad_per_s) = row.turn_rate_rad_per_s {
+            let inertial =
+                Inertial { stamp, turn_rate: Some(RadiansPerSecond(rad_per_s)), turn: None, wheel_accelerations: None };
+            emit_message(sink, Message::Inertial(inertial));
+        }
+        if let Some(range_m) = row.range_m {
+            let range = Meters(range_m);
+            let sigma = None;
+            emit_message(sink, Message::DistanceSensor { stamp, range, sigma });
+        }
+        if let Some(temperature_c) = row.temperature_c {
+            let message = Message::Thermometer {
+                stamp,
+                channel: ChannelName::from_bytes(THERMOMETER),
+                temperature: Celsius(temperature_c),
+            };
+            emit_message(sink, message);
+        }
+    }
+
+    fn reject_long(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+        let is_cut = std::mem::replace(&mut self.may_be_truncated, false);
+        self.count_unframed(bytes, sink);
+        if !is_cut && !std::mem::replace(&mut self.is_error_reported, true) {
+            let text =
+                format!("a line of {bytes} bytes is longer than {MAX_LINE_BYTES}; expected `{}`", self.settings.layout);
+            emit_status_text(sink, WARNING, text);
+        }
+    }
+
+    fn reject(&mut self, line: &[u8], flaw: LineError, sink: &mut CodecEventSink<'_>) {
+        if let LineError::Checksum { found, expected } = flaw {
+            self.counts.checksum_errors += 1;
+            sink(CodecEvent::Error(ReceiveError::Checksum {
+                message_id: LINE_ID,
+                found: u16::from(found),
+                expected: u16::from(expected),
+            }));
+        } else {
+            self.count_unframed(line.len() as u32, sink);
+        }
+    }
+
+    fn quote(&mut self, line: &[u8], flaw: LineError, sink: &mut CodecEventSink<'_>) {
+        if !std::mem::replace(&mut self.is_error_reported, true) {
+            let text = format!(
+                "the line `{}` is not understood: {flaw}; expected `{}`",
+                printable(line),
+                self.settings.layout
+            );
+            emit_status_text(sink, WARNING, text);
+        }
+    }
+
+    fn count_unframed(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+        self.counts.garbage_bytes += u64::from(bytes);
+        sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes }));
+    }
+}
+
+/// Totals of a board whose counts begin anew when it is reset.
+#[derive(Clone, Copy, Debug, Default)]
+struct ResettableCounters {
+    last: Option<[i64; 2]>,
+    change: [i64; 2],
+    base: [i64; 2],
+    /// How often the counts were set to zero.
+    reset_count: u64,
+}
+
+impl ResettableCounters {
+    /// The totals, and whether the counts were set to zero: both are exactly zero, and one is further from it than its last change explains.
+    fn push(&mut self, counts: [i64; 2]) -> ([i64; 2], bool) {
+        let last = self.last.replace(counts).unwrap_or(counts);
+        let is_far = |(count, change): (&i64, &i64)| count.abs() > CHANGES_TO_ZERO * change.abs() + NEAR_ZERO;
+        let is_rebased = counts == [0, 0] && last.iter().zip(&self.change).any(is_far);
+        let [last_left, last_right] = last;
+        let [left, right] = counts;
+        if is_rebased {
+            self.reset_count += 1;
+            self.base = [self.base[0].wrapping_add(last_left), self.base[1].wrapping_add(last_right)];
+            self.change = [0, 0];
+        } else {
+            self.change = [left - last_left, right - last_right];
+        }
+        // Totals wrap, as those of every brick.
+        let total = [self.base[0].wrapping_add(left), self.base[1].wrapping_add(right)];
+        (total, is_rebased)
+    }
+}
+
+fn emit_message(sink: &mut CodecEventSink<'_>, message: Message) {
+    sink(CodecEvent::Message { from: DEFAULT_BRICK_ADDRESS, message });
+}
+
+fn emit_status_text(sink: &mut CodecEventSink<'_>, severity: u8, text: String) {
+    sink(CodecEvent::StatusText { from: DEFAULT_BRICK_ADDRESS, severity, text });
+}

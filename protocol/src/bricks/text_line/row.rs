@@ -1,0 +1,233 @@
+//! Parses one line to values in SI units.
+
+use super::settings::{ChecksumPolicy, Column, ColumnSign, LineLayout, Quantity, Separator, TextLineSettings};
+
+/// No robot turns faster, rad/s: sixteen turns per second, beyond any gyro that prints.
+const MAX_RAD_PER_S: f64 = 100.0;
+/// Nothing that a robot carries sees further, m.
+const MAX_RANGE_M: f64 = 1_000.0;
+/// What a thermometer may show, degrees Celsius: from absolute zero to the melting point of tungsten, as in the other protocols.
+const TEMPERATURES_C: std::ops::RangeInclusive<f64> = -273.15..=3_500.0;
+/// Counts beyond this are no exact f64.
+const MAX_COUNT: i64 = 1 << 53;
+
+/// What a line says.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct BoardReading {
+    pub(super) time: Option<BoardTime>,
+    pub(super) left: Option<i64>,
+    pub(super) right: Option<i64>,
+    pub(super) turn_rate_rad_per_s: Option<f64>,
+    pub(super) range_m: Option<f64>,
+    pub(super) temperature_c: Option<f64>,
+}
+
+/// The board's clock as it stands there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BoardTime {
+    Millis(u32),
+    Micros(u32),
+}
+
+/// What is wrong with a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum LineError {
+    #[error("it is no text")]
+    NotText,
+    #[error("its checksum is {found:02X} and not {expected:02X}")]
+    Checksum { found: u8, expected: u8 },
+    #[error("it has no checksum")]
+    NoChecksum,
+    #[error("it has no `{0}`")]
+    Missing(Quantity),
+    #[error("it has `{0}` twice")]
+    Duplicate(Quantity),
+    #[error("it has {found} values and not {expected}")]
+    Count { found: usize, expected: usize },
+    #[error("`{0}` is no number that can be")]
+    InvalidNumber(Quantity),
+}
+
+/// Whether a line proved itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ChecksumStatus {
+    Verified,
+    Absent,
+}
+
+/// The text of a line and whether it had a checksum; `$` and checksum are taken off.
+pub(super) fn strip_checksum(line: &[u8], checksum: ChecksumPolicy) -> Result<(&str, ChecksumStatus), LineError> {
+    let is_text = |byte: &u8| matches!(byte, 0x20..=0x7E | b'\t');
+    let text = std::str::from_utf8(line)
+        .ok()
+        .filter(|text| text.bytes().all(|byte| is_text(&byte)))
+        .ok_or(LineError::NotText)?
+        .trim_ascii();
+    let text = text.strip_prefix('$').unwrap_or(text);
+    let Some((text, found)) = checksum_of(text) else {
+        return match checksum {
+            ChecksumPolicy::Optional => Ok((text, ChecksumStatus::Absent)),
+            ChecksumPolicy::Required => Err(LineError::NoChecksum),
+        };
+    };
+    let expected = exclusive_or(text.as_bytes());
+    if found == expected { Ok((text, ChecksumStatus::Verified)) } else { Err(LineError::Checksum { found, expected }) }
+}
+
+/// The exclusive or of all bytes: NMEA 0183's checksum.
+pub(super) fn exclusive_or(bytes: &[u8]) -> u8 {
+    bytes.iter().fold(0, |sum, byte| sum ^ byte)
+}
+
+/// The text before `*hh`, and that number.
+fn checksum_of(text: &str) -> Option<(&str, u8)> {
+    let (text, digits) = text.rsplit_once('*')?;
+    let is_checksum = digits.len() == 2 && digits.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let found = u8::from_str_radix(digits, 16).ok()?;
+    is_checksum.then_some((text, found))
+}
+
+/// What a line of this text says. Names that the layout does not know are told to `unknown`.
+pub(super) fn parse_row(
+    text: &str,
+    settings: &TextLineSettings,
+    unknown: &mut dyn FnMut(&str),
+) -> Result<BoardReading, LineError> {
+    match &settings.layout {
+        LineLayout::Columns { columns, separator } => parse_columns(text, columns, *separator),
+        LineLayout::Pairs { keys, separator, key_separator } => {
+            let pairs = pairs(text, *separator, *key_separator);
+            parse_pairs(&pairs, keys, unknown)
+        }
+    }
+}
+
+fn parse_columns(text: &str, columns: &[Column], separator: Separator) -> Result<BoardReading, LineError> {
+    let values: Vec<&str> = split(text, separator).collect();
+    if values.len() != columns.len() {
+        return Err(LineError::Count { found: values.len(), expected: columns.len() });
+    }
+    let mut row = BoardReading::default();
+    for (column, value) in columns.iter().zip(values) {
+        row.set(*column, value).ok_or(LineError::InvalidNumber(column.quantity))?;
+    }
+    Ok(row)
+}
+
+fn parse_pairs(
+    pairs: &[(&str, &str)],
+    keys: &[(String, Column)],
+    unknown: &mut dyn FnMut(&str),
+) -> Result<BoardReading, LineError> {
+    let mut row = BoardReading::default();
+    for (key, column) in keys {
+        let mut values = pairs.iter().filter(|(said, _)| said == key);
+        let (_, value) = values.next().ok_or(LineError::Missing(column.quantity))?;
+        if values.next().is_some() {
+            return Err(LineError::Duplicate(column.quantity));
+        }
+        row.set(*column, value).ok_or(LineError::InvalidNumber(column.quantity))?;
+    }
+    for (said, _) in pairs {
+        if !keys.iter().any(|(key, _)| key == said) {
+            unknown(said);
+        }
+    }
+    Ok(row)
+}
+
+/// Names and values. Where both separators are the same they take turns.
+fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&str, &str)> {
+    if separator == key_separator {
+        let words: Vec<&str> = split(text, separator).collect();
+        let pairs = words.chunks(2).filter_map(|pair| match pair {
+            [key, value] => Some((*key, *value)),
+            _ => None,
+        });
+        return pairs.collect();
+    }
+    let pairs = split(text, separator).filter_map(|pair| match key_separator {
+        Separator::Blank => pair.split_once([' ', '\t']),
+        Separator::Comma | Separator::Semicolon | Separator::Pipe | Separator::Colon | Separator::Equals => {
+            pair.split_once(key_separator.text())
+        }
+    });
+    pairs.map(|(key, value)| (key.trim_ascii(), value.trim_ascii())).collect()
+}
+
+/// The parts of a text, without blanks around them. Several blanks are one.
+fn split(text: &str, separator: Separator) -> impl Iterator<Item = &str> {
+    let is_blank = separator == Separator::Blank;
+    let is_between = move |c: char| {
+        if is_blank { c == ' ' || c == '\t' } else { separator.text().contains(c) }
+    };
+    text.split(is_between).map(str::trim_ascii).filter(move |part| !(is_blank && part.is_empty()))
+}
+
+impl BoardReading {
+    /// Notes a value; `None` if it is no number that this quantity can have.
+    fn set(&mut self, column: Column, value: &str) -> Option<()> {
+        match column.quantity {
+            Quantity::TimeMs => self.time = Some(BoardTime::Millis(counter(value)?)),
+            Quantity::TimeUs => self.time = Some(BoardTime::Micros(counter(value)?)),
+            Quantity::LeftTicks => self.left = Some(count(value, column.sense)?),
+            Quantity::RightTicks => self.right = Some(count(value, column.sense)?),
+            Quantity::GyroDegPerS => {
+                self.turn_rate_rad_per_s = Some(rate(parse_float(value)?.to_radians(), column.sense)?);
+            }
+            Quantity::GyroRadPerS => {
+                self.turn_rate_rad_per_s = Some(rate(parse_float(value)?, column.sense)?);
+            }
+            Quantity::DistanceMm => self.range_m = range(parse_float(value)? / 1_000.0),
+            Quantity::DistanceCm => self.range_m = range(parse_float(value)? / 100.0),
+            Quantity::DistanceM => self.range_m = range(parse_float(value)?),
+            Quantity::TemperatureC => {
+                let shown = Some(parse_float(value)?);
+                self.temperature_c = Some(shown.filter(|shown| TEMPERATURES_C.contains(shown))?);
+            }
+            Quantity::Ignore => {}
+        }
+        Some(())
+    }
+}
+
+fn parse_float(text: &str) -> Option<f64> {
+    let value: f64 = text.parse().ok()?;
+    value.is_finite().then_some(value)
+}
+
+/// A whole number; boards that print floats write `12.00`.
+fn parse_integer(text: &str) -> Option<i64> {
+    let value = match text.parse::<i64>() {
+        Ok(value) => value,
+        Err(_) => parse_float(text).filter(|value| value.fract() == 0.0)? as i64,
+    };
+    (-MAX_COUNT..=MAX_COUNT).contains(&value).then_some(value)
+}
+
+/// A clock, modulo its period.
+fn counter(text: &str) -> Option<u32> {
+    let value = parse_integer(text).filter(|value| *value >= 0)?;
+    Some(value as u32)
+}
+
+fn count(text: &str, sense: ColumnSign) -> Option<i64> {
+    let value = parse_integer(text)?;
+    Some(match sense {
+        ColumnSign::Normal => value,
+        ColumnSign::Inverted => -value,
+    })
+}
+
+fn rate(rad_per_s: f64, sense: ColumnSign) -> Option<f64> {
+    let is_possible = rad_per_s.abs() <= MAX_RAD_PER_S;
+    is_possible.then_some(match sense {
+        ColumnSign::Normal => rad_per_s,
+        ColumnSign::Inverted => -rad_per_s,
+    })
+}
+
+/// What a range finder says when it sees nothing is not positive, or very far.
+fn range(range_m: f64) -> Option<f64> {
+    (range_m > 0.0 && range_m <= MAX_RANGE_M).then_some(range_m)
+}

@@ -1,0 +1,354 @@
+//! The layout of a board's lines, as its user configures it.
+
+use std::fmt;
+
+use posebridge_telemetry::TimeDelta;
+
+/// Everything about one board that prints lines. The default is CSV of `time_ms,left_ticks,right_ticks`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TextLineSettings {
+    /// What stands where.
+    pub layout: LineLayout,
+    /// Whether lines must end with their checksum.
+    pub checksum: ChecksumPolicy,
+    /// The estimate is printed to the board at most so often; `None` tells it nothing. A board that takes single letters or digits as
+    /// commands would obey parts of such a line, so this must be asked for.
+    pub estimate_interval: Option<TimeDelta>,
+    /// How old a line without a time may be when it arrives: what it says is taken to be from any time within so long before.
+    pub delay: TimeDelta,
+}
+
+impl Default for TextLineSettings {
+    fn default() -> Self {
+        let columns = [Quantity::TimeMs, Quantity::LeftTicks, Quantity::RightTicks];
+        Self {
+            layout: LineLayout::Columns { columns: columns.map(Column::new).to_vec(), separator: Separator::Comma },
+            checksum: ChecksumPolicy::Optional,
+            estimate_interval: None,
+            delay: TimeDelta::from_millis(40),
+        }
+    }
+}
+
+impl TextLineSettings {
+    /// Whether a board of this layout can be understood.
+    ///
+    /// # Errors
+    /// When it tells something twice, one wheel alone, or nothing.
+    pub fn validate(&self) -> Result<(), LayoutError> {
+        let columns: Vec<Column> = self.layout.columns().collect();
+        let is_there = |wanted: Quantity| columns.iter().any(|column| column.quantity == wanted);
+        if !columns.iter().any(|column| column.quantity.is_measured()) {
+            return Err(LayoutError::Empty);
+        }
+        if is_there(Quantity::LeftTicks) != is_there(Quantity::RightTicks) {
+            return Err(LayoutError::SingleWheel);
+        }
+        for (index, column) in columns.iter().enumerate() {
+            let kind = column.quantity.kind();
+            let before = columns.iter().take(index);
+            if kind != QuantityKind::Ignored && before.into_iter().any(|other| other.quantity.kind() == kind) {
+                return Err(LayoutError::Duplicate(column.quantity));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Why a layout cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LayoutError {
+    /// No wheel, gyro, distance or temperature.
+    #[error(
+        "the layout has nothing that is measured; there are: left_ticks and right_ticks, gyro_.., distance_.., temperature_c"
+    )]
+    Empty,
+    /// One wheel without the other.
+    #[error("the layout has one of left_ticks and right_ticks; both are needed")]
+    SingleWheel,
+    /// The same quantity again, or in another unit.
+    #[error("the layout has `{0}` and the same quantity before it")]
+    Duplicate(Quantity),
+}
+
+/// What stands where in a line.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LineLayout {
+    /// Values in a fixed order, all of them in every line: CSV.
+    Columns {
+        /// The columns from left to right.
+        columns: Vec<Column>,
+        /// What stands between them.
+        separator: Separator,
+    },
+    /// Names and values in any order, such as `t:123|l:45|r:46`.
+    Pairs {
+        /// The names that the board uses and what they mean; each must stand in every line.
+        keys: Vec<(String, Column)>,
+        /// What stands between pairs.
+        separator: Separator,
+        /// What stands between a name and its value.
+        key_separator: Separator,
+    },
+}
+
+impl LineLayout {
+    /// All columns or keys.
+    pub(super) fn columns(&self) -> impl Iterator<Item = Column> + '_ {
+        let (columns, keys): (&[Column], &[(String, Column)]) = match self {
+            Self::Columns { columns, .. } => (columns, &[]),
+            Self::Pairs { keys, .. } => (&[], keys),
+        };
+        let keys = keys.iter().map(|(_, column)| *column);
+        columns.iter().copied().chain(keys)
+    }
+}
+
+impl fmt::Display for LineLayout {
+    /// As a line would look, with the quantities in the place of numbers.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Columns { columns, separator } => {
+                for (index, column) in columns.iter().enumerate() {
+                    let between = if index > 0 { separator.text() } else { "" };
+                    write!(f, "{between}{column}")?;
+                }
+            }
+            Self::Pairs { keys, separator, key_separator } => {
+                for (index, (key, column)) in keys.iter().enumerate() {
+                    let between = if index > 0 { separator.text() } else { "" };
+                    write!(f, "{between}{key}{}<{column}>", key_separator.text())?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One column or key: what it tells, and with which sign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// What it tells.
+    pub quantity: Quantity,
+    /// Whether forward and counter-clockwise are positive, as here.
+    pub sense: ColumnSign,
+}
+
+impl Column {
+    /// A quantity with the sign that is usual here.
+    #[must_use]
+    pub const fn new(quantity: Quantity) -> Self {
+        Self { quantity, sense: ColumnSign::Normal }
+    }
+
+    /// The column with this name, such as `left_ticks`, or `-gyro_deg_per_s` for a gyro that counts clockwise. `None` if there is none, or
+    /// if it has no sign to turn.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        let (plain, sense) = match name.strip_prefix('-') {
+            Some(plain) => (plain, ColumnSign::Inverted),
+            None => (name, ColumnSign::Normal),
+        };
+        let (_, quantity) = QUANTITIES.iter().find(|(known, _)| *known == plain)?;
+        let can_turn = matches!(quantity.kind(), QuantityKind::Left | QuantityKind::Right | QuantityKind::TurnRate);
+        (sense == ColumnSign::Normal || can_turn).then_some(Self { quantity: *quantity, sense })
+    }
+}
+
+impl fmt::Display for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sign = match self.sense {
+            ColumnSign::Normal => "",
+            ColumnSign::Inverted => "-",
+        };
+        write!(f, "{sign}{}", self.quantity)
+    }
+}
+
+/// The sign of a column.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ColumnSign {
+    /// Forward and counter-clockwise are positive.
+    #[default]
+    Normal,
+    /// Backward and clockwise are positive.
+    Inverted,
+}
+
+/// What a column tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Milliseconds of the board's clock, a whole number that wraps at 2^32: Arduino's `millis()`.
+    TimeMs,
+    /// Microseconds of the board's clock, a whole number that wraps at 2^32: Arduino's `micros()`.
+    TimeUs,
+    /// Total count of the left wheel's encoder, a whole number.
+    LeftTicks,
+    /// Total count of the right wheel's encoder, a whole number.
+    RightTicks,
+    /// Turn rate in degrees per second.
+    GyroDegPerS,
+    /// Turn rate in radians per second.
+    GyroRadPerS,
+    /// Range straight ahead in millimetres; zero and less mean none.
+    DistanceMm,
+    /// Range straight ahead in centimetres; zero and less mean none.
+    DistanceCm,
+    /// Range straight ahead in metres; zero and less mean none.
+    DistanceM,
+    /// Temperature in degrees Celsius.
+    TemperatureC,
+    /// Nothing that is of use here.
+    Ignore,
+}
+
+/// Every quantity with the name that the configuration uses.
+pub const QUANTITIES: &[(&str, Quantity)] = &[
+    ("time_ms", Quantity::TimeMs),
+    ("time_us", Quantity::TimeUs),
+    ("left_ticks", Quantity::LeftTicks),
+    ("right_ticks", Quantity::RightTicks),
+    ("gyro_deg_per_s", Quantity::GyroDegPerS),
+    ("gyro_rad_per_s", Quantity::GyroRadPerS),
+    ("distance_mm", Quantity::DistanceMm),
+    ("distance_cm", Quantity::DistanceCm),
+    ("distance_m", Quantity::DistanceM),
+    ("temperature_c", Quantity::TemperatureC),
+    ("ignore", Quantity::Ignore),
+];
+
+/// What a quantity is, whatever its unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum QuantityKind {
+    Time,
+    Left,
+    Right,
+    TurnRate,
+    Range,
+    Temperature,
+    Ignored,
+}
+
+impl Quantity {
+    pub(super) const fn kind(self) -> QuantityKind {
+        match self {
+            Self::TimeMs | Self::TimeUs => QuantityKind::Time,
+            Self::LeftTicks => QuantityKind::Left,
+            Self::RightTicks => QuantityKind::Right,
+            Self::GyroDegPerS | Self::GyroRadPerS => QuantityKind::TurnRate,
+            Self::DistanceMm | Self::DistanceCm | Self::DistanceM => QuantityKind::Range,
+            Self::TemperatureC => QuantityKind::Temperature,
+            Self::Ignore => QuantityKind::Ignored,
+        }
+    }
+
+    const fn is_measured(self) -> bool {
+        !matches!(self.kind(), QuantityKind::Time | QuantityKind::Ignored)
+    }
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let named = QUANTITIES.iter().find(|(_, quantity)| quantity == self);
+        f.write_str(named.map_or("", |(name, _)| name))
+    }
+}
+
+/// What stands between two things in a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Separator {
+    /// `,`
+    Comma,
+    /// `;`
+    Semicolon,
+    /// `|`
+    Pipe,
+    /// `:`
+    Colon,
+    /// `=`
+    Equals,
+    /// Any run of spaces and tabs.
+    Blank,
+}
+
+impl Separator {
+    /// The separator that is written so.
+    #[must_use]
+    pub fn from_text(text: &str) -> Option<Self> {
+        let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank];
+        if text == "\t" {
+            return Some(Self::Blank);
+        }
+        all.into_iter().find(|separator| separator.text() == text)
+    }
+
+    /// As it is written.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Comma => ",",
+            Self::Semicolon => ";",
+            Self::Pipe => "|",
+            Self::Colon => ":",
+            Self::Equals => "=",
+            Self::Blank => " ",
+        }
+    }
+}
+
+/// Whether lines must end with their checksum: `*` and the exclusive or of all characters before it as two hexadecimal digits. As in NMEA
+/// 0183 a `$` at the beginning does not count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChecksumPolicy {
+    /// It is checked where it stands.
+    #[default]
+    Optional,
+    /// A line without it is refused.
+    Required,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(names: &[&str]) -> Result<(), LayoutError> {
+        let columns = names.iter().map(|name| Column::from_name(name).unwrap());
+        let settings = TextLineSettings {
+            layout: LineLayout::Columns { columns: columns.collect(), separator: Separator::Comma },
+            ..TextLineSettings::default()
+        };
+        settings.validate()
+    }
+
+    #[test]
+    fn every_name_is_that_of_its_quantity_and_only_signed_ones_turn() {
+        for (name, quantity) in QUANTITIES {
+            assert_eq!(Column::from_name(name), Some(Column::new(*quantity)));
+            assert_eq!(quantity.to_string(), *name);
+        }
+        let turned = Column::from_name("-gyro_deg_per_s").unwrap();
+        assert_eq!(turned.to_string(), "-gyro_deg_per_s");
+        assert_eq!(Column::from_name("-time_ms"), None);
+        assert_eq!(Column::from_name("gyro"), None);
+    }
+
+    #[test]
+    fn a_layout_that_cannot_be_is_refused() {
+        assert_eq!(TextLineSettings::default().validate(), Ok(()));
+        assert_eq!(checked(&["ignore", "gyro_deg_per_s", "ignore"]), Ok(()));
+        assert_eq!(checked(&["time_ms", "ignore"]), Err(LayoutError::Empty));
+        assert_eq!(checked(&["left_ticks"]), Err(LayoutError::SingleWheel));
+        let twice = checked(&["gyro_deg_per_s", "gyro_rad_per_s"]);
+        assert_eq!(twice, Err(LayoutError::Duplicate(Quantity::GyroRadPerS)));
+    }
+
+    #[test]
+    fn a_separator_is_found_by_its_text() {
+        for text in [",", ";", "|", ":", "=", " "] {
+            assert_eq!(Separator::from_text(text).map(Separator::text), Some(text));
+        }
+        assert_eq!(Separator::from_text("\t"), Some(Separator::Blank));
+        assert_eq!(Separator::from_text("::"), None);
+    }
+}

@@ -1,0 +1,229 @@
+//! Decides who sent a frame: checks its signature and counts what its sender's sequence numbers say is missing.
+//!
+//! One verifier serves one link. All peers of a link share its key and its signing streams; each peer has sequence numbers of its own,
+//! because two robots behind one socket may have the same address.
+//!
+//! A frame whose signature is rejected changes no sequence number: nobody knows who sent it. The same holds for a frame that may come
+//! unsigned on a link with a key.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Address, HostClock, PeerId, SignatureError, SourceHealth, Timestamp};
+
+use crate::framing::{FramerOutput, SequenceTracker};
+use crate::routing::SenderCheck;
+use crate::signing::{FrameSigner, LinkSigner, SigningConfig, SigningState};
+
+/// Most senders that [`FrameVerifier::source_health`] lists; those with the most frames. A class of robots has a few hundred.
+const MAX_SENDERS: usize = 1_024;
+/// Most peers whose sequence numbers outlive a loss of the link, those with the highest ids: a link with one peer always calls it 0,
+/// and a link with several gives a new id to whoever returns.
+const MAX_SUSPENDED: usize = 16;
+
+/// What is known about the sender of a frame that may be used.
+#[derive(Clone, Copy, Debug)]
+pub struct VerifiedSender {
+    /// Whether the frame comes from the address that it names.
+    pub check: SenderCheck,
+    /// How many more of the sender's frames are now known to be missing.
+    pub missing: u32,
+}
+
+impl VerifiedSender {
+    const UNKNOWN: Self = Self { check: SenderCheck::Unverifiable, missing: 0 };
+}
+
+/// Signatures and sequence numbers of one link.
+#[derive(Debug)]
+pub struct FrameVerifier {
+    signer: Option<LinkSigner>,
+    present: BTreeMap<PeerId, SequenceTracker>,
+    /// Peers that were present when the link was lost: one that comes back under its id goes on where it was.
+    suspended: BTreeMap<PeerId, SequenceTracker>,
+    /// Totals of peers that were forgotten.
+    closed_sources: BTreeMap<Address, SourceHealth>,
+}
+
+impl FrameVerifier {
+    /// `signing` is the link's key; without one every frame is taken for its sender's.
+    #[must_use]
+    pub fn new(signing: Option<SigningConfig>) -> Self {
+        Self {
+            signer: signing.map(LinkSigner::new),
+            present: BTreeMap::new(),
+            suspended: BTreeMap::new(),
+            closed_sources: BTreeMap::new(),
+        }
+    }
+
+    /// Who sent what a framer has found. An error of the framer has no sender.
+    ///
+    /// # Errors
+    /// The link has a key and the frame's signature does not hold.
+    pub fn verify(
+        &mut self,
+        now: Timestamp<HostClock>,
+        peer: PeerId,
+        found: &FramerOutput<'_>,
+    ) -> Result<VerifiedSender, SignatureError> {
+        let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
+            return Ok(VerifiedSender::UNKNOWN);
+        };
+        let is_authentic = match &mut self.signer {
+            Some(signer) => {
+                signer.verify(now, frame)?;
+                signer.is_authenticated(frame)
+            }
+            None => true,
+        };
+        if matches!(found, FramerOutput::UnknownFrame(_)) || !is_authentic {
+            return Ok(VerifiedSender::UNKNOWN);
+        }
+        let suspended = &mut self.suspended;
+        let sequences = self.present.entry(peer).or_insert_with(|| suspended.remove(&peer).unwrap_or_default());
+        Ok(VerifiedSender { check: SenderCheck::Verified, missing: sequences.record(frame, now) })
+    }
+
+    /// A peer is gone for good; what it had counted stays counted.
+    pub fn forget(&mut self, peer: PeerId) {
+        if let Some(sequences) = self.present.remove(&peer) {
+            add_sources(&mut self.closed_sources, &sequences);
+            retain_most_active(&mut self.closed_sources);
+        }
+    }
+
+    /// The link was lost. What a sender sends next still follows what it sent last, so that what it sent meanwhile is known to be
+    /// missing.
+    pub fn handle_link_loss(&mut self) {
+        for (peer, mut sequences) in std::mem::take(&mut self.present) {
+            sequences.handle_link_loss();
+            self.suspended.insert(peer, sequences);
+        }
+        while self.suspended.len() > MAX_SUSPENDED
+            && let Some((_, sequences)) = self.suspended.pop_first()
+        {
+            add_sources(&mut self.closed_sources, &sequences);
+        }
+    }
+
+    /// What each sender has sent, in the order of their addresses.
+    #[must_use]
+    pub fn source_health(&self) -> Vec<SourceHealth> {
+        let mut sources = self.closed_sources.clone();
+        for sequences in self.present.values().chain(self.suspended.values()) {
+            add_sources(&mut sources, sequences);
+        }
+        retain_most_active(&mut sources);
+        sources.into_values().collect()
+    }
+
+    /// Whether the link has a key.
+    #[must_use]
+    pub const fn is_signed(&self) -> bool {
+        self.signer.is_some()
+    }
+
+    /// What the next outgoing frame is signed with; `None` without a key, or while no signing time can be given.
+    pub fn next_signer(&mut self, now: Timestamp<HostClock>) -> Option<FrameSigner<'_>> {
+        self.signer.as_mut()?.next_signer(now)
+    }
+
+    /// What must be known after a restart; `None` without a key.
+    #[must_use]
+    pub fn signing_state(&self, now: Timestamp<HostClock>) -> Option<SigningState> {
+        self.signer.as_ref().map(|signer| signer.state(now))
+    }
+
+    /// How many signed streams were received for the first time.
+    #[must_use]
+    pub fn signing_stream_count(&self) -> u64 {
+        self.signer.as_ref().map_or(0, LinkSigner::streams_seen)
+    }
+}
+
+/// Of more senders than anybody has, those with the most frames stay: the others were invented, or are damage.
+fn retain_most_active(sources: &mut BTreeMap<Address, SourceHealth>) {
+    if sources.len() <= MAX_SENDERS {
+        return;
+    }
+    let mut by_frames: Vec<_> = sources.values().map(|source| (source.frames, source.source)).collect();
+    by_frames.sort_unstable();
+    for (_, source) in &by_frames[..by_frames.len() - MAX_SENDERS] {
+        sources.remove(source);
+    }
+}
+
+fn add_sources(sums: &mut BTreeMap<Address, SourceHealth>, sequences: &SequenceTracker) {
+    for added in sequences.source_health() {
+        let sum = sums.entry(added.source).or_insert(SourceHealth { source: added.source, frames: 0, lost: 0 });
+        sum.frames += added.frames;
+        sum.lost += added.lost;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::dialect::Encoder;
+    use crate::framing::{Framer, FramerConfig, WireVersion};
+    use crate::message::{Heartbeat, Message};
+    use crate::signing::{Key, UnsignedPolicy};
+
+    const ROBOT: Address = Address::new(1, 1);
+    const PEER: PeerId = PeerId(0);
+
+    fn heartbeats(count: usize) -> Vec<Vec<u8>> {
+        let beat = Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 8, base_mode: 0, system_status: 4 });
+        let mut encoder = Encoder::new(WireVersion::V2);
+        let mut frames = vec![Vec::new(); count];
+        for frame in &mut frames {
+            encoder.encode(ROBOT, &beat, frame);
+        }
+        frames
+    }
+
+    /// What the verifier says of each frame of a peer.
+    fn verify(verifier: &mut FrameVerifier, peer: PeerId, frames: &[Vec<u8>]) -> Vec<Result<u32, SignatureError>> {
+        let mut verdicts = Vec::new();
+        let mut framer = Framer::new(FramerConfig::default());
+        for frame in frames {
+            framer.push(Timestamp::ZERO, frame, &mut |found| {
+                let verdict = verifier.verify(Timestamp::ZERO, peer, &found);
+                verdicts.push(verdict.map(|sender| sender.missing));
+            });
+        }
+        verdicts
+    }
+
+    #[test]
+    fn gaps_are_counted_peer_by_peer_and_kept_over_a_loss_of_the_link() {
+        let mut verifier = FrameVerifier::new(None);
+        let frames = heartbeats(8);
+        assert_eq!(verify(&mut verifier, PEER, &frames[..1]), [Ok(0)]);
+        assert_eq!(verify(&mut verifier, PeerId(1), &frames[5..6]), [Ok(0)], "another robot with the same address");
+        assert_eq!(verify(&mut verifier, PEER, &frames[3..4]), [Ok(2)]);
+        verifier.handle_link_loss();
+        // Without timestamps nobody knows whether the next frame is of the same sender.
+        assert_eq!(verify(&mut verifier, PEER, &frames[6..7]), [Ok(0)]);
+        let health = SourceHealth { source: ROBOT, frames: 4, lost: 2 };
+        assert_eq!(verifier.source_health(), [health]);
+        verifier.forget(PEER);
+        assert_eq!(verifier.source_health(), [health], "what a peer has counted stays counted");
+    }
+
+    #[test]
+    fn an_unsigned_frame_on_a_link_with_a_key_is_rejected_and_counts_for_nobody() {
+        let signing = SigningConfig {
+            key: Key::from_bytes([7; 32]),
+            link_id: 1,
+            unsigned: UnsignedPolicy::RejectExcept(BTreeSet::new()),
+            state: SigningState::default(),
+        };
+        let mut verifier = FrameVerifier::new(Some(signing));
+        assert!(verifier.is_signed());
+        assert_eq!(verify(&mut verifier, PEER, &heartbeats(1)), [Err(SignatureError::Unsigned)]);
+        assert!(verifier.source_health().is_empty());
+    }
+}

@@ -1,0 +1,112 @@
+//! Signing of one link, both ways, with the clock that both ways share.
+
+use posebridge_telemetry::{HostClock, SignatureError, Timestamp};
+
+use super::clock::SigningTime;
+use super::key::Key;
+use super::signature::{FrameSigner, Signature};
+use super::state::SigningState;
+use super::verifier::{SignatureVerifier, UnsignedPolicy};
+use crate::framing::FrameRef;
+
+/// Everything that decides how a link signs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SigningConfig {
+    /// The secret that both ends share.
+    pub key: Key,
+    /// What we call the link in our signatures.
+    pub link_id: u8,
+    /// What becomes of frames without a signature.
+    pub unsigned: UnsignedPolicy,
+    /// What the link begins with, as of the host clock's zero.
+    pub state: SigningState,
+}
+
+/// Signs what leaves on one link and judges what comes there.
+///
+/// The time of signatures is the calendar's at the start and goes on with the host clock. A believed frame that is ahead
+/// sets it forward, so that a station without a right date learns it from its peers.
+#[derive(Clone, Debug)]
+pub struct LinkSigner {
+    key: Key,
+    link_id: u8,
+    /// The computer's date at the host clock's zero.
+    start_date: SigningTime,
+    /// The time of signatures at the host clock's zero.
+    start: SigningTime,
+    /// The last timestamp that was used.
+    last_sent: SigningTime,
+    verifier: SignatureVerifier,
+}
+
+impl LinkSigner {
+    /// A link that goes on from its memory.
+    #[must_use]
+    pub fn new(config: SigningConfig) -> Self {
+        let memory = config.state;
+        Self {
+            key: config.key,
+            link_id: config.link_id,
+            start_date: memory.written_at,
+            start: memory.clock,
+            last_sent: memory.last_sent,
+            verifier: SignatureVerifier::new(config.unsigned, memory.streams, memory.min_timestamp),
+        }
+    }
+
+    /// What the next frame of our own is signed with: a timestamp of `now`, and later than every one before. `None` when there
+    /// is no later one.
+    pub fn next_signer(&mut self, now: Timestamp<HostClock>) -> Option<FrameSigner<'_>> {
+        self.last_sent = self.clock(now).max(self.last_sent.next()?);
+        Some(FrameSigner { key: &self.key, link_id: self.link_id, timestamp: self.last_sent })
+    }
+
+    /// Judges a frame that came at `now`.
+    ///
+    /// # Errors
+    /// Why it must not be believed; it has changed nothing.
+    pub fn verify(&mut self, now: Timestamp<HostClock>, frame: &FrameRef<'_>) -> Result<(), SignatureError> {
+        let clock = self.clock(now);
+        let date = self.date(now);
+        let timestamp = self.verifier.verify((clock, date), &self.key, frame)?;
+        if let Some(timestamp) = timestamp {
+            // Zero when we are ahead.
+            self.start = self.start.saturating_add(timestamp.since(clock));
+        }
+        Ok(())
+    }
+
+    /// Whether the sender of a frame that is believed is vouched for. Nobody vouches for a frame without a signature that came in
+    /// only because of its message id: everybody can send it, in anybody's name.
+    #[must_use]
+    pub fn is_authenticated(&self, frame: &FrameRef<'_>) -> bool {
+        self.verifier.accepts_unsigned() || Signature::parse(frame).is_some()
+    }
+
+    /// What must be known after a restart, as of `now`.
+    #[must_use]
+    pub fn state(&self, now: Timestamp<HostClock>) -> SigningState {
+        SigningState {
+            written_at: self.date(now),
+            clock: self.clock(now),
+            last_sent: self.last_sent,
+            min_timestamp: self.verifier.min_timestamp(),
+            streams: self.verifier.streams().clone(),
+        }
+    }
+
+    /// How many streams were heard for the first time. When it has grown, the memory should be written down at once: of a
+    /// stream that is not in it nothing is known after a restart.
+    #[must_use]
+    pub const fn streams_seen(&self) -> u64 {
+        self.verifier.streams_seen()
+    }
+
+    fn clock(&self, now: Timestamp<HostClock>) -> SigningTime {
+        self.start.saturating_add(now - Timestamp::ZERO)
+    }
+
+    fn date(&self, now: Timestamp<HostClock>) -> SigningTime {
+        self.start_date.saturating_add(now - Timestamp::ZERO)
+    }
+}

@@ -1,0 +1,488 @@
+//! Statistics of a recording or a link: by sender, by message, in time.
+//!
+//! Takes verified frames, with their arrival times if those are known; the results are those of `posebridge inspect`.
+//! Decodes only timestamps.
+//!
+//! # Model
+//! ```text
+//! rate    = (frames - 1) / (last - first)         the frames of a burst have no rate
+//! silence = time from one frame to the next       >= GAP: reported
+//! drift   = (change of stamp) / (change of arrival) - 1,  between the first and the last stamp that were decoded
+//! ```
+//! # Assumptions
+//! The link delays the first and the last timestamped message about alike: over ten seconds 10 ms of difference are
+//! 1000 ppm.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Address, HostClock, LinkId, TimeDelta, Timestamp};
+
+use crate::dialect;
+use crate::framing::{FrameRef, SequenceCounter, WireVersion};
+
+/// A silence of everybody that is told of: four heartbeats come in it, mostly from several senders.
+pub const MIN_GAP: TimeDelta = TimeDelta::from_millis(1_000);
+/// So many gaps are kept; the others are counted.
+const MAX_KEPT_GAPS: usize = 100;
+/// So many senders are followed; the frames of others are counted as those of a crowd. A flood of made-up addresses must not fill
+/// the memory, and no fleet on one link is larger.
+const MAX_SOURCES: usize = 4_096;
+/// Every so many frames of a sender one is asked for its stamp: to decode all of them would take longer than everything else.
+const STAMP_SAMPLE_PERIOD: u64 = 16;
+/// A stamp that falls by more is that of a clock that began anew, and not of a message that was overtaken.
+const RESTART_THRESHOLD_S: f64 = 1.0;
+/// Below it a drift says more about the link than about the clock, s.
+const MIN_DRIFT_BASELINE_S: f64 = 10.0;
+
+/// Frames of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MessageStatistics {
+    /// How many.
+    pub frames: u64,
+    /// Their bytes, start byte to checksum or signature.
+    pub bytes: u64,
+    /// When the first came.
+    pub first: Option<Timestamp<HostClock>>,
+    /// When the last came.
+    pub last: Option<Timestamp<HostClock>>,
+    /// The longest time between two of them.
+    pub longest_silence: TimeDelta,
+}
+
+impl MessageStatistics {
+    fn record(&mut self, bytes: usize, at: Option<Timestamp<HostClock>>) {
+        self.frames += 1;
+        self.bytes += bytes as u64;
+        if let Some(at) = at {
+            if let Some(last) = self.last {
+                self.longest_silence = self.longest_silence.max(at - last);
+            }
+            self.first = self.first.or(Some(at));
+            self.last = Some(at);
+        }
+    }
+
+    /// The same over what two senders have sent; the silence is the longer of the two.
+    #[must_use]
+    pub fn merged(self, other: &Self) -> Self {
+        Self {
+            frames: self.frames + other.frames,
+            bytes: self.bytes + other.bytes,
+            first: min_present(self.first, other.first),
+            last: self.last.max(other.last),
+            longest_silence: self.longest_silence.max(other.longest_silence),
+        }
+    }
+
+    /// Frames per second; `None` of fewer than two, or without times.
+    #[must_use]
+    pub fn rate_hz(&self) -> Option<f64> {
+        let elapsed_s = (self.last? - self.first?).as_secs_f64();
+        (self.frames > 1 && elapsed_s > 0.0).then(|| (self.frames - 1) as f64 / elapsed_s)
+    }
+}
+
+fn min_present(one: Option<Timestamp<HostClock>>, other: Option<Timestamp<HostClock>>) -> Option<Timestamp<HostClock>> {
+    [one, other].into_iter().flatten().min()
+}
+
+/// What the stamps of one sender tell of its clock, by the message that was met first among those that have one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SenderClockStatistics {
+    /// The message.
+    pub message_id: u32,
+    /// How often the clock began anew.
+    pub restarts: u64,
+    /// Stamp and arrival, s, since the clock last began.
+    first: (f64, f64),
+    last: (f64, f64),
+}
+
+impl SenderClockStatistics {
+    fn record(&mut self, stamp_s: f64, at_s: f64) {
+        if self.last.0 - stamp_s > RESTART_THRESHOLD_S {
+            self.restarts += 1;
+            self.first = (stamp_s, at_s);
+        }
+        self.last = (stamp_s, at_s);
+    }
+
+    /// Rate of the sender's clock against that of the arrivals, less one, in parts per million; `None` over too short a time.
+    #[must_use]
+    pub fn drift_ppm(&self) -> Option<f64> {
+        let elapsed_s = self.last.1 - self.first.1;
+        (elapsed_s >= MIN_DRIFT_BASELINE_S).then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
+    }
+
+    /// The sender's clock at the last stamp less that of the arrivals, s.
+    #[must_use]
+    pub fn offset_s(&self) -> f64 {
+        self.last.0 - self.last.1
+    }
+}
+
+/// One sender on one link.
+#[derive(Clone, Debug)]
+pub struct SenderStatistics {
+    /// The link.
+    pub link: LinkId,
+    /// Who.
+    pub address: Address,
+    /// Everything that it has sent.
+    pub total: MessageStatistics,
+    /// By message id.
+    pub messages: BTreeMap<u32, MessageStatistics>,
+    /// Frames missing by its sequence numbers, were they of one link.
+    lost: u64,
+    /// The same with every step of the numbers taken for a loss, as simple counters do; absurd for a sender that does not count by one.
+    pub sequence_steps: u64,
+    /// Its clock, if it sends stamps and the times of arrival are known.
+    pub clock: Option<SenderClockStatistics>,
+    last_sequence: u8,
+    /// Its numbers, were they of one link.
+    numbers: SequenceCounter,
+    /// The only link of a log on which it was met.
+    only_link: Option<usize>,
+    /// Once it was met on a second one.
+    by_link: Option<Box<LinkLossCounter>>,
+}
+
+/// A sender's numbers with each link of a log followed for itself.
+#[derive(Clone, Debug, Default)]
+struct LinkLossCounter {
+    lost: u64,
+    numbers: [SequenceCounter; MAX_LOG_LINKS],
+}
+
+/// How many links a log can tell apart: two bits. A sender counts for each link for itself.
+pub const MAX_LOG_LINKS: usize = 4;
+
+/// A time in which nobody said anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TrafficGap {
+    /// When the last frame before it came.
+    pub from: Timestamp<HostClock>,
+    /// How long it lasted.
+    pub length: TimeDelta,
+}
+
+/// Counts frames.
+#[derive(Clone, Debug, Default)]
+pub struct TrafficStatistics {
+    sources: Vec<SenderStatistics>,
+    all: MessageStatistics,
+    versions: [u64; 2],
+    signed: u64,
+    crowd: u64,
+    gaps: Vec<TrafficGap>,
+    gap_count: u64,
+    backwards: u64,
+    latest: usize,
+}
+
+impl TrafficStatistics {
+    /// A census of nothing.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Counts a frame of a log that may tell its links apart by a number, but may also mean nothing by it. The losses are then those
+    /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not told apart tangle several.
+    pub fn record_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Timestamp<HostClock>) {
+        if let Some(source) = self.count_frame(LinkId(0), frame, Some(at)) {
+            source.follow_by_link(number, frame.sequence);
+            source.record(frame, Some(at));
+        }
+    }
+
+    /// Counts a frame; `at` is when it was received or sent.
+    pub fn record(&mut self, link: LinkId, frame: &FrameRef<'_>, at: Option<Timestamp<HostClock>>) {
+        if let Some(source) = self.count_frame(link, frame, at) {
+            source.record(frame, at);
+        }
+    }
+
+    /// Counts it among all and gives its sender; `None` if it is of the crowd.
+    fn count_frame(
+        &mut self,
+        link: LinkId,
+        frame: &FrameRef<'_>,
+        at: Option<Timestamp<HostClock>>,
+    ) -> Option<&mut SenderStatistics> {
+        self.record_time(at);
+        self.all.record(frame.raw.len(), at);
+        match frame.version {
+            WireVersion::V1 => self.versions[0] += 1,
+            WireVersion::V2 => self.versions[1] += 1,
+        }
+        self.signed += u64::from(frame.is_signed());
+        let index = self.source_index(link, frame);
+        self.crowd += u64::from(index.is_none());
+        self.sources.get_mut(index?)
+    }
+
+    /// Every sender, in the order in which they were first heard.
+    #[must_use]
+    pub fn sources(&self) -> &[SenderStatistics] {
+        &self.sources
+    }
+
+    /// By message id, over all senders.
+    #[must_use]
+    pub fn messages(&self) -> BTreeMap<u32, MessageStatistics> {
+        let mut messages: BTreeMap<u32, MessageStatistics> = BTreeMap::new();
+        for (id, tally) in self.sources.iter().flat_map(|source| &source.messages) {
+            let sum = messages.entry(*id).or_default();
+            *sum = sum.merged(tally);
+        }
+        messages
+    }
+
+    /// Everything.
+    #[must_use]
+    pub const fn all(&self) -> &MessageStatistics {
+        &self.all
+    }
+
+    /// How many frames are of this layout.
+    #[must_use]
+    pub const fn frames_of_version(&self, version: WireVersion) -> u64 {
+        let [v1, v2] = self.versions;
+        match version {
+            WireVersion::V1 => v1,
+            WireVersion::V2 => v2,
+        }
+    }
+
+    /// Frames with a signature, whoever made it.
+    #[must_use]
+    pub const fn signed(&self) -> u64 {
+        self.signed
+    }
+
+    /// Frames of senders beyond those that are followed.
+    #[must_use]
+    pub const fn untracked_frames(&self) -> u64 {
+        self.crowd
+    }
+
+    /// The first silences of [`MIN_GAP`] or more, and how many there were.
+    #[must_use]
+    pub fn gaps(&self) -> (&[TrafficGap], u64) {
+        (&self.gaps, self.gap_count)
+    }
+
+    /// How often the time of a frame lay before that of the frame before it.
+    #[must_use]
+    pub const fn time_reversals(&self) -> u64 {
+        self.backwards
+    }
+
+    fn record_time(&mut self, at: Option<Timestamp<HostClock>>) {
+        let (Some(at), Some(last)) = (at, self.all.last) else {
+            return;
+        };
+        self.backwards += u64::from(at < last);
+        let length = at - last;
+        if length >= MIN_GAP {
+            self.gap_count += 1;
+            if self.gaps.len() < MAX_KEPT_GAPS {
+                self.gaps.push(TrafficGap { from: last, length });
+            }
+        }
+    }
+
+    /// Where a sender stands among the sources; `None` when there are too many.
+    fn source_index(&mut self, link: LinkId, frame: &FrameRef<'_>) -> Option<usize> {
+        let is_it = |source: &SenderStatistics| source.address == frame.source && source.link == link;
+        // Most frames follow one of the same sender.
+        if self.sources.get(self.latest).is_some_and(is_it) {
+            return Some(self.latest);
+        }
+        if let Some(index) = self.sources.iter().position(is_it) {
+            self.latest = index;
+            return Some(index);
+        }
+        if self.sources.len() == MAX_SOURCES {
+            return None;
+        }
+        self.latest = self.sources.len();
+        self.sources.push(SenderStatistics {
+            link,
+            address: frame.source,
+            total: MessageStatistics::default(),
+            messages: BTreeMap::new(),
+            lost: 0,
+            sequence_steps: 0,
+            clock: None,
+            last_sequence: frame.sequence.wrapping_sub(1),
+            numbers: SequenceCounter::default(),
+            only_link: None,
+            by_link: None,
+        });
+        Some(self.latest)
+    }
+}
+
+impl SenderStatistics {
+    /// Frames missing by its sequence numbers; up to half the circle is a loss, more is an old frame.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        let by_link = self.by_link.as_ref().map(|by_link| by_link.lost);
+        self.lost.min(by_link.unwrap_or(u64::MAX))
+    }
+
+    /// Follows the next number as one of this link's. On one link alone that is what is done anyway.
+    fn follow_by_link(&mut self, link: usize, sequence: u8) {
+        let only = *self.only_link.get_or_insert(link);
+        if only == link && self.by_link.is_none() {
+            return;
+        }
+        let by_link = self.by_link.get_or_insert_with(|| {
+            let mut by_link = Box::<LinkLossCounter>::default();
+            by_link.lost = self.lost;
+            if let Some(numbers) = by_link.numbers.get_mut(only) {
+                numbers.clone_from(&self.numbers);
+            }
+            by_link
+        });
+        if let Some(numbers) = by_link.numbers.get_mut(link) {
+            by_link.lost += u64::from(numbers.record_number(sequence));
+        }
+    }
+
+    fn record(&mut self, frame: &FrameRef<'_>, at: Option<Timestamp<HostClock>>) {
+        let step = frame.sequence.wrapping_sub(self.last_sequence).wrapping_sub(1);
+        self.sequence_steps += u64::from(step);
+        self.last_sequence = frame.sequence;
+        self.lost += u64::from(self.numbers.record_number(frame.sequence));
+        if let Some(at) = at
+            && self.total.frames.is_multiple_of(STAMP_SAMPLE_PERIOD)
+        {
+            self.record_timestamp(frame, at);
+        }
+        let bytes = frame.raw.len();
+        self.total.record(bytes, at);
+        self.messages.entry(frame.message_id).or_default().record(bytes, at);
+    }
+
+    fn record_timestamp(&mut self, frame: &FrameRef<'_>, at: Timestamp<HostClock>) {
+        let is_other = |clock: SenderClockStatistics| clock.message_id != frame.message_id;
+        if self.clock.is_some_and(is_other) {
+            return;
+        }
+        let Some(stamp) = dialect::timestamp_of(frame) else {
+            return;
+        };
+        let (stamp_s, at_s) = (stamp.as_micros() as f64 * 1e-6, at.as_secs_f64());
+        match &mut self.clock {
+            Some(clock) => clock.record(stamp_s, at_s),
+            None => {
+                self.clock = Some(SenderClockStatistics {
+                    message_id: frame.message_id,
+                    restarts: 0,
+                    first: (stamp_s, at_s),
+                    last: (stamp_s, at_s),
+                });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dialect::Encoder;
+    use crate::framing::{VerifiedFrame, verify};
+    use crate::message::{Message, WireStamp};
+    use posebridge_telemetry::Meters;
+
+    /// A message with a stamp.
+    fn stamped(millis: u32) -> Message {
+        Message::WheelDistance {
+            stamp: WireStamp::Micros64(u64::from(millis) * 1_000),
+            left: Meters(0.5),
+            right: Meters(0.25),
+        }
+    }
+
+    fn census(frames: &[(u8, u8, u32, i64)]) -> TrafficStatistics {
+        let mut census = TrafficStatistics::new();
+        for &(system, sequence, stamp_ms, at_ms) in frames {
+            let mut bytes = Vec::new();
+            let mut encoder = Encoder::new(WireVersion::V2);
+            for _ in 0..=sequence {
+                bytes.clear();
+                encoder.encode(Address::new(system, 1), &stamped(stamp_ms), &mut bytes);
+            }
+            let VerifiedFrame::Frame(frame) = verify(&bytes) else {
+                panic!("it was just encoded");
+            };
+            census.record(LinkId(0), &frame, Some(Timestamp::from_millis(at_ms)));
+        }
+        census
+    }
+
+    #[test]
+    fn senders_lose_frames_each_for_itself_and_rates_are_between_first_and_last() {
+        let census = census(&[(1, 0, 0, 0), (2, 9, 0, 100), (1, 1, 0, 500), (2, 12, 0, 1_600), (1, 4, 0, 2_000)]);
+        let [one, two] = census.sources() else {
+            panic!("two senders");
+        };
+        assert_eq!((one.lost(), one.sequence_steps, two.lost()), (2, 2, 2));
+        assert_eq!(one.total.rate_hz(), Some(1.0));
+        assert_eq!(census.messages()[&9000].frames, 5);
+        assert_eq!(census.messages()[&9000].rate_hz(), Some(2.0));
+        assert_eq!(two.total.longest_silence, TimeDelta::from_millis(1_500));
+        let (gaps, count) = census.gaps();
+        assert_eq!((gaps.len(), count), (1, 1));
+        assert_eq!(gaps[0].from, Timestamp::from_millis(500));
+    }
+
+    #[test]
+    fn a_clock_that_runs_fast_or_begins_anew_is_told() {
+        let mut frames = Vec::new();
+        for step in 0..=200_u32 {
+            // 1001 ms of the sender's clock per second.
+            frames.push((1, 0, step * 1_001, i64::from(step) * 1_000));
+        }
+        let fast = census(&frames).sources()[0].clock.unwrap();
+        assert!((fast.drift_ppm().unwrap() - 1_000.0).abs() < 1.0);
+        assert_eq!((fast.restarts, fast.message_id), (0, 9000));
+        frames.push((1, 0, 5, 201_000));
+        frames.extend((0..16).map(|step| (1, 0, 5 + step, 201_000 + i64::from(step))));
+        let restarted = census(&frames).sources()[0].clock.unwrap();
+        assert_eq!((restarted.restarts, restarted.drift_ppm()), (1, None));
+    }
+
+    #[test]
+    fn a_sender_that_counts_for_each_link_of_a_log_has_lost_nothing() {
+        let mut census = TrafficStatistics::new();
+        let mut links = [(0, Encoder::new(WireVersion::V2)), (1, Encoder::new(WireVersion::V2))];
+        // The second link is ahead by far.
+        for _ in 0..60 {
+            links[1].1.encode(Address::new(1, 197), &stamped(0), &mut Vec::new());
+        }
+        for step in 0..60_u32 {
+            let (number, encoder) = &mut links[usize::from(step % 3 == 0)];
+            let mut bytes = Vec::new();
+            encoder.encode(Address::new(1, 197), &stamped(step), &mut bytes);
+            let VerifiedFrame::Frame(frame) = verify(&bytes) else {
+                panic!("it was just encoded");
+            };
+            census.record_logged(*number, &frame, Timestamp::from_millis(i64::from(step)));
+        }
+        let [station] = census.sources() else {
+            panic!("one sender");
+        };
+        assert_eq!(station.lost(), 0);
+        assert!(station.lost > 0 && station.sequence_steps > 100);
+    }
+
+    #[test]
+    fn a_time_that_falls_is_counted() {
+        let census = census(&[(1, 0, 0, 900), (1, 1, 0, 100), (1, 2, 0, 200)]);
+        assert_eq!(census.time_reversals(), 1);
+    }
+}

@@ -1,0 +1,355 @@
+//! The fate of the frames in one direction of a link, from its byte log.
+//!
+//! The link handles only bytes and units. The ledger scans the offered bytes for frames, and looks up every byte in the
+//! log: a frame has arrived if all of its bytes have, unchanged. This is the truth for a receiver's account of its
+//! losses; it uses no sequence number.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
+
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
+use posebridge_telemetry::{Address, HostClock, ReceiveError, Timestamp};
+use serde::Serialize;
+
+use super::byte_log::{ByteOutcome, LogEntry};
+
+/// Frames and units of which all is known are kept while they are among the newest so many: a copy may still arrive.
+const MAX_RETAINED: usize = 2_048;
+/// Half the numbers of 8 bits.
+const HALF_CIRCLE: u64 = 128;
+/// Most entries that wait for the rest of a frame.
+const MAX_PENDING: usize = 65_536;
+
+/// What became of the frames of one sender.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameCounts {
+    /// Frames sent.
+    pub sent: u64,
+    /// Frames that arrived whole.
+    pub whole: u64,
+    /// Frames of which something is missing or changed.
+    pub lost: u64,
+    /// Copies that arrived whole.
+    pub repeated: u64,
+    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit number does not tell them
+    /// from newer ones.
+    pub undatable: u64,
+    /// Frames that are missing between the first and the newest that arrived whole: those of which a receiver can know.
+    pub missing_between: u64,
+}
+
+/// The account of one sender.
+#[derive(Clone, Copy, Debug, Default)]
+struct SenderAccount {
+    counts: FrameCounts,
+    /// Number of the first frame that arrived whole, counted from 1.
+    first_intact: Option<u64>,
+    /// Number of the newest.
+    latest_intact: u64,
+}
+
+impl SenderAccount {
+    const fn count_undatable(&mut self, number: u64) {
+        if number + HALF_CIRCLE < self.latest_intact {
+            self.counts.undatable += 1;
+        }
+    }
+}
+
+/// A frame on its way.
+#[derive(Clone, Debug)]
+struct FrameInTransit {
+    byte_range: Range<u64>,
+    source: Address,
+    /// Which of its sender's frames, counted from 1.
+    number: u64,
+    undecided_bytes: u64,
+    duplicated_bytes: u64,
+    is_damaged: bool,
+}
+
+/// A unit and where its bytes begin among all that were offered.
+#[derive(Clone, Copy, Debug)]
+struct UnitOffset {
+    number: u64,
+    start: u64,
+}
+
+/// What became of a range of bytes, by their places among all that were offered.
+#[derive(Clone, Debug)]
+struct RangeOutcome {
+    byte_range: Range<u64>,
+    kind: RangeOutcomeKind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum RangeOutcomeKind {
+    Arrived,
+    Duplicated,
+    Lost,
+    Changed,
+}
+
+/// Follows the frames of one direction.
+#[derive(Debug)]
+pub struct FrameLedger {
+    scanner: Framer,
+    /// Bytes offered.
+    offered: u64,
+    /// Bytes that belong to a frame or to none.
+    scanned: u64,
+    units: VecDeque<UnitOffset>,
+    frames: VecDeque<FrameInTransit>,
+    waiting: VecDeque<RangeOutcome>,
+    accounts: BTreeMap<Address, SenderAccount>,
+}
+
+impl Default for FrameLedger {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl FrameLedger {
+    /// A ledger of a direction on which nothing travels yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            scanner: Framer::new(FramerConfig::default()),
+            offered: 0,
+            scanned: 0,
+            units: VecDeque::new(),
+            frames: VecDeque::new(),
+            waiting: VecDeque::new(),
+            accounts: BTreeMap::new(),
+        }
+    }
+
+    /// Takes what was offered as unit `number` at `now`. A frame may begin in one unit and end in a later one.
+    pub fn offer(&mut self, now: Timestamp<HostClock>, number: u64, bytes: &[u8]) {
+        let start = self.offered;
+        self.units.push_back(UnitOffset { number, start });
+        self.offered += bytes.len() as u64;
+        let (scanned, frames, accounts) = (&mut self.scanned, &mut self.frames, &mut self.accounts);
+        self.scanner.push(now, bytes, &mut |found| match found {
+            FramerOutput::Frame(frame) => {
+                let place = *scanned..*scanned + frame.raw.len() as u64;
+                *scanned = place.end;
+                let account = accounts.entry(frame.source).or_default();
+                account.counts.sent += 1;
+                frames.push_back(FrameInTransit {
+                    undecided_bytes: place.end - place.start,
+                    byte_range: place,
+                    source: frame.source,
+                    number: account.counts.sent,
+                    duplicated_bytes: 0,
+                    is_damaged: false,
+                });
+            }
+            FramerOutput::UnknownFrame(frame) => *scanned += frame.raw.len() as u64,
+            FramerOutput::Error(ReceiveError::UnframedBytes { bytes }) => *scanned += u64::from(bytes),
+            FramerOutput::Error(_) => {}
+        });
+    }
+
+    /// Takes the direction's log, which must be told of without a hole.
+    pub fn apply_log(&mut self, log: &[LogEntry]) {
+        for entry in log {
+            let kind = match entry.outcome {
+                ByteOutcome::Delivered { .. } => RangeOutcomeKind::Arrived,
+                ByteOutcome::Duplicated { .. } => RangeOutcomeKind::Duplicated,
+                ByteOutcome::Lost(_) => RangeOutcomeKind::Lost,
+                ByteOutcome::Flipped { .. } => RangeOutcomeKind::Changed,
+                ByteOutcome::Stalled { .. } | ByteOutcome::HeldBack { .. } => continue,
+            };
+            let found = self.units.binary_search_by_key(&entry.unit, |unit| unit.number);
+            let Some(unit) = found.ok().and_then(|index| self.units.get(index)) else {
+                continue;
+            };
+            let place = unit.start + entry.bytes.start as u64..unit.start + entry.bytes.end as u64;
+            if self.waiting.len() >= MAX_PENDING {
+                self.waiting.pop_front();
+            }
+            self.waiting.push_back(RangeOutcome { byte_range: place, kind });
+        }
+        self.apply_pending();
+        self.drop_decided();
+    }
+
+    /// What became of the frames of each sender so far.
+    pub fn counts(&self) -> impl Iterator<Item = (Address, FrameCounts)> {
+        self.accounts.iter().map(|(source, account)| {
+            let mut counts = account.counts;
+            if let Some(first) = account.first_intact {
+                counts.missing_between = account.latest_intact + 1 - first - counts.whole;
+            }
+            (*source, counts)
+        })
+    }
+
+    /// Applies what waits and speaks of bytes whose frames are known.
+    fn apply_pending(&mut self) {
+        let mut waiting = std::mem::take(&mut self.waiting);
+        waiting.retain(|verdict| {
+            let is_known = verdict.byte_range.end <= self.scanned;
+            if is_known {
+                self.apply(verdict);
+            }
+            !is_known
+        });
+        self.waiting = waiting;
+    }
+
+    fn apply(&mut self, verdict: &RangeOutcome) {
+        let first = self.frames.partition_point(|frame| frame.byte_range.end <= verdict.byte_range.start);
+        for frame in self.frames.range_mut(first..) {
+            if frame.byte_range.start >= verdict.byte_range.end {
+                break;
+            }
+            let shared =
+                frame.byte_range.end.min(verdict.byte_range.end) - frame.byte_range.start.max(verdict.byte_range.start);
+            let account = self.accounts.entry(frame.source).or_default();
+            match verdict.kind {
+                RangeOutcomeKind::Changed => frame.is_damaged = true,
+                RangeOutcomeKind::Duplicated => frame.count_duplicate(shared, account),
+                RangeOutcomeKind::Arrived => frame.count_bytes(shared, account),
+                RangeOutcomeKind::Lost => {
+                    frame.is_damaged = true;
+                    frame.count_bytes(shared, account);
+                }
+            }
+        }
+    }
+
+    /// Drops what nothing can be said of any more.
+    fn drop_decided(&mut self) {
+        while self.frames.len() > MAX_RETAINED && self.frames.front().is_some_and(|frame| frame.undecided_bytes == 0) {
+            self.frames.pop_front();
+        }
+        let oldest = self.frames.front().map_or(self.scanned, |frame| frame.byte_range.start);
+        // The unit in which the oldest frame begins is still spoken of.
+        while self.units.len() > MAX_RETAINED && self.units.get(1).is_some_and(|next| next.start <= oldest) {
+            self.units.pop_front();
+        }
+    }
+}
+
+impl FrameInTransit {
+    /// So many of its bytes have arrived or are lost.
+    fn count_bytes(&mut self, bytes: u64, account: &mut SenderAccount) {
+        self.undecided_bytes = self.undecided_bytes.saturating_sub(bytes);
+        if self.undecided_bytes > 0 {
+            return;
+        }
+        if self.is_damaged {
+            account.counts.lost += 1;
+            return;
+        }
+        account.counts.whole += 1;
+        account.count_undatable(self.number);
+        let first = account.first_intact.get_or_insert(self.number);
+        *first = (*first).min(self.number);
+        account.latest_intact = account.latest_intact.max(self.number);
+    }
+
+    /// So many bytes of a copy have arrived.
+    const fn count_duplicate(&mut self, bytes: u64, account: &mut SenderAccount) {
+        self.duplicated_bytes += bytes;
+        if !self.is_damaged && self.duplicated_bytes == self.byte_range.end - self.byte_range.start {
+            account.counts.repeated += 1;
+            account.count_undatable(self.number);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::impairment::byte_log::LossCause;
+
+    /// A heartbeat of a ground rover, 1/1, number 0.
+    const FRAME: [u8; 21] = [0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB];
+    const AT: Timestamp<HostClock> = Timestamp::ZERO;
+
+    fn entry(unit: u64, bytes: Range<usize>, fate: ByteOutcome) -> LogEntry {
+        LogEntry { unit, bytes, outcome: fate }
+    }
+
+    fn arrived(unit: u64, bytes: Range<usize>) -> LogEntry {
+        entry(unit, bytes, ByteOutcome::Delivered { at: AT })
+    }
+
+    fn counts(ledger: &FrameLedger) -> FrameCounts {
+        ledger.counts().next().unwrap().1
+    }
+
+    #[test]
+    fn a_frame_counts_once_all_its_bytes_are_decided_whatever_units_they_came_in() {
+        let mut ledger = FrameLedger::new();
+        ledger.offer(AT, 0, &FRAME[..10]);
+        ledger.apply_log(&[arrived(0, 0..10)]);
+        let rest = [&FRAME[10..], &FRAME, &FRAME[..3]].concat();
+        ledger.offer(AT, 1, &rest);
+        assert_eq!(counts(&ledger).sent, 2);
+        ledger.apply_log(&[arrived(1, 0..11)]);
+        assert_eq!((counts(&ledger).whole, counts(&ledger).lost), (1, 0));
+        ledger.apply_log(&[arrived(1, 11..35)]);
+        ledger.offer(AT, 2, &FRAME[3..]);
+        ledger.apply_log(&[arrived(2, 0..18)]);
+        let expected = FrameCounts { sent: 3, whole: 3, ..FrameCounts::default() };
+        assert_eq!(counts(&ledger), expected);
+    }
+
+    #[test]
+    fn a_missing_byte_a_turned_bit_and_a_lost_unit_each_cost_a_frame() {
+        let mut ledger = FrameLedger::new();
+        for unit in 0..6 {
+            ledger.offer(AT, unit, &FRAME);
+        }
+        ledger.apply_log(&[
+            arrived(0, 0..21),
+            entry(1, 5..6, ByteOutcome::Lost(LossCause::Byte)),
+            arrived(1, 0..5),
+            arrived(1, 6..21),
+            entry(2, 20..21, ByteOutcome::Flipped { bit: 3 }),
+            arrived(2, 0..21),
+            entry(3, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
+            arrived(4, 0..21),
+            entry(5, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
+        ]);
+        let expected = FrameCounts { sent: 6, whole: 2, lost: 4, missing_between: 3, ..FrameCounts::default() };
+        assert_eq!(counts(&ledger), expected);
+    }
+
+    #[test]
+    fn a_copy_is_not_a_second_frame() {
+        let mut ledger = FrameLedger::new();
+        ledger.offer(AT, 0, &FRAME);
+        ledger.apply_log(&[arrived(0, 0..21), entry(0, 0..21, ByteOutcome::Duplicated { at: AT })]);
+        assert_eq!((counts(&ledger).whole, counts(&ledger).repeated), (1, 1));
+    }
+
+    #[test]
+    fn a_frame_that_comes_more_than_half_a_circle_late_cannot_be_dated() {
+        for (newer, expected) in [(128, 0), (129, 1)] {
+            let mut ledger = FrameLedger::new();
+            for unit in 0..=newer {
+                ledger.offer(AT, unit, &FRAME);
+            }
+            ledger.apply_log(&[arrived(newer, 0..21), arrived(0, 0..21)]);
+            assert_eq!(counts(&ledger).undatable, expected, "{newer} newer ones");
+        }
+    }
+
+    #[test]
+    fn what_is_decided_is_forgotten() {
+        let mut ledger = FrameLedger::new();
+        for unit in 0..5_000 {
+            ledger.offer(AT, unit, &FRAME);
+            ledger.apply_log(&[arrived(unit, 0..21)]);
+        }
+        assert_eq!(counts(&ledger).whole, 5_000);
+        assert!(ledger.frames.len() <= MAX_RETAINED && ledger.units.len() <= MAX_RETAINED + 1);
+        assert!(ledger.waiting.is_empty());
+    }
+}

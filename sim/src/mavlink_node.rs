@@ -1,0 +1,163 @@
+//! One MAVLink participant of the simulated world: a session, a sequence counter and the bytes that wait to be sent.
+//!
+//! The brick and the camera are two of them behind one link. Which telemetry is sent when is their business.
+
+use posebridge_brick::{Link, Sink};
+use posebridge_protocol::dialect::{Encoder, ids};
+use posebridge_protocol::framing::WireVersion;
+use posebridge_protocol::message::{CommandLong, CommandResult, Heartbeat, Message};
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::clock::Clock;
+use posebridge_telemetry::{Address, TimeDelta, Timestamp};
+
+/// Place of the sequence number in a MAVLink 2 frame.
+const SEQUENCE: usize = 4;
+
+/// Any message: only the number of its frame is looked at.
+const NOT_SENT: Heartbeat = Heartbeat { vehicle_type: 0, autopilot: 0, base_mode: 0, system_status: 0 };
+
+/// Frames of the brick SDK behind those that wait.
+pub(crate) struct SdkFrameSink<'a>(&'a mut Vec<Vec<u8>>);
+
+impl Sink for SdkFrameSink<'_> {
+    fn put(&mut self, frame: &[u8]) {
+        self.0.push(frame.to_vec());
+    }
+}
+
+/// Somebody wants a message at an interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct IntervalRequest {
+    /// The message.
+    pub(crate) message_id: u32,
+    /// The interval; `None` stops it, zero asks for the default.
+    pub(crate) interval: Option<TimeDelta>,
+}
+
+/// A participant with a clock of kind `C`.
+#[derive(Debug)]
+pub(crate) struct MavlinkNode<C: Clock> {
+    own: Address,
+    session: Session<C>,
+    encoder: Encoder,
+    /// Whole frames.
+    outgoing: Vec<Vec<u8>>,
+    /// Messages that are sent once when somebody asks.
+    offered_messages: Vec<u32>,
+    is_fix_requested: bool,
+}
+
+impl<C: Clock> MavlinkNode<C> {
+    /// A participant that was powered up at `now`. All stamps that it is given are what its own clock shows to others,
+    /// wraps included: with them it answers TIMESYNC.
+    /// Only the `offered` messages can be asked for at another interval.
+    pub(crate) fn new(own: Address, heartbeat: Heartbeat, now: Timestamp<C>, offered: &[u32]) -> Self {
+        let config = SessionConfig {
+            own,
+            heartbeat,
+            heartbeat_period: TimeDelta::from_millis(1_000),
+            timesync_period: None,
+            peer_timeout: TimeDelta::from_millis(5_000),
+            requested_messages: Vec::new(),
+            offered_messages: offered.to_vec(),
+        };
+        Self {
+            own,
+            session: Session::new(config, now),
+            encoder: Encoder::new(WireVersion::V2),
+            outgoing: Vec::new(),
+            offered_messages: offered.to_vec(),
+            is_fix_requested: false,
+        }
+    }
+
+    /// Whether a fix was asked for since this was asked last.
+    pub(crate) fn take_fix_request(&mut self) -> bool {
+        std::mem::take(&mut self.is_fix_requested)
+    }
+
+    /// Whether a command asks for one of the offered fixes, once.
+    fn is_fix_request(&self, command: &CommandLong) -> bool {
+        command.command == ids::COMMAND_REQUEST_MESSAGE
+            && command.named_message() == Some(ids::VISION_POSITION_ESTIMATE)
+            && self.offered_messages.contains(&ids::VISION_POSITION_ESTIMATE)
+    }
+
+    /// Takes a message from the link and returns what it asks for beyond the session's own business.
+    pub(crate) fn handle(&mut self, now: Timestamp<C>, from: Address, message: &Message) -> Vec<IntervalRequest> {
+        self.session.handle(now, from, message);
+        self.drain()
+    }
+
+    /// Lets time pass.
+    pub(crate) fn tick(&mut self, now: Timestamp<C>) -> Vec<IntervalRequest> {
+        self.session.tick(now);
+        self.drain()
+    }
+
+    /// Queues a message.
+    pub(crate) fn send(&mut self, message: &Message) {
+        let mut frame = Vec::new();
+        self.encoder.encode(self.own, message, &mut frame);
+        self.outgoing.push(frame);
+    }
+
+    /// Queues a frame that the brick SDK writes, under the number that is this participant's next.
+    pub(crate) fn send_with_sdk(&mut self, write: impl FnOnce(&mut Link, &mut SdkFrameSink<'_>)) {
+        let sequence = self.next_sequence();
+        let mut link = Link::continued(self.own.system.0, self.own.component.0, sequence);
+        write(&mut link, &mut SdkFrameSink(&mut self.outgoing));
+    }
+
+    /// Takes the next number from the encoder, which counts for both: it writes a frame that is not sent.
+    fn next_sequence(&mut self) -> u8 {
+        let mut frame = Vec::new();
+        self.encoder.encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
+        frame.get(SEQUENCE).copied().unwrap_or_default()
+    }
+
+    /// The bytes that are to be sent, as whole frames.
+    pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
+        (!self.outgoing.is_empty()).then(|| self.take_frames().concat())
+    }
+
+    /// The same, each frame for itself.
+    pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.outgoing)
+    }
+
+    fn drain(&mut self) -> Vec<IntervalRequest> {
+        let mut requests = Vec::new();
+        while let Some(output) = self.session.poll() {
+            match output {
+                SessionOutput::Send(message) => self.send(&message),
+                SessionOutput::IntervalRequested {
+                    message_id,
+                    interval,
+                    ..
+                } => requests.push(IntervalRequest {
+                    message_id,
+                    interval,
+                }),
+                SessionOutput::CommandReceived { by, command } => {
+                    let is_for_fix = self.is_fix_request(&command);
+                    self.is_fix_requested |= is_for_fix;
+                    let result = if is_for_fix {
+                        CommandResult::Accepted
+                    } else {
+                        CommandResult::Unsupported
+                    };
+                    self.session.acknowledge_command(by, command.command, result);
+                }
+                SessionOutput::PeerSeen { .. }
+                | SessionOutput::PeerLost { .. }
+                | SessionOutput::TimeExchanged { .. }
+                // Of these it offers none.
+                | SessionOutput::ParameterSetRequested { .. }
+                | SessionOutput::ParameterUnsupported { .. }
+                | SessionOutput::ParameterUnknown { .. } => {}
+            }
+        }
+        requests
+    }
+}

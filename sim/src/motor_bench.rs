@@ -1,0 +1,156 @@
+//! A wheel's motor on the bench: a voltage is put on, and the encoder is read.
+//!
+//! The step test by which people find a motor's time constant, its dead time and how fast it turns per volt. Nothing but the motor of the
+//! simulated robot with what it has to move, a command that takes its time, and an encoder that counts whole degrees.
+//!
+//! # Model
+//! ```text
+//! u(t) = volts from rest_s + dead_time_s on, else 0            the motor: that of docs/simulated-brick.md, with half the robot's mass
+//! tau = (J + m r^2 / 2) / (Kt/R Ke)                            w_end = (volts - friction / (Kt/R)) / Ke
+//! reading k at the first millisecond after k periods, each period of its own length; angle = floor((phi + phi_0) / tick) tick
+//! ```
+//! # Assumptions
+//! The battery holds its voltage; the wheels do not slip.
+//!
+//! # Sources
+//! The motor: docs/simulated-brick.md. Dead time, periods and the rest: ours, of the size that an NXT has behind a Bluetooth link.
+
+use crate::motor::Motor;
+use crate::random::RandomStream;
+use crate::scenario::{RobotSettings, TICK_RAD};
+use crate::time_step::STEP_S;
+
+/// A step test of a motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorBench {
+    /// The motor and what it has to move.
+    pub robot: RobotSettings,
+    /// What is put on, in volts.
+    pub volts: f64,
+    /// When the command for it is given, in seconds after the first reading.
+    pub rest_s: f64,
+    /// From there until the voltage is on, in seconds.
+    pub dead_time_s: f64,
+    /// Mean time between two readings of the encoder, in seconds.
+    pub period_s: f64,
+    /// Each period differs by up to this share, either way, each equally likely.
+    pub period_spread: f64,
+    /// How long it is read, in seconds.
+    pub duration_s: f64,
+}
+
+impl Default for MotorBench {
+    fn default() -> Self {
+        Self {
+            robot: RobotSettings::default(),
+            volts: 8.0,
+            rest_s: 0.5,
+            dead_time_s: 0.06,
+            period_s: 0.01,
+            period_spread: 0.1,
+            duration_s: 2.0,
+        }
+    }
+}
+
+/// What the encoder said.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderReading {
+    /// When, in seconds.
+    pub at_s: f64,
+    /// The total rotation, in radians: whole ticks.
+    pub angle_rad: f64,
+}
+
+/// One tick of the encoder, in radians.
+pub const ENCODER_TICK_RAD: f64 = TICK_RAD;
+
+impl MotorBench {
+    /// Runs the test. The seed draws when the encoder is read and where in a tick the shaft stands.
+    #[must_use]
+    pub fn run(&self, seed: u64) -> Vec<EncoderReading> {
+        let mut motor = Motor::new(self.robot.motor.constants(self.load_kg_m2()));
+        let mut pace = RandomStream::new(seed, "bench pace");
+        let phase_rad = RandomStream::new(seed, "bench shaft").uniform(0.0, TICK_RAD);
+        let mut next_s = 0.0;
+        let mut readings = Vec::new();
+        let steps = (self.duration_s / STEP_S).round().clamp(0.0, MAX_STEPS) as u32;
+        for step in 0..steps {
+            let at_s = f64::from(step) * STEP_S;
+            if at_s >= next_s {
+                let spread = self.period_spread * pace.uniform(-1.0, 1.0);
+                next_s += self.period_s * (1.0 + spread);
+                let ticks = ((motor.angle_rad() + phase_rad) / TICK_RAD).floor();
+                let angle_rad = ticks * TICK_RAD;
+                readings.push(EncoderReading { at_s, angle_rad });
+            }
+            let is_on = at_s >= self.rest_s + self.dead_time_s - 0.5 * STEP_S;
+            motor.step(if is_on { self.volts } else { 0.0 });
+        }
+        readings
+    }
+
+    /// The true time constant, in seconds.
+    #[must_use]
+    pub fn time_constant_s(&self) -> f64 {
+        let motor = &self.robot.motor;
+        let inertia_kg_m2 = motor.inertia_kg_m2 + self.load_kg_m2();
+        inertia_kg_m2 / (motor.torque_n_m_per_v * motor.back_emf_v_s_per_rad)
+    }
+
+    /// The true speed in the end per volt, in rad/s per V: friction eats a part of the voltage.
+    #[must_use]
+    pub fn gain_rad_per_s_per_v(&self) -> f64 {
+        let motor = &self.robot.motor;
+        let friction_v = motor.friction_n_m / motor.torque_n_m_per_v;
+        (self.volts.abs() - friction_v) / motor.back_emf_v_s_per_rad / self.volts.abs()
+    }
+
+    /// Half the robot rides on each wheel.
+    const fn load_kg_m2(&self) -> f64 {
+        0.5 * self.robot.mass_kg * self.robot.wheel_radius_m * self.robot.wheel_radius_m
+    }
+}
+
+/// An hour of milliseconds.
+const MAX_STEPS: f64 = 3.6e6;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_wheel_stands_through_the_dead_time_and_then_turns_as_fast_as_it_should() {
+        let bench = MotorBench::default();
+        let readings = bench.run(1);
+        let start = readings[0].angle_rad;
+        let moved = readings.iter().find(|reading| reading.angle_rad > start).unwrap();
+        // Within some 12 ms the motor turns a degree.
+        assert!((0.56..0.60).contains(&moved.at_s), "{moved:?}");
+        let (before, last) = (readings[readings.len() - 50], readings[readings.len() - 1]);
+        let speed = (last.angle_rad - before.angle_rad) / (last.at_s - before.at_s);
+        let expected = bench.gain_rad_per_s_per_v() * bench.volts;
+        // A tick over half a second.
+        assert!((speed - expected).abs() < 0.04, "{speed} {expected}");
+    }
+
+    #[test]
+    fn after_a_time_constant_63_per_cent_of_the_speed_are_there() {
+        // The way after the onset is w_end tau / e then.
+        let bench = MotorBench { period_s: 0.001, period_spread: 0.0, ..MotorBench::default() };
+        let tau_s = bench.time_constant_s();
+        assert!((tau_s - 0.111).abs() < 0.001, "{tau_s}");
+        let readings = bench.run(2);
+        let at = |at_s: f64| readings.iter().rfind(|reading| reading.at_s <= at_s).unwrap();
+        let way_rad = at(0.56 + tau_s).angle_rad - at(0.56).angle_rad;
+        let expected = bench.gain_rad_per_s_per_v() * bench.volts * tau_s / std::f64::consts::E;
+        assert!((way_rad - expected).abs() < 1.5 * ENCODER_TICK_RAD, "{way_rad} {expected}");
+    }
+
+    #[test]
+    fn seeds_differ_and_repeat() {
+        let bench = MotorBench::default();
+        assert_eq!(bench.run(3), bench.run(3));
+        assert_ne!(bench.run(3), bench.run(4));
+    }
+}

@@ -1,0 +1,272 @@
+//! The operands of the EV3's byte codes, and the memory that they point into.
+//!
+//! ```text
+//! 00vvvvvv            constant of six bits with a sign          10000sss ..   constant: 1 byte, 2, 3 is four bytes, 0 or 4 a text up to its zero
+//! 01giiiii            variable i, g 1 global and 0 local        11g00sss ..   variable, its number in 1, 2 or 4 bytes
+//! ```
+//! # Sources
+//! LEGO MINDSTORMS EV3 firmware developer kit, byte codes: parameter encoding.
+
+/// A command that cannot be followed: it is broken, unknown or points outside the memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ExecutionFault;
+
+/// The width of a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum OperandWidth {
+    /// DATA8.
+    Byte,
+    /// DATA16.
+    Word,
+    /// DATA32.
+    Long,
+    /// DATAF.
+    Real,
+}
+
+impl OperandWidth {
+    /// In the order in which groups of byte codes use them.
+    pub(super) const fn of(bits: u8) -> Self {
+        match bits & 3 {
+            0 => Self::Byte,
+            1 => Self::Word,
+            2 => Self::Long,
+            _ => Self::Real,
+        }
+    }
+}
+
+/// Where a value comes from or goes to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Operand {
+    Constant(i32),
+    Text(Vec<u8>),
+    Global(usize),
+    Local(usize),
+}
+
+/// A direct command under way: its codes and its memory.
+#[derive(Clone, Debug)]
+pub(super) struct BytecodeMachine {
+    code: Vec<u8>,
+    place: usize,
+    globals: Vec<u8>,
+    locals: Vec<u8>,
+}
+
+impl BytecodeMachine {
+    /// A command that has not begun, with that many bytes of memory, all zero.
+    pub(super) fn new(code: &[u8], globals: usize, locals: usize) -> Self {
+        Self { code: code.to_vec(), place: 0, globals: vec![0; globals], locals: vec![0; locals] }
+    }
+
+    /// The memory that an answer holds.
+    pub(super) fn globals(&self) -> &[u8] {
+        &self.globals
+    }
+
+    /// How far it has come.
+    pub(super) const fn program_counter(&self) -> usize {
+        self.place
+    }
+
+    /// Goes to another place.
+    pub(super) const fn jump_to(&mut self, place: usize) {
+        self.place = place;
+    }
+
+    /// Goes on by this many bytes, back if negative.
+    pub(super) fn jump(&mut self, by: i32) -> Result<(), ExecutionFault> {
+        let place = self.place as i64 + i64::from(by);
+        self.place = usize::try_from(place).map_err(|_before_the_code| ExecutionFault)?;
+        Ok(())
+    }
+
+    /// The next byte; `None` at the end.
+    pub(super) fn next_code(&mut self) -> Option<u8> {
+        let code = self.code.get(self.place).copied()?;
+        self.place += 1;
+        Some(code)
+    }
+
+    /// The next operand as a whole number.
+    pub(super) fn int(&mut self, width: OperandWidth) -> Result<i32, ExecutionFault> {
+        match self.operand()? {
+            Operand::Constant(value) => Ok(value),
+            Operand::Text(_) => Err(ExecutionFault),
+            Operand::Global(at) => load_int(&self.globals, at, width),
+            Operand::Local(at) => load_int(&self.locals, at, width),
+        }
+    }
+
+    /// The next operand as a small number: a port, a layer, a percentage.
+    pub(super) fn byte(&mut self) -> Result<i32, ExecutionFault> {
+        self.int(OperandWidth::Byte)
+    }
+
+    /// The next operand as a real number. A constant holds its bits.
+    pub(super) fn real(&mut self) -> Result<f32, ExecutionFault> {
+        let bits = self.int(OperandWidth::Long)?;
+        Ok(f32::from_bits(bits as u32))
+    }
+
+    /// The next operand as a text.
+    pub(super) fn text(&mut self) -> Result<Vec<u8>, ExecutionFault> {
+        match self.operand()? {
+            Operand::Text(text) => Ok(text),
+            Operand::Constant(_) | Operand::Global(_) | Operand::Local(_) => Err(ExecutionFault),
+        }
+    }
+
+    /// Puts a whole number where the next operand says.
+    pub(super) fn write_int(&mut self, width: OperandWidth, value: i32) -> Result<(), ExecutionFault> {
+        let bytes = value.to_le_bytes();
+        match width {
+            OperandWidth::Byte => self.write_bytes(&bytes[..1]),
+            OperandWidth::Word => self.write_bytes(&bytes[..2]),
+            OperandWidth::Long | OperandWidth::Real => self.write_bytes(&bytes),
+        }
+    }
+
+    /// Puts a real number where the next operand says.
+    pub(super) fn write_real(&mut self, value: f32) -> Result<(), ExecutionFault> {
+        self.write_bytes(&value.to_le_bytes())
+    }
+
+    /// Puts a text with its final zero where the next operand says, cut to `room` bytes.
+    pub(super) fn write_text(&mut self, text: &str, room: i32) -> Result<(), ExecutionFault> {
+        let room = usize::try_from(room).map_err(|_negative| ExecutionFault)?;
+        let mut bytes: Vec<u8> = text.bytes().take(room.saturating_sub(1)).collect();
+        if room > 0 {
+            bytes.push(0);
+        }
+        self.write_bytes(&bytes)
+    }
+
+    fn write_bytes(&mut self, bytes: &[u8]) -> Result<(), ExecutionFault> {
+        let (memory, at) = match self.operand()? {
+            Operand::Global(at) => (&mut self.globals, at),
+            Operand::Local(at) => (&mut self.locals, at),
+            Operand::Constant(_) | Operand::Text(_) => return Err(ExecutionFault),
+        };
+        let end = at.checked_add(bytes.len()).ok_or(ExecutionFault)?;
+        memory.get_mut(at..end).ok_or(ExecutionFault)?.copy_from_slice(bytes);
+        Ok(())
+    }
+
+    fn operand(&mut self) -> Result<Operand, ExecutionFault> {
+        let head = self.next_code().ok_or(ExecutionFault)?;
+        let is_global = head & 0x20 != 0;
+        let variable = |at: usize| {
+            if is_global { Operand::Global(at) } else { Operand::Local(at) }
+        };
+        match head >> 6 {
+            // Six bits with a sign, moved up to the sign of a byte and back.
+            0b00 => Ok(Operand::Constant(i32::from((head << 2) as i8 >> 2))),
+            0b01 => Ok(variable(usize::from(head & 0x1F))),
+            // Handles, addresses and labels are of no use in a direct command.
+            _ if head & 0x18 != 0 => Err(ExecutionFault),
+            0b10 if matches!(head & 7, 0 | 4) => self.text_constant().map(Operand::Text),
+            0b10 => self.number(head & 7).map(Operand::Constant),
+            _ => {
+                let at = self.number(head & 7)?;
+                let mask = if head & 7 == 1 { 0xFF } else { i32::MAX };
+                Ok(variable((at & mask) as usize))
+            }
+        }
+    }
+
+    fn number(&mut self, size: u8) -> Result<i32, ExecutionFault> {
+        let count = match size {
+            1 => 1,
+            2 => 2,
+            3 => 4,
+            _ => return Err(ExecutionFault),
+        };
+        let bytes = self.code.get(self.place..self.place + count).ok_or(ExecutionFault)?;
+        self.place += count;
+        match *bytes {
+            [a] => Ok(i32::from(a as i8)),
+            [a, b] => Ok(i32::from(i16::from_le_bytes([a, b]))),
+            [a, b, c, d] => Ok(i32::from_le_bytes([a, b, c, d])),
+            _ => Err(ExecutionFault),
+        }
+    }
+
+    fn text_constant(&mut self) -> Result<Vec<u8>, ExecutionFault> {
+        let rest = self.code.get(self.place..).ok_or(ExecutionFault)?;
+        let length = rest.iter().position(|byte| *byte == 0).ok_or(ExecutionFault)?;
+        let text = rest.get(..length).ok_or(ExecutionFault)?.to_vec();
+        self.place += length + 1;
+        Ok(text)
+    }
+}
+
+fn load_int(memory: &[u8], at: usize, width: OperandWidth) -> Result<i32, ExecutionFault> {
+    let rest = memory.get(at..).ok_or(ExecutionFault)?;
+    let loaded = match width {
+        OperandWidth::Byte => rest.first().map(|byte| i32::from(*byte as i8)),
+        OperandWidth::Word => rest.first_chunk().map(|bytes| i32::from(i16::from_le_bytes(*bytes))),
+        OperandWidth::Long | OperandWidth::Real => rest.first_chunk().map(|bytes| i32::from_le_bytes(*bytes)),
+    };
+    loaded.ok_or(ExecutionFault)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn machine(code: &[u8]) -> BytecodeMachine {
+        let mut machine = BytecodeMachine::new(code, 4, 40);
+        machine.globals = vec![0xFE, 0xFF, 0xFF, 0x7F];
+        machine
+    }
+
+    #[test]
+    fn constants_of_every_length_are_read() {
+        let cases: &[(&[u8], i32)] = &[
+            (&[0x1F], 31),
+            (&[0x3F], -1),
+            (&[0x20], -32),
+            (&[0x81, 0x9C], -100),
+            (&[0x82, 0xE8, 0x03], 1_000),
+            (&[0x83, 1, 0, 0, 0x80], -0x7FFF_FFFF),
+        ];
+        for (code, value) in cases {
+            assert_eq!(machine(code).int(OperandWidth::Long), Ok(*value), "{code:02x?}");
+        }
+        assert_eq!(machine(&[0x84, b'a', b'b', 0]).text(), Ok(b"ab".to_vec()));
+    }
+
+    #[test]
+    fn a_variable_is_as_wide_as_it_is_read() {
+        for code in [&[0x60][..], &[0xE1, 0], &[0xE2, 0, 0], &[0xE3, 0, 0, 0, 0]] {
+            assert_eq!(machine(code).int(OperandWidth::Byte), Ok(-2), "{code:02x?}");
+            assert_eq!(machine(code).int(OperandWidth::Word), Ok(-2), "{code:02x?}");
+            assert_eq!(machine(code).int(OperandWidth::Long), Ok(0x7FFF_FFFE), "{code:02x?}");
+        }
+    }
+
+    #[test]
+    fn what_is_put_lies_where_the_operand_says() {
+        let mut machine = machine(&[0x61, 0x40, 0xC1, 36]);
+        machine.write_int(OperandWidth::Word, 0x0102).unwrap();
+        assert_eq!(machine.globals(), [0xFE, 2, 1, 0x7F]);
+        machine.write_real(1.0).unwrap();
+        machine.write_text("EV3", 4).unwrap();
+        assert_eq!(machine.locals[..4], 1.0_f32.to_le_bytes());
+        assert_eq!(&machine.locals[36..], b"EV3\0");
+    }
+
+    #[test]
+    fn outside_the_memory_and_the_code_is_a_fault() {
+        for code in
+            [&[0x64][..], &[0xE1, 4], &[0xE3, 0xFF, 0xFF, 0xFF, 0x7F], &[0x88, 0], &[0x84, b'a'], &[0x82, 1], &[]]
+        {
+            assert_eq!(machine(code).int(OperandWidth::Byte), Err(ExecutionFault), "{code:02x?}");
+            assert_eq!(machine(code).write_int(OperandWidth::Byte, 1), Err(ExecutionFault), "{code:02x?}");
+        }
+        assert_eq!(machine(&[0x61]).write_real(1.0), Err(ExecutionFault));
+        assert_eq!(machine(&[]).jump(-1), Err(ExecutionFault));
+    }
+}

@@ -1,0 +1,263 @@
+//! What the sensors that people plug into a LEGO brick feel at this moment.
+//!
+//! Unlike the means of [`SensorBoard`](crate::sensors::SensorBoard), which a brick's own program makes over its telemetry period, these are
+//! the momentary values that a poll finds. Units and rest values of the single parts are added where their bytes are made.
+//!
+//! # Model
+//! ```text
+//! gyro            mean true rate over 3 ms + bias + noise, cut at its range          300 new values per second
+//! accelerometer   (dv/dt, v w, g) + tilt + noise in 1/200 g                          100 new values per second
+//! compass         90 deg - heading + 1 deg noise + 5 deg times the motors' power     clockwise from north, arena y is north
+//! ultrasonic      distance to the wall along the body's x axis + 0.3 cm noise, in whole centimetres; 255 without an echo
+//! ```
+//! # Sources
+//! HiTechnic's pages on gyro, accelerometer and compass (rates, resolutions, ranges). How far motors bend the field and the noise of the
+//! echo: our choice.
+
+use crate::random::RandomStream;
+use crate::robot_body::RobotBody;
+use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario};
+use crate::time_step::STEP_S;
+
+/// Steps between two values of the gyro.
+const GYRO_STEPS: u32 = 3;
+/// Steps between two values of accelerometer and compass.
+const SLOW_STEPS: u32 = 10;
+/// One g, in metres per second squared, and in counts of the HiTechnic accelerometer.
+const G_M_PER_S2: f64 = 9.806_65;
+const COUNTS_PER_G: f64 = 200.0;
+/// What the accelerometer can say: 10 bits with a sign.
+const LARGEST_COUNT: f64 = 511.0;
+/// Noise of the compass, and how far the motors at full power turn its needle, in degrees.
+const COMPASS_SIGMA_DEG: f64 = 1.0;
+const COMPASS_MOTOR_ERROR_DEG: f64 = 5.0;
+/// Noise of the echo, in centimetres.
+const ECHO_SIGMA_CM: f64 = 0.3;
+/// The sensor's own sign for "nothing there"; it sees no farther, and not along a wall.
+const NO_ECHO: u8 = 255;
+const FARTHEST_CM: f64 = 250.0;
+const STEEPEST_RAD: f64 = 0.8;
+
+/// Everything that can be plugged in.
+#[derive(Clone, Debug)]
+pub(crate) struct PluggedSensors {
+    gyro: PluggedGyro,
+    accelerometer: PluggedAccelerometer,
+    compass_noise: RandomStream,
+    echo: RandomStream,
+    wall_x_m: Option<f64>,
+    steps: u32,
+    compass_deg: u16,
+    range_cm: u8,
+}
+
+impl PluggedSensors {
+    /// The sensors of a scenario.
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let stream = |name| RandomStream::new(scenario.seed, name);
+        Self {
+            gyro: PluggedGyro::new(scenario.gyro, stream("plugged gyro")),
+            accelerometer: PluggedAccelerometer::new(scenario.accelerometer, stream("plugged accelerometer")),
+            compass_noise: stream("compass"),
+            echo: stream("ultrasonic"),
+            wall_x_m: scenario.brick.wall_x_m,
+            steps: 0,
+            compass_deg: 0,
+            range_cm: NO_ECHO,
+        }
+    }
+
+    /// Follows the body by one step; `power` is the mean of both motors' duties, -1 to 1.
+    pub(crate) fn step(&mut self, body: &RobotBody, power: f64) {
+        if self.steps.is_multiple_of(GYRO_STEPS) {
+            self.gyro.sample(body.turned_rad());
+        }
+        if self.steps.is_multiple_of(SLOW_STEPS) {
+            self.accelerometer.sample(body);
+            let north_deg = 90.0 - body.pose().heading.rad().to_degrees();
+            let shown_deg =
+                north_deg + COMPASS_SIGMA_DEG * self.compass_noise.normal() + COMPASS_MOTOR_ERROR_DEG * power;
+            self.compass_deg = shown_deg.round().rem_euclid(360.0) as u16;
+            self.range_cm = self.measure_range(body);
+        }
+        self.steps = self.steps.wrapping_add(1);
+    }
+
+    /// The gyro shows so much more from here on, until a power cycle.
+    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
+        self.gyro.bias_deg_per_s += rad_per_s.to_degrees();
+    }
+
+    /// A power cycle: the gyro's integral begins anew and its bias is another.
+    pub(crate) fn restart(&mut self) {
+        self.gyro.power_up();
+    }
+
+    /// What the gyro feels, in degrees per second, counter-clockwise positive, bias and noise included.
+    pub(crate) const fn rate_deg_per_s(&self) -> f64 {
+        self.gyro.rate_deg_per_s
+    }
+
+    /// The integral of that, in degrees.
+    pub(crate) const fn angle_deg(&self) -> f64 {
+        self.gyro.angle_deg
+    }
+
+    /// Acceleration along the body's x, y and z, in counts of 1/200 g.
+    pub(crate) const fn acceleration_counts(&self) -> [i16; 3] {
+        self.accelerometer.counts
+    }
+
+    /// Where the compass says that the body points, in degrees from north, clockwise, 0 to 359.
+    pub(crate) const fn compass_deg(&self) -> u16 {
+        self.compass_deg
+    }
+
+    /// The distance ahead in centimetres, or 255.
+    pub(crate) const fn range_cm(&self) -> u8 {
+        self.range_cm
+    }
+
+    fn measure_range(&mut self, body: &RobotBody) -> u8 {
+        let noise_cm = ECHO_SIGMA_CM * self.echo.normal();
+        let pose = body.pose();
+        let Some(ahead_m) = self.wall_x_m.map(|wall| wall - pose.x.0) else {
+            return NO_ECHO;
+        };
+        let distance_cm = ahead_m / pose.heading.rad().cos() * 100.0 + noise_cm;
+        let is_square = pose.heading.rad().cos() * ahead_m.signum() > STEEPEST_RAD.cos();
+        if is_square && (0.0..FARTHEST_CM).contains(&distance_cm) { distance_cm.round() as u8 } else { NO_ECHO }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct PluggedGyro {
+    settings: GyroSettings,
+    stream: RandomStream,
+    bias_deg_per_s: f64,
+    turned_rad: f64,
+    rate_deg_per_s: f64,
+    angle_deg: f64,
+}
+
+impl PluggedGyro {
+    fn new(settings: GyroSettings, stream: RandomStream) -> Self {
+        let mut gyro =
+            Self { settings, stream, bias_deg_per_s: 0.0, turned_rad: 0.0, rate_deg_per_s: 0.0, angle_deg: 0.0 };
+        gyro.power_up();
+        gyro
+    }
+
+    fn power_up(&mut self) {
+        self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
+        self.angle_deg = 0.0;
+    }
+
+    fn sample(&mut self, turned_rad: f64) {
+        let interval_s = f64::from(GYRO_STEPS) * STEP_S;
+        let true_deg_per_s = (turned_rad - self.turned_rad).to_degrees() / interval_s;
+        self.turned_rad = turned_rad;
+        let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
+        self.bias_deg_per_s += walk * self.stream.normal();
+        let noise = self.settings.sigma_deg_per_s * self.stream.normal();
+        let range = self.settings.range_deg_per_s;
+        self.rate_deg_per_s = (true_deg_per_s + self.bias_deg_per_s + noise).clamp(-range, range);
+        self.angle_deg += self.rate_deg_per_s * interval_s;
+    }
+}
+
+#[derive(Clone, Debug)]
+struct PluggedAccelerometer {
+    settings: AccelerometerSettings,
+    stream: RandomStream,
+    tilt_m_per_s2: [f64; 2],
+    speed_m_per_s: f64,
+    counts: [i16; 3],
+}
+
+impl PluggedAccelerometer {
+    fn new(settings: AccelerometerSettings, mut stream: RandomStream) -> Self {
+        let tilt_m_per_s2 = [(); 2].map(|()| settings.bias_sigma_m_per_s2 * stream.normal());
+        Self { settings, stream, tilt_m_per_s2, speed_m_per_s: 0.0, counts: [0, 0, COUNTS_PER_G as i16] }
+    }
+
+    fn sample(&mut self, body: &RobotBody) {
+        let before = std::mem::replace(&mut self.speed_m_per_s, body.forward_m_per_s());
+        let interval_s = f64::from(SLOW_STEPS) * STEP_S;
+        let forward = (self.speed_m_per_s - before) / interval_s;
+        let left = self.speed_m_per_s * body.turn_rad_per_s();
+        let [tilt_x, tilt_y] = self.tilt_m_per_s2;
+        let sigma = self.settings.sigma_m_per_s2;
+        self.counts = [forward + tilt_x, left + tilt_y, G_M_PER_S2].map(|felt| {
+            let noisy = felt + sigma * self.stream.normal();
+            let counts = (noisy / G_M_PER_S2 * COUNTS_PER_G).round();
+            counts.clamp(-LARGEST_COUNT - 1.0, LARGEST_COUNT) as i16
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{Heading, Meters, Pose};
+
+    use super::*;
+    use crate::scenario::ErrorSettings;
+    use crate::wheels::PerWheel;
+
+    fn exact() -> Scenario {
+        let mut scenario = Scenario {
+            errors: ErrorSettings::none(),
+            gyro: GyroSettings {
+                sigma_deg_per_s: 0.0,
+                bias_sigma_deg_per_s: 0.0,
+                bias_walk_deg_per_s_sqrt_s: 0.0,
+                ..GyroSettings::default()
+            },
+            accelerometer: AccelerometerSettings {
+                sigma_m_per_s2: 0.0,
+                bias_sigma_m_per_s2: 0.0,
+                ..AccelerometerSettings::default()
+            },
+            ..Scenario::default()
+        };
+        scenario.robot.backlash_deg = 0.0;
+        scenario
+    }
+
+    fn felt(scenario: &Scenario, start: Pose<posebridge_telemetry::Arena>, duty: PerWheel<f64>) -> PluggedSensors {
+        let mut body = RobotBody::new(scenario, start);
+        let mut senses = PluggedSensors::new(scenario);
+        for _ in 0..1_000 {
+            body.step(duty);
+            senses.step(&body, 0.0);
+        }
+        senses
+    }
+
+    #[test]
+    fn a_left_turn_is_positive_for_gyro_and_accelerometer_and_negative_for_the_compass() {
+        let duty = PerWheel { left: 0.2, right: 0.4 };
+        let senses = felt(&exact(), Pose::default(), duty);
+        // 1.6 V between the wheels is 3.3 rad/s of rotation: 28 mm / 112 mm of that turns the body.
+        assert!((senses.rate_deg_per_s() - 47.0).abs() < 1.5, "{senses:?}");
+        assert!((senses.angle_deg() - 42.0).abs() < 3.0, "{senses:?}");
+        let [forward, left, up] = senses.acceleration_counts();
+        // v w = 0.12 m/s times 0.82 rad/s is 2 counts.
+        assert_eq!((forward, left, up), (0, 2, 200));
+        assert!((30..60).contains(&senses.compass_deg()), "{senses:?}");
+    }
+
+    #[test]
+    fn the_wall_ahead_is_seen_and_the_one_behind_or_beside_is_not() {
+        let mut scenario = exact();
+        scenario.brick.wall_x_m = Some(1.0);
+        let at = |heading_deg: f64| {
+            let heading = Heading::from_rad(heading_deg.to_radians());
+            let start = Pose::new(Meters(0.4), Meters(0.0), heading);
+            felt(&scenario, start, PerWheel::default()).range_cm()
+        };
+        assert!((59..=61).contains(&at(0.0)), "{}", at(0.0));
+        assert!((83..=87).contains(&at(45.0)), "{}", at(45.0));
+        assert_eq!((at(90.0), at(180.0)), (NO_ECHO, NO_ECHO));
+    }
+}

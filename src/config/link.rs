@@ -1,0 +1,239 @@
+//! The links of a station: what each opens, sends, signs and passes on.
+
+use std::net::IpAddr;
+
+use anyhow::{Context, Result, bail, ensure};
+use posebridge_link::LinkUrl;
+use posebridge_protocol::framing::{TransportKind, WireVersion};
+use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
+use posebridge_station::{AcceptedVersions, AnnouncedAs, LinkConfig, OUTPUTS, OutputInstant, OutputStream};
+use posebridge_telemetry::{LinkId, TimeDelta};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::link_target::LinkTarget;
+use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
+use super::signing::SigningSection;
+
+/// One link.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+#[expect(clippy::struct_excessive_bools, reason = "four independent keys of a file, each with a name")]
+pub struct LinkSection {
+    /// What to open; see `posebridge run --help` for the kinds.
+    pub url: String,
+    /// Wait for the other side to call instead of calling it.
+    #[serde(default)]
+    pub listen: bool,
+    /// What the brick at its other end speaks, if it is no MAVLink: docs/protocols/README.md.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brick: Option<String>,
+    /// Accept MAVLink 1 too.
+    #[serde(default)]
+    pub accept_mavlink1: bool,
+    /// Send MAVLink 1. It has no message ids above 255: choose outputs such as local_position and attitude.
+    #[serde(default)]
+    pub send_mavlink1: bool,
+    /// Ground stations are at its other end: the station speaks there as the robot, too (docs/ground-stations.md).
+    #[serde(default)]
+    pub ground_station: bool,
+    /// What is sent there; without it planar_pose, or on a link for ground stations what they draw.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outputs: Option<Vec<OutputSection>>,
+    /// How its frames are signed; without it anybody who reaches the link is believed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signing: Option<SigningSection>,
+    /// Links with the same name lead to one robot, and one may stand in for another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
+    /// What of the others' frames is passed on to it.
+    #[serde(default)]
+    pub forward: ForwardChoice,
+    /// What is believed and passed on of what comes from it.
+    #[serde(default)]
+    pub filter_in: FrameFilterSection,
+    /// What of the others' frames may leave on it.
+    #[serde(default)]
+    pub filter_out: FrameFilterSection,
+    /// How much of the others' frames and of our estimates may leave on it.
+    #[serde(default)]
+    pub limits: LimitsSection,
+}
+
+/// One kind of message that leaves on a link.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct OutputSection {
+    /// planar_pose, odometry, local_position, attitude, estimator_status, fusion_health, distance_sensor, named_value_float or
+    /// debug_float_array.
+    pub message: String,
+    /// At least this long between two of them; 0 sends one with every estimate.
+    #[serde(default)]
+    pub interval_ms: u32,
+    /// For which instant.
+    #[serde(default)]
+    pub at: AtInstant,
+}
+
+/// For which instant an estimate is sent.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum AtInstant {
+    /// That of the last observation.
+    #[default]
+    Observed,
+    /// That at which it will arrive, by prediction.
+    Arrival,
+}
+
+impl LinkSection {
+    /// A link for ground stations. TCP waits for their calls, and so does UDP at an address of this computer.
+    ///
+    /// # Errors
+    /// It is no URL of a link, or opens what no ground station speaks through.
+    pub fn for_ground_stations(url: &str) -> Result<Self> {
+        let LinkTarget::Url(parsed) = LinkTarget::parse(url)? else {
+            bail!("`{url}` is a simulated brick; a ground station is reached by udp:// or tcp://");
+        };
+        let host = parsed.host_and_port().0;
+        let any_address = host.parse().is_ok_and(|ip: IpAddr| ip.is_unspecified());
+        Ok(Self {
+            listen: parsed.transport().scheme() == "tcp" || any_address,
+            ground_station: true,
+            outputs: None,
+            ..Self::new(url)
+        })
+    }
+
+    /// What is sent there.
+    fn outputs(&self) -> Vec<OutputSection> {
+        match (&self.outputs, self.ground_station) {
+            (Some(outputs), _) => outputs.clone(),
+            (None, true) => outputs_for_ground_stations(),
+            (None, false) => outputs_for_bricks(),
+        }
+    }
+
+    /// A link with the usual outputs.
+    #[must_use]
+    pub fn new(url: &str) -> Self {
+        Self {
+            url: url.to_owned(),
+            listen: false,
+            brick: None,
+            accept_mavlink1: false,
+            send_mavlink1: false,
+            ground_station: false,
+            outputs: Some(outputs_for_bricks()),
+            signing: None,
+            group: None,
+            forward: ForwardChoice::default(),
+            filter_in: FrameFilterSection::default(),
+            filter_out: FrameFilterSection::default(),
+            limits: LimitsSection::default(),
+        }
+    }
+}
+
+/// What a brick needs to steer by.
+fn outputs_for_bricks() -> Vec<OutputSection> {
+    vec![output("planar_pose", 0)]
+}
+
+/// What ground stations draw: 10 Hz are smooth to the eye, and together they take about 4 kB/s.
+fn outputs_for_ground_stations() -> Vec<OutputSection> {
+    vec![
+        output("attitude", 100),
+        output("local_position", 100),
+        output("odometry", 100),
+        output("distance_sensor", 200),
+        output("estimator_status", 1_000),
+    ]
+}
+
+fn output(message: &str, interval_ms: u32) -> OutputSection {
+    OutputSection { message: message.to_owned(), interval_ms, at: AtInstant::Observed }
+}
+
+impl LinkSection {
+    pub(super) fn pipeline(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
+        let outputs = self.outputs();
+        let outputs = outputs.iter().map(OutputSection::pipeline);
+        Ok(LinkConfig {
+            brick: None,
+            id: LinkId(index as u16),
+            framing: framing_of(&self.url),
+            accepted_versions: if self.accept_mavlink1 { AcceptedVersions::V1AndV2 } else { AcceptedVersions::V2 },
+            send_version: if self.send_mavlink1 { WireVersion::V1 } else { WireVersion::V2 },
+            outputs: outputs.collect::<Result<_>>().with_context(|| format!("link {index} `{}`", self.url))?,
+            announced_as: if self.ground_station { AnnouncedAs::StationAndVehicle } else { AnnouncedAs::Station },
+            signing: None,
+            rules,
+        })
+    }
+}
+
+impl OutputSection {
+    fn pipeline(&self) -> Result<OutputStream> {
+        let Some((_, kind)) = OUTPUTS.iter().find(|(name, _)| *name == self.message) else {
+            let known: Vec<_> = OUTPUTS.iter().map(|(name, _)| *name).collect();
+            bail!("`outputs.message` is `{}`; there are: {}", self.message, known.join(", "));
+        };
+        Ok(OutputStream {
+            kind: *kind,
+            interval: TimeDelta::from_millis(i64::from(self.interval_ms)),
+            instant: match self.at {
+                AtInstant::Observed => OutputInstant::Observed,
+                AtInstant::Arrival => OutputInstant::Arrival,
+            },
+        })
+    }
+}
+
+/// Whether a chunk from there is a datagram.
+pub(super) fn framing_of(url: &str) -> TransportKind {
+    match LinkTarget::parse(url) {
+        Ok(LinkTarget::Url(url)) if is_datagram(&url) => TransportKind::Datagram,
+        _ => TransportKind::Stream,
+    }
+}
+
+fn is_datagram(url: &LinkUrl) -> bool {
+    url.transport().is_datagram()
+}
+
+/// The rules of every link, in their order.
+///
+/// # Errors
+/// A value makes no sense; the message names its key.
+pub(super) fn rules_of(links: &[LinkSection]) -> Result<Vec<LinkRules>> {
+    let mut groups: Vec<&str> = Vec::new();
+    let mut rules = Vec::with_capacity(links.len());
+    for (index, link) in links.iter().enumerate() {
+        let group = link.group.as_deref().map(|name| {
+            let known = groups.iter().position(|group| *group == name);
+            known.unwrap_or_else(|| {
+                groups.push(name);
+                groups.len() - 1
+            }) as u16
+        });
+        let of_link = rules_of_link(link, group).with_context(|| format!("link {index} `{}`", link.url))?;
+        rules.push(of_link);
+    }
+    Ok(rules)
+}
+
+fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
+    ensure!(link.group.as_deref() != Some(""), "`group` is empty; leave it out where a link stands alone");
+    Ok(LinkRules {
+        group,
+        forward: match link.forward {
+            ForwardChoice::All => ForwardPolicy::All,
+            ForwardChoice::Targeted => ForwardPolicy::Targeted,
+            ForwardChoice::None => ForwardPolicy::Disabled,
+        },
+        inward: link.filter_in.filter().context("`filter_in`")?,
+        outward: link.filter_out.filter().context("`filter_out`")?,
+        limits: link.limits.limits().context("`limits`")?,
+    })
+}

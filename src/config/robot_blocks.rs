@@ -1,0 +1,152 @@
+//! `[[robot]]` blocks: robots with a configuration of their own.
+//!
+//! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, but for at most one, which is for all
+//! robots that no other block matches. A block takes from that one what it does not say itself.
+
+use posebridge_station::RobotMatch;
+use posebridge_telemetry::{ComponentId, LinkId, SystemId};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::robot::RobotFile;
+
+/// A robot with a configuration of its own, as `[[robot]]` with a `match` in a file.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct RobotBlockSection {
+    /// Which robots it is for.
+    #[serde(rename = "match")]
+    pub matches: RobotMatchSection,
+    /// The number of the robot's tag, by which fixes name it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tag: Option<u32>,
+    /// The robot.
+    pub robot: RobotFile,
+}
+
+/// Which robots a block is for: all that is given must hold.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotMatchSection {
+    /// The number of the link that it is heard on, from 0 in the order of the configuration.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub link: Option<u16>,
+    /// Its MAVLink system.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub system: Option<u8>,
+    /// Its MAVLink component.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub component: Option<u8>,
+}
+
+impl RobotMatchSection {
+    /// The same in the station's types.
+    #[must_use]
+    pub fn to_match(self) -> RobotMatch {
+        RobotMatch {
+            link: self.link.map(LinkId),
+            system: self.system.map(SystemId),
+            component: self.component.map(ComponentId),
+        }
+    }
+}
+
+/// Splits a list `[[robot]]` into the table `robot` and the list `robots`; whether there was one.
+///
+/// # Errors
+/// An entry is no table, or two have no `match`.
+pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
+    let Some(toml::Value::Array(entries)) = file.get("robot") else {
+        return Ok(false);
+    };
+    let mut default = None;
+    let mut blocks = Vec::new();
+    for (index, entry) in entries.iter().enumerate() {
+        let toml::Value::Table(entry) = entry else {
+            return Err(format!("`robot[{index}]` is no table"));
+        };
+        if entry.contains_key("match") {
+            blocks.push(entry.clone());
+        } else if default.replace(entry.clone()).is_some() {
+            return Err(format!(
+                "`robot[{index}]` has no `match`, and another block has none: only one can be for all other robots"
+            ));
+        }
+    }
+    let default = default.unwrap_or_default();
+    let blocks = blocks.into_iter().map(|mut block| {
+        let mut section = toml::Table::new();
+        for key in ["match", "tag"] {
+            section.extend(block.remove(key).map(|value| (key.to_owned(), value)));
+        }
+        let mut robot = default.clone();
+        overlay(&mut robot, block);
+        section.insert("robot".to_owned(), toml::Value::Table(robot));
+        toml::Value::Table(section)
+    });
+    let blocks = blocks.collect();
+    file.insert("robot".to_owned(), toml::Value::Table(default));
+    file.insert("robots".to_owned(), toml::Value::Array(blocks));
+    Ok(true)
+}
+
+fn overlay(under: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (under.get_mut(&key), value) {
+            (Some(toml::Value::Table(under)), toml::Value::Table(over)) => overlay(under, over),
+            (_, value) => {
+                under.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::load::load_text;
+    use posebridge_telemetry::{Address, LinkId};
+
+    const FILE: &str = r#"
+        [[robot]]
+        track_width_m = 0.2
+        noise.gyro_rad_per_s = 0.02
+
+        [[robot]]
+        match = { system = 7 }
+        tag = 4
+        name = "ada"
+        track_width_m = 0.15
+    "#;
+
+    #[test]
+    fn a_block_takes_from_the_one_without_a_match_what_it_does_not_say() {
+        let config = load_text("f.toml", FILE, &[]).unwrap().config.station_config().unwrap();
+        let other = config.robot_for(LinkId(0), Address::new(1, 1));
+        assert_eq!((other.name.as_deref(), other.filter_config.geometry.track_width.0), (None, 0.2));
+        let ada = config.robot_for(LinkId(0), Address::new(7, 1));
+        assert_eq!(
+            (ada.name.as_deref(), ada.tag, ada.filter_config.geometry.track_width.0),
+            (Some("ada"), Some(4), 0.15)
+        );
+        assert_eq!(ada.filter_config.noise.gyro_rad_per_s, 0.02);
+    }
+
+    #[test]
+    fn what_is_printed_is_read_again() {
+        let config = load_text("f.toml", FILE, &[]).unwrap().config;
+        let printed = toml::to_string(&config).unwrap();
+        assert_eq!(load_text("printed", &printed, &[]).unwrap().config, config);
+    }
+
+    #[test]
+    fn a_mistake_in_a_block_names_file_and_key() {
+        for (text, expected) in [
+            ("[[robot]]\nmatch = { sistem = 7 }", "unknown field `sistem`"),
+            ("[[robot]]\nmatch = {}\naxle_m = 1", "unknown field `axle_m`"),
+            ("[[robot]]\nname = \"a\"\n[[robot]]\nname = \"b\"", "`robot[1]` has no `match`"),
+        ] {
+            let error = load_text("f.toml", text, &[]).unwrap_err().to_string();
+            assert!(error.contains("`f.toml`") && error.contains(expected), "{error}");
+        }
+    }
+}

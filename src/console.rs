@@ -1,0 +1,147 @@
+//! What the person who runs the program reads: lines on stderr, results on stdout, progress bars.
+//!
+//! A stderr that cannot be written is no reason to stop. While the terminal view has the screen, lines go to its panel of events and not across the screen ([`redirect_stderr`]). They are kept as well,
+//! and written when the screen is given back, so that nothing that was said is lost with it.
+
+use std::collections::VecDeque;
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError, TryLockError};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// So many lines wait for the terminal view, which looks twenty times a second; then they are only kept.
+const QUEUE_LINES: usize = 256;
+/// So many lines are kept to be written afterwards; of more, the first go and are counted.
+const MAX_RETAINED_LINES: usize = 200;
+
+/// Where lines go, if not to stderr.
+static REDIRECTION: Mutex<Option<Redirection>> = Mutex::new(None);
+
+struct Redirection {
+    lines: SyncSender<String>,
+    retained: VecDeque<String>,
+    dropped: u64,
+    route: RedirectMode,
+}
+
+/// Whether stderr is the screen that the view has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum RedirectMode {
+    /// It is: lines wait until the view is gone.
+    Replace,
+    /// It is a file or another program, which gets them as ever.
+    Tee,
+}
+
+/// Prints a line on stderr.
+pub fn print_line(line: &str) {
+    if capture(line) == Some(RedirectMode::Replace) {
+        return;
+    }
+    // There is nobody left to tell.
+    drop(writeln!(std::io::stderr().lock(), "{line}"));
+}
+
+/// Where the log is written to: the same way as everything else that is said. Each write is one entry.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LogWriter;
+
+impl Write for LogWriter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        print_line(String::from_utf8_lossy(bytes).trim_end());
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Lets lines go to a receiver instead, until [`restore_stderr`].
+#[must_use]
+pub fn redirect_stderr() -> Receiver<String> {
+    let route = if std::io::stderr().is_terminal() { RedirectMode::Replace } else { RedirectMode::Tee };
+    let (sender, receiver) = sync_channel(QUEUE_LINES);
+    let mut diversion = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
+    *diversion = Some(Redirection { lines: sender, retained: VecDeque::new(), dropped: 0, route });
+    receiver
+}
+
+/// Writes what was kept, and everything from here on, to stderr. Never waits for who is saying something at this moment: it may be
+/// the thread that panics.
+pub fn restore_stderr() {
+    let ended = match REDIRECTION.try_lock() {
+        Ok(mut diversion) => diversion.take(),
+        Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().take(),
+        Err(TryLockError::WouldBlock) => None,
+    };
+    let Some(ended) = ended else {
+        return;
+    };
+    if ended.dropped > 0 {
+        print_line(&format!("({} earlier lines are left out)", ended.dropped));
+    }
+    for line in &ended.retained {
+        print_line(line);
+    }
+}
+
+/// Hands a line to the receiver; the way it takes, if there is one.
+fn capture(line: &str) -> Option<RedirectMode> {
+    let mut diversion = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
+    let diversion = diversion.as_mut()?;
+    // A view that hangs shows less; what it misses is kept below.
+    drop(diversion.lines.try_send(line.to_owned()));
+    if diversion.route == RedirectMode::Replace {
+        if diversion.retained.len() >= MAX_RETAINED_LINES {
+            diversion.retained.pop_front();
+            diversion.dropped += 1;
+        }
+        diversion.retained.push_back(line.to_owned());
+    }
+    Some(diversion.route)
+}
+
+/// Prints a result on stdout. Somebody who has read enough and closed the pipe is no error.
+///
+/// # Errors
+/// It cannot be written, for another reason than a closed pipe.
+pub fn print_result(text: &str) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
+
+/// A bar of so many `units` (runs, laps) for long work; it is drawn on stderr if that is a terminal, and nowhere else.
+///
+/// # Errors
+/// The name of the units cannot stand in a template.
+pub fn progress_bar(count: u64, units: &str) -> anyhow::Result<ProgressBar> {
+    let template = format!("{{bar:40}} {{pos}}/{{len}} {units}, {{eta}} left");
+    Ok(ProgressBar::new(count).with_style(ProgressStyle::with_template(&template)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn while_lines_are_diverted_the_receiver_has_them_and_afterwards_nobody_waits() {
+        let lines = redirect_stderr();
+        print_line("one");
+        LogWriter.write_all(b" WARN two\n").unwrap();
+        let heard: Vec<String> = lines.try_iter().collect();
+        assert!(heard.contains(&"one".to_owned()), "{heard:?}");
+        assert!(heard.contains(&" WARN two".to_owned()), "{heard:?}");
+        for line in 0..2 * QUEUE_LINES {
+            print_line(&format!("{line}"));
+        }
+        assert_eq!(lines.try_iter().count(), QUEUE_LINES);
+        restore_stderr();
+        print_line("three");
+        assert_eq!(lines.try_iter().count(), 0);
+    }
+}

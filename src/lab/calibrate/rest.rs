@@ -1,0 +1,233 @@
+//! `posebridge calibrate rest`: gyro and accelerometers from the times at which a robot stood.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, anyhow, bail};
+use clap::Args;
+use posebridge_lab::calibration::at_rest::{RestChannel, RestObservations};
+use posebridge_lab::noise_identification::RestNoise;
+use posebridge_link::HostTimer;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
+use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_report::tables::TextTable;
+use serde_json::{Value, json};
+
+use super::profile::CalibratedProfile;
+use super::source::{self, ReferenceSettings};
+use crate::config::{CalibrationEntry, RobotFile};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::lab::experiments::live::LiveArgs;
+use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+
+/// What a person with a live robot is told to do.
+const TASK: &str = "leave the robot standing for a minute, its motors off";
+
+/// Flags of `calibrate rest`.
+#[derive(Args, Clone, Debug)]
+pub struct RestArgs {
+    /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap); a minute of rest is good.
+    #[arg(required_unless_present_any = ["link", "listen"], group = "real_robot")]
+    pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// What to read of a descriptor's data.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Write the robot with its noise as a profile for `run --robot` and `replay --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save: Option<PathBuf>,
+    /// Where results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// A channel with its name and unit.
+struct ChannelNoise {
+    name: &'static str,
+    unit: &'static str,
+    noise: RestNoise,
+    readings: Vec<(f64, f64)>,
+}
+
+/// Calibrates.
+///
+/// # Errors
+/// The recording makes no sense, the robot never stood, or an output cannot be written.
+pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
+    let timer = HostTimer::start();
+    let folder = args.output.folder()?;
+    let watch = ReferenceSettings { reference: None, truth_sigma_m: 1.0 };
+    let named = args.recording.as_deref();
+    let recording = args.live.or_named(named, &args.output, &args.data, TASK)?;
+    let drives = source::load(&recording, &args.data, watch)?;
+    let Some(first) = drives.drives.first() else {
+        return Err(anyhow!("`{}` holds no run", drives.recording)).before_start();
+    };
+    let mut all = RestObservations::default();
+    for drive in &drives.drives {
+        let mut observations = drive.observations.clone();
+        observations.sort_by_key(|observation| observation.stamp);
+        let found = RestObservations::from_observations(&observations);
+        all.gyro.stretches.extend(found.gyro.stretches);
+        let (left, right) = (found.left_accelerometer, found.right_accelerometer);
+        all.left_accelerometer.stretches.extend(left.stretches);
+        all.right_accelerometer.stretches.extend(right.stretches);
+    }
+    let channels = channels(&all, &drives.recording).while_running()?;
+    if let Some(path) = &args.save {
+        let robot = with_noise(&first.robot, &channels);
+        let calibrated = CalibratedProfile {
+            calibration: robot.calibration().while_running()?,
+            robot,
+            source: drives.recording.clone(),
+            method: "calibrate rest",
+            remarks: vec![table(&channels)],
+        };
+        calibrated.save(path, timer.utc_start()).while_running()?;
+    }
+    args.output.write_outcome(&folder, &outcome(&drives.recording, &channels))
+}
+
+/// The channels that tell something; what the others lack is said.
+///
+/// # Errors
+/// None does.
+fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>> {
+    let named: [(&'static str, &'static str, &RestChannel); 3] = [
+        ("gyro", "rad/s", &all.gyro),
+        ("left accelerometer", "m/s²", &all.left_accelerometer),
+        ("right accelerometer", "m/s²", &all.right_accelerometer),
+    ];
+    let mut found = Vec::new();
+    let mut reasons = Vec::new();
+    for (name, unit, channel) in named {
+        match channel.noise() {
+            Ok(rest) => found.push(ChannelNoise {
+                name,
+                unit,
+                noise: rest,
+                readings: channel.stretches.iter().flatten().copied().collect(),
+            }),
+            // No such sensor, or no rest.
+            Err(_) if channel.stretches.is_empty() => {}
+            Err(reason) => reasons.push(format!("{name}: {reason}")),
+        }
+    }
+    if found.is_empty() {
+        bail!(
+            "`{recording}` does not tell the noise of a gyro or of accelerometers while its wheels stood{}{}; record a minute of rest, ten \
+             where a coarse sensor hardly ever changes",
+            if reasons.is_empty() { "" } else { ": " },
+            reasons.join("; ")
+        );
+    }
+    for reason in reasons {
+        print_line(&format!("{recording}: {reason}; it is left as it was"));
+    }
+    Ok(found)
+}
+
+/// The robot with the noise of the channels that were measured.
+fn with_noise(robot: &RobotFile, channels: &[ChannelNoise]) -> RobotFile {
+    let mut robot = robot.clone();
+    let find = |name: &str| channels.iter().find(|channel| channel.name == name);
+    if let Some(ChannelNoise { noise: rest, .. }) = find("gyro") {
+        // The filters add the rounding to the resolution themselves.
+        robot.noise.gyro_rad_per_s = rest.without_rounding();
+        robot.noise.gyro_resolution_rad_per_s = rest.quantum.unwrap_or(0.0);
+        if let Some((walk, _)) = rest.walk {
+            robot.noise.gyro_bias_walk_rad_per_s_sqrt_s = walk;
+        }
+        robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry { value: rest.bias, sigma: rest.bias_sigma });
+    }
+    let accelerometers = [find("left accelerometer"), find("right accelerometer")];
+    // A profile has no resolution of an accelerometer: its noise is told with the rounding.
+    let noise = accelerometers.into_iter().flatten().map(|channel| channel.noise.total);
+    let largest = noise.fold(0.0, f64::max);
+    if largest > 0.0 {
+        robot.noise.accelerometer_m_per_s2 = largest;
+    }
+    robot
+}
+
+fn table(channels: &[ChannelNoise]) -> String {
+    let mut table = TextTable::new([
+        "sensor",
+        "unit",
+        "bias",
+        "sigma",
+        "noise",
+        "with rounding",
+        "step",
+        "walk/sqrt(s)",
+        "readings",
+        "rest s",
+    ]);
+    for ChannelNoise { name, unit, noise: rest, .. } in channels {
+        table.push([
+            (*name).to_owned(),
+            (*unit).to_owned(),
+            format!("{:+.5}", rest.bias),
+            format!("{:.5}", rest.bias_sigma),
+            format!("{:.5}", rest.without_rounding()),
+            format!("{:.5}", rest.total),
+            format!("{:.5}", rest.quantum.unwrap_or(0.0)),
+            rest.walk.map_or_else(|| "-".to_owned(), |(walk, _)| format!("{walk:.6}")),
+            rest.samples.to_string(),
+            format!("{:.1}", rest.rest_s),
+        ]);
+    }
+    table.render()
+}
+
+fn outcome(recording: &str, channels: &[ChannelNoise]) -> ExperimentOutcome {
+    let axes = channels.iter().map(|channel| Axes {
+        x_name: "time [s]".to_owned(),
+        y_name: format!("{} [{}]", channel.name, channel.unit),
+        height_px: 200.0,
+        is_map: false,
+        curves: vec![
+            Curve { name: "reading".to_owned(), shape: CurveShape::Line(channel.readings.clone()) },
+            Curve { name: "bias".to_owned(), shape: CurveShape::Level(channel.noise.bias) },
+        ],
+    });
+    let picture =
+        render_plot(&Plot { title: format!("At rest: {recording}"), key_figures: String::new(), axes: axes.collect() });
+    let table = table(channels);
+    let json: Vec<Value> = channels
+        .iter()
+        .map(|channel| {
+            json!({
+                "sensor": channel.name,
+                "unit": channel.unit,
+                "bias": channel.noise.bias,
+                "bias_sigma": channel.noise.bias_sigma,
+                "noise": channel.noise.without_rounding(),
+                "noise_with_rounding": channel.noise.total,
+                "step": channel.noise.quantum.unwrap_or(0.0),
+                "walk_per_sqrt_s": channel.noise.walk.map(|(walk, _)| walk),
+                "readings": channel.noise.samples,
+                "rest_s": channel.noise.rest_s,
+            })
+        })
+        .collect();
+    ExperimentOutcome {
+        name: "calibrate-rest",
+        page: ReportPage {
+            title: format!("At rest: {recording}"),
+            blocks: vec![
+                ReportBlock::Text("Readings while the wheels stood: what is left is bias and noise.".to_owned()),
+                ReportBlock::PreformattedText(table.clone()),
+                ReportBlock::Figure {
+                    svg: picture,
+                    caption: "A bias that walks shows as a bend, a coarse sensor as steps.".to_owned(),
+                },
+            ],
+        },
+        text: format!("{recording} at rest\n\n{table}"),
+        json: json!({ "recording": recording, "channels": json }),
+    }
+}

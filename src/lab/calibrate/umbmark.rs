@@ -1,0 +1,406 @@
+//! `posebridge calibrate umbmark`: wheel difference and track from squares in both directions.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anyhow::{Result, anyhow, ensure};
+use clap::Args;
+use posebridge_estimator::FilterConfig;
+use posebridge_lab::calibration::CalibrationError;
+use posebridge_lab::calibration::free_path::FreePath;
+use posebridge_lab::calibration::umbmark::{
+    SquareDirection, SquareError, SquareRobot, SquareRun, Umbmark, estimate_umbmark, square_error,
+};
+use posebridge_lab::calibration::umbmark_drives::{calibrate_squares, closing_runs};
+use posebridge_link::HostTimer;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
+use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_report::tables::TextTable;
+use posebridge_telemetry::Calibration;
+use serde_json::{Value, json};
+
+use super::profile::{CalibratedProfile, fold_into_geometry};
+use super::source::{self, CalibrationDrive, ReferenceSettings};
+use super::umbmark_source::{read_squares, simulate};
+use crate::config::{RobotFile, RobotProfile};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::lab::experiments::live::{LiveArgs, LiveRobot};
+use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+
+/// A tape's or a tracker's sigma: only its being finite matters here.
+const OBSERVED_SIGMA_M: f64 = 0.005;
+/// What x and y say may lie apart by so much of what they say, before the drives are doubted.
+const SUSPECT_RATIO: f64 = 0.5;
+
+/// What a person with a live robot is told to do.
+const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
+
+/// Flags of `calibrate umbmark`.
+#[derive(Args, Clone, Debug)]
+#[command(group = clap::ArgGroup::new("squares").required(true).multiple(true).args(["recordings", "link", "listen", "ends", "sim"]))]
+pub struct UmbmarkArgs {
+    /// Descriptors whose chosen runs are squares with a truth, and recordings (*.mcap), each of one square whose end a camera saw.
+    #[arg(value_name = "RECORDING", conflicts_with_all = ["ends", "sim"])]
+    pub recordings: Vec<PathBuf>,
+    /// A live robot, for one more square.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// What to read of a descriptor's data.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// In place of a recording: a CSV table of the columns direction (cw or ccw), x_mm, y_mm: where the robot really was, ahead and to
+    /// the left of its start, when it believed to be home.
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot", "run", "use_every", "settings"])]
+    pub ends: Option<PathBuf>,
+    /// In place of a recording: let the simulated robot drive.
+    #[arg(long, conflicts_with_all = ["real_robot", "run", "use_every", "settings", "side_m"])]
+    pub sim: bool,
+    /// The robot of --ends: a profile with a [robot] table, the one by which the brick steered.
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "real_robot", "sim"])]
+    pub robot: Option<PathBuf>,
+    /// Length of a side, in metres; recorded drives tell it themselves.
+    #[arg(long, value_name = "M")]
+    pub side_m: Option<f64>,
+    /// Simulated squares in each direction.
+    #[arg(long, value_name = "N", default_value_t = 5, conflicts_with_all = ["recordings", "real_robot", "ends"], value_parser = clap::value_parser!(u32).range(1..=5))]
+    pub runs: u32,
+    /// Seed of the simulated robot, instead of its scenario's.
+    #[arg(long, value_name = "N", conflicts_with_all = ["recordings", "real_robot", "ends"])]
+    pub seed: Option<u64>,
+    /// Write the robot as a profile for `run --robot` and `replay --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save: Option<PathBuf>,
+    /// Where results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// What the squares said, whatever their source.
+struct UmbmarkResult {
+    source: String,
+    robot: RobotFile,
+    side_m: f64,
+    result: Umbmark,
+    runs_before: Vec<SquareRun>,
+    /// Recorded wheels can be reckoned anew.
+    runs_after: Vec<SquareRun>,
+    /// Squares that took no part, before and after.
+    validation_errors: Option<[SquareError; 2]>,
+    /// Of a simulated robot: its true track scale and wheel difference.
+    truth: Option<[f64; 2]>,
+}
+
+/// Calibrates.
+///
+/// # Errors
+/// There are no squares in both directions, a file or a flag makes no sense, or an output cannot be written.
+pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
+    let timer = HostTimer::start();
+    let folder = args.output.folder()?;
+    let told = compute(args)?;
+    for line in told.warnings() {
+        print_line(&format!("warning: {line}"));
+    }
+    if let Some(path) = &args.save {
+        let found = told.calibration();
+        let (robot, calibration) = fold_into_geometry(&told.robot, found).while_running()?;
+        let calibrated = CalibratedProfile {
+            robot,
+            calibration,
+            source: told.source.clone(),
+            method: "calibrate umbmark",
+            remarks: told.lines(),
+        };
+        calibrated.save(path, timer.utc_start()).while_running()?;
+    }
+    args.output.write_outcome(&folder, &told.outcome())
+}
+
+fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
+    if let Some(side_m) = args.side_m
+        && !(side_m > 0.0 && side_m.is_finite())
+    {
+        return Err(anyhow!("--side-m is {side_m}, must be more than zero")).before_start();
+    }
+    if let Some(path) = &args.ends {
+        return from_table(args, path).before_start();
+    }
+    if args.sim {
+        return from_simulation(args).while_running();
+    }
+    let drives = drives(args)?;
+    let Some(first) = drives.first() else {
+        return Err(anyhow!("no run was chosen: see --run")).before_start();
+    };
+    let robots = drives.iter();
+    let robots = robots.map(|drive| (drive.name.as_str(), &drive.config.geometry));
+    source::check_same_robot(robots).before_start()?;
+    let paths: Vec<FreePath> = drives
+        .iter()
+        .map(|drive| {
+            let sights = drive.references.iter().copied();
+            FreePath::new(&drive.name, &drive.config, &drive.observations, sights)
+        })
+        .collect();
+    let recorded =
+        from_drives(&first.config, &paths, args.side_m).map_err(|error| with_advice(error, &drives)).while_running()?;
+    Ok(UmbmarkResult { source: names(&drives), robot: first.robot.clone(), ..recorded })
+}
+
+/// The squares of all recordings, that of the live robot last.
+fn drives(args: &UmbmarkArgs) -> Result<Vec<CalibrationDrive>, Failure> {
+    let watch = ReferenceSettings { reference: None, truth_sigma_m: OBSERVED_SIGMA_M };
+    let robot = LiveRobot { file: None, settings: &args.data.settings };
+    args.live.reject_data_flags(&args.data)?;
+    let live = args.live.record(&args.output, robot, TASK)?;
+    let mut drives = Vec::new();
+    for recording in args.recordings.iter().chain(&live) {
+        drives.extend(source::load(recording, &args.data, watch)?.drives);
+    }
+    Ok(drives)
+}
+
+/// With what to do when a direction is missing: one recording is one square, unless a descriptor chooses several.
+fn with_advice(error: anyhow::Error, drives: &[CalibrationDrive]) -> anyhow::Error {
+    let is_too_little = matches!(error.downcast_ref(), Some(CalibrationError::TooFewData { .. }));
+    let are_seen = drives.iter().all(|drive| !drive.references.is_empty());
+    if !(is_too_little && are_seen) {
+        return error;
+    }
+    error.context(format!(
+        "squares in both directions are needed, each recorded by itself; so far: {}. Name all recordings, and add a live square by --link \
+         or --listen with a new --out",
+        names(drives)
+    ))
+}
+
+fn names(drives: &[CalibrationDrive]) -> String {
+    let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
+    names.join(", ")
+}
+
+fn from_table(args: &UmbmarkArgs, path: &std::path::Path) -> Result<UmbmarkResult> {
+    let robot = match &args.robot {
+        Some(profile) => RobotProfile::read(profile)?.robot,
+        None => RobotFile::default(),
+    };
+    ensure!(args.side_m.is_some(), "--ends needs --side-m: the length of a side of the square, in metres");
+    let side_m = args.side_m.unwrap_or_default();
+    let runs = read_squares(path)?;
+    let square = SquareRobot { track_width_m: robot.geometry()?.track_width.0, side_m };
+    Ok(UmbmarkResult {
+        source: path.display().to_string(),
+        result: estimate_umbmark(&runs, square)?,
+        robot,
+        side_m,
+        runs_before: runs,
+        runs_after: Vec::new(),
+        validation_errors: None,
+        truth: None,
+    })
+}
+
+fn from_drives(config: &FilterConfig, paths: &[FreePath], side_m: Option<f64>) -> Result<UmbmarkResult> {
+    let squares = calibrate_squares(config, paths, side_m)?;
+    Ok(UmbmarkResult {
+        source: String::new(),
+        robot: RobotFile::default(),
+        side_m: squares.side_m,
+        result: squares.estimate,
+        runs_before: squares.runs_before,
+        runs_after: squares.runs_after,
+        validation_errors: None,
+        truth: None,
+    })
+}
+
+fn from_simulation(args: &UmbmarkArgs) -> Result<UmbmarkResult> {
+    let simulated = simulate(args.runs, args.seed)?;
+    let squares = calibrate_squares(&simulated.config, &simulated.squares, Some(simulated.side_m))?;
+    let error_of = |numbers| -> Result<SquareError> {
+        Ok(square_error(&closing_runs(&simulated.config, numbers, &simulated.others)?)?)
+    };
+    let others = [error_of(&squares.before)?, error_of(&squares.after)?];
+    let (truth, told) = (simulated.true_geometry, simulated.config.geometry);
+    let (left, right) = (truth.left_wheel_radius.0, truth.right_wheel_radius.0);
+    Ok(UmbmarkResult {
+        source: "the simulated robot".to_owned(),
+        robot: simulated.robot,
+        side_m: simulated.side_m,
+        result: squares.estimate,
+        runs_before: squares.runs_before,
+        runs_after: squares.runs_after,
+        validation_errors: Some(others),
+        truth: Some([truth.track_width.0 / told.track_width.0 - 1.0, (right - left) / f64::midpoint(left, right)]),
+    })
+}
+
+impl UmbmarkResult {
+    fn calibration(&self) -> Calibration {
+        let prior = &self.robot.calibration.radius_scale;
+        Calibration {
+            // A closed square does not see the mean wheel size.
+            radius_scale: posebridge_telemetry::UncertainValue { value: 0.0, sigma: prior.sigma },
+            radius_difference: self.result.radius_difference,
+            track_scale: self.result.track_scale,
+            ..Calibration::default()
+        }
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        let largest = self.result.corner_rad.abs().max(self.result.bend_rad.abs());
+        let mut doubts = Vec::new();
+        if self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4) {
+            doubts.push(format!(
+                "the ends along x and along y tell corners apart by {:.2} degrees: was one of them a square that ended elsewhere, or measured along another axis?",
+                self.result.disagreement_rad.to_degrees()
+            ));
+        }
+        doubts
+    }
+
+    fn lines(&self) -> Vec<String> {
+        let Umbmark { track_scale, radius_difference, error, .. } = &self.result;
+        let mut lines = vec![
+            format!(
+                "track_scale {:+.5} +- {:.5}, radius_difference {:+.5} +- {:.5}",
+                track_scale.value, track_scale.sigma, radius_difference.value, radius_difference.sigma
+            ),
+            format!(
+                "each corner turns {:+.3} degrees too far, each side bends to the left by {:+.3} degrees, squares of {:.2} m",
+                -self.result.corner_rad.to_degrees(),
+                self.result.bend_rad.to_degrees(),
+                self.side_m
+            ),
+            format!("systematic error {:.1} mm, scatter {:.1} mm", 1e3 * error.systematic_m, 1e3 * error.scatter_m),
+        ];
+        if let Ok(after) = square_error(&self.runs_after) {
+            lines.push(format!("the same squares reckoned anew: {:.1} mm", 1e3 * after.systematic_m));
+        }
+        if let Some([before, after]) = &self.validation_errors {
+            lines.push(format!(
+                "other squares: systematic error {:.1} mm before, {:.1} mm after: {:.1} times less",
+                1e3 * before.systematic_m,
+                1e3 * after.systematic_m,
+                before.systematic_m / after.systematic_m
+            ));
+        }
+        if let Some([track, difference]) = self.truth {
+            lines.push(format!("the true ones: track_scale {track:+.5}, radius_difference {difference:+.5}"));
+        }
+        lines
+    }
+
+    fn outcome(&self) -> ExperimentOutcome {
+        ExperimentOutcome { name: "calibrate-umbmark", page: self.page(), text: self.text(), json: self.json() }
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("UMBmark: {}\n\n{}\n", self.source, self.table());
+        for line in self.lines() {
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "{line}");
+        }
+        let found = &self.result;
+        let _ = writeln!(
+            text,
+            "left wheel x {:.5}, right wheel x {:.5}, track x {:.5}",
+            found.left_factor,
+            found.right_factor,
+            1.0 + found.track_scale.value
+        );
+        text
+    }
+
+    fn table(&self) -> String {
+        let mut table = TextTable::new(["direction", "ahead mm", "left mm", "then", "then"]);
+        for (index, run) in self.runs_before.iter().enumerate() {
+            let then = self.runs_after.get(index);
+            let cell =
+                |metres: Option<f64>| metres.map_or_else(|| "-".to_owned(), |metres| format!("{:+.1}", 1e3 * metres));
+            table.push([
+                direction_name(run.direction).to_owned(),
+                cell(Some(run.ahead_m)),
+                cell(Some(run.left_m)),
+                cell(then.map(|run| run.ahead_m)),
+                cell(then.map(|run| run.left_m)),
+            ]);
+        }
+        table.render()
+    }
+
+    fn page(&self) -> ReportPage {
+        ReportPage {
+            title: format!("UMBmark: {}", self.source),
+            blocks: vec![
+                ReportBlock::Text(
+                    "Where squares ended beside the place at which odometry believed them to end.".to_owned(),
+                ),
+                ReportBlock::Figure {
+                    svg: self.picture(),
+                    caption: "Two clouds away from home: a systematic error. Their size: chance.".to_owned(),
+                },
+                ReportBlock::List(self.lines()),
+                ReportBlock::List(self.warnings()),
+                ReportBlock::PreformattedText(self.table()),
+            ],
+        }
+    }
+
+    fn picture(&self) -> String {
+        let dots = |name: &str, runs: &[SquareRun], direction: SquareDirection| {
+            let ends = runs.iter().filter(|run| run.direction == direction);
+            Curve {
+                name: name.to_owned(),
+                shape: CurveShape::Dots(ends.map(|run| (run.ahead_m, run.left_m)).collect()),
+            }
+        };
+        let (cw, ccw) = (SquareDirection::Clockwise, SquareDirection::CounterClockwise);
+        let mut curves =
+            vec![dots("clockwise", &self.runs_before, cw), dots("counter-clockwise", &self.runs_before, ccw)];
+        if !self.runs_after.is_empty() {
+            curves.push(dots("clockwise, after", &self.runs_after, cw));
+            curves.push(dots("counter-clockwise, after", &self.runs_after, ccw));
+        }
+        curves.push(Curve { name: "home".to_owned(), shape: CurveShape::Dots(vec![(0.0, 0.0)]) });
+        render_plot(&Plot {
+            title: format!("UMBmark: {}", self.source),
+            key_figures: format!("systematic error {:.1} mm", 1e3 * self.result.error.systematic_m),
+            axes: vec![Axes {
+                x_name: "ahead [m]".to_owned(),
+                y_name: "left [m]".to_owned(),
+                height_px: 420.0,
+                is_map: true,
+                curves,
+            }],
+        })
+    }
+
+    fn json(&self) -> Value {
+        let found = &self.result;
+        json!({
+            "source": self.source,
+            "side_m": self.side_m,
+            "track_scale": { "value": found.track_scale.value, "sigma": found.track_scale.sigma },
+            "radius_difference": { "value": found.radius_difference.value, "sigma": found.radius_difference.sigma },
+            "corner_rad": found.corner_rad,
+            "bend_rad": found.bend_rad,
+            "left_factor": found.left_factor,
+            "right_factor": found.right_factor,
+            "systematic_m": found.error.systematic_m,
+            "scatter_m": found.error.scatter_m,
+            "others": self.validation_errors.map(|errors| errors.map(|error| error.systematic_m)),
+            "truth": self.truth,
+            "doubts": self.warnings(),
+        })
+    }
+}
+
+const fn direction_name(direction: SquareDirection) -> &'static str {
+    match direction {
+        SquareDirection::Clockwise => "cw",
+        SquareDirection::CounterClockwise => "ccw",
+    }
+}

@@ -1,0 +1,55 @@
+//! Monte-Carlo drives as commands want them: the scenario by its name or from its file, what a filter may know, what the scoring must.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use posebridge_estimator::{FilterConfig, Params, StartPose};
+use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive};
+use posebridge_report::TimedPose;
+use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};
+
+/// A bundled scenario by its name, else one from a TOML file, which is called like it.
+///
+/// # Errors
+/// There is no such scenario, or the file cannot be read or makes no sense.
+pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
+    let path = Path::new(asked);
+    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
+    let is_file = path.extension().is_some_and(|extension| extension == "toml");
+    if is_bundled || !is_file {
+        return Ok((asked.to_owned(), Scenario::bundled(asked)?));
+    }
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
+    let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
+    let name = path.file_stem().map_or_else(|| asked.to_owned(), |stem| stem.to_string_lossy().into_owned());
+    Ok((name, scenario))
+}
+
+/// A filter's configuration from what it may know.
+#[must_use]
+pub fn filter_config(told: &FilterPrior) -> FilterConfig {
+    FilterConfig {
+        geometry: told.geometry,
+        noise: told.noise,
+        start: Some(StartPose {
+            pose: told.start,
+            position_sigma_m: told.start_position_sigma_m,
+            heading_sigma_rad: told.start_heading_sigma_rad,
+        }),
+        params: Params::default(),
+        calibration: told.calibration,
+        arena_map: Arc::default(),
+    }
+}
+
+/// The drive as the scoring wants it.
+#[must_use]
+pub fn known_drive(drive: &Drive) -> ReferenceDrive {
+    let truth = drive.truth.iter().enumerate().map(|(step, pose)| TimedPose { time: drive.time_at(step), pose: *pose });
+    let arrivals = drive
+        .arrivals
+        .iter()
+        .map(|arrival| ObservationArrival { step: arrival.step, observation: arrival.observation });
+    ReferenceDrive { truth: truth.collect(), arrivals: arrivals.collect(), scored_from: drive.scored_from }
+}

@@ -1,0 +1,137 @@
+//! A live robot for an experiment: recorded by the engine of `posebridge run`, then evaluated like any other recording.
+//!
+//! The recording stays: what an experiment said of a robot can be said again, with other flags, without the robot.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::anyhow;
+use posebridge_link::ConnectRole;
+
+use crate::config::Setting;
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::{ConfigFlags, DashboardFlags, DataFlags, positive};
+use crate::station::args::RunArgs;
+use crate::station::link_flags::{LinkFlag, LinkFlags};
+use crate::station::run;
+use crate::tools::experiment_output::OutputArgs;
+
+/// The recording's name in the folder of the results.
+const RECORDING: &str = "live.mcap";
+
+/// Flags that let an experiment listen to a live robot. One of the group `real_robot`: recorded data and live ones exclude each
+/// other. And of `live_robot`, by itself: how it is recorded is no question about a recording.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct LiveArgs {
+    /// Record a live robot first: call it on this link (docs/links.md). The recording is live.mcap in the folder of the results.
+    #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
+    pub link: Option<String>,
+    /// Record a live robot first: wait for its call on this link.
+    #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
+    pub listen: Option<String>,
+    /// End the recording of a live robot after this many seconds; without it at Ctrl-C.
+    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "live_robot")]
+    pub duration: Option<f64>,
+    /// Configuration of the station that records a live robot; without it the embedded default.
+    #[arg(long, value_name = "FILE", requires = "live_robot")]
+    pub config: Option<PathBuf>,
+}
+
+/// What a live robot is taken for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LiveRobot<'a> {
+    /// Its file.
+    pub file: Option<&'a Path>,
+    /// Keys of the station's configuration.
+    pub settings: &'a [Setting],
+}
+
+impl LiveArgs {
+    /// Whether a live robot was asked for.
+    #[must_use]
+    pub const fn is_requested(&self) -> bool {
+        self.link.is_some() || self.listen.is_some()
+    }
+
+    /// Records the robot into the folder of the results, after it has said what to do; gives the recording. `None` if no live
+    /// robot was asked for.
+    ///
+    /// # Errors
+    /// There is a recording of that name already, the configuration makes no sense, the link cannot be opened for good, or the
+    /// recording cannot be written.
+    pub fn record(&self, output: &OutputArgs, robot: LiveRobot<'_>, task: &str) -> Result<Option<PathBuf>, Failure> {
+        if !self.is_requested() {
+            return Ok(None);
+        }
+        let folder = output.folder()?;
+        let recording = folder.join(RECORDING);
+        if recording.exists() {
+            return Err(anyhow!(
+                "`{name}` is there already and is never overwritten: give another folder with --out, or evaluate it with \
+                 `--recording {name}`",
+                name = recording.display()
+            ))
+            .before_start();
+        }
+        let end = self
+            .duration
+            .map_or_else(|| "Ctrl-C when done".to_owned(), |seconds| format!("it ends after {seconds} s or at Ctrl-C"));
+        print_line(&format!("recording `{}`: {task}; {end}", recording.display()));
+        let heard = run::record(&self.run_args(folder, robot), RECORDING)?;
+        print_line(&format!("heard\n{}", heard.trim_end()));
+        Ok(Some(recording))
+    }
+
+    /// The recording to look at: that of the live robot, which is made first, or the one that was named. `data` has the keys that are
+    /// set; runs and fixes are chosen in a descriptor's data alone.
+    ///
+    /// # Errors
+    /// As [`LiveArgs::record`]; or there is neither a live robot nor a name.
+    pub fn or_named(
+        &self,
+        named: Option<&Path>,
+        output: &OutputArgs,
+        data: &DataFlags,
+        task: &str,
+    ) -> Result<PathBuf, Failure> {
+        self.reject_data_flags(data)?;
+        let robot = LiveRobot { file: None, settings: &data.settings };
+        let live = self.record(output, robot, task)?;
+        live.or_else(|| named.map(Path::to_owned))
+            .ok_or_else(|| anyhow!("name a recording, or give --link or --listen"))
+            .before_start()
+    }
+
+    /// A live robot has one run, all of which is used.
+    ///
+    /// # Errors
+    /// A run or fixes were chosen for a live robot.
+    pub fn reject_data_flags(&self, data: &DataFlags) -> Result<(), Failure> {
+        if self.is_requested() && (data.run.is_some() || data.use_every.is_some()) {
+            let why = "--run and --use-every choose from a descriptor's data, not from a live robot's";
+            return Err(anyhow!(why)).before_start();
+        }
+        Ok(())
+    }
+
+    fn links(&self) -> Vec<LinkFlag> {
+        let named = [(&self.link, ConnectRole::Dial), (&self.listen, ConnectRole::Listen)];
+        let given = named.into_iter().filter_map(|(url, role)| {
+            let url = url.clone()?;
+            Some(LinkFlag { url, role })
+        });
+        given.collect()
+    }
+
+    fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {
+        RunArgs {
+            config: ConfigFlags { config: self.config.clone(), settings: robot.settings.to_vec() },
+            links: LinkFlags(self.links()),
+            robot: robot.file.map(Path::to_owned),
+            out: Some(folder),
+            duration: self.duration,
+            page: DashboardFlags { no_dashboard: true, ..DashboardFlags::default() },
+            ..RunArgs::default()
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Approaches by every source of the distance, over many runs, on all cores.
+
+use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::papers::range_kf::RangeFilterVariant;
+use posebridge_lab::wall::{
+    ApproachEstimator, KalmanNoise, LastReading, LinearExtrapolation, StopComparison, StopResult, StopSummary,
+    WallKalman, compare_stops, summarise_stops,
+};
+use posebridge_sim::impairment::LinkProfile;
+use posebridge_sim::wall::{
+    Approach, ApproachTask, DistanceEstimator, Gains, HostLink, RangeEstimate, RangeReading, WallScene, approach,
+    approach_over_link,
+};
+
+use super::steps::StepResults;
+use crate::lab::parallel::run_all;
+
+/// The corrected filter's process noise where the drive has been measured, m per step of 7.6 ms; docs/maths/paper3.md section 5.
+const MEASURED_DRIVE_PROCESS_M: f64 = 0.01;
+
+/// Who says how far the wall is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum DistanceSource {
+    /// The last reading.
+    LastReading,
+    /// The line through the last two.
+    Line,
+    /// `range-kf` with the paper's noise.
+    Faithful,
+    /// `range-kf-corrected` with the noise of the readings that the steps have shown.
+    Corrected,
+}
+
+/// Where that one sits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum EstimatorPlacement {
+    /// In the loop itself.
+    Brick,
+    /// On the other side of the link.
+    Host,
+}
+
+/// A kind of approach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ApproachCase {
+    pub(super) source: DistanceSource,
+    pub(super) placement: EstimatorPlacement,
+    pub(super) gains: Gains,
+    /// Which gains they are.
+    pub(super) tuning: &'static str,
+    pub(super) max_pwm: f64,
+}
+
+impl DistanceSource {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::LastReading => "last reading",
+            Self::Line => "line through two",
+            Self::Faithful => "range-kf",
+            Self::Corrected => "range-kf-corrected",
+        }
+    }
+
+    fn estimator(self, steps: &StepResults) -> Box<dyn ApproachEstimator> {
+        let model = steps.all.model();
+        match self {
+            Self::LastReading => Box::new(LastReading::default()),
+            Self::Line => Box::new(LinearExtrapolation::default()),
+            Self::Faithful => Box::new(WallKalman::new(model, KalmanNoise::PAPER, RangeFilterVariant::Paper)),
+            Self::Corrected => {
+                let noise = KalmanNoise { process_m: MEASURED_DRIVE_PROCESS_M, range_m: steps.all.range_sigma_m };
+                Box::new(WallKalman::new(model, noise, RangeFilterVariant::Corrected))
+            }
+        }
+    }
+}
+
+impl EstimatorPlacement {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Brick => "brick",
+            Self::Host => "host",
+        }
+    }
+}
+
+/// All approaches of one kind.
+pub(super) struct ApproachResult {
+    pub(super) case: ApproachCase,
+    pub(super) stops: Vec<Option<StopResult>>,
+    pub(super) summary: StopSummary,
+    /// Against the line with the same tuned gains at the drive of the step.
+    pub(super) against_line: StopComparison,
+    /// The first run, for the picture.
+    pub(super) first: Approach,
+}
+
+/// The kinds of approach: the paper's gains, tuned gains, twice the drive, and the host.
+pub(super) fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
+    use DistanceSource::{Corrected, Faithful, LastReading, Line};
+    use EstimatorPlacement::{Brick, Host};
+    let tuned = tuned(scene, model);
+    let (most, fast) = (scene.approach.most_pwm, scene.approach.fast_pwm);
+    let case = |source, place, (tuning, gains), most_pwm| ApproachCase {
+        source,
+        placement: place,
+        gains,
+        tuning,
+        max_pwm: most_pwm,
+    };
+    let (paper, tuned) = (("paper", scene.pid), ("tuned", tuned));
+    let mut cases = Vec::new();
+    for (gains, most_pwm) in [(paper, most), (tuned, most), (tuned, fast)] {
+        for source in [LastReading, Line, Faithful, Corrected] {
+            cases.push(case(source, Brick, gains, most_pwm));
+        }
+    }
+    for most_pwm in [most, fast] {
+        for source in [Line, Faithful, Corrected] {
+            cases.push(case(source, Host, tuned, most_pwm));
+        }
+    }
+    cases
+}
+
+/// The differential part takes the drive's own lag away: kd = kp m / d, from the step test.
+fn tuned(scene: &WallScene, model: WallApproachModel) -> Gains {
+    let kp = scene.approach.tuned_kp_pwm_per_m;
+    Gains { kp_pwm_per_m: kp, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: kp / model.rate_per_s() }
+}
+
+/// Drives every kind of approach so many times; `ended` is called once for each approach.
+pub(super) fn drive_all(
+    scene: &WallScene,
+    steps: &StepResults,
+    (runs, link): (u32, &LinkProfile),
+    ended: impl FnMut(),
+) -> Vec<ApproachResult> {
+    let cases = cases(scene, steps.all.model());
+    let jobs: Vec<(ApproachCase, u32)> = cases.iter().flat_map(|case| (0..runs).map(|run| (*case, run))).collect();
+    let run = |&(case, run): &(ApproachCase, u32)| drive(scene, steps, link, (case, run));
+    let mut done = run_all(&jobs, run, ended).into_iter();
+    let mut driven: Vec<ApproachResult> = Vec::new();
+    for case in cases {
+        let mut approaches = done.by_ref().take(runs as usize);
+        let first = approaches.next().unwrap_or_default();
+        let mut stops = vec![stopped(scene, &first)];
+        stops.extend(approaches.map(|approach| stopped(scene, &approach)));
+        driven.push(ApproachResult {
+            case,
+            summary: summarise_stops(&stops),
+            stops,
+            against_line: StopComparison::default(),
+            first,
+        });
+    }
+    compare(&mut driven);
+    driven
+}
+
+fn compare(driven: &mut [ApproachResult]) {
+    let line = driven.iter().find(|driven| {
+        let case = driven.case;
+        case.source == DistanceSource::Line && case.tuning == "tuned"
+    });
+    let Some(line) = line.map(|line| line.stops.clone()) else {
+        return;
+    };
+    for driven in driven {
+        driven.against_line = compare_stops(&driven.stops, &line);
+    }
+}
+
+fn drive(scene: &WallScene, steps: &StepResults, link: &LinkProfile, (case, run): (ApproachCase, u32)) -> Approach {
+    let task = ApproachTask { gains: case.gains, max_pwm: case.max_pwm, run };
+    let mut on_car =
+        EstimatorAdapter { estimator: case.source.estimator(steps), reference_pwm: scene.car.reference_pwm };
+    match case.placement {
+        EstimatorPlacement::Brick => approach(scene, &task, &mut on_car),
+        EstimatorPlacement::Host => {
+            let link = HostLink { profile: link.clone(), seed: scene.seed.wrapping_add(u64::from(run)) };
+            approach_over_link(scene, &task, &link, &mut on_car)
+        }
+    }
+}
+
+fn stopped(scene: &WallScene, approach: &Approach) -> Option<StopResult> {
+    let stop = approach.stop?;
+    Some(StopResult {
+        error_m: stop.distance_m - scene.approach.target_m,
+        time_s: stop.at_s,
+        approach_m_per_s: (scene.approach.start_m - stop.distance_m) / stop.at_s,
+    })
+}
+
+/// Lets a source of the analysis sit in the simulator's car.
+struct EstimatorAdapter {
+    estimator: Box<dyn ApproachEstimator>,
+    reference_pwm: f64,
+}
+
+impl DistanceEstimator for EstimatorAdapter {
+    fn on_reading(&mut self, reading: RangeReading) {
+        self.estimator.observe_range(reading.at_s, reading.range_m);
+    }
+
+    fn on_command(&mut self, at_s: f64, pwm: f64) {
+        self.estimator.observe_input(at_s, pwm / self.reference_pwm);
+    }
+
+    fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate> {
+        let belief = self.estimator.estimate(at_s)?;
+        Some(RangeEstimate { distance_m: belief.distance_m, towards_m_per_s: belief.towards_m_per_s })
+    }
+}

@@ -1,0 +1,130 @@
+//! `posebridge lab wall`: paper 3's car before a wall, on the simulated car, on a recording or on a live robot.
+//!
+//! Simulated: step tests, the drive found from them, the filter held against the step's own readings, and approaches by every
+//! source of the distance, on board and over a link. On a recording: the step by hand and by fit, and each reading foretold from
+//! those before it. docs/lab/wall.md is the lesson.
+
+mod approaches;
+mod columns;
+mod pictures;
+pub(in crate::lab) mod recorded;
+mod recorded_report;
+mod simulated;
+pub(in crate::lab) mod steps;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
+
+use super::again;
+use super::live::{LiveArgs, LiveRobot};
+use crate::config::Setting;
+use crate::exit::{ExitStage, Failure};
+use crate::tools::experiment_output::OutputArgs;
+use crate::tools::link_profile;
+
+/// Flags of `lab wall`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct LabWallArgs {
+    /// The car, its sensor and its way, as a TOML file; without it the paper's (config/scenarios/lab/wall.toml).
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "real_robot")]
+    pub scene: Option<PathBuf>,
+    /// Simulated step tests, from which the drive is found.
+    #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub steps: u32,
+    /// Simulated approaches of each kind.
+    #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub runs: u32,
+    /// Base seed, instead of the scene's.
+    #[arg(long, value_name = "N", conflicts_with = "real_robot")]
+    pub seed: Option<u64>,
+    /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp", conflicts_with = "real_robot")]
+    pub profile: String,
+    /// A recording's descriptor (config/recordings/tof-wall.toml) or a recording of ours, instead of the simulated car.
+    #[arg(long, value_name = "FILE.toml|FILE.mcap", group = "real_robot")]
+    pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Which runs of the descriptor: all whose names begin so; without it all.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
+    pub run: Option<String>,
+    /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated. For a recording of ours and a live robot: a
+    /// key of the configuration, e.g. robot.noise.wall_range_m=0.02.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
+    pub settings: Vec<Setting>,
+    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub command_column: Option<String>,
+    /// The column of a distance that somebody else has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
+    /// is one.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub kalman_column: Option<String>,
+    /// Where the results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Runs the experiment.
+///
+/// # Errors
+/// A file cannot be read or makes no sense, a step tells nothing, or an output cannot be written.
+pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
+    if let Some(prepared) = real(args)? {
+        let folder = args.output.folder()?;
+        let live = args.live.is_requested();
+        let command = again::rerun_command(live.then_some(prepared.descriptor.as_str()));
+        let outcome = recorded::run(&prepared, command).while_running()?;
+        return args.output.write_outcome(&folder, &outcome);
+    }
+    let prepared = simulated::SimulatedSetup {
+        scene: scene(args.scene.as_deref(), args.seed).before_start()?,
+        steps: args.steps,
+        runs: args.runs,
+        profile_name: args.profile.clone(),
+        link: link_profile::load(&args.profile).before_start()?,
+    };
+    let folder = args.output.folder()?;
+    let outcome = simulated::run(&prepared).while_running()?;
+    args.output.write_outcome(&folder, &outcome)
+}
+
+/// What a real robot did, live or recorded.
+fn real(args: &LabWallArgs) -> Result<Option<recorded::RecordedRuns>, Failure> {
+    let robot = LiveRobot { file: None, settings: &args.settings };
+    if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
+        let prepared = recorded::prepare(&recording, &choice(args));
+        return prepared.map(Some).while_running();
+    }
+    let recording = args.recording.as_ref();
+    let prepared = recording.map(|path| recorded::prepare(path, &choice(args)));
+    prepared.transpose().before_start()
+}
+
+fn choice(args: &LabWallArgs) -> recorded::RunSelection<'_> {
+    recorded::RunSelection {
+        data: args.data.as_deref(),
+        run: args.run.as_deref(),
+        settings: &args.settings,
+        command_column: args.command_column.as_deref(),
+        kalman_column: args.kalman_column.as_deref(),
+    }
+}
+
+/// The scene of a file, or that of the paper, with another seed if one is given.
+pub(in crate::lab) fn scene(file: Option<&Path>, seed: Option<u64>) -> anyhow::Result<WallScene> {
+    let scene = match file {
+        None => WallScene::from_toml(DEFAULT_SCENE)?,
+        Some(path) => {
+            let name = path.display();
+            let text = std::fs::read_to_string(path).with_context(|| format!("reading the scene `{name}`"))?;
+            WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))?
+        }
+    };
+    Ok(seed.map_or(scene, |seed| scene.with_seed(seed)))
+}

@@ -1,0 +1,139 @@
+//! The pictures of the experiment.
+
+use posebridge_estimator::papers::range_kf::RangeFilterVariant;
+use posebridge_lab::wall::{
+    ApproachEstimator, KalmanNoise, RangeForecast, WallKalman, WallReading, differences, overlapping_lines,
+};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
+use posebridge_report::page::ReportBlock;
+use posebridge_sim::wall::WallScene;
+
+use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
+use super::steps::{PIECE, StepResults};
+
+/// A way is drawn by every so manieth turn of the loop: 30 ms are less than a line's width.
+const DRAWN_EVERY: usize = 4;
+
+fn curve(name: impl Into<String>, shape: CurveShape) -> Curve {
+    Curve { name: name.into(), shape }
+}
+
+fn axes(y_name: &str, curves: Vec<Curve>) -> Axes {
+    Axes { x_name: "time [s]".to_owned(), y_name: y_name.to_owned(), height_px: 280.0, is_map: false, curves }
+}
+
+fn figure(title: &str, key_figures: &str, axes: Vec<Axes>) -> ReportBlock {
+    let picture = Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes };
+    ReportBlock::Figure {
+        svg: render_plot(&picture),
+        caption: if key_figures.is_empty() { title.to_owned() } else { format!("{title}: {key_figures}") },
+    }
+}
+
+/// Readings of the first step, and its speed by differences, by lines and in truth.
+pub(super) fn step(steps: &StepResults) -> ReportBlock {
+    let speeds = |speeds: Vec<posebridge_lab::wall::SpeedSample>| {
+        let points = speeds.into_iter().map(|at| (at.at_s, at.towards_m_per_s));
+        points.collect::<Vec<_>>()
+    };
+    let first = &steps.first;
+    let commands = first.commands.iter().zip(&first.towards_m_per_s);
+    let truth = commands.map(|(command, speed)| (command.at_s, *speed));
+    let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.0, steps.all.rise_90_s.0);
+    figure(
+        "Step test",
+        &key,
+        vec![
+            axes("distance [m]", vec![curve("readings", CurveShape::Dots(steps.log.readings().collect()))]),
+            axes(
+                "speed [m/s]",
+                vec![
+                    curve("true", CurveShape::Line(truth.collect())),
+                    curve("differences", CurveShape::Dots(speeds(differences(&steps.log)))),
+                    curve("lines, half overlapping", CurveShape::Line(speeds(overlapping_lines(&steps.log, PIECE)))),
+                    curve("v_ss by the fit", CurveShape::Level(steps.all.steady_m_per_s.0)),
+                ],
+            ),
+        ],
+    )
+}
+
+/// The filter's distance with the paper's three sigmas, less the fitted model's readings.
+pub(super) fn validation(steps: &StepResults) -> ReportBlock {
+    let mut curves = vec![curve("readings", CurveShape::Dots(steps.log.readings().collect()))];
+    for process_m in [0.01, 0.05, 0.5] {
+        let noise = KalmanNoise { process_m, ..KalmanNoise::PAPER };
+        let mut kalman = WallKalman::new(steps.all.model(), noise, RangeFilterVariant::Paper);
+        let mut points = Vec::new();
+        for entry in steps.log.entries() {
+            match entry.reading {
+                WallReading::Input(input) => kalman.observe_input(entry.at_s, input),
+                WallReading::Range(range_m) => kalman.observe_range(entry.at_s, range_m),
+            }
+            let belief = kalman.estimate(entry.at_s);
+            points.extend(belief.map(|belief| (entry.at_s, belief.distance_m)));
+        }
+        curves.push(curve(format!("sigma_u {:.0} mm", 1e3 * process_m), CurveShape::Line(points)));
+    }
+    figure("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
+}
+
+/// The first run of each kind with tuned gains on the brick, and where all runs stopped.
+pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> ReportBlock {
+    // The faithful filter's dots would lie under the corrected one's.
+    let is_drawn = |driven: &&ApproachResult| {
+        let case = driven.case;
+        case.tuning == "tuned" && case.placement == EstimatorPlacement::Brick && case.source != DistanceSource::Faithful
+    };
+    let tuned: Vec<&ApproachResult> = driven.iter().filter(is_drawn).collect();
+    let name = |driven: &ApproachResult| {
+        let who = match driven.case.source {
+            DistanceSource::LastReading => "last reading",
+            DistanceSource::Line => "line",
+            DistanceSource::Faithful | DistanceSource::Corrected => "filter",
+        };
+        format!("{who}, PWM {:.0}", driven.case.max_pwm)
+    };
+    let ways = tuned.iter().map(|driven| {
+        let moments = driven.first.samples.iter().step_by(DRAWN_EVERY);
+        let way = moments.map(|moment| (moment.at_s, moment.distance_m));
+        curve(name(driven), CurveShape::Line(way.collect()))
+    });
+    let mut ways: Vec<Curve> = ways.collect();
+    ways.push(curve("target", CurveShape::Level(scene.approach.target_m)));
+    let stops = tuned.iter().map(|driven| {
+        let stops = driven.stops.iter().flatten();
+        let stops = stops.map(|stop| (stop.time_s, 1e3 * stop.error_m));
+        curve(name(driven), CurveShape::Dots(stops.collect()))
+    });
+    let stops = axes("error of the stop [mm]", stops.collect());
+    figure(
+        "Approaches with tuned gains, on the brick",
+        "above the first run of each kind, below where and when all of them stopped",
+        vec![axes("true distance [m]", ways), stops],
+    )
+}
+
+/// Readings of a recording and what was foretold of each.
+pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f64)]) -> ReportBlock {
+    let by = |value: &dyn Fn(&RangeForecast) -> Option<f64>| -> Vec<(f64, f64)> {
+        let points = foreseen.iter();
+        points.filter_map(|foreseen| Some((foreseen.at_s, value(foreseen)?))).collect()
+    };
+    let readings = by(&|foreseen| Some(foreseen.range_m));
+    let (low, high) = readings
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, range_m)| (low.min(*range_m), high.max(*range_m)));
+    // A line through two readings of the same instant leads anywhere: the picture would show nothing else.
+    let reach = high - low;
+    let is_seen = move |value: &f64| *value > low - reach && *value < high + reach;
+    let mut curves = vec![
+        curve("readings", CurveShape::Dots(readings)),
+        curve("line through two", CurveShape::Line(by(&|foreseen| foreseen.line_m.filter(is_seen)))),
+        curve("range-kf-corrected", CurveShape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_seen)))),
+    ];
+    if !theirs.is_empty() {
+        curves.push(curve("their own filter", CurveShape::Dots(theirs.to_vec())));
+    }
+    figure(&format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
+}

@@ -1,0 +1,206 @@
+//! What `identify step` tells of its runs.
+
+use posebridge_lab::identification::{
+    DirectionComparison, IdentifiedStep, StepDirection, StepParameters, compare_directions,
+};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_telemetry::UncertainValue;
+use serde_json::{Map, Value, json};
+
+use super::report::{Findings, Quantity};
+use super::step_dataset::{StepDataset, StepRun, StepTruth};
+
+/// Heights of the panels.
+const STEP_PX: f64 = 280.0;
+const REST_PX: f64 = 160.0;
+/// Samples that are drawn: more do not fit beside each other.
+const DRAWN: usize = 600;
+
+/// A run with what it has told.
+pub(super) struct StepResult {
+    pub(super) run: StepRun,
+    pub(super) identified: IdentifiedStep,
+    pub(super) numbers: StepParameters,
+}
+
+/// Everything that was found.
+pub(super) fn findings(material: &StepDataset, found: &[StepResult]) -> Findings {
+    let compared = direction_comparison(found);
+    let mut notes: Vec<String> = found.iter().map(note).collect();
+    notes.extend(compared.map(|ways| direction_note(&ways)));
+    let mut more = Map::new();
+    more.insert("sensor".to_owned(), json!(material.sensor));
+    more.insert("runs".to_owned(), found.iter().map(run_object).collect());
+    let ways = compared.map(
+        |ways| json!({ "up_s": uncertain_value_json(ways.up), "down_s": uncertain_value_json(ways.down), "z": ways.z, "differ": ways.differ() }),
+    );
+    more.insert("ways".to_owned(), json!(ways));
+    Findings {
+        name: "identify-step",
+        title: format!("Step response: {}", material.sensor),
+        quantities: found.iter().flat_map(|one| quantities(material, one)).collect(),
+        notes,
+        plots: found.iter().map(|one| picture(material, one)).collect(),
+        extra_json: more,
+    }
+}
+
+fn direction_of(found: &StepResult) -> StepDirection {
+    StepDirection::from_step(found.identified.response().step)
+}
+
+const fn direction_name(way: StepDirection) -> &'static str {
+    match way {
+        StepDirection::Up => "up",
+        StepDirection::Down => "down",
+    }
+}
+
+fn direction_comparison(found: &[StepResult]) -> Option<DirectionComparison> {
+    let lags = found.iter().map(|one| (direction_of(one), one.numbers.mean_lag_s));
+    compare_directions(&lags.collect::<Vec<_>>())
+}
+
+fn quantities(material: &StepDataset, found: &StepResult) -> Vec<Quantity> {
+    let (numbers, truth) = (&found.numbers, found.run.truth.as_ref());
+    let quantity = |name: &str, unit: &'static str, known: UncertainValue| {
+        Quantity::new(name, unit, known.value, Some(known.sigma)).for_run(&found.run.name)
+    };
+    let mut all = vec![
+        Quantity::new("order", "1", found.identified.order() as f64, None)
+            .for_run(&found.run.name)
+            .with_truth(truth.map(|truth| truth.lags.len() as f64)),
+    ];
+    all.extend(
+        numbers.gain.map(|gain| quantity("gain", material.gain_unit, gain).with_truth(truth.map(|truth| truth.gain))),
+    );
+    all.extend(numbers.delay_s.map(|delay| quantity("dead time", "s", delay).with_truth(truth.map(|one| one.delay_s))));
+    for (j, lag) in numbers.lags.iter().enumerate() {
+        let own = true_lag(truth, numbers.lags.len(), j);
+        let tau = UncertainValue { value: lag.time_constant_s, sigma: lag.time_constant_sigma_s };
+        let tau = quantity(&format!("time constant {}", j + 1), "s", tau);
+        all.push(tau.with_truth(own.map(|(tau_s, _)| tau_s)));
+        if numbers.lags.len() > 1 {
+            let share = UncertainValue { value: lag.share, sigma: lag.share_sigma };
+            let share = quantity(&format!("share {}", j + 1), "1", share);
+            all.push(share.with_truth(own.map(|(_, share)| share)));
+        }
+    }
+    let mean_lag = truth.map(|truth| truth.lags.iter().map(|(tau_s, share)| tau_s * share).sum::<f64>());
+    all.push(quantity("mean lag", "s", numbers.mean_lag_s).with_truth(mean_lag));
+    all.push(quantity("step", material.unit, numbers.step));
+    all.push(quantity("end", material.unit, numbers.end));
+    all
+}
+
+/// The true lag, where as many were found as there are.
+fn true_lag(truth: Option<&StepTruth>, order: usize, j: usize) -> Option<(f64, f64)> {
+    let lags = &truth?.lags;
+    (lags.len() == order).then(|| lags.get(j).copied())?
+}
+
+fn note(found: &StepResult) -> String {
+    let StepResult { run, identified, numbers } = found;
+    let by_order: Vec<String> = identified
+        .candidates
+        .iter()
+        .map(|candidate| {
+            let order = candidate.fit.response.lags.len();
+            let is_told_apart = IdentifiedStep::is_resolved(candidate);
+            let doubt = if is_told_apart { "" } else { ", not told apart" };
+            format!("{order}: {:.1}{doubt}", candidate.criterion)
+        })
+        .collect();
+    format!(
+        "{}: {}, {} samples of noise {:.4}; residual {:.4}, rho(1) {:+.2}; criterion by order, the least is best: {}",
+        run.name,
+        direction_name(direction_of(found)),
+        identified.samples.len(),
+        identified.sigma,
+        numbers.residual_rms,
+        numbers.rho_1,
+        by_order.join("; ")
+    )
+}
+
+fn direction_note(ways: &DirectionComparison) -> String {
+    let verdict =
+        if ways.differ() { "they differ: identify and predict each way by its own" } else { "no difference is shown" };
+    format!(
+        "mean lag up {:.4} ± {:.4} s, down {:.4} ± {:.4} s, {:+.1} sigma apart: {verdict}",
+        ways.up.value, ways.up.sigma, ways.down.value, ways.down.sigma, ways.z
+    )
+}
+
+fn uncertain_value_json(known: UncertainValue) -> Value {
+    json!({ "value": known.value, "sigma": known.sigma })
+}
+
+fn run_object(found: &StepResult) -> Value {
+    let candidates = found.identified.candidates.iter().map(|candidate| {
+        json!({
+            "order": candidate.fit.response.lags.len(),
+            "criterion": candidate.criterion,
+            "residual_rms": candidate.residual_rms,
+            "resolved": IdentifiedStep::is_resolved(candidate),
+        })
+    });
+    json!({
+        "name": found.run.name,
+        "way": direction_name(direction_of(found)),
+        "order": found.identified.order(),
+        "samples": found.identified.samples.len(),
+        "noise": found.identified.sigma,
+        "residual_rms": found.numbers.residual_rms,
+        "rho_1": found.numbers.rho_1,
+        "candidates": candidates.collect::<Vec<_>>(),
+    })
+}
+
+/// Samples and response above, what is left below.
+fn picture(material: &StepDataset, found: &StepResult) -> Plot {
+    let samples = &found.identified.samples;
+    let response = found.identified.response();
+    let every = samples.len().div_ceil(DRAWN).max(1);
+    let by = |of: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+        let drawn = samples.iter().step_by(every);
+        drawn.map(|sample| (sample.at_s, of(sample.at_s, sample.value))).collect()
+    };
+    let unit = if material.unit.is_empty() { String::new() } else { format!(" [{}]", material.unit) };
+    let lags: Vec<String> = found
+        .numbers
+        .lags
+        .iter()
+        .map(|lag| format!("{:.4} ± {:.4} s", lag.time_constant_s, lag.time_constant_sigma_s))
+        .collect();
+    Plot {
+        title: format!("{}: {}", material.sensor, found.run.name),
+        key_figures: format!("time constants {}", lags.join(", ")),
+        axes: vec![
+            panel(
+                format!("{}{unit}", material.sensor),
+                STEP_PX,
+                vec![
+                    curve("samples", CurveShape::Dots(by(&|_, value| value))),
+                    curve("response", CurveShape::Line(by(&|at_s, _| response.value_at(at_s)))),
+                ],
+            ),
+            panel(
+                format!("left{unit}"),
+                REST_PX,
+                vec![
+                    curve("sample - response", CurveShape::Dots(by(&|at_s, value| value - response.value_at(at_s)))),
+                    curve("zero", CurveShape::Level(0.0)),
+                ],
+            ),
+        ],
+    }
+}
+
+fn curve(name: &str, shape: CurveShape) -> Curve {
+    Curve { name: name.to_owned(), shape }
+}
+
+fn panel(y_name: String, height_px: f64, curves: Vec<Curve>) -> Axes {
+    Axes { x_name: "time [s]".to_owned(), y_name, height_px, is_map: false, curves }
+}

@@ -1,0 +1,225 @@
+//! `posebridge identify wall`: what drives a car before a wall, from step tests: d and m, steady speed, rise time, measured dt.
+//!
+//! Without a recording on the simulated car, whose numbers are known. docs/lab/identify.md has the equations, `lab wall` what the numbers
+//! are good for.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_lab::wall::{StepFit, WallLog, fit_by_hand, fit_steps, loop_period, reading_period};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_sim::wall::{WallScene, simulate_step};
+use posebridge_telemetry::UncertainValue;
+use serde_json::Map;
+
+use super::report::{Findings, Quantity, write_findings};
+use crate::config::Setting;
+use crate::exit::{ExitStage, Failure};
+use crate::lab::experiments::wall::recorded::{self, RunSelection};
+use crate::lab::experiments::wall::scene;
+use crate::lab::experiments::wall::steps::{PIECE, log_of};
+use crate::tools::experiment_output::OutputArgs;
+
+/// Flags of `identify wall`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct WallArgs {
+    /// The car and its sensor, as a TOML file; without it those of paper 3 (config/scenarios/lab/wall.toml).
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "recording")]
+    pub scene: Option<PathBuf>,
+    /// Simulated step tests.
+    #[arg(long, value_name = "N", default_value_t = 20, conflicts_with = "recording", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub steps: u32,
+    /// Seed of the simulated car, instead of the scene's.
+    #[arg(long, value_name = "N", conflicts_with = "recording")]
+    pub seed: Option<u64>,
+    /// A recording's descriptor (config/recordings/tof-wall.toml), instead of the simulated car.
+    #[arg(long, value_name = "FILE.toml")]
+    pub recording: Option<PathBuf>,
+    /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Which runs of the descriptor: all whose names begin so; without it all.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
+    pub run: Option<String>,
+    /// Set one key of the robot's table; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
+    pub settings: Vec<Setting>,
+    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub command_column: Option<String>,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Identifies.
+///
+/// # Errors
+/// The scene or the recording cannot be had, no step tells anything, or an output cannot be written.
+pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
+    if let Some(path) = &args.recording {
+        let prepared = recorded::prepare(path, &run_selection(args)).before_start()?;
+        let folder = args.output.folder()?;
+        let findings = findings_of_runs(&prepared.runs).while_running()?;
+        return write_findings(&args.output, &folder, &findings, &path.display().to_string());
+    }
+    let scene = scene(args.scene.as_deref(), args.seed).before_start()?;
+    let folder = args.output.folder()?;
+    let findings = simulated(&scene, args.steps).while_running()?;
+    let source = format!("simulated, {} steps, seed {}", args.steps, scene.seed);
+    write_findings(&args.output, &folder, &findings, &source)
+}
+
+fn run_selection(args: &WallArgs) -> RunSelection<'_> {
+    RunSelection {
+        data: args.data.as_deref(),
+        run: args.run.as_deref(),
+        settings: &args.settings,
+        command_column: args.command_column.as_deref(),
+        kalman_column: None,
+    }
+}
+
+/// What is true of a simulated car.
+struct WallTruth {
+    steady_m_per_s: f64,
+    rise_90_s: f64,
+    model: WallApproachModel,
+    loop_s: f64,
+}
+
+fn simulated(scene: &WallScene, count: u32) -> Result<Findings> {
+    let logs: Vec<WallLog> = (0..count).map(|run| log_of(scene, &simulate_step(scene, run))).collect();
+    let fit = fit_steps(&logs).context("evaluating the steps")?;
+    let (steady_m_per_s, rise_90_s) = (scene.car.steady_m_per_s, scene.car.rise_90_s);
+    let truth = WallTruth {
+        model: WallApproachModel::from_step_test(steady_m_per_s, rise_90_s),
+        steady_m_per_s,
+        rise_90_s,
+        loop_s: scene.control.period_s,
+    };
+    let mut notes = vec![noise_note("all steps", &fit)];
+    notes.extend(logs.first().and_then(hand_note));
+    let drawn = logs.first().map(|log| picture("the first step", log, &fit));
+    Ok(build_findings(quantities(&fit, &logs, Some(&truth), None), notes, drawn.into_iter().collect()))
+}
+
+fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
+    let (mut all, mut notes, mut pictures) = (Vec::new(), Vec::new(), Vec::new());
+    for run in runs {
+        let logs = std::slice::from_ref(&run.log);
+        match fit_steps(logs) {
+            Ok(fit) => {
+                all.extend(quantities(&fit, logs, None, Some(&run.name)));
+                notes.push(noise_note(&run.name, &fit));
+                notes.push(reach_note(run, &fit));
+                notes.extend(hand_note(&run.log).map(|note| format!("{}: {note}", run.name)));
+                pictures.push(picture(&run.name, &run.log, &fit));
+            }
+            Err(error) => notes.push(format!("{}: {error}", run.name)),
+        }
+    }
+    if all.is_empty() {
+        bail!("no run tells anything: {}", notes.join("; "));
+    }
+    Ok(build_findings(all, notes, pictures))
+}
+
+fn build_findings(quantities: Vec<Quantity>, notes: Vec<String>, plots: Vec<Plot>) -> Findings {
+    Findings {
+        name: "identify-wall",
+        title: "The drive of a car before a wall".to_owned(),
+        quantities,
+        notes,
+        plots,
+        extra_json: Map::new(),
+    }
+}
+
+fn quantities(fit: &StepFit, logs: &[WallLog], truth: Option<&WallTruth>, of: Option<&str>) -> Vec<Quantity> {
+    let known = |(value, sigma): (f64, f64)| UncertainValue { value, sigma };
+    let rows = [
+        ("v_ss", "m/s", Some(known(fit.steady_m_per_s)), truth.map(|truth| truth.steady_m_per_s)),
+        ("t90", "s", Some(known(fit.rise_90_s)), truth.map(|truth| truth.rise_90_s)),
+        ("d", "s/m", Some(known(fit.drag_s_per_m)), truth.map(|truth| truth.model.drag_s_per_m)),
+        ("m", "s²/m", Some(known(fit.mass_s2_per_m)), truth.map(|truth| truth.model.mass_s2_per_m)),
+        ("dt of the loop", "s", loop_period(logs), truth.map(|truth| truth.loop_s)),
+        ("dt of the readings", "s", reading_period(logs), None),
+    ];
+    let rows = rows.into_iter().map(|(name, unit, known, truth)| {
+        let found = known.map(|known| (known.value, Some(known.sigma)));
+        let quantity = Quantity::optional(name, unit, found).with_truth(truth);
+        match of {
+            Some(run) => quantity.for_run(run),
+            None => quantity,
+        }
+    });
+    rows.collect()
+}
+
+fn noise_note(of: &str, fit: &StepFit) -> String {
+    format!("{of}: {} readings, noise of a reading by the fit {:.1} mm", fit.readings, 1e3 * fit.range_sigma_m)
+}
+
+fn reach_note(run: &recorded::RunLog, fit: &StepFit) -> String {
+    let last_s = run.log.readings().last().map(|(at_s, _)| at_s);
+    let driven = run.log.drives_from_s().zip(last_s);
+    let driven_s = driven.map_or(0.0, |(from_s, last_s)| last_s - from_s);
+    let share = 100.0 * fit.share_reached(driven_s);
+    let input = if run.knows_input {
+        "the files say what the motors were told"
+    } else {
+        "no motor input in the files: taken for full drive from the first reading on, of which the sigmas do not know"
+    };
+    format!("{}: driven for {driven_s:.2} s, by then at {share:.0} % of v_ss; {input}", run.name)
+}
+
+fn hand_note(log: &WallLog) -> Option<String> {
+    let hand = fit_by_hand(log, PIECE).ok()?;
+    Some(format!(
+        "one step by hand, lines through {PIECE} readings: v_ss {:.3} m/s, t90 {:.3} s, d {:.4}, m {:.4}",
+        hand.steady_m_per_s, hand.rise_90_s, hand.model.drag_s_per_m, hand.model.mass_s2_per_m
+    ))
+}
+
+/// Readings and the fitted drive above, what is left below.
+fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
+    let explained = fit.fitted_curve(log);
+    let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+        let rows = explained.iter();
+        rows.map(|(at_s, range_m, fitted_m)| (*at_s, value(*range_m, *fitted_m))).collect()
+    };
+    let axes = |y_name: &str, height_px: f64, curves: [(&str, CurveShape); 2]| Axes {
+        x_name: "time [s]".to_owned(),
+        y_name: y_name.to_owned(),
+        height_px,
+        is_map: false,
+        curves: curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape }).collect(),
+    };
+    Plot {
+        title: format!("Step test: {of}"),
+        key_figures: format!(
+            "v_ss {:.3} ± {:.3} m/s, t90 {:.3} ± {:.3} s",
+            fit.steady_m_per_s.0, fit.steady_m_per_s.1, fit.rise_90_s.0, fit.rise_90_s.1
+        ),
+        axes: vec![
+            axes(
+                "distance [m]",
+                280.0,
+                [
+                    ("readings", CurveShape::Dots(points(&|range_m, _| range_m))),
+                    ("fitted drive", CurveShape::Line(points(&|_, fitted_m| fitted_m))),
+                ],
+            ),
+            axes(
+                "left [mm]",
+                160.0,
+                [
+                    ("reading - fit", CurveShape::Dots(points(&|range_m, fitted_m| 1e3 * (range_m - fitted_m)))),
+                    ("zero", CurveShape::Level(0.0)),
+                ],
+            ),
+        ],
+    }
+}

@@ -1,0 +1,249 @@
+//! The dashboard's place in the station: what it is told, what it may ask for, and where it is printed.
+//!
+//! The shard tells it through [`DashboardHandle`], which never waits; commands come back through the same. The server itself, with a thread and a
+//! runtime of its own, is in `crates/dashboard`.
+
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use posebridge_dashboard::model::{ParameterRow, SimulatorFacts, SimulatorNow};
+use posebridge_dashboard::{
+    BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTaps, ListenAddress,
+    SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
+};
+use posebridge_estimator::{PARAMS, Params};
+use posebridge_link::HostTimer;
+use posebridge_sim::impairment::PROFILES;
+use posebridge_sim::{Scenario, Simulation, Steering};
+use posebridge_telemetry::{Command, Event, HostClock, TimeDelta, Timestamp};
+use tokio::sync::mpsc;
+
+use super::page_history;
+use super::requests::SimulatorOverrides;
+use super::simulator::TimedTruthSample;
+use super::simulator::truth_tap::TruthTap;
+use crate::config::Config;
+use crate::console::print_line;
+use crate::flags::DashboardFlags;
+
+/// The shard's ends of the channels to and from the dashboard.
+pub struct DashboardHandle {
+    feed: EventFeed,
+    commands: mpsc::Receiver<Command>,
+    timer: HostTimer,
+    /// How the simulated brick was set when the run began, if there is one.
+    simulator: Option<SimulatorNow>,
+}
+
+/// The simulated brick of a run, as the page shows it.
+pub struct SimulatedBrickInfo<'a> {
+    /// The scenario's name.
+    pub name: &'a str,
+    /// What it drives.
+    pub scenario: &'a Scenario,
+    /// Where it is.
+    pub truth: TruthTap,
+}
+
+/// An address that was taken for the dashboard, as it was asked for.
+pub struct ReservedListener {
+    bound: BoundListener,
+    listen: ListenAddress,
+}
+
+/// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
+///
+/// # Errors
+/// It cannot listen where it was told to, or its files are not there. That all ports behind the default are taken is no error: a robot
+/// may wait.
+pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<ReservedListener>> {
+    let Some(listen) = listen_config(flags, config)? else {
+        return Ok(None);
+    };
+    if let Some(folder) = &flags.ui_dir {
+        let page = folder.join("index.html");
+        ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
+    }
+    match BoundListener::new(listen) {
+        Ok(bound) => Ok(Some(ReservedListener { bound, listen })),
+        Err(error @ DashboardStartError::AllPortsInUse { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error).context("starting the dashboard"),
+    }
+}
+
+/// Starts the dashboard, if an address was taken for it or somebody in this process wants to hear the same, and says where it is.
+///
+/// # Errors
+/// The system has no random bytes or no thread for it.
+pub fn start(
+    reserved: Option<ReservedListener>,
+    (flags, config): (&DashboardFlags, &Config),
+    (timer, folder): (HostTimer, &Path),
+    (simulated, taps): (Option<SimulatedBrickInfo<'_>>, FrameTaps),
+) -> Result<Option<(Dashboard, DashboardHandle)>> {
+    if reserved.is_none() && taps.is_empty() {
+        return Ok(None);
+    }
+    let (bound, listen) = reserved.map(|reserved| (reserved.bound, reserved.listen)).unzip();
+    let facts = facts_of(config, simulated.as_ref())?;
+    let simulator = facts.simulator.as_ref().map(|simulator| SimulatorNow {
+        steering: simulator.steering.clone(),
+        link_profile: simulator.link_profile.clone(),
+    });
+    let truth = simulated.map(|simulated| truth_of(simulated.truth));
+    let sources = DashboardInputs {
+        clock: Box::new(move || timer.now()),
+        truth,
+        recordings: folder.to_owned(),
+        replay: Box::new(|path| page_history::build_history(path).map_err(|error| format!("{error:#}"))),
+        ui_dir: flags.ui_dir.clone(),
+        taps,
+    };
+    let started = Dashboard::start(bound, facts, sources);
+    let (dashboard, feed, commands) = started.context("starting the dashboard")?;
+    print_address(&dashboard, listen);
+    if let (true, Some(url)) = (flags.open, dashboard.url()) {
+        open_in_browser(url)?;
+    }
+    let outlet = DashboardHandle { feed, commands, timer, simulator };
+    Ok(Some((dashboard, outlet)))
+}
+
+fn listen_config(flags: &DashboardFlags, config: &Config) -> Result<Option<ListenAddress>> {
+    if let Some(address) = flags.dashboard {
+        return Ok(Some(ListenAddress::Exact(address)));
+    }
+    let configured = config.dashboard.checked()?;
+    let is_wanted = config.dashboard.enabled && !flags.no_dashboard;
+    Ok(is_wanted.then_some(configured))
+}
+
+fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {
+    let Some(address) = dashboard.address() else {
+        return;
+    };
+    if let Some(ListenAddress::FirstFree(first)) = listen
+        && first != address
+    {
+        print_line(&format!("{first} is in use, perhaps by another station: the dashboard takes the next free port"));
+    }
+    for url in dashboard.urls() {
+        print_line(&format!("dashboard: {url}"));
+    }
+    if !address.ip().is_loopback() {
+        print_line("the address holds a token that lets anybody command this station, and it travels unencrypted");
+    }
+}
+
+/// Opens an address with what the desktop opens addresses with.
+fn open_in_browser(url: String) -> Result<()> {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let work = move || {
+        let opened = std::process::Command::new(opener)
+            .arg(&url)
+            .stdin(std::process::Stdio::null())
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .status();
+        if !opened.is_ok_and(|status| status.success()) {
+            print_line(&format!("`{opener}` opened no browser: open the address yourself"));
+        }
+    };
+    std::thread::Builder::new().name("open".to_owned()).spawn(work).map(drop).context("starting a browser")
+}
+
+/// Gives what was shown since it was asked last, one by one.
+fn truth_of(mut tap: TruthTap) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Send> {
+    let mut waiting = VecDeque::new();
+    Box::new(move || {
+        if waiting.is_empty() {
+            waiting.extend(tap.drain());
+        }
+        waiting.pop_front().map(|live: TimedTruthSample| SimulatedTruth {
+            now: live.at,
+            time: live.sample.brick_time,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        })
+    })
+}
+
+fn facts_of(config: &Config, simulated: Option<&SimulatedBrickInfo<'_>>) -> Result<StationInfo> {
+    let params = config.filter_config()?.params;
+    Ok(StationInfo {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        links: config.links.iter().map(|link| link.url.clone()).collect(),
+        parameters: parameter_rows(&params),
+        simulator: simulated.map(simulator_facts),
+        token: if config.dashboard.always_token { TokenPolicy::Always } else { TokenPolicy::RemoteOnly },
+    })
+}
+
+/// What the page tells of a simulated brick.
+#[must_use]
+pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
+    // One lap: the others are driven on the same path.
+    let world = Simulation::new(simulated.scenario.clone().with_laps(1));
+    SimulatorFacts {
+        scenario: simulated.name.to_owned(),
+        path: world.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
+        link_profiles: PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        steering: match simulated.scenario.steering {
+            Steering::Odometry => "odometry".to_owned(),
+            Steering::Estimate => "estimate".to_owned(),
+        },
+        // Where nobody has asked for another one, the brick is at a cable.
+        link_profile: None,
+    }
+}
+
+fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
+    let rows = PARAMS.iter().map(|row| ParameterRow {
+        name: row.key.to_owned(),
+        value: (row.read)(params),
+        default: row.default,
+        least: *row.range.start(),
+        most: *row.range.end(),
+        unit: row.unit.to_owned(),
+        help: row.doc.to_owned(),
+        mavlink_name: row.key.to_ascii_uppercase(),
+    });
+    rows.collect()
+}
+
+impl DashboardHandle {
+    /// Tells what an input has led to; drops it if the dashboard is behind.
+    pub fn print_address(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+        self.feed.publish(EventBatch {
+            now,
+            latency: self.timer.now() - now,
+            events: Arc::clone(events),
+            status: None,
+        });
+    }
+
+    /// Tells what stands, and how the simulated brick was set since the run began.
+    pub fn publish_status(&self, now: Timestamp<HostClock>, standing: StationStatus, orders: SimulatorOverrides) {
+        let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
+            steering: orders.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
+            link_profile: orders.link_profile.map(|name| name.as_str().to_owned()),
+        });
+        let standing = StationStatus { simulator, ..standing };
+        self.feed.publish(EventBatch { now, latency: TimeDelta::ZERO, events: Arc::default(), status: Some(standing) });
+    }
+}
+
+/// The next command that somebody gives on the page; without a dashboard, or when it is gone, never.
+pub async fn next_command(outlet: &mut Option<DashboardHandle>) -> Command {
+    if let Some(outlet) = outlet
+        && let Some(command) = outlet.commands.recv().await
+    {
+        return command;
+    }
+    std::future::pending().await
+}

@@ -1,0 +1,73 @@
+//! How far off odometry and estimate are at this moment, where a simulated brick tells the truth.
+
+use std::collections::VecDeque;
+
+use posebridge_report::{PoseTrack, TimedPose};
+use posebridge_sim::TruthSample;
+use posebridge_telemetry::{Estimate, TimeDelta};
+
+use super::event_collector::MAX_INTERPOLATION_GAP;
+use super::simulator::truth_tap::TruthTap;
+
+/// So much truth is kept: an estimate is younger, or it is none that anybody steers by.
+const TRUTH_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
+
+/// Holds estimates against the truth as it comes.
+pub struct ErrorToTruth {
+    tap: TruthTap,
+    truth: VecDeque<TruthSample>,
+    /// Of the same time; some of them are ahead of the truth, which is told at its own instants.
+    estimates: VecDeque<TimedPose>,
+}
+
+/// So many estimates are kept at most: 2 s of a brick that is as fast as any.
+const MAX_ESTIMATES: usize = 1_024;
+
+impl ErrorToTruth {
+    /// Of a brick that is watched.
+    #[must_use]
+    pub const fn new(tap: TruthTap) -> Self {
+        Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
+    }
+
+    /// A line for people; `None` before anything is known.
+    pub fn line(&mut self) -> Option<String> {
+        self.drain_truth();
+        let newest = self.truth.back()?;
+        let odometry_m = newest.odometry.origin().distance(newest.pose.origin()).0;
+        let estimate = self
+            .estimate_m()
+            .map_or_else(|| "estimate not known".to_owned(), |off_m| format!("estimate {off_m:.3} m off"));
+        Some(format!("odometry {odometry_m:.2} m off, {estimate}"))
+    }
+
+    /// Takes note of an estimate.
+    pub fn push_estimate(&mut self, estimate: &Estimate) {
+        if estimate.validity.position {
+            if self.estimates.len() >= MAX_ESTIMATES {
+                self.estimates.pop_front();
+            }
+            self.estimates.push_back(TimedPose { time: estimate.stamp, pose: estimate.pose });
+        }
+    }
+
+    /// How far the last estimate whose instant the truth has reached was off then, in metres.
+    fn estimate_m(&self) -> Option<f64> {
+        let samples = self.truth.iter().map(|sample| TimedPose { time: sample.brick_time, pose: sample.pose });
+        let really = PoseTrack::new(samples, MAX_INTERPOLATION_GAP);
+        self.estimates.iter().rev().find_map(|estimate| {
+            let pose = really.at(estimate.time)?;
+            Some(pose.origin().distance(estimate.pose.origin()).0)
+        })
+    }
+
+    fn drain_truth(&mut self) {
+        self.truth.extend(self.tap.drain().into_iter().map(|live| live.sample));
+        let newest = self.truth.back().map(|sample| sample.sim_time);
+        while let (Some(newest), Some(oldest)) = (newest, self.truth.front())
+            && newest - oldest.sim_time > TRUTH_WINDOW
+        {
+            self.truth.pop_front();
+        }
+    }
+}

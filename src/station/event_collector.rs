@@ -1,0 +1,229 @@
+//! What a run leaves behind for tables and pictures, gathered from its events.
+
+use std::collections::BTreeMap;
+
+use posebridge_report::{FixMark, PoseTrack, SourceTally, TimedPose};
+use posebridge_sim::HISTORY_DURATION;
+use posebridge_telemetry::{
+    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, ObservationKind, Point2, TimeDelta,
+    Timestamp,
+};
+
+use super::link_report::LinkReport;
+
+/// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
+const MAX_ESTIMATES: usize = 50_000;
+/// The same for a live run, whose memory must not grow after its first minute: still more than a picture has columns.
+const MAX_ESTIMATES_LIVE: usize = 2_048;
+/// Of a live run without an end at least so much is kept, and the oldest goes: as much as its simulated brick remembers.
+const HISTORY_LIVE: TimeDelta = HISTORY_DURATION;
+/// A track is not interpolated across a longer silence.
+pub const MAX_INTERPOLATION_GAP: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// Gathers.
+#[derive(Debug, Default)]
+pub struct EventCollector {
+    /// Estimates whose position and heading were valid.
+    pub estimates: Downsampled<Estimate>,
+    /// Fixes with what became of them.
+    pub fixes: Downsampled<FixMark>,
+    /// How the observations of each sensor fared.
+    pub sources: Vec<SourceTally>,
+    /// How many observations came.
+    pub observations: u64,
+    /// The last word on each link's health.
+    pub links: BTreeMap<LinkId, LinkReport>,
+    /// How often the brick restarted.
+    pub restarts: u64,
+    /// Every observation as the estimator was given it, for the offline smoother; nothing unless
+    /// [`Self::with_observations`].
+    pub retained_observations: Vec<Observation>,
+    retention: ObservationRetention,
+    last_fix: Option<Point2<Arena>>,
+}
+
+/// Whether observations are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum ObservationRetention {
+    /// A run of days must not fill the memory.
+    #[default]
+    Nothing,
+    /// All of them.
+    Observations,
+}
+
+impl EventCollector {
+    /// One for a live run without a known end: it takes all of its memory at once.
+    #[must_use]
+    pub fn live() -> Self {
+        Self {
+            estimates: Downsampled::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
+            fixes: Downsampled::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |fix| fix.time),
+            ..Self::default()
+        }
+    }
+
+    /// One that keeps every observation: for recordings, whose length is known.
+    #[must_use]
+    pub fn with_observations() -> Self {
+        Self { retention: ObservationRetention::Observations, ..Self::default() }
+    }
+
+    /// Takes an event.
+    pub fn on_event(&mut self, event: &Event) {
+        match event {
+            Event::ObservationAligned { observation, .. } => {
+                self.observations += 1;
+                if self.retention == ObservationRetention::Observations {
+                    self.retained_observations.push(*observation);
+                }
+                self.last_fix =
+                    if let ObservationKind::Fix(fix) = observation.measurement { Some(fix.position) } else { None };
+            }
+            Event::ObservationFused { record, .. } => self.on_fusion(record),
+            Event::EstimateUpdated { estimate, .. } => {
+                if estimate.validity.position && estimate.validity.heading {
+                    self.estimates.push(*estimate);
+                }
+            }
+            Event::Health { link, health, sources } => {
+                let report = LinkReport { health: *health, sources: sources.clone() };
+                self.links.insert(*link, report);
+            }
+            Event::BrickRestarted { .. } => self.restarts += 1,
+            Event::RobotDetected { .. }
+            | Event::RobotLost { .. }
+            | Event::Temperature { .. }
+            | Event::BrickClockAligned { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::ReceiveError { .. }
+            | Event::Text { .. } => {}
+        }
+    }
+
+    fn on_fusion(&mut self, record: &FusionRecord) {
+        posebridge_report::metrics::add_to_tallies(&mut self.sources, record);
+        if let Some(position) = self.last_fix {
+            self.fixes.push(FixMark { time: record.stamp, position, verdict: record.outcome });
+        }
+    }
+
+    /// The estimates as a track.
+    #[must_use]
+    pub fn track(&self) -> PoseTrack {
+        let samples =
+            self.estimates.items().iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
+        PoseTrack::new(samples, MAX_INTERPOLATION_GAP)
+    }
+}
+
+/// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number. One for the recent
+/// past stops to thin once it reaches back far enough, and forgets the oldest instead.
+#[derive(Debug)]
+pub struct Downsampled<T> {
+    items: Vec<T>,
+    capacity: usize,
+    stride: usize,
+    pushed: usize,
+    recent: Option<RecentWindow<T>>,
+}
+
+/// How far back a list of the recent past has to reach, and how old its items are.
+#[derive(Debug)]
+struct RecentWindow<T> {
+    duration: TimeDelta,
+    time_of: fn(&T) -> Timestamp<BrickClock>,
+}
+
+impl<T> Default for Downsampled<T> {
+    fn default() -> Self {
+        Self::with_capacity(MAX_ESTIMATES)
+    }
+}
+
+impl<T> Downsampled<T> {
+    /// An empty list that never holds more than `most` items.
+    #[must_use]
+    pub fn with_capacity(capacity: usize) -> Self {
+        Self { items: Vec::new(), capacity, stride: 1, pushed: 0, recent: None }
+    }
+
+    /// An empty list with room for `most` items that reaches back at least so far.
+    fn with_window(most: usize, reach: TimeDelta, stamp_of: fn(&T) -> Timestamp<BrickClock>) -> Self {
+        Self {
+            items: Vec::with_capacity(most),
+            recent: Some(RecentWindow { duration: reach, time_of: stamp_of }),
+            ..Self::with_capacity(most)
+        }
+    }
+
+    /// Takes the next item.
+    pub fn push(&mut self, item: T) {
+        if self.pushed.is_multiple_of(self.stride) {
+            self.items.push(item);
+        }
+        self.pushed += 1;
+        if self.items.len() < self.capacity {
+            return;
+        }
+        if self.covers_window() {
+            self.items.drain(..self.capacity / 4);
+        } else {
+            let mut index = 0;
+            self.items.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+
+    /// Whether three quarters of the list would still reach back far enough.
+    fn covers_window(&self) -> bool {
+        let Some(recent) = &self.recent else {
+            return false;
+        };
+        let later = self.items.get(self.capacity / 4).zip(self.items.last());
+        later.is_some_and(|(oldest, newest)| (recent.time_of)(newest) - (recent.time_of)(oldest) >= recent.duration)
+    }
+
+    /// The items that were kept, oldest first.
+    #[must_use]
+    pub fn items(&self) -> &[T] {
+        &self.items
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thinned_list_stays_small_and_even() {
+        let mut list = Downsampled::default();
+        for item in 0..4 * MAX_ESTIMATES {
+            list.push(item);
+        }
+        assert!(list.items().len() < MAX_ESTIMATES);
+        let steps: Vec<usize> = list.items().windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
+    }
+
+    #[test]
+    fn a_list_of_the_recent_past_reaches_back_far_enough_and_takes_no_more_memory() {
+        let reach = TimeDelta::from_millis(1_000);
+        let mut list = Downsampled::with_window(100, reach, |item: &i64| Timestamp::from_millis(*item));
+        let capacity = list.items.capacity();
+        for item in 0..100_000 {
+            list.push(item);
+            let (oldest, newest) = (list.items()[0], *list.items().last().unwrap());
+            assert!(newest - oldest >= item.min(1_000) - 32, "{oldest} {newest}");
+            assert!(newest - oldest <= 3_200, "{oldest} {newest}");
+        }
+        assert!((50..100).contains(&list.items().len()));
+        assert_eq!(list.items.capacity(), capacity);
+        let steps: Vec<i64> = list.items().windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| *step == steps[0]), "evenly spaced");
+    }
+}

@@ -1,0 +1,122 @@
+//! What a filter has learned about a robot in one run: printed, and saved as a robot profile.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use posebridge_station::Station;
+use posebridge_telemetry::{Calibration, DriveGeometry};
+
+use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Provenance, RobotFile};
+
+/// A robot, what was known of it before a run, and what is known after.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LearnedCalibration {
+    /// The run's name.
+    pub run: String,
+    /// The robot, its geometry the one that the filter worked with.
+    pub robot: RobotFile,
+    /// What was known before.
+    pub prior: Calibration,
+    /// What is known after.
+    pub calibration: Calibration,
+}
+
+impl LearnedCalibration {
+    /// What a pipeline's filter has learned; `None` if it learns nothing, or nothing was observed.
+    #[must_use]
+    pub fn from_pipeline(pipeline: &Station, run: &str, robot: &RobotFile, prior: &Calibration) -> Option<Self> {
+        pipeline.latest_time()?;
+        Some(Self {
+            run: run.to_owned(),
+            robot: with_geometry(robot, pipeline.geometry()),
+            prior: *prior,
+            calibration: pipeline.calibration()?,
+        })
+    }
+}
+
+/// A robot may have described another geometry than its file: what was learned belongs to that one.
+fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
+    if robot.geometry().is_ok_and(|own| own == used) {
+        return robot.clone();
+    }
+    RobotFile {
+        left_wheel_radius_m: used.left_wheel_radius.0,
+        right_wheel_radius_m: used.right_wheel_radius.0,
+        track_width_m: used.track_width.0,
+        ticks_per_turn: std::f64::consts::TAU / used.tick.0,
+        ..robot.clone()
+    }
+}
+
+/// One line for each number that a run was allowed to learn; nothing if there is none.
+#[must_use]
+pub fn learned_table(runs: &[LearnedCalibration]) -> String {
+    let mut text = String::new();
+    for learned in runs {
+        for entry in CALIBRATION_KEYS {
+            let (before, after) = ((entry.read)(&learned.prior), (entry.read)(&learned.calibration));
+            if before.sigma <= 0.0 {
+                continue;
+            }
+            // Writing to a String cannot fail.
+            let _ = writeln!(
+                text,
+                "learned  {:<20} {:+.5} ± {:.5}   before {:+.5} ± {:.5}   {}",
+                entry.key, after.value, after.sigma, before.value, before.sigma, learned.run
+            );
+        }
+    }
+    text
+}
+
+/// Writes the robot with what was learned as a profile.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn save(path: &Path, learned: &LearnedCalibration, provenance: &Provenance) -> Result<()> {
+    let calibrated =
+        CalibratedRobot { robot: learned.robot.clone(), learned: learned.calibration, provenance: provenance.clone() };
+    std::fs::write(path, calibrated.to_toml()?)
+        .with_context(|| format!("writing the calibration to `{}`", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{Meters, UncertainValue};
+
+    use super::*;
+
+    fn learned() -> LearnedCalibration {
+        let known = |value, sigma| UncertainValue { value, sigma };
+        LearnedCalibration {
+            run: "robot4".to_owned(),
+            robot: RobotFile::default(),
+            prior: Calibration { track_scale: known(0.0, 0.1), ..Calibration::default() },
+            calibration: Calibration {
+                track_scale: known(0.1161, 0.0042),
+                radius_scale: known(0.0, 0.0),
+                ..Calibration::default()
+            },
+        }
+    }
+
+    #[test]
+    fn only_what_could_be_learned_is_printed_with_what_was_known_before() {
+        assert_eq!(
+            learned_table(&[learned()]),
+            "learned  track_scale          +0.11610 ± 0.00420   before +0.00000 ± 0.10000   robot4\n"
+        );
+    }
+
+    #[test]
+    fn a_calibration_goes_with_the_geometry_that_the_robot_has_described() {
+        let file = RobotFile::default();
+        let own = file.geometry().unwrap();
+        assert_eq!(with_geometry(&file, own), file);
+        let described = DriveGeometry { track_width: Meters(0.2), ..own };
+        let used = with_geometry(&file, described);
+        assert_eq!((used.track_width_m, used.name), (0.2, file.name));
+    }
+}

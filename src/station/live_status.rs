@@ -1,0 +1,323 @@
+//! The live status block: time, link, clocks, pose, last fix, thermometers.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use posebridge_telemetry::{
+    Celsius, ChannelName, Estimate, Event, FusionOutcome, HostClock, LinkId, LinkState, RepeatFilter, RobotId,
+    ScalarEstimate, TimeDelta, Timestamp,
+};
+use tokio::sync::watch;
+
+use super::error_to_truth::ErrorToTruth;
+use super::link_report::{LinkReport, condition};
+use crate::console::print_line;
+
+/// Without a terminal a plain line is written this often instead.
+const PLAIN_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
+/// With a simulated brick a short line is written this often instead: who is how far off.
+const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+/// The bar's resolution.
+const BAR_STEPS: u64 = 1_000;
+
+/// The block.
+pub struct LiveView {
+    bar: ProgressBar,
+    progress: Option<watch::Receiver<f64>>,
+    error_to_truth: Option<ErrorToTruth>,
+    now: Timestamp<HostClock>,
+    last_written: Timestamp<HostClock>,
+    links: BTreeMap<LinkId, LinkView>,
+    clock: Option<(TimeDelta, f64, TimeDelta)>,
+    estimate: Option<Estimate>,
+    last_fix: Option<(FusionOutcome, TimeDelta)>,
+    /// What each thermometer shows, and what it will show in the end.
+    thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
+    verbosity: Verbosity,
+    repeats: RepeatFilter,
+}
+
+/// Whether the block says anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verbosity {
+    Printing,
+    Silent,
+}
+
+/// What the block shows of one link.
+#[derive(Clone, Debug)]
+struct LinkView {
+    state: LinkState,
+    report: LinkReport,
+    /// Received per second, between two health events.
+    bytes_per_s: f64,
+    frames_per_s: f64,
+}
+
+impl Default for LinkView {
+    fn default() -> Self {
+        Self { state: LinkState::Down, report: LinkReport::default(), bytes_per_s: 0.0, frames_per_s: 0.0 }
+    }
+}
+
+impl LinkView {
+    fn update(&mut self, report: LinkReport) {
+        let (health, before) = (&report.health, &self.report.health);
+        self.bytes_per_s = health.bytes_in.saturating_sub(before.bytes_in) as f64;
+        self.frames_per_s = health.frames_in.saturating_sub(before.frames_in) as f64;
+        self.report = report;
+    }
+}
+
+impl LiveView {
+    /// A block for a run whose progress is known, or not.
+    #[must_use]
+    pub fn new(progress: Option<watch::Receiver<f64>>) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
+        let template = match progress {
+            Some(_) => "{msg}\n  {wide_bar} {percent:>3} %",
+            None => "{msg}",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style);
+        }
+        Self {
+            bar,
+            progress,
+            error_to_truth: None,
+            now: Timestamp::ZERO,
+            last_written: Timestamp::ZERO,
+            links: BTreeMap::new(),
+            clock: None,
+            estimate: None,
+            last_fix: None,
+            thermometers: BTreeMap::new(),
+            verbosity: Verbosity::Printing,
+            repeats: RepeatFilter::default(),
+        }
+    }
+
+    /// The same for a robot whose true place is known.
+    #[must_use]
+    pub fn with_truth(mut self, off: Option<ErrorToTruth>) -> Self {
+        self.error_to_truth = off;
+        self
+    }
+
+    /// A block that says nothing, for measurements.
+    #[must_use]
+    pub fn silent() -> Self {
+        Self { verbosity: Verbosity::Silent, ..Self::new(None) }
+    }
+
+    /// Takes an event.
+    pub fn on_event(&mut self, now: Timestamp<HostClock>, event: &Event) {
+        self.now = now;
+        match event {
+            Event::Link { link, state } => self.links.entry(*link).or_default().state = *state,
+            Event::Health { link, health, sources } => {
+                self.links.entry(*link).or_default().update(LinkReport { health: *health, sources: sources.clone() });
+            }
+            Event::BrickClockAligned { offset, skew_ppm, uncertainty, .. } => {
+                self.clock = Some((*offset, *skew_ppm, *uncertainty));
+            }
+            Event::ObservationFused { record, .. } if record.kind == "fix" => {
+                self.last_fix = Some((record.outcome, record.lag));
+            }
+            Event::EstimateUpdated { estimate, .. } => {
+                self.estimate = Some(*estimate);
+                if let Some(off) = &mut self.error_to_truth {
+                    off.push_estimate(estimate);
+                }
+            }
+            Event::Temperature { brick, channel, shown, settled, .. } => {
+                self.thermometers.insert((*brick, *channel), (*shown, *settled));
+            }
+            Event::RobotDetected { robot } => self.print_line(&format!("heard {robot}")),
+            Event::RobotLost { robot, silence } => {
+                self.print_line(&format!("lost {robot}, silent for {:.1} s", silence.as_secs_f64()));
+            }
+            Event::BrickRestarted { robot } => {
+                self.print_line(&format!("{robot} was restarted: clock and counters re-based"));
+            }
+            Event::Text { source, text, .. } => self.print_line(&format!("{source} says: {text}")),
+            Event::ObservationFused { .. }
+            | Event::ObservationAligned { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::ReceiveError { .. } => {}
+        }
+    }
+
+    /// Draws the block, or without a terminal a line now and then.
+    pub fn draw(&mut self) {
+        if let Some(repeated) = self.repeats.flush_due(self.now) {
+            self.print(&repeated);
+        }
+        if self.verbosity == Verbosity::Silent {
+            return;
+        }
+        if self.bar.is_hidden() {
+            self.write_plainly();
+            return;
+        }
+        if let Some(progress) = &self.progress {
+            let share = (*progress.borrow()).clamp(0.0, 1.0);
+            self.bar.set_position((share * BAR_STEPS as f64) as u64);
+        }
+        let off = self.error_line();
+        let off = off.map_or_else(String::new, |line| format!("\n  {line}"));
+        self.bar.set_message(self.block() + &off);
+    }
+
+    /// A line now and then, for who reads no block.
+    fn write_plainly(&mut self) {
+        let period = match self.error_to_truth {
+            Some(_) => ERROR_PERIOD,
+            None => PLAIN_PERIOD,
+        };
+        if self.now - self.last_written < period {
+            return;
+        }
+        self.last_written = self.now;
+        match self.error_line() {
+            Some(line) => print_line(&line),
+            None => print_line(&self.block().replace('\n', " |")),
+        }
+    }
+
+    fn error_line(&mut self) -> Option<String> {
+        self.error_to_truth.as_mut()?.line()
+    }
+
+    /// Takes the block away.
+    pub fn finish(&self) {
+        if let Some(repeated) = self.repeats.suppressed_summary() {
+            self.print(&repeated);
+        }
+        self.bar.finish_and_clear();
+    }
+
+    /// Says a line, and of one that comes again and again how often.
+    fn print_line(&mut self, line: &str) {
+        let shown = self.repeats.push(self.now, line);
+        if let Some(repeated) = shown.repeat_summary {
+            self.print(&repeated);
+        }
+        if shown.is_shown {
+            self.print(line);
+        }
+    }
+
+    fn print(&self, line: &str) {
+        if self.verbosity == Verbosity::Silent {
+            return;
+        }
+        if self.bar.is_hidden() {
+            print_line(line);
+        } else {
+            self.bar.println(line);
+        }
+    }
+
+    fn block(&self) -> String {
+        let mut block = String::new();
+        // Writing to a String cannot fail.
+        let _ = write!(block, "  time {:7.1} s", self.now.as_secs_f64());
+        for (id, link) in &self.links {
+            let state = match link.state {
+                LinkState::Up => "up",
+                LinkState::Down => "DOWN",
+            };
+            let _ = write!(
+                block,
+                "\n  link {id} {state}  {:.0} B/s  {:.0} frames/s  {}",
+                link.bytes_per_s,
+                link.frames_per_s,
+                condition(&link.report),
+            );
+        }
+        match self.clock {
+            Some((offset, skew_ppm, uncertainty)) => {
+                let _ = write!(
+                    block,
+                    "\n  clock {:+.4} s {skew_ppm:+.0} ppm ± {:.2} ms",
+                    offset.as_secs_f64(),
+                    uncertainty.as_millis_f64(),
+                );
+            }
+            None => block.push_str("\n  clock not aligned"),
+        }
+        match &self.estimate {
+            Some(estimate) => block.push_str(&pose_line(estimate)),
+            None => block.push_str("\n  pose  unknown"),
+        }
+        match self.last_fix {
+            Some((verdict, lag)) => {
+                let _ = write!(block, "   fix {} {:.0} ms late", verdict.reason(), lag.as_millis_f64());
+            }
+            None => block.push_str("   no fix yet"),
+        }
+        for ((brick, channel), (shown, settled)) in &self.thermometers {
+            block.push_str(&thermometer_line(*brick, *channel, *shown, *settled));
+        }
+        block
+    }
+}
+
+/// What a thermometer shows, what it will show in the end, and the bound that holds that with 95 %.
+fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settled: Option<ScalarEstimate>) -> String {
+    let place = brick.address;
+    let settled = settled
+        .map_or_else(|| "unknown".to_owned(), |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()));
+    format!("\n  {channel} of {place}  {:.2} °C -> {settled}", shown.0)
+}
+
+fn pose_line(estimate: &Estimate) -> String {
+    let flag = if estimate.is_dead_reckoning { "  dead reckoning" } else { "" };
+    format!(
+        "\n  pose  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
+        estimate.pose.x.0,
+        estimate.x_sigma_m(),
+        estimate.pose.y.0,
+        estimate.y_sigma_m(),
+        estimate.pose.heading.rad().to_degrees(),
+        estimate.heading_sigma_rad().to_degrees(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::Address;
+
+    #[test]
+    fn a_thermometer_has_a_line_of_its_own_with_the_bound_of_its_end() {
+        let mut view = LiveView::silent();
+        let brick = RobotId { link: LinkId(0), address: Address::new(7, 158) };
+        for (shown, settled) in [(20.0, None), (36.2, Some((48.7, 0.306)))] {
+            let settled = settled.map(|(value, sigma)| ScalarEstimate {
+                stamp: Timestamp::ZERO,
+                value,
+                sigma,
+                rate_per_s: 0.0,
+                unit: "°C",
+            });
+            let event = Event::Temperature {
+                brick,
+                channel: ChannelName::from_bytes(b"temp1"),
+                arrival: Timestamp::ZERO,
+                stamp: Timestamp::ZERO,
+                shown: Celsius(shown),
+                verdict: FusionOutcome::Accepted,
+                settled,
+            };
+            view.on_event(Timestamp::ZERO, &event);
+            let expected = match settled {
+                None => "\n  temp1 of 7/158  20.00 °C -> unknown",
+                Some(_) => "\n  temp1 of 7/158  36.20 °C -> 48.70 ± 0.60 °C",
+            };
+            assert!(view.block().ends_with(expected), "{}", view.block());
+        }
+    }
+}

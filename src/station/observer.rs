@@ -1,0 +1,130 @@
+//! The thread that watches the events: the live status block, the event file, and what the report needs at the end.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::RecvTimeoutError;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_recording::event_json;
+use posebridge_telemetry::{Event, HostClock, TimeDelta, Timestamp};
+
+use super::batch_channel::{BatchReceiver, BatchSender, channel};
+use super::event_collector::EventCollector;
+use super::live_status::LiveView;
+
+/// What so many inputs have led to waits for the terminal before it is dropped and counted: forty seconds of a brick that is read 100
+/// times a second.
+const QUEUE_CAPACITY: usize = 4_096;
+/// The status block is drawn this often.
+const DRAW_PERIOD: TimeDelta = TimeDelta::from_millis(200);
+
+/// A running observer.
+pub struct Observer {
+    sender: BatchSender<(Timestamp<HostClock>, Arc<[Event]>)>,
+    thread: JoinHandle<Result<EventCollector>>,
+    dropped: u64,
+    /// With an event file nothing may be missing: then the shard waits for the disk.
+    blocks_when_full: bool,
+}
+
+/// What the observer shows and writes.
+pub struct ObserverConfig<'a> {
+    /// Every event goes there as a line of text.
+    pub events: Option<&'a Path>,
+    /// The status block.
+    pub view: LiveView,
+}
+
+impl Observer {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The event file cannot be created.
+    pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
+        let events = config.events.map(create).transpose()?;
+        let (sender, seen) = channel(QUEUE_CAPACITY);
+        let view = config.view;
+        let thread = std::thread::Builder::new()
+            .name("observer".to_owned())
+            .spawn(move || run_observer(seen, events, view))
+            .context("starting the observer's thread")?;
+        Ok(Self { sender, thread, dropped: 0, blocks_when_full: config.events.is_some() })
+    }
+
+    /// Shows what an input has led to; drops it if the terminal is far behind, unless there is an event file.
+    pub fn push(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+        if events.is_empty() {
+            return;
+        }
+        let seen = (now, Arc::clone(events));
+        let is_taken =
+            if self.blocks_when_full { self.sender.send(seen).is_ok() } else { self.sender.try_send(seen).is_ok() };
+        if !is_taken {
+            self.dropped += events.len() as u64;
+        }
+    }
+
+    /// Ends the thread and gives what it gathered, with the number of events that were dropped.
+    ///
+    /// # Errors
+    /// The event file could not be written.
+    pub fn finish(self) -> Result<(EventCollector, u64)> {
+        drop(self.sender);
+        let collector = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;
+        Ok((collector, self.dropped))
+    }
+}
+
+/// Creates an event file.
+///
+/// # Errors
+/// It cannot be created.
+pub fn create(path: &Path) -> Result<BufWriter<File>> {
+    let file = File::create(path).with_context(|| format!("creating the event file `{}`", path.display()))?;
+    Ok(BufWriter::new(file))
+}
+
+/// Writes an event as a line: every number with all its digits, so that two runs can be compared bit for bit.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> {
+    writeln!(file, "{}", event_json::to_json_line(event))
+}
+
+fn run_observer(
+    mut seen: BatchReceiver<(Timestamp<HostClock>, Arc<[Event]>)>,
+    mut file: Option<BufWriter<File>>,
+    mut view: LiveView,
+) -> Result<EventCollector> {
+    let mut collector = EventCollector::live();
+    let mut drawn = Timestamp::<HostClock>::ZERO;
+    loop {
+        match seen.recv(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+            Ok((now, events)) => {
+                for event in events.iter() {
+                    if let Some(file) = &mut file {
+                        write_event(file, event).context("writing the event file")?;
+                    }
+                    collector.on_event(event);
+                    view.on_event(now, event);
+                }
+                if now - drawn >= DRAW_PERIOD {
+                    view.draw();
+                    drawn = now;
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => view.draw(),
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    view.finish();
+    if let Some(mut file) = file {
+        file.flush().context("writing the event file")?;
+    }
+    Ok(collector)
+}

@@ -1,0 +1,347 @@
+//! The thread that owns the recording's files.
+//!
+//! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the pipeline first and the inputs
+//! last. The recording itself says what it lacks.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, TrySendError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_recording::container::{RecordingHeader, TruthSample};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, Timestamp};
+
+use super::batch_channel::{BatchReceiver, BatchSender, channel};
+pub use super::recording_parts::RecordingTotals;
+use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
+use crate::config::RecordingLimits;
+
+/// So many items wait for the disk: several seconds of a busy link.
+const QUEUE_CAPACITY: usize = 8_192;
+/// With so many waiting only inputs are still taken.
+const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
+
+/// What goes to the thread.
+enum RecorderItem {
+    Input(Timestamp<HostClock>, u64, Input),
+    Events(Timestamp<HostClock>, Arc<[Event]>),
+    Calibration(Timestamp<HostClock>, Box<Calibration>),
+    Line(Timestamp<HostClock>, u8, String),
+    Truth(Vec<TruthSample>),
+    /// The last one: so many inputs the session has had.
+    End(u64),
+}
+
+/// A running recorder.
+pub struct Recorder {
+    /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
+    sender: BatchSender<Box<RecorderItem>>,
+    thread: JoinHandle<Result<RecordingTotals>>,
+    /// The first file.
+    first: PathBuf,
+    /// Which part is being written; the thread tells.
+    part: Arc<AtomicU32>,
+    /// Inputs of the session up to here.
+    given: u64,
+    lost: u64,
+    lost_outputs: u64,
+}
+
+impl Recorder {
+    /// Creates the file and starts the thread, at the start of a session and with the usual limits.
+    ///
+    /// # Errors
+    /// The file cannot be created; one that is there already is never overwritten.
+    pub fn start(path: &Path, header: &RecordingHeader) -> Result<Self> {
+        Self::start_limited(path, header, RecordingLimits::default())
+    }
+
+    /// Creates the file and starts the thread, at the start of a session.
+    ///
+    /// # Errors
+    /// The file cannot be created; one that is there already is never overwritten.
+    pub fn start_limited(path: &Path, header: &RecordingHeader, limits: RecordingLimits) -> Result<Self> {
+        let parts = RecordingParts::create(path, header.clone(), limits, 0)?;
+        Self::spawn(path, 0, move || Ok(parts))
+    }
+
+    /// Starts the thread in the midst of a session, after so many inputs; the thread creates the file, so that nobody waits for the
+    /// disk. That it could not is what the next [`Self::record`] tells.
+    ///
+    /// The recording lacks what came before and says so in its header: replaying it is not replaying the session.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start_in_session(
+        path: &Path,
+        header: &RecordingHeader,
+        limits: RecordingLimits,
+        inputs_before: u64,
+    ) -> Result<Self> {
+        let (first, header) = (path.to_owned(), header.clone());
+        Self::spawn(path, inputs_before, move || RecordingParts::create(&first, header, limits, inputs_before))
+    }
+
+    fn spawn(first: &Path, given: u64, open: impl FnOnce() -> Result<RecordingParts> + Send + 'static) -> Result<Self> {
+        let (sender, items) = channel(QUEUE_CAPACITY);
+        let part = Arc::new(AtomicU32::new(1));
+        let told = Arc::clone(&part);
+        let thread = std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(move || write(open()?, items, &told))
+            .context("starting the recorder's thread")?;
+        Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
+    }
+
+    /// Records an input; never waits. What the disk is too slow for is counted.
+    ///
+    /// # Errors
+    /// The recorder has stopped, because its file could not be written: [`Self::finish`] says why.
+    pub fn record(&mut self, now: Timestamp<HostClock>, input: Input) -> Result<()> {
+        let item = RecorderItem::Input(now, self.given, input);
+        self.given += 1;
+        match self.try_send(item) {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(_)) => {
+                if self.lost == 0 {
+                    tracing::error!(
+                        "the disk is too slow: inputs are missing in the recording from here on, its replay will not be exact"
+                    );
+                }
+                self.lost += 1;
+                Ok(())
+            }
+            Err(TrySendError::Disconnected(_)) => Err(anyhow!("the recorder has stopped")),
+        }
+    }
+
+    /// Records what came out of the pipeline for viewers; never waits, and gives way to the inputs.
+    pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+        if events.iter().any(Event::is_for_viewers) {
+            self.offer(RecorderItem::Events(now, Arc::clone(events)));
+        }
+    }
+
+    /// Records what the filter has learned, as [`Self::record_events`].
+    pub fn record_calibration(&mut self, now: Timestamp<HostClock>, calibration: Calibration) {
+        self.offer(RecorderItem::Calibration(now, Box::new(calibration)));
+    }
+
+    /// Records a line for people with its MAVLink severity, as [`Self::record_events`].
+    pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) {
+        self.offer(RecorderItem::Line(now, severity, text.to_owned()));
+    }
+
+    /// Inputs, and batches of what came out, that were dropped so far.
+    #[must_use]
+    pub const fn losses(&self) -> (u64, u64) {
+        (self.lost, self.lost_outputs)
+    }
+
+    /// Records where a simulated robot really was, as [`Self::record_events`]; in the order of time.
+    pub fn record_truth(&mut self, truth: Vec<TruthSample>) {
+        if !truth.is_empty() {
+            self.offer(RecorderItem::Truth(truth));
+        }
+    }
+
+    /// The file that is being written: that of the latest part.
+    #[must_use]
+    pub fn current(&self) -> PathBuf {
+        part_path(&self.first, self.part.load(Ordering::Relaxed))
+    }
+
+    /// Ends the recording without waiting for the disk.
+    pub fn stop(self) -> StoppingRecorder {
+        let end = Box::new(RecorderItem::End(self.given));
+        // With a full queue the last gap is not told; it ends where its channel does.
+        drop(self.sender.try_send(end));
+        StoppingRecorder { thread: self.thread }
+    }
+
+    /// Writes what still waits, ends the file and says what it holds.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn finish(self) -> Result<RecordingTotals> {
+        // A thread that has gone says why when it is joined.
+        drop(self.sender.send(Box::new(RecorderItem::End(self.given))));
+        drop(self.sender);
+        StoppingRecorder { thread: self.thread }.wait()
+    }
+
+    /// Hands over something that gives way to the inputs.
+    fn offer(&mut self, item: RecorderItem) {
+        let is_crowded = self.sender.backlog() >= OUTPUT_QUEUE_CAPACITY;
+        if is_crowded || self.try_send(item).is_err() {
+            self.lost_outputs += 1;
+        }
+    }
+
+    fn try_send(&self, item: RecorderItem) -> Result<(), TrySendError<Box<RecorderItem>>> {
+        self.sender.try_send(Box::new(item))
+    }
+}
+
+/// A recorder that writes what still waited.
+pub struct StoppingRecorder {
+    thread: JoinHandle<Result<RecordingTotals>>,
+}
+
+impl StoppingRecorder {
+    /// Whether [`Self::wait`] would return at once.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Waits for the end of the file and says what it holds.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn wait(self) -> Result<RecordingTotals> {
+        self.thread.join().map_err(|_panic| anyhow!("the recorder's thread died"))?
+    }
+}
+
+fn write(
+    mut parts: RecordingParts,
+    mut items: BatchReceiver<Box<RecorderItem>>,
+    part: &AtomicU32,
+) -> Result<RecordingTotals> {
+    let mut given = None;
+    loop {
+        let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
+        let item = match items.recv(patience) {
+            Ok(item) => item,
+            Err(RecvTimeoutError::Timeout) => {
+                parts.flush()?;
+                continue;
+            }
+            Err(RecvTimeoutError::Disconnected) => break,
+        };
+        match *item {
+            RecorderItem::Input(now, number, input) => {
+                parts.record(now, number, &input)?;
+                part.store(parts.part(), Ordering::Relaxed);
+            }
+            RecorderItem::Events(now, events) => parts.record_events(now, &events)?,
+            RecorderItem::Calibration(now, calibration) => parts.record_calibration(now, &calibration)?,
+            RecorderItem::Line(now, severity, text) => parts.record_message(now, severity, &text)?,
+            RecorderItem::Truth(truth) => parts.record_truth(&truth)?,
+            RecorderItem::End(number) => given = Some(number),
+        }
+    }
+    let last = given.unwrap_or_else(|| parts.next());
+    parts.finish(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::station::status::station_status;
+    use posebridge_recording::container::{FORMAT, ReadError, RecordingReader};
+    use posebridge_station::Station;
+    use posebridge_telemetry::{LinkId, LinkState, TimeDelta};
+    use std::sync::mpsc::{SyncSender, sync_channel};
+
+    const LIMITS: RecordingLimits =
+        RecordingLimits { part_bytes: None, part_duration: None, min_free_bytes: 0, output_interval: TimeDelta::ZERO };
+
+    /// A recorder whose disk does nothing until the sender is dropped.
+    fn behind_a_stuck_disk(path: &Path) -> (Recorder, SyncSender<()>) {
+        let (stuck, gate) = sync_channel::<()>(1);
+        let header = RecordingHeader { format: FORMAT, ..RecordingHeader::default() };
+        let first = path.to_owned();
+        let recorder = Recorder::spawn(path, 0, move || {
+            assert!(gate.recv().is_err(), "it is never sent anything");
+            RecordingParts::create(&first, header, LIMITS, 0)
+        });
+        (recorder.unwrap(), stuck)
+    }
+
+    fn seen() -> Arc<[Event]> {
+        Arc::from([Event::Link { link: LinkId(0), state: LinkState::Up }])
+    }
+
+    #[test]
+    fn a_stuck_disk_holds_nobody_up_and_the_recording_says_what_it_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let (mut recorder, stuck) = behind_a_stuck_disk(&path);
+        let now = |n: u64| Timestamp::from_millis(i64::try_from(n).unwrap());
+        let given = QUEUE_CAPACITY as u64 + 500;
+        for n in 0..given {
+            recorder.record(now(n), Input::Tick).unwrap();
+            recorder.record_events(now(n), &seen());
+        }
+        let (lost, lost_outputs) = recorder.losses();
+        // What came out gives way at half the queue, and the inputs have the other half to themselves.
+        let outputs = OUTPUT_QUEUE_CAPACITY as u64 / 2;
+        assert_eq!(lost_outputs, given - outputs);
+        assert_eq!(lost, outputs + 500);
+        drop(stuck);
+        while recorder.sender.backlog() > 0 {
+            assert!(!recorder.thread.is_finished(), "the recorder has stopped");
+            std::thread::yield_now();
+        }
+        recorder.record(now(given), Input::Tick).unwrap();
+        let kept = recorder.finish().unwrap();
+        assert_eq!((kept.inputs, kept.lost), (given - lost + 1, lost));
+
+        let bytes = std::fs::read(&path).unwrap();
+        let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
+        let gaps: Vec<_> = found.iter().filter_map(|item| item.as_ref().err()).collect();
+        let expected = u32::try_from(given - lost).unwrap();
+        let [ReadError::Gap { expected: at, found: next, .. }] = gaps[..] else {
+            panic!("{gaps:?}");
+        };
+        assert_eq!((*at, u64::from(*next)), (expected, given));
+        assert_eq!(found.last(), Some(&Ok((now(given), Input::Tick))));
+    }
+
+    #[test]
+    fn the_recording_that_viewers_are_told_is_the_part_that_is_being_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let header = RecordingHeader { format: FORMAT, ..RecordingHeader::default() };
+        let limits = RecordingLimits { part_duration: Some(TimeDelta::from_millis(2_000)), ..LIMITS };
+        let mut recorder = Recorder::start_limited(&path, &header, limits).unwrap();
+        assert_eq!(recorder.current(), path);
+        for now_ms in (0..=2_500).step_by(500) {
+            recorder.record(Timestamp::from_millis(now_ms), Input::Tick).unwrap();
+        }
+        let second = folder.path().join("recording.2.mcap");
+        while recorder.current() != second {
+            assert!(!recorder.thread.is_finished(), "the recorder has stopped");
+            std::thread::yield_now();
+        }
+        assert!(second.is_file());
+        let config = Config::default().station_config().unwrap();
+        let pipeline = Station::new(config, Timestamp::ZERO).unwrap();
+        let standing = station_status(&pipeline, Some(&recorder));
+        assert_eq!(standing.recording.as_deref(), Some("recording.2.mcap"));
+        assert_eq!(recorder.finish().unwrap().parts, 2);
+    }
+
+    #[test]
+    fn what_is_missing_at_the_end_is_told_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let (mut recorder, stuck) = behind_a_stuck_disk(&path);
+        for n in 0..QUEUE_CAPACITY + 3 {
+            let now = Timestamp::from_millis(i64::try_from(n).unwrap());
+            recorder.record(now, Input::Tick).unwrap();
+        }
+        drop(stuck);
+        let kept = recorder.finish().unwrap();
+        assert_eq!((kept.inputs, kept.lost), (QUEUE_CAPACITY as u64, 3));
+        let bytes = std::fs::read(&path).unwrap();
+        let gap = b"\"inputs\":3";
+        assert!(bytes.windows(gap.len()).any(|found| found == gap));
+    }
+}

@@ -1,0 +1,262 @@
+//! The files of a recording: one after another, each readable by itself.
+//!
+//! Knows no thread and no queue, so that tests drive it as they like. It flushes 600 ms after the last flush, and once
+//! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use posebridge_recording::container::{
+    OutputHandover, PartHeader, RecordingGap, RecordingHeader, RecordingWriter, TruthSample, WriteError,
+};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, TimeDelta, Timestamp};
+
+use super::watched_file::WatchedFile;
+use crate::config::RecordingLimits;
+
+/// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 400 ms of sparse inputs and a late thread
+/// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
+/// recording's memory grow.
+pub const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(600);
+/// What is said of everything that comes after a part that could not be ended, or the next one begun.
+const RECORDING_ENDED: &str = "the recording has ended: it could not go on in another file";
+/// File and disk are looked at this often.
+const DISK_CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// What a recording holds when it has ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RecordingTotals {
+    /// Inputs in it.
+    pub inputs: u64,
+    /// Inputs that it lacks because the disk was too slow.
+    pub lost: u64,
+    /// Files.
+    pub parts: u32,
+}
+
+impl RecordingTotals {
+    /// Nothing is missing.
+    ///
+    /// # Errors
+    /// Inputs are; the message says how many.
+    pub fn check_complete(self) -> Result<()> {
+        ensure!(self.lost == 0, "the disk was too slow for {} inputs; a replay is not exact", self.lost);
+        Ok(())
+    }
+}
+
+/// A recording that is being written.
+pub struct RecordingParts {
+    first: PathBuf,
+    header: RecordingHeader,
+    limits: RecordingLimits,
+    /// The part that is being written; none once it could not go on in another one.
+    part: Option<OpenPart>,
+    totals: RecordingTotals,
+    /// Number of the next input of the session.
+    next: u64,
+    last: Timestamp<HostClock>,
+    last_flush: Timestamp<HostClock>,
+    last_disk_check: Timestamp<HostClock>,
+}
+
+/// The file that is open.
+struct OpenPart {
+    file: WatchedFile,
+    writer: RecordingWriter<File>,
+    begun: Option<Timestamp<HostClock>>,
+}
+
+impl OpenPart {
+    fn create(path: &Path, header: &RecordingHeader, begins: &PartHeader, spacing: TimeDelta) -> Result<Self> {
+        let (out, file) = WatchedFile::create("recording", path)?;
+        let mut writer = RecordingWriter::create_part(out, header, begins).with_context(|| file.name())?;
+        writer.set_output_spacing(spacing);
+        Ok(Self { file, writer, begun: None })
+    }
+}
+
+impl RecordingParts {
+    /// Creates the first file. `inputs_before` were given to the pipeline before the recording begins.
+    ///
+    /// # Errors
+    /// It cannot be created; one that is there already is never overwritten.
+    pub fn create(path: &Path, header: RecordingHeader, limits: RecordingLimits, inputs_before: u64) -> Result<Self> {
+        let begins = PartHeader { inputs_before, ..PartHeader::default() };
+        let part = OpenPart::create(path, &header, &begins, limits.output_interval)?;
+        Ok(Self {
+            first: path.to_owned(),
+            header,
+            limits,
+            part: Some(part),
+            totals: RecordingTotals { parts: 1, ..RecordingTotals::default() },
+            next: inputs_before,
+            last: Timestamp::ZERO,
+            last_flush: Timestamp::ZERO,
+            last_disk_check: Timestamp::ZERO,
+        })
+    }
+
+    /// Records the input with this number in the session; those that are missing before it are a gap.
+    ///
+    /// # Errors
+    /// The recording has ended, and why: what was written before stays readable.
+    pub fn record(&mut self, now: Timestamp<HostClock>, number: u64, input: &Input) -> Result<()> {
+        self.record_gap(now, number)?;
+        self.check_disk(now)?;
+        self.open()?.begun.get_or_insert(now);
+        self.write(|writer| writer.record(now, input))?;
+        self.totals.inputs += 1;
+        self.next = number + 1;
+        self.last = now;
+        // With this input: where few come, the next one may be the one that is lost.
+        if now - self.last_flush >= FLUSH_PERIOD {
+            self.last_flush = now;
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Records what came out of the pipeline.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &[Event]) -> Result<()> {
+        for event in events {
+            self.write(|writer| writer.record_event(now, event))?;
+        }
+        Ok(())
+    }
+
+    /// Records what the filter has learned.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_calibration(&mut self, now: Timestamp<HostClock>, calibration: &Calibration) -> Result<()> {
+        self.write(|writer| writer.record_calibration(now, calibration))
+    }
+
+    /// Records a line for people, with its MAVLink severity.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) -> Result<()> {
+        self.write(|writer| writer.record_log_message(now, severity, text))
+    }
+
+    /// Records where a simulated robot really was.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
+        let last = self.last;
+        self.write(|writer| writer.record_truth(last, truth))
+    }
+
+    /// Hands over to the system what waits.
+    ///
+    /// # Errors
+    /// As [`Self::record`].
+    pub fn flush(&mut self) -> Result<()> {
+        self.write(RecordingWriter::flush)
+    }
+
+    /// Ends the file; `given` is the number of the session's inputs up to here.
+    ///
+    /// # Errors
+    /// The file could not be written.
+    pub fn finish(mut self, given: u64) -> Result<RecordingTotals> {
+        self.record_gap(self.last, given)?;
+        self.end_part()?;
+        Ok(self.totals)
+    }
+
+    /// The number that the next input of the session has.
+    #[must_use]
+    pub const fn next(&self) -> u64 {
+        self.next
+    }
+
+    /// The number of the part that is being written, from 1.
+    #[must_use]
+    pub const fn part(&self) -> u32 {
+        self.totals.parts
+    }
+
+    /// The part that is being written.
+    fn open(&mut self) -> Result<&mut OpenPart> {
+        self.part.as_mut().context(RECORDING_ENDED)
+    }
+
+    /// Writes something into it.
+    fn write(&mut self, one: impl FnOnce(&mut RecordingWriter<File>) -> Result<(), WriteError>) -> Result<()> {
+        let part = self.open()?;
+        one(&mut part.writer).with_context(|| part.file.name())
+    }
+
+    /// Ends it; gives back its path and what the next part has to know.
+    fn end_part(&mut self) -> Result<(PathBuf, OutputHandover)> {
+        let ended = self.part.take().context(RECORDING_ENDED)?;
+        let handover = ended.writer.finish_part();
+        let handover = handover.with_context(|| ended.file.name())?;
+        Ok((ended.file.path().to_owned(), handover))
+    }
+
+    fn record_gap(&mut self, now: Timestamp<HostClock>, number: u64) -> Result<()> {
+        let inputs = number.saturating_sub(self.next);
+        if inputs == 0 {
+            return Ok(());
+        }
+        self.totals.lost += inputs;
+        self.next = number;
+        let gap = RecordingGap { inputs, from: self.last, to: now };
+        self.write(|writer| writer.record_gap(&gap))
+    }
+
+    /// Looks at the file and its disk when it is time for it.
+    fn check_disk(&mut self, now: Timestamp<HostClock>) -> Result<()> {
+        if now - self.last_disk_check < DISK_CHECK_PERIOD {
+            return Ok(());
+        }
+        self.last_disk_check = now;
+        let limits = self.limits;
+        let part = self.open()?;
+        let bytes = part.file.file_size()?;
+        part.file.check_free_space(limits.min_free_bytes)?;
+        let age = part.begun.map_or(TimeDelta::ZERO, |begun| now - begun);
+        let is_full =
+            limits.part_bytes.is_some_and(|most| bytes >= most) || limits.part_duration.is_some_and(|most| age >= most);
+        if is_full { self.begin_next_part() } else { Ok(()) }
+    }
+
+    /// The one before ends first, so that never two of them are in memory: what a file's index needs is the most that a recorder keeps.
+    fn begin_next_part(&mut self) -> Result<()> {
+        let number = self.totals.parts + 1;
+        let (before, handover) = self.end_part()?;
+        let begins = PartHeader {
+            part: number,
+            inputs_before: self.next,
+            continues: before.file_name().map(|name| name.to_string_lossy().into_owned()),
+        };
+        let path = part_path(&self.first, number);
+        let mut next = OpenPart::create(&path, &self.header, &begins, self.limits.output_interval)?;
+        next.writer.restore_outputs(handover);
+        self.part = Some(next);
+        self.totals.parts = number;
+        Ok(())
+    }
+}
+
+/// The path of a part: `recording.mcap`, `recording.2.mcap`, `recording.3.mcap` and so on.
+#[must_use]
+pub fn part_path(first: &Path, number: u32) -> PathBuf {
+    match (number, first.extension()) {
+        (..=1, _) => first.to_owned(),
+        (_, Some(extension)) => {
+            let extension = extension.to_string_lossy();
+            first.with_extension(format!("{number}.{extension}"))
+        }
+        (_, None) => first.with_extension(number.to_string()),
+    }
+}

@@ -1,0 +1,17 @@
+//! What became of a request, as a line for people that goes back into the pipeline.
+
+use anyhow::Result;
+use posebridge_telemetry::Input;
+
+/// MAV_SEVERITY_WARNING.
+pub const WARNING: u8 = 4;
+/// MAV_SEVERITY_INFO.
+const INFO: u8 = 6;
+
+/// What became of something, as the pipeline is told.
+pub(super) fn report_input(outcome: Result<String>) -> Input {
+    match outcome {
+        Ok(text) => Input::Report { severity: INFO, text },
+        Err(error) => Input::Report { severity: WARNING, text: format!("{error:#}") },
+    }
+}

@@ -1,0 +1,440 @@
+//! What the pipeline asks of the program around it: to write the tunables down, to begin and to end a recording, to do something to the
+//! simulated brick.
+//!
+//! What is saved is the whole configuration of the run with the tunables as they are set, as a file of its own in the run's folder:
+//! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
+//! pipeline as a line for people, and so into the recording.
+//!
+//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads (`saver`, and the recorder
+//! makes its file itself). Here a new recording costs one look at a name.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, ensure};
+use posebridge_link::HostTimer;
+use posebridge_sim::impairment::LinkProfile;
+use posebridge_telemetry::{
+    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, SteeringSource,
+    TimeDelta, Timestamp,
+};
+use tokio::sync::mpsc;
+
+use super::config_writer::ConfigSaver;
+use super::deferred_errors::DeferredErrors;
+use super::recorder::{Recorder, RecordingTotals, StoppingRecorder};
+use super::recording_files::{RECORDING, done_message, header, unused_path};
+use super::request_reports::report_input;
+use crate::config::Config;
+
+/// Recordings that are begun on request begin at least so far apart: each leaves a file, and a person who plays with a button wants no
+/// hundreds of them.
+const MIN_START_INTERVAL: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// Carries out what the pipeline asks for.
+pub struct RequestHandler {
+    folder: PathBuf,
+    timer: HostTimer,
+    /// As it was given, for the file that is saved.
+    config: Config,
+    /// As a recording needs it.
+    recorded_config: Config,
+    /// What writes saved configurations, once somebody has asked for it.
+    saver: Option<ConfigSaver>,
+    /// Which recording is being written, if any.
+    current: Option<PathBuf>,
+    /// Recordings that were ended while the run goes on.
+    ended_recordings: Vec<(PathBuf, StoppingRecorder)>,
+    /// The number that the next recording tries first: those before it are taken, or will be as soon as the disk comes to it.
+    next_number: u32,
+    /// When the last one was begun on request.
+    last_started: Option<Timestamp<HostClock>>,
+    links: BTreeMap<LinkId, LinkState>,
+    /// The simulated brick of this station, if it has one.
+    brick: Option<mpsc::Sender<SimulatorCommand>>,
+    orders: SimulatorOverrides,
+}
+
+/// How the simulated brick was set last; nothing as long as nobody has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SimulatorOverrides {
+    /// By what it steers.
+    pub steering: Option<SteeringSource>,
+    /// The profile that its link is as bad as.
+    pub link_profile: Option<ChannelName>,
+}
+
+impl SimulatorOverrides {
+    fn record(&mut self, command: &SimulatorCommand) {
+        match command {
+            SimulatorCommand::Steering(by) => self.steering = Some(*by),
+            SimulatorCommand::LinkProfile(profile) => self.link_profile = *profile,
+            // These pass by themselves, or are seen in what the brick sends.
+            SimulatorCommand::Kidnap { .. }
+            | SimulatorCommand::Slip { .. }
+            | SimulatorCommand::Camera(_)
+            | SimulatorCommand::CameraDelay { .. }
+            | SimulatorCommand::GyroBiasStep { .. }
+            | SimulatorCommand::PullCable { .. }
+            | SimulatorCommand::Drive { .. }
+            | SimulatorCommand::Path => {}
+        }
+    }
+}
+
+impl RequestHandler {
+    /// For a run of this configuration in this folder; `current` is the recording that is being written.
+    #[must_use]
+    pub fn new(
+        folder: PathBuf,
+        timer: HostTimer,
+        (config, recorded_config): (Config, Config),
+        current: Option<PathBuf>,
+    ) -> Self {
+        Self {
+            folder,
+            timer,
+            config,
+            recorded_config,
+            saver: None,
+            next_number: if current.is_some() { 2 } else { 1 },
+            last_started: None,
+            current,
+            ended_recordings: Vec::new(),
+            links: BTreeMap::new(),
+            brick: None,
+            orders: SimulatorOverrides::default(),
+        }
+    }
+
+    /// The same for a station that has a simulated brick of its own.
+    #[must_use]
+    pub fn with_brick(mut self, brick: Option<mpsc::Sender<SimulatorCommand>>) -> Self {
+        self.brick = brick;
+        self
+    }
+
+    /// Takes note of what a recording that begins later has to begin with.
+    pub fn on_input(&mut self, input: &Input) {
+        if let Input::Link { link, state } = input {
+            self.links.insert(*link, *state);
+        }
+    }
+
+    /// The recording that is being written.
+    #[must_use]
+    pub fn current(&self) -> Option<&Path> {
+        self.current.as_deref()
+    }
+
+    /// How the simulated brick was set last.
+    #[must_use]
+    pub const fn overrides(&self) -> SimulatorOverrides {
+        self.orders
+    }
+
+    /// The recorder has failed and is gone.
+    pub fn drop_recording(&mut self) {
+        self.current = None;
+    }
+
+    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline. Nothing, if the pipeline has told it
+    /// already. What takes longer comes by [`Self::next_report`].
+    pub fn execute(
+        &mut self,
+        now: (Timestamp<HostClock>, u64),
+        request: &Request,
+        recorder: &mut Option<Recorder>,
+    ) -> Option<Input> {
+        let outcome = match request {
+            Request::SaveParameters { values } => match self.save_config(values) {
+                Ok(()) => return None,
+                Err(error) => Err(error),
+            },
+            Request::StartRecording { values } => self.start(now, values, recorder),
+            Request::StopRecording => self.stop(recorder),
+            Request::Simulator(command) => match self.forward_to_simulator(command) {
+                // What happens to the brick stands in the command.
+                Ok(()) => return None,
+                Err(error) => Err(error),
+            },
+        };
+        Some(report_input(outcome))
+    }
+
+    /// What became of something that took longer; never, while nothing of the kind is being done. Nothing is lost when it is not waited
+    /// for any longer.
+    pub async fn next_report(&mut self) -> Input {
+        match &mut self.saver {
+            Some(saver) => saver.next_report().await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Waits for what is being saved, and for the recordings that were ended; which there are, with what they hold. One that could not
+    /// be written to its end does not keep the others from being told.
+    pub fn finish(self, failures: &mut DeferredErrors) -> Vec<(PathBuf, RecordingTotals)> {
+        if let Some(saver) = self.saver {
+            saver.finish();
+        }
+        let ended = self.ended_recordings.into_iter();
+        let finished = ended.filter_map(|(path, stopping)| {
+            let kept = stopping.wait().context("the recording is not whole");
+            Some((path, failures.record(kept)?))
+        });
+        finished.collect()
+    }
+
+    /// Hands a command to the simulated brick; never waits.
+    fn forward_to_simulator(&mut self, command: &SimulatorCommand) -> Result<()> {
+        let name = command.name();
+        let brick = self.brick.as_ref();
+        let brick = brick.with_context(|| format!("{name}: this station has no simulated brick of its own"))?;
+        if let SimulatorCommand::LinkProfile(Some(profile)) = command {
+            LinkProfile::bundled(profile.as_str()).with_context(|| name.to_owned())?;
+        }
+        brick.try_send(*command).map_err(|error| match error {
+            mpsc::error::TrySendError::Full(_) => anyhow!("{name}: too many at a time"),
+            mpsc::error::TrySendError::Closed(_) => anyhow!("{name}: the brick has stopped"),
+        })?;
+        self.orders.record(command);
+        Ok(())
+    }
+
+    fn save_config(&mut self, values: &[(ParameterName, f64)]) -> Result<()> {
+        let config = with_tunables(&self.config, values);
+        let saver = match self.saver.take() {
+            Some(saver) => saver,
+            None => ConfigSaver::start(self.folder.clone())?,
+        };
+        self.saver.insert(saver).save(config)
+    }
+
+    fn start(
+        &mut self,
+        (now, given): (Timestamp<HostClock>, u64),
+        values: &[(ParameterName, f64)],
+        recorder: &mut Option<Recorder>,
+    ) -> Result<String> {
+        if let Some(path) = &self.current {
+            return Err(anyhow!(done_message("already recording", path)));
+        }
+        ensure!(
+            self.last_started.is_none_or(|last| now - last >= MIN_START_INTERVAL),
+            "not recording: the last one began less than {} s ago",
+            MIN_START_INTERVAL.as_secs_f64()
+        );
+        let (path, number) = unused_path(&self.folder, RECORDING, self.next_number)?;
+        let config = with_tunables(&self.recorded_config, values);
+        ensure!(self.folder.is_dir(), done_message("not recording, its folder is gone:", &path));
+        let header = header(&config, &self.timer)?;
+        let limits = config.record.limits();
+        // A replay begins with all links down, as a run does: their states stand in the place of the inputs that told of them.
+        let before = given.saturating_sub(self.links.len() as u64);
+        let mut begun = Recorder::start_in_session(&path, &header, limits, before)?;
+        for (link, state) in &self.links {
+            let (link, state) = (*link, *state);
+            begun.record(now, Input::Link { link, state })?;
+        }
+        *recorder = Some(begun);
+        self.next_number = number + 1;
+        self.last_started = Some(now);
+        let told = done_message("recording", &path);
+        self.current = Some(path);
+        Ok(told)
+    }
+
+    fn stop(&mut self, recorder: &mut Option<Recorder>) -> Result<String> {
+        let (Some(path), Some(recorder)) = (self.current.take(), recorder.take()) else {
+            return Err(anyhow!("nothing is being recorded"));
+        };
+        let told = done_message("recorded", &path);
+        // The disk may be behind: nobody who steers by us waits for it.
+        self.ended_recordings.push((path, recorder.stop()));
+        Ok(told)
+    }
+}
+
+fn with_tunables(config: &Config, values: &[(ParameterName, f64)]) -> Config {
+    let mut config = config.clone();
+    let values = values.iter().map(|(name, value)| (name.as_str().to_owned(), *value));
+    config.filter.params.extend(values);
+    config
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config;
+
+    fn desk(folder: &Path) -> RequestHandler {
+        let config = Config::default();
+        let timer = HostTimer::start();
+        RequestHandler::new(folder.to_owned(), timer, (config.clone(), config), None)
+    }
+
+    fn tuned(value: f64) -> Request {
+        Request::SaveParameters { values: vec![(ParameterName::from_bytes(b"slip_nis"), value)] }
+    }
+
+    #[test]
+    fn what_is_saved_is_read_back_and_a_file_of_somebody_else_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let own = folder.path().join("parameters.toml");
+        std::fs::write(&own, "# mine\n").unwrap();
+        let mut desk = desk(folder.path());
+        for value in [20.0, 30.0] {
+            let now = (Timestamp::ZERO, 0);
+            assert_eq!(desk.execute(now, &tuned(value), &mut None), None);
+            let report = desk.saver.as_mut().unwrap().wait();
+            let Some(Input::Report { severity: 6, text }) = report else {
+                panic!("{report:?}");
+            };
+            let path = folder.path().join("parameters-2.toml");
+            let folder = folder.path().display();
+            assert_eq!(text, format!("saved parameters-2.toml in {folder}"));
+            let loaded = config::load(Some(&path), &[]).unwrap().config;
+            assert_eq!(loaded.filter.params["slip_nis"], value);
+            assert_eq!(loaded.links, Config::default().links);
+        }
+        assert_eq!(std::fs::read_to_string(own).unwrap(), "# mine\n");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn a_folder_that_is_gone_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(&folder.path().join("gone"));
+        for (request, beginning) in [
+            (tuned(20.0), "not saved parameters.toml in "),
+            (Request::StartRecording { values: vec![] }, "not recording, its folder is gone: recording.mcap"),
+            (Request::StopRecording, "nothing is being recorded"),
+        ] {
+            let report = desk.execute((Timestamp::ZERO, 0), &request, &mut None);
+            let report = report.or_else(|| desk.saver.as_mut()?.wait());
+            let Some(Input::Report { severity: 4, text }) = report else {
+                panic!("{report:?}");
+            };
+            assert!(text.starts_with(beginning), "{text}");
+        }
+    }
+
+    #[test]
+    fn only_a_station_with_a_simulated_brick_does_things_to_it_and_never_waits_for_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.3, turn_rad: 0.0 };
+        let told = |desk: &mut RequestHandler, command| {
+            let request = Request::Simulator(command);
+            match desk.execute((Timestamp::ZERO, 0), &request, &mut None) {
+                Some(Input::Report { severity: 4, text }) => text,
+                None => "done".to_owned(),
+                other => panic!("{other:?}"),
+            }
+        };
+        let mut without = desk(folder.path());
+        assert_eq!(told(&mut without, kidnap), "kidnap: this station has no simulated brick of its own");
+        let (sender, mut receiver) = mpsc::channel(1);
+        let mut with = desk(folder.path()).with_brick(Some(sender));
+        assert_eq!(told(&mut with, kidnap), "done");
+        assert_eq!(told(&mut with, kidnap), "kidnap: too many at a time");
+        assert_eq!(receiver.try_recv(), Ok(kidnap));
+        let profile = |name: &[u8]| SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(name)));
+        let unknown = told(&mut with, profile(b"string"));
+        assert!(unknown.starts_with("link-profile: "), "{unknown}");
+        assert!(unknown.contains("string") && unknown.contains("usb"), "{unknown}");
+        assert_eq!(with.overrides(), SimulatorOverrides::default(), "what was refused does not hold");
+        assert_eq!(told(&mut with, profile(b"usb")), "done");
+        let usb = ChannelName::from_bytes(b"usb");
+        assert_eq!(with.overrides().link_profile, Some(usb));
+        drop(receiver);
+        assert_eq!(told(&mut with, kidnap), "kidnap: the brick has stopped");
+    }
+
+    #[test]
+    fn recordings_follow_one_another_under_names_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(folder.path());
+        let mut recorder = None;
+        let start = Request::StartRecording { values: vec![] };
+        let up = Input::Link { link: LinkId(0), state: LinkState::Up };
+        desk.on_input(&up);
+        for (now_s, name) in (0..).zip(["recording.mcap", "recording-2.mcap"]) {
+            for (request, what) in
+                [(&start, "recording"), (&start, "already recording"), (&Request::StopRecording, "recorded")]
+            {
+                let told = done_message(what, &folder.path().join(name));
+                let now = Timestamp::from_millis(1_000 * now_s);
+                let report = desk.execute((now, 0), request, &mut recorder);
+                let Some(Input::Report { text, .. }) = report else {
+                    panic!("{report:?}");
+                };
+                assert_eq!(text, told);
+            }
+        }
+        let mut failures = DeferredErrors::default();
+        let ended = desk.finish(&mut failures);
+        let inputs: Vec<u64> = ended.iter().map(|ended| ended.1.inputs).collect();
+        assert_eq!(inputs, [1, 1], "the link that was up");
+        failures.into_result().unwrap();
+    }
+
+    #[test]
+    fn a_recording_that_could_not_be_written_does_not_cost_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(folder.path());
+        let start = Request::StartRecording { values: vec![] };
+        let mut recorder = None;
+        // Gone between the look at the folder and the file: the recorder's thread cannot make it.
+        let gone = folder.path().join("gone/recording.mcap");
+        let lost = Recorder::start_in_session(
+            &gone,
+            &header(&Config::default(), &HostTimer::start()).unwrap(),
+            Config::default().record.limits(),
+            0,
+        );
+        desk.ended_recordings.push((gone, lost.unwrap().stop()));
+        desk.execute((Timestamp::ZERO, 0), &start, &mut recorder);
+        desk.execute((Timestamp::ZERO, 0), &Request::StopRecording, &mut recorder);
+        let mut failures = DeferredErrors::default();
+        let ended = desk.finish(&mut failures);
+        let names: Vec<_> = ended.iter().map(|(path, _)| path.file_name()).collect();
+        assert_eq!(names, [Some("recording.mcap".as_ref())]);
+        let told = format!("{:#}", failures.into_result().unwrap_err());
+        assert!(told.contains("gone/recording.mcap"), "{told}");
+    }
+
+    /// Each would leave a file.
+    #[test]
+    fn who_asks_for_recordings_without_end_gets_one_a_second() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut desk = desk(folder.path());
+        let start = Request::StartRecording { values: vec![] };
+        let mut recorder = None;
+        for now_ms in (0..3_000).step_by(10) {
+            let now = (Timestamp::from_millis(now_ms), 0);
+            for request in [&start, &Request::StopRecording] {
+                desk.execute(now, request, &mut recorder);
+            }
+        }
+        let mut failures = DeferredErrors::default();
+        let ended = desk.finish(&mut failures);
+        let names: Vec<_> = ended.iter().filter_map(|(path, _)| path.file_name()).collect();
+        let expected = ["recording.mcap", "recording-2.mcap", "recording-3.mcap"];
+        assert_eq!(names, expected);
+    }
+
+    #[test]
+    fn files_that_are_there_already_keep_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.toml", "a-2.toml", "a-4.toml"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        for (first, expected) in [(1, 3), (2, 3), (3, 3), (4, 5), (9, 9)] {
+            let (path, number) = unused_path(folder.path(), "a.toml", first).unwrap();
+            assert_eq!(number, expected);
+            assert_eq!(path, folder.path().join(format!("a-{expected}.toml")));
+        }
+        let first = unused_path(folder.path(), "b.toml", 1).unwrap();
+        assert_eq!(first, (folder.path().join("b.toml"), 1));
+    }
+}

@@ -1,0 +1,165 @@
+//! `posebridge run`: the station.
+//!
+//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
+//! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again; with `--laps` the
+//! run ends with the last of them. With `--tui` a terminal view has the screen meanwhile. In the end stand tables and two pictures, with a simulated brick also who was how far off.
+
+use anyhow::{Context, Result};
+use posebridge_link::ConnectRole;
+
+use super::args::RunArgs;
+use super::deferred_errors::DeferredErrors;
+use super::links::LapLimit;
+use super::outcome::{finish, report_learned};
+use super::recording_files::RECORDING;
+use super::run_report as report;
+use super::session::session;
+use super::tui::tty::ensure_terminal;
+use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+
+/// Runs the station.
+///
+/// # Errors
+/// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
+pub fn execute(args: &RunArgs) -> Result<(), Failure> {
+    let config = configuration(args).before_start()?;
+    if args.views.tui {
+        ensure_terminal().before_start()?;
+    }
+    let laps = args.laps.map_or(LapLimit::Endless, LapLimit::Counted);
+    let mut session = run_in_runtime(session(args, &config, (RECORDING, laps)))?;
+    // What cannot be drawn or saved must not cost the rest.
+    let mut failures = DeferredErrors::default();
+    failures.record(finish(&config, &session.folder, &session.collector, session.simulation.take(), &session.recorded));
+    failures.record(report_learned(args, &config, &session));
+    let has_heard = session.collector.observations > 0;
+    failures.record(session.into_result());
+    if !has_heard {
+        print_line(
+            "no robot was heard; `posebridge doctor` looks for ports, rights and settings, and `posebridge doctor URL` listens on a link",
+        );
+    }
+    failures.into_result().while_running()
+}
+
+/// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
+/// configuration says, into the file of this name in the flags' folder; gives how the observations of each sensor fared, as a table.
+///
+/// # Errors
+/// As [`execute`].
+pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
+    let mut config = configuration(args).before_start()?;
+    config.record.enabled = true;
+    // Whoever evaluates a recording wants it to end.
+    let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
+    let session = run_in_runtime(session(args, &config, (file_name, laps)))?;
+    let heard = report::sources(&session.collector);
+    session.into_result().while_running()?;
+    Ok(heard)
+}
+
+fn run_in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
+    let result = runtime.block_on(work);
+    // An attempt to open a device that hangs must not keep the program alive.
+    runtime.shutdown_background();
+    result
+}
+
+/// The configuration with the command line's flags laid over it.
+fn configuration(args: &RunArgs) -> Result<Config> {
+    let is_of = |setting: &Setting, sections: &[&str]| {
+        let section = setting.path.first();
+        section.is_some_and(|section| sections.contains(&section.as_str()))
+    };
+    let mut settings = args.config.settings.clone();
+    if args.robot.is_some() {
+        // They may be single keys of the file's robot, and make no sense without it.
+        settings.retain(|setting| !is_of(setting, &["robot"]));
+    }
+    let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
+    let flags = &args.links.0;
+    if !flags.is_empty() {
+        let links = flags
+            .iter()
+            .map(|flag| LinkSection { listen: flag.role == ConnectRole::Listen, ..LinkSection::new(&flag.url) });
+        config.links = links.collect();
+    }
+    for url in &args.ground_stations {
+        let section = LinkSection::for_ground_stations(url);
+        config.links.push(section.with_context(|| format!("--gcs {url}"))?);
+    }
+    if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
+        first.brick = Some(name.clone());
+    }
+    if let Some(path) = &args.robot {
+        config = config.with_robot(RobotProfile::read(path)?);
+        // What is set by hand is meant for the robot of the file, too.
+        let mut settings = args.config.settings.clone();
+        settings.retain(|setting| is_of(setting, &["robot", "filter"]));
+        config = config::apply_overrides(&config, &settings)?;
+    }
+    if let Some(name) = &args.filter {
+        config.filter.name.clone_from(name);
+    }
+    for (target, _) in config.targets()? {
+        if let LinkTarget::Sim(name) = target {
+            config = config.with_tag_of(&load_scenario(&name)?);
+        }
+    }
+    config.station_config()?;
+    config.dashboard.checked()?;
+    config.plotjuggler.checked()?;
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser as _;
+
+    /// Commands of the pages, each in one line, without comments and quotes.
+    fn commands(page: &Path) -> Vec<Vec<String>> {
+        let text = std::fs::read_to_string(page).unwrap();
+        let shells = text.split("```sh\n").skip(1);
+        let blocks = shells.filter_map(|rest| rest.split("```").next());
+        let lines: Vec<String> = blocks
+            .flat_map(|block| {
+                let joined = block.replace("\\\n", " ");
+                joined.lines().map(str::to_owned).collect::<Vec<_>>()
+            })
+            .collect();
+        lines
+            .iter()
+            .map(|line| line.split(" #").next().unwrap_or_default())
+            .filter(|line| line.starts_with("posebridge run") && line.contains("config/robots"))
+            .map(|line| line.split_whitespace().map(|word| word.trim_matches('\'').to_owned()).collect())
+            .collect()
+    }
+
+    #[test]
+    fn the_commands_of_the_pages_about_bricks_make_sense() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut found = 0;
+        for folder in ["docs/bricks", "docs/protocols"] {
+            for entry in std::fs::read_dir(root.join(folder)).unwrap() {
+                for command in commands(&entry.unwrap().path()) {
+                    let cli = Cli::try_parse_from(&command).unwrap();
+                    let Some(Command::Run(args)) = cli.command else {
+                        panic!("{command:?} does not run");
+                    };
+                    if let Err(error) = configuration(&args) {
+                        panic!("{}: {error:#}", command.join(" "));
+                    }
+                    found += 1;
+                }
+            }
+        }
+        assert!(found >= 5, "{found} commands");
+    }
+}

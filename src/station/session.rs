@@ -1,0 +1,236 @@
+//! A session: the station from its start until something ends it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_link::{HostTimer, LinkSet};
+use posebridge_station::Station;
+use posebridge_telemetry::{TimeDelta, Timestamp};
+use tokio_util::sync::CancellationToken;
+
+use super::args::RunArgs;
+use super::dashboard;
+use super::deferred_errors::DeferredErrors;
+use super::error_to_truth::ErrorToTruth;
+use super::event_collector::EventCollector;
+use super::learned_calibration::LearnedCalibration;
+use super::links::{EmbeddedLink, FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_brick};
+use super::live_status::LiveView;
+use super::observer::{Observer, ObserverConfig};
+use super::recorder::Recorder;
+use super::requests::RequestHandler;
+use super::run_outputs::{RecordedFiles, output_folder, start_recorder, start_tlog};
+use super::signals::Signals;
+use super::signing::{SigningSession, warn_of_open_listeners};
+use super::simulator::CommandSender;
+use super::simulator::truth_tap::TruthTap;
+use super::station_loop::{StationLoop, StopConditions};
+use super::tlog_writer::{TlogRecorder, TlogWritten};
+use super::viewers::Viewers;
+use crate::config::Config;
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+
+/// What a session has left.
+pub(super) struct Session {
+    pub(super) timer: HostTimer,
+    pub(super) folder: PathBuf,
+    pub(super) collector: EventCollector,
+    pub(super) recorded: RecordedFiles,
+    pub(super) simulation: Option<FinishedSimulation>,
+    pub(super) learned: Option<LearnedCalibration>,
+    /// Whether the stamps of signed links were kept.
+    pub(super) signing_result: Result<()>,
+    /// What could not be written to its end.
+    pub(super) failures: DeferredErrors,
+}
+
+impl Session {
+    /// Whether everything was written that had to be.
+    pub(super) fn into_result(self) -> Result<()> {
+        let mut failures = self.failures;
+        failures.record(self.signing_result);
+        for (_, kept) in &self.recorded.inputs {
+            failures.record(kept.check_complete().context("the recording is not whole"));
+        }
+        failures.into_result()
+    }
+}
+
+/// Runs the station until something ends it.
+pub(super) async fn session(
+    args: &RunArgs,
+    config: &Config,
+    (file_name, laps): (&str, LapLimit),
+) -> Result<Session, Failure> {
+    let timer = HostTimer::start();
+    let signing = SigningSession::open(config, timer.utc_start()).before_start()?;
+    let pipeline = pipeline(args, config, &signing).before_start()?;
+    if let Some(warning) = config.filter.warning(&config.robot) {
+        print_line(&warning);
+    }
+    let reserved = dashboard::reserve(&args.page, config).before_start()?;
+    let folder = output_folder(args, config, &timer).before_start()?;
+    let stop = CancellationToken::new();
+    let signals = Signals::listen().before_start()?;
+    let place = (timer, folder.as_path());
+    let opened = open(args, config, (place, laps), &stop).await;
+    let (ports, mut embedded) = opened.before_start()?;
+    let recording = folder.join(file_name);
+    let for_recordings = signing.config_for_recording(config);
+    let (commands, truth) = simulated_brick(embedded.as_mut());
+    let observer = observer(args, embedded.as_ref()).before_start()?;
+    let keeper = signing.start_writer().before_start()?;
+    let mut failures = DeferredErrors::default();
+    let recorder = start_recorder(args, &for_recordings, &timer, &recording, &mut failures).before_start()?;
+    let tlog = start_tlog(args, config, &timer, &recording, &mut failures).before_start()?;
+    let current = recorder.as_ref().map(|_| recording);
+    let configs = (config.clone(), for_recordings);
+    let (mut onlookers, outlet) = Viewers::start(reserved, (args, config), place, embedded.as_ref()).before_start()?;
+    let mut shard = StationLoop {
+        pipeline,
+        links: ports,
+        timer,
+        recorder,
+        input_count: 0,
+        tlog,
+        observer,
+        failures,
+        signing: keeper,
+        requests: RequestHandler::new(folder.clone(), timer, configs, current).with_brick(commands),
+        truth,
+        dashboard: outlet,
+    };
+    let ending = stop_conditions(args, embedded.as_ref(), &stop);
+    wait_for_end((&mut shard, &ending), signals, &mut onlookers).await;
+    let driven = stop_brick(embedded, &stop).while_running()?;
+    let kept = shard.save_signing_state();
+    let learned = learned_of(&shard.pipeline, config).before_start()?;
+    shard.record_truth();
+    let closed = close(shard).while_running()?;
+    onlookers.finish().while_running()?;
+    Ok(Session {
+        timer,
+        folder,
+        collector: closed.collector,
+        recorded: closed.recorded,
+        simulation: driven,
+        learned,
+        signing_result: kept,
+        failures: closed.failures,
+    })
+}
+
+/// Runs the shard until its run is over, or somebody ends it.
+async fn wait_for_end(
+    (shard, ending): (&mut StationLoop, &StopConditions),
+    mut signals: Signals,
+    onlookers: &mut Viewers,
+) {
+    tokio::select! {
+        () = shard.run(ending) => {}
+        () = signals.received() => {}
+        () = onlookers.quit() => {}
+    }
+    onlookers.close_terminal();
+}
+
+/// Opens the links.
+async fn open(
+    args: &RunArgs,
+    config: &Config,
+    ((timer, folder), laps): ((HostTimer, &Path), LapLimit),
+    stop: &CancellationToken,
+) -> Result<(LinkSet, Option<EmbeddedLink>)> {
+    let session = SimulatedSession { timer, folder, laps };
+    let opened = open_links(args, config, session, stop).await;
+    match &opened {
+        Ok((ports, _)) => warn_of_open_listeners(ports, config),
+        // Only a folder that is still empty goes.
+        Err(_) => drop(std::fs::remove_dir(session.folder)),
+    }
+    opened
+}
+
+/// What a desk hands to the simulated brick, and who hears where that is, if there is one.
+fn simulated_brick(embedded: Option<&mut EmbeddedLink>) -> (Option<CommandSender>, Option<TruthTap>) {
+    let brick = embedded.map(|embedded| &mut embedded.brick);
+    brick.map_or((None, None), |brick| (Some(brick.controls.commands.clone()), brick.truth.take()))
+}
+
+/// Shows people what happens.
+fn observer(args: &RunArgs, embedded: Option<&EmbeddedLink>) -> Result<Observer> {
+    let view = if args.views.tui {
+        // The terminal view shows all that and more.
+        LiveView::silent()
+    } else {
+        live_view(embedded)
+    };
+    Observer::start(ObserverConfig { events: args.events.as_deref(), view })
+}
+
+fn live_view(embedded: Option<&EmbeddedLink>) -> LiveView {
+    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
+    let off = embedded.map(|embedded| ErrorToTruth::new(TruthTap::new(&embedded.brick.controls.truth)));
+    LiveView::new(progress).with_truth(off)
+}
+
+/// When the run ends by itself: at the latest with its simulated brick.
+fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &CancellationToken) -> StopConditions {
+    StopConditions {
+        stop: embedded.map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
+        progress: embedded.map(|embedded| embedded.brick.progress.clone()),
+        at: args.duration.map(Timestamp::from_secs_f64),
+        silence: args.until_silent.map(TimeDelta::from_secs_f64),
+    }
+}
+
+/// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
+fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Station> {
+    let mut pipeline_config = config.station_config()?;
+    signing.apply_to(&mut pipeline_config);
+    let pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
+    if args.save_calibration.is_some() && pipeline.calibration().is_none() {
+        bail!("--save-calibration: the filter `{}` learns no calibration", config.filter.name);
+    }
+    Ok(pipeline)
+}
+
+fn learned_of(pipeline: &Station, config: &Config) -> Result<Option<LearnedCalibration>> {
+    let prior = config.filter_config()?.calibration;
+    Ok(LearnedCalibration::from_pipeline(pipeline, "live run", &config.robot, &prior))
+}
+
+/// What recorder and observer leave.
+struct StoppedStation {
+    collector: EventCollector,
+    recorded: RecordedFiles,
+    failures: DeferredErrors,
+}
+
+/// Closes the links, then lets recorder and observer finish what waits.
+fn close(shard: StationLoop) -> Result<StoppedStation> {
+    let StationLoop { recorder, tlog, observer, links: ports, mut failures, requests: desk, .. } = shard;
+    let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
+    if unsent > 0 {
+        print_line(&format!("{unsent} messages were not sent: a link was down or too slow"));
+    }
+    drop(ports);
+    let last = desk.current().map(Path::to_owned);
+    // A disk that fails now must not cost the tables, nor one file the others.
+    let mut recorded = desk.finish(&mut failures);
+    let kept = recorder.map(Recorder::finish).transpose();
+    let kept = failures.record(kept.context("the recording is not whole"));
+    recorded.extend(last.zip(kept.flatten()));
+    let tlog = tlog.map(TlogRecorder::finish).transpose();
+    let tlog = failures.record(tlog.context("the telemetry log is not whole"));
+    let tlog = tlog.flatten();
+    if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
+        print_line("the telemetry log has holes: the disk was too slow for it");
+    }
+    let (collector, dropped) = observer.finish()?;
+    if dropped > 0 {
+        tracing::warn!(dropped, "events were not shown because the terminal was slow");
+    }
+    Ok(StoppedStation { collector, recorded: RecordedFiles { inputs: recorded, tlog }, failures })
+}

@@ -1,0 +1,238 @@
+//! From a configuration to links that sign: live with the key files and what is kept beside them, in a replay with what was recorded.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_protocol::signing::{Key, SigningConfig, SigningState, SigningTime};
+use posebridge_station::StationConfig;
+use posebridge_telemetry::{LinkId, TimeDelta};
+
+use super::keeper::{SignedLink, SigningStateWriter};
+use super::key_file::read_key;
+use super::state_file::StateFile;
+use crate::config::{Config, MemoryRecord, SigningSection};
+use crate::console::print_line;
+
+/// A date that stands further back than this is told: peers may be a little ahead of us without anything being wrong.
+const TOLERATED_LAG: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// The signed links of a live session.
+#[derive(Debug, Default)]
+pub struct SigningSession {
+    links: Vec<(LinkId, SigningConfig)>,
+    signed_links: Vec<SignedLink>,
+}
+
+impl SigningSession {
+    /// Reads the keys of all links that are to be signed and goes on from the stamps that are kept beside them.
+    /// `utc_start_micros` is the date at the host clock's zero.
+    ///
+    /// # Errors
+    /// A key or its stamps cannot be had, or another station uses them; the message names the link.
+    pub fn open(config: &Config, utc_start_micros: u64) -> Result<Self> {
+        let date = SigningTime::from_unix_micros(utc_start_micros);
+        let mut session = Self::default();
+        for (index, link) in config.links.iter().enumerate() {
+            let Some(section) = &link.signing else {
+                continue;
+            };
+            let name = format!("link {index} `{}`", link.url);
+            let key = key_of(section).with_context(|| name.clone())?;
+            session.check_unused(&key, section.link_id, &name)?;
+            let (memory, file) = resume(section, &key, date).with_context(|| name.clone())?;
+            warn_of_date(&name, date, &memory);
+            let id = LinkId(index as u16);
+            session.signed_links.push(SignedLink {
+                name,
+                link: id,
+                key: key.clone(),
+                file,
+                initial_state: memory.clone(),
+            });
+            session.links.push((id, section.pipeline(key, memory)));
+        }
+        Ok(session)
+    }
+
+    /// Refuses a link that would sign as one stream with another one, however the paths of their key files are spelt.
+    fn check_unused(&self, key: &Key, link_id: u8, name: &str) -> Result<()> {
+        let is_same = |signing: &SigningConfig| signing.key == *key && signing.link_id == link_id;
+        let before = self.links.iter().position(|(_, signing)| is_same(signing));
+        if let Some(other) = before.and_then(|index| self.signed_links.get(index)) {
+            bail!(
+                "{name}: {} uses the same key {} with the same `signing.link_id` {link_id}; give each link its own",
+                other.name,
+                key.name()
+            );
+        }
+        Ok(())
+    }
+
+    /// Gives the links of a pipeline their keys.
+    pub fn apply_to(&self, pipeline: &mut StationConfig) {
+        for (id, signing) in &self.links {
+            for link in pipeline.links.iter_mut().filter(|link| link.id == *id) {
+                link.signing = Some(signing.clone());
+            }
+        }
+    }
+
+    /// The configuration as a recording needs it: with what each signed link began with, and without the keys.
+    #[must_use]
+    pub fn config_for_recording(&self, config: &Config) -> Config {
+        let mut config = config.clone();
+        for (id, signing) in &self.links {
+            let link = config.links.get_mut(usize::from(id.0));
+            if let Some(section) = link.and_then(|link| link.signing.as_mut()) {
+                section.begun = Some(MemoryRecord::of(&signing.key, &signing.state));
+            }
+        }
+        config
+    }
+
+    /// Begins to keep the stamps; `None` where no link is signed.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn start_writer(self) -> Result<Option<SigningStateWriter>> {
+        if self.signed_links.is_empty() {
+            return Ok(None);
+        }
+        SigningStateWriter::start(self.signed_links).map(Some)
+    }
+}
+
+fn key_of(section: &SigningSection) -> Result<Key> {
+    if section.begun.is_some() {
+        bail!("`signing.begun` belongs to recordings: take it away");
+    }
+    read_key(Path::new(&section.key_file))
+}
+
+fn resume(section: &SigningSection, key: &Key, date: SigningTime) -> Result<(SigningState, StateFile)> {
+    let file = StateFile::lock(Path::new(&section.key_file), section.link_id)?;
+    let memory = match file.read(key)? {
+        Some((memory, ending)) => memory.resume(date, ending),
+        None => SigningState { written_at: date, clock: date, ..SigningState::default() },
+    };
+    Ok((memory, file))
+}
+
+fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
+    let lag = memory.clock.since(date);
+    if lag > TOLERATED_LAG {
+        print_line(&format!(
+            "WARNING: {link}: this computer's date stands {:.0} s before the time that signatures have reached; they go on from there",
+            lag.as_secs_f64()
+        ));
+    } else if date == SigningTime::ZERO {
+        print_line(&format!(
+            "WARNING: {link}: this computer's date lies before 2015; peers refuse our signatures until one of them has told us the time"
+        ));
+    }
+}
+
+/// Gives the links of a recorded session their keys, from these files or else from where they were when it was recorded.
+///
+/// # Errors
+/// A key cannot be had; the message names it and says how to give it.
+pub fn restore_states(config: &Config, files: &[PathBuf], pipeline: &mut StationConfig) -> Result<()> {
+    let given = files.iter().map(|path| read_key(path));
+    let given: Vec<Key> = given.collect::<Result<_>>()?;
+    for (index, link) in config.links.iter().enumerate() {
+        let Some(section) = &link.signing else {
+            continue;
+        };
+        let name = format!("link {index} `{}`", link.url);
+        let Some(begun) = &section.begun else {
+            bail!("{name}: the recording does not say with which stamps its signing began");
+        };
+        let key = key_by_name(&begun.key_name, &given, section).with_context(|| name.clone())?;
+        let signing = section.pipeline(key, begun.memory());
+        if let Some(link) = pipeline.links.get_mut(index) {
+            link.signing = Some(signing);
+        }
+    }
+    Ok(())
+}
+
+/// The key of that name: one of those given, or else the one in the file that held it.
+fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
+    if let Some(key) = given.iter().find(|key| key.name() == wanted) {
+        return Ok(key.clone());
+    }
+    let names: Vec<String> = given.iter().map(Key::name).collect();
+    let told = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
+    let cure = format!(
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{told}"
+    );
+    let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
+    if key.name() != wanted {
+        bail!("{cure} (`{}` holds {})", section.key_file, key.name());
+    }
+    Ok(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_text;
+    use crate::station::signing::create_key;
+
+    fn section(file: &Path) -> SigningSection {
+        SigningSection {
+            key_file: file.display().to_string(),
+            link_id: 0,
+            accept_unsigned: vec![],
+            required: true,
+            begun: None,
+        }
+    }
+
+    #[test]
+    fn one_key_and_link_id_under_two_spellings_is_refused_with_both_links_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        create_key(&path).unwrap();
+        let copy = folder.path().join("copy.key");
+        std::fs::copy(&path, &copy).unwrap();
+        let link = |port: u16, file: &Path, link_id: u8| {
+            let file = file.display();
+            format!(
+                "[[link]]\nurl = \"udp://127.0.0.1:{port}\"\nsigning = {{ key_file = \"{file}\", link_id = {link_id} }}\n"
+            )
+        };
+        let open = |links: &str| {
+            let config = load_text("test", links, &[]).unwrap().config;
+            config.station_config().unwrap();
+            SigningSession::open(&config, 1_750_000_000_000_000)
+        };
+        let dotted = folder.path().join("./a.key");
+        for other in [&copy, &dotted] {
+            let error = open(&(link(1, &path, 7) + &link(2, other, 7))).unwrap_err();
+            let error = format!("{error:#}");
+            assert!(error.contains("link 0 `udp://127.0.0.1:1`"), "{error}");
+            assert!(error.contains("link 1 `udp://127.0.0.1:2`"), "{error}");
+            assert!(error.contains("`signing.link_id` 7"), "{error}");
+            assert!(open(&(link(1, &path, 7) + &link(2, other, 8))).is_ok());
+        }
+    }
+
+    #[test]
+    fn of_two_keys_one_may_be_given_and_the_other_lie_where_it_did() {
+        let folder = tempfile::tempdir().unwrap();
+        let [here, given, foreign] = ["a", "b", "c"].map(|name| folder.path().join(name));
+        let [own, other, third] = [&here, &given, &foreign].map(|path| create_key(path).unwrap());
+        let both = [third.clone(), other.clone()];
+        for (wanted, file) in [(&own, &here), (&other, &here)] {
+            let found = key_by_name(&wanted.name(), &both, &section(file)).unwrap();
+            assert_eq!(found, *wanted);
+        }
+        let error = key_by_name(&own.name(), &both, &section(&foreign)).unwrap_err();
+        let error = format!("{error:#}");
+        for named in [&own, &other, &third] {
+            assert!(error.contains(&named.name()), "{error}");
+        }
+        assert!(error.contains("--key FILE"), "{error}");
+    }
+}

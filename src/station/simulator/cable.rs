@@ -1,0 +1,138 @@
+//! The cable between a simulated brick and its end of the link: whole, as bad as a profile says, or pulled out.
+
+use anyhow::Result;
+use posebridge_link::{HostTimer, Link, LinkEvent, LinkOpenConfig};
+use posebridge_sim::Simulation;
+use posebridge_sim::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
+use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
+
+/// A cable.
+pub struct SimulatedCable {
+    /// Without one it is pulled out.
+    port: Option<Link>,
+    /// What is opened when it is put in again; a port that somebody else has opened stays.
+    reopen_config: Option<(LinkOpenConfig, HostTimer)>,
+    /// When it is put in again.
+    replug_at: Timestamp<HostClock>,
+    /// Who was heard last.
+    station: Option<PeerId>,
+    /// What makes it worse than it is.
+    impairment: Option<ImpairedLink>,
+}
+
+impl SimulatedCable {
+    /// A cable that stays in.
+    #[must_use]
+    pub const fn fixed(port: Link) -> Self {
+        Self { port: Some(port), reopen_config: None, replug_at: Timestamp::ZERO, station: None, impairment: None }
+    }
+
+    /// A cable that can be pulled out and put in again.
+    #[must_use]
+    pub fn pluggable(config: LinkOpenConfig, timer: HostTimer) -> Self {
+        Self { reopen_config: Some((config.clone(), timer)), ..Self::fixed(Link::new(config, timer)) }
+    }
+
+    /// Opens the port at its end for the first time.
+    ///
+    /// # Errors
+    /// It cannot be opened, now or ever.
+    pub async fn open_first(&mut self) -> Result<()> {
+        match &mut self.port {
+            Some(port) => Ok(port.try_open().await?),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits for something to come; for ever, while it is out.
+    pub async fn next_event(&mut self) -> LinkEvent {
+        match &mut self.port {
+            Some(port) => port.next_event().await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Gives the simulation what has come.
+    pub fn on_link_event(&mut self, now: Timestamp<HostClock>, event: LinkEvent, simulation: &mut Simulation) {
+        match event {
+            LinkEvent::Bytes { peer, bytes, .. } => {
+                if self.station.is_some_and(|station| station != peer) {
+                    simulation.reopen_link();
+                }
+                self.station = Some(peer);
+                match &mut self.impairment {
+                    // Its number is for those who keep books.
+                    Some(bad) => {
+                        bad.offer(LinkEnd::Station, now, &bytes);
+                    }
+                    None => simulation.receive(&bytes),
+                }
+            }
+            LinkEvent::Up { .. } | LinkEvent::Down { .. } => {
+                self.station = None;
+                simulation.reopen_link();
+            }
+            LinkEvent::Finished { .. } => {}
+        }
+    }
+
+    /// Sends what the brick has to say, and hands over what a bad cable lets through by now.
+    pub fn transfer(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
+        self.replug_if_due(now, simulation);
+        while let Some(bytes) = simulation.poll() {
+            match &mut self.impairment {
+                Some(bad) => {
+                    bad.offer(LinkEnd::Brick, now, &bytes);
+                }
+                None => self.send(&bytes),
+            }
+        }
+        while let Some(event) = self.impairment.as_mut().and_then(|bad| bad.poll(now)) {
+            match event {
+                ImpairedLinkEvent::Arrived { end, delivery } => match end {
+                    LinkEnd::Station => self.send(&delivery.bytes),
+                    LinkEnd::Brick => simulation.receive(&delivery.bytes),
+                },
+                // As with a radio that loses its other end: nobody is told, it is silent.
+                ImpairedLinkEvent::Down { .. } => {}
+                ImpairedLinkEvent::Up { .. } => simulation.reopen_link(),
+            }
+        }
+        if let Some(bad) = &mut self.impairment {
+            for end in [LinkEnd::Station, LinkEnd::Brick] {
+                drop(bad.take_log(end));
+            }
+        }
+    }
+
+    /// Makes the cable as bad as this, or whole; what was on its way through a bad one is lost.
+    pub fn impair(&mut self, now: Timestamp<HostClock>, profile: Option<&LinkProfile>, seed: u64) {
+        self.impairment = profile.map(|profile| ImpairedLink::new(profile, seed, now));
+    }
+
+    /// Pulls the cable out for so long, if it is one that can be pulled out.
+    pub fn unplug(&mut self, now: Timestamp<HostClock>, duration: TimeDelta) {
+        if self.reopen_config.is_some() {
+            // The terminal goes with its port, and whoever reads there is hung up.
+            self.port = None;
+            self.station = None;
+            self.replug_at = now + duration;
+        }
+    }
+
+    fn replug_if_due(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
+        if self.port.is_some() || now < self.replug_at {
+            return;
+        }
+        if let Some((config, timer)) = &self.reopen_config {
+            self.port = Some(Link::new(config.clone(), *timer));
+            simulation.reopen_link();
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) {
+        if let Some(port) = &mut self.port {
+            port.send(bytes);
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! The simulated brick in real time, behind a real link: its own thread when it is embedded, the whole process in `posebridge sim`.
+
+mod cable;
+mod controls;
+mod embedded;
+pub mod truth_tap;
+
+use posebridge_link::{HostTimer, Link, LinkEvent};
+use posebridge_sim::{STEP, Simulation};
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+pub use self::cable::SimulatedCable;
+pub use self::controls::{
+    COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, controls,
+};
+pub use self::embedded::EmbeddedBrick;
+
+/// The world is stepped in bites of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
+const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
+/// After the path's end the brick still talks for this long, so that the last late fixes are used.
+const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
+
+/// Time between two announcements.
+const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// The links of a simulated brick, open.
+pub struct BrickPorts {
+    /// To the station.
+    pub brick: SimulatedCable,
+    /// The camera's own, where it does not share the brick's. Without it nobody hears such a camera.
+    pub camera: Option<Link>,
+    /// Where the camera's images go, if another program looks through it.
+    pub images: Option<Link>,
+    /// Where the brick is announced.
+    pub announcement: Option<Announcement>,
+}
+
+/// A text that is sent again and again.
+pub struct Announcement {
+    port: Link,
+    text: Vec<u8>,
+    due: TimeDelta,
+}
+
+impl Announcement {
+    /// Sends `text` on `port` from now on.
+    #[must_use]
+    pub const fn new(port: Link, text: Vec<u8>) -> Self {
+        Self { port, text, due: TimeDelta::ZERO }
+    }
+
+    fn send_if_due(&mut self, elapsed: TimeDelta) {
+        if elapsed >= self.due {
+            self.due = elapsed + ANNOUNCE_PERIOD;
+            self.port.send(&self.text);
+        }
+    }
+}
+
+impl BrickPorts {
+    /// The brick's link alone.
+    #[must_use]
+    pub const fn of(brick: SimulatedCable) -> Self {
+        Self { brick, camera: None, images: None, announcement: None }
+    }
+
+    /// Waits for something to happen and gives it to the simulation, which lives until then first.
+    async fn serve(&mut self, simulation: &mut Simulation, (timer, start): (HostTimer, Timestamp<HostClock>)) {
+        tokio::select! {
+            event = self.brick.next_event() => {
+                let now = timer.now();
+                step_to(simulation, now - start);
+                self.brick.on_link_event(now, event, simulation);
+            }
+            event = next_of(self.camera.as_mut()) => {
+                step_to(simulation, timer.now() - start);
+                if let LinkEvent::Bytes { bytes, .. } = event {
+                    simulation.receive_camera(&bytes);
+                }
+            }
+            // Nobody answers an image. Polled, the port takes whoever calls.
+            _ = next_of(self.images.as_mut()) => {}
+            // Nobody answers an announcement there; polled, the port comes back after a loss.
+            _ = next_of(self.announcement.as_mut().map(|announcement| &mut announcement.port)) => {}
+        }
+    }
+
+    /// Sends what brick and camera have to say.
+    fn send_all(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
+        self.brick.transfer(now, simulation);
+        while let Some(bytes) = simulation.poll_camera() {
+            if let Some(camera) = &mut self.camera {
+                camera.send(&bytes);
+            }
+        }
+        while let Some(image) = simulation.poll_image() {
+            if let Some(port) = &mut self.images {
+                port.send(format!("{image}\n").as_bytes());
+            }
+        }
+        if let Some(announcement) = &mut self.announcement {
+            announcement.send_if_due(simulation.elapsed());
+        }
+    }
+}
+
+/// The next event of a port; never, without one.
+async fn next_of(port: Option<&mut Link>) -> LinkEvent {
+    match port {
+        Some(port) => port.next_event().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Who can reach a brick while it drives.
+pub struct DriveContext<'a> {
+    /// Cancelled when it has to stop.
+    pub stop: &'a CancellationToken,
+    /// Told how much of the path is driven, 0 to 1.
+    pub progress: &'a watch::Sender<f64>,
+    /// Whoever may do things to it, if anybody.
+    pub controls: Option<ControlReceiver>,
+}
+
+/// Drives a simulation in real time on its ports, until its path ends or somebody stops it.
+pub async fn drive(
+    simulation: &mut Simulation,
+    ports: &mut BrickPorts,
+    timer: HostTimer,
+    mut company: DriveContext<'_>,
+) {
+    let start = timer.now();
+    let mut ends_at: Option<Timestamp<HostClock>> = None;
+    loop {
+        let bite_end = start + simulation.elapsed() + STEP_CHUNK;
+        tokio::select! {
+            () = ports.serve(simulation, (timer, start)) => {}
+            () = timer.sleep_until(bite_end) => step_to(simulation, timer.now() - start),
+            () = company.stop.cancelled() => return,
+        }
+        let now = timer.now();
+        if let Some(reach) = &mut company.controls {
+            reach.execute_commands(now, simulation, &mut ports.brick);
+            reach.publish_truth(start, simulation);
+        }
+        ports.send_all(now, simulation);
+        company.progress.send_replace(simulation.progress());
+        if simulation.is_finished() {
+            let end = *ends_at.get_or_insert(now + LINGER_AFTER_END);
+            if now >= end {
+                return;
+            }
+        }
+    }
+}
+
+/// The world follows the host's clock and never runs ahead of it: nothing may be sent before it was measured.
+fn step_to(simulation: &mut Simulation, elapsed: TimeDelta) {
+    while simulation.elapsed() + STEP <= elapsed {
+        simulation.step();
+    }
+}

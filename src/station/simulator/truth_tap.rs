@@ -1,0 +1,69 @@
+//! One who watches where a simulated robot really is.
+
+use tokio::sync::broadcast;
+use tokio::sync::broadcast::error::TryRecvError;
+
+use super::TimedTruthSample;
+
+/// Takes what was shown since it looked last. Who is too slow misses the oldest samples, and they are counted.
+pub struct TruthTap {
+    receiver: broadcast::Receiver<TimedTruthSample>,
+    missed: u64,
+}
+
+impl TruthTap {
+    /// One who hears what is shown from now on.
+    #[must_use]
+    pub fn new(truth: &broadcast::Sender<TimedTruthSample>) -> Self {
+        Self { receiver: truth.subscribe(), missed: 0 }
+    }
+
+    /// What was shown since the last time; never waits.
+    pub fn drain(&mut self) -> Vec<TimedTruthSample> {
+        let mut samples = Vec::new();
+        loop {
+            match self.receiver.try_recv() {
+                Ok(sample) => samples.push(sample),
+                Err(TryRecvError::Lagged(missed)) => self.missed += missed,
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return samples,
+            }
+        }
+    }
+
+    /// Samples that were missed so far.
+    #[must_use]
+    pub const fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_sim::{Scenario, Simulation};
+    use posebridge_telemetry::{TimeDelta, Timestamp};
+
+    use super::*;
+    use crate::station::simulator::controls;
+
+    #[test]
+    fn who_looks_too_rarely_misses_the_oldest_and_knows_how_many() {
+        let (hands, mut reach) = controls();
+        let mut tap = TruthTap::new(&hands.truth);
+        let mut simulation = Simulation::new(Scenario::default());
+        reach.publish_truth(Timestamp::from_millis(5_000), &simulation);
+        let first = tap.drain();
+        assert_eq!(first.len(), 1, "the start");
+        assert_eq!(first[0].at, Timestamp::from_millis(5_000));
+        // 20 samples a second for 30 s; 256 wait.
+        for _ in 0..30_000 {
+            simulation.step();
+            reach.publish_truth(Timestamp::ZERO, &simulation);
+        }
+        let kept = tap.drain();
+        assert_eq!((kept.len(), tap.missed()), (256, 600 - 256));
+        let last = kept.last().unwrap();
+        assert_eq!(last.at - Timestamp::ZERO, simulation.elapsed());
+        assert_eq!(last.sample.sim_time, TimeDelta::from_millis(30_000));
+        assert_eq!(tap.drain(), []);
+    }
+}

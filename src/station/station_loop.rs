@@ -1,0 +1,331 @@
+//! The loop that owns a pipeline and its ports: bytes in, reply out, in one wake-up.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use posebridge_link::{DeadlineTimer, HostTimer, LinkEvent, LinkSet, OutgoingFrame};
+use posebridge_recording::container::TruthSample;
+use posebridge_station::Station;
+use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, Priority, TimeDelta, Timestamp};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::clock_step::ClockStepDetector;
+use super::dashboard::{DashboardHandle, next_command};
+use super::deferred_errors::DeferredErrors;
+use super::observer::Observer;
+use super::recorder::Recorder;
+use super::request_reports::WARNING;
+use super::requests::RequestHandler;
+use super::signing::SigningStateWriter;
+use super::simulator::truth_tap::TruthTap;
+use super::status::station_status;
+use super::tlog_writer::TlogRecorder;
+
+/// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
+const COUNTS_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// An observation makes three events: it came, it was fused, this is the estimate.
+const USUAL_EVENTS: usize = 4;
+
+/// What ends a shard.
+#[derive(Clone, Debug)]
+pub struct StopConditions {
+    /// Somebody asked for it, or the simulated brick has finished.
+    pub stop: CancellationToken,
+    /// How much of its drive the simulated brick has done, if there is one; at 1 it pulls its plug.
+    pub progress: Option<watch::Receiver<f64>>,
+    /// The session is over at this instant.
+    pub at: Option<Timestamp<HostClock>>,
+    /// No byte for this long, once one has come.
+    pub silence: Option<TimeDelta>,
+}
+
+impl StopConditions {
+    /// Whether the simulated brick has driven all that it was to drive.
+    fn has_finished_driving(&self) -> bool {
+        let progress = self.progress.as_ref();
+        progress.is_some_and(|progress| *progress.borrow() >= 1.0)
+    }
+}
+
+/// A pipeline with its links and what hangs off it.
+pub struct StationLoop {
+    /// The engine.
+    pub pipeline: Station,
+    /// Its links.
+    pub links: LinkSet,
+    /// The session's clock.
+    pub timer: HostTimer,
+    /// The recording, if there is one. It can be taken away and another one put here while the shard runs; such a one begins after
+    /// [`Self::input_count`] inputs.
+    pub recorder: Option<Recorder>,
+    /// How many inputs the pipeline has been given.
+    pub input_count: u64,
+    /// The telemetry log beside it, if there is one.
+    pub tlog: Option<TlogRecorder>,
+    /// The terminal.
+    pub observer: Observer,
+    /// The dashboard, if there is one.
+    pub dashboard: Option<DashboardHandle>,
+    /// What ended before the run, a recording or the telemetry log, and why.
+    pub failures: DeferredErrors,
+    /// What keeps the stamps of signed links, if there are any.
+    pub signing: Option<SigningStateWriter>,
+    /// What carries out the pipeline's requests.
+    pub requests: RequestHandler,
+    /// Where the simulated robot really is, if there is one.
+    pub truth: Option<TruthTap>,
+}
+
+impl StationLoop {
+    /// Runs until the ending says so; the recorder and the observer then finish what waits.
+    /// A recorder that fails is put away with its reason: a full disk must not stop a robot that steers by us.
+    pub async fn run(&mut self, ending: &StopConditions) {
+        let mut next_counts = self.timer.now() + COUNTS_PERIOD;
+        let mut last_byte: Option<Timestamp<HostClock>> = None;
+        let mut finished: BTreeSet<LinkId> = BTreeSet::new();
+        let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
+        let stopped = ending.stop.cancelled();
+        tokio::pin!(stopped);
+        let mut alarm = DeadlineTimer::new(self.timer);
+        let mut calendar = ClockStepDetector::default();
+        while !ending.stop.is_cancelled() && finished.len() < self.links.iter().len() {
+            let silent_at = ending.silence.and_then(|span| last_byte.map(|last| last + span));
+            let end_at = [ending.at, silent_at].into_iter().flatten().min();
+            let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
+            let (now, input) = tokio::select! {
+                // What came goes first; the pipeline sees by its instant what is due, and the loop whether it has to end.
+                biased;
+                (link, event) = self.links.next_event() => {
+                    if matches!(event, LinkEvent::Finished { .. }) {
+                        finished.insert(link);
+                    }
+                    let (at, input) = input_of(link, event, ending);
+                    if !changes_state(link, &input, &mut states) {
+                        continue;
+                    }
+                    if matches!(input, Input::Bytes { .. }) {
+                        last_byte = Some(at);
+                    }
+                    (at, input)
+                }
+                command = next_command(&mut self.dashboard) => (self.timer.now(), Input::Command(command)),
+                report = self.requests.next_report() => (self.timer.now(), report),
+                () = alarm.wait_until(deadline) => (self.timer.now(), Input::Tick),
+                () = &mut stopped => return,
+            };
+            if end_at.is_some_and(|end| now >= end) {
+                return;
+            }
+            self.handle(now, input);
+            if now >= next_counts {
+                next_counts = now + COUNTS_PERIOD;
+                self.report_counters(now);
+                self.check_clock_step(now, &mut calendar);
+                self.record_calibration(now);
+                self.publish_status(now);
+                self.record_truth();
+            }
+        }
+    }
+
+    /// Writes down with which stamps the signed links have ended; nothing may be handled after it.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
+        let keeper = self.signing.take();
+        keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.pipeline))
+    }
+
+    /// Tells the pipeline what its ports have counted.
+    fn report_counters(&mut self, now: Timestamp<HostClock>) {
+        let counts: Vec<_> = self.links.iter().map(|port| (port.id(), port.port_counts())).collect();
+        for (link, counts) in counts {
+            self.handle(now, Input::Port { link, counts });
+        }
+    }
+
+    /// Says so when the computer's date was set: the recording goes on by the date at its start.
+    fn check_clock_step(&mut self, now: Timestamp<HostClock>, calendar: &mut ClockStepDetector) {
+        let Some(leap) = calendar.detect(self.timer.utc_drift()) else {
+            return;
+        };
+        let text = format!(
+            "the computer's date was set by {:+.1} s; the session goes on by its own clock, its recording by the date at its start",
+            leap.as_secs_f64()
+        );
+        tracing::warn!("{text}");
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record_message(now, 4, &text);
+        }
+    }
+
+    /// Keeps what the filter has learned beside the inputs.
+    fn record_calibration(&mut self, now: Timestamp<HostClock>) {
+        if let (Some(recorder), Some(learned)) = (&mut self.recorder, self.pipeline.calibration()) {
+            recorder.record_calibration(now, learned);
+        }
+    }
+
+    /// Tells the dashboard what stands.
+    fn publish_status(&self, now: Timestamp<HostClock>) {
+        if let Some(dashboard) = &self.dashboard {
+            let standing = station_status(&self.pipeline, self.recorder.as_ref());
+            dashboard.publish_status(now, standing, self.requests.overrides());
+        }
+    }
+
+    /// Keeps where the simulated robot really was beside the inputs.
+    pub fn record_truth(&mut self) {
+        let Some(tap) = &mut self.truth else {
+            return;
+        };
+        let missed = tap.missed();
+        let samples = tap.drain().into_iter().map(|live| TruthSample {
+            time: live.sample.brick_time,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        });
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record_truth(samples.collect());
+        }
+        if tap.missed() > missed {
+            let samples = tap.missed() - missed;
+            tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
+        }
+    }
+
+    fn handle(&mut self, now: Timestamp<HostClock>, input: Input) {
+        self.pipeline.handle(now, &input);
+        self.input_count += 1;
+        // The reply first: to wake the threads that watch and record must not delay it.
+        let mut events = Vec::with_capacity(USUAL_EVENTS);
+        let mut sent = Vec::new();
+        let mut requests = Vec::new();
+        while let Some(output) = self.pipeline.poll() {
+            match output {
+                Output::Transmit { link, to, priority, bytes } => {
+                    if let Some(port) = self.links.get_mut(link) {
+                        let frame = &bytes;
+                        port.send_outgoing(&OutgoingFrame { to, priority, frame });
+                    }
+                    if self.tlog.is_some() {
+                        sent.push((link, priority, bytes));
+                    }
+                }
+                Output::Event(event) => events.push(event),
+                Output::Request(request) => requests.push(request),
+            }
+        }
+        // One copy for all that watch and record: what a stall has held back comes at once, and waits for each of them.
+        let events: Arc<[Event]> = events.into();
+        if let Some(dashboard) = &self.dashboard {
+            dashboard.print_address(now, &events);
+        }
+        let is_command = matches!(input, Input::Command(_));
+        let logged = self.log_traffic(now, &input, &sent);
+        self.requests.on_input(&input);
+        let recorded = self.record(now, input, &events);
+        self.observer.push(now, &events);
+        if let Some(keeper) = &mut self.signing {
+            keeper.save_if_due(now, &self.pipeline);
+        }
+        if let Some(report) = recorded {
+            self.handle(now, report);
+        }
+        if let Some(report) = logged {
+            self.handle(now, report);
+        }
+        // After the input that led to it: a recording that it ends holds it.
+        for request in requests {
+            let moment = (now, self.input_count);
+            let report = self.requests.execute(moment, &request, &mut self.recorder);
+            if let Some(report) = report {
+                self.handle(now, report);
+            }
+        }
+        if is_command {
+            self.publish_status(now);
+        }
+    }
+
+    /// Hands the recorder what came in and what came out. One that has failed is put away; then gives what is to be said.
+    fn record(&mut self, now: Timestamp<HostClock>, input: Input, events: &Arc<[Event]>) -> Option<Input> {
+        let recorder = self.recorder.as_mut()?;
+        if recorder.record(now, input).is_ok() {
+            recorder.record_events(now, events);
+            return None;
+        }
+        let ended = self.recorder.take().map(Recorder::finish);
+        self.requests.drop_recording();
+        let Some(Err(error)) = ended else {
+            return None;
+        };
+        tracing::error!(error = format!("{error:#}"), "the recording ends here");
+        let report = warning(format!("no longer recording: {error:#}"));
+        self.failures.record::<()>(Err(error.context("the recording is not whole")));
+        Some(report)
+    }
+
+    /// Gives the telemetry log what came and what was sent for it. One that fails is put away, as a recorder is; then gives what is to
+    /// be said.
+    fn log_traffic(
+        &mut self,
+        now: Timestamp<HostClock>,
+        input: &Input,
+        sent: &[(LinkId, Priority, Vec<u8>)],
+    ) -> Option<Input> {
+        let tlog = self.tlog.as_mut()?;
+        let mut taken = tlog.received(now, input);
+        for (link, priority, frame) in sent {
+            taken = taken.and_then(|()| tlog.sent(now, *link, *priority, frame));
+        }
+        if taken.is_ok() {
+            return None;
+        }
+        let Some(Err(error)) = self.tlog.take().map(TlogRecorder::finish) else {
+            return None;
+        };
+        tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
+        let report = warning(format!("no more telemetry log: {error:#}"));
+        self.failures.record::<()>(Err(error.context("the telemetry log is not whole")));
+        Some(report)
+    }
+}
+
+/// What the pipeline is told of something that failed.
+fn warning(text: String) -> Input {
+    let severity = WARNING;
+    Input::Report { severity, text }
+}
+
+/// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.
+fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, LinkState>) -> bool {
+    if let Input::Link { state, .. } = input {
+        return states.insert(link, *state) != Some(*state);
+    }
+    true
+}
+
+/// What a port's event is to the pipeline.
+fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {
+    match event {
+        LinkEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),
+        LinkEvent::Up { at, detail } => {
+            tracing::info!(link = link.0, detail, "link up");
+            (at, Input::Link { link, state: LinkState::Up })
+        }
+        LinkEvent::Down { at, reason, retry_in } => {
+            if ending.has_finished_driving() {
+                tracing::info!(link = link.0, reason, "link down at the end of the drive");
+            } else {
+                let retry_ms = retry_in.as_millis_f64().round();
+                tracing::warn!(link = link.0, reason, retry_ms, "link down");
+            }
+            (at, Input::Link { link, state: LinkState::Down })
+        }
+        LinkEvent::Finished { at } => (at, Input::Link { link, state: LinkState::Down }),
+    }
+}

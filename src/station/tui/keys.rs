@@ -1,0 +1,224 @@
+//! Keys: from the bytes that a terminal sends to what is to be done.
+//!
+//! Own code, because crossterm's reader waits inside a sequence that was sent in part and turns for ever when the terminal is hung up; the
+//! few sequences that are needed are those of ECMA-48 as xterm sends them (XTerm Control Sequences, "PC-Style Function Keys").
+
+use super::operator_actions::OperatorAction;
+
+/// A key that was pressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KeyPress {
+    /// A letter, a digit or a sign.
+    Letter(char),
+    /// Tab.
+    Tab,
+    /// Tab with shift.
+    BackTab,
+    /// An arrow.
+    Up,
+    /// An arrow.
+    Down,
+    /// An arrow.
+    Left,
+    /// An arrow.
+    Right,
+    /// Escape.
+    Escape,
+    /// Ctrl-C.
+    Interrupt,
+}
+
+/// What a key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UiAction {
+    /// End the run.
+    Quit,
+    /// The next panel.
+    NextPanel,
+    /// The panel before.
+    PreviousPanel,
+    /// The next robot.
+    NextRobot,
+    /// The robot before.
+    PreviousRobot,
+    /// Explain the keys, or stop that.
+    Help,
+    /// Close what lies on top.
+    Back,
+    /// Something that happens to the simulated brick.
+    Do(OperatorAction),
+}
+
+/// A row of [`KEYS`].
+pub struct KeyBinding {
+    /// What does it.
+    pub key_presses: &'static [KeyPress],
+    /// How the keys are called.
+    pub name: &'static str,
+    /// What it does, in a word.
+    pub label: &'static str,
+    /// What it does, in a line.
+    pub help: &'static str,
+    /// What it asks for.
+    pub action: UiAction,
+}
+
+/// Every key. Adding one: a row here.
+pub const KEYS: &[KeyBinding] = &[
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('q'), KeyPress::Interrupt],
+        name: "q",
+        label: "quit",
+        help: "end the run, as Ctrl-C does",
+        action: UiAction::Quit,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('?'), KeyPress::Letter('h')],
+        name: "?",
+        label: "help",
+        help: "these lines; again, or Esc, takes them away",
+        action: UiAction::Help,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Tab, KeyPress::Down],
+        name: "tab",
+        label: "panel",
+        help: "or ↓: the next panel on the whole screen; behind the last, all together",
+        action: UiAction::NextPanel,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::BackTab, KeyPress::Up],
+        name: "shift-tab",
+        label: "",
+        help: "or ↑: the panel before",
+        action: UiAction::PreviousPanel,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Right],
+        name: "→",
+        label: "",
+        help: "the next robot, where several are heard",
+        action: UiAction::NextRobot,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Left],
+        name: "←",
+        label: "",
+        help: "the robot before",
+        action: UiAction::PreviousRobot,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Escape],
+        name: "Esc",
+        label: "",
+        help: "all panels together",
+        action: UiAction::Back,
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('k')],
+        name: "k",
+        label: "kidnap",
+        help: "lift the simulated robot and put it down 0.3 m ahead, 0.2 m to the left, turned by 60°",
+        action: UiAction::Do(OperatorAction::Kidnap),
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('c')],
+        name: "c",
+        label: "camera",
+        help: "cover the simulated camera, or uncover it",
+        action: UiAction::Do(OperatorAction::Camera),
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('s')],
+        name: "s",
+        label: "slip",
+        help: "let its left wheel lose 80 % of its travel for a second",
+        action: UiAction::Do(OperatorAction::Slip),
+    },
+    KeyBinding {
+        key_presses: &[KeyPress::Letter('p')],
+        name: "p",
+        label: "cable",
+        help: "pull its cable for 3 s",
+        action: UiAction::Do(OperatorAction::PullCable),
+    },
+];
+
+/// What a key asks for, if it does anything.
+#[must_use]
+pub fn action_of(stroke: KeyPress) -> Option<UiAction> {
+    let key = KEYS.iter().find(|key| key.key_presses.contains(&stroke));
+    key.map(|key| key.action)
+}
+
+/// The keys in what a terminal has sent. Whatever else it sends is passed over.
+#[must_use]
+pub fn parse_key_presses(mut bytes: &[u8]) -> Vec<KeyPress> {
+    let mut found = Vec::new();
+    while let [first, rest @ ..] = bytes {
+        bytes = rest;
+        match first {
+            0x03 => found.push(KeyPress::Interrupt),
+            b'\t' => found.push(KeyPress::Tab),
+            b' '..=b'~' => found.push(KeyPress::Letter(char::from(*first))),
+            0x1b => match rest {
+                [b'[' | b'O', sequence @ ..] => {
+                    let end = sequence.iter().position(|byte| (b'@'..=b'~').contains(byte));
+                    let last = end.and_then(|end| sequence.get(end)).copied();
+                    found.extend(last.and_then(parse_escape));
+                    bytes = end.map_or(&[][..], |end| &sequence[end + 1..]);
+                }
+                _ => found.push(KeyPress::Escape),
+            },
+            _ => {}
+        }
+    }
+    found
+}
+
+/// The key whose sequence ends so.
+const fn parse_escape(end: u8) -> Option<KeyPress> {
+    Some(match end {
+        b'A' => KeyPress::Up,
+        b'B' => KeyPress::Down,
+        b'C' => KeyPress::Right,
+        b'D' => KeyPress::Left,
+        b'Z' => KeyPress::BackTab,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_read_as_xterm_sends_them() {
+        use KeyPress::{BackTab, Down, Escape, Interrupt, Left, Letter, Right, Tab, Up};
+        assert_eq!(parse_key_presses(b"q\t?"), [Letter('q'), Tab, Letter('?')]);
+        assert_eq!(parse_key_presses(b"\x1b[A\x1b[B\x1bOC\x1b[1;5D\x1b[Z"), [Up, Down, Right, Left, BackTab]);
+        assert_eq!(parse_key_presses(b"\x1b"), [Escape]);
+        assert_eq!(parse_key_presses(b"\x03\x1b[200~k"), [Interrupt, Letter('k')]);
+        assert!(parse_key_presses(b"\x1b[1;").is_empty());
+        assert!(parse_key_presses("ä\u{0}".as_bytes()).is_empty());
+    }
+
+    #[test]
+    fn any_bytes_end() {
+        for first in 0..=u8::MAX {
+            for second in 0..=u8::MAX {
+                let found = parse_key_presses(&[0x1b, first, second, b'[', second]);
+                assert!(found.len() <= 5, "{first} {second}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_key_stands_twice_and_each_is_explained() {
+        let all: Vec<KeyPress> = KEYS.iter().flat_map(|key| key.key_presses).copied().collect();
+        for (index, stroke) in all.iter().enumerate() {
+            assert!(!all[..index].contains(stroke), "{stroke:?}");
+        }
+        assert!(KEYS.iter().all(|key| !key.help.is_empty() && !key.name.is_empty()));
+    }
+}

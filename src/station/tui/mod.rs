@@ -1,0 +1,207 @@
+//! The terminal view: what the page shows, for people on ssh (docs/terminal.md).
+//!
+//! It is fed with the messages of the page through a channel that drops and counts ([`FrameTap`]), and gives its commands by the same way
+//! as the page. From a [`Model`] to the cells of the screen goes a pure function ([`render::render`]); [`tty`] takes the terminal, never
+//! waits for it, and gives it back as it was: at the end, after an error, and when something panics.
+
+mod format;
+pub mod keys;
+pub mod model;
+pub mod operator_actions;
+pub mod panels;
+pub mod render;
+mod screen;
+pub mod theme;
+pub mod tty;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::thread::JoinHandle;
+
+use anyhow::{Context, Result};
+use posebridge_dashboard::model::SimulatorFacts;
+use posebridge_dashboard::{CommandSubmitter, FrameTap, TapPoll};
+use tokio_util::sync::CancellationToken;
+
+use self::keys::{UiAction, action_of};
+use self::model::Model;
+use self::operator_actions::{CameraState, OperatorAction};
+use self::panels::PANELS;
+use self::screen::Screen;
+use self::theme::Theme;
+use self::tty::Tty;
+use crate::console::{redirect_stderr, restore_stderr};
+
+/// So many messages wait for the view, a bit more than a second of them; it looks twenty times a second.
+pub const WAITING_FRAMES: usize = 64;
+/// A key is waited for so long before the screen is drawn anew: twenty pictures a second are more than an eye needs for numbers.
+const DRAW_PERIOD_MILLIS: u16 = 50;
+/// So many lines of the program are taken between two pictures.
+const MAX_LINES: usize = 256;
+
+/// What the view is connected to.
+pub struct TerminalInputs {
+    /// What happens.
+    pub frames: FrameTap,
+    /// What is asked for.
+    pub commands: CommandSubmitter,
+    /// Cancelled when a person ends the run.
+    pub quit: CancellationToken,
+    /// The simulated brick, if the station has one of its own.
+    pub simulator: Option<SimulatorFacts>,
+    /// The first line among the events.
+    pub greeting: String,
+}
+
+/// A view that has the terminal. It gives it back when it is dropped.
+pub struct TerminalView {
+    tty: Arc<Tty>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl TerminalView {
+    /// Takes the terminal and starts the thread that draws.
+    ///
+    /// # Errors
+    /// The terminal cannot be taken, or the thread cannot be started.
+    pub fn start(wires: TerminalInputs) -> Result<Self> {
+        let no_color = std::env::var_os("NO_COLOR");
+        let look = Theme::from_env(no_color.as_deref());
+        let tty = Tty::open()?;
+        restore_on_panic(&tty, restore_stderr);
+        let said = redirect_stderr();
+        let is_over = Arc::new(AtomicBool::new(false));
+        let mut view = Self { tty: Arc::clone(&tty), is_over: Arc::clone(&is_over), thread: None };
+        let screen = Screen::new(Arc::clone(&tty), look)?;
+        let mut model = Model::new(wires.simulator.clone());
+        model.push_message(&wires.greeting);
+        let work = TerminalLoop { tty, screen, model, inputs: wires, log_lines: said, is_over };
+        let thread = std::thread::Builder::new().name("terminal".to_owned());
+        view.thread = Some(thread.spawn(move || work.run()).context("starting the terminal view's thread")?);
+        Ok(view)
+    }
+}
+
+impl Drop for TerminalView {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::SeqCst);
+        let ended = self.thread.take().map(JoinHandle::join);
+        self.tty.restore();
+        restore_stderr();
+        if let Some(Err(_panic)) = ended {
+            tracing::error!("the terminal view's thread died");
+        }
+    }
+}
+
+/// A message about a panic belongs on the screen as it was, behind what was said before, which `say_rest` says.
+fn restore_on_panic(tty: &Arc<Tty>, say_rest: fn()) {
+    let tty = Arc::downgrade(tty);
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if let Some(tty) = tty.upgrade() {
+            tty.restore();
+            say_rest();
+        }
+        before(panic);
+    }));
+}
+
+/// What the thread does.
+struct TerminalLoop {
+    tty: Arc<Tty>,
+    screen: Screen,
+    model: Model,
+    inputs: TerminalInputs,
+    log_lines: Receiver<String>,
+    is_over: Arc<AtomicBool>,
+}
+
+impl TerminalLoop {
+    fn run(mut self) {
+        while !self.is_over.load(Ordering::SeqCst) {
+            if let Err(error) = self.step() {
+                // The run goes on: a robot may steer by it.
+                self.tty.restore();
+                restore_stderr();
+                tracing::warn!("there is no terminal view any more: {error:#}");
+                return;
+            }
+        }
+    }
+
+    /// Draws once, then waits for a key as long as a picture lasts.
+    fn step(&mut self) -> Result<()> {
+        while let TapPoll::Frame(frame) = self.inputs.frames.try_recv() {
+            self.model.on_frame(&frame);
+        }
+        self.model.missed = self.inputs.frames.missed();
+        for line in self.log_lines.try_iter().take(MAX_LINES) {
+            self.model.push_message(&line);
+        }
+        self.screen.show(&self.model)?;
+        let heard = self.tty.read(DRAW_PERIOD_MILLIS)?;
+        for action in keys::parse_key_presses(&heard).into_iter().filter_map(action_of) {
+            self.apply(action);
+        }
+        Ok(())
+    }
+
+    fn apply(&mut self, action: UiAction) {
+        match action {
+            UiAction::Quit => {
+                self.model.set_notice("ending the run");
+                self.inputs.quit.cancel();
+            }
+            UiAction::Do(deed) => self.execute(deed),
+            UiAction::NextPanel
+            | UiAction::PreviousPanel
+            | UiAction::NextRobot
+            | UiAction::PreviousRobot
+            | UiAction::Help
+            | UiAction::Back => choose(&mut self.model, action),
+        }
+    }
+
+    fn execute(&mut self, deed: OperatorAction) {
+        if self.model.simulator.is_none() {
+            self.model.set_notice("this station has no simulated brick");
+            return;
+        }
+        let camera = if self.model.selection.is_camera_covered { CameraState::Covered } else { CameraState::Open };
+        if !self.inputs.commands.send(deed.command(camera)) {
+            self.model.set_notice("too many commands wait; try again");
+            return;
+        }
+        self.model.set_notice(deed.description(camera));
+        if deed == OperatorAction::Camera {
+            let chosen = &mut self.model.selection;
+            chosen.is_camera_covered = !chosen.is_camera_covered;
+        }
+    }
+}
+
+/// Chooses what is shown.
+pub fn choose(model: &mut Model, action: UiAction) {
+    let robots = model.visible_robots().len().max(1);
+    let chosen = &mut model.selection;
+    // All together come before the first panel and behind the last.
+    let places = PANELS.len() + 1;
+    let place = chosen.panel.map_or(0, |panel| panel + 1);
+    let panel_at = |place: usize| (place % places).checked_sub(1);
+    match action {
+        UiAction::NextPanel => chosen.panel = panel_at(place + 1),
+        UiAction::PreviousPanel => chosen.panel = panel_at(place + places - 1),
+        UiAction::NextRobot => chosen.robot = (chosen.robot + 1) % robots,
+        UiAction::PreviousRobot => chosen.robot = (chosen.robot + robots - 1) % robots,
+        UiAction::Help => chosen.has_help = !chosen.has_help,
+        UiAction::Back if chosen.has_help => chosen.has_help = false,
+        UiAction::Back => chosen.panel = None,
+        UiAction::Quit | UiAction::Do(_) => {}
+    }
+}
+
+#[cfg(test)]
+mod tests;

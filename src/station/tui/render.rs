@@ -1,0 +1,152 @@
+//! The whole screen: from a model to the cells of a buffer, as a pure function.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget};
+
+use super::format::{bytes, fixed, sanitize};
+use super::keys::{KEYS, KeyBinding, UiAction};
+use super::model::Model;
+use super::panels::{PANELS, Panel};
+use super::theme::{StyleRole, Theme};
+
+/// Below this size one panel is shown at a time: beside each other their lines would be cut.
+const LEAST_FOR_ALL: (u16, u16) = (64, 16);
+/// The column of numbers takes so much, if the map keeps as much: its widest table.
+const NUMBERS_WIDTH: u16 = 52;
+/// The events take so much of the height when all panels are shown.
+const EVENTS_SHARE: u16 = 4;
+/// A frame takes a line above and one below.
+const FRAME: u16 = 2;
+
+/// Draws everything.
+pub fn render(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
+    let [head, body, foot] =
+        Layout::vertical([Constraint::Length(1), Constraint::Min(1), Constraint::Length(1)]).areas(area);
+    head_line(model, look).render(head, buffer);
+    for (panel, place) in panel_layout(model, area, body) {
+        draw_panel(panel, (model, look), place, buffer);
+    }
+    foot_line(model, look).render(foot, buffer);
+    if model.selection.has_help {
+        help(look, body, buffer);
+    }
+}
+
+/// Which panels are shown where in the body of the screen.
+fn panel_layout(model: &Model, screen: Rect, body: Rect) -> Vec<(&'static Panel, Rect)> {
+    let is_small = screen.width < LEAST_FOR_ALL.0 || screen.height < LEAST_FOR_ALL.1;
+    let chosen = match (model.selection.panel, is_small) {
+        (None, false) => return tiled_layout(model, body),
+        // The pose says most where there is room for one only.
+        (None, true) => 1,
+        (Some(chosen), _) => chosen,
+    };
+    let panel = PANELS.get(chosen);
+    panel.map(|panel| (panel, body)).into_iter().collect()
+}
+
+fn tiled_layout(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
+    let [map, numbers @ .., events] = PANELS else {
+        return Vec::new();
+    };
+    let [upper, lower] =
+        Layout::vertical([Constraint::Min(1), Constraint::Length((body.height / EVENTS_SHARE).max(1 + FRAME))])
+            .areas(body);
+    let width = NUMBERS_WIDTH.min(upper.width / 5 * 3);
+    let [left, mut right] = Layout::horizontal([Constraint::Min(1), Constraint::Length(width)]).areas(upper);
+    let mut places = vec![(map, left)];
+    for (index, panel) in numbers.iter().enumerate() {
+        let wanted = u16::try_from((panel.lines)(model)).unwrap_or(u16::MAX);
+        let is_last = index + 1 == numbers.len();
+        let mut height = wanted.saturating_add(FRAME).min(right.height);
+        // What would be too small for the next one goes to this one.
+        if is_last || right.height - height <= FRAME {
+            height = right.height;
+        }
+        if height <= FRAME {
+            break;
+        }
+        places.push((panel, Rect { height, ..right }));
+        right = Rect { y: right.y + height, height: right.height - height, ..right };
+    }
+    places.push((events, lower));
+    places
+}
+
+fn draw_panel(panel: &Panel, (model, look): (&Model, Theme), place: Rect, buffer: &mut Buffer) {
+    // Where there are a few lines only, a frame would take them.
+    if place.height <= FRAME + 1 || place.width <= FRAME {
+        (panel.draw)(model, look, place, buffer);
+        return;
+    }
+    let title = Span::styled(format!(" {} ", panel.title), look.style(StyleRole::Strong));
+    let block = Block::new().borders(Borders::ALL).border_style(look.style(StyleRole::Quiet)).title(title);
+    let inner = block.inner(place);
+    block.render(place, buffer);
+    (panel.draw)(model, look, inner, buffer);
+}
+
+fn head_line(model: &Model, look: Theme) -> Line<'static> {
+    let mut line = vec![Span::styled("posebridge", look.style(StyleRole::Strong))];
+    let mut add = |text: String, role: StyleRole| {
+        line.push(Span::raw("  "));
+        line.push(Span::styled(text, look.style(role)));
+    };
+    add(format!("{:.1} s", model.now_s), StyleRole::Truth);
+    if let Some(known) = &model.simulator {
+        add(format!("sim {}", sanitize(&known.scenario)), StyleRole::Quiet);
+    }
+    let shown = model.visible_robots();
+    if let (Some(robot), 2..) = (model.selected_robot(), shown.len()) {
+        add(format!("robot {} of {}", sanitize(&robot.id), shown.len()), StyleRole::Strong);
+    }
+    if let Some(errors) = &model.errors {
+        add(format!("estimate {} m off", fixed(errors.estimate_m, 3)), StyleRole::Estimate);
+    }
+    match &model.recording {
+        Some(recording) => {
+            let name = sanitize(&recording.name);
+            add(format!("recording {name} {}", bytes(recording.bytes)), StyleRole::Quiet);
+        }
+        None => add("not recording".to_owned(), StyleRole::Quiet),
+    }
+    if model.missed > 0 {
+        add(format!("{} messages missed: the terminal is slow", model.missed), StyleRole::Bad);
+    }
+    Line::from(line)
+}
+
+fn foot_line(model: &Model, look: Theme) -> Line<'static> {
+    let mut line = Vec::new();
+    if let Some(notice) = model.notice() {
+        line.push(Span::styled(format!("{notice}  "), look.style(StyleRole::Late)));
+    }
+    for key in keys_for(model).filter(|key| !key.label.is_empty()) {
+        line.push(Span::styled(key.name, look.style(StyleRole::Strong)));
+        line.push(Span::styled(format!(" {}  ", key.label), look.style(StyleRole::Quiet)));
+    }
+    Line::from(line)
+}
+
+/// The keys that do anything: those for the simulated brick only where there is one.
+fn keys_for(model: &Model) -> impl Iterator<Item = &'static KeyBinding> + use<> {
+    let has_brick = model.simulator.is_some();
+    KEYS.iter().filter(move |key| has_brick || !matches!(key.action, UiAction::Do(_)))
+}
+
+fn help(look: Theme, body: Rect, buffer: &mut Buffer) {
+    let lines: Vec<Line<'static>> = KEYS
+        .iter()
+        .map(|key| {
+            let name = Span::styled(format!("{:12}", key.name), look.style(StyleRole::Strong));
+            Line::from(vec![name, Span::raw(key.help)])
+        })
+        .collect();
+    let height = body.height.min(lines.len() as u16 + FRAME);
+    let place = Rect { height, ..body };
+    Clear.render(place, buffer);
+    let block = Block::new().borders(Borders::ALL).title(" Keys ");
+    Paragraph::new(lines).block(block).render(place, buffer);
+}

@@ -1,0 +1,220 @@
+//! The person's terminal: taken, written to without ever waiting for it, and given back as it was.
+//!
+//! It is opened anew instead of using standard output, so that only this program's end becomes non-blocking: a terminal that hangs
+//! (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is gone, and the view still hears what it is
+//! told. Source of the modes: termios(3), `cfmakeraw`.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, IsTerminal, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+
+use anyhow::{Context, Result, ensure};
+use nix::errno::Errno;
+use nix::fcntl::OFlag;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::termios::{SetArg, Termios, cfmakeraw, tcgetattr, tcsetattr};
+use ratatui::crossterm::cursor::{Hide, Show};
+use ratatui::crossterm::queue;
+use ratatui::crossterm::style::ResetColor;
+use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen};
+use ratatui::layout::Rect;
+
+/// At the end the terminal may take so long for each piece of what is still to be written before it is left as it is.
+const WRITE_TIMEOUT_MILLIS: u16 = 500;
+/// So much of what was typed is read at a time; a person types far less, and what is pasted waits.
+const MAX_INPUT_BYTES: usize = 1_024;
+/// A terminal of more columns or lines is no screen.
+const MAX_CELLS: u16 = 1_000;
+/// Cancels an escape sequence that was written in part (ECMA-48, CAN).
+const CANCEL: u8 = 0x18;
+
+/// A terminal that was taken; given back at the latest when it is dropped.
+pub struct Tty {
+    file: File,
+    saved_settings: Mutex<Termios>,
+    /// What was drawn and not yet written: one picture at most, because the next is drawn when this is empty.
+    pending: Mutex<Vec<u8>>,
+    is_taken: AtomicBool,
+}
+
+/// Whether there is a terminal to show things on and to hear keys from.
+///
+/// # Errors
+/// Standard output or input is none, or one that can do nothing but letters.
+pub fn ensure_terminal() -> Result<()> {
+    ensure!(io::stdout().is_terminal(), "--tui: standard output is no terminal; run it in one, or without --tui");
+    ensure!(
+        io::stdin().is_terminal(),
+        "--tui: standard input is no terminal, so no key could be heard; run it in one, or without --tui"
+    );
+    ensure!(
+        std::env::var_os("TERM").is_none_or(|term| term != "dumb"),
+        "--tui: the terminal calls itself `dumb` (TERM) and cannot show more than lines; run it without --tui"
+    );
+    Ok(())
+}
+
+impl Tty {
+    /// Takes the terminal of standard output.
+    ///
+    /// # Errors
+    /// It cannot be opened, or its modes cannot be set.
+    pub fn open() -> Result<Arc<Self>> {
+        let name = nix::unistd::ttyname(io::stdout()).context("--tui: the terminal has no name")?;
+        // That of somebody else, as after `su`, may be opened by the name that every process has for its own.
+        Self::open_at(&name).or_else(|error| Self::open_at(Path::new("/dev/tty")).map_err(|_neither| error))
+    }
+
+    /// Takes the terminal of this name.
+    ///
+    /// # Errors
+    /// It cannot be opened, or its modes cannot be set.
+    pub fn open_at(name: &Path) -> Result<Arc<Self>> {
+        let flags = OFlag::O_NONBLOCK | OFlag::O_NOCTTY;
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(flags.bits())
+            .open(name)
+            .with_context(|| format!("--tui: opening the terminal `{}`", name.display()))?;
+        let before = tcgetattr(&file).context("--tui: asking the terminal for its modes")?;
+        let mut raw = before.clone();
+        cfmakeraw(&mut raw);
+        tcsetattr(&file, SetArg::TCSANOW, &raw).context("--tui: setting the terminal's modes")?;
+        let mut begin = Vec::new();
+        queue!(begin, EnterAlternateScreen, Hide)?;
+        Ok(Arc::new(Self {
+            file,
+            saved_settings: Mutex::new(before),
+            pending: Mutex::new(begin),
+            is_taken: AtomicBool::new(true),
+        }))
+    }
+
+    /// Writes what the terminal takes at once; whether nothing is left.
+    ///
+    /// # Errors
+    /// The terminal is gone.
+    pub fn drain(&self) -> io::Result<bool> {
+        let mut pending = self.pending();
+        while !pending.is_empty() {
+            match (&self.file).write(&pending) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => drop(pending.drain(..written)),
+                Err(error) if is_would_block(&error) => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(true)
+    }
+
+    /// What was typed, after so many milliseconds at the latest.
+    ///
+    /// # Errors
+    /// The terminal is gone.
+    pub fn read(&self, within_millis: u16) -> io::Result<Vec<u8>> {
+        let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
+        match poll(&mut asked, PollTimeout::from(within_millis)) {
+            Ok(0) | Err(Errno::EINTR) => return Ok(Vec::new()),
+            Ok(_) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let mut typed = vec![0; MAX_INPUT_BYTES];
+        match (&self.file).read(&mut typed) {
+            // Whoever hangs up is heard as the end of what was typed.
+            Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(read) => {
+                typed.truncate(read);
+                Ok(typed)
+            }
+            Err(error) if is_would_block(&error) => Ok(Vec::new()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// How large it is; a terminal that does not know is taken for one of 80 columns and 24 lines.
+    ///
+    /// # Errors
+    /// The terminal is gone.
+    pub fn area(&self) -> io::Result<Rect> {
+        let size = rustix::termios::tcgetwinsize(&self.file)?;
+        Ok(match (size.ws_col, size.ws_row) {
+            (0, _) | (_, 0) => Rect::new(0, 0, 80, 24),
+            (columns, rows) => Rect::new(0, 0, columns.min(MAX_CELLS), rows.min(MAX_CELLS)),
+        })
+    }
+
+    /// Gives it back as it was. What it does not take within half a second stays unwritten; its modes are restored in any case.
+    pub fn restore(&self) {
+        if !self.is_taken.swap(false, Ordering::SeqCst) {
+            return;
+        }
+        // Whoever panics may hold it.
+        let mut rest = match self.pending.try_lock() {
+            Ok(mut pending) => std::mem::take(&mut *pending),
+            Err(TryLockError::Poisoned(poisoned)) => std::mem::take(&mut *poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => Vec::new(),
+        };
+        self.write_with_timeout(&mut rest);
+        let mut end = if rest.is_empty() { Vec::new() } else { vec![CANCEL] };
+        // Writing to a vector cannot fail.
+        drop(queue!(end, ResetColor, Show, LeaveAlternateScreen));
+        self.write_with_timeout(&mut end);
+        let before = self.saved_settings.lock().unwrap_or_else(PoisonError::into_inner);
+        // A terminal that is gone has no modes any more.
+        let _ = tcsetattr(&self.file, SetArg::TCSANOW, &before);
+    }
+
+    /// So many bytes were drawn and not yet written.
+    #[cfg(test)]
+    pub(super) fn waiting(&self) -> usize {
+        self.pending().len()
+    }
+
+    fn write_with_timeout(&self, bytes: &mut Vec<u8>) {
+        while !bytes.is_empty() {
+            let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLOUT)];
+            if !matches!(poll(&mut asked, PollTimeout::from(WRITE_TIMEOUT_MILLIS)), Ok(1)) {
+                return;
+            }
+            match (&self.file).write(bytes) {
+                Ok(0) | Err(_) => return,
+                Ok(written) => drop(bytes.drain(..written)),
+            }
+        }
+    }
+
+    fn pending(&self) -> MutexGuard<'_, Vec<u8>> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Tty {
+    fn drop(&mut self) {
+        self.restore();
+    }
+}
+
+fn is_would_block(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+/// What is drawn on: it only collects, and [`Tty::drain`] writes.
+pub struct TerminalWriter(pub Arc<Tty>);
+
+impl Write for TerminalWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.0.is_taken.load(Ordering::SeqCst) {
+            self.0.pending().extend_from_slice(bytes);
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

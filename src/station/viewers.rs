@@ -1,0 +1,112 @@
+//! Who looks on while a station runs: the page, the terminal view, PlotJuggler. None of them is waited for by the shard.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use posebridge_dashboard::model::SimulatorFacts;
+use posebridge_dashboard::{Dashboard, FrameTap, FrameTaps};
+use posebridge_link::HostTimer;
+use tokio_util::sync::CancellationToken;
+
+use super::args::RunArgs;
+use super::dashboard::{self, DashboardHandle, ReservedListener, SimulatedBrickInfo};
+use super::links::EmbeddedLink;
+use super::plotjuggler::{self, PlotJuggler, SendCounts};
+use super::simulator::truth_tap::TruthTap;
+use super::tui::{self, TerminalInputs, TerminalView};
+use crate::config::Config;
+use crate::console::print_line;
+
+/// Those who look on.
+#[derive(Default)]
+pub(super) struct Viewers {
+    terminal: Option<TerminalView>,
+    plotjuggler: Option<PlotJuggler>,
+    /// Behind the others: they hear of the end by it.
+    dashboard: Option<Dashboard>,
+    quit: CancellationToken,
+}
+
+impl Viewers {
+    /// Starts them; gives the shard's end of the channels to and from them, if there are any.
+    pub(super) fn start(
+        reserved: Option<ReservedListener>,
+        (args, config): (&RunArgs, &Config),
+        place: (HostTimer, &Path),
+        embedded: Option<&EmbeddedLink>,
+    ) -> Result<(Self, Option<DashboardHandle>)> {
+        let simulated = embedded.map(|embedded| SimulatedBrickInfo {
+            name: &embedded.name,
+            scenario: &embedded.scenario,
+            truth: TruthTap::new(&embedded.brick.controls.truth),
+        });
+        let facts = simulated.as_ref().map(dashboard::simulator_facts);
+        let mut taps = FrameTaps::default();
+        let seen = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
+        let plotted = plotjuggler_address(args, config)?;
+        let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
+        let page = (&args.page, config);
+        let Some((dashboard, outlet)) = dashboard::start(reserved, page, place, (simulated, taps))? else {
+            return Ok((Self::default(), None));
+        };
+        let mut onlookers = Self { dashboard: Some(dashboard), ..Self::default() };
+        if let Some((address, frames)) = plotted {
+            onlookers.plotjuggler = Some(PlotJuggler::start(address, frames)?);
+            print_line(&format!("plotjuggler: sending to udp://{address}"));
+        }
+        // Last: from here on the screen is the view's.
+        if let Some(frames) = seen {
+            onlookers.terminal = Some(onlookers.view(frames, facts)?);
+        }
+        Ok((onlookers, Some(outlet)))
+    }
+
+    fn view(&self, frames: FrameTap, simulator: Option<SimulatorFacts>) -> Result<TerminalView> {
+        let dashboard = self.dashboard.as_ref();
+        let dashboard = dashboard.context("nobody gives the view anything to show")?;
+        // Not the whole address: a token is printed once.
+        let page = dashboard.address();
+        let greeting =
+            page.map_or_else(|| "there is no page".to_owned(), |address| format!("the page listens at {address}"));
+        TerminalView::start(TerminalInputs {
+            frames,
+            commands: dashboard.commander(),
+            quit: self.quit.clone(),
+            simulator,
+            greeting,
+        })
+    }
+
+    /// Until a person ends the run in the terminal view.
+    pub(super) async fn quit(&self) {
+        self.quit.cancelled().await;
+    }
+
+    /// Gives the terminal back, so that what is said is read again.
+    pub(super) fn close_terminal(&mut self) {
+        self.terminal = None;
+    }
+
+    /// Ends the others, and says what could not be sent.
+    pub(super) fn finish(self) -> Result<()> {
+        drop(self.terminal);
+        drop(self.dashboard);
+        let Some(plotjuggler) = self.plotjuggler else {
+            return Ok(());
+        };
+        let SendCounts { datagrams, dropped, missed } = plotjuggler.finish()?;
+        print_line(&match (dropped, missed) {
+            (0, 0) => format!("plotjuggler: {datagrams} datagrams sent"),
+            _ => format!(
+                "plotjuggler: {datagrams} datagrams sent, {dropped} could not be, {missed} messages were missed"
+            ),
+        });
+        Ok(())
+    }
+}
+
+/// Where datagrams for PlotJuggler go, if they do.
+fn plotjuggler_address(args: &RunArgs, config: &Config) -> Result<Option<std::net::SocketAddr>> {
+    let configured = config.plotjuggler.checked()?;
+    Ok(args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured)))
+}

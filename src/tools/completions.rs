@@ -1,0 +1,23 @@
+//! `posebridge completions`: a completion script for a shell, on stdout.
+
+use clap::{Args, Command};
+
+use crate::console::print_result;
+use crate::exit::{ExitStage, Failure};
+
+/// Flags of `completions`.
+#[derive(Args, Clone, Debug)]
+pub struct CompletionsArgs {
+    /// The shell.
+    pub shell: clap_complete::Shell,
+}
+
+/// Prints the script for the program of this command line.
+///
+/// # Errors
+/// Standard output cannot be written.
+pub fn execute(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut program, "posebridge", &mut script);
+    print_result(&String::from_utf8_lossy(&script)).while_running()
+}

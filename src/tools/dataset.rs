@@ -1,0 +1,203 @@
+//! Recordings of real robots as the commands need them: descriptor, robot, runs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use posebridge_estimator::{FilterConfig, StartPose};
+use posebridge_recording::dataset::{self, Descriptor, LoadOptions};
+use posebridge_telemetry::ArenaMap;
+
+use crate::config::{FilterSection, ProfileFilter, RobotFile, Setting, filter_config};
+use crate::console::print_line;
+use crate::flags::DataFlags;
+
+/// A descriptor with the runs that were asked for.
+pub struct DataSet {
+    /// The descriptor.
+    pub descriptor: Descriptor,
+    /// Names of the runs.
+    pub runs: Vec<String>,
+    root: PathBuf,
+}
+
+/// One run with the robot that made it.
+pub struct RobotRun {
+    /// What was recorded.
+    pub run: dataset::DatasetRun,
+    /// The robot, as the descriptor and the flags describe it.
+    pub robot: RobotFile,
+    /// The filter's tunables, as they say.
+    pub filter: FilterSection,
+    /// The robot's filter configuration, start included.
+    pub filter_config: FilterConfig,
+}
+
+impl DataSet {
+    /// Reads a descriptor and chooses its runs.
+    ///
+    /// # Errors
+    /// The file cannot be read or makes no sense, or no run has such a name.
+    pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
+        let name = path.display();
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;
+        let descriptor = Descriptor::from_toml(&text).with_context(|| format!("descriptor `{name}`"))?;
+        let prefix = flags.run.clone().unwrap_or_else(|| descriptor.default_run.clone());
+        let runs: Vec<String> = descriptor.select(&prefix).into_iter().map(str::to_owned).collect();
+        if runs.is_empty() {
+            bail!("no run of `{name}` begins with `{prefix}`; there are: {}", descriptor.runs.join(", "));
+        }
+        let own_folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Ok(Self { descriptor, runs, root: flags.data.clone().unwrap_or(own_folder) })
+    }
+
+    /// Loads one run.
+    ///
+    /// # Errors
+    /// A file is missing or a column is not there, or the robot's table makes no sense.
+    pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
+        let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
+        let geometry = robot.geometry()?;
+        let options = LoadOptions { run, geometry, use_every: flags.use_every };
+        let mut open = |relative: &Path| std::fs::read(self.root.join(relative));
+        let run = dataset::load(&self.descriptor, options, &mut open)
+            .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
+        ensure!(!run.observations.is_empty(), "run `{}` holds no observation", run.name);
+        let mut config = filter_config(&robot, &filter, world_of(&run))?;
+        let start = run.start.map(|start| StartPose {
+            pose: start.pose,
+            position_sigma_m: start.position_sigma_m,
+            heading_sigma_rad: start.heading_sigma_rad,
+        });
+        config.start = start.or(config.start);
+        Ok(RobotRun { run, robot, filter, filter_config: config })
+    }
+
+    /// The robot and the tunables of a run, with the flags laid over them.
+    fn robot_and_filter(&self, run: &str, settings: &[Setting]) -> Result<(RobotFile, FilterSection)> {
+        let robot: RobotFile =
+            self.descriptor.robot_for(run).try_into().with_context(|| format!("robot of run `{run}`"))?;
+        let tunables: ProfileFilter = self.descriptor.filter.clone().try_into().context("[filter]")?;
+        let is_name = |setting: &Setting| setting.path == ["filter", "name"];
+        ensure!(
+            tunables.name.is_none() && !settings.iter().any(is_name),
+            "`filter.name` does not belong to a recording: choose the filter with --filter"
+        );
+        let filter = FilterSection { params: tunables.params, ..FilterSection::default() };
+        let mut all = toml::Table::try_from(&robot)?;
+        let mut tunables = toml::Table::try_from(&filter)?;
+        for setting in settings {
+            let failed = |why: String| anyhow!("`--set {setting}`: {why}");
+            match setting.path.split_first() {
+                Some((section, key)) if section == "filter" => {
+                    Setting { path: key.to_vec(), value: setting.value.clone() }
+                        .apply_to(&mut tunables)
+                        .map_err(failed)?;
+                }
+                _ => setting.apply_to(&mut all).map_err(failed)?,
+            }
+        }
+        let robot = all.try_into().with_context(|| format!("robot of run `{run}`"))?;
+        let filter = tunables.try_into().context("[filter]")?;
+        Ok((robot, filter))
+    }
+}
+
+/// The places that a recording tells.
+fn world_of(run: &dataset::DatasetRun) -> ArenaMap {
+    ArenaMap {
+        landmarks: run.landmarks.iter().copied().collect(),
+        beacons: run.beacons.iter().copied().collect(),
+        walls: Vec::new(),
+    }
+}
+
+/// Says how many readings of a sensor were of no use.
+pub fn report_skipped(name: &str, left_out: usize) {
+    if left_out > 0 {
+        print_line(&format!(
+            "{name}: {left_out} samples are left out: not finite, or of the very instant of another one"
+        ));
+    }
+}
+
+/// Names the rows that could not be used; they are counted and do not end the run.
+pub fn report_bad_rows(robot_run: &RobotRun) -> u64 {
+    let bad = &robot_run.run.bad_rows;
+    for row in &bad.listed {
+        print_line(&format!("{}: {row}", robot_run.run.name));
+    }
+    for (reason, count) in &bad.counts {
+        print_line(&format!("{}: {count} rows: {}", robot_run.run.name, reason.name()));
+    }
+    bad.total() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Config, RobotProfile};
+
+    fn flags(settings: &[&str]) -> DataFlags {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        DataFlags {
+            data: Some(root.join("tests/data")),
+            run: Some("circular/250620202104/run-01".to_owned()),
+            use_every: None,
+            settings: settings.iter().map(|text| Setting::parse(text).unwrap()).collect(),
+        }
+    }
+
+    fn descriptor() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("config/recordings/optiodom.toml")
+    }
+
+    fn load(settings: &[&str]) -> Result<RobotRun> {
+        let flags = flags(settings);
+        DataSet::open(&descriptor(), &flags)?.load("circular/250620202104/run-01", &flags)
+    }
+
+    #[test]
+    fn a_station_builds_the_filter_of_the_replay_from_the_same_file() {
+        let replayed = load(&[]).unwrap().filter_config;
+        let profile = RobotProfile::read(&descriptor()).unwrap();
+        let live = Config::default().with_robot(profile).filter_config().unwrap();
+        let (from_run, from_file) = (replayed.start.unwrap(), live.start.unwrap());
+        assert_eq!(from_run.pose, from_file.pose);
+        assert!((from_run.heading_sigma_rad - from_file.heading_sigma_rad).abs() < 1e-15);
+        let without_start = |config: FilterConfig| FilterConfig { start: None, ..config };
+        assert_eq!(without_start(replayed), without_start(live));
+    }
+
+    #[test]
+    fn settings_reach_geometry_noise_calibration_and_tunables() {
+        let config = load(&[
+            "track_width_m=1",
+            "noise.beacon_range_m=0.5",
+            "calibration.track_scale.sigma=0.1",
+            "filter.history_s=5",
+        ])
+        .unwrap()
+        .filter_config;
+        assert_eq!(config.geometry.track_width.0, 1.0);
+        assert_eq!(config.noise.beacon_range_m, 0.5);
+        let track_scale = config.calibration.track_scale;
+        assert_eq!((track_scale.value, track_scale.sigma), (0.0, 0.1));
+        assert_eq!(config.params.history_s, 5.0);
+        assert!(load(&["calibration.track.sigma=0.1"]).is_err());
+        assert!(load(&["filter.history=5"]).is_err());
+    }
+
+    #[test]
+    fn the_places_of_a_recording_are_the_filter_s_world() {
+        use posebridge_telemetry::{BeaconId, LandmarkId, Meters, Point2};
+        let (here, there) = (Point2::new(Meters(1.0), Meters(2.0)), Point2::new(Meters(3.0), Meters(4.0)));
+        let run = dataset::DatasetRun {
+            landmarks: vec![(LandmarkId(6), here)],
+            beacons: vec![(BeaconId(0), there)],
+            ..dataset::DatasetRun::default()
+        };
+        let world = world_of(&run);
+        assert_eq!(world.landmarks[&LandmarkId(6)], here);
+        assert_eq!(world.beacons[&BeaconId(0)], there);
+    }
+}

@@ -1,0 +1,100 @@
+//! Whether the Bluetooth radio is there and switched on, and which devices are paired.
+//!
+//! Source: the kernel's Documentation/ABI/stable/sysfs-class-rfkill (type, soft, hard); BlueZ keeps paired devices in
+//! `/var/lib/bluetooth/<adapter>/<device>/info`, which only root may read on most systems.
+
+use std::path::Path;
+
+use super::check_result::{CheckResult, DiagnosticContext};
+use super::processes::running;
+use super::surroundings::{SystemRoots, names_in, value_in};
+
+/// Looks at adapters, switches and pairings; a computer without a radio is skipped.
+#[must_use]
+pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
+    let roots = &examination.roots;
+    let mut verdicts = check_blocked_radios(roots);
+    let adapters = adapters(roots);
+    if adapters.is_empty() {
+        if verdicts.is_empty() {
+            verdicts.push(CheckResult::skipped("no Bluetooth adapter is there"));
+        }
+        return verdicts;
+    }
+    if verdicts.is_empty() {
+        verdicts.push(CheckResult::ok(format!("adapter {} is not blocked", adapters.join(", "))));
+    }
+    if running(roots, &["bluetoothd"]).is_none() {
+        verdicts.push(CheckResult::warning(
+            "the Bluetooth service does not run, so nothing can be paired",
+            "run `sudo systemctl start bluetooth`",
+        ));
+    }
+    verdicts.push(check_paired(&roots.var_lib));
+    verdicts
+}
+
+/// The adapters; an open connection is listed beside them as `hci0:11`.
+fn adapters(roots: &SystemRoots) -> Vec<String> {
+    let mut names = names_in(&roots.sys.join("class/bluetooth"));
+    names.retain(|name| name.starts_with("hci") && !name.contains(':'));
+    names
+}
+
+/// Radios that are switched off.
+fn check_blocked_radios(roots: &SystemRoots) -> Vec<CheckResult> {
+    let folder = roots.sys.join("class/rfkill");
+    names_in(&folder)
+        .into_iter()
+        .map(|name| folder.join(name))
+        .filter(|radio| value_in(&radio.join("type")).as_deref() == Some("bluetooth"))
+        .filter_map(|radio| check_radio(&radio))
+        .collect()
+}
+
+fn check_radio(radio: &Path) -> Option<CheckResult> {
+    let name = value_in(&radio.join("name")).unwrap_or_default();
+    let is_set = |switch: &str| value_in(&radio.join(switch)).as_deref() == Some("1");
+    if is_set("hard") {
+        return Some(CheckResult::problem(
+            format!("Bluetooth radio {name} is switched off by a switch or by the firmware"),
+            "use the switch or key of the computer, or its firmware settings",
+        ));
+    }
+    is_set("soft")
+        .then(|| CheckResult::problem(format!("Bluetooth radio {name} is blocked"), "run `rfkill unblock bluetooth`"))
+}
+
+/// The devices that are paired, where that can be read.
+fn check_paired(var_lib: &Path) -> CheckResult {
+    let folder = var_lib.join("bluetooth");
+    if std::fs::read_dir(&folder).is_err() {
+        return CheckResult::skipped(
+            "paired devices cannot be read without root: `bluetoothctl devices Paired` lists them",
+        );
+    }
+    let devices: Vec<_> = names_in(&folder)
+        .into_iter()
+        .map(|adapter| folder.join(adapter))
+        .flat_map(|adapter| paired_devices(&adapter))
+        .collect();
+    if devices.is_empty() {
+        return CheckResult::warning(
+            "no device is paired",
+            "for a brick on Bluetooth: pair it with `bluetoothctl` (the PIN of an NXT is 1234)",
+        );
+    }
+    CheckResult::ok(format!("paired: {}", devices.join(", ")))
+}
+
+fn paired_devices(adapter: &Path) -> Vec<String> {
+    names_in(adapter)
+        .into_iter()
+        .filter_map(|address| {
+            let info = std::fs::read_to_string(adapter.join(&address).join("info")).ok()?;
+            let is_paired = info.contains("[LinkKey]") || info.contains("[LongTermKey]");
+            let name = info.lines().find_map(|line| line.strip_prefix("Name="));
+            is_paired.then(|| format!("{} {address}", name.unwrap_or("unnamed")))
+        })
+        .collect()
+}

@@ -1,0 +1,222 @@
+//! Listens on the given links and names what is heard; on a serial port also the speed at which it makes sense.
+//!
+//! Nothing is sent. A brick that only answers when it is asked stays silent here.
+
+use std::fs;
+use std::path::Path;
+
+use posebridge_link::{ConnectRole, HostTimer, LinkUrl};
+use posebridge_protocol::bricks::brick_protocol;
+use posebridge_protocol::detect::{Protocol, ProtocolDetection};
+use posebridge_telemetry::TimeDelta;
+
+use super::check_result::{CheckResult, DiagnosticContext};
+use super::hear::{ListenResult, listen};
+use super::open::{OpenOutcome, open, rejected_result, run_in_runtime, unavailable_result};
+use crate::console::print_line;
+
+/// Speeds that are tried after the one of the link, the usual ones first: telemetry radios and Bluetooth modules leave the
+/// factory at 57600 and 9600, boards are programmed for the rest.
+const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
+
+/// Listens on each link in turn.
+#[must_use]
+pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
+    if examination.links.is_empty() {
+        return vec![CheckResult::skipped(
+            "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
+        )];
+    }
+    let listener =
+        LinkListener { timer: HostTimer::start(), listen_for: TimeDelta::from_secs_f64(examination.listen_for_s) };
+    run_in_runtime(async {
+        let mut verdicts = Vec::new();
+        for link in &examination.links {
+            verdicts.push(listener.listen_on(link).await);
+        }
+        verdicts
+    })
+}
+
+/// How to listen.
+#[derive(Clone, Copy, Debug)]
+struct LinkListener {
+    timer: HostTimer,
+    listen_for: TimeDelta,
+}
+
+impl LinkListener {
+    async fn listen_on(self, link: &str) -> CheckResult {
+        let url = match LinkUrl::parse(link) {
+            Ok(url) => url,
+            Err(error) => {
+                return CheckResult::problem(error.to_string(), "docs/links.md says how a link is written");
+            }
+        };
+        match url.transport().scheme() {
+            "serial" => try_speeds(&url, async |url: &LinkUrl| self.attempt(url).await).await,
+            "tcp" | "udp" => match self.attempt(&url).await {
+                Ok(heard) => classify(link, &heard),
+                Err(verdict) => verdict,
+            },
+            scheme => CheckResult::skipped(format!(
+                "{link}: serial, tcp and udp links can be listened on, {scheme} links cannot"
+            )),
+        }
+    }
+
+    /// Opens the link, listens and closes it; a verdict if it does not open.
+    async fn attempt(self, url: &LinkUrl) -> Result<ListenResult, CheckResult> {
+        let link = url.to_string();
+        print_line(&format!("listening on {link}"));
+        match open(url, role_of(url), self.timer).await {
+            OpenOutcome::Up(mut port, _) => Ok(listen(&mut port, self.timer, self.listen_for).await),
+            OpenOutcome::Unavailable(reason) => Err(unavailable_result(&link, &reason)),
+            OpenOutcome::Rejected(error) => Err(rejected_result(&link, &error)),
+        }
+    }
+}
+
+/// Listens at the link's own speed and, if that is noise, at the others.
+async fn try_speeds(
+    url: &LinkUrl,
+    mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<ListenResult, CheckResult>,
+) -> CheckResult {
+    let first = match attempt(url).await {
+        Ok(heard) => heard,
+        Err(verdict) => return verdict,
+    };
+    if let Some(line) = fixed_speed_kind(url.path()) {
+        let place = format!("{url} ({line}, where the speed does not matter)");
+        return classify(&place, &first);
+    }
+    let own_baud = baud_of(url);
+    let at_own = classify(&format!("{url} at {own_baud} baud"), &first);
+    if first.detect().protocol != Protocol::Unrecognized {
+        return at_own;
+    }
+    for baud in SPEEDS_BAUD.into_iter().filter(|baud| *baud != own_baud) {
+        let Some(other) = at_speed(url, baud) else {
+            return at_own;
+        };
+        match attempt(&other).await {
+            Err(verdict) => return verdict,
+            Ok(heard) if heard.detect().protocol.is_known() => {
+                return wrong_speed(&other, own_baud, &heard);
+            }
+            Ok(_) => {}
+        }
+    }
+    let bytes = first.bytes.len();
+    CheckResult {
+        message: format!("{url}: noise at {own_baud} baud ({bytes} bytes) and at every other usual speed"),
+        ..at_own
+    }
+}
+
+/// TCP without a host and UDP wait for the robot: to hear a UDP robot at its own address, something had to be sent.
+fn role_of(url: &LinkUrl) -> ConnectRole {
+    let (host, _) = url.host_and_port();
+    match url.transport().scheme() {
+        "udp" => ConnectRole::Listen,
+        "tcp" if host.is_empty() => ConnectRole::Listen,
+        _ => ConnectRole::Dial,
+    }
+}
+
+/// The speed of a serial link, in bits per second.
+fn baud_of(url: &LinkUrl) -> u32 {
+    let options = url.transport().options();
+    let baud = options.iter().find(|option| option.name == "baud");
+    baud.map_or(0, |option| url.integer(option))
+}
+
+/// The same port with the same options at another speed; `None` for a path that cannot be written in a link.
+fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
+    let path = url.path().to_str()?;
+    let others = url.transport().options().iter().filter_map(|option| {
+        let value = url.option_text(option);
+        let is_written = option.name != "baud" && value != option.kind.default_text();
+        is_written.then(|| format!("&{}={value}", option.name))
+    });
+    let others: String = others.collect();
+    let other = LinkUrl::parse(&format!("serial:{path}?baud={baud}{others}")).ok()?;
+    (other.path() == url.path()).then_some(other)
+}
+
+/// What a line is whose speed is only a number: a pseudo-terminal or a Bluetooth link.
+fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
+    let device = fs::canonicalize(path).ok()?;
+    let name = device.file_name()?.to_str()?;
+    if device.starts_with("/dev/pts") {
+        Some("a pseudo-terminal")
+    } else {
+        name.starts_with("rfcomm").then_some("Bluetooth")
+    }
+}
+
+/// Names what was heard, and what it means for the station.
+fn classify(place: &str, heard: &ListenResult) -> CheckResult {
+    let found = heard.detect();
+    let said = describe(place, heard, found);
+    match found.protocol {
+        Protocol::NoData => silent_result(place, heard),
+        Protocol::Unrecognized => {
+            CheckResult::problem(said, "check the speed, the wires (ground too) and that both ends speak one protocol")
+        }
+        Protocol::Mavlink1 => {
+            CheckResult::warning(said, "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link")
+        }
+        Protocol::Nmea => CheckResult::warning(said, "this is a satellite receiver: the robot is on another port"),
+        Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
+            let is_read = found.protocol.codec().and_then(brick_protocol).is_some();
+            if is_read {
+                return CheckResult::ok(said);
+            }
+            CheckResult::warning(
+                said,
+                "posebridge does not read this: the robot has to send MAVLink 2 (docs/quick-start-robot.md)",
+            )
+        }
+    }
+}
+
+fn describe(place: &str, heard: &ListenResult, found: ProtocolDetection) -> String {
+    let name = found.protocol.name();
+    let bytes = heard.bytes.len();
+    if found.protocol.is_known() {
+        let (frames, of) = (found.frames, found.frame_bytes);
+        format!("{place}: {name}, whole frames {frames}, with {of} of {bytes} bytes")
+    } else {
+        format!("{place}: {name}, {bytes} bytes")
+    }
+}
+
+fn silent_result(place: &str, heard: &ListenResult) -> CheckResult {
+    if let Some(reason) = &heard.lost_reason {
+        return CheckResult::problem(
+            format!("{place}: the link was lost before a byte came: {reason}"),
+            "check the cable and the power of the robot",
+        );
+    }
+    CheckResult::warning(
+        format!("{place}: silence"),
+        "is the robot on and its program running, are its sending and receiving wires crossed? \
+         A brick without a program only answers when it is asked",
+    )
+}
+
+fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &ListenResult) -> CheckResult {
+    let baud = baud_of(url);
+    let place = format!("{} at {baud} baud", url.path().display());
+    let said = classify(&place, heard);
+    let link = format!("write the link as {url}");
+    let advice = match said.advice.as_str() {
+        "" => link,
+        further => format!("{link}; {further}"),
+    };
+    CheckResult::warning(format!("{}; at {own_baud} baud it is noise", said.message), advice)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,52 @@
+//! `posebridge inspect`: what a file carries, without estimating anything.
+//!
+//! Reads recordings of ours, telemetry logs, bare captures of a link's bytes and descriptors of foreign recordings; the first three
+//! within a fixed memory, recordings of ours apart. Frames are verified with the checksum seeds of every known dialect.
+//! docs/inspect.md describes the JSON object.
+
+mod descriptor;
+mod facts;
+mod framed;
+mod json;
+mod own;
+mod table;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use self::facts::InspectResult;
+use crate::console::print_result;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::station::input_file::{InputFile, InputKind};
+
+/// Flags of `inspect`.
+#[derive(Args, Clone, Debug)]
+pub struct InspectArgs {
+    /// A recording (*.mcap), a telemetry log (*.tlog, *.tlog.gz), bytes of a link (*.raw, *.bin) or a descriptor (*.toml).
+    pub file: PathBuf,
+    /// What to read of a descriptor's data.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Print one JSON object (docs/inspect.md) instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Inspects.
+///
+/// # Errors
+/// The file cannot be read or makes no sense.
+pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
+    let file = InputFile::open(&args.file).before_start()?;
+    let (name, kind, size) = (file.name.clone(), file.kind, file.size);
+    let found = match kind {
+        InputKind::Tlog => framed::tlog(file).map(InspectResult::from_framed).while_running()?,
+        InputKind::Bytes => framed::bytes(file).map(InspectResult::from_framed).while_running()?,
+        InputKind::Own => own::inspect(file, &args.file).map(InspectResult::from_framed).before_start()?,
+        InputKind::Descriptor => InspectResult::Runs(descriptor::inspect(&args.file, &args.data).before_start()?),
+    };
+    let text = if args.json { json::text(&name, kind, size, &found) } else { table::text(&name, kind, &found) };
+    print_result(&text).while_running()
+}

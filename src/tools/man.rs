@@ -1,0 +1,81 @@
+//! `posebridge man`: manual pages, made from the definition of the command line.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Args, Command};
+use clap_mangen::Man;
+
+use crate::console::{print_line, print_result};
+use crate::exit::{ExitStage, Failure};
+
+/// Flags of `man`.
+#[derive(Args, Clone, Debug)]
+pub struct ManArgs {
+    /// Write the pages of the program and of every subcommand into this folder, instead of printing the program's.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// A page: the name of its file and its text in roff.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ManPage {
+    /// `posebridge-run.1`.
+    pub file: String,
+    /// The text.
+    pub roff: String,
+}
+
+/// Prints the page of the program of this command line, or writes all pages into a folder.
+///
+/// # Errors
+/// A page cannot be written.
+pub fn execute(args: &ManArgs, program: Command) -> Result<(), Failure> {
+    let pages = pages(program).while_running()?;
+    let Some(folder) = &args.out else {
+        let first = pages.first().map_or("", |page| &page.roff);
+        return print_result(first).while_running();
+    };
+    write(folder, &pages).before_start()?;
+    print_line(&format!(
+        "{} pages in `{}`; read one with: man -l {}",
+        pages.len(),
+        folder.display(),
+        folder.join("posebridge.1").display()
+    ));
+    Ok(())
+}
+
+fn write(folder: &Path, pages: &[ManPage]) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder `{}`", folder.display()))?;
+    for page in pages {
+        let path = folder.join(&page.file);
+        std::fs::write(&path, &page.roff).with_context(|| format!("cannot write `{}`", path.display()))?;
+    }
+    Ok(())
+}
+
+/// The page of a program, then one of each subcommand, however deep.
+///
+/// # Errors
+/// A page cannot be made, which would be a fault of ours.
+pub fn pages(program: Command) -> Result<Vec<ManPage>> {
+    // `posebridge help` shows what the pages say.
+    let mut program = program.disable_help_subcommand(true);
+    program.build();
+    let mut pages = Vec::new();
+    add(&program, &mut pages)?;
+    Ok(pages)
+}
+
+fn add(command: &Command, pages: &mut Vec<ManPage>) -> Result<()> {
+    // Of `posebridge run` that is posebridge-run.
+    let name = command.get_display_name().unwrap_or(command.get_name());
+    let mut roff = Vec::new();
+    Man::new(command.clone()).render(&mut roff)?;
+    pages.push(ManPage { file: format!("{name}.1"), roff: String::from_utf8(roff).context(name.to_owned())? });
+    for subcommand in command.get_subcommands() {
+        add(subcommand, pages)?;
+    }
+    Ok(())
+}

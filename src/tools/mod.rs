@@ -1,0 +1,27 @@
+//! The other commands, a module each: what works on files and links. Beside them stands what only they use.
+
+pub mod completions;
+pub mod config;
+pub mod dataset;
+pub mod doctor;
+pub mod experiment_output;
+pub mod export;
+pub mod ground_truth;
+pub mod import;
+pub mod init;
+pub mod inspect;
+pub mod key;
+pub mod link_profile;
+pub mod man;
+pub mod own_recording;
+pub mod play;
+pub mod raster;
+pub mod relay;
+pub mod replay;
+pub mod report;
+pub mod score;
+pub mod session;
+pub mod sim;
+pub mod station_link;
+pub mod tlog_records;
+pub mod truth_file;

@@ -1,0 +1,287 @@
+//! A recording of ours as calibrations and experiments want it: what its pipeline made of the bytes, and of which robot.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use posebridge_estimator::FilterConfig;
+use posebridge_recording::container::{RecordingEnd, RecordingReader};
+use posebridge_station::Station;
+use posebridge_telemetry::{
+    BrickClock, ChannelName, Event, HostClock, Observation, ObservationKind, Output, RobotId, SensorId, TimeDelta,
+    Timestamp,
+};
+
+use super::import::{self, StationOptions};
+use crate::config::{Overlay, RobotFile, config_with_overlay};
+use crate::console::print_line;
+use crate::station::clock_alignment::ClockAlignment;
+use crate::station::recording_warnings::missing_start;
+use crate::station::signing;
+
+/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the pipeline
+/// judges a brick's clock (`clock::unwrap`).
+const RESTART_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// Everything that was observed in one session.
+#[derive(Clone, Debug)]
+pub struct OwnRecordingRun {
+    /// The file.
+    pub name: String,
+    /// The robot, with the geometry that its brick has described.
+    pub robot: RobotFile,
+    /// What a filter of this robot is built from.
+    pub config: FilterConfig,
+    /// What was observed, in the order of arrival, in brick time.
+    pub observations: Vec<Observation>,
+    /// When each of them arrived, in brick time; `None` if the brick never answered a question for its time.
+    pub arrivals: Option<Vec<Timestamp<BrickClock>>>,
+    /// What each thermometer showed, in the order in which they were first heard.
+    pub thermometers: Vec<ThermometerReadings>,
+}
+
+/// What one thermometer showed.
+#[derive(Clone, Debug)]
+pub struct ThermometerReadings {
+    brick: RobotId,
+    /// Which of the brick's.
+    pub channel: ChannelName,
+    /// The latest stamp so far.
+    latest: Timestamp<BrickClock>,
+    /// In the order of arrival, by the clock of its brick.
+    readings: Vec<Observation>,
+    is_restarted: bool,
+}
+
+impl ThermometerReadings {
+    /// Its readings in the order of arrival, by the clock of its brick.
+    ///
+    /// # Errors
+    /// The brick was restarted: its clock has begun anew, and no one knows when by the old one.
+    pub fn readings(&self) -> Result<&[Observation]> {
+        ensure!(
+            !self.is_restarted,
+            "the clock of the brick with the thermometer `{}` ({}) fell back: it was restarted; record without a restart",
+            self.channel,
+            self.brick
+        );
+        Ok(&self.readings)
+    }
+
+    /// How it is called among these: by its channel, and by its brick as well where two bricks have a channel of that name.
+    #[must_use]
+    pub fn name_among(&self, all: &[Self]) -> String {
+        let mut namesakes = all.iter().filter(|one| one.channel == self.channel);
+        if namesakes.any(|one| one.brick != self.brick) {
+            return format!("{}@{}", self.channel, brick_name(self.brick));
+        }
+        self.channel.to_string()
+    }
+}
+
+/// A brick as a part of a name, without spaces.
+fn brick_name(brick: RobotId) -> String {
+    format!("{}-{}", brick.link, brick.address)
+}
+
+/// What a recording's events said.
+#[derive(Debug, Default)]
+struct SessionObservations {
+    observations: Vec<Observation>,
+    arrivals: Vec<Timestamp<HostClock>>,
+    /// In the order of host time.
+    aligned: Vec<ClockAlignment>,
+    thermometers: Vec<ThermometerReadings>,
+    restarts: u64,
+}
+
+impl SessionObservations {
+    fn on_event(&mut self, event: &Event) {
+        match *event {
+            Event::ObservationAligned { arrival, observation, .. } => {
+                self.observations.push(observation);
+                self.arrivals.push(arrival);
+            }
+            Event::Temperature { brick, channel, stamp, shown, .. } => {
+                let reading = Observation {
+                    sensor: SensorId::THERMOMETER,
+                    stamp,
+                    stamp_sigma: TimeDelta::ZERO,
+                    measurement: ObservationKind::Temperature(shown),
+                };
+                self.push_reading(brick, channel, reading);
+            }
+            Event::BrickClockAligned { .. } => self.aligned.extend(ClockAlignment::from_event(event)),
+            Event::BrickRestarted { .. } => self.restarts += 1,
+            Event::RobotDetected { .. }
+            | Event::RobotLost { .. }
+            | Event::ObservationFused { .. }
+            | Event::EstimateUpdated { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::Health { .. }
+            | Event::ReceiveError { .. }
+            | Event::Text { .. } => {}
+        }
+    }
+
+    fn push_reading(&mut self, brick: RobotId, channel: ChannelName, reading: Observation) {
+        let is_it = |one: &&mut ThermometerReadings| one.brick == brick && one.channel == channel;
+        match self.thermometers.iter_mut().find(is_it) {
+            Some(known) => {
+                // The pipeline tells of a restart of its robot alone.
+                if known.latest - reading.stamp > RESTART_THRESHOLD {
+                    known.is_restarted = true;
+                }
+                known.latest = known.latest.max(reading.stamp);
+                known.readings.push(reading);
+            }
+            None => self.thermometers.push(ThermometerReadings {
+                brick,
+                channel,
+                latest: reading.stamp,
+                is_restarted: false,
+                readings: vec![reading],
+            }),
+        }
+    }
+
+    /// The arrivals by the brick's clock, each by the alignment that was in force.
+    fn arrivals_on_brick_clock(&self) -> Option<Vec<Timestamp<BrickClock>>> {
+        let first = self.aligned.first()?;
+        let converted = self.arrivals.iter().map(|arrival| {
+            let after = self.aligned.partition_point(|one| one.host <= *arrival);
+            let by = after.checked_sub(1).and_then(|index| self.aligned.get(index)).unwrap_or(first);
+            by.brick_at(*arrival)
+        });
+        Some(converted.collect())
+    }
+}
+
+/// Whether a path names a recording of ours and not a descriptor of somebody else's.
+#[must_use]
+pub fn is_own(path: &Path) -> bool {
+    path.extension().is_none_or(|extension| extension != "toml")
+}
+
+/// Reads a recording as far as it goes; what is cut off or damaged is said on stderr.
+///
+/// # Errors
+/// The file cannot be read, is no recording, holds no observation, or its brick was restarted; or what is laid over it makes no
+/// sense.
+pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
+    let name = path.display().to_string();
+    let station = StationOptions { config: None, robot: overlay.robot, settings: overlay.settings };
+    let (bytes, notes) = import::recording_bytes(path, station)?;
+    for note in notes {
+        print_line(&note);
+    }
+    let mut reader = RecordingReader::open(&bytes)
+        .with_context(|| format!("recording `{name}` ({} bytes): `posebridge run` writes recordings", bytes.len()))?;
+    if let Some(lack) = missing_start(reader.part_header()) {
+        print_line(&format!("{name}: {lack}"));
+    }
+    let config = config_with_overlay(&reader.header().config_toml, overlay)?;
+    let mut pipeline_config = config.station_config()?;
+    signing::restore_states(&config, &[], &mut pipeline_config)?;
+    let mut pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
+    let heard = run_pipeline(&name, &mut reader, &mut pipeline);
+    ensure!(
+        !(heard.observations.is_empty() && heard.thermometers.is_empty()),
+        "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
+         record again"
+    );
+    if heard.restarts > 0 {
+        bail!(
+            "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
+            heard.restarts
+        );
+    }
+    let mut filter_config = config.filter_config()?;
+    filter_config.geometry = pipeline.geometry();
+    Ok(OwnRecordingRun {
+        name,
+        robot: with_described_geometry(&config.robot, &filter_config),
+        config: filter_config,
+        arrivals: heard.arrivals_on_brick_clock(),
+        observations: heard.observations,
+        thermometers: heard.thermometers,
+    })
+}
+
+/// What the pipeline made of all that is whole.
+fn run_pipeline(name: &str, reader: &mut RecordingReader<'_>, pipeline: &mut Station) -> SessionObservations {
+    let mut heard = SessionObservations::default();
+    for item in &mut *reader {
+        match item {
+            Ok((now, input)) => pipeline.handle(now, &input),
+            Err(error) => print_line(&format!("{name}: {error}; what is whole is used")),
+        }
+        while let Some(output) = pipeline.poll() {
+            if let Output::Event(event) = output {
+                heard.on_event(&event);
+            }
+        }
+    }
+    if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
+        print_line(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
+    }
+    heard
+}
+
+/// The robot with the geometry that its brick has described.
+fn with_described_geometry(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
+    RobotFile {
+        left_wheel_radius_m: config.geometry.left_wheel_radius.0,
+        right_wheel_radius_m: config.geometry.right_wheel_radius.0,
+        track_width_m: config.geometry.track_width.0,
+        ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
+        ..robot.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Address, Celsius, LinkId};
+
+    fn reading(at_millis: i64) -> Observation {
+        Observation {
+            sensor: SensorId::THERMOMETER,
+            stamp: Timestamp::from_millis(at_millis),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::Temperature(Celsius(20.0)),
+        }
+    }
+
+    fn brick(system: u8) -> RobotId {
+        RobotId { link: LinkId(0), address: Address::new(system, 1) }
+    }
+
+    #[test]
+    fn a_thermometers_clock_that_falls_is_a_restart_and_a_reading_that_was_overtaken_is_none() {
+        let channel = ChannelName::from_bytes(b"temp1");
+        let fallen = |stamps: &[i64]| {
+            let mut heard = SessionObservations::default();
+            for at_millis in stamps {
+                heard.push_reading(brick(3), channel, reading(*at_millis));
+            }
+            let readings = heard.thermometers[0].readings().map(<[_]>::len);
+            readings.map_err(|error| error.to_string())
+        };
+        assert_eq!(fallen(&[60_000, 61_000, 60_100, 62_000]), Ok(4));
+        let said = fallen(&[60_000, 61_000, 500, 1_500]).unwrap_err();
+        assert!(said.contains("`temp1` (link 0 3/1) fell back"), "{said}");
+    }
+
+    #[test]
+    fn a_thermometer_is_called_by_its_brick_where_two_bricks_have_a_channel_of_that_name() {
+        let mut heard = SessionObservations::default();
+        for (system, channel) in [(3, "temp1"), (4, "temp1"), (4, "temp2")] {
+            let channel = ChannelName::from_bytes(channel.as_bytes());
+            heard.push_reading(brick(system), channel, reading(0));
+        }
+        let all = &heard.thermometers;
+        let names: Vec<String> = all.iter().map(|one| one.name_among(all)).collect();
+        assert_eq!(names, ["temp1@0-3/1", "temp1@0-4/1", "temp2"]);
+    }
+}

@@ -1,0 +1,281 @@
+//! A foreign recording: each estimator over each run, scored against the truth or against the fixes that were withheld.
+
+use anyhow::{Result, anyhow, bail, ensure};
+use posebridge_report::metrics::summarise;
+use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_over_runs};
+use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Station, StationConfig};
+use posebridge_telemetry::{Address, Input, Observation, Point2, TimeDelta};
+
+use super::args::ReplayArgs;
+use super::output_files::{finish_events, write_charts};
+use super::recording::changed_settings;
+use super::result::{FilterResult, ReplayResult};
+use super::robot;
+use super::seen::ReplayWatcher;
+use super::smooth::SmoothedRun;
+use super::watch::{EventWatcher, ReplayLane, ReplayPacer, Window, WindowPosition};
+use crate::config::names_of_filters;
+use crate::console::progress_bar;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::{DataFlags, SessionFlags};
+use crate::station::event_collector::{EventCollector, MAX_INTERPOLATION_GAP};
+use crate::station::learned_calibration::LearnedCalibration;
+use crate::station::observer::create;
+use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
+use crate::tools::score::{Scorer, pose_at};
+
+/// The bar moves when so many observations have been given.
+const PROGRESS_STEP: u64 = 1_024;
+/// The estimators of a foreign recording unless others are asked for.
+const DEFAULT_FILTERS: [&str; 2] = ["odometry", "pose"];
+
+/// A descriptor with the runs and the robot that the flags choose.
+pub struct ForeignRecording {
+    /// The runs.
+    pub data: DataSet,
+    flags: DataFlags,
+}
+
+impl ForeignRecording {
+    /// Reads the descriptor.
+    ///
+    /// # Errors
+    /// It cannot be read or makes no sense, or a flag is for recordings of ours.
+    pub fn open(flags: &SessionFlags) -> Result<Self> {
+        ensure!(flags.truth.is_none(), "--truth is for recordings of ours: a descriptor names its own truth");
+        let data_flags = DataFlags { settings: robot::settings(flags, &[])?, ..flags.data.clone() };
+        Ok(Self { data: DataSet::open(&flags.recording, &data_flags)?, flags: data_flags })
+    }
+
+    /// Reads a run.
+    ///
+    /// # Errors
+    /// A file or a column is missing, or the robot makes no sense.
+    pub fn load(&self, name: &str) -> Result<RobotRun> {
+        self.data.load(name, &self.flags)
+    }
+}
+
+/// Replays the runs of a descriptor with each filter.
+///
+/// # Errors
+/// The descriptor, a file or a flag makes no sense, or an output cannot be written.
+pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
+    let window = Window::from_flags(&args.session).before_start()?;
+    let foreign = ForeignRecording::open(&args.session).before_start()?;
+    if let (Some(_), runs @ 2..) = (&args.save_calibration, foreign.data.runs.len()) {
+        return Err(anyhow!(
+            "--save-calibration takes what one run has taught, but {runs} are selected: choose one with --run"
+        ))
+        .before_start();
+    }
+    let filters = filters_of(args).before_start()?;
+    let mut events = args.events.as_deref().map(create).transpose().before_start()?;
+    let mut pace = args.speed.map(ReplayPacer::new).transpose().before_start()?;
+    let mut replayed = ReplayResult {
+        recording: foreign.data.descriptor.name.clone(),
+        changed_settings: changed_settings(&args.session),
+        ..ReplayResult::default()
+    };
+    let mut per_filter: Vec<ScoreTotals> = filters.iter().map(|_| ScoreTotals::default()).collect();
+    for name in &foreign.data.runs {
+        let robot_run = foreign.load(name).before_start()?;
+        replayed.bad_rows += report_bad_rows(&robot_run);
+        if args.smooth {
+            replayed.smoothed.push(smoothed_run(&robot_run));
+        }
+        let mut scored = None;
+        for (filter, gathered) in filters.iter().zip(&mut per_filter) {
+            let mut seen = ReplayWatcher::new(EventCollector::default());
+            seen.events = events.as_mut();
+            seen.show_at(args.speed);
+            let one = replay_run(&robot_run, filter, &mut seen, (window, pace.as_mut())).while_running()?;
+            let collector = seen.finish();
+            if Some(filter) == filters.last() {
+                write_run_charts(args, &robot_run, &collector, replayed.smoothed.last()).while_running()?;
+            }
+            scored = Some((one.duration, one.observations));
+            gathered.add(one, collector);
+        }
+        let (recorded, observations) = scored.unwrap_or_default();
+        replayed.duration += recorded;
+        replayed.observations += observations;
+    }
+    if let Some(events) = events {
+        finish_events(events).while_running()?;
+    }
+    let outcomes = filters.into_iter().zip(per_filter).map(|(name, gathered)| gathered.outcome(name));
+    replayed.outcomes = outcomes.collect();
+    replayed.runs = foreign.data.runs;
+    Ok(replayed)
+}
+
+/// The filters that were asked for, else the usual ones.
+fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
+    if args.filters.is_empty() {
+        return Ok(DEFAULT_FILTERS.map(str::to_owned).to_vec());
+    }
+    args.filters.iter().try_for_each(|filter| check_filter(filter))?;
+    Ok(args.filters.clone())
+}
+
+/// Whether there is such a filter.
+///
+/// # Errors
+/// There is none.
+pub fn check_filter(filter: &str) -> Result<()> {
+    ensure!(
+        posebridge_estimator::find_filter(filter).is_some(),
+        "unknown filter `{filter}`; there are: {}",
+        names_of_filters()
+    );
+    Ok(())
+}
+
+/// One run under one filter.
+pub struct ReplayScores {
+    /// Against the truth or the withheld fixes.
+    pub errors: ErrorSummary,
+    /// Without the delay that the estimator has learned.
+    pub uncorrected: ErrorSummary,
+    /// What it has learned.
+    pub learned: Option<LearnedCalibration>,
+    /// From the first observation to the last that was given.
+    pub duration: TimeDelta,
+    /// How many were given.
+    pub observations: u64,
+}
+
+/// All runs under one filter.
+#[derive(Default)]
+struct ScoreTotals {
+    errors: Vec<ErrorSummary>,
+    uncorrected: Vec<ErrorSummary>,
+    learned: Vec<LearnedCalibration>,
+    sources: Vec<SourceTally>,
+}
+
+impl ScoreTotals {
+    fn add(&mut self, scored: ReplayScores, collector: EventCollector) {
+        self.errors.push(scored.errors);
+        self.uncorrected.push(scored.uncorrected);
+        self.learned.extend(scored.learned);
+        for tally in collector.sources {
+            let mut known = self.sources.iter_mut();
+            match known.find(|known| known.sensor == tally.sensor) {
+                Some(known) => known.merge(&tally),
+                None => self.sources.push(tally),
+            }
+        }
+    }
+
+    fn outcome(self, name: String) -> FilterResult {
+        FilterResult {
+            name,
+            errors: mean_over_runs(&self.errors),
+            position_rms_uncorrected_m: mean_over_runs(&self.uncorrected).position_rms_m,
+            learned: self.learned,
+            sources: self.sources,
+        }
+    }
+}
+
+/// Gives one run to one filter.
+///
+/// # Errors
+/// The run is empty, or as the watcher says.
+pub fn replay_run(
+    robot_run: &RobotRun,
+    filter: &str,
+    watch: &mut dyn EventWatcher,
+    (window, mut pace): (Window, Option<&mut ReplayPacer>),
+) -> Result<ReplayScores> {
+    let config = StationConfig {
+        own_address: Address::default(),
+        robot: RobotConfig {
+            name: None,
+            filter: filter.to_owned(),
+            filter_config: robot_run.filter_config.clone(),
+            description: DescriptionPolicy::Ignore,
+            tag_in_body: Point2::ORIGIN,
+            tag: None,
+        },
+        robots: vec![],
+        max_robots: 1,
+        robot_system: None,
+        fix_requests: FixRequestConfig::default(),
+        timesync_period: TimeDelta::from_millis(1_000),
+        brick_message_intervals: vec![],
+        duplicate_window: TimeDelta::ZERO,
+        thermometers: vec![],
+        links: vec![],
+    };
+    let Some(first) = robot_run.run.observations.first() else { bail!("the run is empty") };
+    let pipeline = Station::new(config, first.arrival)?;
+    let prior = robot_run.filter_config.calibration;
+    let mut scorer = Scorer::new(&robot_run.run, &prior);
+    let mut lane = ReplayLane { pipeline, watcher: watch };
+    let bar = progress_bar(robot_run.run.observations.len() as u64, "observations")?;
+    if let Some(pace) = &mut pace {
+        pace.restart();
+    }
+    let mut recorded = TimeDelta::ZERO;
+    let mut observations = 0;
+    for timed in &robot_run.run.observations {
+        let elapsed = timed.arrival - first.arrival;
+        let place = window.position(elapsed);
+        if place == WindowPosition::After {
+            break;
+        }
+        if let Some(pace) = &pace {
+            pace.wait(elapsed);
+        }
+        lane.push(timed.arrival, &Input::Observation(timed.observation), place)?;
+        let observation = &timed.observation;
+        scorer.on_observation(&observation.measurement, observation.stamp, &lane.pipeline);
+        if place == WindowPosition::Before {
+            scorer.reset();
+        }
+        recorded = recorded.max(elapsed);
+        observations += 1;
+        if u64::is_multiple_of(observations, PROGRESS_STEP) {
+            bar.set_position(observations);
+        }
+    }
+    bar.finish_and_clear();
+    scorer.finish(&lane.pipeline);
+    let (name, robot) = (&robot_run.run.name, &robot_run.robot);
+    Ok(ReplayScores {
+        errors: summarise(&scorer.errors),
+        uncorrected: summarise(&scorer.uncorrected),
+        learned: LearnedCalibration::from_pipeline(&lane.pipeline, name, robot, &prior),
+        duration: recorded,
+        observations,
+    })
+}
+
+/// What the filters are given, in hindsight.
+fn smoothed_run(robot_run: &RobotRun) -> SmoothedRun {
+    let (run, config) = (&robot_run.run, &robot_run.filter_config);
+    let observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
+    SmoothedRun::new(&run.name, config, &observations).with_scores(run, &config.calibration)
+}
+
+fn write_run_charts(
+    args: &ReplayArgs,
+    robot_run: &RobotRun,
+    collector: &EventCollector,
+    smoothed: Option<&SmoothedRun>,
+) -> Result<()> {
+    let truth = truth_of(robot_run);
+    let smoothed = smoothed.and_then(SmoothedRun::track);
+    let tracks = (truth.as_ref(), None, smoothed.as_ref());
+    write_charts(args, &robot_run.run.name, collector, tracks)
+}
+
+/// The truth of a run, where it has some.
+pub fn truth_of(robot_run: &RobotRun) -> Option<PoseTrack> {
+    let truth = &robot_run.run.truth;
+    let poses = truth.iter().map(|truth| TimedPose { time: truth.time, pose: pose_at(truth.position, truth.heading) });
+    (!truth.is_empty()).then(|| PoseTrack::new(poses, MAX_INTERPOLATION_GAP))
+}

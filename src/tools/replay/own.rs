@@ -1,0 +1,168 @@
+//! A recording of ours: the pipeline is given what it was given live, so its events are those of the live run, bit for bit.
+
+use std::fs::File;
+use std::io::BufWriter;
+
+use anyhow::{Result, anyhow};
+use posebridge_estimator::FilterConfig;
+use posebridge_report::metrics::{errors_of_estimates, summarise};
+use posebridge_report::{ErrorSummary, PoseTrack};
+use posebridge_station::Station;
+
+use super::args::ReplayArgs;
+use super::output_files::{finish_events, write_charts};
+use super::recording::OwnRecording;
+use super::result::{FilterResult, ReplayResult};
+use super::seen::ReplayWatcher;
+use super::smooth::{SmoothError, SmoothedRun};
+use super::watch::{ReplayLane, ReplayPacer, Window};
+use crate::config::Config;
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::station::event_collector::EventCollector;
+use crate::station::learned_calibration::LearnedCalibration;
+use crate::station::observer::create;
+use crate::tools::ground_truth::GroundTruth;
+
+/// What a recording of ours is called among runs.
+pub const WHOLE_RUN: &str = "recording";
+
+/// Replays it with the filter of its configuration, or others.
+///
+/// # Errors
+/// The recording, its configuration or a flag makes no sense, or an output cannot be written.
+pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
+    if let (Some(_), [_, _, ..]) = (&args.events, args.filters.as_slice()) {
+        return Err(anyhow!("--events writes the events of one estimator: give --filter once")).before_start();
+    }
+    let flags = &args.session;
+    let window = Window::from_flags(flags).before_start()?;
+    let recording = OwnRecording::open(flags).before_start()?;
+    let configs = configs(args, &recording).before_start()?;
+    let changed = recording.changes(flags, &args.filters).before_start()?;
+    if !changed.is_empty() {
+        print_line(&format!("{}: replayed with {}: this is not what ran", recording.name, changed.join(", ")));
+    }
+    let known = recording.ground_truth(flags.truth.as_deref()).before_start()?;
+    let mut events = args.events.as_deref().map(create).transpose().before_start()?;
+    let pace = args.speed.map(ReplayPacer::new).transpose().before_start()?;
+    let mut seen = watchers(args, configs.len(), events.as_mut());
+    let mut lanes = Vec::new();
+    for (config, seen) in configs.iter().zip(&mut seen) {
+        let pipeline = OwnRecording::pipeline(flags, config).before_start()?;
+        lanes.push(ReplayLane { pipeline, watcher: seen });
+    }
+    let passage = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
+    for note in &passage.notes {
+        print_line(&format!("{}: {note}", recording.name));
+    }
+    let pipelines: Vec<Station> = lanes.into_iter().map(|lane| lane.pipeline).collect();
+    let collectors: Vec<EventCollector> = seen.into_iter().map(ReplayWatcher::finish).collect();
+    if let Some(events) = events {
+        finish_events(events).while_running()?;
+    }
+    let made = configs.iter().zip(pipelines.iter().zip(collectors));
+    let made: Vec<FilterReplay<'_>> =
+        made.map(|(config, (pipeline, collector))| FilterReplay { config, pipeline, collector }).collect();
+    summarize(args, &recording, &known, made).map(|replayed| ReplayResult {
+        duration: passage.duration,
+        changed_settings: changed,
+        ..replayed
+    })
+}
+
+/// One estimator when all is over.
+struct FilterReplay<'m> {
+    config: &'m Config,
+    pipeline: &'m Station,
+    collector: EventCollector,
+}
+
+/// One configuration for each estimator.
+fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
+    if args.filters.is_empty() {
+        return Ok(vec![recording.config(&args.session, None)?]);
+    }
+    let filters = args.filters.iter();
+    filters.map(|name| recording.config(&args.session, Some(name.as_str()))).collect()
+}
+
+/// The last one has the event file and the status block; each keeps what tables need.
+fn watchers<'e>(
+    args: &ReplayArgs,
+    count: usize,
+    mut events: Option<&'e mut BufWriter<File>>,
+) -> Vec<ReplayWatcher<'e>> {
+    let mut all = Vec::new();
+    for index in 0..count {
+        let is_last = index + 1 == count;
+        let collector =
+            if args.smooth && is_last { EventCollector::with_observations() } else { EventCollector::default() };
+        let mut seen = ReplayWatcher::new(collector);
+        if is_last {
+            seen.events = events.take();
+            seen.show_at(args.speed);
+        }
+        all.push(seen);
+    }
+    all
+}
+
+fn summarize(
+    args: &ReplayArgs,
+    recording: &OwnRecording,
+    known: &GroundTruth,
+    mut made: Vec<FilterReplay<'_>>,
+) -> Result<ReplayResult, Failure> {
+    let truth = known.truth.as_ref();
+    let mut smoothed_run = None;
+    if let Some(last) = made.last() {
+        let mut filter_config = last.config.filter_config().before_start()?;
+        // The robot may have described another geometry than the configuration.
+        filter_config.geometry = last.pipeline.geometry();
+        smoothed_run = args.smooth.then(|| smoothed(&filter_config, &last.collector, truth));
+        let path = smoothed_run.as_ref().and_then(SmoothedRun::track);
+        let tracks = (truth, known.odometry.as_ref(), path.as_ref());
+        write_charts(args, &recording.name, &last.collector, tracks).while_running()?;
+    }
+    let observations = made.first().map_or(0, |one| one.collector.observations);
+    let outcomes: Result<Vec<FilterResult>> = made.drain(..).map(|one| outcome(one, truth)).collect();
+    Ok(ReplayResult {
+        recording: recording.name.clone(),
+        runs: vec![WHOLE_RUN.to_owned()],
+        observations,
+        outcomes: outcomes.before_start()?,
+        smoothed: smoothed_run.into_iter().collect(),
+        ..ReplayResult::default()
+    })
+}
+
+fn outcome(made: FilterReplay<'_>, truth: Option<&PoseTrack>) -> Result<FilterResult> {
+    let prior = made.config.filter_config()?.calibration;
+    let learned = LearnedCalibration::from_pipeline(made.pipeline, WHOLE_RUN, &made.config.robot, &prior);
+    Ok(FilterResult {
+        name: made.config.filter.name.clone(),
+        errors: errors(&made.collector, truth),
+        position_rms_uncorrected_m: None,
+        learned: learned.into_iter().collect(),
+        sources: made.collector.sources,
+    })
+}
+
+/// Every published estimate against the truth at its own stamp.
+pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSummary {
+    truth
+        .map_or_else(ErrorSummary::default, |truth| summarise(&errors_of_estimates(collector.estimates.items(), truth)))
+}
+
+/// The whole recording in hindsight, held against the truth at its own stamps as the filter's estimates are at theirs.
+fn smoothed(config: &FilterConfig, collector: &EventCollector, truth: Option<&PoseTrack>) -> SmoothedRun {
+    if collector.restarts > 0 {
+        return SmoothedRun::failed(WHOLE_RUN, SmoothError::Restarted(collector.restarts));
+    }
+    let mut smoothed = SmoothedRun::new(WHOLE_RUN, config, &collector.retained_observations);
+    if let Some(truth) = truth {
+        smoothed.errors = summarise(&errors_of_estimates(&smoothed.estimates(), truth));
+    }
+    smoothed
+}

@@ -1,0 +1,233 @@
+//! `posebridge report`: a recording as a page that needs nothing else, with every picture as a file of its own.
+//!
+//! All that it says comes from the recorded inputs, given to the engine that runs live, by the code of `replay`; nothing is read that
+//! the live run has computed but the truth of a simulated one. Docs: docs/report.md.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anyhow::{Result, bail, ensure};
+use clap::Args;
+use posebridge_report::PoseTrack;
+use posebridge_report::tables::{EstimatorRow, runs_table};
+use posebridge_telemetry::Timestamp;
+
+use super::dataset::report_bad_rows;
+use super::experiment_output::{ExperimentOutcome, OutputArgs};
+use super::own_recording::is_own;
+use super::replay::foreign::{ForeignRecording, check_filter, replay_run, truth_of};
+use super::replay::own::{self, WHOLE_RUN};
+use super::replay::recording::{OwnRecording, changed_settings};
+use super::replay::watch::{ReplayLane, Window};
+use super::session::history::SessionHistory;
+use super::session::summary::{RunSummary, ScoreReference, SessionSummary};
+use crate::config::{Config, utc_date};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::SessionFlags;
+use crate::station::event_collector::EventCollector;
+use crate::station::learned_calibration::LearnedCalibration;
+use crate::tools::session::{json as session_json, page as session_page};
+
+/// The filter of a foreign recording unless another is asked for.
+const DEFAULT_FILTER: &str = "pose";
+/// The filter that shows what the wheels alone say, where the brick has told no belief of its own.
+const DEAD_RECKONING: &str = "odometry";
+/// A page of more runs would be too long to read.
+const MOST_RUNS: usize = 12;
+
+/// Flags of `report`.
+#[derive(Args, Clone, Debug)]
+pub struct ReportArgs {
+    /// What to report on.
+    #[command(flatten)]
+    pub session: SessionFlags,
+    /// Estimator, instead of the recording's.
+    #[arg(long, visible_alias = "estimator", value_name = "NAME")]
+    pub filter: Option<String>,
+    /// Where the page goes, and what is printed.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Makes the page.
+///
+/// # Errors
+/// The recording cannot be read or makes no sense, or a file cannot be written.
+pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
+    let window = Window::from_flags(&args.session).before_start()?;
+    let story = if is_own(&args.session.recording) {
+        summarize_recording(args, window)?
+    } else {
+        summarize_foreign(args, window)?
+    };
+    for note in &story.notes {
+        print_line(&format!("{}: {note}", story.recording));
+    }
+    let folder: PathBuf = args.output.folder()?;
+    let outcome = ExperimentOutcome {
+        name: "report",
+        page: session_page::page(&story),
+        text: text(&story),
+        json: session_json::object(&story),
+    };
+    args.output.write_outcome(&folder, &outcome)
+}
+
+fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSummary, Failure> {
+    let flags = &args.session;
+    let recording = OwnRecording::open(flags).before_start()?;
+    let config = recording.config(flags, args.filter.as_deref()).before_start()?;
+    let filters: Vec<String> = args.filter.iter().cloned().collect();
+    let changed = recording.changes(flags, &filters).before_start()?;
+    let known = recording.ground_truth(flags.truth.as_deref()).before_start()?;
+    let pipeline = OwnRecording::pipeline(flags, &config).before_start()?;
+    let alone = recording.config(flags, Some(DEAD_RECKONING)).before_start()?;
+    let alone = OwnRecording::pipeline(flags, &alone).before_start()?;
+    let mut chronicle = SessionHistory::new(recording.origin());
+    let mut dead_reckoning = EventCollector::default();
+    let mut lanes = [
+        ReplayLane { pipeline, watcher: &mut chronicle },
+        ReplayLane { pipeline: alone, watcher: &mut dead_reckoning },
+    ];
+    let passage = recording.run(&mut lanes, window, None).while_running()?;
+    let [ReplayLane { pipeline, .. }, _] = lanes;
+    let prior = config.filter_config().before_start()?.calibration;
+    let learned = LearnedCalibration::from_pipeline(&pipeline, WHOLE_RUN, &config.robot, &prior);
+    let yardstick = match known.truth {
+        Some(_) => ScoreReference::Truth,
+        None => ScoreReference::None,
+    };
+    let run = RunSummary {
+        name: title_of(&config),
+        errors: own::errors(&chronicle.collector, known.truth.as_ref()),
+        reference: yardstick,
+        truth: known.truth,
+        odometry: known.odometry.or_else(|| track_of(&dead_reckoning)),
+        learned,
+        history: chronicle,
+    };
+    Ok(SessionSummary {
+        facts: own_facts(&recording, &config, &run),
+        recording: recording.name,
+        filter: config.filter.name,
+        changed,
+        notes: passage.notes,
+        runs: vec![run],
+    })
+}
+
+/// Where a filter believed the robot; `None` if it never knew.
+fn track_of(collector: &EventCollector) -> Option<PoseTrack> {
+    let track = collector.track();
+    (!track.samples().is_empty()).then_some(track)
+}
+
+/// A robot without a name has a path all the same.
+fn title_of(config: &Config) -> String {
+    if config.robot.name.is_empty() { "Path".to_owned() } else { config.robot.name.clone() }
+}
+
+fn own_facts(recording: &OwnRecording, config: &Config, run: &RunSummary) -> Vec<(String, String)> {
+    let header = &recording.header;
+    let chronicle = &run.history;
+    let fact = |name: &str, value: String| (name.to_owned(), value);
+    let mut facts = vec![fact("robot", config.robot.name.clone())];
+    if header.utc_start_micros > 0 {
+        facts.push(fact("recorded", utc_date(header.utc_start_micros)));
+    }
+    for (index, url) in header.links.iter().enumerate() {
+        facts.push(fact(&format!("link {index}"), url.clone()));
+    }
+    let length = format!("{:.1} s", chronicle.length().as_secs_f64());
+    facts.push(fact("length", length));
+    facts.push(fact("recorded by", format!("posebridge {}", header.program_version)));
+    facts
+}
+
+fn summarize_foreign(args: &ReportArgs, window: Window) -> Result<SessionSummary, Failure> {
+    let flags = &args.session;
+    let foreign = ForeignRecording::open(flags).before_start()?;
+    check_runs(&foreign).before_start()?;
+    let filter = args.filter.as_deref().unwrap_or(DEFAULT_FILTER);
+    check_filter(filter).before_start()?;
+    let mut story = SessionSummary {
+        recording: foreign.data.descriptor.name.clone(),
+        facts: foreign_facts(&foreign),
+        filter: filter.to_owned(),
+        changed: changed_settings(flags),
+        notes: Vec::new(),
+        runs: Vec::new(),
+    };
+    for name in &foreign.data.runs {
+        let robot_run = foreign.load(name).before_start()?;
+        let bad_rows = report_bad_rows(&robot_run);
+        if bad_rows > 0 {
+            let note = format!("run {name}: {bad_rows} rows could not be used");
+            story.notes.push(note);
+        }
+        let first = robot_run.run.observations.first();
+        let origin = first.map_or(Timestamp::ZERO, |first| first.arrival);
+        let mut chronicle = SessionHistory::new(origin);
+        let scored = replay_run(&robot_run, filter, &mut chronicle, (window, None)).while_running()?;
+        let mut dead_reckoning = EventCollector::default();
+        let alone = (window, None);
+        replay_run(&robot_run, DEAD_RECKONING, &mut dead_reckoning, alone).while_running()?;
+        let truth = truth_of(&robot_run);
+        let yardstick = match (&truth, robot_run.run.withheld.is_empty()) {
+            (Some(_), _) => ScoreReference::Truth,
+            (None, false) => ScoreReference::WithheldFixes,
+            (None, true) => ScoreReference::None,
+        };
+        story.runs.push(RunSummary {
+            name: name.clone(),
+            errors: scored.errors,
+            reference: yardstick,
+            truth,
+            odometry: track_of(&dead_reckoning),
+            learned: scored.learned,
+            history: chronicle,
+        });
+    }
+    Ok(story)
+}
+
+fn check_runs(foreign: &ForeignRecording) -> Result<()> {
+    let runs = &foreign.data.runs;
+    ensure!(
+        runs.len() <= MOST_RUNS,
+        "{} runs are selected, and a page holds up to {MOST_RUNS}: choose with --run, for example --run {}",
+        runs.len(),
+        runs.first().map_or("", String::as_str)
+    );
+    if runs.is_empty() {
+        bail!("no run is selected");
+    }
+    Ok(())
+}
+
+fn foreign_facts(foreign: &ForeignRecording) -> Vec<(String, String)> {
+    let descriptor = &foreign.data.descriptor;
+    [
+        ("source", descriptor.source.clone()),
+        ("licence", descriptor.licence.clone()),
+        ("runs", foreign.data.runs.join(", ")),
+    ]
+    .map(|(name, value)| (name.to_owned(), value))
+    .into()
+}
+
+/// What a terminal shows: errors, and a verdict for each sensor.
+fn text(story: &SessionSummary) -> String {
+    let rows: Vec<EstimatorRow<'_>> =
+        story.runs.iter().map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
+    let mut text = format!("{}, filter {}\n\n", story.recording, story.filter);
+    text += &runs_table(&rows);
+    for run in &story.runs {
+        let _ = writeln!(text, "\n{}", run.name);
+        for verdict in run.source_summaries() {
+            let _ = writeln!(text, "  {}: {}", verdict.sensor.name(), verdict.assessment);
+        }
+    }
+    text
+}

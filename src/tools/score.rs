@@ -1,0 +1,330 @@
+//! An estimator against what it was not told: truth, or fixes that were withheld.
+//!
+//! The estimate for an instant is taken as soon as the motion up to that instant has been observed, with the fixes that had come
+//! by then: the filter's own history interpolates the motion inside an encoder interval.
+//!
+//! A camera that stamps its fixes late stamps the withheld ones late, too. An estimator that learns the delay is scored at the
+//! stamp less the delay that it believes in at that moment; what it would have got at the stamp itself is kept beside it.
+
+use posebridge_recording::dataset::{DatasetRun, TruthPose, WithheldFix};
+use posebridge_report::PoseError;
+use posebridge_station::Station;
+use posebridge_telemetry::{
+    Arena, Body, BrickClock, Calibration, Estimate, Heading, Meters, ObservationKind, Point2, Pose, Tag, TimeDelta,
+    Timestamp, Transform2,
+};
+
+/// What an estimator is held against at one instant.
+#[derive(Clone, Copy, Debug)]
+struct ErrorReference {
+    time: Timestamp<BrickClock>,
+    position: Point2<Arena>,
+    heading: Option<Heading>,
+    /// Where on the robot that point is.
+    body_from_point: Transform2<Body, Tag>,
+    is_truth: bool,
+}
+
+/// What is scored.
+pub trait EstimateSource {
+    /// The belief for an instant.
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
+    /// What it has learned so far.
+    fn calibration(&self) -> Option<Calibration>;
+    /// The latest instant that was observed.
+    fn latest(&self) -> Option<Timestamp<BrickClock>>;
+}
+
+impl EstimateSource for Station {
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.estimate_at(stamp)
+    }
+    fn calibration(&self) -> Option<Calibration> {
+        self.calibration()
+    }
+    fn latest(&self) -> Option<Timestamp<BrickClock>> {
+        self.latest_time()
+    }
+}
+
+/// Scores one estimator over one run.
+pub struct Scorer {
+    references: std::vec::IntoIter<ErrorReference>,
+    next: Option<ErrorReference>,
+    /// Withheld fixes come late by what the estimator learns.
+    delay: DelayCorrection,
+    /// Errors so far.
+    pub errors: Vec<PoseError>,
+    /// Errors at the fixes' own stamps; empty unless the others are corrected for a delay.
+    pub uncorrected: Vec<PoseError>,
+    /// What the errors are between, in their order.
+    pub pairs: Vec<PosePair>,
+}
+
+/// What was believed of one instant, and what it is held against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosePair {
+    /// The instant of the yardstick.
+    pub time: Timestamp<BrickClock>,
+    /// The truth, or the withheld fix; heading 0 where it has none.
+    pub expected: Pose<Arena>,
+    /// The same point of the robot as it was believed.
+    pub estimated: Pose<Arena>,
+}
+
+/// Whether the stamps of the withheld fixes are taken as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum DelayCorrection {
+    /// As they are.
+    None,
+    /// Less what the estimator has learned.
+    Learned,
+}
+
+impl Scorer {
+    /// Truth where there is some, else the withheld fixes; `prior` is what the estimator knew of systematic errors before the run.
+    #[must_use]
+    pub fn new(run: &DatasetRun, prior: &Calibration) -> Self {
+        let has_truth = !run.truth.is_empty();
+        let mut yardsticks: Vec<ErrorReference> = if has_truth {
+            run.truth.iter().map(reference_from_truth).collect()
+        } else {
+            run.withheld.iter().map(reference_from_withheld).collect()
+        };
+        yardsticks.sort_by_key(|yardstick| yardstick.time);
+        let mut references = yardsticks.into_iter();
+        let next = references.next();
+        let is_learned = !has_truth && prior.fix_delay_s.sigma > 0.0;
+        Self {
+            references,
+            next,
+            delay: if is_learned { DelayCorrection::Learned } else { DelayCorrection::None },
+            errors: Vec::new(),
+            uncorrected: Vec::new(),
+            pairs: Vec::new(),
+        }
+    }
+
+    /// After an observation was handled.
+    pub fn on_observation(
+        &mut self,
+        observed: &ObservationKind,
+        stamp: Timestamp<BrickClock>,
+        belief: &impl EstimateSource,
+    ) {
+        let is_motion = matches!(
+            observed,
+            ObservationKind::WheelAngles { .. }
+                | ObservationKind::OdometerPose(_)
+                | ObservationKind::BodyVelocity { .. }
+        );
+        if is_motion {
+            self.score_until(stamp, belief);
+        }
+    }
+
+    /// Leaves out what was scored so far.
+    pub fn reset(&mut self) {
+        self.errors.clear();
+        self.uncorrected.clear();
+        self.pairs.clear();
+    }
+
+    /// At the end: what lies behind the last motion, as far as anything was observed.
+    pub fn finish(&mut self, belief: &impl EstimateSource) {
+        if let Some(latest) = belief.latest() {
+            self.score_until(latest, belief);
+        }
+    }
+
+    /// Scores what has been observed: a delay that is believed to be negative must not ask for what lies ahead.
+    fn score_until(&mut self, until: Timestamp<BrickClock>, belief: &impl EstimateSource) {
+        let delay = self.learned_delay(belief);
+        let true_at = |yardstick: &ErrorReference| yardstick.time - delay.unwrap_or(TimeDelta::ZERO);
+        while let Some(yardstick) = self.next.filter(|next| next.time.max(true_at(next)) <= until) {
+            let scored_at = |stamp| {
+                let estimate = belief.estimate_at(stamp)?;
+                error(&estimate, &yardstick)
+            };
+            if let Some((error, pair)) = scored_at(true_at(&yardstick)) {
+                self.errors.push(error);
+                self.pairs.push(pair);
+            }
+            if delay.is_some() {
+                let uncorrected = scored_at(yardstick.time);
+                self.uncorrected.extend(uncorrected.map(|(error, _)| error));
+            }
+            self.next = self.references.next();
+        }
+    }
+
+    fn learned_delay(&self, belief: &impl EstimateSource) -> Option<TimeDelta> {
+        match self.delay {
+            DelayCorrection::None => None,
+            DelayCorrection::Learned => {
+                let learned = belief.calibration()?.fix_delay_s.value;
+                Some(TimeDelta::from_secs_f64(learned))
+            }
+        }
+    }
+}
+
+fn reference_from_truth(truth: &TruthPose) -> ErrorReference {
+    ErrorReference {
+        time: truth.time,
+        position: truth.position,
+        heading: truth.heading,
+        body_from_point: Transform2::default(),
+        is_truth: true,
+    }
+}
+
+fn reference_from_withheld(withheld: &WithheldFix) -> ErrorReference {
+    let tag = withheld.fix.tag_in_body;
+    ErrorReference {
+        time: withheld.time,
+        position: withheld.fix.position,
+        heading: withheld.fix.heading,
+        body_from_point: Transform2::new(tag.x, tag.y, Heading::default()),
+        is_truth: false,
+    }
+}
+
+/// The error of the observed point, and of the heading where the yardstick has one. Only real truth can judge a covariance: a
+/// withheld fix has an error of its own.
+fn error(estimate: &Estimate, yardstick: &ErrorReference) -> Option<(PoseError, PosePair)> {
+    if !estimate.validity.position {
+        return None;
+    }
+    let seen = (estimate.pose * yardstick.body_from_point).origin();
+    let heading = yardstick.heading.unwrap_or_default();
+    let truth = Pose::<Arena>::new(yardstick.position.x, yardstick.position.y, heading);
+    let of_point = Estimate { pose: Pose::new(seen.x, seen.y, estimate.pose.heading), ..*estimate };
+    let mut error = PoseError::of_estimate(&of_point, truth);
+    if yardstick.heading.is_none() {
+        error.heading_rad = None;
+    }
+    if !yardstick.is_truth || yardstick.heading.is_none() {
+        error.covariance = None;
+    }
+    let pair = PosePair { time: yardstick.time, expected: truth, estimated: of_point.pose };
+    Some((error, pair))
+}
+
+/// A point of the arena as the figures want it.
+#[must_use]
+pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena> {
+    Pose::new(Meters(position.x.0), Meters(position.y.0), heading.unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use posebridge_report::TimedPose;
+    use posebridge_telemetry::{Fix, Odom, UncertainValue};
+
+    use super::*;
+
+    /// Drives along x at 1 m/s and knows it, but believes that the camera is late by so much.
+    struct Driver {
+        delay: TimeDelta,
+        /// The latest instant that it was asked for.
+        asked: Cell<Timestamp<BrickClock>>,
+        latest: Timestamp<BrickClock>,
+    }
+
+    impl EstimateSource for Driver {
+        fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+            self.asked.set(self.asked.get().max(stamp));
+            let pose = Pose::new(Meters(stamp.as_secs_f64()), Meters(0.0), Heading::default());
+            Some(TimedPose { time: stamp, pose }.with_covariance([[0.0; 5]; 5]))
+        }
+        fn calibration(&self) -> Option<Calibration> {
+            Some(Calibration {
+                fix_delay_s: UncertainValue { value: self.delay.as_secs_f64(), sigma: 0.01 },
+                ..Calibration::default()
+            })
+        }
+        fn latest(&self) -> Option<Timestamp<BrickClock>> {
+            Some(self.latest)
+        }
+    }
+
+    /// Ten fixes of a camera whose stamps are late by so much: one each second.
+    fn run(late_s: f64) -> DatasetRun {
+        let withheld = (1..=10).map(|second| WithheldFix {
+            time: Timestamp::from_secs_f64(f64::from(second)),
+            fix: Fix {
+                position: Point2::new(Meters(f64::from(second) - late_s), Meters(0.0)),
+                heading: None,
+                covariance: None,
+                tag_in_body: Point2::ORIGIN,
+                reset_counter: 0,
+            },
+        });
+        DatasetRun { withheld: withheld.collect(), ..DatasetRun::default() }
+    }
+
+    fn prior(sigma: f64) -> Calibration {
+        Calibration { fix_delay_s: UncertainValue { value: 0.0, sigma }, ..Calibration::default() }
+    }
+
+    fn drive(scorer: &mut Scorer, driver: &mut Driver, until_s: f64) {
+        driver.latest = Timestamp::from_secs_f64(until_s);
+        let motion = ObservationKind::OdometerPose(Pose::<Odom>::default());
+        scorer.on_observation(&motion, driver.latest, driver);
+    }
+
+    fn driver(delay_s: f64) -> Driver {
+        Driver { delay: TimeDelta::from_secs_f64(delay_s), asked: Cell::new(Timestamp::ZERO), latest: Timestamp::ZERO }
+    }
+
+    fn rms(errors: &[PoseError]) -> f64 {
+        posebridge_report::metrics::summarise(errors).position_rms_m.unwrap()
+    }
+
+    #[test]
+    fn a_late_camera_is_forgiven_who_has_learned_its_delay_and_the_plain_error_is_kept() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(0.2), &prior(0.15)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert_eq!((scorer.errors.len(), scorer.uncorrected.len()), (10, 10));
+        assert!(rms(&scorer.errors) < 1e-9);
+        assert!((rms(&scorer.uncorrected) - 0.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn without_a_prior_that_lets_it_learn_nothing_is_corrected() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(0.2), &prior(0.0)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert!((rms(&scorer.errors) - 0.2).abs() < 1e-9);
+        assert!(scorer.uncorrected.is_empty());
+    }
+
+    #[test]
+    fn truth_is_never_late() {
+        let mut run = run(0.2);
+        run.truth = vec![TruthPose {
+            time: Timestamp::from_secs_f64(1.0),
+            position: Point2::new(Meters(1.0), Meters(0.0)),
+            heading: None,
+        }];
+        let (mut scorer, mut driver) = (Scorer::new(&run, &prior(0.15)), driver(0.2));
+        drive(&mut scorer, &mut driver, 12.0);
+        assert_eq!((scorer.errors.len(), scorer.uncorrected.len()), (1, 0));
+        assert!(rms(&scorer.errors) < 1e-9);
+    }
+
+    #[test]
+    fn a_delay_that_is_believed_to_be_negative_asks_for_nothing_that_lies_ahead() {
+        let (mut scorer, mut driver) = (Scorer::new(&run(-0.5), &prior(0.15)), driver(-0.5));
+        drive(&mut scorer, &mut driver, 3.2);
+        assert_eq!(scorer.errors.len(), 2, "the third is true at 3.5 s");
+        assert!(driver.asked.get() <= driver.latest);
+        drive(&mut scorer, &mut driver, 10.1);
+        scorer.finish(&driver);
+        assert_eq!(scorer.errors.len(), 9);
+        assert!(driver.asked.get() <= driver.latest);
+        assert!(rms(&scorer.errors) < 1e-9);
+    }
+}

@@ -1,0 +1,97 @@
+//! `report --json`: one object, documented in docs/report.md.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{TimeDelta, UncertainValue};
+use serde_json::{Map, Value, json};
+
+use super::summary::{RunSummary, ScoreReference, SessionSummary, SourceSummary};
+use crate::config::CALIBRATION_KEYS;
+
+/// The object.
+#[must_use]
+pub fn object(story: &SessionSummary) -> Value {
+    let facts: BTreeMap<&str, &str> = story.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
+    json!({
+        "recording": story.recording,
+        "facts": facts,
+        "filter": story.filter,
+        "changed": story.changed,
+        "notes": story.notes,
+        "runs": story.runs.iter().map(run).collect::<Vec<_>>(),
+    })
+}
+
+fn run(run: &RunSummary) -> Value {
+    let errors = &run.errors;
+    let chronicle = &run.history;
+    let yardstick = match run.reference {
+        ScoreReference::Truth => Some("truth"),
+        ScoreReference::WithheldFixes => Some("withheld"),
+        ScoreReference::None => None,
+    };
+    let happenings = chronicle.timeline.entries.iter();
+    json!({
+        "name": run.name,
+        "length_s": chronicle.length().as_secs_f64(),
+        "observations": chronicle.collector.observations,
+        "verdict": run.verdict().2,
+        "yardstick": yardstick,
+        "position_rms_m": errors.position_rms_m,
+        "position_max_m": errors.position_max_m,
+        "position_end_m": errors.position_end_m,
+        "heading_rms_rad": errors.heading_rms_rad,
+        "anees": errors.anees,
+        "sources": run.source_summaries().iter().map(source).collect::<Vec<_>>(),
+        "calibration": calibration(run),
+        "links": links(run),
+        "happenings": happenings.map(|one| json!({ "t_s": one.t_s, "what": one.text })).collect::<Vec<_>>(),
+        "further_happenings": chronicle.timeline.omitted,
+    })
+}
+
+fn source(verdict: &SourceSummary) -> Value {
+    let (tally, judgement) = (&verdict.tally, &verdict.assessment);
+    json!({
+        "name": verdict.sensor.name(),
+        "used": tally.used + tally.reset_to,
+        "gated": tally.gated,
+        "too_old": tally.too_old,
+        "mean_nis_per_dof": tally.mean_nis_per_dof(),
+        "degrees_of_freedom": tally.degrees_of_freedom(),
+        "finding": judgement.finding.as_text(),
+        "due": judgement.band.map(|band| [band.low, band.high]),
+        "correlation": judgement.correlation,
+        "correlation_bound": judgement.correlation_bound,
+        "gated_share": judgement.gated_share,
+        "verdict": judgement.to_string(),
+    })
+}
+
+fn calibration(run: &RunSummary) -> Option<Value> {
+    let learned = run.learned.as_ref()?;
+    let entries = CALIBRATION_KEYS.iter().map(|entry| {
+        let UncertainValue { value, sigma } = (entry.read)(&learned.calibration);
+        (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
+    });
+    Some(Value::Object(entries.collect::<Map<String, Value>>()))
+}
+
+fn links(run: &RunSummary) -> Value {
+    let links = run.history.collector.links.iter().map(|(id, report)| {
+        let health = &report.health;
+        json!({
+            "link": id.0,
+            "frames_in": health.frames_in,
+            "frames_out": health.frames_out,
+            "frames_lost": health.frames_lost,
+            "checksum_errors": health.checksum_errors,
+            "garbage_bytes": health.garbage_bytes,
+            "stalls": health.timeouts,
+            "drops_out": health.drops_out + health.port.drops_out,
+            "reconnects": health.reconnects,
+            "round_trip_s": health.round_trip.map(TimeDelta::as_secs_f64),
+        })
+    });
+    Value::Array(links.collect())
+}

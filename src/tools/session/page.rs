@@ -1,0 +1,317 @@
+//! The page of a session: verdict first, then path, errors, sensors, what was learned, links, clock, and what happened.
+
+use std::fmt::Write as _;
+
+use posebridge_report::RunLayers;
+use posebridge_report::chart::session::{
+    self, CalibrationSeries, InnovationSeries, display_unit, learning, render_clock, render_errors, render_innovations,
+    render_link,
+};
+use posebridge_report::page::{ReportBlock, ReportFigure, ReportPage};
+use posebridge_report::tables::NO_VALUE;
+
+use super::history::SessionHistory;
+use super::summary::{RunSummary, ScoreReference, SessionSummary, SourceSummary};
+use crate::config::CALIBRATION_KEYS;
+
+/// The page.
+#[must_use]
+pub fn page(story: &SessionSummary) -> ReportPage {
+    let mut parts = summary(story);
+    for (index, run) in story.runs.iter().enumerate() {
+        parts.extend(run_blocks(story, run, index));
+    }
+    parts.push(ReportBlock::Text(format!(
+        "Made by posebridge {} from the recorded inputs alone, by the engine that runs live.",
+        env!("CARGO_PKG_VERSION")
+    )));
+    ReportPage { title: format!("Report of {}", story.recording), blocks: parts }
+}
+
+fn summary(story: &SessionSummary) -> Vec<ReportBlock> {
+    let mut rows: Vec<Vec<String>> =
+        story.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
+    rows.push(vec!["filter".to_owned(), story.filter.clone()]);
+    let mut parts =
+        vec![ReportBlock::CodeTable { header: vec!["recording".to_owned(), story.recording.clone()], rows }];
+    if !story.changed.is_empty() {
+        parts.push(ReportBlock::Text(format!("Replayed with {}: this is not what ran.", story.changed.join(", "))));
+    }
+    if !story.notes.is_empty() {
+        parts.push(ReportBlock::List(story.notes.clone()));
+    }
+    parts
+}
+
+fn run_blocks(story: &SessionSummary, run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let mut parts = Vec::new();
+    if story.runs.len() > 1 {
+        parts.push(ReportBlock::Heading(format!("Run {}", run.name)));
+    }
+    let (tone, word, text) = run.verdict();
+    parts.push(ReportBlock::Verdict { tone, word: word.to_owned(), text });
+    parts.push(ReportBlock::Text(in_figures(run)));
+    parts.push(ReportBlock::FigureGrid(main_pictures(run, index)));
+    parts.extend(source_blocks(run, index));
+    parts.extend(calibration_blocks(run, index));
+    parts.extend(link_blocks(run, index));
+    parts.extend(timeline_blocks(&run.history));
+    parts
+}
+
+/// How long, how many, how far off: in one sentence each.
+fn in_figures(run: &RunSummary) -> String {
+    let chronicle = &run.history;
+    let mut text =
+        format!("{:.1} s, {} observations.", chronicle.length().as_secs_f64(), chronicle.collector.observations);
+    let errors = &run.errors;
+    if let (Some(rms_m), Some(max_m), Some(end_m)) =
+        (errors.position_rms_m, errors.position_max_m, errors.position_end_m)
+    {
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            " Against {} the position is {} mm off (root mean square), at most {} mm, at the end {} mm.",
+            run.reference.description(),
+            millimetres(rms_m),
+            millimetres(max_m),
+            millimetres(end_m)
+        );
+    }
+    if let Some(heading_rad) = errors.heading_rms_rad {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " The heading is {:.2} degrees off.", heading_rad.to_degrees());
+    }
+    if let Some(anees) = errors.anees {
+        let _ = write!(text, " ANEES {anees:.2}: 1 is honest, more is too sure.");
+    }
+    if run.reference == ScoreReference::None {
+        text += " No truth is known: errors cannot be told.";
+    }
+    text
+}
+
+fn millimetres(length_m: f64) -> String {
+    format!("{:.1}", length_m * 1e3)
+}
+
+fn picture(index: usize, name: &str, svg: String, caption: &str) -> ReportFigure {
+    ReportFigure { name: format!("run{}-{name}", index + 1), svg, caption: caption.to_owned() }
+}
+
+fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
+    let collector = &run.history.collector;
+    let estimates = run.history.estimates();
+    let layers = RunLayers {
+        title: &run.name,
+        truth: run.truth.as_ref(),
+        odometry: run.odometry.as_ref(),
+        estimates: &estimates,
+        fixes: collector.fixes.items(),
+        ..RunLayers::default()
+    };
+    let mut pictures = vec![picture(
+        index,
+        "path",
+        session::render_path(&layers),
+        "The path. An ellipse holds the robot in 95 of 100 cases, if the claims are honest.",
+    )];
+    if let Some(truth) = &run.truth {
+        pictures.push(picture(
+            index,
+            "errors",
+            render_errors("Error of the estimate", &run.history.errors(truth)),
+            "How far the estimate was from the truth, and twice the standard deviation that it claimed.",
+        ));
+    }
+    pictures
+}
+
+fn source_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let verdicts = run.source_summaries();
+    if verdicts.is_empty() {
+        return Vec::new();
+    }
+    let mut parts = vec![ReportBlock::Subheading("Sensors".to_owned())];
+    for one in &verdicts {
+        parts.push(ReportBlock::Verdict {
+            tone: one.assessment.tone(),
+            word: format!("{}:", one.sensor.name()),
+            text: one.assessment.to_string(),
+        });
+    }
+    let header = [
+        "sensor",
+        "used",
+        "slip",
+        "gated",
+        "too late",
+        "malformed",
+        "re-based",
+        "reset to",
+        "unused",
+        "NIS/dof",
+        "dof",
+        "correlation",
+    ];
+    parts.push(ReportBlock::table(&header, verdicts.iter().map(source_row).collect()));
+    let predicted = run.history.sources.iter().filter(|source| !source.samples.items().is_empty());
+    let pictures = predicted.map(|source| {
+        let name = source.sensor.name();
+        let series = InnovationSeries {
+            name: &format!("Innovations: {name}"),
+            kind: source.kind,
+            samples: source.samples.items(),
+        };
+        picture(
+            index,
+            &format!("innovations-{}", name.replace(' ', "-")),
+            render_innovations(&series),
+            "Observed minus predicted, with two standard deviations of what was claimed. Below, the normalised square: what lies above \
+             the panel is drawn on its edge.",
+        )
+    });
+    let pictures: Vec<ReportFigure> = pictures.collect();
+    if !pictures.is_empty() {
+        parts.push(ReportBlock::FigureGrid(pictures));
+    }
+    parts
+}
+
+fn source_row(verdict: &SourceSummary) -> Vec<String> {
+    let tally = &verdict.tally;
+    let number = |value: Option<f64>| value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"));
+    vec![
+        verdict.sensor.name().to_owned(),
+        (tally.used + tally.reset_to).to_string(),
+        tally.slip.to_string(),
+        tally.gated.to_string(),
+        tally.too_old.to_string(),
+        tally.malformed.to_string(),
+        tally.rebased.to_string(),
+        tally.reset_to.to_string(),
+        tally.unused.to_string(),
+        number(tally.mean_nis_per_dof()),
+        tally.degrees_of_freedom().to_string(),
+        number(verdict.assessment.correlation),
+    ]
+}
+
+fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let Some(learned) = &run.learned else {
+        return Vec::new();
+    };
+    let open = CALIBRATION_KEYS.iter().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
+    let rows: Vec<Vec<String>> = open
+        .map(|entry| {
+            let (unit, factor) = display_unit(entry.key);
+            let [before, after] = [&learned.prior, &learned.calibration].map(|calibration| {
+                let known = (entry.read)(calibration);
+                format!("{:.3} ± {:.3}", known.value * factor, known.sigma * factor)
+            });
+            vec![entry.key.to_owned(), unit.to_owned(), before, after]
+        })
+        .collect();
+    if rows.is_empty() {
+        return Vec::new();
+    }
+    let mut parts = vec![
+        ReportBlock::Subheading("What was learned of the robot".to_owned()),
+        ReportBlock::table(&["entry", "unit", "before", "after"], rows),
+    ];
+    let series: Vec<CalibrationSeries<'_>> = run
+        .history
+        .learned()
+        .map(|story| CalibrationSeries { key: story.key, samples: story.samples.items() })
+        .collect();
+    if !series.is_empty() {
+        parts.push(ReportBlock::FigureGrid(vec![picture(
+            index,
+            "learned",
+            learning("Learned", &series),
+            "What was believed of each systematic error, with two standard deviations.",
+        )]));
+    }
+    parts
+}
+
+fn link_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let chronicle = &run.history;
+    let mut pictures: Vec<ReportFigure> = chronicle
+        .links
+        .iter()
+        .map(|(id, samples)| {
+            picture(
+                index,
+                &format!("link-{id}"),
+                render_link(&format!("Link {id}"), samples.items()),
+                "What came and left per second; what never happened is not shown.",
+            )
+        })
+        .collect();
+    if !chronicle.clock.items().is_empty() {
+        pictures.push(picture(
+            index,
+            "clock",
+            render_clock("The brick's clock", chronicle.clock.items()),
+            "Brick time less host time, and how far it may be off.",
+        ));
+    }
+    if pictures.is_empty() {
+        return Vec::new();
+    }
+    vec![
+        ReportBlock::Subheading("Links and clock".to_owned()),
+        link_table(chronicle),
+        ReportBlock::FigureGrid(pictures),
+    ]
+}
+
+fn link_table(chronicle: &SessionHistory) -> ReportBlock {
+    let links = chronicle.collector.links.iter();
+    let header = [
+        "link",
+        "received",
+        "sent",
+        "lost",
+        "damaged",
+        "garbage bytes",
+        "stalls",
+        "not sent",
+        "reconnects",
+        "round trip [ms]",
+    ];
+    let rows = links.map(|(id, report)| {
+        let health = &report.health;
+        let round_trip = health.round_trip;
+        vec![
+            id.to_string(),
+            health.frames_in.to_string(),
+            health.frames_out.to_string(),
+            health.frames_lost.to_string(),
+            health.checksum_errors.to_string(),
+            health.garbage_bytes.to_string(),
+            health.timeouts.to_string(),
+            (health.drops_out + health.port.drops_out).to_string(),
+            health.reconnects.to_string(),
+            round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())),
+        ]
+    });
+    ReportBlock::table(&header, rows.collect())
+}
+
+fn timeline_blocks(chronicle: &SessionHistory) -> Vec<ReportBlock> {
+    let all = &chronicle.timeline;
+    if all.entries.is_empty() {
+        return Vec::new();
+    }
+    let rows = all.entries.iter().map(|one| vec![format!("{:.2}", one.t_s), one.text.clone()]);
+    let mut rows: Vec<Vec<String>> = rows.collect();
+    if all.omitted > 0 {
+        rows.push(vec![String::new(), format!("and {} more", all.omitted)]);
+    }
+    vec![
+        ReportBlock::Subheading("What happened".to_owned()),
+        ReportBlock::CodeTable { header: vec!["time [s]".to_owned(), "what".to_owned()], rows },
+    ]
+}

@@ -1,0 +1,377 @@
+//! Brick and station in one loop, in virtual time: no socket, no thread, no clock, the same every time.
+//!
+//! It drives the same simulation and the same pipeline as a live run. Between them stands a link that delivers at once, or one of
+//! [`posebridge_sim::impairment`]. Used where two ways of steering or two links are compared on the same world, and by tests.
+
+use std::collections::VecDeque;
+
+use posebridge_protocol::framing::TransportKind;
+use posebridge_sim::impairment::{
+    ByteOutcome, Counters, ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry,
+};
+use posebridge_sim::{CommandExecutor, Scenario, Simulation};
+use posebridge_station::{BuildError, Station, StationConfig};
+use posebridge_telemetry::{
+    Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Request, SimulatorCommand, TimeDelta,
+    Timestamp,
+};
+
+use crate::station::event_collector::EventCollector;
+
+/// The brick still talks for this long after its path has ended.
+const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
+/// A scenario that does not end by itself is ended here.
+const MAX_DURATION: TimeDelta = TimeDelta::from_millis(3_600_000);
+
+/// Most units whose journeys are followed at a time; a link holds fewer.
+const MAX_IN_TRANSIT: usize = 65_536;
+
+/// What stands between brick and station.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VirtualLink {
+    /// What the link is like.
+    pub profile: LinkProfile,
+    /// Seed of its randomness; that of the world is the scenario's.
+    pub seed: u64,
+    /// Probability that what is sent at once (one or more whole frames) is lost, on top of the profile's losses.
+    pub extra_loss: f64,
+    /// Delay of each direction on top of the profile's, in milliseconds.
+    pub extra_delay_ms: f64,
+    /// Rate error of the brick's clock instead of the scenario's, in parts per million; positive runs fast.
+    pub brick_skew_ppm: Option<f64>,
+}
+
+/// What a link did in a virtual run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkTotals {
+    /// What became of the brick's bytes.
+    pub to_station: Counters,
+    /// What became of the station's bytes.
+    pub to_brick: Counters,
+    /// Times the link went down.
+    pub outages: u64,
+}
+
+/// What a virtual run leaves behind.
+///
+/// How far the robot's own belief was off is in [`Simulation::truth`], how old each estimate was when the brick had it in
+/// [`Simulation::received_estimates`], how far the station's estimate was off follows from [`Self::collector`] and the truth.
+pub struct VirtualRun {
+    /// The simulation with its truth.
+    pub simulation: Simulation,
+    /// What the station told.
+    pub collector: EventCollector,
+    /// What the link did; a link that delivers at once counts, too.
+    pub link: LinkTotals,
+    /// How long each piece was on its way that arrived at the station.
+    pub delays_to_station: Vec<TimeDelta>,
+    /// How long each piece was on its way that arrived at the brick.
+    pub delays_to_brick: Vec<TimeDelta>,
+}
+
+/// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once. A brick that does not share its link with
+/// the camera leaves the second link to it, which delivers at once, too.
+///
+/// # Errors
+/// The pipeline cannot be built.
+pub fn run(scenario: Scenario, config: StationConfig) -> Result<VirtualRun, BuildError> {
+    let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
+    run_on(scenario, config, link)
+}
+
+/// Runs a scenario against a pipeline whose first link is the brick's, over a link with faults.
+///
+/// What arrives at the station is given to the pipeline with the instant of its arrival; the brick, whose world advances in
+/// steps of a millisecond, takes what has arrived since its last step. An outage is told to the pipeline as a port would tell it.
+///
+/// # Errors
+/// The pipeline cannot be built.
+pub fn run_over_link(
+    mut scenario: Scenario,
+    mut config: StationConfig,
+    over: &VirtualLink,
+) -> Result<VirtualRun, BuildError> {
+    if let Some(skew_ppm) = over.brick_skew_ppm {
+        scenario.brick.clock_skew_ppm = skew_ppm;
+    }
+    if let Some(link) = config.links.first_mut() {
+        link.framing = match over.profile.kind {
+            LinkKind::Stream => TransportKind::Stream,
+            LinkKind::Datagram => TransportKind::Datagram,
+        };
+    }
+    let profile = over.profile.clone().with_extra(over.extra_loss, over.extra_delay_ms);
+    let link = ImpairedLink::new(&profile, over.seed, Timestamp::ZERO);
+    run_on(scenario, config, link)
+}
+
+/// What somebody sees who looks on at a run, in the order in which it happens.
+#[derive(Clone, Copy, Debug)]
+pub enum RunEvent<'a> {
+    /// The pipeline is given this.
+    Input(&'a Input),
+    /// The pipeline tells this.
+    Event(&'a Event),
+}
+
+/// Who looks on: sees what happens, and at which instant.
+pub type RunObserver<'a> = dyn FnMut(Timestamp<HostClock>, RunEvent<'_>) + 'a;
+
+/// What is done in a run, and who looks on.
+pub struct RunScript<'a> {
+    /// What the pipeline is told to do at which world time, in the order of time. What it asks to be done to the brick is done.
+    pub commands: &'a [(TimeDelta, Command)],
+    /// The run ends then, if not before.
+    pub until: TimeDelta,
+    /// Sees everything.
+    pub observer: &'a mut RunObserver<'a>,
+}
+
+/// Runs a scenario as [`run`] does, while somebody gives commands.
+///
+/// # Errors
+/// The pipeline cannot be built.
+pub fn run_with(scenario: Scenario, config: StationConfig, deeds: RunScript<'_>) -> Result<VirtualRun, BuildError> {
+    let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
+    let RunScript { commands, until, observer: look } = deeds;
+    let mut session = VirtualSession::new(scenario, config, link)?;
+    session.commands = commands.iter().copied().collect();
+    session.observer = Some(look);
+    Ok(session.drive(until))
+}
+
+fn run_on(scenario: Scenario, config: StationConfig, link: ImpairedLink) -> Result<VirtualRun, BuildError> {
+    Ok(VirtualSession::new(scenario, config, link)?.drive(MAX_DURATION))
+}
+
+/// Brick, link and station.
+struct VirtualSession<'a> {
+    id: LinkId,
+    /// The camera's own link, where it has one.
+    camera: Option<LinkId>,
+    pipeline: Station,
+    simulation: Simulation,
+    collector: EventCollector,
+    link: ImpairedLink,
+    outages: u64,
+    to_station: TransitTimes,
+    to_brick: TransitTimes,
+    /// What is still to be told to the pipeline, and when.
+    commands: VecDeque<(TimeDelta, Command)>,
+    /// What the pipeline has asked to be done to the link.
+    pending_link_commands: VecDeque<SimulatorCommand>,
+    /// Until when the cable is out.
+    unplugged_until: Option<TimeDelta>,
+    observer: Option<&'a mut RunObserver<'a>>,
+}
+
+/// How long what was offered in one direction was on its way.
+#[derive(Debug, Default)]
+struct TransitTimes {
+    /// What may still arrive: number of the unit, and when it was offered.
+    in_transit: VecDeque<(u64, Timestamp<HostClock>)>,
+    delays: Vec<TimeDelta>,
+}
+
+impl TransitTimes {
+    fn begin(&mut self, unit: u64, at: Timestamp<HostClock>) {
+        if self.in_transit.len() >= MAX_IN_TRANSIT {
+            self.in_transit.pop_front();
+        }
+        self.in_transit.push_back((unit, at));
+    }
+
+    /// Takes what the link's log says.
+    fn follow(&mut self, log: &[LogEntry]) {
+        for entry in log {
+            let ByteOutcome::Delivered { at } = entry.outcome else {
+                continue;
+            };
+            if let Ok(index) = self.in_transit.binary_search_by_key(&entry.unit, |begun| begun.0) {
+                self.delays.extend(self.in_transit.get(index).map(|begun| at - begun.1));
+            }
+        }
+    }
+}
+
+impl VirtualSession<'_> {
+    fn new(scenario: Scenario, config: StationConfig, link: ImpairedLink) -> Result<Self, BuildError> {
+        let camera = config.links.get(1).map(|link| link.id);
+        Ok(Self {
+            id: config.links.first().map_or(LinkId(0), |link| link.id),
+            camera: camera.filter(|_| !scenario.brick.personality.shares_link_with_camera()),
+            pipeline: Station::new(config, Timestamp::ZERO)?,
+            simulation: Simulation::new(scenario),
+            collector: EventCollector::default(),
+            link,
+            outages: 0,
+            to_station: TransitTimes::default(),
+            to_brick: TransitTimes::default(),
+            commands: VecDeque::new(),
+            pending_link_commands: VecDeque::new(),
+            unplugged_until: None,
+            observer: None,
+        })
+    }
+
+    /// Lets the brick drive until its path ends, at the longest until then.
+    fn drive(mut self, until: TimeDelta) -> VirtualRun {
+        self.report_link_state(Timestamp::ZERO, self.id, LinkState::Up);
+        if let Some(camera) = self.camera {
+            self.report_link_state(Timestamp::ZERO, camera, LinkState::Up);
+        }
+        self.advance_to(Timestamp::ZERO);
+        let mut ends_at = until;
+        while self.simulation.elapsed() < ends_at {
+            self.step();
+            if self.simulation.is_finished() && ends_at == until {
+                ends_at = until.min(self.simulation.elapsed() + LINGER_AFTER_END);
+            }
+        }
+        VirtualRun {
+            link: LinkTotals {
+                to_station: self.link.counters(LinkEnd::Station),
+                to_brick: self.link.counters(LinkEnd::Brick),
+                outages: self.outages,
+            },
+            simulation: self.simulation,
+            collector: self.collector,
+            delays_to_station: self.to_station.delays,
+            delays_to_brick: self.to_brick.delays,
+        }
+    }
+
+    /// Gives the commands whose time has come, and does to the link what was asked for.
+    fn run_due_commands(&mut self, now: Timestamp<HostClock>) {
+        let elapsed = self.simulation.elapsed();
+        while let Some((at, command)) = self.commands.front().copied()
+            && at <= elapsed
+        {
+            self.commands.pop_front();
+            self.push_input(now, &Input::Command(command));
+        }
+        while let Some(command) = self.pending_link_commands.pop_front() {
+            self.change_link(now, &command);
+        }
+        if self.unplugged_until.take_if(|back| *back <= elapsed).is_some() {
+            self.simulation.reopen_link();
+            self.report_link_state(now, self.id, LinkState::Up);
+        }
+    }
+
+    fn change_link(&mut self, now: Timestamp<HostClock>, command: &SimulatorCommand) {
+        match command {
+            SimulatorCommand::LinkProfile(name) => {
+                let profile = name.and_then(|name| LinkProfile::bundled(name.as_str()).ok());
+                let seed = self.simulation.scenario().seed;
+                self.link = ImpairedLink::new(&profile.unwrap_or_default(), seed, now);
+            }
+            SimulatorCommand::PullCable { duration } => {
+                self.unplugged_until = Some(self.simulation.elapsed() + *duration);
+                self.outages += 1;
+                self.report_link_state(now, self.id, LinkState::Down);
+            }
+            SimulatorCommand::Kidnap { .. }
+            | SimulatorCommand::Slip { .. }
+            | SimulatorCommand::Camera(_)
+            | SimulatorCommand::CameraDelay { .. }
+            | SimulatorCommand::GyroBiasStep { .. }
+            | SimulatorCommand::Steering(_)
+            | SimulatorCommand::Drive { .. }
+            | SimulatorCommand::Path => {}
+        }
+    }
+
+    /// A step of the world, and all that happens until its end.
+    fn step(&mut self) {
+        self.simulation.step();
+        let now = Timestamp::<HostClock>::ZERO + self.simulation.elapsed();
+        self.run_due_commands(now);
+        self.advance_to(now);
+        while let Some(bytes) = self.simulation.poll() {
+            if self.unplugged_until.is_some() {
+                continue;
+            }
+            let unit = self.link.offer(LinkEnd::Brick, now, &bytes);
+            self.to_station.begin(unit, now);
+            self.advance_to(now);
+        }
+        while let Some((link, bytes)) = self.camera.zip(self.simulation.poll_camera()) {
+            let peer = PeerId::default();
+            self.push_input(now, &Input::Bytes { link, peer, bytes });
+            self.advance_to(now);
+        }
+        if self.pipeline.deadline().is_some_and(|deadline| deadline <= now) {
+            self.push_input(now, &Input::Tick);
+            self.advance_to(now);
+        }
+    }
+
+    /// Lets the link do what it does until `now`, each thing at its instant: an answer leaves when the question has arrived.
+    fn advance_to(&mut self, now: Timestamp<HostClock>) {
+        while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
+            while let Some(event) = self.link.poll(at) {
+                self.on_link_event(event);
+            }
+        }
+        self.to_station.follow(&self.link.take_log(LinkEnd::Station));
+        self.to_brick.follow(&self.link.take_log(LinkEnd::Brick));
+    }
+
+    fn on_link_event(&mut self, event: ImpairedLinkEvent) {
+        match event {
+            ImpairedLinkEvent::Arrived { end, delivery } => match end {
+                LinkEnd::Brick => self.simulation.receive(&delivery.bytes),
+                LinkEnd::Station => self.push_input(
+                    delivery.at,
+                    &Input::Bytes { link: self.id, peer: PeerId::default(), bytes: delivery.bytes },
+                ),
+            },
+            ImpairedLinkEvent::Down { at } => {
+                self.outages += 1;
+                self.report_link_state(at, self.id, LinkState::Down);
+            }
+            ImpairedLinkEvent::Up { at } => {
+                self.simulation.reopen_link();
+                self.report_link_state(at, self.id, LinkState::Up);
+            }
+        }
+    }
+
+    fn report_link_state(&mut self, at: Timestamp<HostClock>, link: LinkId, state: LinkState) {
+        self.push_input(at, &Input::Link { link, state });
+    }
+
+    fn push_input(&mut self, at: Timestamp<HostClock>, input: &Input) {
+        if let Some(look) = &mut self.observer {
+            look(at, RunEvent::Input(input));
+        }
+        self.pipeline.handle(at, input);
+        while let Some(output) = self.pipeline.poll() {
+            match output {
+                Output::Transmit { .. } if self.unplugged_until.is_some() => {}
+                Output::Transmit { link, bytes, .. } if self.camera == Some(link) => {
+                    self.simulation.receive_camera(&bytes);
+                }
+                Output::Transmit { bytes, .. } => {
+                    let unit = self.link.offer(LinkEnd::Station, at, &bytes);
+                    self.to_brick.begin(unit, at);
+                }
+                Output::Event(event) => {
+                    if let Some(look) = &mut self.observer {
+                        look(at, RunEvent::Event(&event));
+                    }
+                    self.collector.on_event(&event);
+                }
+                Output::Request(Request::Simulator(command)) => match self.simulation.execute(&command) {
+                    CommandExecutor::Simulation => {}
+                    CommandExecutor::Link => self.pending_link_commands.push_back(command),
+                },
+                // There is no file to write.
+                Output::Request(
+                    Request::SaveParameters { .. } | Request::StartRecording { .. } | Request::StopRecording,
+                ) => {}
+            }
+        }
+    }
+}
