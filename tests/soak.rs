@@ -332,6 +332,7 @@ impl Told {
             Event::BrickClockAligned { .. } => self.alignments += 1,
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::ObservationAligned { .. }
             | Event::ObservationFused { .. }

@@ -3,12 +3,16 @@
 //! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, but for at most one, which is for all
 //! robots that no other block matches. A block takes from that one what it does not say itself.
 
+use anyhow::{Result, ensure};
 use posebridge_station::RobotMatch;
 use posebridge_telemetry::{ComponentId, LinkId, SystemId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::robot::RobotFile;
+
+/// Longest name of a robot in a list, in letters: with its ids it fits into two parts of a STATUSTEXT.
+const MAX_NAME_CHARS: usize = 50;
 
 /// A robot with a configuration of its own, as `[[robot]]` with a `match` in a file.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -37,6 +41,23 @@ pub struct RobotMatchSection {
     /// Its MAVLink component.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub component: Option<u8>,
+}
+
+impl RobotBlockSection {
+    /// What people call the robot, if the block gives it another name than `default`, that of all other robots.
+    ///
+    /// # Errors
+    /// The name is too long, or has characters that are not for showing: the file may come from anywhere, and the name goes to terminals
+    /// and pages.
+    pub(super) fn own_name(&self, default: &str) -> Result<Option<String>> {
+        let name = &self.robot.name;
+        let is_shown = |letter: char| letter.is_alphanumeric() || matches!(letter, ' '..='~');
+        ensure!(
+            name.chars().count() <= MAX_NAME_CHARS && name.chars().all(is_shown),
+            "`robot.name` is {name:?}, must be at most {MAX_NAME_CHARS} letters, digits, spaces and ASCII punctuation"
+        );
+        Ok((name != default && !name.is_empty()).then(|| name.clone()))
+    }
 }
 
 impl RobotMatchSection {
@@ -129,6 +150,26 @@ mod tests {
             (Some("ada"), Some(4), 0.15)
         );
         assert_eq!(ada.filter_config.noise.gyro_rad_per_s, 0.02);
+    }
+
+    #[test]
+    fn a_name_is_the_blocks_own_and_can_be_shown_anywhere() {
+        let name_of = |name: &str| {
+            let text = format!("[[robot]]\nname = \"all\"\n[[robot]]\nmatch = {{}}\nname = \"{name}\"");
+            let config = load_text("f.toml", &text, &[]).unwrap().config;
+            config.station_config().map(|config| config.robots[0].robot.name.clone()).map_err(|error| error.to_string())
+        };
+        let longest = "\u{f6}".repeat(50);
+        for (name, expected) in
+            [("ada-1", Some("ada-1")), (longest.as_str(), Some(longest.as_str())), ("", None), ("all", None)]
+        {
+            assert_eq!(name_of(name), Ok(expected.map(str::to_owned)));
+        }
+        let too_long = "a".repeat(51);
+        for name in [too_long.as_str(), r"a\u001b[2J", r"a\nb", r"a\u202eb"] {
+            let error = name_of(name).unwrap_err();
+            assert!(error.contains("`robot.name`") && error.chars().all(|letter| !letter.is_control()), "{error}");
+        }
     }
 
     #[test]

@@ -178,7 +178,7 @@ impl Config {
     fn robot_config(&self, robot: &RobotFile) -> Result<RobotConfig> {
         self.filter.entry()?;
         Ok(RobotConfig {
-            name: Some(robot.name.clone()),
+            name: None,
             filter: self.filter.name.clone(),
             filter_config: filter_config(robot, &self.filter, self.world.checked()?)?,
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
@@ -189,9 +189,10 @@ impl Config {
 
     fn robot_blocks(&self) -> Result<Vec<RobotBlock>> {
         let blocks = self.robots.iter().map(|block| {
+            let name = block.own_name(&self.robot.name)?;
             let robot = self.robot_config(&block.robot);
             let robot = robot.with_context(|| format!("the block of robot `{}`", block.robot.name))?;
-            Ok(RobotBlock { matches: block.matches.to_match(), robot: RobotConfig { tag: block.tag, ..robot } })
+            Ok(RobotBlock { matches: block.matches.to_match(), robot: RobotConfig { name, tag: block.tag, ..robot } })
         });
         blocks.collect()
     }
@@ -220,7 +221,7 @@ impl Config {
         ensure!(self.clock.timesync_period_ms >= 10, "`clock.timesync_period_ms` must be at least 10");
         Ok(StationConfig {
             own_address: Address::new(self.station.system, self.station.component),
-            robot: RobotConfig { name: None, tag: None, ..self.robot_config(&self.robot)? },
+            robot: self.robot_config(&self.robot)?,
             robots: self.robot_blocks()?,
             max_robots: usize::from(self.station.max_robots),
             robot_system: (self.station.robot_system != 0).then_some(SystemId(self.station.robot_system)),

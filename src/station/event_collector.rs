@@ -92,6 +92,7 @@ impl EventCollector {
             }
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }

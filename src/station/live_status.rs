@@ -135,6 +135,7 @@ impl LiveView {
                 self.thermometers.insert((*brick, *channel), (*shown, *settled));
             }
             Event::RobotDetected { robot } => self.print_line(&format!("heard {robot}")),
+            Event::RobotNamed { robot, name } => self.print_line(&format!("{robot} is {name}")),
             Event::RobotLost { robot, silence } => {
                 self.print_line(&format!("lost {robot}, silent for {:.1} s", silence.as_secs_f64()));
             }

@@ -113,6 +113,7 @@ impl SessionObservations {
             Event::BrickClockAligned { .. } => self.aligned.extend(ClockAlignment::from_event(event)),
             Event::BrickRestarted { .. } => self.restarts += 1,
             Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::ObservationFused { .. }
             | Event::EstimateUpdated { .. }

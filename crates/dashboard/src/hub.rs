@@ -164,6 +164,7 @@ impl Hub {
                 self.links.insert(*link, *health);
             }
             Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
             | Event::ObservationAligned { .. }

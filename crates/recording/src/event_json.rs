@@ -16,6 +16,7 @@ use serde_json::{Map, Value, json};
 pub fn to_json_line(event: &Event) -> String {
     let (name, fields) = match event {
         Event::RobotDetected { robot } => ("robot_seen", json!({ "robot": robot_of(*robot) })),
+        Event::RobotNamed { robot, name } => ("robot_named", json!({ "robot": robot_of(*robot), "name": name })),
         Event::RobotLost { robot, silence } => {
             ("robot_lost", json!({ "robot": robot_of(*robot), "silence_ns": silence.as_nanos() }))
         }
@@ -298,6 +299,14 @@ mod tests {
         assert_eq!(read["robot"], json!({ "link": 3, "system": 1, "component": 2 }));
         assert_eq!(read["robot_ns"], json!(1_234_567_891));
         assert_eq!(read["kind"], "odometer_pose");
+    }
+
+    #[test]
+    fn a_named_robot_is_robot_named() {
+        let robot = RobotId { link: LinkId(3), address: Address::new(1, 2) };
+        let text = to_json_line(&Event::RobotNamed { robot, name: "ada".to_owned() });
+        let robot = r#"{"component":2,"link":3,"system":1}"#;
+        assert_eq!(text, format!(r#"{{"event":"robot_named","name":"ada","robot":{robot}}}"#));
     }
 
     #[test]

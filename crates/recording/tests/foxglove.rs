@@ -137,6 +137,7 @@ fn events() -> Vec<Event> {
     let mut events = vec![
         aligned_event(),
         Event::RobotDetected { robot },
+        Event::RobotNamed { robot, name: "ada".to_owned() },
         Event::RobotLost { robot, silence: TimeDelta::from_millis(3_000) },
         Event::BrickRestarted { robot },
         Event::Link { link, state: LinkState::Down },

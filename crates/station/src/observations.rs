@@ -135,6 +135,10 @@ impl Station {
         if sender.robot.is_none() {
             sender.robot = self.robots.adopt(self.time.now, sender.sign, &self.config, &mut self.observers);
             if let Some(index) = sender.robot {
+                let robot = self.robots.get(index);
+                if let Some(name) = robot.name() {
+                    self.emit(Event::RobotNamed { robot: robot.id, name: name.to_owned() });
+                }
                 self.report_announced_system(index, sender.sign.address);
                 self.update_presence();
             }

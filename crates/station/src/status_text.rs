@@ -46,6 +46,7 @@ enum Topic {
     LinkDown(LinkId),
     RobotSeen(RobotIndex),
     RobotLost(RobotIndex),
+    RobotNamed(RobotIndex),
     Restart(RobotIndex),
     Reset(RobotIndex),
     FixRejected(RobotIndex, SensorId),
@@ -63,6 +64,7 @@ impl Topic {
             | Self::LinkDown(_)
             | Self::RobotSeen(_)
             | Self::RobotLost(_)
+            | Self::RobotNamed(_)
             | Self::Restart(_)
             | Self::Reset(_)
             | Self::FixRejected(_, _) => (1, TOPIC_INTERVAL),
@@ -200,6 +202,10 @@ impl StatusTextQueue {
                 let text = format!("robot {} is heard again", robot.address);
                 let is_back = self.lost_robots.remove(&index);
                 is_back.then_some((Topic::RobotSeen(index), SEVERITY_INFO, text))
+            }
+            Event::RobotNamed { robot, name } => {
+                let text = format!("robot {} is {name}", robot.address);
+                Some((Topic::RobotNamed(context.robots.find(*robot)?), SEVERITY_INFO, text))
             }
             Event::RobotLost { robot, silence } => {
                 let index = context.robot(*robot)?;

@@ -12,7 +12,7 @@ mod station;
 
 use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
 use posebridge_protocol::message::{Message, RobotDescription};
-use posebridge_station::{DescriptionPolicy, OutputKind};
+use posebridge_station::{AnnouncedAs, DescriptionPolicy, LinkConfig, OutputKind, RobotBlock, RobotConfig, RobotMatch};
 use posebridge_telemetry::{Address, Event, LinkId, Meters, ObservationKind, RadiansPerSecond, RobotId, SystemId};
 use station::{LINK, TestStation, at, config, link, stream};
 
@@ -43,6 +43,27 @@ fn every_sender_of_odometry_is_a_robot_with_a_clock_of_its_own() {
     station.pass_until(at(3_000));
     assert_eq!(observers(&station), [robot(BRICK), robot(NEIGHBOUR), robot(BRICK)]);
     assert!(!station.events().any(|event| matches!(event, Event::BrickRestarted { .. })));
+}
+
+#[test]
+fn a_robot_with_a_name_is_named_once_and_another_is_not() {
+    let mut config = config();
+    let ada = RobotConfig { name: Some("ada".to_owned()), ..config.robot.clone() };
+    let matches = RobotMatch { system: Some(NEIGHBOUR.system), ..RobotMatch::default() };
+    config.robots = vec![RobotBlock { matches, robot: ada }];
+    config.links.push(LinkConfig { announced_as: AnnouncedAs::StationAndVehicle, ..link(LinkId(9), vec![]) });
+    let mut station = TestStation::new(&config);
+    for k in 0..3_u32 {
+        let now = at(100 + i64::from(k) * 50);
+        station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
+        station.bytes(now, &frame(NEIGHBOUR, &ticks(900_000 + k * 50, 0, 0)));
+    }
+    let named = |event: &&Event| matches!(event, Event::RobotNamed { .. });
+    let named: Vec<Event> = station.events().filter(named).cloned().collect();
+    assert_eq!(named, [Event::RobotNamed { robot: robot(NEIGHBOUR), name: "ada".to_owned() }]);
+    let sent: Vec<u8> = station.sent().flat_map(|(_, bytes)| bytes.to_vec()).collect();
+    let is_told = |message: &Message| matches!(message, Message::StatusText { text, .. } if text == "robot 2/1 is ada");
+    assert_eq!(messages(&sent).iter().filter(|message| is_told(message)).count(), 1);
 }
 
 #[test]

@@ -16,6 +16,13 @@ pub enum Event {
         /// The robot.
         robot: RobotId,
     },
+    /// A robot that appeared has a name in the configuration; said once, and not of robots without one.
+    RobotNamed {
+        /// The robot.
+        robot: RobotId,
+        /// What people call it.
+        name: String,
+    },
     /// A robot has not been heard for the heartbeat time-out.
     RobotLost {
         /// The robot.
@@ -145,6 +152,7 @@ impl Event {
             }
             Self::ReceiveError { .. } => false,
             Self::RobotDetected { .. }
+            | Self::RobotNamed { .. }
             | Self::RobotLost { .. }
             | Self::BrickRestarted { .. }
             | Self::ObservationFused { .. }

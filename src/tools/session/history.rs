@@ -167,6 +167,7 @@ impl SessionHistory {
             Event::ObservationAligned { .. }
             | Event::Temperature { .. }
             | Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
             | Event::CameraClockAligned { .. }

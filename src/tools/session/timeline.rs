@@ -36,6 +36,7 @@ impl EventTimeline {
     pub fn on_event(&mut self, t_s: f64, event: &Event) {
         match event {
             Event::RobotDetected { robot } => self.push(t_s, format!("robot {robot} heard")),
+            Event::RobotNamed { robot, name } => self.push(t_s, format!("robot {robot} is {name}")),
             Event::RobotLost { robot, silence } => {
                 self.push(t_s, format!("robot {robot} lost: silent for {:.1} s", silence.as_secs_f64()));
             }

@@ -59,6 +59,7 @@ impl Log {
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
         Some(match event {
             Event::RobotDetected { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
+            Event::RobotNamed { robot, name } => (NOTICE, format!("{} is {name}", robot_name(*robot))),
             Event::RobotLost { robot, silence } => {
                 let silent_s = silence.as_secs_f64();
                 let robot = robot_name(*robot);

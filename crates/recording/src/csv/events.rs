@@ -21,6 +21,7 @@ pub(super) fn rows(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
             .chain(sources.iter().map(|one| source(now, *link, one)))
             .collect(),
         Event::RobotDetected { .. }
+        | Event::RobotNamed { .. }
         | Event::RobotLost { .. }
         | Event::BrickRestarted { .. }
         | Event::CameraClockAligned { .. }
@@ -194,6 +195,7 @@ fn event_row(now: Timestamp<HostClock>, event: &Event) -> CsvRow {
 fn describe(event: &Event) -> (&'static str, Option<LinkId>, Option<Address>, String) {
     match event {
         Event::RobotDetected { robot } => ("robot_seen", Some(robot.link), Some(robot.address), String::new()),
+        Event::RobotNamed { robot, name } => ("robot_named", Some(robot.link), Some(robot.address), name.clone()),
         Event::RobotLost { robot, silence } => {
             ("robot_lost", Some(robot.link), Some(robot.address), format!("silent for {} s", silence.as_secs_f64()))
         }
@@ -329,9 +331,11 @@ mod tests {
             },
         };
         let said = Event::Text { source: Address::new(1, 1), severity: 4, text: "low, very low".to_owned() };
-        let files = written_files(&[wheels, said]);
+        let named = Event::RobotNamed { robot: RobotId::default(), name: "ada".to_owned() };
+        let files = written_files(&[wheels, named, said]);
         assert_eq!(column(&files["wheel_angles"], "right_rad"), "0.75");
         assert_eq!(column(&files["wheel_angles"], "arrival_s"), "0.04");
+        assert!(files["events"].contains("2.5,robot_named,0,0,0,ada\n"), "{}", files["events"]);
         assert!(files["events"].ends_with("2.5,text,,1,1,\"4: low, very low\"\n"));
         assert_eq!(files.len(), 2);
     }

@@ -92,6 +92,7 @@ impl OutputEncoder {
                 json_message(channels::LINK_HEALTH, &HealthRecord::new(*link, health, sources)).into_iter().collect()
             }
             Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
             | Event::Link { .. }
@@ -219,6 +220,7 @@ impl OutputEncoder {
     fn log_message_of(&self, now: Timestamp<HostClock>, event: &Event) -> Option<EncodedMessage> {
         let (severity, name, text) = match event {
             Event::RobotDetected { robot } => (6, "session", format!("robot {robot} was heard")),
+            Event::RobotNamed { robot, name } => (6, "session", format!("robot {robot} is {name}")),
             Event::RobotLost { robot, silence } => {
                 let silence_s = silence.as_secs_f64();
                 let text = format!("robot {robot} has been silent for {silence_s:.1} s");
