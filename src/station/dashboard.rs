@@ -165,6 +165,7 @@ fn truth_of(mut tap: TruthTap) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Se
             waiting.extend(tap.drain());
         }
         waiting.pop_front().map(|live: TimedTruthSample| SimulatedTruth {
+            robot: None,
             now: live.at,
             time: live.sample.brick_time,
             pose: live.sample.pose,

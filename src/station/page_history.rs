@@ -120,6 +120,7 @@ impl PageHistoryBuilder {
                 return;
             }
             self.gatherer.push_truth(&SimulatedTruth {
+                robot: None,
                 now: now.max(Timestamp::ZERO),
                 time: sample.time,
                 pose: sample.pose,
