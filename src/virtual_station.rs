@@ -363,7 +363,7 @@ impl VirtualSession<'_> {
                     }
                     self.collector.on_event(&event);
                 }
-                Output::Request(Request::Simulator(command)) => match self.simulation.execute(&command) {
+                Output::Request(Request::Simulator { command, .. }) => match self.simulation.execute(&command) {
                     CommandExecutor::Simulation => {}
                     CommandExecutor::Link => self.pending_link_commands.push_back(command),
                 },

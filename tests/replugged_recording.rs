@@ -119,6 +119,7 @@ fn recorded(path: &Path) -> Vec<Vec<u8>> {
             | Input::Port { .. }
             | Input::Observation(_)
             | Input::Command(_)
+            | Input::RobotCommand { .. }
             | Input::Report { .. }
             | Input::Tick => {}
         }

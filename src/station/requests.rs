@@ -153,7 +153,7 @@ impl RequestHandler {
             },
             Request::StartRecording { values } => self.start(now, values, recorder),
             Request::StopRecording => self.stop(recorder),
-            Request::Simulator(command) => match self.forward_to_simulator(command) {
+            Request::Simulator { command, .. } => match self.forward_to_simulator(command) {
                 // What happens to the brick stands in the command.
                 Ok(()) => return None,
                 Err(error) => Err(error),
@@ -324,7 +324,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.3, turn_rad: 0.0 };
         let told = |desk: &mut RequestHandler, command| {
-            let request = Request::Simulator(command);
+            let request = Request::Simulator { robot: None, command };
             match desk.execute((Timestamp::ZERO, 0), &request, &mut None) {
                 Some(Input::Report { severity: 4, text }) => text,
                 None => "done".to_owned(),

@@ -224,7 +224,7 @@ impl StationLoop {
         if let Some(dashboard) = &self.dashboard {
             dashboard.print_address(now, &events);
         }
-        let is_command = matches!(input, Input::Command(_));
+        let is_command = matches!(input, Input::Command(_) | Input::RobotCommand { .. });
         let logged = self.log_traffic(now, &input, &sent);
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);

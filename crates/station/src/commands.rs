@@ -14,11 +14,13 @@ use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
     Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
-    ParameterStorage, Priority, Request, SensorId, SensorSwitch, SimulatorCommand,
+    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, SimulatorCommand,
 };
 
 use crate::estimator::Estimator;
 use crate::message_requests::{self, RequestContext};
+use crate::robot::Robot;
+use crate::robot_table::RobotIndex;
 use crate::sessions::SenderRole;
 use crate::station::{SEVERITY_WARNING, Station};
 
@@ -32,7 +34,23 @@ pub(crate) struct OperatorState {
     /// The link over which the program was asked for something last: there it reports what became of it.
     requested_on: Option<LinkId>,
     /// The last command of the program.
-    last_command: Option<Command>,
+    last_command: Option<TargetedCommand>,
+}
+
+/// A command, and for whom it is.
+#[derive(Clone, Copy, PartialEq)]
+struct TargetedCommand {
+    target: CommandTarget,
+    command: Command,
+}
+
+/// For whom a command is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum CommandTarget {
+    /// For nobody in particular: a pose is that of the first robot, calibration and sensors are those of all robots.
+    Station,
+    /// For this robot alone, where it concerns robots.
+    Robot(RobotIndex),
 }
 
 impl OperatorState {
@@ -41,10 +59,20 @@ impl OperatorState {
     }
 
     /// Whether a held key repeats what it said before.
-    fn is_key_repeat(&mut self, command: Command) -> bool {
-        let is_drive = matches!(command, Command::Simulator(SimulatorCommand::Drive { .. }));
+    fn is_key_repeat(&mut self, command: TargetedCommand) -> bool {
+        let is_drive = matches!(command.command, Command::Simulator(SimulatorCommand::Drive { .. }));
         let before = self.last_command.replace(command);
         is_drive && before == Some(command)
+    }
+}
+
+impl CommandTarget {
+    /// The robot whose pose it is about.
+    const fn posed_robot(self) -> RobotIndex {
+        match self {
+            Self::Station => 0,
+            Self::Robot(index) => index,
+        }
     }
 }
 
@@ -52,7 +80,22 @@ impl OperatorState {
 type Outcome = Result<String, String>;
 
 impl Station {
+    /// A command of a person or a program for the station.
     pub(crate) fn handle_command(&mut self, command: Command) {
+        self.handle_targeted_command(TargetedCommand { target: CommandTarget::Station, command });
+    }
+
+    /// A command of a person for one robot.
+    pub(crate) fn handle_robot_command(&mut self, robot: RobotId, command: Command) {
+        match self.robots.find(robot) {
+            Some(index) => {
+                self.handle_targeted_command(TargetedCommand { target: CommandTarget::Robot(index), command });
+            }
+            None => self.report_outcome(&Err(format!("no robot {robot}"))),
+        }
+    }
+
+    fn handle_targeted_command(&mut self, command: TargetedCommand) {
         let is_held_key = self.operator.is_key_repeat(command);
         let outcome = self.execute(command);
         // One line for a key that is held, not several each second.
@@ -78,10 +121,9 @@ impl Station {
             return;
         };
         let before = (row.read)(&self.config.robot.filter_config.params);
-        let outcome = self.execute(Command::SetParameter {
-            name: ParameterName::from_bytes(row.key.as_bytes()),
-            value: shortest_decimal(value),
-        });
+        let name = ParameterName::from_bytes(row.key.as_bytes());
+        let command = Command::SetParameter { name, value: shortest_decimal(value) };
+        let outcome = self.execute(TargetedCommand { target: CommandTarget::Station, command });
         if (row.read)(&self.config.robot.filter_config.params).to_bits() == before.to_bits() {
             // A change was told; that nothing has changed is an answer, too.
             self.announce_parameter(index);
@@ -126,8 +168,7 @@ impl Station {
         };
         let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
             Some(answer) => answer,
-            None if role == SenderRole::Station => message_requests::Answer::of(self.execute_link_command(id, command)),
-            None => message_requests::Answer::of(CommandResult::Unsupported),
+            None => message_requests::Answer::of(self.execute_link_command(id, role, command)),
         };
         if answer.is_left_to_others(command) {
             return;
@@ -140,12 +181,22 @@ impl Station {
         }
     }
 
-    /// Does what a command from a link asks for, and tells what became of it.
-    pub(crate) fn execute_link_command(&mut self, link: LinkId, command: &CommandLong) -> CommandResult {
+    /// Does what a command from a link asks for, and tells what became of it. A robot as a vehicle takes only what concerns robots.
+    fn execute_link_command(&mut self, link: LinkId, role: SenderRole, command: &CommandLong) -> CommandResult {
+        let target = match role {
+            SenderRole::Station => Some(CommandTarget::Station),
+            SenderRole::Vehicle(robot) => self.robots.find(robot).map(CommandTarget::Robot),
+        };
+        let Some(target) = target else {
+            return CommandResult::Unsupported;
+        };
         let outcome = match decode_command(command) {
+            Ok(wanted) if target != CommandTarget::Station && !wanted.is_for_robots() => {
+                return CommandResult::Unsupported;
+            }
             Ok(wanted) => {
                 self.operator.requested_on = Some(link);
-                self.execute(wanted)
+                self.execute(TargetedCommand { target, command: wanted })
             }
             Err(CommandError::Unknown { .. }) => return CommandResult::Unsupported,
             Err(error) => Err(error.to_string()),
@@ -160,26 +211,38 @@ impl Station {
         }
     }
 
-    fn execute(&mut self, command: Command) -> Outcome {
+    /// Carries a command out; what is said of one robot begins with its name.
+    fn execute(&mut self, TargetedCommand { target, command }: TargetedCommand) -> Outcome {
+        let said = self.carry_out(target, command);
+        match target {
+            CommandTarget::Robot(index) if command.is_for_robots() => {
+                let robot = self.robots.get(index).id;
+                said.map(|done| format!("robot {robot}: {done}")).map_err(|why| format!("robot {robot}: {why}"))
+            }
+            CommandTarget::Robot(_) | CommandTarget::Station => said,
+        }
+    }
+
+    fn carry_out(&mut self, target: CommandTarget, command: Command) -> Outcome {
         match command {
             Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
-                self.set_pose(&StartPose { pose, position_sigma_m, heading_sigma_rad })
+                self.set_pose(target.posed_robot(), &StartPose { pose, position_sigma_m, heading_sigma_rad })
             }
-            Command::ResetPose => self.reset_pose(),
+            Command::ResetPose => self.reset_pose(target.posed_robot()),
             Command::SetParameter { name, value } => self.set_parameter(name, value),
             Command::Parameters(storage) => self.store_parameters(storage),
             Command::OnlineCalibration(learning) => {
-                self.command_all(|estimator| estimator.set_online_calibration(learning), "does not learn")?;
+                self.command_robots(target, "does not learn", |estimator| estimator.set_online_calibration(learning))?;
                 Ok(match learning {
                     OnlineCalibration::Frozen => "calibration frozen".to_owned(),
                     OnlineCalibration::Enabled => "calibration learned further".to_owned(),
                 })
             }
             Command::ResetCalibration => {
-                self.command_all(Estimator::reset_calibration, "does not learn")?;
+                self.command_robots(target, "does not learn", Estimator::reset_calibration)?;
                 Ok("calibration reset to what is configured".to_owned())
             }
-            Command::SwitchSource { sensor, to } => Ok(self.switch_sensor(sensor, to)),
+            Command::SwitchSource { sensor, to } => Ok(self.switch_sensor(target, sensor, to)),
             Command::StartRecording => {
                 let values = self.parameter_values();
                 self.emit_request(Request::StartRecording { values });
@@ -191,30 +254,34 @@ impl Station {
             }
             Command::Simulator(command) => {
                 command.validate().map_err(|error| error.to_string())?;
-                self.emit_request(Request::Simulator(command));
+                let robot = match target {
+                    CommandTarget::Station => None,
+                    CommandTarget::Robot(index) => Some(self.robots.get(index).id),
+                };
+                self.emit_request(Request::Simulator { robot, command });
                 Ok(command.to_string())
             }
         }
     }
 
-    fn set_pose(&mut self, start: &StartPose) -> Outcome {
-        self.robots.mark_news(0);
-        if self.robots.get_mut(0).estimator.set_pose(start) == FusionOutcome::Malformed {
+    fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> Outcome {
+        self.robots.mark_news(index);
+        if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
         let pose = &start.pose;
         Ok(format!("pose set to x {:.3} m, y {:.3} m, {:.1} deg", pose.x.0, pose.y.0, pose.heading.rad().to_degrees()))
     }
 
-    fn reset_pose(&mut self) -> Outcome {
-        if let Some(start) = self.robots.first().estimator.start() {
-            return self.set_pose(&start);
+    fn reset_pose(&mut self, index: RobotIndex) -> Outcome {
+        if let Some(start) = self.robots.get(index).estimator.start() {
+            return self.set_pose(index, &start);
         }
-        let estimator = &mut self.robots.get_mut(0).estimator;
+        let estimator = &mut self.robots.get_mut(index).estimator;
         if !estimator.forget_pose() {
             return Err(format!("the filter {} cannot forget its pose", estimator.filter_name()));
         }
-        self.robots.mark_news(0);
+        self.robots.mark_news(index);
         Ok("pose forgotten: the next fix decides".to_owned())
     }
 
@@ -254,7 +321,9 @@ impl Station {
     /// Gives the filter other tunables and tells those that changed.
     fn apply_params(&mut self, params: Params) -> Result<(), String> {
         // Thermometers have filters of their own, which begin with the tunables of the station.
-        self.command_all(|estimator| estimator.set_params(params), "is tuned only by its start")?;
+        self.command_robots(CommandTarget::Station, "is tuned only by its start", |estimator| {
+            estimator.set_params(params)
+        })?;
         let before = std::mem::replace(&mut self.config.robot.filter_config.params, params);
         for (index, row) in PARAMS.iter().enumerate() {
             if (row.read)(&before).to_bits() != (row.read)(&params).to_bits() {
@@ -275,10 +344,15 @@ impl Station {
         }
     }
 
-    /// Gives every robot's estimator a command; the first that refuses it says why.
-    fn command_all(&mut self, command: impl Fn(&mut Estimator) -> bool, otherwise: &str) -> Result<(), String> {
+    /// Gives the estimators of the robots that are meant a command; the first that refuses it says why.
+    fn command_robots(
+        &mut self,
+        target: CommandTarget,
+        otherwise: &str,
+        command: impl Fn(&mut Estimator) -> bool,
+    ) -> Result<(), String> {
         let mut refused = None;
-        for robot in self.robots.all_mut() {
+        for robot in self.targeted_robots(target) {
             if !command(&mut robot.estimator) {
                 refused.get_or_insert(robot.estimator.filter_name());
             }
@@ -286,8 +360,15 @@ impl Station {
         refused.map_or(Ok(()), |filter| Err(format!("the filter {filter} {otherwise}")))
     }
 
-    fn switch_sensor(&mut self, sensor: SensorId, to: SensorSwitch) -> String {
-        for robot in self.robots.all_mut() {
+    fn targeted_robots(&mut self, target: CommandTarget) -> &mut [Robot] {
+        match target {
+            CommandTarget::Station => self.robots.all_mut(),
+            CommandTarget::Robot(index) => std::slice::from_mut(self.robots.get_mut(index)),
+        }
+    }
+
+    fn switch_sensor(&mut self, target: CommandTarget, sensor: SensorId, to: SensorSwitch) -> String {
+        for robot in self.targeted_robots(target) {
             robot.estimator.switch_sensor(sensor, to);
         }
         let is = match to {

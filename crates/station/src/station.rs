@@ -170,6 +170,7 @@ impl Station {
                 self.observe(0, source, arrival, *observation);
             }
             Input::Command(command) => self.handle_command(*command),
+            Input::RobotCommand { robot, command } => self.handle_robot_command(*robot, *command),
             Input::Report { severity, text } => self.handle_report(*severity, text),
             Input::Tick => {}
         }

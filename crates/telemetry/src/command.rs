@@ -8,7 +8,7 @@
 
 use std::fmt;
 
-use crate::ids::{ChannelName, SensorId};
+use crate::ids::{ChannelName, RobotId, SensorId};
 use crate::observation::SensorSwitch;
 use crate::simulator::SimulatorCommand;
 use crate::spaces::{Arena, Pose};
@@ -60,6 +60,20 @@ pub enum Command {
 }
 
 impl Command {
+    /// Whether it concerns robots, and not the station as a whole.
+    #[must_use]
+    pub const fn is_for_robots(&self) -> bool {
+        match self {
+            Self::SetPose { .. }
+            | Self::ResetPose
+            | Self::OnlineCalibration(_)
+            | Self::ResetCalibration
+            | Self::SwitchSource { .. }
+            | Self::Simulator(_) => true,
+            Self::SetParameter { .. } | Self::Parameters(_) | Self::StartRecording | Self::StopRecording => false,
+        }
+    }
+
     /// The command's name, as recordings spell it.
     #[must_use]
     pub const fn name(&self) -> &'static str {
@@ -142,6 +156,11 @@ pub enum Request {
     },
     /// End the recording, if one is open.
     StopRecording,
-    /// Carry out a command to the simulated brick, if the program has one.
-    Simulator(SimulatorCommand),
+    /// Carry out a command to a simulated brick, if the program has one.
+    Simulator {
+        /// The robot that the brick drives; `None` if nobody said which.
+        robot: Option<RobotId>,
+        /// The command.
+        command: SimulatorCommand,
+    },
 }

@@ -5,7 +5,7 @@
 
 use crate::command::{Command, Request};
 use crate::event::{Event, LinkState};
-use crate::ids::{LinkId, PeerId};
+use crate::ids::{LinkId, PeerId, RobotId};
 use crate::link_health::LinkCounts;
 use crate::observation::Observation;
 use crate::outbound::{Priority, Recipients};
@@ -38,8 +38,15 @@ pub enum Input {
     },
     /// An observation from a foreign recording, already in SI units and in brick time.
     Observation(Observation),
-    /// A command of a person or a program.
+    /// A command of a person or a program: a pose is that of the first robot, calibration and sensors are those of all.
     Command(Command),
+    /// A command of a person for one robot. A command for the whole station (parameters, recordings) does what [`Self::Command`] does.
+    RobotCommand {
+        /// The robot, as its events name it.
+        robot: RobotId,
+        /// The command.
+        command: Command,
+    },
     /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
     Report {
         /// MAVLink severity, 0 emergency to 7 debug.

@@ -116,7 +116,7 @@ fn record_input(
             }
         }
         Input::Observation(_) => facts.observations += 1,
-        Input::Command(_) => facts.commands += 1,
+        Input::Command(_) | Input::RobotCommand { .. } => facts.commands += 1,
         Input::Report { .. } | Input::Port { .. } | Input::Tick => {}
     }
 }

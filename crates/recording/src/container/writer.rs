@@ -162,10 +162,17 @@ impl<W: Write> RecordingWriter<W> {
         };
         self.mcap.write_to_known_channel(&header, &self.scratch)?;
         self.sequence = self.sequence.wrapping_add(1);
-        if let Input::Command(command) = input {
-            let message = foxglove::command_message(command);
-            self.write_messages(now, message)?;
-        }
+        let message = match input {
+            Input::Command(command) => foxglove::command_message(command, None),
+            Input::RobotCommand { robot, command } => foxglove::command_message(command, Some(*robot)),
+            Input::Bytes { .. }
+            | Input::Port { .. }
+            | Input::Link { .. }
+            | Input::Observation(_)
+            | Input::Report { .. }
+            | Input::Tick => None,
+        };
+        self.write_messages(now, message)?;
         Ok(())
     }
 

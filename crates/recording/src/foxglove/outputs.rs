@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkState,
-    Observation, ObservationKind, Pose, SensorId, TimeDelta, Timestamp,
+    Observation, ObservationKind, Pose, RobotId, SensorId, TimeDelta, Timestamp,
 };
 use serde::Serialize;
 
@@ -281,9 +281,9 @@ impl PathHistory {
     }
 }
 
-/// A request of a person or a program as a message.
-pub(crate) fn command_message(command: &Command) -> Option<EncodedMessage> {
-    json_message(channels::COMMAND, &CommandRecord::from(command))
+/// A request of a person or a program as a message; `robot` is the one that it is for, if it names one.
+pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> Option<EncodedMessage> {
+    json_message(channels::COMMAND, &CommandRecord::new(command, robot))
 }
 
 /// What the filter has learned as a message.

@@ -3,7 +3,7 @@
 //! A number that is not finite is omitted: JSON has none, and viewers treat `null` as a type of its own.
 
 use posebridge_telemetry::{
-    Calibration, Command, Estimate, FusionRecord, LinkHealth, LinkId, SourceHealth, TimeDelta, UncertainValue,
+    Calibration, Command, Estimate, FusionRecord, LinkHealth, LinkId, RobotId, SourceHealth, TimeDelta, UncertainValue,
 };
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -456,9 +456,9 @@ impl From<&Calibration> for CalibrationRecord {
     }
 }
 
-impl From<&Command> for CommandRecord {
-    fn from(command: &Command) -> Self {
-        let text = command.to_string();
+impl CommandRecord {
+    pub(super) fn new(command: &Command, robot: Option<RobotId>) -> Self {
+        let text = robot.map_or_else(|| command.to_string(), |robot| format!("robot {robot}: {command}"));
         Self { command: command.name(), text }
     }
 }

@@ -16,9 +16,9 @@ use posebridge_recording::container::{
     RecordingWriter, TruthSample, WriteError, read_truth,
 };
 use posebridge_telemetry::{
-    BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Observation, ObservationKind, ParameterName, Point2, Pose, PositionCovariance, Radians,
-    RadiansPerSecond, SensorId, SensorSwitch, TimeDelta, Timestamp,
+    Address, BeaconId, Celsius, Command, Fix, Heading, HostClock, Input, LandmarkId, LinkId, LinkState, Meters,
+    MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, ParameterName, Point2, Pose,
+    PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SensorSwitch, TimeDelta, Timestamp,
 };
 
 type Recorded = (Timestamp<HostClock>, Input);
@@ -89,6 +89,10 @@ fn every_kind() -> Vec<Input> {
         Input::Command(Command::SetParameter { name: ParameterName::from_bytes(b"gate_prob"), value: 0.9 }),
         Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::Off }),
         Input::Command(Command::ResetPose),
+        Input::RobotCommand {
+            robot: RobotId { link, address: Address::new(7, 1) },
+            command: Command::SetPose { pose: pose(), position_sigma_m: 0.01, heading_sigma_rad: 0.1 },
+        },
         Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
     ]);

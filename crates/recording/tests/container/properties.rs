@@ -2,9 +2,9 @@
 
 use posebridge_recording::container::RecordingReader;
 use posebridge_telemetry::{
-    Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, ObservationKind, ParameterName, Point2,
-    Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SimulatorCommand, SlippingWheel, TimeDelta,
-    Timestamp,
+    Address, Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, ObservationKind, ParameterName,
+    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SimulatorCommand, SlippingWheel,
+    TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 
@@ -89,13 +89,22 @@ fn any_input() -> impl Strategy<Value = Input> {
         (any_f64(), any::<i64>(), 0_u8..6).prop_map(|(number, nanos, kind)| {
             Input::Command(Command::Simulator(simulator_command(number, nanos, kind)))
         }),
-        (any_f64(), any_f64(), any_heading()).prop_map(|(x, y, heading)| {
-            Input::Command(Command::SetPose {
-                pose: Pose::new(Meters(x), Meters(y), heading),
-                position_sigma_m: y,
-                heading_sigma_rad: x,
-            })
-        }),
+        (any_f64(), any_f64(), any_heading(), proptest::option::of((any::<u16>(), any::<u8>()))).prop_map(
+            |(x, y, heading, robot)| {
+                let command = Command::SetPose {
+                    pose: Pose::new(Meters(x), Meters(y), heading),
+                    position_sigma_m: y,
+                    heading_sigma_rad: x,
+                };
+                match robot {
+                    None => Input::Command(command),
+                    Some((link, system)) => {
+                        let robot = RobotId { link: LinkId(link), address: Address::new(system, !system) };
+                        Input::RobotCommand { robot, command }
+                    }
+                }
+            }
+        ),
     ]
 }
 

@@ -6,6 +6,7 @@
 mod brick;
 #[path = "../support/ground.rs"]
 mod ground;
+mod one_robot;
 mod repeated;
 #[path = "../support/station.rs"]
 mod station;

@@ -4,8 +4,8 @@ use crate::all_outputs;
 use crate::brick::{BRICK, HEARTBEAT, frame, ticks};
 use crate::station::{LINK, TestStation, config};
 use posebridge_telemetry::{
-    Command, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose, Radians, SensorId,
-    SimulatorCommand, TimeDelta, Timestamp,
+    Address, Command, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose, Radians,
+    RobotId, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -15,7 +15,7 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
     let link = prop_oneof![4 => Just(LINK), 1 => Just(LinkId(9))];
     let tempting = prop_oneof![3 => any::<u8>(), 1 => Just(0xFD_u8), 2 => 0_u8..10];
     let frames = (any::<u32>(), any::<i32>(), any::<u8>()).prop_map(|(millis, count, who)| {
-        let source = posebridge_telemetry::Address::new(1, who % 3);
+        let source = Address::new(1, who % 3);
         let count = i64::from(count);
         frame(source, &ticks(millis / 1_000, count, -count))
     });
@@ -29,7 +29,7 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
     let state = prop_oneof![Just(LinkState::Up), Just(LinkState::Down)];
     let state = (link, state).prop_map(|(link, state)| Input::Link { link, state });
     let number = prop_oneof![4 => -100.0..100.0, 1 => any::<f64>()];
-    let numbers = (number.clone(), number.clone(), number, any::<i64>(), 0_u8..5);
+    let numbers = (number.clone(), number.clone(), number, any::<i64>(), 0_u8..6);
     let values = numbers.prop_map(|(a, b, c, nanos, kind)| input_of((a, b, c), nanos, kind));
     let wait_ms = prop_oneof![6 => 0_i64..120, 1 => 0_i64..100_000, 1 => any::<u32>().prop_map(i64::from)];
     let input = prop_oneof![6 => bytes, 1 => state, 3 => values, 1 => Just(Input::Tick)];
@@ -44,6 +44,14 @@ fn input_of((a, b, c): (f64, f64, f64), nanos: i64, kind: u8) -> Input {
                 position_sigma_m: a,
                 heading_sigma_rad: b,
             });
+        }
+        5 => {
+            let link = if nanos % 5 == 0 { LinkId(9) } else { LINK };
+            let robot = RobotId { link, address: Address::new(1, (nanos % 3) as u8) };
+            let to = if a > b { SensorSwitch::On } else { SensorSwitch::Off };
+            let switch = Command::SwitchSource { sensor: SensorId((nanos % 4) as u8), to };
+            let command = if nanos % 2 == 0 { Command::ResetPose } else { switch };
+            return Input::RobotCommand { robot, command };
         }
         4 => {
             return Input::Command(Command::Simulator(SimulatorCommand::Kidnap {

@@ -1,9 +1,10 @@
 //! A cursor over the fields of a message.
 
 use posebridge_telemetry::{
-    BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState, Meters,
-    MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage, PeerId,
-    Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, SensorSwitch, TimeDelta, Timestamp,
+    Address, BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
+    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
+    PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SensorSwitch, TimeDelta,
+    Timestamp,
 };
 
 use super::{DecodeError, command, fix_flag, kind, tag};
@@ -105,14 +106,14 @@ impl<'a> InputDecoder<'a> {
                 },
             },
             tag::OBSERVATION => Input::Observation(self.observation()?),
-            tag::SET_POSE => Input::Command(Command::SetPose {
-                pose: self.pose()?,
-                position_sigma_m: self.f64()?,
-                heading_sigma_rad: self.f64()?,
-            }),
-            tag::COMMAND => Input::Command(self.command()?),
+            tag @ (tag::SET_POSE | tag::COMMAND | tag::SIMULATOR) => Input::Command(self.command(tag)?),
+            tag::ROBOT_COMMAND => {
+                let link = LinkId(self.u16()?);
+                let robot = RobotId { link, address: Address::new(self.u8()?, self.u8()?) };
+                let tag = self.u8()?;
+                Input::RobotCommand { robot, command: self.command(tag)? }
+            }
             tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
-            tag::SIMULATOR => Input::Command(Command::Simulator(self.simulator()?)),
             tag::TICK => Input::Tick,
             value => {
                 return Err(DecodeError::Unknown { field: "input tag", value });
@@ -120,7 +121,20 @@ impl<'a> InputDecoder<'a> {
         })
     }
 
-    fn command(&mut self) -> Result<Command, DecodeError> {
+    fn command(&mut self, tag: u8) -> Result<Command, DecodeError> {
+        Ok(match tag {
+            tag::SET_POSE => {
+                Command::SetPose { pose: self.pose()?, position_sigma_m: self.f64()?, heading_sigma_rad: self.f64()? }
+            }
+            tag::COMMAND => self.plain_command()?,
+            tag::SIMULATOR => Command::Simulator(self.simulator()?),
+            value => {
+                return Err(DecodeError::Unknown { field: "command tag", value });
+            }
+        })
+    }
+
+    fn plain_command(&mut self) -> Result<Command, DecodeError> {
         Ok(match self.u8()? {
             command::RESET_POSE => Command::ResetPose,
             command::SET_PARAMETER => {

@@ -3,7 +3,7 @@
 use posebridge_telemetry::Input;
 
 use super::cursor::InputDecoder;
-use super::{CHECKSUM_BYTES, DecodeError, ENCODING_VERSION, OLDEST_VERSION, RecordPosition};
+use super::{CHECKSUM_BYTES, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition};
 
 /// Turns the bytes of one message into the input that was given.
 pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Result<Input, DecodeError> {
@@ -19,7 +19,7 @@ pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Resul
     }
     let mut cursor = InputDecoder::new(body);
     let version = cursor.u8()?;
-    if !(OLDEST_VERSION..=ENCODING_VERSION).contains(&version) {
+    if !(OLDEST_VERSION..=NEWEST_VERSION).contains(&version) {
         return Err(DecodeError::Version(version));
     }
     let input = cursor.input()?;

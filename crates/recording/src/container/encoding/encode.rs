@@ -6,11 +6,20 @@ use posebridge_telemetry::{
 };
 
 use super::simulated::put_simulator;
-use super::{ENCODING_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, tag};
+use super::{ENCODING_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, tag};
 
 /// Appends the bytes of `input` to `bytes`, which must be empty.
 pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: &mut Vec<u8>) {
-    bytes.push(ENCODING_VERSION);
+    bytes.push(match input {
+        Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
+        Input::Bytes { .. }
+        | Input::Port { .. }
+        | Input::Link { .. }
+        | Input::Observation(_)
+        | Input::Command(_)
+        | Input::Report { .. }
+        | Input::Tick => ENCODING_VERSION,
+    });
     match input {
         Input::Bytes { link, peer, bytes: payload } => {
             let is_first = *peer == PeerId::default();
@@ -39,6 +48,12 @@ pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: 
             put_observation(observation, bytes);
         }
         Input::Command(command) => put_command(command, bytes),
+        Input::RobotCommand { robot, command } => {
+            bytes.push(tag::ROBOT_COMMAND);
+            bytes.extend_from_slice(&robot.link.0.to_le_bytes());
+            bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
+            put_command(command, bytes);
+        }
         Input::Report { severity, text } => {
             bytes.push(tag::REPORT);
             bytes.push(*severity);

@@ -17,6 +17,10 @@ pub(super) use encode::encode;
 
 /// First byte of every message; a change of layout changes it.
 const ENCODING_VERSION: u8 = 4;
+/// First byte of a message whose tag the layout before does not have: an older program then says that the file is newer.
+const ROBOT_COMMAND_VERSION: u8 = 5;
+/// The newest layout.
+const NEWEST_VERSION: u8 = ROBOT_COMMAND_VERSION;
 /// The oldest layout that is still read: it has the same tags, but for those that came later.
 const OLDEST_VERSION: u8 = 1;
 /// Bytes of the checksum at the end.
@@ -36,6 +40,8 @@ mod tag {
     pub(super) const COMMAND: u8 = 7;
     pub(super) const REPORT: u8 = 8;
     pub(super) const SIMULATOR: u8 = 9;
+    /// A robot, and a command for it under one of the tags of commands.
+    pub(super) const ROBOT_COMMAND: u8 = 10;
 }
 
 /// Which command follows.

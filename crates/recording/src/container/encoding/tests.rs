@@ -1,9 +1,9 @@
 //! The bytes of the format page, written by hand, and the errors.
 
 use posebridge_telemetry::{
-    ChannelName, Command, Input, LinkCounts, LinkId, LinkState, Observation, ObservationKind, OnlineCalibration,
-    ParameterName, ParameterStorage, PeerId, RadiansPerSecond, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel,
-    SteeringSource, TimeDelta, Timestamp,
+    Address, ChannelName, Command, Input, LinkCounts, LinkId, LinkState, Observation, ObservationKind,
+    OnlineCalibration, ParameterName, ParameterStorage, PeerId, Pose, RadiansPerSecond, RobotId, SensorId,
+    SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
 };
 
 use super::*;
@@ -101,6 +101,30 @@ fn commands_and_reports_stand_where_the_format_page_says() {
 }
 
 #[test]
+fn a_command_for_one_robot_stands_behind_the_robot_as_one_for_the_station() {
+    let robot = RobotId { link: LinkId(0x0102), address: Address::new(7, 1) };
+    for (body, command) in [
+        (&[7, 0][..], Command::ResetPose),
+        (&[7, 8, 3], Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::Off }),
+        (&[9, 11], Command::Simulator(SimulatorCommand::Path)),
+        (
+            &[&[3][..], &[0; 40]].concat(),
+            Command::SetPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 },
+        ),
+    ] {
+        check(&[&[5, 10, 0x02, 0x01, 7, 1][..], body].concat(), &Input::RobotCommand { robot, command });
+    }
+    for (body, error) in [
+        (&[5, 10, 2, 1, 7][..], DecodeError::TooShort { wanted: 1, left: 0 }),
+        (&[5, 10, 2, 1, 7, 1, 4], DecodeError::Unknown { field: "command tag", value: 4 }),
+        (&[5, 10, 2, 1, 7, 1, 10], DecodeError::Unknown { field: "command tag", value: 10 }),
+        (&[5, 10, 2, 1, 7, 1, 7, 0, 0], DecodeError::TooLong(1)),
+    ] {
+        assert_eq!(decode(&with_checksum(body, POSITION), POSITION), Err(error));
+    }
+}
+
+#[test]
 fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
     let command = |body: &[u8], command| check(body, &Input::Command(Command::Simulator(command)));
     let minus_half = [0, 0, 0, 0, 0, 0, 0xE0, 0xBF];
@@ -159,7 +183,7 @@ fn what_the_layout_does_not_have_is_named() {
     check(&[9, 4], DecodeError::Version(9));
     check(&[1, 4, 0, 0], DecodeError::TooLong(2));
     check(&[1, 0, 5], DecodeError::TooShort { wanted: 2, left: 1 });
-    check(&[4, 10], DecodeError::Unknown { field: "input tag", value: 10 });
+    check(&[4, 11], DecodeError::Unknown { field: "input tag", value: 11 });
     check(&[4, 7, 12], DecodeError::Unknown { field: "command", value: 12 });
     for (body, field, value) in [
         (&[4, 9, 12][..], "command for the simulated brick", 12),
