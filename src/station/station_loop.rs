@@ -74,8 +74,8 @@ pub struct StationLoop {
     pub signing: Option<SigningStateWriter>,
     /// What carries out the pipeline's requests.
     pub requests: RequestHandler,
-    /// Where the simulated robot really is, if there is one.
-    pub truth: Option<TruthTap>,
+    /// Where each simulated robot really is.
+    pub truth: Vec<TruthTap>,
 }
 
 impl StationLoop {
@@ -177,23 +177,24 @@ impl StationLoop {
         }
     }
 
-    /// Keeps where the simulated robot really was beside the inputs.
+    /// Keeps where the simulated robots really were beside the inputs.
     pub fn record_truth(&mut self) {
-        let Some(tap) = &mut self.truth else {
-            return;
-        };
-        let missed = tap.missed();
-        let samples = tap.drain().into_iter().map(|live| TruthSample {
-            time: live.sample.brick_time,
-            pose: live.sample.pose,
-            odometry: Some(live.sample.odometry),
-        });
-        if let Some(recorder) = &mut self.recorder {
-            recorder.record_truth(samples.collect());
-        }
-        if tap.missed() > missed {
-            let samples = tap.missed() - missed;
-            tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
+        for tap in &mut self.truth {
+            let missed = tap.missed();
+            let robot = tap.robot();
+            let samples = tap.drain().into_iter().map(|live| TruthSample {
+                robot,
+                time: live.sample.brick_time,
+                pose: live.sample.pose,
+                odometry: Some(live.sample.odometry),
+            });
+            if let Some(recorder) = &mut self.recorder {
+                recorder.record_truth(samples.collect());
+            }
+            if tap.missed() > missed {
+                let samples = tap.missed() - missed;
+                tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
+            }
         }
     }
 
@@ -222,7 +223,7 @@ impl StationLoop {
         // One copy for all that watch and record: what a stall has held back comes at once, and waits for each of them.
         let events: Arc<[Event]> = events.into();
         if let Some(dashboard) = &self.dashboard {
-            dashboard.print_address(now, &events);
+            dashboard.publish_events(now, &events);
         }
         let is_command = matches!(input, Input::Command(_) | Input::RobotCommand { .. });
         let logged = self.log_traffic(now, &input, &sent);

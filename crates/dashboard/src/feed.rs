@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, RobotId, TimeDelta, Timestamp};
 use tokio::sync::Notify;
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self, Receiver, Sender};
@@ -48,6 +48,8 @@ pub struct StationStatus {
 /// The true pose of the simulated robot at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedTruth {
+    /// The robot; `None` where the station has one simulated brick.
+    pub robot: Option<RobotId>,
     /// By the host's clock.
     pub now: Timestamp<HostClock>,
     /// By the brick's clock, as in estimates.

@@ -62,6 +62,12 @@ impl Robot {
         self.name.as_deref()
     }
 
+    /// What people read: the name, else `link/system/component`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        self.name.clone().unwrap_or_else(|| format!("{}/{}", self.id.link, self.id.address))
+    }
+
     /// The address that ground stations see as the vehicle.
     #[must_use]
     pub const fn vehicle_address(&self) -> Address {

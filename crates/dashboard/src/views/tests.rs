@@ -204,6 +204,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
 
 fn truth(stamp_millis: i64, x_m: f64) -> SimulatedTruth {
     SimulatedTruth {
+        robot: None,
         now: at(stamp_millis - 4_000),
         time: Timestamp::from_millis(stamp_millis),
         pose: Pose::<Arena>::new(Meters(x_m), Meters(-0.28), Heading::from_rad(0.6)),

@@ -15,6 +15,8 @@ const MAX_SOURCES: usize = 32;
 pub struct Robot {
     /// Link, system and component.
     pub id: String,
+    /// Its configured name, if it has one.
+    pub name: Option<String>,
     /// Its estimates.
     pub estimates: RecentPoints<EstimatePoint>,
     /// Fixes of it.
@@ -41,6 +43,12 @@ pub struct SourceModel {
 impl Robot {
     pub(super) fn new(id: &str) -> Self {
         Self { id: id.to_owned(), ..Self::default() }
+    }
+
+    /// What people read: the name, else the id.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.id)
     }
 
     pub(super) fn on_frame(&mut self, part: &RobotFrame) {
