@@ -184,6 +184,7 @@ impl StationLoop {
         };
         let missed = tap.missed();
         let samples = tap.drain().into_iter().map(|live| TruthSample {
+            robot: None,
             time: live.sample.brick_time,
             pose: live.sample.pose,
             odometry: Some(live.sample.odometry),

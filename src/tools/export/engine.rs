@@ -83,7 +83,7 @@ impl ExportSession {
             config.filter.name.clone_from(filter);
         }
         let known = if args.formats.contains(&Format::Tum) || args.truth.is_some() {
-            GroundTruth::load(&name, &bytes, args.truth.as_deref())?
+            GroundTruth::load(&name, &bytes, args.truth.as_deref(), None)?
         } else {
             GroundTruth::default()
         };

@@ -99,7 +99,7 @@ impl OwnRecording {
     /// The file cannot be read, or the recorded truth is damaged.
     pub fn ground_truth(&self, truth: Option<&Path>) -> Result<GroundTruth> {
         match &self.inputs {
-            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth),
+            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth, None),
             InputSource::Logged(_) => GroundTruth::from_file(truth),
         }
     }

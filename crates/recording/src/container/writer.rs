@@ -219,7 +219,7 @@ impl<W: Write> RecordingWriter<W> {
         self.record_log_message(gap.to, 3, &text)
     }
 
-    /// Records where the robot really was, as a simulation knows it; called once, when the run is over at `now`.
+    /// Records where robots really were, as a simulation knows it. A sample that no clock alignment places is of `now`.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 
 use super::records;
+use super::robot_truth::RobotTruthRecord;
 use crate::container::TRUTH_TOPIC;
 
 /// A channel beside the inputs.
@@ -74,6 +75,8 @@ pub(super) const COMMAND: Channel =
     json("posebridge/command", "posebridge.Command", schema_of::<records::CommandRecord>);
 pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
 pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
+/// [`TRUTH`] where the samples say which robot they are of; without, a recording of one robot has the bytes that it always had.
+pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<RobotTruthRecord>);
 
 /// Every channel beside the inputs.
 pub const CHANNELS: &[Channel] = &[

@@ -14,6 +14,7 @@ use super::records::{
     CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
     TemperatureRecord, TruthRecord, finite,
 };
+use super::robot_truth::RobotTruthRecord;
 use super::wire;
 use crate::container::{RecordingGap, TruthSample};
 
@@ -131,7 +132,10 @@ impl OutputEncoder {
             pose: Some(pose_of(&sample.pose)),
         };
         let mut messages = vec![protobuf_message(channels::TRUE_POSE, &pose)];
-        messages.extend(json_message(channels::TRUTH, &TruthRecord::from(sample)));
+        messages.extend(match sample.robot {
+            None => json_message(channels::TRUTH, &TruthRecord::from(sample)),
+            Some(robot) => json_message(channels::ROBOT_TRUTH, &RobotTruthRecord::new(robot, sample)),
+        });
         (at, messages)
     }
 
