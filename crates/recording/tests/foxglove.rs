@@ -202,6 +202,7 @@ fn one_message_of_each() -> Vec<RecordedMessage> {
         let gap = RecordingGap { inputs: 7, from: now, to: Timestamp::from_millis(1_200) };
         writer.record_gap(&gap).unwrap();
         let truth = TruthSample {
+            robot: None,
             time: Timestamp::from_millis(5_100),
             pose: Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(3.0)),
             odometry: None,

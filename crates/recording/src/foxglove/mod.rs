@@ -17,6 +17,7 @@ mod channels;
 mod convert;
 mod outputs;
 mod records;
+mod robot_truth;
 mod wire;
 
 pub use channels::{CHANNELS, Channel};

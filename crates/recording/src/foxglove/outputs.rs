@@ -14,6 +14,7 @@ use super::records::{
     CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
     RobotTruthRecord, TemperatureRecord, TruthRecord, finite,
 };
+use super::robot_truth::RobotTruthRecord;
 use super::wire;
 use crate::container::{RecordingGap, TruthSample};
 
