@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use posebridge_dashboard::StationStatus;
 use posebridge_dashboard::model::{CalibrationRow, ParameterValue};
+use posebridge_dashboard::{RobotStatus, StationStatus};
 use posebridge_estimator::{PARAMS, Params};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 use posebridge_telemetry::Calibration;
 
 use super::recorder::Recorder;
@@ -14,11 +14,10 @@ use crate::config::CALIBRATION_KEYS;
 /// What stands in a pipeline, and into which file it is recorded.
 #[must_use]
 pub fn station_status(pipeline: &Station, recorder: Option<&Recorder>) -> StationStatus {
-    let learned = pipeline.calibration();
     let recording = recorder.map(Recorder::current);
     let name = recording.as_deref().and_then(Path::file_name);
     StationStatus {
-        calibration: learned.map_or_else(Vec::new, |learned| calibration_rows(&learned)),
+        robots: pipeline.robots().iter().map(robot_status).collect(),
         parameters: parameter_values(pipeline.params()),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
         switched_off: pipeline.switched_off().map(|sensor| sensor.0).collect(),
@@ -26,9 +25,16 @@ pub fn station_status(pipeline: &Station, recorder: Option<&Recorder>) -> Statio
     }
 }
 
+fn robot_status(robot: &Robot) -> RobotStatus {
+    RobotStatus {
+        robot: robot.id(),
+        calibration: robot.calibration().map_or_else(Vec::new, |learned| calibration_rows(&learned)),
+        switched_off: robot.switched_off().map(|sensor| sensor.0).collect(),
+    }
+}
+
 /// What was learned about a robot, as the page shows it.
-#[must_use]
-pub fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
+fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
     let rows = CALIBRATION_KEYS.iter().map(|row| {
         let known = (row.read)(learned);
         CalibrationRow {

@@ -33,19 +33,30 @@ pub struct EventBatch {
 /// The status of the station; sent once a second and after commands.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StationStatus {
-    /// The estimated constants of each robot.
-    pub calibration: Vec<CalibrationRow>,
+    /// Each robot.
+    pub robots: Vec<RobotStatus>,
     /// All tunables.
     pub parameters: Vec<ParameterValue>,
     /// The current recording.
     pub recording: Option<String>,
-    /// The ids of the sensors that are switched off.
+    /// The ids of the sensors of the first robot that are switched off.
     pub switched_off: Vec<u8>,
     /// The settings of the simulated brick, if there is one.
     pub simulator: Option<SimulatorNow>,
 }
 
-/// The true pose of the simulated robot at one instant.
+/// The status of one robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotStatus {
+    /// The robot.
+    pub robot: RobotId,
+    /// Its estimated constants.
+    pub calibration: Vec<CalibrationRow>,
+    /// The ids of its sensors that are switched off.
+    pub switched_off: Vec<u8>,
+}
+
+/// The true pose of a simulated robot at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedTruth {
     /// The robot; `None` where the station has one simulated brick.

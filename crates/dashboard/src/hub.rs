@@ -4,17 +4,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_telemetry::{Event, FusionOutcome, HostClock, LinkHealth, LinkId, SensorId, Timestamp};
+use posebridge_telemetry::{Event, FusionOutcome, HostClock, LinkHealth, LinkId, RobotId, SensorId, Timestamp};
 
 use crate::api::StationInfo;
 use crate::counters::ServerCounters;
 use crate::feed::{EventBatch, SimulatedTruth};
 use crate::latency::LatencyHistogram;
 use crate::limits::{HISTORY_DURATION, MAX_HISTORY_POINTS, SECOND};
-use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, SourceRow, State, seconds_of};
+use crate::model::{Frame, Hello, ParameterRow, RecordingNow, RecordingRow, RobotRow, SourceRow, State, seconds_of};
 use crate::state::LatestState;
 use crate::token::AccessToken;
-use crate::views::{FrameContent, RetentionPolicy, VIEWS, View, ViewConfig, ViewInput};
+use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, VIEWS, View, ViewConfig, ViewInput};
 
 /// Most kinds of records that are counted; a robot has about a dozen.
 const MAX_OUTCOME_COUNTS: usize = 512;
@@ -31,6 +31,8 @@ pub(crate) struct Hub {
     /// The current recording.
     pub(crate) recording: Option<String>,
     pub(crate) outcome_counts: OutcomeCounts,
+    /// Estimates of each robot.
+    pub(crate) estimate_counts: BTreeMap<RobotId, u64>,
     pub(crate) links: BTreeMap<LinkId, LinkHealth>,
     pub(crate) latency: LatencyHistogram,
     next_second: Timestamp<HostClock>,
@@ -51,6 +53,7 @@ impl Hub {
             sources: BTreeSet::new(),
             recording: None,
             outcome_counts: BTreeMap::new(),
+            estimate_counts: BTreeMap::new(),
             links: BTreeMap::new(),
             latency: LatencyHistogram::default(),
             next_second: Timestamp::ZERO,
@@ -129,7 +132,7 @@ impl Hub {
     }
 
     /// The robots that were seen.
-    pub(crate) fn robots(&self) -> Vec<String> {
+    pub(crate) fn robots(&self) -> Vec<RobotRow> {
         self.latest.robots()
     }
 
@@ -159,7 +162,12 @@ impl Hub {
             Event::ObservationFused { record, .. } => {
                 self.count_outcome(record.sensor, record.kind, record.outcome);
             }
-            Event::EstimateUpdated { .. } => self.latency.record(batch.latency),
+            Event::EstimateUpdated { robot, .. } => {
+                self.latency.record(batch.latency);
+                if self.estimate_counts.len() < MAX_ROBOTS || self.estimate_counts.contains_key(robot) {
+                    *self.estimate_counts.entry(*robot).or_insert(0) += 1;
+                }
+            }
             Event::Health { link, health, .. } => {
                 self.links.insert(*link, *health);
             }

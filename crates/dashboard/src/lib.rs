@@ -36,7 +36,7 @@ pub mod views;
 
 pub use api::{DashboardInputs, DashboardStartError, StationInfo, TokenPolicy};
 pub use commander::CommandSubmitter;
-pub use feed::{EventBatch, EventFeed, SimulatedTruth, StationStatus};
+pub use feed::{EventBatch, EventFeed, RobotStatus, SimulatedTruth, StationStatus};
 pub use listener::{BoundListener, ListenAddress};
 pub use schema::schema;
 pub use session_views::{RetentionPolicy, SessionViews};

@@ -9,6 +9,8 @@ use posebridge_telemetry::{LinkHealth, TimeDelta};
 
 use crate::counters::{COUNTER_TABLE, ServerCounters};
 use crate::hub::Hub;
+use crate::model::{EstimatePoint, RobotState};
+use crate::views::robot_name;
 
 /// The content type of the format.
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -39,6 +41,26 @@ const LINK_METRICS: &[LinkMetric] = &[
     LinkMetric { name: "clock_uncertainty_seconds", kind: "gauge", help: "How far a converted stamp may be off.", read: |of| of.clock_uncertainty.map(TimeDelta::as_secs_f64) },
 ];
 
+/// One number of a robot's last estimate, at a time of the session in seconds.
+struct EstimateMetric {
+    name: &'static str,
+    help: &'static str,
+    read: fn(&EstimatePoint, f64) -> Option<f64>,
+}
+
+#[rustfmt::skip]
+const ESTIMATE_METRICS: &[EstimateMetric] = &[
+    EstimateMetric { name: "reset_counter", help: "Jumps of the estimate that were no motion, modulo 256.", read: |of, _| Some(f64::from(of.reset_counter)) },
+    EstimateMetric { name: "position_ellipse_metres", help: "Half the longer axis of the 95 % ellipse.", read: |of, _| of.major_m.get() },
+    EstimateMetric { name: "heading_sigma_radians", help: "One standard deviation of the heading.", read: |of, _| of.heading_sigma_rad.get() },
+    EstimateMetric { name: "estimate_age_seconds", help: "Time since the last estimate.", read: |of, now_s| Some(age_s(of, now_s)) },
+    EstimateMetric { name: "fix_age_seconds", help: "Time since the last fix that was used.", read: |of, now_s| of.fix_age_s.get().map(|then_s| then_s + age_s(of, now_s)) },
+];
+
+fn age_s(estimate: &EstimatePoint, now_s: f64) -> f64 {
+    (now_s - estimate.t_s).max(0.0)
+}
+
 /// The whole page.
 pub(crate) fn page(hub: &Hub, counts: &ServerCounters) -> String {
     let mut page = String::with_capacity(8_192);
@@ -57,23 +79,33 @@ fn robots(page: &mut String, hub: &Hub, counts: &ServerCounters) {
         line(page, format_args!("{name}{{sensor=\"{sensor}\",kind=\"{kind}\",verdict=\"{verdict}\"}} {count}"));
     }
     let state = hub.state(counts);
-    let name = "posebridge_reset_counter";
-    head(page, name, "gauge", "Jumps of the estimate that were no motion, modulo 256.");
-    for robot in &state.robots {
-        if let Some(estimate) = &robot.estimate {
-            let (id, value) = (&robot.id, estimate.reset_counter);
-            line(page, format_args!("{name}{{robot=\"{id}\"}} {value}"));
+    let name = "posebridge_robot_info";
+    head(page, name, "gauge", "1 for each robot, with its configured name.");
+    for RobotState { id, name: called, .. } in &state.robots {
+        let called = escape(called.as_deref().unwrap_or_default());
+        line(page, format_args!("{name}{{robot=\"{id}\",name=\"{called}\"}} 1"));
+    }
+    let name = "posebridge_robot_estimates_total";
+    head(page, name, "counter", "Estimates of each robot.");
+    for (robot, count) in &hub.estimate_counts {
+        line(page, format_args!("{name}{{robot=\"{}\"}} {count}", robot_name(*robot)));
+    }
+    for metric in ESTIMATE_METRICS {
+        let name = format!("posebridge_{}", metric.name);
+        head(page, &name, "gauge", metric.help);
+        for robot in &state.robots {
+            let estimate = robot.estimate.as_ref();
+            if let Some(value) = estimate.and_then(|estimate| (metric.read)(estimate, state.now_s)) {
+                let id = &robot.id;
+                line(page, format_args!("{name}{{robot=\"{id}\"}} {value}"));
+            }
         }
     }
-    let name = "posebridge_position_ellipse_metres";
-    head(page, name, "gauge", "Half the longer axis of the 95 % ellipse.");
-    for robot in &state.robots {
-        let major_m = robot.estimate.as_ref().and_then(|one| one.major_m.get());
-        if let Some(major_m) = major_m {
-            let id = &robot.id;
-            line(page, format_args!("{name}{{robot=\"{id}\"}} {major_m}"));
-        }
-    }
+}
+
+/// A label's value; a name may be any text.
+fn escape(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
 fn latency(page: &mut String, hub: &Hub) {

@@ -5,7 +5,7 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
 use crate::command::{COMMANDS, CommandRow, FieldKind};
-use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, SourceRow, State};
+use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State};
 
 /// The schema; the file `schema/v1.json` holds it, and a test compares the two.
 #[must_use]
@@ -14,7 +14,7 @@ pub fn schema() -> Value {
     let answers = json!({
         "GET /v1/stream": reference::<Message>(&mut generator),
         "GET /v1/state": reference::<State>(&mut generator),
-        "GET /v1/robots": reference::<Vec<String>>(&mut generator),
+        "GET /v1/robots": reference::<Vec<RobotRow>>(&mut generator),
         "GET /v1/sources": reference::<Vec<SourceRow>>(&mut generator),
         "GET /v1/parameters": reference::<Vec<ParameterRow>>(&mut generator),
         "GET /v1/recordings": reference::<Vec<RecordingRow>>(&mut generator),

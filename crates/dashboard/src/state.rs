@@ -1,7 +1,7 @@
 //! The latest values, collected from the messages, so that they always agree with them.
 
 use crate::counters::{ServerCounter, ServerCounters};
-use crate::model::{Counters, Frame, LatencyRow, ParameterValue, RobotState, State};
+use crate::model::{Counters, Frame, LatencyRow, ParameterValue, RobotRow, RobotState, State, TruthPoint};
 
 /// The latest value of each kind.
 #[derive(Clone, Debug, Default)]
@@ -17,15 +17,23 @@ impl LatestState {
         let state = &mut self.state;
         state.now_s = frame.now_s;
         for robot in &frame.robots {
-            let known = state.robots.iter_mut().find(|known| known.id == robot.id);
-            let estimate = robot.estimates.last().cloned();
-            match known {
-                Some(known) => known.estimate = estimate.or(known.estimate.take()),
-                None => state.robots.push(RobotState { id: robot.id.clone(), estimate }),
+            let known = robot_state(state, &robot.id);
+            if let Some(name) = &robot.name {
+                known.name = Some(name.clone());
+            }
+            if let Some(estimate) = robot.estimates.last() {
+                known.estimate = Some(estimate.clone());
+                known.lost_t_s = None;
+            }
+            if robot.lost_t_s.is_some() {
+                known.lost_t_s = robot.lost_t_s;
+            }
+            if let Some(errors) = &robot.errors {
+                known.errors = Some(errors.clone());
             }
         }
-        if let Some(truth) = frame.truth.last() {
-            state.truth = Some(truth.clone());
+        for truth in &frame.truth {
+            apply_truth(state, truth);
         }
         if let Some(errors) = &frame.errors {
             state.errors = Some(errors.clone());
@@ -59,9 +67,9 @@ impl LatestState {
         &self.switched_off
     }
 
-    pub(crate) fn robots(&self) -> Vec<String> {
+    pub(crate) fn robots(&self) -> Vec<RobotRow> {
         let robots = self.state.robots.iter();
-        robots.map(|robot| robot.id.clone()).collect()
+        robots.map(|robot| RobotRow { id: robot.id.clone(), name: robot.name.clone() }).collect()
     }
 
     /// The latest values, with the counters.
@@ -78,5 +86,29 @@ impl LatestState {
             },
             ..self.state.clone()
         }
+    }
+}
+
+/// The state of one robot, made if there is none yet.
+fn robot_state<'a>(state: &'a mut State, id: &str) -> &'a mut RobotState {
+    let known = state.robots.iter().position(|robot| robot.id == id);
+    let index = known.unwrap_or_else(|| {
+        state.robots.push(RobotState { id: id.to_owned(), ..RobotState::default() });
+        state.robots.len() - 1
+    });
+    &mut state.robots[index]
+}
+
+/// A sample without a robot is of the first one.
+fn apply_truth(state: &mut State, truth: &TruthPoint) {
+    let robot = match &truth.robot {
+        Some(id) => state.robots.iter_mut().find(|robot| robot.id == *id),
+        None => state.robots.first_mut(),
+    };
+    if let Some(robot) = robot {
+        robot.truth = Some(truth.clone());
+    }
+    if state.truth.as_ref().is_none_or(|known| known.robot == truth.robot) {
+        state.truth = Some(truth.clone());
     }
 }

@@ -2,21 +2,9 @@
 
 import { readFile, readdir } from 'node:fs/promises';
 
-/** What a page's scripts hold after everything was collected, in bytes. */
-export async function heapBytes(page) {
-  const session = await page.context().newCDPSession(page);
-  await session.send('Performance.enable');
-  // Twice: what the first pass finalises the second one frees.
-  await session.send('HeapProfiler.collectGarbage');
-  await session.send('HeapProfiler.collectGarbage');
-  const { metrics } = await session.send('Performance.getMetrics');
-  await session.detach();
-  return metrics.find(({ name }) => name === 'JSHeapUsedSize').value;
-}
-
 /**
  * What a page holds: its scripts' objects, arrays, texts and buffers, and the nodes of its document, in bytes, from a snapshot of the heap. Without
- * code: what the engine compiles, throws away and compiles again is half of what `heapBytes` tells, and comes and goes by a tenth of it.
+ * code: what the engine compiles, throws away and compiles again is half of the heap, and comes and goes by a tenth of it.
  */
 export async function heldBytes(page) {
   const session = await page.context().newCDPSession(page);

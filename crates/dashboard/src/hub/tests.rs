@@ -4,7 +4,7 @@ use posebridge_telemetry::{Address, RobotId, TimeDelta};
 
 use crate::feed::StationStatus;
 use crate::model::{Message, ParameterValue, SimulatorFacts, SimulatorNow};
-use crate::views::tests::{estimate, fused_event};
+use crate::views::tests::{estimate, fused_event, truth};
 
 fn hub() -> Hub {
     let facts = StationInfo {
@@ -31,6 +31,11 @@ fn estimated_event() -> Event {
     }
 }
 
+fn named_event(name: &str) -> Event {
+    let robot = RobotId { address: Address::new(7, 1), ..RobotId::default() };
+    Event::RobotNamed { robot, name: name.to_owned() }
+}
+
 fn recording_now(name: &str) -> RecordingNow {
     RecordingNow { name: name.to_owned(), bytes: 12 }
 }
@@ -47,7 +52,7 @@ fn a_message_leaves_when_something_is_new_and_once_a_second() {
     assert_eq!(frame.recording, None, "told once a second");
     assert_eq!(hub.next_frame(at(60), recording_now), None);
     assert!(hub.next_frame(at(1_000), recording_now).is_some());
-    assert_eq!(hub.robots(), ["0/7/1"]);
+    assert_eq!(hub.robots(), [RobotRow { id: "0/7/1".to_owned(), name: None }]);
 }
 
 #[test]
@@ -90,6 +95,42 @@ fn a_new_reader_is_told_what_is_switched_off_and_how_the_brick_is_set() {
 }
 
 #[test]
+fn the_state_has_the_name_of_a_robot_and_when_it_was_lost_until_it_is_back() {
+    let mut hub = hub();
+    let robot = RobotId { address: Address::new(7, 1), ..RobotId::default() };
+    hub.push_batch(&batch(0, vec![named_event("left"), estimated_event()]));
+    hub.push_batch(&batch(5_000, vec![Event::RobotLost { robot, silence: TimeDelta::from_millis(3_000) }]));
+    let looked = |hub: &mut Hub, millis| {
+        hub.next_frame(Timestamp::from_millis(millis), recording_now);
+        let known = hub.state(&ServerCounters::default()).robots.remove(0);
+        (known.name, known.lost_t_s)
+    };
+    let name = Some("left".to_owned());
+    assert_eq!(looked(&mut hub, 5_000), (name.clone(), Some(5.0)));
+    assert_eq!(hub.robots()[0].name, name);
+    hub.push_batch(&batch(9_000, vec![estimated_event()]));
+    assert_eq!(looked(&mut hub, 9_000), (name, None));
+}
+
+#[test]
+fn the_state_tells_the_truths_of_robots_apart() {
+    let mut hub = hub();
+    let robot = |system| RobotId { address: Address::new(system, 1), ..RobotId::default() };
+    for system in [1, 2] {
+        let updated = Event::EstimateUpdated { robot: robot(system), estimate: estimate() };
+        hub.push_batch(&batch(0, vec![updated]));
+    }
+    for (system, x_m) in [(1, 1.0), (2, 2.0)] {
+        hub.push_truth(&truth(Some(robot(system)), 5_000, x_m));
+    }
+    hub.next_frame(Timestamp::ZERO, recording_now);
+    let state = hub.state(&ServerCounters::default());
+    let places: Vec<_> = state.robots.iter().map(|one| one.truth.as_ref().unwrap().x_m.get()).collect();
+    assert_eq!(places, [Some(1.0), Some(2.0)]);
+    assert_eq!(state.truth.unwrap().robot.as_deref(), Some("0/1/1"));
+}
+
+#[test]
 fn messages_are_read_again_as_what_they_were() {
     let mut hub = hub();
     hub.push_batch(&batch(0, vec![estimated_event()]));
@@ -104,8 +145,17 @@ fn messages_are_read_again_as_what_they_were() {
 #[test]
 fn the_metrics_page_is_in_the_format_of_prometheus() {
     let mut hub = hub();
-    hub.push_batch(&batch(0, vec![estimated_event()]));
+    hub.push_batch(&batch(0, vec![named_event("a \"b\" \\\n"), estimated_event()]));
+    hub.next_frame(Timestamp::from_millis(2_000), recording_now);
     let page = crate::metrics::page(&hub, &ServerCounters::default());
+    for line in [
+        r#"posebridge_robot_info{robot="0/7/1",name="a \"b\" \\\n"} 1"#,
+        r#"posebridge_robot_estimates_total{robot="0/7/1"} 1"#,
+        r#"posebridge_estimate_age_seconds{robot="0/7/1"} 2"#,
+        r#"posebridge_fix_age_seconds{robot="0/7/1"} 2.3"#,
+    ] {
+        assert!(page.lines().any(|known| known.starts_with(line)), "{line} is missing");
+    }
     let mut families = BTreeSet::new();
     for line in page.lines() {
         if let Some(typed) = line.strip_prefix("# TYPE ") {

@@ -13,10 +13,10 @@ pub struct Frame {
     pub now_s: f64,
     /// What is new of each robot.
     pub robots: Vec<RobotFrame>,
-    /// Where the simulated robot really was; absent without news.
+    /// Where simulated robots really were; absent without news.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub truth: Vec<TruthPoint>,
-    /// How far odometry and estimate are from the truth; absent without truth or news.
+    /// How far odometry and estimate of the first simulated robot are from the truth; absent without truth or news.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub errors: Option<ErrorsRow>,
     /// All links, once a second.
@@ -30,7 +30,7 @@ pub struct Frame {
     /// All tunables, when one has changed and once a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameters: Option<Vec<ParameterValue>>,
-    /// The numbers of all sources that are left out, when that has changed and once a second.
+    /// The numbers of all sources that are left out of the first robot, when that has changed and once a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub switched_off: Option<Vec<u8>>,
     /// How the simulated brick was set last, when that has changed and once a second; absent without one.
@@ -84,6 +84,12 @@ impl Frame {
 pub struct RobotFrame {
     /// Link, system and component, e.g. `0/1/1`.
     pub id: String,
+    /// Its configured name, when it changes and once a second; absent for a robot without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// When it was lost, in seconds of the session, at once and then once a second; absent while it is heard.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lost_t_s: Option<f64>,
     /// Estimates, oldest first.
     pub estimates: Vec<EstimatePoint>,
     /// Camera fixes.
@@ -93,12 +99,18 @@ pub struct RobotFrame {
     /// Estimates against the truth of their instants, where a simulated robot tells it; absent without news.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scores: Vec<ScorePoint>,
+    /// How far its odometry and its last estimate are from the truth; absent without truth or news.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub errors: Option<ErrorsRow>,
     /// How many observations came so far, once a second; of a recording one for each second.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tallies: Vec<TallyPoint>,
     /// What was learned about the robot, once a second and when it has changed; of a recording one for each second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Vec<CalibrationRow>>,
+    /// The numbers of its sources that are left out, when that has changed and once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub switched_off: Option<Vec<u8>>,
 }
 
 impl RobotFrame {
@@ -231,10 +243,13 @@ pub struct CalibrationRow {
     pub unit: String,
 }
 
-/// Where the simulated robot really was.
+/// Where a simulated robot really was.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthPoint {
+    /// Its id, link/system/component; absent where the station has one simulated brick: then it is the first robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
     /// In seconds of the session.
     pub t_s: f64,
     /// East, in metres.

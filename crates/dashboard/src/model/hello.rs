@@ -21,8 +21,8 @@ pub struct Hello {
     pub sources: Vec<SourceRow>,
     /// Every tunable.
     pub parameters: Vec<ParameterRow>,
-    /// Robots that were heard, link/system/component.
-    pub robots: Vec<String>,
+    /// Robots that were heard.
+    pub robots: Vec<RobotRow>,
     /// Recordings of this run.
     pub recordings: Vec<RecordingRow>,
     /// The last minute, thinned.
@@ -43,6 +43,16 @@ pub struct SimulatorFacts {
     pub steering: String,
     /// The profile that its link is as bad as; `null` for a cable.
     pub link_profile: Option<String>,
+}
+
+/// A robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotRow {
+    /// Link, system and component, e.g. `0/1/1`.
+    pub id: String,
+    /// Its configured name, `null` without one.
+    pub name: Option<String>,
 }
 
 /// A sensor.

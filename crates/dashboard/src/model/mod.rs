@@ -9,7 +9,7 @@ pub use frame::{
     CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, ParameterValue,
     RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
 };
-pub use hello::{Hello, ParameterRow, RecordingRow, SimulatorFacts, SourceRow};
+pub use hello::{Hello, ParameterRow, RecordingRow, RobotRow, SimulatorFacts, SourceRow};
 pub use number::Number;
 pub(crate) use number::seconds_of;
 pub use state::{Counters, LatencyRow, RobotState, State};

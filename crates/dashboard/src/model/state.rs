@@ -13,9 +13,9 @@ pub struct State {
     pub now_s: f64,
     /// Each robot.
     pub robots: Vec<RobotState>,
-    /// Where the simulated robot really is.
+    /// Where the first simulated robot really is.
     pub truth: Option<TruthPoint>,
-    /// How far odometry and estimate are from it.
+    /// How far its odometry and its estimate are from that.
     pub errors: Option<ErrorsRow>,
     /// All links.
     pub links: Vec<LinkRow>,
@@ -35,8 +35,16 @@ pub struct State {
 pub struct RobotState {
     /// Link, system and component, e.g. `0/1/1`.
     pub id: String,
+    /// Its configured name, `null` without one.
+    pub name: Option<String>,
+    /// When it was lost, in seconds of the session; `null` while it is heard.
+    pub lost_t_s: Option<f64>,
     /// Its last estimate.
     pub estimate: Option<EstimatePoint>,
+    /// Where it really is, if it is simulated.
+    pub truth: Option<TruthPoint>,
+    /// How far its odometry and its estimate are from that.
+    pub errors: Option<ErrorsRow>,
 }
 
 /// Percentiles of the last estimates' latency.

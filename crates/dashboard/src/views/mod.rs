@@ -19,6 +19,7 @@ mod tallies;
 mod truth;
 mod view;
 
+pub(crate) use retained_series::MAX_ROBOTS;
 pub use retained_series::RetentionPolicy;
 pub use view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 

@@ -1,6 +1,6 @@
 //! Time series: points for the next message, and points retained for the history.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
 
@@ -8,7 +8,10 @@ use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
 /// has four.
 const MAX_PENDING: usize = 256;
 /// Most robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
-pub(super) const MAX_ROBOTS: usize = 64;
+pub(crate) const MAX_ROBOTS: usize = 64;
+/// So many robots have all the points of the policy each; more robots share as many, so that the history of a full class
+/// is a message that a browser takes.
+const ROBOTS_WITH_ALL_POINTS: usize = 8;
 
 /// The points retained for the history.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +21,22 @@ pub enum RetentionPolicy {
     /// The whole session, at most `max_points`: when it is full every second normal point is dropped, and important
     /// ones only if they alone fill it.
     WholeSession { max_points: usize },
+}
+
+impl RetentionPolicy {
+    /// The policy of each of these robots.
+    pub(super) fn shared_by(self, robots: usize) -> Self {
+        let share = |points: usize| {
+            let all = points * ROBOTS_WITH_ALL_POINTS;
+            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
+        };
+        match self {
+            Self::SlidingWindow { duration, max_points } => {
+                Self::SlidingWindow { duration, max_points: share(max_points) }
+            }
+            Self::WholeSession { max_points } => Self::WholeSession { max_points: share(max_points) },
+        }
+    }
 }
 
 /// The importance of a point for thinning.
@@ -84,6 +103,11 @@ impl<T: Clone> RetainedSeries<T> {
         }
     }
 
+    /// Retains as many points as this policy says; what is too many goes with the next points.
+    pub(super) const fn set_policy(&mut self, policy: RetentionPolicy) {
+        self.policy = policy;
+    }
+
     /// Adds a point: pending for the next message, and perhaps retained.
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, point: T, priority: PointPriority) {
         if self.pending.len() < MAX_PENDING {
@@ -103,6 +127,11 @@ impl<T: Clone> RetainedSeries<T> {
     /// The points since the last call.
     pub(super) fn take_pending(&mut self) -> Vec<T> {
         std::mem::take(&mut self.pending)
+    }
+
+    /// Whether there are points since the last call of [`Self::take_pending`].
+    pub(super) const fn has_pending(&self) -> bool {
+        !self.pending.is_empty()
     }
 
     /// The retained points, oldest first.
@@ -166,13 +195,14 @@ pub(super) struct RetainedSeriesMap<K, T> {
     policy: RetentionPolicy,
     series: BTreeMap<(RobotId, K), RetainedSeries<T>>,
     max_series: usize,
+    robots: BTreeSet<RobotId>,
     ignored: u64,
 }
 
 impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
     /// At most `max_series` series.
     pub(super) const fn new(policy: RetentionPolicy, max_series: usize) -> Self {
-        Self { policy, series: BTreeMap::new(), max_series, ignored: 0 }
+        Self { policy, series: BTreeMap::new(), max_series, robots: BTreeSet::new(), ignored: 0 }
     }
 
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, key: (RobotId, K), point: T, priority: PointPriority) {
@@ -180,9 +210,15 @@ impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
             self.ignored += 1;
             return;
         }
-        let keep = self.policy;
-        let trail = self.series.entry(key).or_insert_with(|| RetainedSeries::new(keep));
-        trail.push(now, point, priority);
+        if self.robots.insert(key.0) {
+            let policy = self.policy.shared_by(self.robots.len());
+            for series in self.series.values_mut() {
+                series.set_policy(policy);
+            }
+        }
+        let policy = self.policy.shared_by(self.robots.len());
+        let series = self.series.entry(key).or_insert_with(|| RetainedSeries::new(policy));
+        series.push(now, point, priority);
     }
 
     /// The points since the last call, for each robot that has any.
@@ -207,6 +243,7 @@ impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use posebridge_telemetry::Address;
 
     fn at(millis: i64) -> Timestamp<HostClock> {
         Timestamp::from_millis(millis)
@@ -296,10 +333,29 @@ mod tests {
     fn robots_beyond_the_most_are_counted_and_not_kept() {
         let mut trails = RetainedSeriesMap::new(RetentionPolicy::WholeSession { max_points: 10 }, 2);
         for system in 0..5 {
-            let robot = RobotId { address: posebridge_telemetry::Address::new(system, 1), ..RobotId::default() };
+            let robot = RobotId { address: Address::new(system, 1), ..RobotId::default() };
             trails.push(at(0), (robot, ()), system, PointPriority::Normal);
         }
         assert_eq!(trails.retained().len(), 2);
         assert_eq!(trails.dropped(), 3);
+    }
+
+    #[test]
+    fn the_robots_of_a_class_share_the_points_of_eight() {
+        let window = RetentionPolicy::SlidingWindow { duration: TimeDelta::from_millis(60_000), max_points: 1_200 };
+        for (policy, most) in [(window, 1_200), (RetentionPolicy::WholeSession { max_points: 1_200 }, 1_200)] {
+            let mut trails = RetainedSeriesMap::new(policy, MAX_ROBOTS);
+            let robots =
+                |count| (0..count).map(|system| RobotId { address: Address::new(system, 1), ..RobotId::default() });
+            for millis in (0..120_000).step_by(50) {
+                // All others come a minute later than the first eight.
+                for robot in robots(if millis < 60_000 { 8 } else { 32 }) {
+                    trails.push(at(millis), (robot, ()), millis, PointPriority::Normal);
+                }
+            }
+            let lengths: Vec<usize> = trails.retained().iter().map(|(_, points)| points.len()).collect();
+            assert_eq!(lengths.len(), 32);
+            assert!(lengths.iter().all(|length| (most / 8..=most / 4).contains(length)), "{lengths:?}");
+        }
     }
 }

@@ -7,7 +7,7 @@ use posebridge_telemetry::{
     SensorId, TimeDelta, Timestamp, Validity,
 };
 
-use crate::feed::{SimulatedTruth, StationStatus};
+use crate::feed::{RobotStatus, SimulatedTruth, StationStatus};
 use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow};
 
 fn at(millis: i64) -> Timestamp<HostClock> {
@@ -161,14 +161,15 @@ fn a_record_has_its_innovation_with_one_sigma_each() {
 
 #[test]
 fn what_stands_is_told_when_it_changes_and_once_a_second() {
+    let learned = vec![CalibrationRow {
+        t_s: 1.5,
+        name: "gyro_bias_rad_per_s".to_owned(),
+        value: 0.01,
+        sigma: 0.002,
+        unit: "rad/s".to_owned(),
+    }];
     let standing = StationStatus {
-        calibration: vec![CalibrationRow {
-            t_s: 1.5,
-            name: "gyro_bias_rad_per_s".to_owned(),
-            value: 0.01,
-            sigma: 0.002,
-            unit: "rad/s".to_owned(),
-        }],
+        robots: vec![RobotStatus { robot: robot(), calibration: learned.clone(), switched_off: vec![1] }],
         parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.999 }],
         switched_off: vec![3],
         simulator: Some(SimulatorNow { steering: "odometry".to_owned(), link_profile: Some("usb".to_owned()) }),
@@ -198,13 +199,44 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     calibration.observe(at(1_500), ViewInput::Status(&standing));
     calibration.observe(at(1_500), ViewInput::Event(&estimated_event(&estimate())));
     let frame = updates(&mut *calibration, FrameContent::Delta);
-    assert_eq!(frame.robots[0].calibration, Some(standing.calibration));
+    assert_eq!(frame.robots[0].calibration, Some(learned));
     assert!(updates(&mut *calibration, FrameContent::Delta).is_empty());
 }
 
-fn truth(stamp_millis: i64, x_m: f64) -> SimulatedTruth {
+#[test]
+fn what_is_known_of_a_robot_is_told_of_that_one_and_only_once_it_is_estimated() {
+    let second = RobotId { link: LinkId(1), ..robot() };
+    let row = |value| vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }];
+    let standing = StationStatus {
+        robots: vec![
+            RobotStatus { robot: robot(), calibration: row(1.0), switched_off: vec![] },
+            RobotStatus { robot: second, calibration: row(2.0), switched_off: vec![3] },
+        ],
+        ..StationStatus::default()
+    };
+    let estimated = Event::EstimateUpdated { robot: second, estimate: estimate() };
+    for name in ["calibration", "switches"] {
+        let mut view = view(name);
+        view.observe(at(0), ViewInput::Status(&standing));
+        assert!(updates(&mut *view, FrameContent::Delta).robots.is_empty(), "{name}: nobody is known");
+        view.observe(at(0), ViewInput::Event(&estimated));
+        view.observe(at(0), ViewInput::Status(&standing));
+        let frame = updates(&mut *view, FrameContent::Delta);
+        assert_eq!(history(&*view), frame);
+        let [part] = &frame.robots[..] else {
+            panic!("{name}: one robot has an estimate");
+        };
+        assert_eq!(part.id, "1/1/1");
+        match &part.calibration {
+            Some(rows) => assert_eq!(rows[0].value, 2.0),
+            None => assert_eq!(part.switched_off, Some(vec![3])),
+        }
+    }
+}
+
+pub(crate) fn truth(robot: Option<RobotId>, stamp_millis: i64, x_m: f64) -> SimulatedTruth {
     SimulatedTruth {
-        robot: None,
+        robot,
         now: at(stamp_millis - 4_000),
         time: Timestamp::from_millis(stamp_millis),
         pose: Pose::<Arena>::new(Meters(x_m), Meters(-0.28), Heading::from_rad(0.6)),
@@ -215,7 +247,7 @@ fn truth(stamp_millis: i64, x_m: f64) -> SimulatedTruth {
 #[test]
 fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     // The robot was at 1.5 m when the estimate holds, between two samples; it is 3 cm beside it.
-    let samples = [truth(4_960, 1.46), truth(5_040, 1.54)];
+    let samples = [truth(None, 4_960, 1.46), truth(None, 5_040, 1.54)];
     let estimated = estimated_event(&estimate());
     let mut late = view("truth");
     late.observe(at(960), ViewInput::Truth(&samples[0]));
@@ -232,13 +264,13 @@ fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     early.observe(at(1_050), ViewInput::Event(&estimated));
     assert_eq!(history(&*early).errors, frame.errors);
     let mut torn = view("truth");
-    for sample in [truth(3_000, 1.5), truth(5_040, 1.5)] {
+    for sample in [truth(None, 3_000, 1.5), truth(None, 5_040, 1.5)] {
         torn.observe(at(1_040), ViewInput::Truth(&sample));
     }
     torn.observe(at(1_050), ViewInput::Event(&estimated));
     let unknown = history(&*torn).errors.unwrap().estimate_m;
     assert_eq!(unknown.get(), None, "nobody knows what was in two seconds");
-    assert!(history(&*torn).robots.is_empty());
+    assert!(history(&*torn).robots[0].scores.is_empty());
 }
 
 #[test]
@@ -248,7 +280,7 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
     for step in 0..200 {
         let millis = 10 * step;
         if step % 5 == 0 {
-            let sample = truth(4_000 + millis, 0.001 * millis as f64);
+            let sample = truth(None, 4_000 + millis, 0.001 * millis as f64);
             view.observe(at(millis), ViewInput::Truth(&sample));
         }
         if step % 2 == 0 {
@@ -273,9 +305,50 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
 }
 
 #[test]
+fn each_robot_is_held_against_its_own_truth() {
+    let robots = [1, 2].map(|system| RobotId { link: LinkId(0), address: Address::new(system, 1) });
+    // Both say 1.5 m; the first is right, the second 1 m off. Their clocks are not the same.
+    let mut view = view("truth");
+    for (robot, x_m) in robots.into_iter().zip([1.5, 2.5]) {
+        for stamp in [4_960, 5_040] {
+            view.observe(at(1_040), ViewInput::Truth(&truth(Some(robot), stamp, x_m)));
+        }
+        view.observe(at(1_040), ViewInput::Truth(&truth(Some(robot), 9_000, x_m)));
+    }
+    for robot in robots.into_iter().rev() {
+        view.observe(at(1_050), ViewInput::Event(&Event::EstimateUpdated { robot, estimate: estimate() }));
+    }
+    let frame = updates(&mut *view, FrameContent::Delta);
+    assert_eq!(frame.truth.len(), 6);
+    assert_eq!(frame.truth[5].robot.as_deref(), Some("0/2/1"));
+    for (part, off_m) in frame.robots.iter().zip([0.03, 1.0]) {
+        let errors = part.errors.as_ref().unwrap().estimate_m.get().unwrap();
+        let score = part.scores[0].estimate_m.get().unwrap();
+        assert!((errors - off_m).abs() < 1e-3 && (score - off_m).abs() < 1e-3, "{}: {errors} {score}", part.id);
+    }
+    assert_eq!(frame.robots.len(), 2);
+    assert_eq!(frame.errors, frame.robots[0].errors);
+    assert_eq!(history(&*view), frame);
+}
+
+#[test]
+fn a_truth_without_a_robot_is_of_the_first_one_only() {
+    let mut view = view("truth");
+    for sample in [truth(None, 4_960, 1.46), truth(None, 5_040, 1.54)] {
+        view.observe(at(1_040), ViewInput::Truth(&sample));
+    }
+    for system in [7, 1] {
+        let robot = RobotId { address: Address::new(system, 1), ..robot() };
+        view.observe(at(1_050), ViewInput::Event(&Event::EstimateUpdated { robot, estimate: estimate() }));
+    }
+    let scored: Vec<_> = history(&*view).robots.into_iter().map(|part| (part.id, part.scores.len())).collect();
+    assert_eq!(scored, [("0/7/1".to_owned(), 1)]);
+}
+
+#[test]
 fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
     let mut view = view("truth");
-    for sample in [truth(4_960, 1.46), truth(5_040, 1.54)] {
+    for sample in [truth(None, 4_960, 1.46), truth(None, 5_040, 1.54)] {
         view.observe(at(1_040), ViewInput::Truth(&sample));
     }
     view.observe(at(1_050), ViewInput::Event(&estimated_event(&estimate())));
@@ -283,7 +356,7 @@ fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
     assert!(known.estimate_m.get().is_some());
     // The cable is out; the simulator tells on.
     for step in 0..40 {
-        let sample = truth(5_090 + 50 * step, 1.5);
+        let sample = truth(None, 5_090 + 50 * step, 1.5);
         view.observe(sample.now, ViewInput::Truth(&sample));
     }
     let frame = updates(&mut *view, FrameContent::Delta);
@@ -334,9 +407,10 @@ fn tallies_count_what_is_thinned_as_well() {
 
 #[test]
 fn of_a_recording_it_is_kept_how_what_was_learned_went() {
-    let standing = |value| StationStatus {
-        calibration: vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }],
-        ..StationStatus::default()
+    let standing = |value| {
+        let row = CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() };
+        let status = RobotStatus { robot: robot(), calibration: vec![row], switched_off: vec![] };
+        StationStatus { robots: vec![status], ..StationStatus::default() }
     };
     let mut live = view("calibration");
     let mut whole = view_with_retention("calibration", RetentionPolicy::WholeSession { max_points: 20_000 });
@@ -442,6 +516,27 @@ fn robots_are_named_in_the_order_in_which_they_were_heard_and_no_flood_of_them()
     assert_eq!(frame.robots.len(), 64);
     assert_eq!(frame.robots[0].id, "2/255/1");
     assert_eq!(view.dropped(), 192);
+}
+
+#[test]
+fn a_robot_has_its_name_and_when_it_was_lost_at_once_and_once_a_second() {
+    let mut view = view("robots");
+    let named = |name: &str| Event::RobotNamed { robot: robot(), name: name.to_owned() };
+    view.observe(at(0), ViewInput::Event(&named(&"ä".repeat(100))));
+    assert!(updates(&mut *view, FrameContent::DeltaAndSummary).robots.is_empty(), "it may be a camera");
+    view.observe(at(0), ViewInput::Event(&estimated_event(&estimate())));
+    let told = |view: &mut dyn View, pace| updates(view, pace).robots;
+    assert_eq!(told(&mut *view, FrameContent::Delta)[0].name, Some("ä".repeat(60)));
+    assert!(told(&mut *view, FrameContent::Delta).is_empty());
+    let lost = Event::RobotLost { robot: robot(), silence: TimeDelta::from_millis(5_000) };
+    view.observe(at(7_000), ViewInput::Event(&lost));
+    assert_eq!(told(&mut *view, FrameContent::Delta)[0].lost_t_s, Some(7.0));
+    assert_eq!(told(&mut *view, FrameContent::DeltaAndSummary)[0].lost_t_s, Some(7.0));
+    view.observe(at(8_000), ViewInput::Event(&estimated_event(&estimate())));
+    let [part] = &told(&mut *view, FrameContent::DeltaAndSummary)[..] else {
+        panic!("one robot is known");
+    };
+    assert_eq!((part.lost_t_s, part.name.as_deref().map(str::len)), (None, Some(120)));
 }
 
 #[test]

@@ -1,11 +1,13 @@
-//! The true pose of the simulated robot, and the errors of odometry and estimate.
+//! The true poses of simulated robots, and the errors of their odometry and estimates.
+//!
+//! A sample names its robot, except where the station has one simulated brick: then it is of the first robot.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
 use super::estimates;
-use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetainedSeriesMap};
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
 use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
@@ -19,17 +21,74 @@ const MAX_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 /// After this time without a comparable estimate its error is unknown: the link or the robot is down.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// The truth, and the errors of estimates and odometry.
+/// The truth of each simulated robot, and the errors of its estimates and odometry.
 pub(super) struct Truth {
+    policy: RetentionPolicy,
+    /// By the robot that the samples name.
+    robots: BTreeMap<Option<RobotId>, RobotTruth>,
+    /// The first robot with an estimate: samples without a robot are of it.
+    first: Option<RobotId>,
+    /// Samples of robots beyond [`MAX_ROBOTS`].
+    ignored: u64,
+}
+
+impl Truth {
+    pub(super) const fn new(setting: &ViewConfig) -> Self {
+        Self { policy: setting.retention, robots: BTreeMap::new(), first: None, ignored: 0 }
+    }
+
+    fn push_sample(&mut self, sample: &SimulatedTruth) {
+        if !self.robots.contains_key(&sample.robot) {
+            if self.robots.len() >= MAX_ROBOTS {
+                self.ignored += 1;
+                return;
+            }
+            let policy = self.policy.shared_by(self.robots.len() + 1);
+            self.robots.insert(sample.robot, RobotTruth::new(policy));
+            for truth in self.robots.values_mut() {
+                truth.points.set_policy(policy);
+                truth.scores.set_policy(policy);
+            }
+        }
+        if let Some(truth) = self.robots.get_mut(&sample.robot) {
+            truth.push_sample(sample);
+        }
+    }
+
+    fn push_estimate(&mut self, now: Timestamp<HostClock>, robot: RobotId, estimated: PendingEstimate) {
+        let is_first = *self.first.get_or_insert(robot) == robot;
+        let key = if self.robots.contains_key(&Some(robot)) || !is_first { Some(robot) } else { None };
+        if let Some(truth) = self.robots.get_mut(&key) {
+            truth.push_estimate(now, estimated);
+        }
+    }
+
+    fn add_errors(&self, frame: &mut Frame, is_wanted: impl Fn(&RobotTruth) -> bool) {
+        for (robot, truth) in &self.robots {
+            let errors = truth.errors();
+            if !is_wanted(truth) || errors.is_none() {
+                continue;
+            }
+            if let Some(robot) = robot.or(self.first) {
+                frame.robot(&robot_name(robot)).errors.clone_from(&errors);
+            }
+            if Some(robot) == self.robots.keys().next() {
+                frame.errors = errors;
+            }
+        }
+    }
+}
+
+/// The truth of one robot.
+struct RobotTruth {
     points: RetainedSeries<TruthPoint>,
-    scores: RetainedSeriesMap<(), ScorePoint>,
+    scores: RetainedSeries<ScorePoint>,
     samples: VecDeque<SimulatedTruth>,
     /// Estimates of instants after the last sample.
     waiting: VecDeque<PendingEstimate>,
     odometry_m: f64,
     estimate_m: f64,
-    /// The time of each robot's last comparison.
-    last_compared: Option<(Timestamp<HostClock>, RobotId)>,
+    last_compared: Option<Timestamp<HostClock>>,
     /// Estimates that were dropped because too many waited.
     unscored: u64,
 }
@@ -37,7 +96,6 @@ pub(super) struct Truth {
 /// An estimate that waits for comparison.
 #[derive(Clone, Copy)]
 struct PendingEstimate {
-    robot: RobotId,
     /// When it was received.
     received: Timestamp<HostClock>,
     /// The instant for which it holds.
@@ -46,11 +104,11 @@ struct PendingEstimate {
     claim_m: Number,
 }
 
-impl Truth {
-    pub(super) fn new(setting: &ViewConfig) -> Self {
+impl RobotTruth {
+    const fn new(policy: RetentionPolicy) -> Self {
         Self {
-            points: RetainedSeries::new(setting.retention),
-            scores: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS),
+            points: RetainedSeries::new(policy),
+            scores: RetainedSeries::new(policy),
             samples: VecDeque::new(),
             waiting: VecDeque::new(),
             odometry_m: f64::NAN,
@@ -88,15 +146,12 @@ impl Truth {
 
     /// While no estimate can be compared, the line of the odometry goes on and that of the estimate has a gap.
     fn check_silence(&mut self, now: Timestamp<HostClock>) {
-        let Some((compared, robot)) = self.last_compared else {
-            return;
-        };
-        if now - compared <= MAX_SILENCE {
+        if self.last_compared.is_none_or(|compared| now - compared <= MAX_SILENCE) {
             return;
         }
         self.estimate_m = f64::NAN;
         let score = ScorePoint { t_s: seconds_of(now), odometry_m: self.odometry_m.into(), ..ScorePoint::default() };
-        self.scores.push(now, (robot, ()), score, PointPriority::Normal);
+        self.scores.push(now, score, PointPriority::Normal);
     }
 
     fn push_estimate(&mut self, now: Timestamp<HostClock>, estimated: PendingEstimate) {
@@ -120,15 +175,14 @@ impl Truth {
         };
         let estimate_m = estimated.position.distance(really).0;
         self.estimate_m = estimate_m;
-        self.last_compared = Some((now, estimated.robot));
+        self.last_compared = Some(now);
         let score = ScorePoint {
             t_s: seconds_of(estimated.received),
             odometry_m,
             estimate_m: estimate_m.into(),
             claim_m: estimated.claim_m,
         };
-        let key = (estimated.robot, ());
-        self.scores.push(estimated.received, key, score, PointPriority::Normal);
+        self.scores.push(estimated.received, score, PointPriority::Normal);
     }
 
     /// The true position at an instant and the error of the odometry, interpolated linearly between the samples around
@@ -150,6 +204,10 @@ impl Truth {
         let odometry = before.odometry.zip(next.odometry);
         let off_m = odometry.map_or(f64::NAN, |(from, to)| interpolate_position(from, to, share).distance(really).0);
         Some((really, off_m.into()))
+    }
+
+    fn has_pending(&self) -> bool {
+        self.points.has_pending() || self.scores.has_pending()
     }
 
     fn errors(&self) -> Option<ErrorsRow> {
@@ -174,44 +232,54 @@ impl View for Truth {
             ViewInput::Truth(sample) => self.push_sample(sample),
             ViewInput::Event(Event::EstimateUpdated { robot, estimate }) if estimate.validity.position => {
                 let estimated = PendingEstimate {
-                    robot: *robot,
                     received: now,
                     time: estimate.stamp,
                     position: estimate.pose.origin(),
                     claim_m: estimates::point_of(now, estimate).major_m,
                 };
-                self.push_estimate(now, estimated);
+                self.push_estimate(now, *robot, estimated);
             }
             ViewInput::Event(_) | ViewInput::Status(_) => {}
         }
     }
 
     fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
-        frame.truth = self.points.take_pending();
-        let scores = self.scores.take_pending();
-        if !frame.truth.is_empty() || !scores.is_empty() {
-            frame.errors = self.errors();
-        }
-        for (robot, scores) in scores {
-            frame.robot(&robot_name(robot)).scores = scores;
+        self.add_errors(frame, RobotTruth::has_pending);
+        for (robot, truth) in &mut self.robots {
+            frame.truth.extend(truth.points.take_pending());
+            let scores = truth.scores.take_pending();
+            if let (Some(robot), false) = (robot.or(self.first), scores.is_empty()) {
+                frame.robot(&robot_name(robot)).scores = scores;
+            }
         }
     }
 
     fn add_history(&self, history: &mut Frame) {
-        history.truth = self.points.retained();
-        history.errors = self.errors();
-        for (robot, scores) in self.scores.retained() {
-            history.robot(&robot_name(robot)).scores = scores;
+        self.add_errors(history, |_| true);
+        for (robot, truth) in &self.robots {
+            history.truth.extend(truth.points.retained());
+            let scores = truth.scores.retained();
+            if let (Some(robot), false) = (robot.or(self.first), scores.is_empty()) {
+                history.robot(&robot_name(robot)).scores = scores;
+            }
         }
     }
 
     fn dropped(&self) -> u64 {
-        self.points.dropped() + self.scores.dropped() + self.unscored
+        let each = self.robots.values().map(|truth| truth.points.dropped() + truth.scores.dropped() + truth.unscored);
+        each.sum::<u64>() + self.ignored
     }
 }
 
 fn point_of(sample: &SimulatedTruth) -> TruthPoint {
     let numbers = |pose: Pose<Arena>| [pose.x.0, pose.y.0, pose.heading.rad()].map(Number::from);
     let [x_m, y_m, heading_rad] = numbers(sample.pose);
-    TruthPoint { t_s: seconds_of(sample.now), x_m, y_m, heading_rad, odometry: sample.odometry.map(numbers) }
+    TruthPoint {
+        robot: sample.robot.map(robot_name),
+        t_s: seconds_of(sample.now),
+        x_m,
+        y_m,
+        heading_rad,
+        odometry: sample.odometry.map(numbers),
+    }
 }
