@@ -105,7 +105,7 @@ fn head_line(model: &Model, look: Theme) -> Line<'static> {
     if let (Some(robot), 2..) = (model.selected_robot(), shown.len()) {
         add(format!("robot {} of {}", sanitize(robot.label()), shown.len()), StyleRole::Strong);
     }
-    if let Some(errors) = &model.errors {
+    if let Some(errors) = model.selected_errors() {
         add(format!("estimate {} m off", fixed(errors.estimate_m, 3)), StyleRole::Estimate);
     }
     match &model.recording {

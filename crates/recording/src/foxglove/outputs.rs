@@ -12,7 +12,7 @@ use super::channels::{self, Channel};
 use super::convert::{ARENA, BODY, ellipse_of, log_level, odometry_of, pose_of};
 use super::records::{
     CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
-    RobotTruthRecord, TemperatureRecord, TruthRecord, finite,
+    TemperatureRecord, TruthRecord, finite,
 };
 use super::robot_truth::RobotTruthRecord;
 use super::wire;

@@ -350,19 +350,6 @@ pub(super) struct TruthRecord {
     pub(super) odometry_heading_rad: Option<f64>,
 }
 
-/// Where one of several simulated robots really was.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct RobotTruthRecord {
-    /// Number of the robot's link.
-    pub(super) link: u16,
-    /// MAVLink system id of the robot.
-    pub(super) system: u8,
-    /// MAVLink component id of the robot.
-    pub(super) component: u8,
-    #[serde(flatten)]
-    pub(super) truth: TruthRecord,
-}
-
 impl From<&Estimate> for EstimateRecord {
     fn from(estimate: &Estimate) -> Self {
         Self {
@@ -493,18 +480,6 @@ impl From<&TruthSample> for TruthRecord {
             odometry_x_m: odometry.map(|pose| pose.x.0),
             odometry_y_m: odometry.map(|pose| pose.y.0),
             odometry_heading_rad: odometry.map(|pose| pose.heading.rad()),
-        }
-    }
-}
-
-impl RobotTruthRecord {
-    /// The record of a sample of this robot.
-    pub(super) fn new(robot: RobotId, sample: &TruthSample) -> Self {
-        Self {
-            link: robot.link.0,
-            system: robot.address.system.0,
-            component: robot.address.component.0,
-            truth: TruthRecord::from(sample),
         }
     }
 }

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_dashboard::model::{CalibrationRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame};
+use posebridge_dashboard::model::{
+    CalibrationRow, ErrorsRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame, TruthPoint,
+};
 use posebridge_report::RecentNis;
 
 use super::RecentPoints;
@@ -21,6 +23,10 @@ pub struct Robot {
     pub estimates: RecentPoints<EstimatePoint>,
     /// Fixes of it.
     pub fixes: RecentPoints<FixPoint>,
+    /// Where it really was, if it is one of several simulated robots.
+    pub truth: RecentPoints<TruthPoint>,
+    /// How far odometry and estimate are from that.
+    pub errors: Option<ErrorsRow>,
     /// Its sensors, by their names.
     pub sources: BTreeMap<String, SourceModel>,
     /// What was learned about it.
@@ -52,6 +58,12 @@ impl Robot {
     }
 
     pub(super) fn on_frame(&mut self, part: &RobotFrame) {
+        if part.name.is_some() {
+            self.name.clone_from(&part.name);
+        }
+        if part.errors.is_some() {
+            self.errors.clone_from(&part.errors);
+        }
         for estimate in &part.estimates {
             self.estimates.push(estimate.t_s, estimate.clone());
         }

@@ -106,10 +106,11 @@ impl<'a> Map<'a> {
         let robot = model.selected_robot();
         let latest = robot.and_then(|robot| robot.estimates.last());
         let path = model.simulator.as_ref().map_or(&[][..], |known| known.path.as_slice());
-        let odometry = model.truth.iter().filter_map(|point| point.odometry);
+        let truth = model.selected_truth();
+        let odometry = truth.iter().filter_map(|point| point.odometry);
         Self {
             path: path.iter().map(|[x_m, y_m]| (*x_m, *y_m)).collect(),
-            truth: map_points(model.truth.iter().map(|point| (point.x_m, point.y_m))),
+            truth: map_points(truth.iter().map(|point| (point.x_m, point.y_m))),
             odometry: map_points(odometry.map(|[x_m, y_m, _]| (x_m, y_m))),
             estimate: robot
                 .map_or_else(Vec::new, |robot| map_points(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))),
