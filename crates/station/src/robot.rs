@@ -11,7 +11,9 @@ use crate::clock_alignment::ClockAlignment;
 use crate::config::{DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::Estimator;
+use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
+use crate::observers::ObserverId;
 use crate::sessions::PEER_TIMEOUT;
 
 /// One robot.
@@ -28,6 +30,8 @@ pub struct Robot {
     pub(crate) publisher: EstimatePublisher,
     /// By which endpoint and when the robot was heard last.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
+    /// Observers with clocks of their own that have sent fixes of it, in the order of their first: each is a sensor of its own.
+    cameras: Vec<ObserverId>,
     description: DescriptionPolicy,
     is_described: bool,
 }
@@ -45,6 +49,7 @@ impl Robot {
             estimator: Estimator::new(entry, &config.filter_config),
             publisher: EstimatePublisher::new(links),
             last_seen: None,
+            cameras: Vec::new(),
             description: config.description,
             is_described: false,
         }
@@ -106,6 +111,18 @@ impl Robot {
     /// Whether the robot was heard recently.
     pub(crate) fn is_alive(&self, now: Timestamp<HostClock>) -> bool {
         self.last_seen.is_some_and(|(_, last)| now - last < PEER_TIMEOUT)
+    }
+
+    /// The sensor of a camera with a clock of its own: each has its own noise, gate and verdicts.
+    pub(crate) fn camera_sensor(&mut self, camera: ObserverId) -> SensorId {
+        let known = self.cameras.iter().position(|known| *known == camera);
+        let index = known.unwrap_or_else(|| {
+            if self.cameras.len() < MAX_CAMERAS {
+                self.cameras.push(camera);
+            }
+            self.cameras.len() - 1
+        });
+        SensorId::camera(index)
     }
 
     /// What the messages of an estimate are made from.

@@ -8,7 +8,7 @@ use posebridge_telemetry::{Address, HostClock, LinkId, RobotId, SystemId, TimeDe
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::StationConfig;
-use crate::observers::Observers;
+use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
 use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
@@ -115,6 +115,14 @@ impl RobotTable {
         self.identities.find(endpoint, home, address)
     }
 
+    /// The only robot that is heard by an endpoint.
+    pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
+        match self.identities.at_endpoint(endpoint) {
+            [index] => Some(*index),
+            _ => None,
+        }
+    }
+
     /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
     pub(crate) fn adopt(
         &mut self,
@@ -158,7 +166,7 @@ impl RobotTable {
         robot.id = id;
         robot.vehicle_address = vehicle_address;
         // Its answers to time requests may have come before its telemetry.
-        if let Some(clock) = observers.remove_clock((sign.home, address)) {
+        if let Some(clock) = observers.remove_clock(ObserverAddress { home: sign.home, address }, sign.endpoint) {
             robot.clocks = ClockAlignment::from_observer(clock);
         }
         self.presence_until = None;

@@ -8,8 +8,8 @@ use posebridge_estimator::PARAMS;
 use posebridge_protocol::dialect::commands::SUPPORTED_COMMANDS;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message};
-use posebridge_protocol::routing::DuplicateStatus;
-use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
+use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
+use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
 
 use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
@@ -145,7 +145,7 @@ impl Sessions {
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<HostClock>,
-        id: LinkId,
+        endpoint: Endpoint,
         received: &ReceivedMessage,
         robot: Option<RobotIndex>,
     ) {
@@ -156,14 +156,16 @@ impl Sessions {
             DuplicateStatus::Duplicate | DuplicateStatus::Loop => !is_request(message),
             DuplicateStatus::Echo | DuplicateStatus::AddressConflict => return,
         };
-        let Some(link) = self.links.get_mut(&id) else {
+        let Some(link) = self.links.get_mut(&endpoint.link) else {
             return;
         };
         if !is_heard {
             link.station.record_activity(now, received.source);
             return;
         }
-        link.station.handle(now, received.source, message);
+        // A copy may have come by another peer than its sender's own.
+        let peer = (received.duplicate_status == DuplicateStatus::New).then_some(endpoint.peer);
+        link.station.handle_from_peer(now, SessionSender { address: received.source, peer }, message);
         if let Some(vehicles) = &mut link.vehicles {
             vehicles.handle(now, received.source, message);
         }
