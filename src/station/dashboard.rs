@@ -17,7 +17,7 @@ use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
 use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{Command, Event, HostClock, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 use tokio::sync::mpsc;
 
 use super::page_history;
@@ -31,7 +31,7 @@ use crate::flags::DashboardFlags;
 /// The shard's ends of the channels to and from the dashboard.
 pub struct DashboardHandle {
     feed: EventFeed,
-    commands: mpsc::Receiver<Command>,
+    commands: mpsc::Receiver<Input>,
     timer: HostTimer,
     /// How the simulated brick was set when the run began, if there is one.
     simulator: Option<SimulatorNow>,
@@ -245,7 +245,7 @@ impl DashboardHandle {
 }
 
 /// The next command that somebody gives on the page; without a dashboard, or when it is gone, never.
-pub async fn next_command(outlet: &mut Option<DashboardHandle>) -> Command {
+pub async fn next_command(outlet: &mut Option<DashboardHandle>) -> Input {
     if let Some(outlet) = outlet
         && let Some(command) = outlet.commands.recv().await
     {

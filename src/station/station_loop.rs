@@ -110,7 +110,7 @@ impl StationLoop {
                     }
                     (at, input)
                 }
-                command = next_command(&mut self.dashboard) => (self.timer.now(), Input::Command(command)),
+                command = next_command(&mut self.dashboard) => (self.timer.now(), command),
                 report = self.requests.next_report() => (self.timer.now(), report),
                 () = alarm.wait_until(deadline) => (self.timer.now(), Input::Tick),
                 () = &mut stopped => return,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use posebridge_telemetry::Command;
+use posebridge_telemetry::{Command, Input};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
@@ -11,7 +11,7 @@ use crate::counters::{ServerCounter, ServerCounters};
 /// Sends commands of this process to the station.
 #[derive(Clone, Debug)]
 pub struct CommandSubmitter {
-    pub(crate) commands: mpsc::Sender<Command>,
+    pub(crate) commands: mpsc::Sender<Input>,
     pub(crate) counts: Arc<ServerCounters>,
 }
 
@@ -19,7 +19,7 @@ impl CommandSubmitter {
     /// Sends a command, as the page's buttons do; false if too many wait or the station is ending. Never waits.
     #[must_use]
     pub fn send(&self, command: Command) -> bool {
-        match self.commands.try_send(command) {
+        match self.commands.try_send(Input::Command(command)) {
             Ok(()) => {
                 self.counts.increment(ServerCounter::Commands);
                 true

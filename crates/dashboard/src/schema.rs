@@ -4,7 +4,7 @@ use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
-use crate::command::{COMMANDS, CommandRow, FieldKind};
+use crate::command::{COMMANDS, CommandRow, CommandTarget, FieldKind, ROBOT_FIELD};
 use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State};
 
 /// The schema; the file `schema/v1.json` holds it, and a test compares the two.
@@ -43,6 +43,10 @@ fn command_schema(row: &CommandRow) -> Value {
     let mut properties = Map::new();
     properties.insert("command".to_owned(), json!({ "const": row.name }));
     let mut required = vec!["command"];
+    if row.target == CommandTarget::Robot {
+        let robot = json!({ "type": "string", "pattern": "^[0-9]+/[0-9]+/[0-9]+$" });
+        properties.insert(ROBOT_FIELD.to_owned(), robot);
+    }
     for field in row.fields {
         properties.insert(field.name.to_owned(), field_schema(field.kind_in(row.name)));
         required.push(field.name);

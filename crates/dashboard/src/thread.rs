@@ -4,7 +4,7 @@ use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use posebridge_telemetry::Command;
+use posebridge_telemetry::Input;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
@@ -35,7 +35,7 @@ pub struct Dashboard {
 
 impl Dashboard {
     /// Starts the thread, which serves at the bound address; without one it has only readers in this process. Returns
-    /// the dashboard, the feed for events and the receiver of commands.
+    /// the dashboard, the feed for events and the receiver of commands as inputs of the station.
     ///
     /// # Errors
     /// There are no random bytes for a token, or the thread cannot be started.
@@ -43,7 +43,7 @@ impl Dashboard {
         bound: Option<BoundListener>,
         facts: StationInfo,
         sources: DashboardInputs,
-    ) -> Result<(Self, EventFeed, mpsc::Receiver<Command>), DashboardStartError> {
+    ) -> Result<(Self, EventFeed, mpsc::Receiver<Input>), DashboardStartError> {
         let address = bound.as_ref().map(|bound| bound.address);
         let reachable = bound.as_ref().map_or_else(Vec::new, BoundListener::reachable_addresses);
         let token = token_for(address, facts.token)?;

@@ -15,7 +15,7 @@ use http::{StreamReader, connect, get, metric, post, refused, request};
 use played::{ManualClock, TestStation, text_event};
 use posebridge_dashboard::model::{ParameterRow, SimulatorFacts};
 use posebridge_dashboard::{StationInfo, TokenPolicy};
-use posebridge_telemetry::Command;
+use posebridge_telemetry::{Command, Input};
 use socket2::SockRef;
 
 const RESET: &str = r#"{"command":"reset-pose"}"#;
@@ -218,7 +218,7 @@ fn the_words_of_http_are_compared_without_case() {
     let headers = format!("authorization: bearer {token}\r\ncontent-type: Application/JSON; Charset=UTF-8\r\n");
     let answer = request(address, "POST /v1/commands", &headers, RESET.as_bytes());
     assert_eq!(answer.status, 202, "{}", answer.text());
-    assert_eq!(played.commands.try_recv(), Ok(Command::ResetPose));
+    assert_eq!(played.commands.try_recv(), Ok(Input::Command(Command::ResetPose)));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use posebridge_dashboard::{
     BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, FrameTaps, ListenAddress, StationInfo,
     TapPoll, TokenPolicy,
 };
-use posebridge_telemetry::{Command, TimeDelta, Timestamp};
+use posebridge_telemetry::{Command, Input, TimeDelta, Timestamp};
 
 /// Whether a line of a message's log ends so.
 fn log_contains(log: &serde_json::Value, text: &str) -> bool {
@@ -51,11 +51,11 @@ fn commands_come_back_in_their_order_and_wrong_ones_are_refused() {
     let error = reader.wait_for(|message| message["type"] == "error");
     let error: Message = serde_json::from_value(error).unwrap();
     assert!(matches!(error, Message::Error(why) if why.error.starts_with("`command` is `stop`; there are: ")));
-    assert_eq!(played.commands.blocking_recv(), Some(Command::ResetPose));
-    assert_eq!(played.commands.blocking_recv(), Some(Command::StopRecording));
+    assert_eq!(played.commands.blocking_recv(), Some(Input::Command(Command::ResetPose)));
+    assert_eq!(played.commands.blocking_recv(), Some(Input::Command(Command::StopRecording)));
     let wrong = post(address, r#"{"command":"reset-pose","now":true}"#);
     assert_eq!(wrong.status, 400);
-    assert_eq!(wrong.error(), "`reset-pose` has no field `now`; it has: none");
+    assert_eq!(wrong.error(), "`reset-pose` has no field `now`; it has: robot");
     assert_eq!(refused(address, "command"), 2.0);
 }
 
@@ -240,7 +240,7 @@ fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     let heard = std::iter::from_fn(|| tap.recv()).find(|frame| !frame.log.is_empty());
     assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
     assert!(dashboard.commander().send(Command::ResetPose));
-    assert_eq!(commands.try_recv().unwrap(), Command::ResetPose);
+    assert_eq!(commands.try_recv().unwrap(), Input::Command(Command::ResetPose));
     drop(commands);
     assert!(!dashboard.commander().send(Command::ResetPose));
     dashboard.finish();

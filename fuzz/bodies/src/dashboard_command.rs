@@ -12,13 +12,14 @@ const LONGEST_REFUSAL: usize = 1_000;
 /// Input: the text.
 pub(crate) fn check(data: &[u8]) {
     match parse(data) {
-        Ok((name, command)) => {
+        Ok(parsed) => {
+            let name = parsed.name;
             assert!(COMMANDS.iter().any(|row| row.name == name), "{name}");
-            if let Command::Simulator(simulated) = command {
+            if let Command::Simulator(simulated) = parsed.command {
                 assert_eq!(simulated.name(), name);
                 assert_eq!(simulated.validate(), Ok(()));
             }
-            assert_eq!(parse(data), Ok((name, command)), "the same text twice");
+            assert_eq!(parse(data), Ok(parsed), "the same text twice");
         }
         Err(error) => {
             let why = error.to_string();

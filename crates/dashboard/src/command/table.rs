@@ -13,11 +13,25 @@ pub struct CommandRow {
     pub name: &'static str,
     /// Its effect, in one line.
     pub help: &'static str,
+    /// Whether it may name a robot.
+    pub target: CommandTarget,
     /// Its fields; all are required.
     pub fields: &'static [CommandField],
     /// Builds it from checked fields.
     pub(super) build: fn(&FieldValues<'_>) -> Command,
 }
+
+/// For whom a command is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandTarget {
+    /// A robot, which the optional field [`ROBOT_FIELD`] names.
+    Robot,
+    /// The whole station.
+    Station,
+}
+
+/// The field with the id of a robot.
+pub const ROBOT_FIELD: &str = "robot";
 
 /// Half-width of a square that no such robot leaves; far below the loss of resolution of f64.
 const MAX_COORDINATE_M: f64 = 10_000.0;
@@ -40,9 +54,10 @@ const fn field(name: &'static str, kind: FieldKind) -> CommandField {
 const fn command_without_fields(
     name: &'static str,
     help: &'static str,
-    make: fn(&FieldValues<'_>) -> Command,
+    target: CommandTarget,
+    build: fn(&FieldValues<'_>) -> Command,
 ) -> CommandRow {
-    CommandRow { name, help, fields: &[], build: make }
+    CommandRow { name, help, target, fields: &[], build }
 }
 
 /// Every command. A new one needs a row here.
@@ -50,11 +65,13 @@ pub const COMMANDS: &[CommandRow] = &[
     command_without_fields(
         "reset-pose",
         "forget where the robot is: its configured start, or the next fix, decides",
+        CommandTarget::Robot,
         |_| Command::ResetPose,
     ),
     CommandRow {
         name: "set-pose",
         help: "the robot is there",
+        target: CommandTarget::Robot,
         fields: &[
             number("x_m", -MAX_COORDINATE_M, MAX_COORDINATE_M),
             number("y_m", -MAX_COORDINATE_M, MAX_COORDINATE_M),
@@ -75,35 +92,50 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "set-parameter",
         help: "set one tunable of the filter; /v1/parameters has their names and ranges",
+        target: CommandTarget::Station,
         fields: &[field("name", FieldKind::Name), field("value", FieldKind::Finite)],
         build: |values| Command::SetParameter {
             name: ParameterName::from_bytes(values.text("name").as_bytes()),
             value: values.number("value"),
         },
     },
-    command_without_fields("save-parameters", "write all tunables into parameters.toml in the run's folder", |_| {
-        Command::Parameters(ParameterStorage::Save)
-    }),
+    command_without_fields(
+        "save-parameters",
+        "write all tunables into parameters.toml in the run's folder",
+        CommandTarget::Station,
+        |_| Command::Parameters(ParameterStorage::Save),
+    ),
     command_without_fields(
         "reload-parameters",
         "go back to the tunables that were saved last, or with which the run began",
+        CommandTarget::Station,
         |_| Command::Parameters(ParameterStorage::Reload),
     ),
-    command_without_fields("default-parameters", "go back to the defaults of all tunables", |_| {
-        Command::Parameters(ParameterStorage::Default)
-    }),
-    command_without_fields("freeze-calibration", "take the robot's constants as they stand", |_| {
-        Command::OnlineCalibration(OnlineCalibration::Frozen)
-    }),
-    command_without_fields("learn-calibration", "go on learning the robot's constants", |_| {
+    command_without_fields(
+        "default-parameters",
+        "go back to the defaults of all tunables",
+        CommandTarget::Station,
+        |_| Command::Parameters(ParameterStorage::Default),
+    ),
+    command_without_fields(
+        "freeze-calibration",
+        "take the robot's constants as they stand",
+        CommandTarget::Robot,
+        |_| Command::OnlineCalibration(OnlineCalibration::Frozen),
+    ),
+    command_without_fields("learn-calibration", "go on learning the robot's constants", CommandTarget::Robot, |_| {
         Command::OnlineCalibration(OnlineCalibration::Enabled)
     }),
-    command_without_fields("reset-calibration", "forget what was learned about the robot", |_| {
-        Command::ResetCalibration
-    }),
+    command_without_fields(
+        "reset-calibration",
+        "forget what was learned about the robot",
+        CommandTarget::Robot,
+        |_| Command::ResetCalibration,
+    ),
     CommandRow {
         name: "switch-source",
         help: "use what a sensor says, or leave it out",
+        target: CommandTarget::Robot,
         fields: &[
             field("sensor", FieldKind::Integer { least: 0, most: u8::MAX as u64 }),
             field("on", FieldKind::Switch),
@@ -113,11 +145,14 @@ pub const COMMANDS: &[CommandRow] = &[
             to: values.switch("on"),
         },
     },
-    command_without_fields("start-recording", "begin a new recording", |_| Command::StartRecording),
-    command_without_fields("stop-recording", "end the recording", |_| Command::StopRecording),
+    command_without_fields("start-recording", "begin a new recording", CommandTarget::Station, |_| {
+        Command::StartRecording
+    }),
+    command_without_fields("stop-recording", "end the recording", CommandTarget::Station, |_| Command::StopRecording),
     CommandRow {
         name: "kidnap",
         help: "the simulated robot is lifted and put down there, relative to itself; its wheels spin in the air and count",
+        target: CommandTarget::Robot,
         fields: &[simulated("forward_m"), simulated("left_m"), simulated("turn_rad")],
         build: |values| {
             Command::Simulator(SimulatorCommand::Kidnap {
@@ -130,6 +165,7 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "slip",
         help: "wheels of the simulated robot lose grip; a factor of 1 spins on the spot",
+        target: CommandTarget::Robot,
         fields: &[
             field("wheel", FieldKind::Choice(&["left", "right", "both"])),
             simulated("factor"),
@@ -146,24 +182,28 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "camera",
         help: "the simulated camera sees, or is covered",
+        target: CommandTarget::Robot,
         fields: &[field("on", FieldKind::Switch)],
         build: |values| Command::Simulator(SimulatorCommand::Camera(values.switch("on"))),
     },
     CommandRow {
         name: "camera-delay",
         help: "the simulated camera tells what it has seen so much later",
+        target: CommandTarget::Robot,
         fields: &[simulated("delay_ms")],
         build: |values| Command::Simulator(SimulatorCommand::CameraDelay { delay: millis(values.number("delay_ms")) }),
     },
     CommandRow {
         name: "gyro-bias-step",
         help: "the simulated gyro shows so much more from here on",
+        target: CommandTarget::Robot,
         fields: &[simulated("rad_per_s")],
         build: |values| Command::Simulator(SimulatorCommand::GyroBiasStep { rad_per_s: values.number("rad_per_s") }),
     },
     CommandRow {
         name: "link-profile",
         help: "the simulated brick's link gets like this one of config/links; null: as it was",
+        target: CommandTarget::Robot,
         fields: &[field("profile", FieldKind::NameOrNull)],
         build: |values| {
             let name = values.text("profile");
@@ -174,6 +214,7 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "pull-cable",
         help: "the simulated brick's cable is out for so long",
+        target: CommandTarget::Robot,
         fields: &[simulated("seconds")],
         build: |values| {
             Command::Simulator(SimulatorCommand::PullCable {
@@ -184,12 +225,14 @@ pub const COMMANDS: &[CommandRow] = &[
     CommandRow {
         name: "steering",
         help: "by what the simulated brick steers",
+        target: CommandTarget::Robot,
         fields: &[field("by", FieldKind::Choice(&["odometry", "estimate"]))],
         build: |values| Command::Simulator(SimulatorCommand::Steering(parse_steering(values.text("by")))),
     },
     CommandRow {
         name: "drive",
         help: "drive the simulated robot by hand; holds for half a second",
+        target: CommandTarget::Robot,
         fields: &[simulated("forward_m_per_s"), simulated("turn_rad_per_s")],
         build: |values| {
             Command::Simulator(SimulatorCommand::Drive {
@@ -198,9 +241,12 @@ pub const COMMANDS: &[CommandRow] = &[
             })
         },
     },
-    command_without_fields("path", "the simulated robot drives its path again, from where it is nearest", |_| {
-        Command::Simulator(SimulatorCommand::Path)
-    }),
+    command_without_fields(
+        "path",
+        "the simulated robot drives its path again, from where it is nearest",
+        CommandTarget::Robot,
+        |_| Command::Simulator(SimulatorCommand::Path),
+    ),
 ];
 
 /// Parses a checked word; a test compares the words with those of the type.

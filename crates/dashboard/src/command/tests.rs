@@ -1,7 +1,9 @@
 use super::*;
 
 use posebridge_telemetry::simulator::NUMBER_FIELDS;
-use posebridge_telemetry::{SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta};
+use posebridge_telemetry::{
+    Address, LinkId, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
+};
 use serde_json::json;
 
 fn error_text(text: &str) -> String {
@@ -40,8 +42,9 @@ fn to_text(object: Map<String, Value>) -> String {
 fn every_row_reads_its_own_fields_and_misses_each_of_them() {
     for row in COMMANDS {
         let given = complete_command(row);
-        let (name, command) = parse(to_text(given.clone()).as_bytes()).unwrap();
-        assert_eq!(name, row.name);
+        let ParsedCommand { name, robot, command } = parse(to_text(given.clone()).as_bytes()).unwrap();
+        assert_eq!((name, robot), (row.name, None));
+        assert_eq!(command.is_for_robots(), row.target == CommandTarget::Robot, "{name}");
         if let Command::Simulator(simulated) = command {
             assert_eq!(simulated.name(), row.name);
             assert_eq!(simulated.validate(), Ok(()), "{}", row.name);
@@ -94,7 +97,7 @@ fn the_words_are_those_of_the_vocabulary() {
 
 #[test]
 fn commands_are_what_their_fields_say() {
-    let read = |text: &str| parse(text.as_bytes()).unwrap().1;
+    let read = |text: &str| parse(text.as_bytes()).unwrap().command;
     let Command::SetPose { pose, position_sigma_m, heading_sigma_rad } = read(
         r#"{"command":"set-pose","x_m":1.5,"y_m":-2,"heading_rad":0.5,"position_sigma_m":0.1,"heading_sigma_rad":0.2}"#,
     ) else {
@@ -127,6 +130,25 @@ fn commands_are_what_their_fields_say() {
     };
     assert_eq!(profile(r#"{"command":"link-profile","profile":"bluetooth-spp"}"#).as_deref(), Some("bluetooth-spp"));
     assert_eq!(profile(r#"{"command":"link-profile","profile":null}"#), None);
+}
+
+#[test]
+fn a_command_for_a_robot_is_an_input_for_that_one() {
+    let read = |text: &str| parse(text.as_bytes()).unwrap().input();
+    assert_eq!(read(r#"{"command":"reset-pose"}"#), Input::Command(Command::ResetPose));
+    let robot = RobotId { link: LinkId(300), address: Address::new(7, 255) };
+    assert_eq!(
+        read(r#"{"command":"reset-pose","robot":"300/7/255"}"#),
+        Input::RobotCommand { robot, command: Command::ResetPose }
+    );
+    for wrong in ["7", r#""left""#, r#""0/7""#, r#""0/7/1/2""#, r#""0/256/1""#, r#""0/+7/1""#, r#""65536/1/1""#, "null"]
+    {
+        let why = error_text(&format!(r#"{{"command":"reset-pose","robot":{wrong}}}"#));
+        let wanted = r#"must be the id of a robot as /v1/robots has it, such as "0/1/1""#;
+        assert_eq!(why, format!("`reset-pose`: the field `robot` is {wrong}, {wanted}"));
+    }
+    let why = error_text(r#"{"command":"stop-recording","robot":"0/7/1"}"#);
+    assert_eq!(why, "`stop-recording` has no field `robot`; it has: none");
 }
 
 #[test]

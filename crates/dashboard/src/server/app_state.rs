@@ -8,7 +8,7 @@ use axum::body::Body;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
-use posebridge_telemetry::Command;
+use posebridge_telemetry::Input;
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
@@ -29,7 +29,7 @@ pub(crate) struct AppState {
     pub(crate) guard: RequestGuard,
     pub(crate) counts: Arc<ServerCounters>,
     pub(crate) queries: mpsc::Sender<HubQuery>,
-    pub(crate) commands: mpsc::Sender<Command>,
+    pub(crate) commands: mpsc::Sender<Input>,
     /// The rate limit of commands, for all clients together.
     pub(crate) command_rate: RateLimiter,
     /// The names that commands may use.
@@ -48,11 +48,11 @@ pub(crate) struct AppState {
 impl AppState {
     /// Sends a command to the station; returns its name, or the status and reason of a rejection.
     pub(super) fn submit_command(&self, text: &[u8]) -> Result<&'static str, (StatusCode, String)> {
-        let read = command::parse(text).and_then(|(name, command)| {
-            self.command_context.validate(name, &command)?;
-            Ok((name, command))
+        let read = command::parse(text).and_then(|parsed| {
+            self.command_context.validate(parsed.name, &parsed.command)?;
+            Ok(parsed)
         });
-        let (name, command) = read.map_err(|error| {
+        let parsed = read.map_err(|error| {
             self.counts.increment(ServerCounter::BadCommand);
             (StatusCode::BAD_REQUEST, error.to_string())
         })?;
@@ -61,10 +61,10 @@ impl AppState {
             let why = format!("more than {COMMANDS_PER_S} commands a second come to this station; try again");
             return Err((StatusCode::SERVICE_UNAVAILABLE, why));
         }
-        match self.commands.try_send(command) {
+        match self.commands.try_send(parsed.input()) {
             Ok(()) => {
                 self.counts.increment(ServerCounter::Commands);
-                Ok(name)
+                Ok(parsed.name)
             }
             Err(TrySendError::Full(_)) => {
                 self.counts.increment(ServerCounter::CommandsFull);

@@ -21,7 +21,7 @@ mod view;
 
 pub(crate) use retained_series::MAX_ROBOTS;
 pub use retained_series::RetentionPolicy;
-pub use view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+pub use view::{FrameContent, View, ViewConfig, ViewInput, parse_robot_name, robot_name};
 
 /// A row of [`VIEWS`].
 pub struct ViewEntry {

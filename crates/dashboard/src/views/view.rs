@@ -1,6 +1,6 @@
 //! The interface of a view, and its inputs.
 
-use posebridge_telemetry::{Event, HostClock, LinkId, RobotId, Timestamp};
+use posebridge_telemetry::{Address, Event, HostClock, LinkId, RobotId, Timestamp};
 
 use super::retained_series::RetentionPolicy;
 use crate::feed::{SimulatedTruth, StationStatus};
@@ -63,4 +63,15 @@ pub trait View: Send {
 #[must_use]
 pub fn robot_name(robot: RobotId) -> String {
     format!("{}/{}", robot.link, robot.address)
+}
+
+/// The robot that messages name so.
+#[must_use]
+pub fn parse_robot_name(name: &str) -> Option<RobotId> {
+    let mut parts = name.split('/');
+    let link = LinkId(parts.next()?.parse().ok()?);
+    let address = Address::new(parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+    let robot = RobotId { link, address };
+    // Other spellings of the numbers, such as `+1`, are no names.
+    (robot_name(robot) == name).then_some(robot)
 }

@@ -17,7 +17,7 @@ use posebridge_dashboard::{
     BoundListener, Dashboard, DashboardInputs, EventBatch, EventFeed, FrameTaps, ListenAddress, StationInfo,
     TokenPolicy,
 };
-use posebridge_telemetry::{Address, Command, Event, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, Event, Input, TimeDelta, Timestamp};
 use tokio::sync::mpsc;
 
 /// A clock that goes on when somebody looks at it, or stands.
@@ -43,7 +43,7 @@ impl ManualClock {
 pub(crate) struct TestStation {
     pub(crate) dashboard: Dashboard,
     pub(crate) feed: EventFeed,
-    pub(crate) commands: mpsc::Receiver<Command>,
+    pub(crate) commands: mpsc::Receiver<Input>,
     pub(crate) clock: ManualClock,
     folder: tempfile::TempDir,
 }
