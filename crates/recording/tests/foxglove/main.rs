@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
-#[path = "support/protobuf.rs"]
+#[path = "../support/protobuf.rs"]
 mod protobuf;
 
 use std::collections::{BTreeMap, BTreeSet};
