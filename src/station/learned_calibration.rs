@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Calibration, DriveGeometry};
 
+use super::per_robot::file_part;
 use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, RobotFile};
 
 /// A robot, what was known of it before a run, and what is known after.
@@ -98,8 +99,7 @@ pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Proven
     }
     let stem = path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
     for learned in learned {
-        // A robot may have any name.
-        let robot = learned.run.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+        let robot = file_part(&learned.run);
         save(&path.with_file_name(format!("{stem}-{robot}.toml")), learned, provenance)?;
     }
     Ok(())

@@ -28,6 +28,12 @@ impl<T> RobotEntry<T> {
     }
 }
 
+/// A robot's label as a part of a file's name: a robot may have any name.
+#[must_use]
+pub fn file_part(label: &str) -> String {
+    label.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-")
+}
+
 impl<T> PerRobot<T> {
     /// A first value, made as those of further robots are.
     pub fn new(make: impl Fn() -> T + Send + 'static) -> Self {

@@ -6,7 +6,7 @@
 mod recent;
 mod robot;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
     ClockRow, ErrorsRow, Frame, LinkRow, LogLine, RecordingNow, SimulatorFacts, TruthPoint,
@@ -60,8 +60,8 @@ pub struct Selection {
     pub panel: Option<usize>,
     /// Whether the keys are explained.
     pub has_help: bool,
-    /// Whether the simulated camera was covered from here.
-    pub is_camera_covered: bool,
+    /// The robots whose simulated cameras were covered from here.
+    pub covered_cameras: BTreeSet<String>,
     /// What was done last, and when.
     pub notice: Option<(f64, &'static str)>,
 }
