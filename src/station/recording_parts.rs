@@ -134,7 +134,7 @@ impl RecordingParts {
     /// # Errors
     /// As [`Self::record`].
     pub fn record_calibration(&mut self, now: Timestamp<HostClock>, calibration: &Calibration) -> Result<()> {
-        self.write(|writer| writer.record_calibration(now, calibration))
+        self.write(|writer| writer.record_calibration(now, None, calibration))
     }
 
     /// Records a line for people, with its MAVLink severity.
