@@ -22,6 +22,8 @@ pub struct Robot {
     name: Option<String>,
     /// The number by which fixes name it.
     pub(crate) tag: Option<u32>,
+    /// The address in the robot's own frames: that of its id, unless another robot of the link has the same.
+    pub(crate) wire_address: Address,
     /// The address that ground stations see as the vehicle.
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
@@ -43,6 +45,7 @@ impl Robot {
             id: RobotId::default(),
             name: config.name.clone(),
             tag: config.tag,
+            wire_address: Address::default(),
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config),
             clocks: ClockAlignment::default(),
@@ -106,6 +109,11 @@ impl Robot {
     /// The sensors that are switched off.
     pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
         self.estimator.switched_off()
+    }
+
+    /// Whether ground stations see it under another system than that of its own frames.
+    pub(crate) fn is_renamed(&self) -> bool {
+        self.vehicle_address.system != self.wire_address.system
     }
 
     /// Whether the robot was heard recently.

@@ -302,7 +302,7 @@ impl Station {
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
         let vehicles = self.sessions.vehicles(id);
-        let forwarding = ForwardingPass::new(&mut self.router, now, received.endpoint, sharing, vehicles);
+        let forwarding = ForwardingPass::new(&mut self.router, now, received.endpoint, sharing, vehicles, &self.robots);
         let LinkContext { framers, verifier, decoder, .. } = link;
         let batch = ReceivedBatch::default();
         let mut pass = ReceivePass { now, peer, verifier, forwarding, decoder, batch };
@@ -698,7 +698,7 @@ impl Station {
     /// Who answers commands to the robot as a vehicle; `None` if it must not appear as one.
     fn responder_for(&self, robot: &Robot) -> Option<CommandResponder> {
         let link = self.links.get(&robot.id.link)?;
-        let responder = if link.codec.is_some() || robot.id.address != robot.vehicle_address {
+        let responder = if link.codec.is_some() || robot.wire_address.component != robot.vehicle_address.component {
             CommandResponder::Station
         } else {
             CommandResponder::Robot
@@ -709,8 +709,9 @@ impl Station {
     /// Counts what was routed in this input and forwards it.
     fn forward_frames(&mut self) {
         for (id, report) in self.outputs.take_reports() {
-            let ForwardingReport { filtered, duplicates, address_conflicts, forwarded } = report;
+            let ForwardingReport { filtered, duplicates, address_conflicts, unchangeable, forwarded } = report;
             if let Some(link) = self.links.get_mut(&id) {
+                link.health.drops_out += unchangeable;
                 link.health.filtered += filtered;
                 link.health.duplicates += duplicates;
                 link.health.address_conflicts += address_conflicts;
@@ -744,8 +745,8 @@ impl Station {
         }
     }
 
-    /// Forwards a frame to a link for ground stations, under the next number of its sender's count there. False if it is to be
-    /// forwarded like any other.
+    /// Forwards a frame to a link for ground stations, under the address by which they know its sender and the next number of its count
+    /// there. False if it is to be forwarded like any other.
     ///
     /// Not every frame of a sender is for this link (answers to others, what is filtered or rate limited), and a robot shares its
     /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
@@ -760,7 +761,14 @@ impl Station {
         let (Some(link), Some(vehicles)) = (self.links.get_mut(&id), self.sessions.vehicles_mut(id)) else {
             return false;
         };
-        let from = frame.source;
+        let home = self.router.first_of_group(frame.from.link);
+        let announced = self.robots.announced_address(frame.from, home, frame.source);
+        let from = announced.unwrap_or(frame.source);
+        if announced.is_some() && frame.is_signed {
+            // Under its own ids it would be another robot's there.
+            link.health.drops_out += 1;
+            return true;
+        }
         if is_from_robot && from.component == VEHICLE_COMPONENT {
             vehicles.record_forwarded(now, from.system, frame.message_id);
             if link.verifier.is_signed() {
@@ -770,7 +778,7 @@ impl Station {
         let renumbered = if vehicles.is_unmodified(now, from) {
             Err(RenumberError::Signed)
         } else {
-            self.egress.renumber(id, &frame.bytes)
+            self.egress.readdress(id, &frame.bytes, from)
         };
         if renumbered == Err(RenumberError::Signed) && is_from_robot {
             if frame.is_signed {
@@ -780,7 +788,8 @@ impl Station {
             self.egress.follow_sequence(id, from, frame.sequence);
         }
         let Ok(bytes) = renumbered else {
-            return false;
+            link.health.drops_out += u64::from(announced.is_some());
+            return announced.is_some();
         };
         self.router.record_sent_for(now, frame.from, &bytes);
         link.health.bytes_out += bytes.len() as u64;
