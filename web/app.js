@@ -2,6 +2,7 @@
 
 import { Session } from './model/session.js';
 import { silence_s } from './model/silence.js';
+import { hasChoice } from './model/robot_list.js';
 import { PANELS } from './panels/index.js';
 import { Replay } from './replay.js';
 import { Station } from './station.js';
@@ -26,8 +27,6 @@ const page = {
   connection: document.getElementById('connection'),
   silence: document.getElementById('silence'),
   announcer: document.getElementById('announcer'),
-  robotChoice: document.getElementById('robot-choice'),
-  robotSelect: document.getElementById('robot'),
 };
 
 let session = new Session();
@@ -36,9 +35,12 @@ let isStale = true;
 let turn = 0;
 let noticeTimer = 0;
 
-const station = new Station({ announce, redraw: () => { isStale = true; }, replay: (name) => startReplay(name), isReplay: () => replay.isOn });
+const station = new Station({
+  announce, select, redraw: () => { isStale = true; }, replay: (name) => startReplay(name), isReplay: () => replay.isOn,
+  robot: () => (replay.isOn ? null : chosenRobot(session)?.id ?? null),
+});
 const replay = new Replay(document.getElementById('replay-bar'), showMode);
-const view = { session, isReplay: false, robot: null, errors: null, until_s: 0, silence_s: 0, path: [] };
+const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, path: [] };
 
 readPalette();
 const panels = PANELS.map(buildPanel);
@@ -47,21 +49,18 @@ followTheme(document.getElementById('theme'), () => {
   for (const { panel } of panels) panel.recolour?.();
   isStale = true;
 });
-page.robotSelect.addEventListener('change', () => {
-  shownRobot = page.robotSelect.value;
-  isStale = true;
-});
 hideToken();
 new Stream(streamAddress(), { onMessage: take, onState: showConnection }).open();
 requestAnimationFrame(frame);
 
-function buildPanel({ id, title, isAnimated, isLive, build }) {
+function buildPanel({ id, title, isAnimated, isLive, isOfRobot, isShown, build }) {
   const body = element('div', { class: 'body' });
   const rest = element('p', { class: 'note', text: 'These act on the live robot: go back to live to use them.', hidden: true });
-  const heading = element('h2', { id: `${id}-title`, text: title });
+  const of = element('span', { class: 'of' });
+  const heading = element('h2', { id: `${id}-title` }, title, of);
   const section = element('section', { class: 'panel', id, 'aria-labelledby': `${id}-title` }, heading, rest, body);
   document.getElementById('panels').append(section);
-  const built = { section, body, rest, isLive: Boolean(isLive), isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
+  const built = { section, body, rest, of, isShown, isOfRobot: Boolean(isOfRobot), isLive: Boolean(isLive), isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
   new IntersectionObserver((entries) => {
     built.isVisible = entries[entries.length - 1].isIntersecting;
     built.isDue = true;
@@ -94,10 +93,11 @@ function frame(now_ms) {
     look();
     for (const built of panels) {
       built.isDue = true;
+      if (built.isShown) built.section.hidden = !built.isShown(view);
+      if (built.isOfRobot) setText(built.of, view.isOneOfMany ? ` of ${view.robot.label}` : '');
       if (built.isAnimated && built.isVisible) draw(built);
     }
     showHeadline();
-    showRobots();
   }
   drawNext();
 }
@@ -106,12 +106,24 @@ function frame(now_ms) {
 function look() {
   view.isReplay = replay.isOn;
   view.session = replay.isOn ? replay.session : session;
-  const robots = view.session.estimated();
-  view.robot = robots.find(({ id }) => id === shownRobot) ?? robots[0] ?? null;
+  view.robot = chosenRobot(view.session);
+  view.isOneOfMany = hasChoice(view.session);
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
   view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.silence_s = silence_s(view.robot?.estimates, view.until_s);
   view.path = station.path();
+}
+
+function chosenRobot(of) {
+  const robots = of.estimated();
+  return robots.find(({ id }) => id === shownRobot) ?? robots[0] ?? null;
+}
+
+// What acts on the robot before stops first.
+function select(id) {
+  if (chosenRobot(session)?.id !== id) for (const { panel } of panels) panel.rest?.();
+  shownRobot = id;
+  isStale = true;
 }
 
 // Now, or the instant of the latest estimate when the robot's clock has that a little later.
@@ -154,15 +166,6 @@ function showMode() {
     if (replay.isOn) panel.rest?.();
   }
   isStale = true;
-}
-
-function showRobots() {
-  const ids = view.session.estimated().map(({ id }) => id);
-  page.robotChoice.hidden = ids.length < 2;
-  if (page.robotSelect.dataset.ids === ids.join('\n')) return;
-  page.robotSelect.dataset.ids = ids.join('\n');
-  page.robotSelect.replaceChildren(...ids.map((id) => element('option', { value: id, text: id })));
-  if (view.robot) page.robotSelect.value = view.robot.id;
 }
 
 function showConnection(state) {

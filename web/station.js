@@ -7,7 +7,10 @@ const MOST_PARAMETERS = 200;
 const MOST_SWITCHES = 256;
 
 export class Station {
-  /** @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void, isReplay: () => boolean}} page */
+  /**
+   * @param {{announce: (text: string, isError: boolean) => void, redraw: () => void, replay: (name: string) => void, isReplay: () => boolean,
+   *   select: (id: string) => void, robot: () => (string | null)}} page
+   */
   constructor(page) {
     this.page = page;
     this.isGreeted = false;
@@ -50,9 +53,9 @@ export class Station {
     this.#takeStanding(frame);
   }
 
-  /** Whether the filter uses a source, as far as the station told. */
-  isUsed(sensor) {
-    return !this.switchedOff.has(this.idOf(sensor));
+  /** Whether a robot's filter uses a source, as far as the station told. */
+  isUsed(sensor, robot = null) {
+    return !(robot?.switchedOff ?? this.switchedOff).has(this.idOf(sensor));
   }
 
   // What holds until somebody commands something else, here or elsewhere.
@@ -94,6 +97,17 @@ export class Station {
 
   replay(name) {
     this.page.replay(name);
+  }
+
+  /** Chooses the robot that is shown, and that commands are for. */
+  select(id) {
+    this.page.select(id);
+  }
+
+  /** Sends a command for the chosen robot; see `command`. */
+  commandRobot(command) {
+    const robot = this.page.robot();
+    return this.command(robot === null ? command : { ...command, robot });
   }
 
   /** Sends a command and says what became of it; gives whether it was taken. Never throws: what went wrong is shown. */

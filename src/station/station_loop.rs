@@ -162,10 +162,15 @@ impl StationLoop {
         }
     }
 
-    /// Keeps what the filter has learned beside the inputs.
+    /// Keeps what the filters have learned beside the inputs.
     fn record_calibration(&mut self, now: Timestamp<HostClock>) {
-        if let (Some(recorder), Some(learned)) = (&mut self.recorder, self.pipeline.calibration()) {
-            recorder.record_calibration(now, learned);
+        let Some(recorder) = &mut self.recorder else {
+            return;
+        };
+        for robot in self.pipeline.robots() {
+            if let Some(learned) = robot.calibration() {
+                recorder.record_calibration(now, robot.id(), learned);
+            }
         }
     }
 

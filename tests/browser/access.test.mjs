@@ -14,7 +14,7 @@ let station;
 let page;
 
 before(async () => {
-  station = new FakeStation({ robots: ['0/1/1', '0/2/1'] });
+  station = new FakeStation({ robots: Array.from({ length: 64 }, (_, index) => `0/${index + 1}/1`), names: { '0/1/1': 'a robot with a name as long as that of a whole team of four' } });
   await station.open();
   browser = await Browser.launch();
   page = await browser.open(station.address);
@@ -68,6 +68,10 @@ for (const theme of ['light', 'dark']) {
     const { seen, poor } = await page.evaluate(poorContrast, LEAST_CONTRAST);
     assert.ok(seen > 150, `${seen} texts were looked at`);
     assert.deepEqual(poor, []);
+    for (const name of ['other', 'estimate', 'faint']) {
+      const contrast = await page.evaluate(contrastOnMap, name);
+      assert.ok(contrast >= LEAST_CONTRAST, `names on the map, ${name}: ${contrast}`);
+    }
   });
 }
 
@@ -99,6 +103,18 @@ function poorContrast(least) {
   return { seen, poor };
 }
 
+// Runs in the page: a colour that the map writes with against the map's ground.
+function contrastOnMap(name) {
+  const style = getComputedStyle(document.documentElement);
+  const luminance = (property) => {
+    const parts = style.getPropertyValue(property).trim().match(/[0-9a-f]{2}/gi).map((part) => parseInt(part, 16) / 255);
+    const [r, g, b] = parts.map((part) => (part <= 0.03928 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const [text, ground] = [luminance(`--${name}`), luminance('--panel')];
+  return (Math.max(text, ground) + 0.05) / (Math.min(text, ground) + 0.05);
+}
+
 test('the keyboard reaches every panel, and shows where it is', async () => {
   await page.locator('.skip').focus();
   assert.ok(await page.locator('.skip').evaluate((link) => link.getBoundingClientRect().left >= 0), 'the first stop is a way past the header');
@@ -115,7 +131,7 @@ test('the keyboard reaches every panel, and shows where it is', async () => {
     assert.ok(at.isShown, `the focus is seen on ${at.what}`);
     reached.add(at.panel);
   }
-  for (const panel of ['arena', 'simulator', 'innovations', 'calibration', 'parameters', 'log', 'recordings']) assert.ok(reached.has(panel), `${panel} is reached`);
+  for (const panel of ['robots', 'arena', 'simulator', 'innovations', 'calibration', 'parameters', 'log', 'recordings']) assert.ok(reached.has(panel), `${panel} is reached`);
 });
 
 // Runs in the page: what reaches beyond the right edge and is not in a box that scrolls by itself.

@@ -33,7 +33,7 @@ test('Firefox shows the estimate, draws map and charts, and sends commands', asy
   }
   await firefox.evaluate("[...document.querySelectorAll('button')].find((button) => button.textContent === 'Camera off').click()");
   await firefox.until("document.getElementById('announcer').textContent.includes('camera')");
-  assert.deepEqual(station.commands, [{ command: 'camera', on: false }]);
+  assert.deepEqual(station.commands, [{ command: 'camera', on: false, robot: '0/1/1' }]);
 });
 
 // Runs in the page: whether a canvas has more than a handful of pixels with something on them.

@@ -7,6 +7,7 @@ import { test } from 'node:test';
 import { NIS_BAND_95, nisBand } from './web/model/chi_square.js';
 import { Errors } from './web/model/errors.js';
 import { LATE_FROM_S, MARKS, markOf } from './web/model/marks.js';
+import { robotRows } from './web/model/robot_list.js';
 import { Session } from './web/model/session.js';
 import { silence_s } from './web/model/silence.js';
 import { rounded, scaleOf } from './web/model/slider.js';
@@ -25,6 +26,18 @@ test('a track keeps the newest samples, sorted, in one piece', () => {
   track.append({ t_s: 31.5, x_m: 1 });
   assert.deepEqual([...track.part('t_s', track.begin, track.end)], [26, 27, 28, 29, 30, 31, 31.5, 32, 33, 34]);
   assert.equal(track.columns.x_m[track.rowUntil(31.7)], 1);
+});
+
+test('a track grows to its capacity and no further', () => {
+  const track = new Track(['x_m'], 1000);
+  const sizes = new Set();
+  for (let step = 0; step < 10_000; step += 1) {
+    track.append({ t_s: step, x_m: 2 * step });
+    sizes.add(track.columns.x_m.length);
+  }
+  assert.deepEqual([...sizes], [256, 512, 1024, 2000]);
+  const kept = [...track.part('x_m', track.begin, track.end)];
+  assert.deepEqual([kept.length, kept[0], kept.at(-1)], [1000, 18_000, 19_998]);
 });
 
 test('a track finds rows by time', () => {
@@ -97,6 +110,43 @@ test('a robot that nobody hears is not said to be good', () => {
   assert.equal(headline({ errors, robot, until_s: 3 }), 'odometry 0.70 m off, estimate not known');
 });
 
+test('of several robots the headline says which', () => {
+  const session = new Session();
+  session.apply({ now_s: 1, robots: [{ id: 'a', name: 'left', estimates: [{ t_s: 1, x_m: 0, y_m: 0 }], scores: [{ t_s: 1, estimate_m: 0.002, odometry_m: 0.5 }] }] });
+  const [robot] = session.estimated();
+  const errors = session.errors.get('a');
+  assert.equal(headline({ errors, robot, until_s: 1, isOneOfMany: true }), 'left: odometry 0.50 m off, estimate 0.002 m off');
+  assert.equal(headline({ errors: null, robot, until_s: 1, isOneOfMany: true }), 'robot left');
+});
+
+test('the list of robots says how each was at the time that is shown', () => {
+  const session = new Session();
+  const estimate = (t_s) => ({ t_s, x_m: 0, y_m: 0, major_m: 0.004, reset_counter: 2, fix_age_s: 0.5 });
+  const until = (end_s) => Array.from({ length: 50 * end_s + 1 }, (_, index) => estimate(index / 50));
+  session.apply({ now_s: 10, robots: [{ id: 'a', name: 'left', estimates: until(10) }, { id: 'b', estimates: until(4), lost_t_s: 8 }, { id: 'c' }] });
+  const states = (until_s) => robotRows(session, until_s).map(({ state }) => state);
+  assert.deepEqual(states(3), ['live', 'live']);
+  assert.deepEqual(states(7), ['live', 'silent']);
+  assert.deepEqual(states(9), ['live', 'lost']);
+  assert.deepEqual(states(-1), ['waiting', 'waiting']);
+  const [left, second] = robotRows(session, 7);
+  assert.deepEqual([left.name, left.sigma_m, left.resets, left.fixAge_s], ['left', 0.004, 2, 0.5]);
+  assert.deepEqual([second.name, second.silent_s, second.fixAge_s], ['', 3, 3.5]);
+  // It is back: what the station said of its loss is over.
+  session.apply({ now_s: 12, robots: [{ id: 'b', estimates: [estimate(12)] }] });
+  assert.deepEqual(states(12), ['silent', 'live']);
+});
+
+test('a truth is of the robot that it names, else of the first', () => {
+  const session = new Session();
+  const at = (x_m, robot) => ({ t_s: 1, x_m, y_m: 0, ...robot });
+  session.apply({ now_s: 1, truth: [at(1)] });
+  assert.equal(session.truthOf(null).columns.x_m[0], 1);
+  session.apply({ robots: ['a', 'b', 'c'].map((id) => ({ id, estimates: [{ t_s: 1, x_m: 0, y_m: 0 }] })), truth: [at(2, { robot: 'b' })] });
+  const [first, second, third] = session.estimated().map((robot) => session.truthOf(robot));
+  assert.deepEqual([first.columns.x_m[0], second.columns.x_m[0], third], [1, 2, null]);
+});
+
 test('of a long recording every few seconds an estimate is no silence', () => {
   const estimates = new Track([], 100);
   for (let t_s = 0; t_s < 200; t_s += 2) estimates.append({ t_s });
@@ -146,9 +196,10 @@ test('a session takes nonsense without a word and stays bounded', () => {
   const nonsense = [null, 3, 'x', [], { robots: 'all' }, { robots: [null, 3, { id: {}, estimates: 'none', fixes: [{}], fusion: [{ innovation: 3 }] }] }, { truth: [null, { t_s: 1 }] }, { log: [null, { text: null }] }, { links: [null] }];
   for (const message of nonsense) session.apply(message);
   for (let number = 0; number < 500; number += 1) {
-    session.apply({ robots: [{ id: `robot ${number}`, fusion: [{ t_s: number, sensor: number, kind: 'fix' }] }], log: [{ t_s: number, severity: 'info', text: 'x'.repeat(10_000) }] });
+    session.apply({ truth: [{ t_s: 1, robot: `robot ${number}` }], robots: [{ id: `robot ${number}`, name: 'x'.repeat(1000), switched_off: 3, lost_t_s: 'now', fusion: [{ t_s: number, sensor: number, kind: 'fix' }] }], log: [{ t_s: number, severity: 'info', text: 'x'.repeat(10_000) }] });
   }
-  assert.ok(session.robots.size <= 64);
+  assert.ok(session.robots.size <= 64 && session.truths.size <= 64);
+  assert.ok([...session.robots.values()].every((robot) => robot.label.length <= 60));
   assert.ok(session.log.length <= 300);
   assert.ok(session.log.every((line) => line.text.length <= 400));
 });

@@ -72,15 +72,109 @@ test('how many observations came is what the station has counted', async () => {
   });
 });
 
-test('with several robots one is chosen', async () => {
-  await withStation({ robots: ['0/1/1', '0/2/1', '1/1/1'] }, async (page, station) => {
+const THREE = { robots: ['0/1/1', '0/2/1', '1/1/1'], names: { '0/1/1': 'left', '0/2/1': 'right' } };
+
+// Waits until the page shows this robot's last estimate.
+function showing(page, id) {
+  return page.waitForFunction((wanted) => document.getElementById('pose').dataset.robot === wanted, id);
+}
+
+test('one robot needs no list', async () => {
+  await withStation({}, async (page, station) => {
     station.advance(10);
-    await page.locator('#robot').waitFor({ state: 'visible' });
-    assert.deepEqual(await page.locator('#robot option').allTextContents(), ['0/1/1', '0/2/1', '1/1/1']);
-    await page.selectOption('#robot', '0/2/1');
+    await showing(page, '0/1/1');
+    assert.equal(await page.locator('#robots').isVisible(), false);
+  });
+});
+
+test('with several robots one is chosen by click or keys, and the page shows that one', async () => {
+  await withStation(THREE, async (page, station) => {
+    station.advance(60);
+    await page.locator('#robots').waitFor({ state: 'visible' });
+    await page.waitForFunction(() => document.querySelectorAll('#robots tbody tr').length === 3);
+    assert.deepEqual(await page.locator('#robots tbody th').allTextContents(), ['left0/1/1', 'right0/2/1', '1/1/1']);
+    await page.locator('#robots tbody tr').nth(1).locator('td').first().click();
+    await showing(page, '0/2/1');
+    assert.equal(await page.getByRole('radio', { name: 'right' }).isChecked(), true);
+    assert.equal(await page.locator('#robots tr.chosen th').textContent(), 'right0/2/1');
     station.advance(1);
-    const [, second] = station.frame().robots;
-    await page.waitForFunction((x_m) => document.getElementById('pose').dataset.robot === '0/2/1' && Number(document.getElementById('pose').dataset.x_m) === x_m, second.estimates[0].x_m);
+    const second = station.frame().robots[1].estimates[0];
+    await page.waitForFunction((x_m) => Number(document.getElementById('pose').dataset.x_m) === x_m, second.x_m);
+    assert.match(await page.locator('#headline').textContent(), /^right: odometry 0\.\d+ m off, estimate 0\.00\d m off$/);
+    await page.getByRole('radio', { name: 'right' }).press('ArrowDown');
+    await showing(page, '1/1/1');
+    assert.equal(await page.locator('#error-title').textContent(), 'How far off of 1/1/1');
+  });
+});
+
+test('the list says who is silent and who is lost, and a name is text', async () => {
+  const markup = '<b>bold</b>';
+  await withStation({ ...THREE, names: { '0/2/1': markup } }, async (page, station) => {
+    station.advance(60);
+    station.robots = ['0/1/1'];
+    for (let batch = 0; batch < 5; batch += 1) station.advance(41);
+    station.send({ type: 'frame', now_s: station.now_s, robots: [{ id: '1/1/1', lost_t_s: station.now_s }] });
+    await seeing(page, '#robots', () => [...document.querySelectorAll('.robot-state')].map((cell) => cell.textContent).join() === 'live,silent for 4 s,lost');
+    assert.equal(await page.locator('.robot-name').nth(1).textContent(), markup);
+    assert.equal(await page.locator('#robots b').count(), 0);
+  });
+});
+
+test('a robot on the map is chosen by a click, and a drag chooses none', async () => {
+  await withStation(THREE, async (page, station) => {
+    station.advance(60);
+    await page.locator('#robots').waitFor({ state: 'visible' });
+    // The second one is brought to the middle of the map and left there while the first one is chosen again.
+    await page.getByRole('radio', { name: 'right' }).check();
+    await showing(page, '0/2/1');
+    const map = page.locator('.map canvas');
+    await map.press('f');
+    await seeing(page, '#arena', () => new Promise((done) => { requestAnimationFrame(() => requestAnimationFrame(() => done(true))); }));
+    await map.press('ArrowLeft');
+    await map.press('ArrowRight');
+    await page.getByRole('radio', { name: 'left' }).check();
+    await showing(page, '0/1/1');
+    const { x, y, width, height } = await map.boundingBox();
+    await page.mouse.move(x + width / 2, y + height / 2);
+    await page.waitForFunction(() => document.querySelector('.map canvas').title === 'right');
+    await page.mouse.down();
+    await page.mouse.move(x + width / 2 + 30, y + height / 2);
+    await page.mouse.move(x + width / 2, y + height / 2, { steps: 3 });
+    await page.mouse.move(x + width / 2 + 30, y + height / 2);
+    await page.mouse.up();
+    station.advance(1);
+    await page.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+    assert.equal((await poseOf(page)).robot, '0/1/1');
+    await page.mouse.click(x + width / 2 + 30, y + height / 2);
+    await showing(page, '0/2/1');
+  });
+});
+
+test('commands are for the chosen robot, and who drives one does not drive on with another', async () => {
+  await withStation(THREE, async (page, station) => {
+    station.advance(10);
+    await page.locator('#robots').waitFor({ state: 'visible' });
+    await page.getByRole('radio', { name: 'right' }).check();
+    await page.getByRole('button', { name: 'Camera off', exact: true }).click();
+    assert.deepEqual(await lastOf(station, 1), { command: 'camera', on: false, robot: '0/2/1' });
+    await seen(page, '#parameters', '#parameter-slip_nis');
+    await page.getByRole('button', { name: 'Defaults' }).click();
+    assert.deepEqual(await lastOf(station, 2), { command: 'default-parameters' });
+    await page.getByRole('button', { name: 'Drive with the keys' }).click();
+    await page.locator('#robots').getByRole('radio', { name: '1/1/1' }).check();
+    assert.equal(await page.getByRole('button', { name: 'Drive with the keys' }).getAttribute('aria-pressed'), 'false');
+  });
+});
+
+test('which sources are left out is told of each robot', async () => {
+  await withStation(THREE, async (page, station) => {
+    station.advance(10);
+    station.send({ type: 'frame', now_s: station.now_s, switched_off: [], robots: [{ id: '0/1/1', switched_off: [] }, { id: '0/2/1', switched_off: [3] }] });
+    await seen(page, '#innovations', '[aria-label="Use camera"]:checked');
+    await page.getByRole('radio', { name: 'right' }).check();
+    await seen(page, '#innovations', '[aria-label="Use camera"]:not(:checked)');
+    await page.getByRole('radio', { name: 'left' }).check();
+    await seen(page, '#innovations', '[aria-label="Use camera"]:checked');
   });
 });
 
@@ -130,8 +224,8 @@ test('nonsense on the stream leaves the page alive', async () => {
       { type: 'frame', now_s: 0.5, robots: Array.from({ length: 300 }, (_, index) => ({ id: `robot ${index}`, estimates: [{ t_s: 0.5, x_m: index, y_m: 0, heading_rad: 0 }] })) },
     ];
     for (const message of nonsense) station.send(message);
-    await page.waitForFunction(() => document.querySelectorAll('#robot option').length > 10);
-    assert.ok((await page.locator('#robot option').count()) <= 64);
+    await page.waitForFunction(() => document.querySelectorAll('#robots tbody tr').length > 10);
+    assert.ok((await page.locator('#robots tbody tr').count()) <= 64);
     await seeing(page, '#log', () => document.querySelector('#log .text')?.textContent.startsWith('long '));
     assert.ok((await page.locator('#log .text').first().textContent()).length <= 400);
     await waitForState(page, 'live');
@@ -215,7 +309,7 @@ test('a source that is heard later can be switched as well', async () => {
     station.advance(5);
     await seen(page, '#innovations', '[aria-label="Use camera"]:enabled');
     await page.getByLabel('Use camera').uncheck();
-    assert.deepEqual(await lastOf(station, 1), { command: 'switch-source', sensor: 3, on: false });
+    assert.deepEqual(await lastOf(station, 1), { command: 'switch-source', sensor: 3, on: false, robot: '0/1/1' });
     // What is told once a second may be older than the click: it is no news and moves nothing. A refusal takes the click back.
     station.advance(100);
     await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
@@ -276,6 +370,36 @@ test('a recording is looked at with a scrubber and left again', async () => {
     await page.getByRole('button', { name: 'Back to live' }).click();
     assert.equal(await page.evaluate(() => document.querySelector('#simulator .body').inert), false);
     await seeing(page, '#pose', (t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, station.now_s);
+  });
+});
+
+test('the robots of a recording are chosen as those of the live session, and are as at its time', async () => {
+  await withStation({}, async (page, station) => {
+    const made = new FakeStation({ robots: ['0/1/1', '0/2/1'] });
+    const frames = Array.from({ length: 500 }, () => {
+      made.now_s += 0.02;
+      return made.frame();
+    });
+    const estimates = (index, end) => frames.slice(0, end).map((frame) => frame.robots[index].estimates[0]);
+    station.replay = { now_s: 10, truth: frames.flatMap((frame) => frame.truth), robots: [{ id: '0/1/1', estimates: estimates(0, 500) }, { id: '0/2/1', name: 'right', estimates: estimates(1, 200), lost_t_s: 9 }] };
+    station.advance(5);
+    await seen(page, '#recordings', '[aria-label="Replay square-1.mcap"]');
+    await page.getByRole('button', { name: 'Replay square-1.mcap' }).click();
+    await page.getByRole('button', { name: 'Pause' }).click();
+    const scrubber = page.getByLabel('Time in the recording');
+    const states = (wanted) => seeing(page, '#robots', (text) => [...document.querySelectorAll('.robot-state')].map((cell) => cell.textContent).join() === text, wanted);
+    await scrubber.fill('3');
+    await states('live,live');
+    await page.getByRole('radio', { name: 'right' }).check();
+    await showing(page, '0/2/1');
+    await scrubber.fill('6.5');
+    await states('live,silent for 2 s');
+    await scrubber.fill('9.5');
+    await states('live,lost');
+    assert.equal(station.commands.length, 0);
+    await page.getByRole('button', { name: 'Back to live' }).click();
+    await showing(page, '0/1/1');
+    assert.equal(await page.locator('#robots').isVisible(), false);
   });
 });
 

@@ -7,6 +7,7 @@ import path from 'node:path';
 import { after, before, test } from 'node:test';
 import { WebSocket } from 'ws';
 import { Browser } from './support/browser.mjs';
+import { FakeStation } from './support/fake_station.mjs';
 import { frameRate, heldBytes, residentBytes, threadSeconds } from './support/measure.mjs';
 import { waitForState } from './support/page.mjs';
 import { Program, newFolder } from './support/station.mjs';
@@ -91,6 +92,30 @@ test('at 50 estimates a second the server takes less than a tenth of a core, and
   assert.ok(share < SERVER_SHARE, `${share} of a core`);
   assert.ok(rate.per_s > LEAST_FRAMES_PER_S, `${rate.per_s} frames/s`);
 });
+
+for (const count of [30, 64]) {
+  test(`the page keeps up with ${count} robots`, async (context) => {
+    const many = new FakeStation({ robots: Array.from({ length: count }, (_, index) => `0/${index + 1}/1`) });
+    await many.open();
+    const shown = await browser.open(many.address);
+    await waitForState(shown, 'live');
+    // Trails of some length: it is them that cost.
+    for (let batch = 0; batch < 6; batch += 1) many.advance(100);
+    await shown.waitForFunction((t_s) => Number(document.getElementById('pose').dataset.t_s) === t_s, many.now_s);
+    const session = await shown.context().newCDPSession(shown);
+    await session.send('Performance.enable');
+    const busy_s = async () => (await session.send('Performance.getMetrics')).metrics.find(({ name }) => name === 'TaskDuration').value;
+    const before_s = await busy_s();
+    const sending = setInterval(() => many.advance(1), 20);
+    const rate = await frameRate(shown, 1000 * LOOK_S);
+    clearInterval(sending);
+    const share = (await busy_s() - before_s) / LOOK_S;
+    context.diagnostic(`${rate.per_s.toFixed(1)} frames/s, ${rate.long} over 50 ms, ${(100 * share).toFixed(0)} % of a core; ${((await heldBytes(shown)) / 1e6).toFixed(0)} MB`);
+    await shown.close();
+    await many.close();
+    assert.ok(rate.per_s > LEAST_FRAMES_PER_S, `${rate.per_s} frames/s`);
+  });
+}
 
 test('the second and the tenth browser leave the latency of the estimate as it is', async (context) => {
   const one = await meanLatency_ms();

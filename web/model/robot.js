@@ -16,6 +16,8 @@ const MOST_SENSORS = 32;
 const MOST_CALIBRATED = 64;
 const MOST_KINDS = 8;
 const MOST_VERDICTS = 64;
+const MOST_SWITCHES = 256;
+const MOST_NAME = 60;
 // Learned numbers change slowly: 1024 samples at this distance are five minutes. Of a recording there are an eighth as many as estimates.
 const CALIBRATION_EVERY_S = 0.3;
 const CALIBRATION_CAPACITY = 1024;
@@ -23,6 +25,13 @@ const CALIBRATION_CAPACITY = 1024;
 export class Robot {
   constructor(id, capacity = LIVE_CAPACITY) {
     this.id = id;
+    this.name = '';
+    /** When the station lost it last. */
+    this.lost_s = NaN;
+    /** The numbers of its sources that are left out; null where the station says nothing of it. */
+    this.switchedOff = null;
+    // Counts what was told of switches: who shows them looks whether there is anything new.
+    this.switchesTold = 0;
     this.capacity = capacity;
     this.estimates = new Track(ESTIMATE_COLUMNS, capacity);
     // Of a recording as many come as of estimates, live there are fewer.
@@ -34,8 +43,19 @@ export class Robot {
     this.calibration = new Map();
   }
 
+  /** What people call it. */
+  get label() {
+    return this.name || this.id;
+  }
+
   /** Takes what a frame or a history says of this robot; anything that is not as agreed is left out. */
   apply(part, now_s) {
+    if (typeof part.name === 'string') this.name = part.name.slice(0, MOST_NAME);
+    if (Number.isFinite(part.lost_t_s)) this.lost_s = part.lost_t_s;
+    if (Array.isArray(part.switched_off)) {
+      this.switchedOff = new Set(part.switched_off.slice(0, MOST_SWITCHES));
+      this.switchesTold += 1;
+    }
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);

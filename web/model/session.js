@@ -8,6 +8,7 @@ const MOST_ROBOTS = 64;
 // Live; of a recording as many as the station sends.
 const MOST_LOG_LINES = 300;
 const MOST_TEXT = 400;
+const TRUTH_COLUMNS = ['x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'];
 
 export class Session {
   constructor(capacity = LIVE_CAPACITY, mostLogLines = MOST_LOG_LINES) {
@@ -15,7 +16,8 @@ export class Session {
     this.mostLogLines = mostLogLines;
     this.now_s = 0;
     this.robots = new Map();
-    this.truth = new Track(['x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'], capacity);
+    /** id of a robot -> where it really was; under '' that of the only simulated brick. */
+    this.truths = new Map();
     this.errors = new Map();
     this.links = [];
     this.clock = null;
@@ -45,11 +47,19 @@ export class Session {
     return estimated.length > 0 ? estimated : all;
   }
 
+  /** Where a robot really was: a track, or null where nobody knows. What names no robot is of the first one. */
+  truthOf(robot) {
+    const own = robot ? this.truths.get(robot.id) : null;
+    if (own) return own;
+    const isFirst = !robot || robot === this.estimated()[0];
+    return (isFirst ? this.truths.get('') : null) ?? null;
+  }
+
   /** First and last instant of any estimate or truth; null without any. */
   span() {
     let from_s = Infinity;
     let to_s = -Infinity;
-    for (const track of [this.truth, ...[...this.robots.values()].map((robot) => robot.estimates)]) {
+    for (const track of [...this.truths.values(), ...[...this.robots.values()].map((robot) => robot.estimates)]) {
       if (track.length === 0) continue;
       from_s = Math.min(from_s, track.columns.t_s[track.begin]);
       to_s = Math.max(to_s, track.columns.t_s[track.end - 1]);
@@ -72,15 +82,25 @@ export class Session {
   #truth(sample) {
     if (!isRecord(sample)) return;
     const odometry = list(sample.odometry);
-    this.truth.append({
+    this.#truthTrack(sample.robot)?.append({
       t_s: sample.t_s, x_m: sample.x_m, y_m: sample.y_m, heading_rad: sample.heading_rad,
       odometry_x_m: odometry[0], odometry_y_m: odometry[1], odometry_heading_rad: odometry[2],
     });
   }
 
+  #truthTrack(robot) {
+    const id = robot === undefined || robot === null ? '' : textOf(robot);
+    let track = this.truths.get(id);
+    if (!track && this.truths.size < MOST_ROBOTS) {
+      track = new Track(TRUTH_COLUMNS, this.capacity);
+      this.truths.set(id, track);
+    }
+    return track;
+  }
+
   #robot(part) {
     if (!isRecord(part)) return;
-    const id = idOf(part);
+    const id = textOf(part.id);
     let robot = this.robots.get(id);
     if (!robot) {
       if (this.robots.size >= MOST_ROBOTS) return;
@@ -108,8 +128,8 @@ function severityOf(value) {
   return SEVERITIES[value] ?? String(value ?? 'info').slice(0, 20);
 }
 
-function idOf(part) {
-  return String(part?.id).slice(0, 60);
+function textOf(id) {
+  return String(id).slice(0, 60);
 }
 
 export function isRecord(value) {

@@ -1,10 +1,12 @@
 // A bounded table of samples over time: one Float64Array per column, sorted by `t_s`.
 //
-// The newest `capacity` samples are kept. Columns are twice as long as that, so that a window is always one contiguous piece that a chart
-// takes as it is; when the end is reached, the kept half moves to the front. Nothing is allocated per sample.
+// The newest `capacity` samples are kept. Columns grow to twice as much as that, so that a window is always one contiguous piece that a chart
+// takes as it is; when the end is reached, the kept half moves to the front. Nothing is allocated per sample: columns double, so that a class of
+// robots with short tracks costs little.
 
 // A late fix stands a few seconds behind others of its sensor: at 50 Hz and 3 s of history that is 150 rows.
 const MOST_ROWS_TO_MOVE = 256;
+const FIRST_ROWS = 256;
 
 export class Track {
   /** @param {string[]} names columns besides `t_s`. @param {number} capacity samples that are kept. */
@@ -12,7 +14,8 @@ export class Track {
     this.names = ['t_s', ...names];
     this.capacity = capacity;
     this.columns = {};
-    for (const name of this.names) this.columns[name] = new Float64Array(2 * capacity);
+    this.rows = Math.min(FIRST_ROWS, 2 * capacity);
+    for (const name of this.names) this.columns[name] = new Float64Array(this.rows);
     this.begin = 0;
     this.end = 0;
     this.revision = 0;
@@ -26,7 +29,7 @@ export class Track {
   append(sample) {
     const t_s = sample.t_s;
     if (typeof t_s !== 'number' || !Number.isFinite(t_s)) return false;
-    if (this.end === 2 * this.capacity) this.#moveToFront();
+    if (this.end === this.rows) this.#makeRoom();
     const row = this.#rowFor(t_s);
     for (const name of this.names) this.columns[name][row] = numberOf(sample[name]);
     this.end += 1;
@@ -77,6 +80,19 @@ export class Track {
   /** A column's rows `from` to `to`, without a copy. */
   part(name, from, to) {
     return this.columns[name].subarray(from, to);
+  }
+
+  #makeRoom() {
+    if (this.rows === 2 * this.capacity) {
+      this.#moveToFront();
+      return;
+    }
+    this.rows = Math.min(2 * this.rows, 2 * this.capacity);
+    for (const name of this.names) {
+      const longer = new Float64Array(this.rows);
+      longer.set(this.columns[name]);
+      this.columns[name] = longer;
+    }
   }
 
   #moveToFront() {

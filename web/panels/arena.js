@@ -1,4 +1,5 @@
-// The arena from above: truth, brick odometry and estimate with their trails, ellipse and heading cone, and what the camera saw.
+// The arena from above: truth, brick odometry and estimate of the chosen robot with their trails, ellipse and heading cone, what the camera saw, and
+// where the other robots are.
 
 import { MARKS, MARK_WORDS } from '../model/marks.js';
 import { ESTIMATE_COLUMNS } from '../model/robot.js';
@@ -8,6 +9,7 @@ import { button, element, setText } from '../view/dom.js';
 import { degrees, fixed, metres, millimetres } from '../view/format.js';
 import { Lens, lensSize_px } from '../view/lens.js';
 import { listen } from '../view/map_input.js';
+import { OtherRobots } from '../view/other_robots.js';
 import { DASHES, palette } from '../view/palette.js';
 
 const TRAIL_S = 60;
@@ -38,12 +40,14 @@ class ArenaPanel {
     this.camera = new Camera();
     this.lens = new Lens();
     this.box = new Box();
+    this.others = new OtherRobots();
     this.pose = pose();
     this.truth = pose();
     this.odometry = pose();
     this.mode = 'fit';
     this.session = null;
     this.robot = null;
+    this.known = null;
     this.trails = [];
     this.kept = { right_px: 0, top_px: 0 };
     this.canvas = element('canvas', { tabindex: '0', role: 'img', 'aria-label': 'Map of the arena. Arrow keys move it, plus and minus zoom.' });
@@ -59,7 +63,8 @@ class ArenaPanel {
       this.output,
       this.#legend(),
     );
-    listen(this.canvas, this.camera, () => this.#look('free'));
+    listen(this.canvas, this.camera, () => this.#look('free'), (x_px, y_px) => this.#click(x_px, y_px));
+    this.canvas.addEventListener('pointermove', (event) => this.#hover(event));
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
     new ResizeObserver(() => this.#fitCanvas()).observe(this.canvas);
   }
@@ -126,6 +131,18 @@ class ArenaPanel {
     if (event.key === 'f' || event.key === 'F') this.#look('follow');
   }
 
+  #click(x_px, y_px) {
+    const robot = this.others.at(this.camera, x_px, y_px);
+    if (robot) this.station.select(robot.id);
+  }
+
+  #hover(event) {
+    const robot = event.buttons === 0 && this.others.count > 1 ? this.others.at(this.camera, event.offsetX, event.offsetY) : null;
+    this.canvas.classList.toggle('on-robot', robot !== null);
+    const title = robot ? robot.label : '';
+    if (this.canvas.title !== title) this.canvas.title = title;
+  }
+
   #fitCanvas() {
     const scale = globalThis.devicePixelRatio || 1;
     this.camera.width_px = this.canvas.clientWidth;
@@ -139,14 +156,17 @@ class ArenaPanel {
 
   // The poses at the time that is shown.
   #read(view) {
-    if (this.session !== view.session || this.robot !== view.robot) {
+    const truth = view.session.truthOf(view.robot);
+    if (this.session !== view.session || this.robot !== view.robot || this.known !== truth) {
       this.session = view.session;
       this.robot = view.robot;
-      this.trails = trails(view);
+      this.known = truth;
+      this.trails = trails(view, truth);
     }
+    this.others.read(view.session, view.robot, view.until_s);
     this.pose.has = readRow(this.pose, view.robot?.estimates, view.until_s, ESTIMATE);
-    this.truth.has = readRow(this.truth, view.session.truth, view.until_s, TRUTH);
-    this.odometry.has = readRow(this.odometry, view.session.truth, view.until_s, ODOMETRY);
+    this.truth.has = readRow(this.truth, truth, view.until_s, TRUTH);
+    this.odometry.has = readRow(this.odometry, truth, view.until_s, ODOMETRY);
   }
 
   #aim(view) {
@@ -163,6 +183,7 @@ class ArenaPanel {
       for (let row = from; row < to; row += step) this.box.add(trail.track.columns[trail.x][row], trail.track.columns[trail.y][row]);
     }
     for (const shown of [this.pose, this.truth, this.odometry]) if (shown.has) this.box.add(shown.x_m, shown.y_m);
+    this.others.addTo(this.box);
     if (this.box.isEmpty) this.box.add(0, 0);
     this.camera.fit(this.box, this.#kept());
   }
@@ -185,20 +206,27 @@ class ArenaPanel {
     context.clearRect(0, 0, camera.width_px, camera.height_px);
     drawGrid(context, camera);
     drawPath(context, camera, view.path);
+    this.others.draw(context, camera);
     for (const trail of this.trails) drawTrail(context, camera, trail, ...rows(trail.track, view));
     if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);
     if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
+    this.#paintEstimate(view);
+    this.others.drawNames(context, camera);
+    if (this.pose.has && this.#hasLens()) {
+      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
+    }
+  }
+
+  #paintEstimate(view) {
     if (!this.pose.has) return;
+    const { context, camera } = this;
     const isStale = view.silence_s > 0;
     if (isStale) context.globalAlpha = STALE_ALPHA;
     drawEllipse(context, camera, this.pose);
     drawCone(context, camera, this.pose);
     context.globalAlpha = 1;
     drawRobot(context, camera, this.pose, isStale ? { colour: 'old', width: 2 } : { colour: 'estimate', width: 2, isFilled: true });
-    if (this.#hasLens()) {
-      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: isStale ? STALE_ALPHA : 1 });
-    }
   }
 
   #say(view) {
@@ -246,11 +274,12 @@ function readRow(into, track, until_s, names) {
   return !Number.isNaN(into.x_m + into.y_m);
 }
 
-function trails(view) {
-  const shown = [
-    { track: view.session.truth, x: 'x_m', y: 'y_m', colour: 'truth', width: 3 },
-    { track: view.session.truth, x: 'odometry_x_m', y: 'odometry_y_m', colour: 'odometry', width: 1.8 },
-  ];
+function trails(view, truth) {
+  const shown = [];
+  if (truth) {
+    shown.push({ track: truth, x: 'x_m', y: 'y_m', colour: 'truth', width: 3 });
+    shown.push({ track: truth, x: 'odometry_x_m', y: 'odometry_y_m', colour: 'odometry', width: 1.8 });
+  }
   if (view.robot) shown.push({ track: view.robot.estimates, x: 'x_m', y: 'y_m', colour: 'estimate', width: 1.6 });
   return shown;
 }

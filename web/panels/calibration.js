@@ -11,11 +11,12 @@ const HEIGHT_PX = 34;
 export const calibration = {
   id: 'calibration',
   title: 'Biases and calibration',
+  isOfRobot: true,
   build(body, station) {
     const table = element('tbody');
     const empty = element('p', { class: 'note', text: 'Nothing was learned yet.' });
     const rows = new Map();
-    const ask = (command) => () => station.command({ command });
+    const ask = (command) => () => station.commandRobot({ command });
     body.append(empty, element('div', { class: 'scroll' }, element('table', {},
       element('thead', {}, element('tr', {}, ...['number', 'value ± sigma', 'how it went, 2 σ'].map((text) => element('th', { scope: 'col', text })))), table)),
     element('div', { class: 'actions' },

@@ -11,6 +11,7 @@ const FLOOR_M = 1e-4;
 export const error = {
   id: 'error',
   title: 'How far off',
+  isOfRobot: true,
   build(body) {
     const host = element('div', { hidden: true });
     const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.', hidden: true });

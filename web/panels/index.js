@@ -8,10 +8,12 @@ import { links } from './links.js';
 import { log } from './log.js';
 import { parameters } from './parameters.js';
 import { recordings } from './recordings.js';
+import { robots } from './robots.js';
 import { simulator } from './simulator.js';
 
 /**
  * `build(body, station)` fills a panel and gives `{draw(view), recolour?()}`. `isAnimated` ones are drawn with every frame of the screen,
- * the others in turn, one a frame. `isLive` ones act on the live robot and rest while a recording is shown: `rest?()`.
+ * the others in turn, one a frame. `isLive` ones act on the live robot and rest while a recording is shown; `rest?()` is called then, and before
+ * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
-export const PANELS = [arena, simulator, error, innovations, calibration, parameters, links, log, recordings];
+export const PANELS = [robots, arena, simulator, error, innovations, calibration, parameters, links, log, recordings];

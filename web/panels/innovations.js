@@ -33,6 +33,7 @@ const COMPONENTS = new Map([
 export const innovations = {
   id: 'innovations',
   title: 'Innovations and NIS',
+  isOfRobot: true,
   build: (body, station) => new InnovationsPanel(body, station),
 };
 
@@ -40,7 +41,8 @@ class InnovationsPanel {
   constructor(body, station) {
     this.station = station;
     this.rows = new Map();
-    this.switchesShown = 0;
+    this.switchesShown = '';
+    this.robotId = null;
     this.chosen = null;
     this.shape = '';
     this.charts = [];
@@ -60,7 +62,7 @@ class InnovationsPanel {
     const sources = view.robot?.sources ?? new Map();
     this.empty.hidden = sources.size > 0;
     this.#rowsFor(sources, view);
-    this.#showSwitches();
+    this.#showSwitches(view.robot);
     const source = sources.get(this.chosen) ?? firstWithNis(sources);
     if (!source) return;
     this.chosen = source.sensor;
@@ -78,7 +80,7 @@ class InnovationsPanel {
       this.rows.delete(sensor);
     }
     for (const [sensor, source] of sources) {
-      const row = this.rows.get(sensor) ?? this.#newRow(source);
+      const row = this.rows.get(sensor) ?? this.#newRow(source, view.robot);
       const share = insideBand(source.track, view.until_s);
       for (const name of ['seen', 'gated', 'late']) setText(row[name], count(source.counted(name, view.until_s)));
       setText(row.inside, Number.isNaN(share) ? '–' : `${fixed(100 * share, 0)} %`);
@@ -88,7 +90,7 @@ class InnovationsPanel {
     }
   }
 
-  #newRow(source) {
+  #newRow(source, robot) {
     const name = source.sensor;
     if (this.station.idOf(name) === undefined) this.station.renewSources();
     const radio = element('input', { type: 'radio', name: 'source', on: { change: () => this.#choose(source.sensor) } });
@@ -96,7 +98,7 @@ class InnovationsPanel {
       type: 'checkbox', 'aria-label': `Use ${name}`, on: { change: () => this.#switch(name, use.checked) },
       disabled: this.station.idOf(name) === undefined,
     });
-    const isUsed = this.station.isUsed(name);
+    const isUsed = this.station.isUsed(name, robot);
     use.checked = isUsed;
     const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
     const line = element('tr', {},
@@ -109,18 +111,21 @@ class InnovationsPanel {
   }
 
   async #switch(sensor, on) {
-    const isTaken = await this.station.command({ command: 'switch-source', sensor: this.station.idOf(sensor), on });
+    const isTaken = await this.station.commandRobot({ command: 'switch-source', sensor: this.station.idOf(sensor), on });
     const row = this.rows.get(sensor);
     if (!isTaken && row) row.use.checked = row.isUsed;
   }
 
   // A source may be switched from elsewhere as well. Only what is news moves a box: what is told once a second may be older than a click.
-  #showSwitches() {
-    if (this.switchesShown === this.station.switchesTold) return;
-    this.switchesShown = this.station.switchesTold;
+  #showSwitches(robot) {
+    const told = `${robot?.id} ${robot?.switchesTold} ${this.station.switchesTold}`;
+    if (this.switchesShown === told) return;
+    this.switchesShown = told;
+    const isAnother = this.robotId !== robot?.id;
+    this.robotId = robot?.id;
     for (const [sensor, row] of this.rows) {
-      const isUsed = this.station.isUsed(sensor);
-      if (isUsed !== row.isUsed) row.use.checked = isUsed;
+      const isUsed = this.station.isUsed(sensor, robot);
+      if (isAnother || isUsed !== row.isUsed) row.use.checked = isUsed;
       row.isUsed = isUsed;
       row.use.disabled = this.station.idOf(sensor) === undefined;
     }

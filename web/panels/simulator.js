@@ -9,6 +9,7 @@ export const simulator = {
   id: 'simulator',
   title: 'Hands on: the simulated brick',
   isLive: true,
+  isOfRobot: true,
   build: (body, station) => new SimulatorPanel(body, station),
 };
 
@@ -16,7 +17,7 @@ class SimulatorPanel {
   constructor(body, station) {
     this.station = station;
     this.known = null;
-    this.driver = new Driver((command) => station.command(command));
+    this.driver = new Driver((command) => station.commandRobot(command));
     this.none = element('p', { class: 'note', text: 'This station has no simulated brick: its robot is real.', hidden: true });
     this.host = element('div', { class: 'hands' });
     body.append(this.none, this.host);
@@ -51,7 +52,7 @@ class SimulatorPanel {
     }
   }
 
-  /** While a recording is shown nobody drives. */
+  /** While a recording is shown nobody drives, and nobody drives on with another robot. */
   rest() {
     this.driver.disarm();
   }
@@ -78,8 +79,8 @@ class SimulatorPanel {
 
   #camera() {
     return element('div', { class: 'hand' },
-      button('Camera off', () => this.station.command({ command: 'camera', on: false }), { title: 'No more fixes: the ellipse grows.' }),
-      button('Camera on', () => this.station.command({ command: 'camera', on: true }), { title: 'Fixes again.' }));
+      button('Camera off', () => this.station.commandRobot({ command: 'camera', on: false }), { title: 'No more fixes: the ellipse grows.' }),
+      button('Camera on', () => this.station.commandRobot({ command: 'camera', on: true }), { title: 'Fixes again.' }));
   }
 
   #delay() {
@@ -105,7 +106,7 @@ class SimulatorPanel {
   }
 
   #steering() {
-    this.steering = ['odometry', 'estimate'].map((by) => element('input', { type: 'radio', name: 'steering', value: by, on: { change: () => this.station.command({ command: 'steering', by }) } }));
+    this.steering = ['odometry', 'estimate'].map((by) => element('input', { type: 'radio', name: 'steering', value: by, on: { change: () => this.station.commandRobot({ command: 'steering', by }) } }));
     const options = this.steering.map((radio) => element('label', {}, radio, ` ${radio.value}`));
     return element('fieldset', { class: 'hand' }, element('legend', { text: 'Steer by' }), ...options);
   }
@@ -116,7 +117,7 @@ function row(text, command, title, station, ...labels) {
   const line = element('div', { class: 'hand' });
   const go = button(text, () => {
     for (const input of line.querySelectorAll('input')) if (!input.reportValidity()) return;
-    station.command(command());
+    station.commandRobot(command());
   }, { title, class: 'act' });
   line.append(go, ...labels);
   return line;

@@ -2,13 +2,14 @@
 
 import { metres } from './format.js';
 
-/** Of what is shown: `errors` of the robot, the time, and the robot itself. */
-export function headline({ errors, robot, until_s }) {
+/** Of what is shown: `errors` of the robot, the time, the robot itself, and whether it is one of several. */
+export function headline({ errors, robot, until_s, isOneOfMany }) {
+  const whose = isOneOfMany && robot ? `${robot.label}: ` : '';
   const odometry_m = errors?.recent('odometry_m', until_s) ?? NaN;
   if (Number.isFinite(odometry_m)) {
     const estimate_m = errors.recent('estimate_m', until_s);
     const estimate = Number.isFinite(estimate_m) ? `estimate ${metres(estimate_m)} off` : 'estimate not known';
-    return `odometry ${metres(odometry_m)} off, ${estimate}`;
+    return `${whose}odometry ${metres(odometry_m)} off, ${estimate}`;
   }
-  return robot ? `robot ${robot.id}` : 'Waiting for a robot…';
+  return robot ? `robot ${robot.label}` : 'Waiting for a robot…';
 }

@@ -4,6 +4,8 @@
 
 const ZOOM_STEP = 1.25;
 const PAN_STEP_PX = 40;
+// A pointer that moves less than this between down and up is a click.
+const CLICK_PX = 5;
 
 const KEYS = new Map([
   ['ArrowLeft', (camera) => camera.pan(PAN_STEP_PX, 0)],
@@ -15,9 +17,10 @@ const KEYS = new Map([
   ['-', (camera) => camera.zoom(1 / ZOOM_STEP)],
 ]);
 
-/** Listens on a canvas; calls `onMove` after each change of the camera. */
-export function listen(canvas, camera, onMove) {
+/** Listens on a canvas; calls `onMove` after each change of the camera, and `onClick(x_px, y_px)` where nothing was moved. */
+export function listen(canvas, camera, onMove, onClick) {
   const pointers = new Map();
+  listenForClicks(canvas, onClick);
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, point(event));
@@ -39,6 +42,15 @@ export function listen(canvas, camera, onMove) {
   }
   canvas.addEventListener('wheel', (event) => wheel(event, camera, onMove), { passive: false });
   canvas.addEventListener('keydown', (event) => key(event, camera, onMove));
+}
+
+function listenForClicks(canvas, onClick) {
+  let down = null;
+  canvas.addEventListener('pointerdown', (event) => { down = event.isPrimary && event.button === 0 ? point(event) : null; });
+  canvas.addEventListener('pointerup', (event) => {
+    if (down && event.isPrimary && Math.hypot(event.offsetX - down.x_px, event.offsetY - down.y_px) < CLICK_PX) onClick(event.offsetX, event.offsetY);
+    down = null;
+  });
 }
 
 function point(event) {

@@ -30,6 +30,7 @@ assets![
     "model/errors.js",
     "model/marks.js",
     "model/robot.js",
+    "model/robot_list.js",
     "model/session.js",
     "model/silence.js",
     "model/slider.js",
@@ -43,6 +44,7 @@ assets![
     "panels/log.js",
     "panels/parameters.js",
     "panels/recordings.js",
+    "panels/robots.js",
     "panels/simulator.js",
     "replay.js",
     "station.js",
@@ -60,6 +62,7 @@ assets![
     "view/headline.js",
     "view/lens.js",
     "view/map_input.js",
+    "view/other_robots.js",
     "view/palette.js",
     "view/theme.js",
 ];

@@ -14,8 +14,9 @@ const SIDE_M = 1;
 const SPEED_M_PER_S = 0.2;
 
 export class FakeStation {
-  constructor({ robots = ['0/1/1'] } = {}) {
+  constructor({ robots = ['0/1/1'], names = {} } = {}) {
     this.robots = robots;
+    this.names = names;
     this.now_s = 0;
     this.commands = [];
     this.commanded = new EventEmitter();
@@ -55,7 +56,7 @@ export class FakeStation {
       simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
-      robots: this.robots,
+      robots: this.robots.map((id) => ({ id, name: this.names[id] ?? null })),
       recordings: this.recordings,
       history: { switched_off: this.switchedOff, simulator: this.simulator, ...this.history },
     };
@@ -80,8 +81,8 @@ export class FakeStation {
     const isSecond = Math.round(t_s / 0.02) % 50 === 0;
     return {
       type: 'frame', now_s: t_s,
-      robots: this.robots.map((id, index) => robotAt(id, t_s, 3 * index)),
-      truth: [truthAt(t_s)],
+      robots: this.robots.map((id, index) => ({ ...robotAt(id, t_s, placeOf(index)), ...(this.names[id] ? { name: this.names[id] } : {}) })),
+      truth: this.robots.map((id, index) => ({ ...truthAt(t_s, placeOf(index)), ...(this.robots.length > 1 ? { robot: id } : {}) })),
       ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) }, switched_off: this.switchedOff, simulator: this.simulator } : {}),
       log: isSecond ? [{ t_s, severity: 6, text: `second ${Math.round(t_s)}` }] : [],
       dropped: 0,
@@ -127,21 +128,29 @@ function reply(response, status, value) {
   response.end(JSON.stringify(value));
 }
 
+// Four robots one behind the other on each square, squares in rows of four.
+function placeOf(index) {
+  const square = Math.floor(index / 4);
+  return { ahead_s: 5 * (index % 4), east_m: 1.4 * (square % 4), north_m: 1.4 * Math.floor(square / 4) };
+}
+
+const FIRST_PLACE = placeOf(0);
+
 // Round the square at constant speed, on the spot at the corners.
-function truthAt(t_s) {
-  const gone_m = (SPEED_M_PER_S * t_s) % (4 * SIDE_M);
+function truthAt(t_s, { ahead_s, east_m, north_m } = FIRST_PLACE) {
+  const gone_m = (SPEED_M_PER_S * (t_s + ahead_s)) % (4 * SIDE_M);
   const side = Math.floor(gone_m / SIDE_M);
   const along_m = gone_m - side * SIDE_M;
-  const [x_m, y_m] = [[along_m, 0], [SIDE_M, along_m], [SIDE_M - along_m, SIDE_M], [0, SIDE_M - along_m]][side];
+  const [x, y] = [[along_m, 0], [SIDE_M, along_m], [SIDE_M - along_m, SIDE_M], [0, SIDE_M - along_m]][side];
   const heading_rad = Math.atan2(Math.sin((side * Math.PI) / 2), Math.cos((side * Math.PI) / 2));
   const drift_rad = 0.004 * t_s;
   const [sine, cosine] = [Math.sin(drift_rad), Math.cos(drift_rad)];
-  return { t_s, x_m, y_m, heading_rad, odometry: [1.02 * (cosine * x_m - sine * y_m), 1.02 * (sine * x_m + cosine * y_m), heading_rad + drift_rad] };
+  const odometry = [east_m + 1.02 * (cosine * x - sine * y), north_m + 1.02 * (sine * x + cosine * y), heading_rad + drift_rad];
+  return { t_s, x_m: east_m + x, y_m: north_m + y, heading_rad, odometry };
 }
 
-// A robot that is some seconds ahead on the square.
-function robotAt(id, t_s, ahead_s) {
-  const truth = truthAt(t_s + ahead_s);
+function robotAt(id, t_s, place) {
+  const truth = truthAt(t_s, place);
   const step = Math.round(t_s / 0.02);
   const wave = (rate) => Math.sin(rate * t_s) + 0.6 * Math.sin(2.7 * rate * t_s + 1);
   const estimate = {
