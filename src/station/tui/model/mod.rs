@@ -144,8 +144,9 @@ impl Model {
 
     /// Where the chosen robot really was, if it is simulated.
     #[must_use]
-    pub fn selected_truth(&self) -> &RecentPoints<TruthPoint> {
-        self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty()).unwrap_or(&self.truth)
+    pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
+        let own = self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty());
+        own.or_else(|| (self.visible_robots().len() <= 1).then_some(&self.truth))
     }
 
     /// How far odometry and estimate of the chosen robot are from its truth.

@@ -107,10 +107,10 @@ impl<'a> Map<'a> {
         let latest = robot.and_then(|robot| robot.estimates.last());
         let path = model.simulator.as_ref().map_or(&[][..], |known| known.path.as_slice());
         let truth = model.selected_truth();
-        let odometry = truth.iter().filter_map(|point| point.odometry);
+        let odometry = truth.iter().flat_map(|truth| truth.iter()).filter_map(|point| point.odometry);
         Self {
             path: path.iter().map(|[x_m, y_m]| (*x_m, *y_m)).collect(),
-            truth: map_points(truth.iter().map(|point| (point.x_m, point.y_m))),
+            truth: map_points(truth.iter().flat_map(|truth| truth.iter()).map(|point| (point.x_m, point.y_m))),
             odometry: map_points(odometry.map(|[x_m, y_m, _]| (x_m, y_m))),
             estimate: robot
                 .map_or_else(Vec::new, |robot| map_points(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))),

@@ -50,11 +50,11 @@ fn row(robot: &Robot, now_s: f64, is_selected: bool, look: Theme) -> Line<'stati
         return Line::from(spans);
     };
     let silence_s = now_s - latest.t_s;
-    spans.push(if silence_s >= SILENT_FROM_S {
-        Span::styled(format!("silent {silence_s:.0} s "), look.style(StyleRole::Bad))
-    } else {
-        Span::styled("live ", look.style(StyleRole::Good))
-    });
+    if silence_s >= SILENT_FROM_S {
+        spans.push(Span::styled(format!("silent for {silence_s:.0} s"), look.style(StyleRole::Bad)));
+        return Line::from(spans);
+    }
+    spans.push(Span::styled("live ", look.style(StyleRole::Good)));
     let fix = match latest.fix_age_s.get() {
         Some(age_s) => format!("fix {age_s:.1} s ago"),
         None => "no fix".to_owned(),
