@@ -8,6 +8,7 @@ use posebridge_telemetry::{
 };
 
 use crate::clock::align::Alignment;
+use crate::codec_events::{CodecEvents, OwnedCodecEvent};
 use crate::config::DescriptionPolicy;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
@@ -86,6 +87,44 @@ impl Station {
                 self.handle_observation(&mut sender, observation);
             }
         }
+    }
+
+    /// Acts on what a codec has found, then sends what it asks.
+    pub(crate) fn handle_codec_events(&mut self, received: ReceiveInfo, events: CodecEvents) {
+        let link = received.endpoint.link;
+        for event in events.into_events() {
+            match event {
+                OwnedCodecEvent::Message(source, message) => {
+                    let message = ReceivedMessage { source, duplicate_status: DuplicateStatus::New, message };
+                    self.handle_message(received, &message);
+                }
+                OwnedCodecEvent::ClockReply { from, sent, peer_nanos } => {
+                    self.handle_time_exchange(from, &TimeExchange { sent, answer: received, peer_nanos });
+                }
+                OwnedCodecEvent::StatusText { from: source, severity, text } => {
+                    self.emit(Event::Text { source, severity, text });
+                }
+                OwnedCodecEvent::Error(error) => self.emit(Event::ReceiveError { link, defect: error }),
+            }
+        }
+        self.transmitter().send_codec_output(link);
+    }
+
+    /// Lets a codec do what is due.
+    pub(crate) fn run_codec(&mut self, id: LinkId) {
+        let now = self.time.now;
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        if link.codec_deadline().is_none_or(|due| due > now) {
+            return;
+        }
+        let Some(codec) = &mut link.codec else {
+            return;
+        };
+        let mut events = CodecEvents::default();
+        codec.tick(now, &mut |event| events.push(event));
+        self.handle_codec_events(ReceiveInfo::local(id, now), events);
     }
 
     /// The extractor for a sender that is no robot yet: of its own geometry, and of the tag of the robot that its fixes are for.
@@ -275,12 +314,12 @@ impl Station {
             let robot = self.robots.get_mut(index);
             let host = robot.clocks.to_host(observation.stamp).unwrap_or(now);
             for message in robot.publisher.publish_range(now, range, host, is_up) {
-                self.send_published(index, &message);
+                self.transmitter().send_published(index, &message);
             }
         }
         let robot_entry = self.robots.get_mut(index);
         for message in robot_entry.publisher.publish_record(now, &record, &robot_entry.clocks) {
-            self.send_published(index, &message);
+            self.transmitter().send_published(index, &message);
         }
         self.emit(Event::ObservationFused { robot, record });
         if report.slip_began {
@@ -292,7 +331,7 @@ impl Station {
     pub(crate) fn request_fixes(&mut self, estimate: Option<&Estimate>) {
         let due = self.observers.fix_requests.due(self.time.now, &self.config.fix_requests, estimate);
         for (link, camera) in due {
-            self.send(link, &fix_request(camera), Priority::Command);
+            self.transmitter().send(link, &fix_request(camera), Priority::Command);
         }
     }
 
@@ -377,6 +416,20 @@ impl Station {
         if let Some(stamp) = time {
             let arrival = sender.received.host_time;
             self.thermometers.push(TemperatureReading { brick, channel, arrival, stamp, shown: temperature });
+        }
+    }
+
+    /// Uses the temperatures that wait: nobody steers by them.
+    pub(crate) fn process_temperatures(&mut self) {
+        let outputs = &mut self.outputs;
+        self.thermometers
+            .process(&self.config.robot.filter_config, &self.config.thermometers, |event| outputs.emit(event));
+        if self.thermometers.take_limit_report() {
+            self.emit(Event::Text {
+                source: self.config.own_address,
+                severity: SEVERITY_WARNING,
+                text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
+            });
         }
     }
 

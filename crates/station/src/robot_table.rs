@@ -74,6 +74,11 @@ impl RobotTable {
         &self.robots
     }
 
+    /// All robots that were heard.
+    pub(crate) fn heard(&self) -> &[Robot] {
+        &self.robots[..self.len()]
+    }
+
     pub(crate) fn all_mut(&mut self) -> &mut [Robot] {
         &mut self.robots
     }
