@@ -212,7 +212,7 @@ class ArenaPanel {
     if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
     this.#paintEstimate(view);
-    this.others.drawNames(context, camera);
+    this.others.drawChosenName(context);
     if (this.pose.has && this.#hasLens()) {
       this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
     }

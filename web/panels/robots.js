@@ -53,7 +53,7 @@ class RobotsPanel {
     const address = element('span', { class: 'robot-id' });
     const cells = { state: element('td', { class: 'robot-state' }), fix: cell(), sigma: cell(), resets: cell() };
     const line = element('tr', { on: { click: choose } },
-      element('th', { scope: 'row' }, element('label', {}, radio, name, address)), cells.state, cells.fix, cells.sigma, cells.resets);
+      element('th', { scope: 'row' }, element('label', {}, radio, name, ' ', address)), cells.state, cells.fix, cells.sigma, cells.resets);
     this.table.append(line);
     const row = { line, radio, name, address, isChosen: null, ...cells };
     this.rows.set(id, row);

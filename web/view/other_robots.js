@@ -58,11 +58,16 @@ export class OtherRobots {
     this.#eachTrailPoint((x_m, y_m) => box.add(x_m, y_m));
   }
 
-  /** Draws all but the chosen one; the outline of a silent one is dashed. */
+  /** Draws all but the chosen one; the outline of a silent one is dashed. Of names that would cover each other one is left out. */
   draw(context, camera) {
     context.strokeStyle = palette.other;
     this.#drawTrails(context, camera);
+    this.labels.length = 0;
+    const chosen = this.places.find((place) => place.isChosen);
+    if (chosen && this.count > 1) this.labels.push(this.#label(context, camera, chosen, CHOSEN_FONT));
+    for (const place of this.places) if (!place.isChosen) this.#drawName(context, camera, place);
     context.fillStyle = palette.panel;
+    context.strokeStyle = palette.other;
     context.lineWidth = 1.4;
     for (const isSilent of [false, true]) {
       context.setLineDash(isSilent ? SILENT_DASH : []);
@@ -74,13 +79,10 @@ export class OtherRobots {
     context.setLineDash([]);
   }
 
-  /** Writes their names, of which one that would cover another is left out; the chosen one's stands in any case. */
-  drawNames(context, camera) {
-    if (this.count < 2) return;
-    this.labels.length = 0;
-    const chosen = this.places.find((place) => place.isChosen);
-    if (chosen) this.#drawName(context, camera, chosen, CHOSEN_FONT, palette.estimate);
-    for (const place of this.places) if (!place.isChosen) this.#drawName(context, camera, place, FONT, palette.other);
+  /** Writes the name of the chosen one, over all else; `draw` has left room for it. */
+  drawChosenName(context) {
+    const [label] = this.labels;
+    if (label?.place.isChosen) write(context, label, palette.estimate);
   }
 
   /** The robot that is meant by a click, or null. */
@@ -129,22 +131,22 @@ export class OtherRobots {
     }
   }
 
-  #drawName(context, camera, place, font, colour) {
-    const text = place.robot.name || place.robot.id;
+  #drawName(context, camera, place) {
+    const label = this.#label(context, camera, place, FONT);
+    if (this.labels.some((other) => covers(label, other))) return;
+    this.labels.push(label);
+    write(context, label, palette.other);
+  }
+
+  // To the right of the robot, at the map's edge to its left.
+  #label(context, camera, place, font) {
+    const text = place.robot.label;
     const width_px = this.#width_px(context, text, font);
     const gap_px = halfLength_px(camera) + 4;
     const x = camera.toX(place.x_m);
     const y = camera.toY(place.y_m);
     const left = x + gap_px + width_px > camera.width_px ? x - gap_px - width_px : x + gap_px;
-    const label = { left, right: left + width_px, top: y - LABEL_HEIGHT_PX / 2, bottom: y + LABEL_HEIGHT_PX / 2 };
-    if (this.labels.some((other) => covers(label, other))) return;
-    this.labels.push(label);
-    context.font = font;
-    context.lineWidth = 3;
-    context.strokeStyle = palette.panel;
-    context.strokeText(text, left, y + 4);
-    context.fillStyle = colour;
-    context.fillText(text, left, y + 4);
+    return { place, text, font, left, right: left + width_px, top: y - LABEL_HEIGHT_PX / 2, bottom: y + LABEL_HEIGHT_PX / 2 };
   }
 
   // To measure a text costs more than to draw it.
@@ -159,6 +161,15 @@ export class OtherRobots {
     }
     return width_px;
   }
+}
+
+// On a ground and without a rim of its letters: to stroke text costs several times as much.
+function write(context, label, colour) {
+  context.font = label.font;
+  context.fillStyle = `${palette.panel}cc`;
+  context.fillRect(label.left - 2, label.top, label.right - label.left + 4, LABEL_HEIGHT_PX);
+  context.fillStyle = colour;
+  context.fillText(label.text, label.left, label.bottom - 3);
 }
 
 function addOutline(context, camera, place) {
