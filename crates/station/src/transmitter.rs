@@ -230,16 +230,39 @@ impl Transmitter<'_> {
         if !self.egress.admit_forwarded(now, id, link, frame) || self.forward_renumbered(id, frame) {
             return;
         }
+        let listeners = self.broadcast_listeners(id, frame.from);
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        for (_, to) in to {
+        let mut push = |to: Recipients| {
             link.health.bytes_out += frame.bytes.len() as u64;
             link.health.frames_out += 1;
             link.health.forwarded += 1;
             let bytes = frame.bytes.clone();
-            self.outputs.push_forwarded(Output::Transmit { link: id, to: *to, priority: frame.priority, bytes });
+            self.outputs.push_forwarded(Output::Transmit { link: id, to, priority: frame.priority, bytes });
+        };
+        for (_, to) in to {
+            match (to, &listeners) {
+                (Recipients::All | Recipients::AllExcept(_), Some(listeners)) => {
+                    listeners.iter().for_each(|peer| push(Recipients::Peer(*peer)));
+                }
+                _ => push(*to),
+            }
         }
+    }
+
+    /// The peers of a link that listen to what others say to everybody; `None` for all of them.
+    ///
+    /// Where several robots share a link, those are its ground stations: what a robot or its camera says twenty times a second would
+    /// otherwise go to every other robot, and a weak robot has no time for it. What a ground station says to everybody goes to all.
+    fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
+        let is_ground_station =
+            self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
+        if is_ground_station || self.robots.at_home(id, self.router).len() < 2 {
+            return None;
+        }
+        let peers = self.links.get(&id)?.ground_stations();
+        Some(peers.filter(|peer| (id, *peer) != (from.link, from.peer)).collect())
     }
 
     /// Forwards a frame to a link for ground stations, under the address by which they know its sender and the next number of its count

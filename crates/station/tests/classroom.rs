@@ -12,9 +12,10 @@ mod brick;
 mod station;
 
 use brick::{HEARTBEAT, frame, messages, ticks};
-use posebridge_protocol::message::{Message, TimeSync, VisionFix, WireStamp};
+use posebridge_protocol::message::{Heartbeat, Message, TimeSync, VisionFix, WireStamp};
 use posebridge_telemetry::{
-    Address, Event, Heading, HostClock, Input, Meters, Output, PeerId, ReceiveError, SensorId, TimeDelta, Timestamp,
+    Address, Event, Heading, HostClock, Input, Meters, Output, PeerId, ReceiveError, Recipients, SensorId, TimeDelta,
+    Timestamp,
 };
 use station::{LINK, TestStation, at, config};
 
@@ -124,4 +125,30 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
         let expected_m = place_m(u32::from(robot.id().address.system.0) - 1);
         assert!((x_m - expected_m).abs() <= 0.1 * expected_m, "{x_m} {expected_m}");
     }
+}
+
+#[test]
+fn what_a_robot_says_to_everybody_goes_to_the_ground_station_and_to_no_other_robot() {
+    let mut station = TestStation::new(&config());
+    let ground_station = PeerId(ROBOTS);
+    let gcs_heartbeat = Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 });
+    for robot in 0..ROBOTS {
+        say(&mut station, at(1), robot, robot_address(robot), &HEARTBEAT);
+        say(&mut station, at(2), robot, robot_address(robot), &ticks(1_000, 0, 0));
+    }
+    let heard_by = |station: &mut TestStation, from: u32, address, message: &Message, now| {
+        let before = station.outputs.len();
+        say(station, now, from, address, message);
+        let bytes = frame(address, message);
+        let sent = station.outputs[before..].iter().filter_map(|(_, output)| match output {
+            // The sequence number is that of the first frame in both.
+            Output::Transmit { to, bytes: sent, .. } if *sent == bytes => Some(*to),
+            _ => None,
+        });
+        sent.collect::<Vec<Recipients>>()
+    };
+    let everybody_else = vec![Recipients::AllExcept(ground_station)];
+    assert_eq!(heard_by(&mut station, ROBOTS, Address::new(254, 190), &gcs_heartbeat, at(3)), everybody_else);
+    let of_robot = heard_by(&mut station, 4, robot_address(4), &ticks(1_050, 7, 8), at(50));
+    assert_eq!(of_robot, [Recipients::Peer(ground_station)]);
 }
