@@ -286,7 +286,7 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop,
             (config.clone(), config),
             Some(recording.to_owned()),
         ),
-        truth: None,
+        truth: Vec::new(),
     };
     (shard, address)
 }

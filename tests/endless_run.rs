@@ -4,7 +4,7 @@ mod support;
 
 use std::time::Duration;
 
-use posebridge::station::simulator::EmbeddedBrick;
+use posebridge::station::simulator::{BrickStart, EmbeddedBricks};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
 use posebridge_recording::container::read_truth;
 use posebridge_sim::Scenario;
@@ -52,7 +52,10 @@ async fn a_pulled_cable_closes_the_terminal_and_puts_it_back() {
     let path = folder.path().join("brick.tty");
     let (timer, stop) = (HostTimer::start(), CancellationToken::new());
     let scenario = Scenario::default().without_end();
-    let brick = EmbeddedBrick::start(scenario, &path, timer, stop.clone()).unwrap();
+    let listening = LinkOpenConfig { id: LinkId(0), url: LinkUrl::pty(&path).unwrap(), role: ConnectRole::Listen };
+    let start = BrickStart { scenario, link: listening, robot: None };
+    let embedded = EmbeddedBricks::start(vec![start], timer, stop.clone()).unwrap();
+    let brick = &embedded.bricks[0];
     let config = LinkOpenConfig { id: LinkId(0), url: LinkUrl::serial(&path).unwrap(), role: ConnectRole::Dial };
     let mut port = Link::new(config, timer);
     port.try_open().await.unwrap();
@@ -67,6 +70,6 @@ async fn a_pulled_cable_closes_the_terminal_and_puts_it_back() {
     wait_for(&mut port, "it is back", is_up).await;
     wait_for(&mut port, "it speaks again", has_bytes).await;
     stop.cancel();
-    let simulation = brick.finish().unwrap();
-    assert!(!simulation.is_finished());
+    let simulations = embedded.finish().unwrap();
+    assert!(simulations.iter().all(|simulation| !simulation.is_finished()));
 }

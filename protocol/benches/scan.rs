@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use mavlink::dialects::common::MavMessage;
 use mavlink::{MavlinkReader, MavlinkVersion};
 use posebridge_protocol::dialect::decode;
-use posebridge_protocol::framing::{Crc, Framer, FramerConfig, FramerOutput};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput};
 use posebridge_telemetry::Timestamp;
 
 /// Frames per round: more bytes than the caches hold.
@@ -50,34 +50,9 @@ fn main() {
         let nanos = best.as_nanos() as f64 / FRAMES as f64;
         println!("{name:32} {nanos:7.1} ns/frame {:6.2} Mframe/s", 1e3 / nanos);
     }
-    print_checksums(&stream);
     let [scan, _, decoded, raw, typed] = best.map(|best| best.as_secs_f64());
     println!("typed ratio {:.1}", typed / decoded);
     println!("ratio {:.1}", raw / scan);
-}
-
-/// The ways to compute the checksum, at lengths on both sides of the threshold.
-fn print_checksums(stream: &[u8]) {
-    for length in [16, 32, 64, 128, 242] {
-        print!("checksum of {length:3} bytes:");
-        for way in [Crc::Bytewise, Crc::Sliced, Crc::Widest] {
-            let best = (0..ROUNDS).map(|_| time(|| checksum_all(stream, length, way))).min();
-            if let Some((elapsed, count)) = best {
-                let nanos = elapsed.as_nanos() as f64 / count as f64;
-                print!("  {way:?} {nanos:6.1} ns");
-            }
-        }
-        println!();
-    }
-}
-
-fn checksum_all(stream: &[u8], length: usize, way: Crc) -> usize {
-    let part = &stream[..stream.len().min(length * 4_096)];
-    part.chunks_exact(length)
-        .inspect(|bytes| {
-            black_box(way.sum(bytes));
-        })
-        .count()
 }
 
 #[expect(clippy::disallowed_methods, reason = "a benchmark reads a clock")]

@@ -21,7 +21,7 @@ use crate::overhead_view;
 use crate::random::RandomStream;
 use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
 
-/// The camera's address on the link: MAV_COMP_ID_CAMERA of the robot's system (minimal.xml).
+/// The camera's address on the link, unless its scenario gives the brick another system: MAV_COMP_ID_CAMERA (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
 /// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
 const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
@@ -73,11 +73,10 @@ pub(crate) struct Camera {
 const MAX_IMAGES: usize = 64;
 
 impl Camera {
-    /// A camera that is switched on at the beginning of the world.
-    pub(crate) fn new(settings: CameraSettings, seed: u64) -> Self {
+    /// A camera of this address that is switched on at the beginning of the world.
+    pub(crate) fn new(settings: CameraSettings, own: Address, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock());
-        let node =
-            MavlinkNode::new(CAMERA, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
+        let node = MavlinkNode::new(own, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
         Self {
             interval: match settings.images {
                 CameraImages::Steady => Some(TimeDelta::from_secs_f64(1.0 / settings.rate_hz)),

@@ -19,7 +19,7 @@ use posebridge_telemetry::{
 };
 
 pub use self::commands::CommandExecutor;
-use crate::camera::{Camera, CameraFix};
+use crate::camera::{CAMERA, Camera, CameraFix};
 use crate::clock::SkewedClock;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
@@ -108,7 +108,10 @@ impl Simulation {
         let path = Path::new(&scenario);
         let brick_clock = SkewedClock::new(scenario.brick.clock());
         let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(TimeDelta::ZERO));
-        let camera = scenario.camera.is_present.then(|| Camera::new(scenario.camera.clone(), scenario.seed));
+        let camera = scenario
+            .camera
+            .is_present
+            .then(|| Camera::new(scenario.camera.clone(), scenario.brick.address_of(CAMERA), scenario.seed));
         let history = match scenario.drive.end {
             DriveEnd::LastLap => HistoryPolicy::All,
             DriveEnd::Never => HistoryPolicy::Recent,

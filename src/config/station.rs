@@ -7,7 +7,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
 use posebridge_sim::Scenario;
 use posebridge_station::{DescriptionPolicy, FixRequestConfig, LinkConfig, RobotBlock, RobotConfig, StationConfig};
-use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
+use posebridge_telemetry::{Address, Meters, Point2, RobotId, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -171,16 +171,30 @@ impl Config {
     /// # Errors
     /// A value makes no sense; the message names its key.
     pub fn filter_config(&self) -> Result<FilterConfig> {
+        self.filter_config_of(&self.robot)
+    }
+
+    /// The filter's configuration for a robot of this configuration.
+    ///
+    /// # Errors
+    /// A value makes no sense; the message names its key.
+    pub fn filter_config_of(&self, robot: &RobotFile) -> Result<FilterConfig> {
         self.filter.entry()?;
-        filter_config(&self.robot, &self.filter, self.world.checked()?)
+        filter_config(robot, &self.filter, self.world.checked()?)
+    }
+
+    /// The robot that is heard so: that of the first block that matches it, else `[robot]`.
+    #[must_use]
+    pub fn robot_file(&self, robot: RobotId) -> &RobotFile {
+        let block = self.robots.iter().find(|block| block.matches.to_match().is_for(robot.link, robot.address));
+        block.map_or(&self.robot, |block| &block.robot)
     }
 
     fn robot_config(&self, robot: &RobotFile) -> Result<RobotConfig> {
-        self.filter.entry()?;
         Ok(RobotConfig {
             name: None,
             filter: self.filter.name.clone(),
-            filter_config: filter_config(robot, &self.filter, self.world.checked()?)?,
+            filter_config: self.filter_config_of(robot)?,
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,

@@ -17,7 +17,7 @@ use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
 use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{Event, HostClock, Input, TimeDelta, Timestamp};
+use posebridge_telemetry::{Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 use tokio::sync::mpsc;
 
 use super::page_history;
@@ -37,14 +37,14 @@ pub struct DashboardHandle {
     simulator: Option<SimulatorNow>,
 }
 
-/// The simulated brick of a run, as the page shows it.
+/// The simulated bricks of a run, as the page shows them.
 pub struct SimulatedBrickInfo<'a> {
     /// The scenario's name.
     pub name: &'a str,
-    /// What it drives.
-    pub scenario: &'a Scenario,
-    /// Where it is.
-    pub truth: TruthTap,
+    /// What each of them drives; there is always one.
+    pub scenarios: Vec<&'a Scenario>,
+    /// Where they are.
+    pub truth: Vec<TruthTap>,
 }
 
 /// An address that was taken for the dashboard, as it was asked for.
@@ -158,14 +158,17 @@ fn open_in_browser(url: String) -> Result<()> {
 }
 
 /// Gives what was shown since it was asked last, one by one.
-fn truth_of(mut tap: TruthTap) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Send> {
+fn truth_of(mut taps: Vec<TruthTap>) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Send> {
     let mut waiting = VecDeque::new();
     Box::new(move || {
         if waiting.is_empty() {
-            waiting.extend(tap.drain());
+            for tap in &mut taps {
+                let robot = tap.robot();
+                waiting.extend(tap.drain().into_iter().map(|live| (robot, live)));
+            }
         }
-        waiting.pop_front().map(|live: TimedTruthSample| SimulatedTruth {
-            robot: None,
+        waiting.pop_front().map(|(robot, live): (Option<RobotId>, TimedTruthSample)| SimulatedTruth {
+            robot,
             now: live.at,
             time: live.sample.brick_time,
             pose: live.sample.pose,
@@ -188,13 +191,15 @@ fn facts_of(config: &Config, simulated: Option<&SimulatedBrickInfo<'_>>) -> Resu
 /// What the page tells of a simulated brick.
 #[must_use]
 pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
-    // One lap: the others are driven on the same path.
-    let world = Simulation::new(simulated.scenario.clone().with_laps(1));
+    // One lap of the first: the others are driven on the same path, and the other robots beside it.
+    let scenario = simulated.scenarios.first().map_or_else(Scenario::default, |first| (*first).clone());
+    let steering = scenario.steering;
+    let world = Simulation::new(scenario.with_laps(1));
     SimulatorFacts {
         scenario: simulated.name.to_owned(),
         path: world.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
         link_profiles: PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect(),
-        steering: match simulated.scenario.steering {
+        steering: match steering {
             Steering::Odometry => "odometry".to_owned(),
             Steering::Estimate => "estimate".to_owned(),
         },
@@ -219,7 +224,7 @@ fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
 
 impl DashboardHandle {
     /// Tells what an input has led to; drops it if the dashboard is behind.
-    pub fn print_address(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+    pub fn publish_events(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         self.feed.publish(EventBatch {
             now,
             latency: self.timer.now() - now,

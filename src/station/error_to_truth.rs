@@ -4,13 +4,34 @@ use std::collections::VecDeque;
 
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_sim::TruthSample;
-use posebridge_telemetry::{Estimate, TimeDelta};
+use posebridge_telemetry::{Estimate, RobotId, TimeDelta};
 
 use super::event_collector::MAX_INTERPOLATION_GAP;
 use super::simulator::truth_tap::TruthTap;
 
 /// So much truth is kept: an estimate is younger, or it is none that anybody steers by.
 const TRUTH_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
+
+/// How far off odometry and estimate are, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurrentErrors {
+    /// Of the brick's own odometry.
+    pub odometry_m: f64,
+    /// Of the estimate; `None` while none can be compared.
+    pub estimate_m: Option<f64>,
+}
+
+/// A line for people about one robot or several; `None` before anything is known.
+pub fn error_line(errors: &[CurrentErrors]) -> Option<String> {
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.reduce(f64::max);
+    let odometry_m = largest(&mut errors.iter().map(|errors| errors.odometry_m))?;
+    let estimate_m = largest(&mut errors.iter().filter_map(|errors| errors.estimate_m));
+    let at_most = if errors.len() > 1 { " at most" } else { "" };
+    let estimate = estimate_m
+        .map_or_else(|| "estimate not known".to_owned(), |off_m| format!("estimate {off_m:.3} m off{at_most}"));
+    let line = format!("odometry {odometry_m:.2} m off{at_most}, {estimate}");
+    Some(if errors.len() > 1 { format!("{} robots: {line}", errors.len()) } else { line })
+}
 
 /// Holds estimates against the truth as it comes.
 pub struct ErrorToTruth {
@@ -30,20 +51,17 @@ impl ErrorToTruth {
         Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
     }
 
-    /// A line for people; `None` before anything is known.
-    pub fn line(&mut self) -> Option<String> {
+    /// The errors of now; `None` before anything is known.
+    pub fn errors(&mut self) -> Option<CurrentErrors> {
         self.drain_truth();
         let newest = self.truth.back()?;
         let odometry_m = newest.odometry.origin().distance(newest.pose.origin()).0;
-        let estimate = self
-            .estimate_m()
-            .map_or_else(|| "estimate not known".to_owned(), |off_m| format!("estimate {off_m:.3} m off"));
-        Some(format!("odometry {odometry_m:.2} m off, {estimate}"))
+        Some(CurrentErrors { odometry_m, estimate_m: self.estimate_m() })
     }
 
-    /// Takes note of an estimate.
-    pub fn push_estimate(&mut self, estimate: &Estimate) {
-        if estimate.validity.position {
+    /// Takes note of an estimate of any robot.
+    pub fn push_estimate(&mut self, robot: RobotId, estimate: &Estimate) {
+        if self.tap.robot().is_none_or(|own| own == robot) && estimate.validity.position {
             if self.estimates.len() >= MAX_ESTIMATES {
                 self.estimates.pop_front();
             }

@@ -189,6 +189,12 @@ impl<T> Downsampled<T> {
         later.is_some_and(|(oldest, newest)| (recent.time_of)(newest) - (recent.time_of)(oldest) >= recent.duration)
     }
 
+    /// How many items were given to it.
+    #[must_use]
+    pub const fn pushed(&self) -> usize {
+        self.pushed
+    }
+
     /// The items that were kept, oldest first.
     #[must_use]
     pub fn items(&self) -> &[T] {

@@ -221,10 +221,10 @@ mod tests {
     use super::*;
     use crate::config::RecordingLimits;
     use crate::station::recording_parts::RecordingParts;
-    use posebridge_recording::container::RecordingHeader;
-    use posebridge_telemetry::{Input, TimeDelta, Timestamp};
+    use posebridge_recording::container::{RecordingHeader, TruthSample};
+    use posebridge_telemetry::{Address, Input, LinkId, Pose, RobotId, TimeDelta, Timestamp};
 
-    /// Seven seconds of ticks, four a second, in parts of two seconds.
+    /// Seven seconds of ticks, four a second, in parts of two seconds, with a robot's truth beside each tick.
     fn record(folder: &Path) -> PathBuf {
         let path = folder.join("recording.mcap");
         let limits =
@@ -234,9 +234,17 @@ mod tests {
         for number in 0..28 {
             let now = Timestamp::from_millis(250 * i64::from(number));
             parts.record(now, u64::from(number as u32), &Input::Tick).unwrap();
+            parts.record_truth(&[truth(number)]).unwrap();
         }
         parts.finish(28).unwrap();
         path
+    }
+
+    /// Two robots take turns.
+    fn truth(number: i32) -> TruthSample {
+        let robot = RobotId { link: LinkId(0), address: Address::new(1 + number as u8 % 2, 1) };
+        let time = Timestamp::from_millis(250 * i64::from(number));
+        TruthSample { robot: Some(robot), time, pose: Pose::default(), odometry: None }
     }
 
     fn instants(bytes: &[u8]) -> Vec<i64> {
@@ -255,6 +263,8 @@ mod tests {
         let expected: Vec<i64> = (0..28).map(|number| 250 * number).collect();
         assert_eq!(instants(&whole), expected);
         assert_eq!(notes, ["4 parts were joined"]);
+        let expected: Vec<TruthSample> = (0..28).map(truth).collect();
+        assert_eq!(container::read_truth(&whole).unwrap(), expected);
     }
 
     #[test]

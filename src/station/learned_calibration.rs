@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Calibration, DriveGeometry};
 
-use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Provenance, RobotFile};
+use super::per_robot::file_part;
+use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, RobotFile};
 
 /// A robot, what was known of it before a run, and what is known after.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,15 +24,32 @@ pub struct LearnedCalibration {
 }
 
 impl LearnedCalibration {
-    /// What a pipeline's filter has learned; `None` if it learns nothing, or nothing was observed.
+    /// What the filters of a session have learned, robot by robot: of those that learn something and were observed. With several
+    /// robots `run` is followed by the robot.
+    ///
+    /// # Errors
+    /// The configuration of a robot makes no sense.
+    pub fn of_session(station: &Station, run: &str, config: &Config) -> Result<Vec<Self>> {
+        let robots = station.robots();
+        let mut learned = Vec::new();
+        for robot in robots {
+            let file = config.robot_file(robot.id());
+            let prior = config.filter_config_of(file)?.calibration;
+            let name = if robots.len() > 1 { format!("{run} {}", robot.label()) } else { run.to_owned() };
+            learned.extend(Self::of_robot(robot, &name, file, &prior));
+        }
+        Ok(learned)
+    }
+
+    /// What a robot's filter has learned; `None` if it learns nothing, or nothing was observed.
     #[must_use]
-    pub fn from_pipeline(pipeline: &Station, run: &str, robot: &RobotFile, prior: &Calibration) -> Option<Self> {
-        pipeline.latest_time()?;
+    pub fn of_robot(robot: &Robot, run: &str, file: &RobotFile, prior: &Calibration) -> Option<Self> {
+        robot.latest_time()?;
         Some(Self {
             run: run.to_owned(),
-            robot: with_geometry(robot, pipeline.geometry()),
+            robot: with_geometry(file, robot.geometry()),
             prior: *prior,
-            calibration: pipeline.calibration()?,
+            calibration: robot.calibration()?,
         })
     }
 }
@@ -69,6 +87,22 @@ pub fn learned_table(runs: &[LearnedCalibration]) -> String {
         }
     }
     text
+}
+
+/// Writes each robot with what was learned as a profile: one to the path, of several each beside it under a name of its own.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Provenance) -> Result<()> {
+    if let [learned] = learned {
+        return save(path, learned, provenance);
+    }
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
+    for learned in learned {
+        let robot = file_part(&learned.run);
+        save(&path.with_file_name(format!("{stem}-{robot}.toml")), learned, provenance)?;
+    }
+    Ok(())
 }
 
 /// Writes the robot with what was learned as a profile.

@@ -1,24 +1,34 @@
-//! The links of a session, and the simulated brick behind one of them.
+//! The links of a session, and the simulated bricks behind one of them.
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkSet, LinkUrl};
-use posebridge_sim::{Scenario, Simulation};
-use posebridge_telemetry::LinkId;
+use posebridge_sim::scenario::Personality;
+use posebridge_sim::{BRICK, Scenario, Simulation};
+use posebridge_telemetry::{LinkId, RobotId};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
-use super::simulator::EmbeddedBrick;
+use super::simulator::{BrickStart, EmbeddedBrick, EmbeddedBricks};
 use crate::config::{Config, LinkTarget, load_scenario};
 use crate::console::print_line;
 
-/// The simulated brick of a run, if it has one.
+/// Several simulated bricks call the station there; the system chooses the port.
+const SHARED_PORT: &str = "udp://127.0.0.1:0";
+
+/// The simulated bricks of a run, if it has any.
 pub(super) struct EmbeddedLink {
-    pub(super) brick: EmbeddedBrick,
-    pub(super) scenario: Scenario,
+    pub(super) embedded: EmbeddedBricks,
     pub(super) name: String,
     pub(super) link: LinkId,
+}
+
+impl EmbeddedLink {
+    /// The bricks; there is always one.
+    pub(super) fn bricks(&self) -> &[EmbeddedBrick] {
+        &self.embedded.bricks
+    }
 }
 
 /// A simulated brick that has stopped.
@@ -27,6 +37,8 @@ pub(super) struct FinishedSimulation {
     pub(super) scenario: Scenario,
     pub(super) name: String,
     pub(super) link: LinkId,
+    /// Which robot it was; `None` for the only one.
+    pub(super) robot: Option<RobotId>,
     /// Whether it drove its path to the end: a lap that was cut short cannot be compared with a whole one.
     pub(super) is_complete: bool,
 }
@@ -61,24 +73,25 @@ impl LapLimit {
     }
 }
 
-/// Tells everybody to stop and waits for the simulated brick, if there is one.
-pub(super) fn stop_brick(
-    embedded: Option<EmbeddedLink>,
-    stop: &CancellationToken,
-) -> Result<Option<FinishedSimulation>> {
+/// Tells everybody to stop and waits for the simulated bricks, if there are any.
+pub(super) fn stop_bricks(link: Option<EmbeddedLink>, stop: &CancellationToken) -> Result<Vec<FinishedSimulation>> {
     // Whoever is stopped is finished as well.
-    let is_whole = embedded.as_ref().is_some_and(|embedded| embedded.brick.finished.is_cancelled());
+    let is_complete = link.as_ref().is_some_and(|link| link.embedded.finished.is_cancelled());
     stop.cancel();
-    let Some(embedded) = embedded else {
-        return Ok(None);
+    let Some(EmbeddedLink { mut embedded, name, link }) = link else {
+        return Ok(Vec::new());
     };
-    Ok(Some(FinishedSimulation {
-        is_complete: is_whole,
-        simulation: embedded.brick.finish()?,
-        scenario: embedded.scenario,
-        name: embedded.name,
-        link: embedded.link,
-    }))
+    let bricks = std::mem::take(&mut embedded.bricks);
+    let simulations = embedded.finish()?;
+    let finished = bricks.into_iter().zip(simulations).map(|(brick, simulation)| FinishedSimulation {
+        is_complete,
+        simulation,
+        robot: brick.robot,
+        scenario: brick.scenario,
+        name: name.clone(),
+        link,
+    });
+    Ok(finished.collect())
 }
 
 /// Opens what must open at once and starts simulated bricks.
@@ -89,25 +102,30 @@ pub(super) async fn open_links(
     stop: &CancellationToken,
 ) -> Result<(LinkSet, Option<EmbeddedLink>)> {
     let mut ports = Vec::new();
-    let mut embedded = None;
+    let mut simulated = SimulatedLink::None;
     for (index, (target, role)) in config.targets()?.into_iter().enumerate() {
+        let id = LinkId(index as u16);
         let (url, role) = match target {
             LinkTarget::Url(url) => (url, role),
             LinkTarget::Sim(name) => {
-                if embedded.is_some() {
-                    bail!("only one link may be sim://");
+                ensure!(matches!(simulated, SimulatedLink::None), "only one link may be sim://");
+                let scenarios = scenarios(args, &name, session.laps)?;
+                if args.robots.is_some() {
+                    simulated = SimulatedLink::Planned { scenarios, name, link: id };
+                    (LinkUrl::parse(SHARED_PORT)?, ConnectRole::Listen)
+                } else {
+                    let path = session.folder.join("brick.tty");
+                    simulated = SimulatedLink::Started(start_on_terminal(scenarios, name, id, &path, session, stop)?);
+                    (LinkUrl::serial(&path)?, ConnectRole::Dial)
                 }
-                let scenario = load_scenario(&name)?;
-                let scenario = args.seed.map_or_else(|| scenario.clone(), |seed| scenario.clone().with_seed(seed));
-                let scenario = session.laps.apply_to(scenario);
-                let path = session.folder.join("brick.tty");
-                let brick = EmbeddedBrick::start(scenario.clone(), &path, session.timer, stop.clone())?;
-                embedded = Some(EmbeddedLink { brick, scenario, name, link: LinkId(index as u16) });
-                (LinkUrl::serial(&path)?, ConnectRole::Dial)
             }
         };
-        ports.push(Link::new(LinkOpenConfig { id: LinkId(index as u16), url, role }, session.timer));
+        ports.push(Link::new(LinkOpenConfig { id, url, role }, session.timer));
     }
+    ensure!(
+        args.robots.is_none() || !matches!(simulated, SimulatedLink::None),
+        "--robots starts simulated bricks: give --link sim://square, or start them with `posebridge sim --robots`"
+    );
     let mut ports = LinkSet::new(ports);
     ports
         .try_open_all()
@@ -118,5 +136,84 @@ pub(super) async fn open_links(
             print_line(&format!("listening on {address}"));
         }
     }
+    let embedded = match simulated {
+        SimulatedLink::None => None,
+        SimulatedLink::Started(link) => Some(link),
+        SimulatedLink::Planned { scenarios, name, link } => {
+            Some(start_on_shared_port(scenarios, name, link, &ports, session, stop)?)
+        }
+    };
     Ok((ports, embedded))
+}
+
+/// The link of the simulated bricks while the others are opened.
+enum SimulatedLink {
+    None,
+    /// One brick, behind a terminal that must be there before the station opens it.
+    Started(EmbeddedLink),
+    /// Several, who call the station once its port is open.
+    Planned {
+        scenarios: Vec<Scenario>,
+        name: String,
+        link: LinkId,
+    },
+}
+
+/// What each simulated brick does.
+fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>> {
+    let mut scenario = load_scenario(name)?;
+    if let Some(seed) = args.seed {
+        scenario = scenario.with_seed(seed);
+    }
+    let scenario = laps.apply_to(scenario);
+    let Some(count) = args.robots else {
+        return Ok(vec![scenario]);
+    };
+    if scenario.brick.personality != Personality::Mavlink {
+        bail!("--robots: the bricks of `{name}` speak no MAVLink, and only such robots can share one port");
+    }
+    scenario.side_by_side(count).context("--robots")
+}
+
+/// A brick on a pseudo-terminal that `path` will point to.
+fn start_on_terminal(
+    scenarios: Vec<Scenario>,
+    name: String,
+    link: LinkId,
+    path: &Path,
+    session: SimulatedSession<'_>,
+    stop: &CancellationToken,
+) -> Result<EmbeddedLink> {
+    let mut starts = Vec::new();
+    for scenario in scenarios {
+        let link = LinkOpenConfig { id: LinkId(0), url: LinkUrl::pty(path)?, role: ConnectRole::Listen };
+        starts.push(BrickStart { scenario, link, robot: None });
+    }
+    let embedded = EmbeddedBricks::start(starts, session.timer, stop.clone())?;
+    Ok(EmbeddedLink { embedded, name, link })
+}
+
+/// Bricks that call the station's open port, each from a port of its own.
+fn start_on_shared_port(
+    scenarios: Vec<Scenario>,
+    name: String,
+    link: LinkId,
+    ports: &LinkSet,
+    session: SimulatedSession<'_>,
+    stop: &CancellationToken,
+) -> Result<EmbeddedLink> {
+    let port = ports.iter().find(|port| port.id() == link);
+    let address = port.and_then(Link::local_address).context("the port for the simulated bricks is not open")?;
+    let mut starts = Vec::new();
+    for scenario in scenarios {
+        let url = LinkUrl::parse(&format!("udp://{address}"))?;
+        let robot = Some(RobotId { link, address: scenario.brick.address_of(BRICK) });
+        starts.push(BrickStart {
+            scenario,
+            link: LinkOpenConfig { id: LinkId(0), url, role: ConnectRole::Dial },
+            robot,
+        });
+    }
+    let embedded = EmbeddedBricks::start(starts, session.timer, stop.clone())?;
+    Ok(EmbeddedLink { embedded, name, link })
 }

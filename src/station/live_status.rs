@@ -10,7 +10,7 @@ use posebridge_telemetry::{
 };
 use tokio::sync::watch;
 
-use super::error_to_truth::ErrorToTruth;
+use super::error_to_truth::{ErrorToTruth, error_line};
 use super::link_report::{LinkReport, condition};
 use crate::console::print_line;
 
@@ -21,17 +21,27 @@ const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// The bar's resolution.
 const BAR_STEPS: u64 = 1_000;
 
+/// So many robots have a line in the block, so that it fits into a small terminal.
+const MAX_ROBOT_LINES: usize = 8;
+
+/// What the block shows of one robot.
+#[derive(Clone, Debug, Default)]
+struct RobotView {
+    name: Option<String>,
+    estimate: Option<Estimate>,
+    last_fix: Option<(FusionOutcome, TimeDelta)>,
+}
+
 /// The block.
 pub struct LiveView {
     bar: ProgressBar,
     progress: Option<watch::Receiver<f64>>,
-    error_to_truth: Option<ErrorToTruth>,
+    error_to_truth: Vec<ErrorToTruth>,
     now: Timestamp<HostClock>,
     last_written: Timestamp<HostClock>,
     links: BTreeMap<LinkId, LinkView>,
     clock: Option<(TimeDelta, f64, TimeDelta)>,
-    estimate: Option<Estimate>,
-    last_fix: Option<(FusionOutcome, TimeDelta)>,
+    robots: BTreeMap<RobotId, RobotView>,
     /// What each thermometer shows, and what it will show in the end.
     thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
     verbosity: Verbosity,
@@ -85,23 +95,22 @@ impl LiveView {
         Self {
             bar,
             progress,
-            error_to_truth: None,
+            error_to_truth: Vec::new(),
             now: Timestamp::ZERO,
             last_written: Timestamp::ZERO,
             links: BTreeMap::new(),
             clock: None,
-            estimate: None,
-            last_fix: None,
+            robots: BTreeMap::new(),
             thermometers: BTreeMap::new(),
             verbosity: Verbosity::Printing,
             repeats: RepeatFilter::default(),
         }
     }
 
-    /// The same for a robot whose true place is known.
+    /// The same for robots whose true places are known.
     #[must_use]
-    pub fn with_truth(mut self, off: Option<ErrorToTruth>) -> Self {
-        self.error_to_truth = off;
+    pub fn with_truth(mut self, errors: Vec<ErrorToTruth>) -> Self {
+        self.error_to_truth = errors;
         self
     }
 
@@ -122,20 +131,23 @@ impl LiveView {
             Event::BrickClockAligned { offset, skew_ppm, uncertainty, .. } => {
                 self.clock = Some((*offset, *skew_ppm, *uncertainty));
             }
-            Event::ObservationFused { record, .. } if record.kind == "fix" => {
-                self.last_fix = Some((record.outcome, record.lag));
+            Event::ObservationFused { robot, record } if record.kind == "fix" => {
+                self.robots.entry(*robot).or_default().last_fix = Some((record.outcome, record.lag));
             }
-            Event::EstimateUpdated { estimate, .. } => {
-                self.estimate = Some(*estimate);
-                if let Some(off) = &mut self.error_to_truth {
-                    off.push_estimate(estimate);
+            Event::EstimateUpdated { robot, estimate } => {
+                self.robots.entry(*robot).or_default().estimate = Some(*estimate);
+                for error in &mut self.error_to_truth {
+                    error.push_estimate(*robot, estimate);
                 }
             }
             Event::Temperature { brick, channel, shown, settled, .. } => {
                 self.thermometers.insert((*brick, *channel), (*shown, *settled));
             }
             Event::RobotDetected { robot } => self.print_line(&format!("heard {robot}")),
-            Event::RobotNamed { robot, name } => self.print_line(&format!("{robot} is {name}")),
+            Event::RobotNamed { robot, name } => {
+                self.robots.entry(*robot).or_default().name = Some(name.clone());
+                self.print_line(&format!("{robot} is {name}"));
+            }
             Event::RobotLost { robot, silence } => {
                 self.print_line(&format!("lost {robot}, silent for {:.1} s", silence.as_secs_f64()));
             }
@@ -173,10 +185,7 @@ impl LiveView {
 
     /// A line now and then, for who reads no block.
     fn write_plainly(&mut self) {
-        let period = match self.error_to_truth {
-            Some(_) => ERROR_PERIOD,
-            None => PLAIN_PERIOD,
-        };
+        let period = if self.error_to_truth.is_empty() { PLAIN_PERIOD } else { ERROR_PERIOD };
         if self.now - self.last_written < period {
             return;
         }
@@ -188,7 +197,8 @@ impl LiveView {
     }
 
     fn error_line(&mut self) -> Option<String> {
-        self.error_to_truth.as_mut()?.line()
+        let errors: Vec<_> = self.error_to_truth.iter_mut().filter_map(ErrorToTruth::errors).collect();
+        error_line(&errors)
     }
 
     /// Takes the block away.
@@ -221,6 +231,20 @@ impl LiveView {
         }
     }
 
+    /// A line for each of the first robots; the page shows all.
+    fn robot_lines(&self) -> String {
+        let mut lines = String::new();
+        for (robot, view) in self.robots.iter().take(MAX_ROBOT_LINES) {
+            let id = format!("{}/{}", robot.link, robot.address);
+            lines.push_str(&view.line(view.name.as_deref().unwrap_or(&id)));
+        }
+        let others = self.robots.len().saturating_sub(MAX_ROBOT_LINES);
+        if others > 0 {
+            let _ = write!(lines, "\n  and {others} more robots");
+        }
+        lines
+    }
+
     fn block(&self) -> String {
         let mut block = String::new();
         // Writing to a String cannot fail.
@@ -249,20 +273,33 @@ impl LiveView {
             }
             None => block.push_str("\n  clock not aligned"),
         }
-        match &self.estimate {
-            Some(estimate) => block.push_str(&pose_line(estimate)),
-            None => block.push_str("\n  pose  unknown"),
-        }
-        match self.last_fix {
-            Some((verdict, lag)) => {
-                let _ = write!(block, "   fix {} {:.0} ms late", verdict.reason(), lag.as_millis_f64());
-            }
-            None => block.push_str("   no fix yet"),
+        match self.robots.len() {
+            0 => block.push_str(&RobotView::default().line("pose")),
+            1 => self.robots.values().for_each(|robot| block.push_str(&robot.line("pose"))),
+            _ => block.push_str(&self.robot_lines()),
         }
         for ((brick, channel), (shown, settled)) in &self.thermometers {
             block.push_str(&thermometer_line(*brick, *channel, *shown, *settled));
         }
         block
+    }
+}
+
+impl RobotView {
+    /// A line of its own, `name` in front.
+    fn line(&self, name: &str) -> String {
+        let mut line = match &self.estimate {
+            Some(estimate) => pose_line(name, estimate),
+            None => format!("\n  {name}  unknown"),
+        };
+        match self.last_fix {
+            Some((verdict, lag)) => {
+                // Writing to a String cannot fail.
+                let _ = write!(line, "   fix {} {:.0} ms late", verdict.reason(), lag.as_millis_f64());
+            }
+            None => line.push_str("   no fix yet"),
+        }
+        line
     }
 }
 
@@ -274,10 +311,10 @@ fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settle
     format!("\n  {channel} of {place}  {:.2} °C -> {settled}", shown.0)
 }
 
-fn pose_line(estimate: &Estimate) -> String {
+fn pose_line(name: &str, estimate: &Estimate) -> String {
     let flag = if estimate.is_dead_reckoning { "  dead reckoning" } else { "" };
     format!(
-        "\n  pose  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
+        "\n  {name}  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
         estimate.pose.x.0,
         estimate.x_sigma_m(),
         estimate.pose.y.0,

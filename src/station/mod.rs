@@ -22,6 +22,7 @@ pub mod live_status;
 pub mod observer;
 mod outcome;
 pub mod page_history;
+pub mod per_robot;
 pub mod plotjuggler;
 pub mod recorder;
 pub mod recording_files;

@@ -15,6 +15,7 @@ use posebridge_telemetry::{Event, HostClock, TimeDelta, Timestamp};
 use super::batch_channel::{BatchReceiver, BatchSender, channel};
 use super::event_collector::EventCollector;
 use super::live_status::LiveView;
+use super::per_robot::PerRobot;
 
 /// What so many inputs have led to waits for the terminal before it is dropped and counted: forty seconds of a brick that is read 100
 /// times a second.
@@ -25,7 +26,7 @@ const DRAW_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 /// A running observer.
 pub struct Observer {
     sender: BatchSender<(Timestamp<HostClock>, Arc<[Event]>)>,
-    thread: JoinHandle<Result<EventCollector>>,
+    thread: JoinHandle<Result<PerRobot<EventCollector>>>,
     dropped: u64,
     /// With an event file nothing may be missing: then the shard waits for the disk.
     blocks_when_full: bool,
@@ -72,10 +73,10 @@ impl Observer {
     ///
     /// # Errors
     /// The event file could not be written.
-    pub fn finish(self) -> Result<(EventCollector, u64)> {
+    pub fn finish(self) -> Result<(PerRobot<EventCollector>, u64)> {
         drop(self.sender);
-        let collector = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;
-        Ok((collector, self.dropped))
+        let collectors = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;
+        Ok((collectors, self.dropped))
     }
 }
 
@@ -100,8 +101,8 @@ fn run_observer(
     mut seen: BatchReceiver<(Timestamp<HostClock>, Arc<[Event]>)>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
-) -> Result<EventCollector> {
-    let mut collector = EventCollector::live();
+) -> Result<PerRobot<EventCollector>> {
+    let mut collectors = PerRobot::new(EventCollector::live);
     let mut drawn = Timestamp::<HostClock>::ZERO;
     loop {
         match seen.recv(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
@@ -110,7 +111,7 @@ fn run_observer(
                     if let Some(file) = &mut file {
                         write_event(file, event).context("writing the event file")?;
                     }
-                    collector.on_event(event);
+                    collectors.push(event, EventCollector::on_event);
                     view.on_event(now, event);
                 }
                 if now - drawn >= DRAW_PERIOD {
@@ -126,5 +127,5 @@ fn run_observer(
     if let Some(mut file) = file {
         file.flush().context("writing the event file")?;
     }
-    Ok(collector)
+    Ok(collectors)
 }

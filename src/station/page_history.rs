@@ -1,6 +1,6 @@
 //! The trails of a recording, as the dashboard shows them: the same engine and the same views as live.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -8,7 +8,7 @@ use posebridge_dashboard::model::Frame;
 use posebridge_dashboard::{SessionViews, SimulatedTruth};
 use posebridge_recording::container::{self, RecordingReader};
 use posebridge_station::Station;
-use posebridge_telemetry::{Address, Event, HostClock, Output, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
 use super::clock_alignment::ClockAlignment;
 use super::joined_recording::{ExcessPolicy, MemoryLimit, own_recording_bytes};
@@ -35,7 +35,7 @@ pub fn build_history(path: &Path) -> Result<Frame> {
     let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let config = config_with_overlay(&reader.header().config_toml, Overlay::default())?;
     let truth = container::read_truth(&bytes).with_context(|| format!("the truth in `{name}`"))?;
-    let mut showing = PageHistoryBuilder::new(&config, truth.into())?;
+    let mut showing = PageHistoryBuilder::new(&config, truth)?;
     let mut notes = RecordingWarnings::from_notes(&found);
     notes.add_missing_start(reader.part_header());
     for item in &mut reader {
@@ -56,22 +56,33 @@ const fn station_of(config: &Config) -> Address {
     Address::new(config.station.system, config.station.component)
 }
 
-/// A recording on its way through the engine.
-struct PageHistoryBuilder {
-    pipeline: Station,
-    gatherer: SessionViews,
-    truth: VecDeque<container::TruthSample>,
+/// What is known of a robot's clock.
+#[derive(Clone, Copy, Debug, Default)]
+struct RobotClock {
     /// As the last exchange of times with the brick had it.
     exchanged: Option<ClockAlignment>,
     /// As the last estimate came, for a brick that never answers a question for its time.
     heard: Option<ClockAlignment>,
+}
+
+/// A recording on its way through the engine.
+struct PageHistoryBuilder {
+    pipeline: Station,
+    gatherer: SessionViews,
+    /// Of each robot in the order of its own clock; `None` is the only one.
+    truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>>,
+    clocks: BTreeMap<RobotId, RobotClock>,
     /// When the first input was given.
     begun: Option<Timestamp<HostClock>>,
     next_second: Timestamp<HostClock>,
 }
 
 impl PageHistoryBuilder {
-    fn new(config: &Config, truth: VecDeque<container::TruthSample>) -> Result<Self> {
+    fn new(config: &Config, samples: Vec<container::TruthSample>) -> Result<Self> {
+        let mut truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>> = BTreeMap::new();
+        for sample in samples {
+            truth.entry(sample.robot).or_default().push_back(sample);
+        }
         let mut pipeline_config = config.station_config()?;
         signing::restore_states(config, &[], &mut pipeline_config)?;
         let links = config.links.iter().map(|link| link.url.clone());
@@ -79,8 +90,7 @@ impl PageHistoryBuilder {
             pipeline: Station::new(pipeline_config, Timestamp::ZERO)?,
             gatherer: SessionViews::new(links.collect()),
             truth,
-            exchanged: None,
-            heard: None,
+            clocks: BTreeMap::new(),
             begun: None,
             next_second: Timestamp::ZERO,
         })
@@ -103,30 +113,43 @@ impl PageHistoryBuilder {
     }
 
     fn align(&mut self, now: Timestamp<HostClock>, event: &Event) {
-        self.exchanged = ClockAlignment::from_event(event).or(self.exchanged);
-        if let Event::EstimateUpdated { estimate, .. } = event {
-            self.heard = Some(ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 });
+        match event {
+            Event::BrickClockAligned { robot, .. } => {
+                let clock = self.clocks.entry(*robot).or_default();
+                clock.exchanged = ClockAlignment::from_event(event).or(clock.exchanged);
+            }
+            Event::EstimateUpdated { robot, estimate } => {
+                let heard = ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 };
+                self.clocks.entry(*robot).or_default().heard = Some(heard);
+            }
+            _ => {}
         }
     }
 
     /// Shows the truth as live: each sample at its own instant, by the alignment that was in force.
     fn publish_truth(&mut self, until: Timestamp<HostClock>) {
-        let Some(aligned) = self.exchanged.or(self.heard) else {
-            return;
-        };
-        while let Some(sample) = self.truth.front() {
-            let now = aligned.host_at(sample.time);
-            if now > until {
-                return;
+        for (robot, truth) in &mut self.truth {
+            let clock = match robot {
+                Some(robot) => self.clocks.get(robot),
+                None => self.clocks.values().next(),
+            };
+            let Some(aligned) = clock.and_then(|clock| clock.exchanged.or(clock.heard)) else {
+                continue;
+            };
+            while let Some(sample) = truth.front() {
+                let now = aligned.host_at(sample.time);
+                if now > until {
+                    break;
+                }
+                self.gatherer.push_truth(&SimulatedTruth {
+                    robot: *robot,
+                    now: now.max(Timestamp::ZERO),
+                    time: sample.time,
+                    pose: sample.pose,
+                    odometry: sample.odometry,
+                });
+                truth.pop_front();
             }
-            self.gatherer.push_truth(&SimulatedTruth {
-                robot: None,
-                now: now.max(Timestamp::ZERO),
-                time: sample.time,
-                pose: sample.pose,
-                odometry: sample.odometry,
-            });
-            self.truth.pop_front();
         }
     }
 

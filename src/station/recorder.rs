@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use posebridge_recording::container::{RecordingHeader, TruthSample};
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, Timestamp};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, Timestamp};
 
 use super::batch_channel::{BatchReceiver, BatchSender, channel};
 pub use super::recording_parts::RecordingTotals;
@@ -28,7 +28,7 @@ const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
 enum RecorderItem {
     Input(Timestamp<HostClock>, u64, Input),
     Events(Timestamp<HostClock>, Arc<[Event]>),
-    Calibration(Timestamp<HostClock>, Box<Calibration>),
+    Calibration(Timestamp<HostClock>, RobotId, Box<Calibration>),
     Line(Timestamp<HostClock>, u8, String),
     Truth(Vec<TruthSample>),
     /// The last one: so many inputs the session has had.
@@ -125,9 +125,9 @@ impl Recorder {
         }
     }
 
-    /// Records what the filter has learned, as [`Self::record_events`].
-    pub fn record_calibration(&mut self, now: Timestamp<HostClock>, calibration: Calibration) {
-        self.offer(RecorderItem::Calibration(now, Box::new(calibration)));
+    /// Records what the filter has learned about a robot, as [`Self::record_events`].
+    pub fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: RobotId, calibration: Calibration) {
+        self.offer(RecorderItem::Calibration(now, robot, Box::new(calibration)));
     }
 
     /// Records a line for people with its MAVLink severity, as [`Self::record_events`].
@@ -229,7 +229,9 @@ fn write(
                 part.store(parts.part(), Ordering::Relaxed);
             }
             RecorderItem::Events(now, events) => parts.record_events(now, &events)?,
-            RecorderItem::Calibration(now, calibration) => parts.record_calibration(now, &calibration)?,
+            RecorderItem::Calibration(now, robot, calibration) => {
+                parts.record_calibration(now, robot, &calibration)?;
+            }
             RecorderItem::Line(now, severity, text) => parts.record_message(now, severity, &text)?,
             RecorderItem::Truth(truth) => parts.record_truth(&truth)?,
             RecorderItem::End(number) => given = Some(number),

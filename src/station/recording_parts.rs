@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use posebridge_recording::container::{
     OutputHandover, PartHeader, RecordingGap, RecordingHeader, RecordingWriter, TruthSample, WriteError,
 };
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, TimeDelta, Timestamp};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::watched_file::WatchedFile;
 use crate::config::RecordingLimits;
@@ -133,8 +133,13 @@ impl RecordingParts {
     ///
     /// # Errors
     /// As [`Self::record`].
-    pub fn record_calibration(&mut self, now: Timestamp<HostClock>, calibration: &Calibration) -> Result<()> {
-        self.write(|writer| writer.record_calibration(now, calibration))
+    pub fn record_calibration(
+        &mut self,
+        now: Timestamp<HostClock>,
+        robot: RobotId,
+        calibration: &Calibration,
+    ) -> Result<()> {
+        self.write(|writer| writer.record_calibration(now, Some(robot), calibration))
     }
 
     /// Records a line for people, with its MAVLink severity.

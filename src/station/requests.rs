@@ -15,8 +15,8 @@ use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_link::HostTimer;
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_telemetry::{
-    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, SimulatorCommand, SteeringSource,
-    TimeDelta, Timestamp,
+    ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, RobotId, SimulatorCommand,
+    SteeringSource, TimeDelta, Timestamp,
 };
 use tokio::sync::mpsc;
 
@@ -25,6 +25,7 @@ use super::deferred_errors::DeferredErrors;
 use super::recorder::{Recorder, RecordingTotals, StoppingRecorder};
 use super::recording_files::{RECORDING, done_message, header, unused_path};
 use super::request_reports::report_input;
+use super::simulator::CommandSender;
 use crate::config::Config;
 
 /// Recordings that are begun on request begin at least so far apart: each leaves a file, and a person who plays with a button wants no
@@ -50,9 +51,17 @@ pub struct RequestHandler {
     /// When the last one was begun on request.
     last_started: Option<Timestamp<HostClock>>,
     links: BTreeMap<LinkId, LinkState>,
-    /// The simulated brick of this station, if it has one.
-    brick: Option<mpsc::Sender<SimulatorCommand>>,
+    /// The simulated bricks of this station.
+    bricks: Vec<ReachableBrick>,
     orders: SimulatorOverrides,
+}
+
+/// A simulated brick that commands can be sent to.
+pub struct ReachableBrick {
+    /// Which robot it is; `None` for the only one.
+    pub robot: Option<RobotId>,
+    /// By which it is reached.
+    pub commands: CommandSender,
 }
 
 /// How the simulated brick was set last; nothing as long as nobody has.
@@ -102,15 +111,15 @@ impl RequestHandler {
             current,
             ended_recordings: Vec::new(),
             links: BTreeMap::new(),
-            brick: None,
+            bricks: Vec::new(),
             orders: SimulatorOverrides::default(),
         }
     }
 
-    /// The same for a station that has a simulated brick of its own.
+    /// The same for a station that has simulated bricks of its own.
     #[must_use]
-    pub fn with_brick(mut self, brick: Option<mpsc::Sender<SimulatorCommand>>) -> Self {
-        self.brick = brick;
+    pub fn with_bricks(mut self, bricks: Vec<ReachableBrick>) -> Self {
+        self.bricks = bricks;
         self
     }
 
@@ -153,7 +162,7 @@ impl RequestHandler {
             },
             Request::StartRecording { values } => self.start(now, values, recorder),
             Request::StopRecording => self.stop(recorder),
-            Request::Simulator { command, .. } => match self.forward_to_simulator(command) {
+            Request::Simulator { robot, command } => match self.forward_to_simulator(*robot, command) {
                 // What happens to the brick stands in the command.
                 Ok(()) => return None,
                 Err(error) => Err(error),
@@ -185,19 +194,27 @@ impl RequestHandler {
         finished.collect()
     }
 
-    /// Hands a command to the simulated brick; never waits.
-    fn forward_to_simulator(&mut self, command: &SimulatorCommand) -> Result<()> {
+    /// Hands a command to a robot's simulated brick, or to the first; never waits.
+    fn forward_to_simulator(&mut self, robot: Option<RobotId>, command: &SimulatorCommand) -> Result<()> {
         let name = command.name();
-        let brick = self.brick.as_ref();
-        let brick = brick.with_context(|| format!("{name}: this station has no simulated brick of its own"))?;
+        let wanted = |brick: &ReachableBrick| robot.is_none() || brick.robot.is_none() || brick.robot == robot;
+        let index = self.bricks.iter().position(wanted);
+        let index = index.with_context(|| match robot {
+            Some(robot) if !self.bricks.is_empty() => format!("{name}: {robot} is no simulated brick of this station"),
+            _ => format!("{name}: this station has no simulated brick of its own"),
+        })?;
+        let brick = &self.bricks[index];
         if let SimulatorCommand::LinkProfile(Some(profile)) = command {
             LinkProfile::bundled(profile.as_str()).with_context(|| name.to_owned())?;
         }
-        brick.try_send(*command).map_err(|error| match error {
+        brick.commands.try_send(*command).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => anyhow!("{name}: too many at a time"),
             mpsc::error::TrySendError::Closed(_) => anyhow!("{name}: the brick has stopped"),
         })?;
-        self.orders.record(command);
+        // What is shown as set is the first one's.
+        if index == 0 {
+            self.orders.record(command);
+        }
         Ok(())
     }
 
@@ -334,7 +351,7 @@ mod tests {
         let mut without = desk(folder.path());
         assert_eq!(told(&mut without, kidnap), "kidnap: this station has no simulated brick of its own");
         let (sender, mut receiver) = mpsc::channel(1);
-        let mut with = desk(folder.path()).with_brick(Some(sender));
+        let mut with = desk(folder.path()).with_bricks(vec![ReachableBrick { robot: None, commands: sender }]);
         assert_eq!(told(&mut with, kidnap), "done");
         assert_eq!(told(&mut with, kidnap), "kidnap: too many at a time");
         assert_eq!(receiver.try_recv(), Ok(kidnap));

@@ -29,12 +29,12 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         ensure_terminal().before_start()?;
     }
     let laps = args.laps.map_or(LapLimit::Endless, LapLimit::Counted);
-    let mut session = run_in_runtime(session(args, &config, (RECORDING, laps)))?;
+    let session = run_in_runtime(session(args, &config, (RECORDING, laps)))?;
     // What cannot be drawn or saved must not cost the rest.
     let mut failures = DeferredErrors::default();
-    failures.record(finish(&config, &session.folder, &session.collector, session.simulation.take(), &session.recorded));
+    failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
     failures.record(report_learned(args, &config, &session));
-    let has_heard = session.collector.observations > 0;
+    let has_heard = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
     if !has_heard {
         print_line(
@@ -55,7 +55,8 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     // Whoever evaluates a recording wants it to end.
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
     let session = run_in_runtime(session(args, &config, (file_name, laps)))?;
-    let heard = report::sources(&session.collector);
+    let robots = session.collectors.entries();
+    let heard = robots.first().map_or_else(String::new, |robot| report::sources(&robot.value));
     session.into_result().while_running()?;
     Ok(heard)
 }

@@ -14,15 +14,15 @@ use super::deferred_errors::DeferredErrors;
 use super::error_to_truth::ErrorToTruth;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
-use super::links::{EmbeddedLink, FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_brick};
+use super::links::{EmbeddedLink, FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
 use super::live_status::LiveView;
 use super::observer::{Observer, ObserverConfig};
+use super::per_robot::PerRobot;
 use super::recorder::Recorder;
-use super::requests::RequestHandler;
+use super::requests::{ReachableBrick, RequestHandler};
 use super::run_outputs::{RecordedFiles, output_folder, start_recorder, start_tlog};
 use super::signals::Signals;
 use super::signing::{SigningSession, warn_of_open_listeners};
-use super::simulator::CommandSender;
 use super::simulator::truth_tap::TruthTap;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
@@ -35,10 +35,12 @@ use crate::exit::{ExitStage, Failure};
 pub(super) struct Session {
     pub(super) timer: HostTimer,
     pub(super) folder: PathBuf,
-    pub(super) collector: EventCollector,
+    pub(super) collectors: PerRobot<EventCollector>,
     pub(super) recorded: RecordedFiles,
-    pub(super) simulation: Option<FinishedSimulation>,
-    pub(super) learned: Option<LearnedCalibration>,
+    /// The simulated bricks, if there were any.
+    pub(super) simulations: Vec<FinishedSimulation>,
+    /// What was learned of each robot.
+    pub(super) learned: Vec<LearnedCalibration>,
     /// Whether the stamps of signed links were kept.
     pub(super) signing_result: Result<()>,
     /// What could not be written to its end.
@@ -78,7 +80,7 @@ pub(super) async fn session(
     let (ports, mut embedded) = opened.before_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.config_for_recording(config);
-    let (commands, truth) = simulated_brick(embedded.as_mut());
+    let truth = take_truth_taps(embedded.as_mut());
     let observer = observer(args, embedded.as_ref()).before_start()?;
     let keeper = signing.start_writer().before_start()?;
     let mut failures = DeferredErrors::default();
@@ -97,24 +99,25 @@ pub(super) async fn session(
         observer,
         failures,
         signing: keeper,
-        requests: RequestHandler::new(folder.clone(), timer, configs, current).with_brick(commands),
+        requests: RequestHandler::new(folder.clone(), timer, configs, current)
+            .with_bricks(simulated_bricks(embedded.as_ref())),
         truth,
         dashboard: outlet,
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
     wait_for_end((&mut shard, &ending), signals, &mut onlookers).await;
-    let driven = stop_brick(embedded, &stop).while_running()?;
+    let driven = stop_bricks(embedded, &stop).while_running()?;
     let kept = shard.save_signing_state();
-    let learned = learned_of(&shard.pipeline, config).before_start()?;
+    let learned = LearnedCalibration::of_session(&shard.pipeline, "live run", config).before_start()?;
     shard.record_truth();
     let closed = close(shard).while_running()?;
     onlookers.finish().while_running()?;
     Ok(Session {
         timer,
         folder,
-        collector: closed.collector,
+        collectors: closed.collectors,
         recorded: closed.recorded,
-        simulation: driven,
+        simulations: driven,
         learned,
         signing_result: kept,
         failures: closed.failures,
@@ -152,10 +155,16 @@ async fn open(
     opened
 }
 
-/// What a desk hands to the simulated brick, and who hears where that is, if there is one.
-fn simulated_brick(embedded: Option<&mut EmbeddedLink>) -> (Option<CommandSender>, Option<TruthTap>) {
-    let brick = embedded.map(|embedded| &mut embedded.brick);
-    brick.map_or((None, None), |brick| (Some(brick.controls.commands.clone()), brick.truth.take()))
+/// By which commands go to the simulated bricks.
+fn simulated_bricks(embedded: Option<&EmbeddedLink>) -> Vec<ReachableBrick> {
+    let bricks = embedded.map_or(&[][..], EmbeddedLink::bricks).iter();
+    bricks.map(|brick| ReachableBrick { robot: brick.robot, commands: brick.controls.commands.clone() }).collect()
+}
+
+/// Who hears where the simulated robots are, from the very start.
+fn take_truth_taps(embedded: Option<&mut EmbeddedLink>) -> Vec<TruthTap> {
+    let bricks = embedded.map_or(&mut [][..], |link| &mut link.embedded.bricks);
+    bricks.iter_mut().filter_map(|brick| brick.truth.take()).collect()
 }
 
 /// Shows people what happens.
@@ -170,16 +179,18 @@ fn observer(args: &RunArgs, embedded: Option<&EmbeddedLink>) -> Result<Observer>
 }
 
 fn live_view(embedded: Option<&EmbeddedLink>) -> LiveView {
-    let progress = embedded.map(|embedded| embedded.brick.progress.clone());
-    let off = embedded.map(|embedded| ErrorToTruth::new(TruthTap::new(&embedded.brick.controls.truth)));
-    LiveView::new(progress).with_truth(off)
+    let bricks = embedded.map_or(&[][..], EmbeddedLink::bricks);
+    // The bricks drive one path in one time.
+    let progress = bricks.first().map(|brick| brick.progress.clone());
+    let errors = bricks.iter().map(|brick| ErrorToTruth::new(brick.truth_tap())).collect();
+    LiveView::new(progress).with_truth(errors)
 }
 
 /// When the run ends by itself: at the latest with its simulated brick.
 fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &CancellationToken) -> StopConditions {
     StopConditions {
-        stop: embedded.map_or_else(|| stop.clone(), |embedded| embedded.brick.finished.clone()),
-        progress: embedded.map(|embedded| embedded.brick.progress.clone()),
+        stop: embedded.map_or_else(|| stop.clone(), |link| link.embedded.finished.clone()),
+        progress: embedded.and_then(|link| Some(link.bricks().first()?.progress.clone())),
         at: args.duration.map(Timestamp::from_secs_f64),
         silence: args.until_silent.map(TimeDelta::from_secs_f64),
     }
@@ -196,14 +207,9 @@ fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result
     Ok(pipeline)
 }
 
-fn learned_of(pipeline: &Station, config: &Config) -> Result<Option<LearnedCalibration>> {
-    let prior = config.filter_config()?.calibration;
-    Ok(LearnedCalibration::from_pipeline(pipeline, "live run", &config.robot, &prior))
-}
-
 /// What recorder and observer leave.
 struct StoppedStation {
-    collector: EventCollector,
+    collectors: PerRobot<EventCollector>,
     recorded: RecordedFiles,
     failures: DeferredErrors,
 }
@@ -228,9 +234,9 @@ fn close(shard: StationLoop) -> Result<StoppedStation> {
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         print_line("the telemetry log has holes: the disk was too slow for it");
     }
-    let (collector, dropped) = observer.finish()?;
+    let (collectors, dropped) = observer.finish()?;
     if dropped > 0 {
         tracing::warn!(dropped, "events were not shown because the terminal was slow");
     }
-    Ok(StoppedStation { collector, recorded: RecordedFiles { inputs: recorded, tlog }, failures })
+    Ok(StoppedStation { collectors, recorded: RecordedFiles { inputs: recorded, tlog }, failures })
 }

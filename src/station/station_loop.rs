@@ -74,8 +74,8 @@ pub struct StationLoop {
     pub signing: Option<SigningStateWriter>,
     /// What carries out the pipeline's requests.
     pub requests: RequestHandler,
-    /// Where the simulated robot really is, if there is one.
-    pub truth: Option<TruthTap>,
+    /// Where each simulated robot really is.
+    pub truth: Vec<TruthTap>,
 }
 
 impl StationLoop {
@@ -162,10 +162,15 @@ impl StationLoop {
         }
     }
 
-    /// Keeps what the filter has learned beside the inputs.
+    /// Keeps what the filters have learned beside the inputs.
     fn record_calibration(&mut self, now: Timestamp<HostClock>) {
-        if let (Some(recorder), Some(learned)) = (&mut self.recorder, self.pipeline.calibration()) {
-            recorder.record_calibration(now, learned);
+        let Some(recorder) = &mut self.recorder else {
+            return;
+        };
+        for robot in self.pipeline.robots() {
+            if let Some(learned) = robot.calibration() {
+                recorder.record_calibration(now, robot.id(), learned);
+            }
         }
     }
 
@@ -177,23 +182,24 @@ impl StationLoop {
         }
     }
 
-    /// Keeps where the simulated robot really was beside the inputs.
+    /// Keeps where the simulated robots really were beside the inputs.
     pub fn record_truth(&mut self) {
-        let Some(tap) = &mut self.truth else {
-            return;
-        };
-        let missed = tap.missed();
-        let samples = tap.drain().into_iter().map(|live| TruthSample {
-            time: live.sample.brick_time,
-            pose: live.sample.pose,
-            odometry: Some(live.sample.odometry),
-        });
-        if let Some(recorder) = &mut self.recorder {
-            recorder.record_truth(samples.collect());
-        }
-        if tap.missed() > missed {
-            let samples = tap.missed() - missed;
-            tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
+        for tap in &mut self.truth {
+            let missed = tap.missed();
+            let robot = tap.robot();
+            let samples = tap.drain().into_iter().map(|live| TruthSample {
+                robot,
+                time: live.sample.brick_time,
+                pose: live.sample.pose,
+                odometry: Some(live.sample.odometry),
+            });
+            if let Some(recorder) = &mut self.recorder {
+                recorder.record_truth(samples.collect());
+            }
+            if tap.missed() > missed {
+                let samples = tap.missed() - missed;
+                tracing::warn!(samples, "the truth has a hole in the recording: the station was too slow");
+            }
         }
     }
 
@@ -222,7 +228,7 @@ impl StationLoop {
         // One copy for all that watch and record: what a stall has held back comes at once, and waits for each of them.
         let events: Arc<[Event]> = events.into();
         if let Some(dashboard) = &self.dashboard {
-            dashboard.print_address(now, &events);
+            dashboard.publish_events(now, &events);
         }
         let is_command = matches!(input, Input::Command(_) | Input::RobotCommand { .. });
         let logged = self.log_traffic(now, &input, &sent);

@@ -12,7 +12,7 @@ use super::args::RunArgs;
 use super::dashboard::{self, DashboardHandle, ReservedListener, SimulatedBrickInfo};
 use super::links::EmbeddedLink;
 use super::plotjuggler::{self, PlotJuggler, SendCounts};
-use super::simulator::truth_tap::TruthTap;
+use super::simulator::EmbeddedBrick;
 use super::tui::{self, TerminalInputs, TerminalView};
 use crate::config::Config;
 use crate::console::print_line;
@@ -35,10 +35,10 @@ impl Viewers {
         place: (HostTimer, &Path),
         embedded: Option<&EmbeddedLink>,
     ) -> Result<(Self, Option<DashboardHandle>)> {
-        let simulated = embedded.map(|embedded| SimulatedBrickInfo {
-            name: &embedded.name,
-            scenario: &embedded.scenario,
-            truth: TruthTap::new(&embedded.brick.controls.truth),
+        let simulated = embedded.map(|link| SimulatedBrickInfo {
+            name: &link.name,
+            scenarios: link.bricks().iter().map(|brick| &brick.scenario).collect(),
+            truth: link.bricks().iter().map(EmbeddedBrick::truth_tap).collect(),
         });
         let facts = simulated.as_ref().map(dashboard::simulator_facts);
         let mut taps = FrameTaps::default();

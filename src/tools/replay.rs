@@ -33,7 +33,7 @@ use super::own_recording::is_own;
 use crate::config::Provenance;
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
-use crate::station::learned_calibration::{learned_table, save};
+use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
 
 pub use self::result::{FilterResult, ReplayResult};
 pub use smooth::{SmoothError, SmoothedResult, SmoothedRun};
@@ -55,13 +55,17 @@ fn save_calibration(args: &ReplayArgs, replayed: &ReplayResult, utc_micros: u64)
         return Ok(());
     };
     let mut learners = replayed.outcomes.iter().rev();
-    let Some((filter, learned)) = learners.find_map(|outcome| Some((&outcome.name, outcome.learned.last()?))) else {
+    let Some(filter) = learners.find_map(|outcome| (!outcome.learned.is_empty()).then_some(&outcome.name)) else {
         let names: Vec<_> = replayed.outcomes.iter().map(|o| o.name.as_str()).collect();
         bail!("there is no calibration to save: of {} none learns one", names.join(", "))
     };
+    // Of several runs of one robot the last; of several robots each.
+    let outcomes = replayed.outcomes.iter().filter(|outcome| outcome.name == *filter);
+    let learned: Vec<LearnedCalibration> = outcomes.filter_map(|outcome| outcome.learned.last().cloned()).collect();
+    let run = learned.first().map_or("", |learned| learned.run.as_str());
     let provenance =
-        Provenance { utc_micros, source: format!("{}, {}", replayed.recording, learned.run), filter: filter.clone() };
-    save(path, learned, &provenance)
+        Provenance { utc_micros, source: format!("{}, {run}", replayed.recording), filter: filter.clone() };
+    save_all(path, &learned, &provenance)
 }
 
 fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<()> {
@@ -70,10 +74,13 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
         return Ok(());
     }
     let runs = replayed.runs.len();
-    let mut rows = Vec::new();
-    for FilterResult { name, errors, .. } in &replayed.outcomes {
-        rows.push(EstimatorRow { name, errors, runs: runs as u64 });
-    }
+    let labels: Vec<String> = replayed.outcomes.iter().map(FilterResult::label).collect();
+    let rows: Vec<EstimatorRow<'_>> = replayed
+        .outcomes
+        .iter()
+        .zip(&labels)
+        .map(|(outcome, name)| EstimatorRow { name, errors: &outcome.errors, runs: runs as u64 })
+        .collect();
     let mut text = format!("{}: {} observations, {runs} run(s)\n\n", replayed.recording, replayed.observations);
     text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
@@ -87,10 +94,9 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
             );
         }
     }
-    for outcome in &replayed.outcomes {
+    for (outcome, label) in replayed.outcomes.iter().zip(&labels) {
         // Writing to a String cannot fail.
-        let _ =
-            write!(text, "\n{}\n{}{}", outcome.name, source_table(&outcome.sources), learned_table(&outcome.learned));
+        let _ = write!(text, "\n{label}\n{}{}", source_table(&outcome.sources), learned_table(&outcome.learned));
     }
     if !replayed.smoothed.is_empty() {
         let rows: Vec<SmoothRow<'_>> = replayed.smoothed.iter().map(SmoothedRun::row).collect();

@@ -27,6 +27,7 @@ use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
+use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::tools::session::{json as session_json, page as session_page};
 
 /// The filter of a foreign recording unless another is asked for.
@@ -45,6 +46,9 @@ pub struct ReportArgs {
     /// Estimator, instead of the recording's.
     #[arg(long, visible_alias = "estimator", value_name = "NAME")]
     pub filter: Option<String>,
+    /// Only this robot of a recording with several, by its name or as link/system/component; may be repeated.
+    #[arg(long, value_name = "ROBOT")]
+    pub only: Vec<String>,
     /// Where the page goes, and what is printed.
     #[command(flatten)]
     pub output: OutputArgs,
@@ -80,41 +84,77 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let config = recording.config(flags, args.filter.as_deref()).before_start()?;
     let filters: Vec<String> = args.filter.iter().cloned().collect();
     let changed = recording.changes(flags, &filters).before_start()?;
-    let known = recording.ground_truth(flags.truth.as_deref()).before_start()?;
     let pipeline = OwnRecording::pipeline(flags, &config).before_start()?;
     let alone = recording.config(flags, Some(DEAD_RECKONING)).before_start()?;
     let alone = OwnRecording::pipeline(flags, &alone).before_start()?;
-    let mut chronicle = SessionHistory::new(recording.origin());
-    let mut dead_reckoning = EventCollector::default();
+    let origin = recording.origin();
+    let mut histories = PerRobot::new(move || SessionHistory::new(origin));
+    let mut dead_reckoning = PerRobot::new(EventCollector::default);
     let mut lanes = [
-        ReplayLane { pipeline, watcher: &mut chronicle },
+        ReplayLane { pipeline, watcher: &mut histories },
         ReplayLane { pipeline: alone, watcher: &mut dead_reckoning },
     ];
     let passage = recording.run(&mut lanes, window, None).while_running()?;
     let [ReplayLane { pipeline, .. }, _] = lanes;
-    let prior = config.filter_config().before_start()?.calibration;
-    let learned = LearnedCalibration::from_pipeline(&pipeline, WHOLE_RUN, &config.robot, &prior);
-    let yardstick = match known.truth {
-        Some(_) => ScoreReference::Truth,
-        None => ScoreReference::None,
-    };
-    let run = RunSummary {
-        name: title_of(&config),
-        errors: own::errors(&chronicle.collector, known.truth.as_ref()),
-        reference: yardstick,
-        truth: known.truth,
-        odometry: known.odometry.or_else(|| track_of(&dead_reckoning)),
-        learned,
-        history: chronicle,
-    };
-    Ok(SessionSummary {
-        facts: own_facts(&recording, &config, &run),
-        recording: recording.name,
-        filter: config.filter.name,
-        changed,
-        notes: passage.notes,
-        runs: vec![run],
-    })
+    let mut notes = passage.notes;
+    let robots = chosen_robots(args, histories.into_entries(), &mut notes).before_start()?;
+    let mut facts = own_facts(&recording, &config);
+    let mut runs = Vec::new();
+    for robot in robots.chosen {
+        let known = recording.ground_truth(flags.truth.as_deref(), robot.robot).before_start()?;
+        let reference = known.truth.as_ref().map_or(ScoreReference::None, |_| ScoreReference::Truth);
+        let file = robot.robot.map_or(&config.robot, |id| config.robot_file(id));
+        let prior = config.filter_config_of(file).before_start()?.calibration;
+        let engine = pipeline.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+        let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
+        runs.push(RunSummary {
+            name: if robots.are_several { robot.label() } else { title_of(&config) },
+            errors: own::errors(&robot.value.collector, known.truth.as_ref()),
+            reference,
+            truth: known.truth,
+            odometry: known.odometry.or_else(|| track_of(&of_wheels?.value)),
+            learned: engine.and_then(|engine| LearnedCalibration::of_robot(engine, WHOLE_RUN, file, &prior)),
+            history: robot.value,
+        });
+    }
+    if let Some(run) = runs.first() {
+        let length = format!("{:.1} s", run.history.length().as_secs_f64());
+        facts.insert(facts.len() - 1, ("length".to_owned(), length));
+    }
+    Ok(SessionSummary { facts, recording: recording.name, filter: config.filter.name, changed, notes, runs })
+}
+
+/// The robots of a recording that the page is about.
+struct ChosenRobots {
+    chosen: Vec<RobotEntry<SessionHistory>>,
+    /// Whether the recording has more than one.
+    are_several: bool,
+}
+
+/// The robots that the flags name, else the first; what is left out is said in a note.
+fn chosen_robots(
+    args: &ReportArgs,
+    robots: Vec<RobotEntry<SessionHistory>>,
+    notes: &mut Vec<String>,
+) -> Result<ChosenRobots> {
+    let labels: Vec<String> = robots.iter().map(RobotEntry::label).collect();
+    let unknown = args.only.iter().find(|wanted| !labels.contains(wanted));
+    if let Some(unknown) = unknown {
+        bail!("--only {unknown}: no such robot was heard; there are {}", labels.join(", "));
+    }
+    ensure!(
+        args.only.len() <= MOST_RUNS,
+        "--only names {} robots, and a page holds up to {MOST_RUNS}",
+        args.only.len()
+    );
+    let are_several = robots.len() > 1;
+    let mut chosen: Vec<_> =
+        robots.into_iter().filter(|robot| args.only.is_empty() || args.only.contains(&robot.label())).collect();
+    if chosen.len() > MOST_RUNS {
+        notes.push(format!("{} of {} robots are shown: choose others with --only", MOST_RUNS, chosen.len()));
+        chosen.truncate(MOST_RUNS);
+    }
+    Ok(ChosenRobots { chosen, are_several })
 }
 
 /// Where a filter believed the robot; `None` if it never knew.
@@ -128,9 +168,8 @@ fn title_of(config: &Config) -> String {
     if config.robot.name.is_empty() { "Path".to_owned() } else { config.robot.name.clone() }
 }
 
-fn own_facts(recording: &OwnRecording, config: &Config, run: &RunSummary) -> Vec<(String, String)> {
+fn own_facts(recording: &OwnRecording, config: &Config) -> Vec<(String, String)> {
     let header = &recording.header;
-    let chronicle = &run.history;
     let fact = |name: &str, value: String| (name.to_owned(), value);
     let mut facts = vec![fact("robot", config.robot.name.clone())];
     if header.utc_start_micros > 0 {
@@ -139,8 +178,6 @@ fn own_facts(recording: &OwnRecording, config: &Config, run: &RunSummary) -> Vec
     for (index, url) in header.links.iter().enumerate() {
         facts.push(fact(&format!("link {index}"), url.clone()));
     }
-    let length = format!("{:.1} s", chronicle.length().as_secs_f64());
-    facts.push(fact("length", length));
     facts.push(fact("recorded by", format!("posebridge {}", header.program_version)));
     facts
 }

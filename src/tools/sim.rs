@@ -1,4 +1,4 @@
-//! `posebridge sim`: the simulated brick as a process of its own.
+//! `posebridge sim`: simulated bricks as a process of their own.
 //!
 //! It waits on a link for a station, or calls one, drives its path and writes the truth to a file if asked. The truth never
 //! goes over the link. The camera of a brick that speaks no MAVLink has a link of its own.
@@ -10,7 +10,6 @@ use clap::{Args, ValueEnum};
 use posebridge_link::{HostTimer, Link};
 use posebridge_sim::scenario::Personality;
 use posebridge_sim::{Scenario, Simulation, Steering, ev3_beacon};
-use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::station_link;
@@ -20,7 +19,10 @@ use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::StationLink;
 use crate::station::signals::Signals;
-use crate::station::simulator::{Announcement, BrickPorts, DriveContext, SimulatedCable, drive};
+use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
+
+/// Stands for a robot's system in a URL or a file's name.
+const SYSTEM_PLACEHOLDER: &str = "{}";
 
 /// How the simulated brick steers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -91,6 +93,10 @@ pub struct SimArgs {
     /// Write the truth to this CSV file at the end; it never goes over the link.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
+    /// Simulate so many robots, side by side, each with wheels, a seed and a MAVLink system of its own. In the URL of --listen and in the
+    /// name of --truth write {} for the system, e.g. pty:brick-{}.tty; a --link may be one port for all.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=250))]
+    pub robots: Option<u8>,
 }
 
 /// Runs the brick until its path ends or somebody stops it.
@@ -99,10 +105,16 @@ pub struct SimArgs {
 /// The scenario or the link makes no sense, or the truth cannot be written.
 pub fn execute(args: &SimArgs) -> Result<(), Failure> {
     let scenario = scenario(args).before_start()?;
+    let scenarios = match args.robots {
+        Some(count) => scenario.side_by_side(count).before_start()?,
+        None => vec![scenario],
+    };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
-    let simulation = runtime.block_on(brick(simulation(scenario, args), args))?;
+    let simulations = runtime.block_on(run_bricks(scenarios, args))?;
     if let Some(path) = &args.truth {
-        write_truth(path, &simulation).while_running()?;
+        for simulation in &simulations {
+            write_truth(path, simulation).while_running()?;
+        }
     }
     Ok(())
 }
@@ -130,7 +142,38 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
         });
     }
     check_links(args, scenario.brick.personality)?;
+    check_robots(args, scenario.brick.personality)?;
     Ok(scenario)
+}
+
+/// What several robots would share and cannot is refused.
+fn check_robots(args: &SimArgs, personality: Personality) -> Result<()> {
+    if args.robots.is_none_or(|count| count == 1) {
+        return Ok(());
+    }
+    if personality != Personality::Mavlink {
+        bail!("--robots is for bricks that speak MAVLink; start the others one by one");
+    }
+    if args.images_listen.is_some() {
+        bail!("--robots: the images of several cameras cannot go to one camera program");
+    }
+    let has_placeholder = |text: &str| text.contains(SYSTEM_PLACEHOLDER);
+    if args.link.listen.as_deref().is_some_and(|url| !has_placeholder(url)) {
+        bail!(
+            "--robots: each robot listens for itself; write {SYSTEM_PLACEHOLDER} for its system, e.g. --listen pty:brick-{{}}.tty"
+        );
+    }
+    if args.truth.as_ref().is_some_and(|path| !has_placeholder(&path.to_string_lossy())) {
+        bail!(
+            "--robots: each robot has a truth of its own; write {SYSTEM_PLACEHOLDER} for its system, e.g. --truth truth-{{}}.csv"
+        );
+    }
+    Ok(())
+}
+
+/// A text with the robot's system in the place of the placeholder.
+fn for_system(text: &str, system: u8) -> String {
+    text.replace(SYSTEM_PLACEHOLDER, &system.to_string())
 }
 
 /// A link that would stay silent is refused.
@@ -154,24 +197,38 @@ fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
     if args.truth.is_some() { simulation } else { simulation.without_history() }
 }
 
-async fn brick(mut simulation: Simulation, args: &SimArgs) -> Result<Simulation, Failure> {
+async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simulation>, Failure> {
     let timer = HostTimer::start();
     let mut signals = Signals::listen().before_start()?;
-    let (mut ports, place) = ports(args, timer).await.before_start()?;
-    print_line(&format!("brick up, seed {}, {place}", simulation.scenario().seed));
-    let stop = CancellationToken::new();
-    let (progress, _) = watch::channel(0.0);
-    let company = DriveContext { stop: &stop, progress: &progress, controls: None };
-    tokio::select! {
-        () = drive(&mut simulation, &mut ports, timer, company) => {}
-        () = signals.received() => {}
+    let mut bricks = Vec::new();
+    for scenario in scenarios {
+        let system = scenario.brick.system;
+        let link = StationLink {
+            listen: args.link.listen.as_deref().map(|url| for_system(url, system)),
+            link: args.link.link.as_deref().map(|url| for_system(url, system)),
+        };
+        let simulation = simulation(scenario, args);
+        let (ports, place) = ports(args, &link, timer).await.before_start()?;
+        let name = args.robots.map_or_else(|| "brick".to_owned(), |_| format!("brick {system}"));
+        print_line(&format!("{name} up, seed {}, {place}", simulation.scenario().seed));
+        bricks.push(BrickDrive::unattended(simulation, ports));
     }
-    Ok(simulation)
+    let stop = CancellationToken::new();
+    let driving = drive(bricks, timer, &stop);
+    tokio::pin!(driving);
+    tokio::select! {
+        simulations = &mut driving => simulations,
+        () = signals.received() => {
+            stop.cancel();
+            driving.await
+        }
+    }
+    .while_running()
 }
 
-/// All ports, open, and where they are, for people.
-async fn ports(args: &SimArgs, timer: HostTimer) -> Result<(BrickPorts, String)> {
-    let (brick, mut place) = open(&args.link, timer).await?;
+/// All ports of a brick, open, and where they are, for people.
+async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(BrickPorts, String)> {
+    let (brick, mut place) = open(link, timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
     let mut ports = BrickPorts::of(SimulatedCable::fixed(brick));
     let camera = StationLink { listen: args.camera.camera_listen.clone(), link: args.camera.camera_link.clone() };
@@ -216,7 +273,8 @@ fn beacon_of(tcp_port: Option<u16>) -> Result<Vec<u8>> {
 
 fn write_truth(path: &Path, simulation: &Simulation) -> Result<()> {
     let text = truth_file::write(simulation.truth());
-    std::fs::write(path, text).with_context(|| format!("writing the truth to `{}`", path.display()))
+    let path = PathBuf::from(for_system(&path.to_string_lossy(), simulation.scenario().brick.system));
+    std::fs::write(&path, text).with_context(|| format!("writing the truth to `{}`", path.display()))
 }
 
 #[cfg(test)]
@@ -247,6 +305,27 @@ mod tests {
             let scenario = scenario_of(&["--brick", name]).unwrap();
             assert_eq!(scenario.brick.personality, personality);
         }
+    }
+
+    #[test]
+    fn what_several_robots_cannot_share_is_refused() {
+        let scenario_of = |arguments: &[&str]| {
+            let all = [&["posebridge", "sim", "--robots", "3"], arguments].concat();
+            let Some(Command::Sim(args)) = Cli::try_parse_from(all)?.command else {
+                bail!("another command");
+            };
+            scenario(&args)
+        };
+        for (arguments, expected) in [
+            (&["--listen", "pty:x"][..], "pty:brick-{}.tty"),
+            (&["--link", "udp://127.0.0.1:1", "--truth", "t.csv"], "truth-{}.csv"),
+            (&["--link", "udp://127.0.0.1:1", "--brick", "nxt"], "speak MAVLink"),
+            (&["--link", "udp://127.0.0.1:1", "--images-listen", "udp://:0"], "images"),
+        ] {
+            let message = scenario_of(arguments).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        assert!(scenario_of(&["--listen", "pty:x-{}", "--truth", "t-{}.csv"]).is_ok());
     }
 
     #[test]

@@ -83,7 +83,7 @@ class Odometry(unittest.TestCase):
     def test_the_fields_are_those_of_our_own_tables(self):
         posebridge(self.folder, "export", "run/recording.mcap", "--format", "csv", "--out", "tables")
         with open(os.path.join(self.folder, "tables", "estimates.csv"), newline="") as file:
-            rows = [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
+            rows = [{name: float(value) for name, value in row.items() if value and name != "robot"} for row in csv.DictReader(file)]
         known = [odometry for odometry in self.expected if odometry["quality"] >= 0]
         self.assertGreater(len(known), 50)
         for odometry in known:

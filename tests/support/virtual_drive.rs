@@ -23,7 +23,12 @@ pub(crate) fn record_drive_and_truth(path: &Path, scenario: Scenario, rest: Time
     let (mut writer, simulation) = drive(path, scenario, rest);
     let samples = simulation.truth().iter();
     let truth: Vec<TruthSample> = samples
-        .map(|sample| TruthSample { time: sample.brick_time, pose: sample.pose, odometry: Some(sample.odometry) })
+        .map(|sample| TruthSample {
+            robot: None,
+            time: sample.brick_time,
+            pose: sample.pose,
+            odometry: Some(sample.odometry),
+        })
         .collect();
     let now = Timestamp::ZERO + simulation.elapsed();
     writer.record_truth(now, &truth).unwrap();

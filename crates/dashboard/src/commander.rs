@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use posebridge_telemetry::{Command, Input};
+use posebridge_telemetry::{Command, Input, RobotId};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
@@ -16,10 +16,11 @@ pub struct CommandSubmitter {
 }
 
 impl CommandSubmitter {
-    /// Sends a command, as the page's buttons do; false if too many wait or the station is ending. Never waits.
+    /// Sends a command, for one robot or as one that names none, as the page's buttons do; false if too many wait or the station is ending. Never waits.
     #[must_use]
-    pub fn send(&self, command: Command) -> bool {
-        match self.commands.try_send(Input::Command(command)) {
+    pub fn send(&self, robot: Option<RobotId>, command: Command) -> bool {
+        let input = robot.map_or(Input::Command(command), |robot| Input::RobotCommand { robot, command });
+        match self.commands.try_send(input) {
             Ok(()) => {
                 self.counts.increment(ServerCounter::Commands);
                 true

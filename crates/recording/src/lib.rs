@@ -15,5 +15,6 @@ pub mod csv;
 pub mod dataset;
 pub mod event_json;
 pub mod foxglove;
+mod robot_names;
 pub mod tlog;
 pub mod tum;

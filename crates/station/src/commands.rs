@@ -404,7 +404,7 @@ impl Station {
     /// Sends an answer; a link that went down does not wait for it.
     fn send_answer(&mut self, link: LinkId, message: &Message) {
         if self.links.get(&link).is_some_and(|link| link.state == LinkState::Up) {
-            self.send(link, message, Priority::Command);
+            self.transmitter().send(link, message, Priority::Command);
         }
     }
 

@@ -4,7 +4,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_protocol::bricks::{BrickProtocol, CodecSettings};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
-use posebridge_protocol::routing::LinkRules;
+use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
 use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta};
 
@@ -89,6 +89,39 @@ impl StationConfig {
         let block = self.robots.iter().find(|block| block.matches.is_for(link, address));
         block.map_or(&self.robot, |block| &block.robot)
     }
+
+    /// What passes between the links.
+    pub(crate) fn router_config(&self) -> RouterConfig {
+        let rules = self.links.iter().map(|link| {
+            let mut rules = link.rules.clone();
+            // A robot that speaks no MAVLink would take the others' frames for noise.
+            if link.brick.is_some() {
+                rules.forward = ForwardPolicy::Disabled;
+            }
+            (link.id, rules)
+        });
+        RouterConfig { own: self.own_address, duplicate_window: self.duplicate_window, links: rules.collect() }
+    }
+}
+
+/// Why a station could not be built.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// There is no such filter.
+    #[error("unknown filter `{name}`; there are: {known}")]
+    UnknownFilter {
+        /// The name that was asked for.
+        name: String,
+        /// The names that there are.
+        known: String,
+    },
+    /// Two links have one id.
+    #[error("link id {id} is used twice")]
+    DuplicateLink {
+        /// The id.
+        id: LinkId,
+    },
 }
 
 /// When cameras that take requests are asked for a fix: as soon as the station is less sure than this.

@@ -122,14 +122,14 @@ impl Egress {
         true
     }
 
-    /// The bytes of a forwarded frame under the next number of its sender's count on this link.
+    /// The bytes of a forwarded frame under an address, with the next number of that address on this link.
     ///
     /// # Errors
     /// The frame is signed and must stay as it is.
-    pub(crate) fn renumber(&mut self, id: LinkId, bytes: &[u8]) -> Result<Vec<u8>, RenumberError> {
+    pub(crate) fn readdress(&mut self, id: LinkId, bytes: &[u8], sender: Address) -> Result<Vec<u8>, RenumberError> {
         let egress = self.links.get_mut(&id).ok_or(RenumberError::Signed)?;
         let mut bytes = bytes.to_vec();
-        egress.encoder.renumber(&mut bytes).map(|()| bytes)
+        egress.encoder.readdress(&mut bytes, sender).map(|()| bytes)
     }
 
     /// A sender's frame leaves under the number that it came with: the next one that is sent under this address follows that.

@@ -6,10 +6,11 @@
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{
-    DuplicateStatus, Endpoint, FrameRouter, LinkSharing, SenderCheck, SenderInfo, priority_of,
+    DuplicateStatus, Endpoint, FrameRouter, LinkSharing, SenderCheck, SenderInfo, priority_of, retarget, target_of,
 };
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, Timestamp};
 
+use crate::robot_table::RobotTable;
 use crate::vehicle_proxy::VehicleProxies;
 
 /// Looks at the frames of one input as they are found, and keeps those that go on.
@@ -20,6 +21,7 @@ pub(crate) struct ForwardingPass<'a> {
     sharing: LinkSharing,
     /// The robots as vehicles on the link: the station may have to answer a command in their place.
     vehicles: Option<&'a VehicleProxies>,
+    robots: &'a RobotTable,
     report: ForwardingReport,
 }
 
@@ -32,6 +34,8 @@ pub(crate) struct ForwardingReport {
     pub(crate) duplicates: u64,
     /// Frames under the station's own address that it has not said.
     pub(crate) address_conflicts: u64,
+    /// Frames for a robot under another system than its own, which are signed or damaged and cannot be changed for it.
+    pub(crate) unchangeable: u64,
     pub(crate) forwarded: Vec<ForwardedFrame>,
 }
 
@@ -53,20 +57,22 @@ pub(crate) struct ForwardedFrame {
 impl ForwardingReport {
     /// Whether there is anything to be done about it.
     pub(crate) const fn has_content(&self) -> bool {
-        self.filtered > 0 || self.duplicates > 0 || self.address_conflicts > 0 || !self.forwarded.is_empty()
+        let dropped = self.filtered + self.duplicates + self.address_conflicts + self.unchangeable;
+        dropped > 0 || !self.forwarded.is_empty()
     }
 }
 
 impl<'a> ForwardingPass<'a> {
-    /// A passage of what comes by one way at `now`; `voice` is the robot's on the link that it comes by.
+    /// A passage of what comes by one way at `now`; `vehicles` are those of the link that it comes by.
     pub(crate) fn new(
         router: &'a mut FrameRouter,
         now: Timestamp<HostClock>,
         from: Endpoint,
         sharing: LinkSharing,
         vehicles: Option<&'a VehicleProxies>,
+        robots: &'a RobotTable,
     ) -> Self {
-        Self { router, now, from, sharing, vehicles, report: ForwardingReport::default() }
+        Self { router, now, from, sharing, vehicles, robots, report: ForwardingReport::default() }
     }
 
     /// What it leaves behind.
@@ -88,8 +94,11 @@ impl<'a> ForwardingPass<'a> {
             DuplicateStatus::AddressConflict => self.report.address_conflicts += 1,
             DuplicateStatus::New | DuplicateStatus::Echo => {}
         }
+        let mut bytes = None;
         if self.is_answered_here(frame) {
             routed.to.clear();
+        } else if routed.duplicate_status == DuplicateStatus::New {
+            bytes = self.follow_renaming(frame, &mut routed.to);
         }
         if !routed.to.is_empty() {
             self.report.forwarded.push(ForwardedFrame {
@@ -101,10 +110,30 @@ impl<'a> ForwardingPass<'a> {
                 version: frame.version,
                 priority: priority_of(frame),
                 to: routed.to,
-                bytes: frame.raw.to_vec(),
+                bytes: bytes.unwrap_or_else(|| frame.raw.to_vec()),
             });
         }
         Some(routed.duplicate_status)
+    }
+
+    /// Brings what a ground station says to a system to the robot that it sees as that system; its bytes, if they change with it.
+    fn follow_renaming(&mut self, frame: &FrameRef<'_>, to: &mut Vec<(LinkId, Recipients)>) -> Option<Vec<u8>> {
+        let system = self.vehicles.and_then(|_| target_of(frame.message_id, frame.payload).system())?;
+        let Some(robot) = self.robots.renamed(system) else {
+            to.retain(|(link, recipients)| match recipients {
+                Recipients::Peer(peer) => !self.robots.is_seen_elsewhere(Endpoint { link: *link, peer: *peer }, system),
+                Recipients::All | Recipients::AllExcept(_) => true,
+            });
+            return None;
+        };
+        let (endpoint, _) = robot.last_seen?;
+        *to = self.router.destinations_at(self.from, frame, endpoint);
+        let mut bytes = frame.raw.to_vec();
+        if retarget(frame.message_id, &mut bytes, robot.wire_address.system).is_err() {
+            self.report.unchangeable += u64::from(!to.is_empty());
+            to.clear();
+        }
+        Some(bytes)
     }
 
     /// Whether a frame commands the robot what the station does in its name.

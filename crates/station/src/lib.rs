@@ -38,11 +38,12 @@ mod slip_watch;
 mod station;
 mod status_text;
 mod thermometer_bank;
+mod transmitter;
 mod vehicle_proxy;
 
 pub use config::{
-    AcceptedVersions, AnnouncedAs, BrickLink, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS, OutputInstant,
-    OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig, ThermometerConfig,
+    AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS,
+    OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig, ThermometerConfig,
 };
 pub use robot::Robot;
-pub use station::{BuildError, Station};
+pub use station::Station;

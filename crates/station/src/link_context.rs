@@ -87,6 +87,10 @@ impl LinkContext {
         self.ground_stations.insert(peer);
     }
 
+    pub(crate) fn is_ground_station(&self, peer: PeerId) -> bool {
+        self.ground_stations.contains(&peer)
+    }
+
     pub(crate) fn ground_stations(&self) -> impl Iterator<Item = PeerId> {
         self.ground_stations.iter().copied()
     }

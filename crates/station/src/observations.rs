@@ -1,17 +1,18 @@
 //! What messages say about robots: from a message to the robot's clock, estimator and publisher.
 
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
-use posebridge_protocol::routing::DuplicateStatus;
+use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, Estimate, Event, HostClock, LinkId, Observation, ObservationKind, Priority,
     ReceiveError, RobotId, TimeDelta, Timestamp,
 };
 
 use crate::clock::align::Alignment;
+use crate::codec_events::{CodecEvents, OwnedCodecEvent};
 use crate::config::DescriptionPolicy;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
-use crate::observers::ObserverId;
+use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
 use crate::robot_table::RobotIndex;
@@ -37,13 +38,15 @@ impl Station {
         // Redundant links are one: a robot, its clock and its observations know only the first of them.
         let home = self.router.first_of_group(received.endpoint.link);
         let known = self.robots.at_endpoint(received.endpoint, home, source);
-        self.sessions.handle(now, received.endpoint.link, message, known);
+        let observer = ObserverAddress { home, address: source };
+        self.sessions.handle(now, received.endpoint, message, known);
         self.drain_sessions(received);
         let extractor = known.map(|index| self.robots.get(index).extractor);
-        let extractor = extractor.unwrap_or_else(|| self.extractor_for_unknown(home, source, content.fix_tag()));
+        let extractor =
+            extractor.unwrap_or_else(|| self.extractor_for_unknown(received.endpoint, observer, content.fix_tag()));
         let observations = extractor.extract(content);
         if duplicate_status == DuplicateStatus::Duplicate {
-            self.observe_copy(received, (home, source), known, content, &observations);
+            self.observe_copy(received, observer, known, content, &observations);
             return;
         }
         if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
@@ -86,10 +89,53 @@ impl Station {
         }
     }
 
+    /// Acts on what a codec has found, then sends what it asks.
+    pub(crate) fn handle_codec_events(&mut self, received: ReceiveInfo, events: CodecEvents) {
+        let link = received.endpoint.link;
+        for event in events.into_events() {
+            match event {
+                OwnedCodecEvent::Message(source, message) => {
+                    let message = ReceivedMessage { source, duplicate_status: DuplicateStatus::New, message };
+                    self.handle_message(received, &message);
+                }
+                OwnedCodecEvent::ClockReply { from, sent, peer_nanos } => {
+                    self.handle_time_exchange(from, &TimeExchange { sent, answer: received, peer_nanos });
+                }
+                OwnedCodecEvent::StatusText { from: source, severity, text } => {
+                    self.emit(Event::Text { source, severity, text });
+                }
+                OwnedCodecEvent::Error(error) => self.emit(Event::ReceiveError { link, defect: error }),
+            }
+        }
+        self.transmitter().send_codec_output(link);
+    }
+
+    /// Lets a codec do what is due.
+    pub(crate) fn run_codec(&mut self, id: LinkId) {
+        let now = self.time.now;
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        if link.codec_deadline().is_none_or(|due| due > now) {
+            return;
+        }
+        let Some(codec) = &mut link.codec else {
+            return;
+        };
+        let mut events = CodecEvents::default();
+        codec.tick(now, &mut |event| events.push(event));
+        self.handle_codec_events(ReceiveInfo::local(id, now), events);
+    }
+
     /// The extractor for a sender that is no robot yet: of its own geometry, and of the tag of the robot that its fixes are for.
-    fn extractor_for_unknown(&self, home: LinkId, source: Address, tag: Option<u32>) -> ObservationExtractor {
-        let unknown = ObservationExtractor::new(self.config.robot_for(home, source));
-        let robot = self.fixed_robot(source, tag).map(|index| self.robots.get(index).extractor);
+    fn extractor_for_unknown(
+        &self,
+        endpoint: Endpoint,
+        sender: ObserverAddress,
+        tag: Option<u32>,
+    ) -> ObservationExtractor {
+        let unknown = ObservationExtractor::new(self.config.robot_for(sender.home, sender.address));
+        let robot = self.fixed_robot(endpoint, sender.address, tag).map(|index| self.robots.get(index).extractor);
         ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
     }
 
@@ -97,7 +143,7 @@ impl Station {
     fn observe_copy(
         &mut self,
         received: ReceiveInfo,
-        observer: ObserverId,
+        observer: ObserverAddress,
         robot: Option<RobotIndex>,
         message: &Message,
         observations: &[Option<UnalignedObservation>],
@@ -214,13 +260,13 @@ impl Station {
     /// A fix of an observer with a clock of its own: to the host's clock, then to that of the robot that the fix is for.
     fn handle_observer_fix(&mut self, sender: &MessageSender, observation: &UnalignedObservation) {
         let (link, source) = (sender.sign.home, sender.sign.address);
-        let observer = (link, source);
+        let observer = ObserverAddress { home: link, address: source };
         let host = self.observers.host_time(observer, sender.received, observation.stamp);
         if host.has_restarted {
             self.request_time_burst(observer);
-            self.observers.fix_requests.reset_camera(observer);
+            self.observers.fix_requests.reset_camera((link, source));
         }
-        let robot = self.fixed_robot(source, observation.tag);
+        let robot = self.fixed_robot(sender.received.endpoint, source, observation.tag);
         let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
             Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
         });
@@ -229,7 +275,7 @@ impl Station {
             return;
         };
         let aligned = Observation {
-            sensor: self.observers.camera_sensor(observer),
+            sensor: self.robots.get_mut(index).camera_sensor(host.observer),
             stamp: time,
             stamp_sigma: sigma,
             measurement: observation.observed,
@@ -237,10 +283,12 @@ impl Station {
         self.observe(index, source, sender.received.host_time, aligned);
     }
 
-    /// The robot that a fix is for: the one with the tag that was seen, else the only one, else the one in whose system its sender is.
-    fn fixed_robot(&self, sender: Address, tag: Option<u32>) -> Option<RobotIndex> {
-        let named = tag.and_then(|tag| self.robots.of_tag(tag));
-        named.or_else(|| self.robots.only()).or_else(|| self.robots.of_system(sender.system))
+    /// The robot that a fix is for: the one with the tag that was seen, else the only one that is heard by the same endpoint as its
+    /// sender, else the only one at all, else the one in whose system its sender is.
+    fn fixed_robot(&self, endpoint: Endpoint, sender: Address, tag: Option<u32>) -> Option<RobotIndex> {
+        let robots = &self.robots;
+        let named = tag.and_then(|tag| robots.of_tag(tag)).or_else(|| robots.only_at(endpoint));
+        named.or_else(|| robots.only()).or_else(|| robots.of_system(sender.system))
     }
 
     /// Gives an observation to a robot's estimator and publishes what became of it.
@@ -266,12 +314,12 @@ impl Station {
             let robot = self.robots.get_mut(index);
             let host = robot.clocks.to_host(observation.stamp).unwrap_or(now);
             for message in robot.publisher.publish_range(now, range, host, is_up) {
-                self.send_published(index, &message);
+                self.transmitter().send_published(index, &message);
             }
         }
         let robot_entry = self.robots.get_mut(index);
         for message in robot_entry.publisher.publish_record(now, &record, &robot_entry.clocks) {
-            self.send_published(index, &message);
+            self.transmitter().send_published(index, &message);
         }
         self.emit(Event::ObservationFused { robot, record });
         if report.slip_began {
@@ -283,7 +331,7 @@ impl Station {
     pub(crate) fn request_fixes(&mut self, estimate: Option<&Estimate>) {
         let due = self.observers.fix_requests.due(self.time.now, &self.config.fix_requests, estimate);
         for (link, camera) in due {
-            self.send(link, &fix_request(camera), Priority::Command);
+            self.transmitter().send(link, &fix_request(camera), Priority::Command);
         }
     }
 
@@ -298,7 +346,7 @@ impl Station {
         let home = self.router.first_of_group(link);
         match self.robots.at_endpoint(exchange.answer.endpoint, home, peer) {
             Some(index) => self.align_robot_clock(index, exchange),
-            None => self.align_observer_clock((home, peer), exchange),
+            None => self.align_observer_clock(ObserverAddress { home, address: peer }, exchange),
         }
     }
 
@@ -319,16 +367,18 @@ impl Station {
         }
     }
 
-    fn align_observer_clock(&mut self, observer: ObserverId, exchange: &TimeExchange) {
-        let outcome = self.observers.observe_exchange(observer, exchange);
+    fn align_observer_clock(&mut self, observer: ObserverAddress, exchange: &TimeExchange) {
+        let Some(outcome) = self.observers.observe_exchange(observer, exchange) else {
+            return;
+        };
         if outcome.is_contradicted {
-            self.report_unaligned(exchange.answer.endpoint.link, observer.1);
+            self.report_unaligned(exchange.answer.endpoint.link, observer.address);
         }
         if outcome.has_restarted {
             self.request_time_burst(observer);
         }
         if let Some(Alignment { remote, host, offset, uncertainty, .. }) = outcome.alignment {
-            self.emit(Event::CameraClockAligned { camera: observer.1, offset, uncertainty, stamp: remote, host });
+            self.emit(Event::CameraClockAligned { camera: observer.address, offset, uncertainty, stamp: remote, host });
         }
     }
 
@@ -352,10 +402,11 @@ impl Station {
             brick = self.robots.get(index).id;
             self.align_robot_time(sender.received, index, stamp).map(|(time, _)| time)
         } else {
-            let aligned = self.observers.own_time((home, address), sender.received, stamp);
+            let observer = ObserverAddress { home, address };
+            let aligned = self.observers.own_time(observer, sender.received, stamp);
             if aligned.has_restarted {
                 self.restart_thermometers(brick);
-                self.request_time_burst((home, address));
+                self.request_time_burst(observer);
             }
             if aligned.time.is_none() {
                 self.report_unaligned(home, address);
@@ -365,6 +416,20 @@ impl Station {
         if let Some(stamp) = time {
             let arrival = sender.received.host_time;
             self.thermometers.push(TemperatureReading { brick, channel, arrival, stamp, shown: temperature });
+        }
+    }
+
+    /// Uses the temperatures that wait: nobody steers by them.
+    pub(crate) fn process_temperatures(&mut self) {
+        let outputs = &mut self.outputs;
+        self.thermometers
+            .process(&self.config.robot.filter_config, &self.config.thermometers, |event| outputs.emit(event));
+        if self.thermometers.take_limit_report() {
+            self.emit(Event::Text {
+                source: self.config.own_address,
+                severity: SEVERITY_WARNING,
+                text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
+            });
         }
     }
 
@@ -408,8 +473,8 @@ impl Station {
     }
 
     /// Some quick time requests find out how a clock runs that began anew.
-    fn request_time_burst(&mut self, (link, peer): ObserverId) {
-        self.sessions.handle_peer_restart(self.time.now, link, peer);
+    fn request_time_burst(&mut self, observer: ObserverAddress) {
+        self.sessions.handle_peer_restart(self.time.now, observer.home, observer.address);
     }
 
     fn report_unaligned(&mut self, link: LinkId, source: Address) {

@@ -1,106 +1,369 @@
 //! Senders with clocks of their own that are no robots: cameras, and bricks with nothing but thermometers.
+//!
+//! An observer is known by the first link of its group and its address, and by the peer that it is heard from: behind one port may be
+//! many cameras that nobody has given an address. When its address is heard from another peer of its link, it has reconnected, or it is
+//! another observer with the same ids. It is another one if the old peer goes on; it is the same if the old peer has been silent for a
+//! while ([`HANDOVER`]), unless that comes back later. Until this is known, the newcomer's timestamps are not used.
 
 use std::collections::BTreeMap;
 
 use posebridge_protocol::message::WireStamp;
-use posebridge_telemetry::{Address, BrickClock, CameraClock, HostClock, LinkId, SensorId, TimeDelta, Timestamp};
+use posebridge_protocol::routing::Endpoint;
+use posebridge_telemetry::{Address, BrickClock, CameraClock, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
 use crate::clock::align::ClockAligner;
 use crate::clock::unwrap::UnwrapOutcome;
 use crate::clock_alignment::{self, ExchangeOutcome};
-use crate::fix_requests::{FixRequests, MAX_CAMERAS};
+use crate::fix_requests::FixRequests;
 use crate::receive::{ReceiveInfo, TimeExchange};
+use crate::sender_identity::{HANDOVER, MAX_CONTENDERS};
 
-/// A sender on the first link of its group.
-pub(crate) type ObserverId = (LinkId, Address);
+/// So many observers are remembered; of more those that have been silent longest are forgotten, a quarter at a time.
+const MAX_OBSERVERS: usize = 1_024;
 
-/// The clocks of all observers, and which of them are cameras.
+/// Which observer. The number of one that was forgotten is not given to another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ObserverId(u64);
+
+/// The ids of an observer: the first link of its group and its address. Several may have the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct ObserverAddress {
+    pub(crate) home: LinkId,
+    pub(crate) address: Address,
+}
+
+/// All observers.
 #[derive(Debug, Default)]
 pub(crate) struct Observers {
-    clocks: BTreeMap<ObserverId, ClockAligner<CameraClock>>,
-    /// Senders of fixes with clocks of their own, in the order of their first: each is a sensor of its own.
-    cameras: Vec<ObserverId>,
+    known: BTreeMap<ObserverAddress, Vec<Observer>>,
+    /// How many of them there are.
+    count: usize,
+    next_id: u64,
+    /// When a sender whose identity is open was heard first.
+    contenders: BTreeMap<(Endpoint, Address), Timestamp<HostClock>>,
     pub(crate) fix_requests: FixRequests,
+}
+
+#[derive(Debug)]
+struct Observer {
+    id: ObserverId,
+    clock: ClockAligner<CameraClock>,
+    /// By which peer it is heard on each link of its group.
+    contacts: BTreeMap<LinkId, Contact>,
+}
+
+/// The peer of a link that an observer is heard by.
+#[derive(Clone, Copy, Debug)]
+struct Contact {
+    peer: PeerId,
+    last_heard: Timestamp<HostClock>,
+    /// The peer whose place this one has taken.
+    former: Option<PeerId>,
+}
+
+/// Who has sent something.
+enum ObserverIdentity<'a> {
+    Known(&'a mut Observer),
+    /// Perhaps this one, perhaps another one with the same ids.
+    Contested(ObserverId),
 }
 
 /// What became of an observer's timestamp.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ObserverTime<T> {
-    /// `None` while that clock is not aligned, or for a timestamp from before a restart.
+    /// `None` while that clock is not aligned or it is open whose it is, or for a timestamp from before a restart.
     pub(crate) time: Option<T>,
     pub(crate) has_restarted: bool,
+    pub(crate) observer: ObserverId,
 }
 
 impl Observers {
     /// The clock of a sender that proves to be a robot.
-    pub(crate) fn remove_clock(&mut self, id: ObserverId) -> Option<ClockAligner<CameraClock>> {
-        self.clocks.remove(&id)
+    pub(crate) fn remove_clock(
+        &mut self,
+        sender: ObserverAddress,
+        endpoint: Endpoint,
+    ) -> Option<ClockAligner<CameraClock>> {
+        let observers = self.known.get_mut(&sender)?;
+        let index = index_of(observers, endpoint)?;
+        self.count -= 1;
+        let clock = observers.swap_remove(index).clock;
+        if observers.is_empty() {
+            self.known.remove(&sender);
+        }
+        Some(clock)
     }
 
-    pub(crate) fn observe_copy(&mut self, id: ObserverId, received: ReceiveInfo, stamp: WireStamp) {
-        if let Some(clock) = self.clocks.get_mut(&id) {
-            clock.observe_copy(received.endpoint, stamp, received.host_time);
+    /// A copy of what came before by another link of the group bounds the clock by its own way.
+    pub(crate) fn observe_copy(&mut self, sender: ObserverAddress, received: ReceiveInfo, stamp: WireStamp) {
+        if let Some(observers) = self.known.get_mut(&sender)
+            && let Some(index) = index_of(observers, received.endpoint)
+        {
+            observers[index].clock.observe_copy(received.endpoint, stamp, received.host_time);
         }
     }
 
-    pub(crate) fn observe_exchange(&mut self, id: ObserverId, exchange: &TimeExchange) -> ExchangeOutcome<CameraClock> {
-        clock_alignment::observe_exchange(self.clocks.entry(id).or_default(), exchange)
+    /// A time request and its answer; `None` while it is open whose answer it is.
+    pub(crate) fn observe_exchange(
+        &mut self,
+        sender: ObserverAddress,
+        exchange: &TimeExchange,
+    ) -> Option<ExchangeOutcome<CameraClock>> {
+        match self.identify(sender, exchange.answer) {
+            ObserverIdentity::Known(observer) => Some(clock_alignment::observe_exchange(&mut observer.clock, exchange)),
+            ObserverIdentity::Contested(_) => None,
+        }
     }
 
     /// The host's instant of an observer's timestamp, and how far it may be off either way.
     pub(crate) fn host_time(
         &mut self,
-        id: ObserverId,
+        sender: ObserverAddress,
         received: ReceiveInfo,
         stamp: WireStamp,
     ) -> ObserverTime<(Timestamp<HostClock>, TimeDelta)> {
+        let identity = self.identify(sender, received);
         if let WireStamp::HostInterval { sent, answered } = stamp {
             let half = TimeDelta::from_nanos((answered - sent).as_nanos() / 2);
-            return ObserverTime { time: Some((sent + half, half)), has_restarted: false };
+            // The host's own instants ask for no clock, whosever it is.
+            return ObserverTime { time: Some((sent + half, half)), has_restarted: false, observer: identity.id() };
         }
-        let clock = self.clocks.entry(id).or_default();
-        let outcome = clock.observe_arrival(received.endpoint, stamp, received.host_time);
-        let (UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time)) = outcome else {
-            return ObserverTime { time: None, has_restarted: false };
+        let observer = match identity {
+            ObserverIdentity::Known(observer) => observer,
+            ObserverIdentity::Contested(id) => return ObserverTime::none(id),
         };
-        let time = clock.host_at(time);
+        let outcome = observer.clock.observe_arrival(received.endpoint, stamp, received.host_time);
+        let (UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time)) = outcome else {
+            return ObserverTime::none(observer.id);
+        };
+        let time = observer.clock.host_at(time);
         // A contradicted clock has no conversion, so that the caller reports it anyway.
-        clock.take_contradiction();
-        ObserverTime { time, has_restarted: matches!(outcome, UnwrapOutcome::Restarted(_)) }
+        observer.clock.take_contradiction();
+        let has_restarted = matches!(outcome, UnwrapOutcome::Restarted(_));
+        ObserverTime { time, has_restarted, observer: observer.id }
     }
 
     /// The instant of a timestamp by the clock of a brick that is no robot, or not yet. Nothing is converted by this clock.
     pub(crate) fn own_time(
         &mut self,
-        id: ObserverId,
+        sender: ObserverAddress,
         received: ReceiveInfo,
         stamp: WireStamp,
     ) -> ObserverTime<Timestamp<BrickClock>> {
+        let observer = match self.identify(sender, received) {
+            ObserverIdentity::Known(observer) => observer,
+            ObserverIdentity::Contested(id) => return ObserverTime::none(id),
+        };
         if matches!(stamp, WireStamp::HostInterval { .. }) {
             // Without a clock of its own its replies have no instants; with one it is a robot.
-            return ObserverTime { time: None, has_restarted: false };
+            return ObserverTime::none(observer.id);
         }
-        let clock = self.clocks.entry(id).or_default();
-        let outcome = clock.observe_arrival(received.endpoint, stamp, received.host_time);
-        clock.take_contradiction();
+        let outcome = observer.clock.observe_arrival(received.endpoint, stamp, received.host_time);
+        observer.clock.take_contradiction();
         let (UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time)) = outcome else {
-            return ObserverTime { time: None, has_restarted: false };
+            return ObserverTime::none(observer.id);
         };
         ObserverTime {
             time: Some(Timestamp::from_nanos(time.as_nanos())),
             has_restarted: matches!(outcome, UnwrapOutcome::Restarted(_)),
+            observer: observer.id,
         }
     }
 
-    /// The sensor of a camera with a clock of its own: each has its own noise, gate and verdicts.
-    pub(crate) fn camera_sensor(&mut self, id: ObserverId) -> SensorId {
-        let known = self.cameras.iter().position(|camera| *camera == id);
-        let index = known.unwrap_or_else(|| {
-            if self.cameras.len() < MAX_CAMERAS {
-                self.cameras.push(id);
-            }
-            self.cameras.len() - 1
+    /// Who has sent what came in; a sender that nobody is like becomes an observer.
+    fn identify(&mut self, sender: ObserverAddress, received: ReceiveInfo) -> ObserverIdentity<'_> {
+        let ReceiveInfo { endpoint, host_time } = received;
+        let contender = (endpoint, sender.address);
+        let observers = self.known.get(&sender).map_or(&[][..], Vec::as_slice);
+        let known = index_of(observers, endpoint).or_else(|| {
+            // On a redundant link the first that was not heard there yet.
+            observers.iter().position(|observer| !observer.contacts.contains_key(&endpoint.link))
         });
-        SensorId::camera(index)
+        let index = match known {
+            Some(index) => index,
+            None if observers.is_empty() => self.add(sender, host_time),
+            None => match judge(observers, endpoint, host_time, self.contenders.get(&contender).copied()) {
+                Newcomer::SameAs(index) => index,
+                Newcomer::Another => self.add(sender, host_time),
+                Newcomer::Contested(id) => {
+                    if self.contenders.len() >= MAX_CONTENDERS && !self.contenders.contains_key(&contender) {
+                        self.contenders.clear();
+                    }
+                    self.contenders.entry(contender).or_insert(host_time);
+                    return ObserverIdentity::Contested(id);
+                }
+            },
+        };
+        if known.is_none() {
+            self.contenders.remove(&contender);
+        }
+        let observer = &mut self.known.entry(sender).or_default()[index];
+        let contact = Contact { peer: endpoint.peer, last_heard: host_time, former: None };
+        let contact = observer.contacts.entry(endpoint.link).or_insert(contact);
+        if contact.peer != endpoint.peer {
+            contact.former = Some(contact.peer);
+            contact.peer = endpoint.peer;
+        }
+        contact.last_heard = contact.last_heard.max(host_time);
+        ObserverIdentity::Known(observer)
+    }
+
+    /// A new observer; its place among those with the same ids.
+    fn add(&mut self, sender: ObserverAddress, now: Timestamp<HostClock>) -> usize {
+        if self.count >= MAX_OBSERVERS {
+            self.forget_silent(now);
+        }
+        let id = ObserverId(self.next_id);
+        self.next_id += 1;
+        self.count += 1;
+        let observers = self.known.entry(sender).or_default();
+        observers.push(Observer { id, clock: ClockAligner::default(), contacts: BTreeMap::new() });
+        observers.len() - 1
+    }
+
+    fn forget_silent(&mut self, now: Timestamp<HostClock>) {
+        let mut last_heard: Vec<_> = self.known.values().flatten().map(|observer| observer.last_heard(now)).collect();
+        last_heard.sort_unstable();
+        let Some(limit) = last_heard.get(MAX_OBSERVERS / 4).copied() else {
+            return;
+        };
+        self.known.retain(|_, observers| {
+            observers.retain(|observer| observer.last_heard(now) > limit);
+            !observers.is_empty()
+        });
+        self.count = self.known.values().map(Vec::len).sum();
+    }
+}
+
+impl Observer {
+    fn last_heard(&self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
+        self.contacts.values().map(|contact| contact.last_heard).max().unwrap_or(now)
+    }
+}
+
+impl ObserverIdentity<'_> {
+    const fn id(&self) -> ObserverId {
+        match self {
+            Self::Known(observer) => observer.id,
+            Self::Contested(id) => *id,
+        }
+    }
+}
+
+impl<T> ObserverTime<T> {
+    const fn none(observer: ObserverId) -> Self {
+        Self { time: None, has_restarted: false, observer }
+    }
+}
+
+/// What is known of a peer that is heard under ids that another peer of its link has.
+enum Newcomer {
+    /// It is this one, which has reconnected.
+    SameAs(usize),
+    /// It is another observer.
+    Another,
+    /// Nobody can tell yet; perhaps it is this one.
+    Contested(ObserverId),
+}
+
+/// Judges a peer that is heard on a link where all observers with its ids are heard by other peers; `first` is when it was heard first.
+fn judge(
+    observers: &[Observer],
+    endpoint: Endpoint,
+    now: Timestamp<HostClock>,
+    first: Option<Timestamp<HostClock>>,
+) -> Newcomer {
+    let contacts = observers.iter().enumerate();
+    let contacts =
+        contacts.filter_map(|(index, observer)| Some((index, observer.id, *observer.contacts.get(&endpoint.link)?)));
+    let is_back = contacts.clone().any(|(_, _, contact)| contact.former == Some(endpoint.peer));
+    // All who have the ids have gone on since it was heard first.
+    let is_distinct = first.is_some_and(|first| contacts.clone().all(|(_, _, contact)| contact.last_heard > first));
+    let Some((index, id, contact)) = contacts.min_by_key(|(_, _, contact)| contact.last_heard) else {
+        return Newcomer::Another;
+    };
+    if is_back || is_distinct {
+        Newcomer::Another
+    } else if now - contact.last_heard >= HANDOVER {
+        Newcomer::SameAs(index)
+    } else {
+        Newcomer::Contested(id)
+    }
+}
+
+/// The observer that is heard by an endpoint: by that peer, or, if there is only one, not yet on that link.
+fn index_of(observers: &[Observer], endpoint: Endpoint) -> Option<usize> {
+    let is_it = |observer: &Observer| {
+        observer.contacts.get(&endpoint.link).is_some_and(|contact| contact.peer == endpoint.peer)
+    };
+    observers.iter().position(is_it).or_else(|| match observers {
+        [only] if !only.contacts.contains_key(&endpoint.link) => Some(0),
+        _ => None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAMERA: ObserverAddress = ObserverAddress { home: LinkId(0), address: Address::new(1, 100) };
+
+    /// An observer's message at `millis`, by a peer, when its clock is so far ahead; which observer it was, if its clock was used.
+    fn hear(observers: &mut Observers, millis: i64, endpoint: Endpoint, ahead_ms: i64) -> Option<ObserverId> {
+        let received = ReceiveInfo { endpoint, host_time: Timestamp::from_millis(millis) };
+        let stamp = WireStamp::Micros64(((millis + ahead_ms) * 1_000) as u64);
+        let time = observers.host_time(CAMERA, received, stamp);
+        assert!(!time.has_restarted, "{millis} ms");
+        // A clock that was never heard is not aligned at its first timestamp.
+        observers.known[&CAMERA].iter().any(|observer| is_heard_now(observer, received)).then_some(time.observer)
+    }
+
+    fn is_heard_now(observer: &Observer, received: ReceiveInfo) -> bool {
+        let contact = observer.contacts.get(&received.endpoint.link);
+        contact
+            .is_some_and(|contact| (contact.peer, contact.last_heard) == (received.endpoint.peer, received.host_time))
+    }
+
+    fn by(link: u16, peer: u32) -> Endpoint {
+        Endpoint { link: LinkId(link), peer: PeerId(peer) }
+    }
+
+    #[test]
+    fn cameras_with_the_same_ids_behind_one_port_have_clocks_of_their_own() {
+        for period_ms in [50, 1_000] {
+            let mut observers = Observers::default();
+            for k in 0..10 {
+                for peer in 0..3 {
+                    hear(&mut observers, 5_000 + period_ms * k + 13 * peer, by(0, peer as u32), 100_000 * peer);
+                }
+            }
+            let ids = [0, 1, 2].map(|peer| {
+                hear(&mut observers, 30_000 + peer, by(0, peer as u32), 100_000 * peer).expect("it is known").0
+            });
+            assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2], "{ids:?} each {period_ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_reconnects_or_is_heard_on_a_redundant_link_keeps_its_clock() {
+        let mut observers = Observers::default();
+        let first = hear(&mut observers, 0, by(0, 4), 70).expect("it is the first");
+        assert_eq!(hear(&mut observers, 10, by(1, 0), 70), Some(first), "a redundant link");
+        assert_eq!(hear(&mut observers, 100, by(0, 5), 70), None, "the old peer may go on");
+        assert_eq!(hear(&mut observers, 300, by(0, 5), 70), Some(first), "it has not");
+        assert_eq!(hear(&mut observers, 320, by(0, 5), 70), Some(first));
+        assert_eq!(observers.count, 1);
+    }
+
+    #[test]
+    fn invented_observers_are_bounded_and_those_heard_last_stay() {
+        let mut observers = Observers::default();
+        for number in 0..10_000_u32 {
+            let address = Address::new((number / 250) as u8, (number % 250) as u8);
+            let sender = ObserverAddress { home: LinkId(0), address };
+            let received = ReceiveInfo { endpoint: by(0, number), host_time: Timestamp::from_millis(number.into()) };
+            observers.host_time(sender, received, WireStamp::Millis32(number));
+            assert!(observers.count <= MAX_OBSERVERS && observers.known.contains_key(&sender));
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
-use posebridge_telemetry::{Address, HostClock, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Timestamp};
 
 /// By which endpoint something came, and when.
 #[derive(Clone, Copy, Debug)]
@@ -10,6 +10,13 @@ pub(crate) struct ReceiveInfo {
     pub(crate) endpoint: Endpoint,
     /// When its last byte was there. That may be before the station's present, if it waited for its turn.
     pub(crate) host_time: Timestamp<HostClock>,
+}
+
+impl ReceiveInfo {
+    /// How something that the station does of itself on a link counts as received.
+    pub(crate) fn local(link: LinkId, now: Timestamp<HostClock>) -> Self {
+        Self { endpoint: Endpoint { link, peer: PeerId::default() }, host_time: now }
+    }
 }
 
 /// A message that came in, with its sender.

@@ -11,7 +11,9 @@ use crate::clock_alignment::ClockAlignment;
 use crate::config::{DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::Estimator;
+use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
+use crate::observers::ObserverId;
 use crate::sessions::PEER_TIMEOUT;
 
 /// One robot.
@@ -20,6 +22,8 @@ pub struct Robot {
     name: Option<String>,
     /// The number by which fixes name it.
     pub(crate) tag: Option<u32>,
+    /// The address in the robot's own frames: that of its id, unless another robot of the link has the same.
+    pub(crate) wire_address: Address,
     /// The address that ground stations see as the vehicle.
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
@@ -28,6 +32,8 @@ pub struct Robot {
     pub(crate) publisher: EstimatePublisher,
     /// By which endpoint and when the robot was heard last.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
+    /// Observers with clocks of their own that have sent fixes of it, in the order of their first: each is a sensor of its own.
+    cameras: Vec<ObserverId>,
     description: DescriptionPolicy,
     is_described: bool,
 }
@@ -39,12 +45,14 @@ impl Robot {
             id: RobotId::default(),
             name: config.name.clone(),
             tag: config.tag,
+            wire_address: Address::default(),
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config),
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(entry, &config.filter_config),
             publisher: EstimatePublisher::new(links),
             last_seen: None,
+            cameras: Vec::new(),
             description: config.description,
             is_described: false,
         }
@@ -60,6 +68,12 @@ impl Robot {
     #[must_use]
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
+    }
+
+    /// What people read: the name, else `link/system/component`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        self.name.clone().unwrap_or_else(|| format!("{}/{}", self.id.link, self.id.address))
     }
 
     /// The address that ground stations see as the vehicle.
@@ -97,9 +111,26 @@ impl Robot {
         self.estimator.switched_off()
     }
 
+    /// Whether ground stations see it under another system than that of its own frames.
+    pub(crate) fn is_renamed(&self) -> bool {
+        self.vehicle_address.system != self.wire_address.system
+    }
+
     /// Whether the robot was heard recently.
     pub(crate) fn is_alive(&self, now: Timestamp<HostClock>) -> bool {
         self.last_seen.is_some_and(|(_, last)| now - last < PEER_TIMEOUT)
+    }
+
+    /// The sensor of a camera with a clock of its own: each has its own noise, gate and verdicts.
+    pub(crate) fn camera_sensor(&mut self, camera: ObserverId) -> SensorId {
+        let known = self.cameras.iter().position(|known| *known == camera);
+        let index = known.unwrap_or_else(|| {
+            if self.cameras.len() < MAX_CAMERAS {
+                self.cameras.push(camera);
+            }
+            self.cameras.len() - 1
+        });
+        SensorId::camera(index)
     }
 
     /// What the messages of an estimate are made from.

@@ -8,7 +8,7 @@ use posebridge_telemetry::{Address, HostClock, LinkId, RobotId, SystemId, TimeDe
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::StationConfig;
-use crate::observers::Observers;
+use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
 use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
@@ -27,6 +27,8 @@ pub(crate) struct RobotTable {
     by_id: BTreeMap<RobotId, RobotIndex>,
     identities: SenderIdentities,
     by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
+    /// Robots that ground stations see under another system than that of their own frames, by the system that they see.
+    renamed: BTreeMap<SystemId, RobotIndex>,
     /// Which robots are at home on a link, by the first link of its group.
     by_link: BTreeMap<LinkId, Vec<RobotIndex>>,
     /// Robots with something new since their last estimate, in the order of the table.
@@ -46,6 +48,7 @@ impl RobotTable {
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
             by_system: BTreeMap::new(),
+            renamed: BTreeMap::new(),
             by_link: BTreeMap::new(),
             news: BTreeSet::new(),
             pending: BTreeSet::new(),
@@ -69,6 +72,11 @@ impl RobotTable {
 
     pub(crate) fn all(&self) -> &[Robot] {
         &self.robots
+    }
+
+    /// All robots that were heard.
+    pub(crate) fn heard(&self) -> &[Robot] {
+        &self.robots[..self.len()]
     }
 
     pub(crate) fn all_mut(&mut self) -> &mut [Robot] {
@@ -115,6 +123,37 @@ impl RobotTable {
         self.identities.find(endpoint, home, address)
     }
 
+    /// The only robot that is heard by an endpoint.
+    pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
+        match self.identities.at_endpoint(endpoint) {
+            [index] => Some(*index),
+            _ => None,
+        }
+    }
+
+    /// The address under which ground stations see a sender that is heard by an endpoint; `None` if that is its own.
+    pub(crate) fn announced_address(&self, endpoint: Endpoint, home: LinkId, sender: Address) -> Option<Address> {
+        if self.renamed.is_empty() {
+            return None;
+        }
+        // The other components of a robot's system go with it.
+        let index = self.at_endpoint(endpoint, home, sender).or_else(|| self.only_at(endpoint))?;
+        let robot = self.get(index);
+        let is_renamed = robot.is_renamed() && robot.wire_address.system == sender.system;
+        is_renamed.then_some(Address { system: robot.vehicle_address.system, ..sender })
+    }
+
+    /// The robot that ground stations see as a system that is not its own.
+    pub(crate) fn renamed(&self, system: SystemId) -> Option<&Robot> {
+        self.renamed.get(&system).map(|index| self.get(*index))
+    }
+
+    /// Whether what is for a system must not go to an endpoint, because only a robot that is seen as another system is heard there.
+    pub(crate) fn is_seen_elsewhere(&self, endpoint: Endpoint, system: SystemId) -> bool {
+        let robot = self.only_at(endpoint).filter(|_| !self.renamed.is_empty()).map(|index| self.get(index));
+        robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
+    }
+
     /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
     pub(crate) fn adopt(
         &mut self,
@@ -156,9 +195,13 @@ impl RobotTable {
         self.by_system.entry(system).or_default().push(index);
         let robot = &mut self.robots[index];
         robot.id = id;
+        robot.wire_address = address;
         robot.vehicle_address = vehicle_address;
+        if robot.is_renamed() {
+            self.renamed.entry(vehicle_address.system).or_insert(index);
+        }
         // Its answers to time requests may have come before its telemetry.
-        if let Some(clock) = observers.remove_clock((sign.home, address)) {
+        if let Some(clock) = observers.remove_clock(ObserverAddress { home: sign.home, address }, sign.endpoint) {
             robot.clocks = ClockAlignment::from_observer(clock);
         }
         self.presence_until = None;

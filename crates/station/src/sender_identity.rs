@@ -17,11 +17,11 @@ use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timest
 use crate::robot_table::RobotIndex;
 
 /// Silence after which another peer with the same address takes a robot's place.
-const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
+pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
 /// Telemetry that came round a loop shows for so long that the address is heard by several ways.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
 /// Most senders whose identity is open.
-const MAX_CONTENDERS: usize = 256;
+pub(crate) const MAX_CONTENDERS: usize = 256;
 
 /// Who sent a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +51,8 @@ pub(crate) struct SenderSign {
 #[derive(Debug, Default)]
 pub(crate) struct SenderIdentities {
     known: BTreeMap<Address, Vec<KnownSender>>,
+    /// The robots that are heard by each endpoint.
+    by_endpoint: BTreeMap<Endpoint, Vec<RobotIndex>>,
     /// When a sender whose identity is open was heard first.
     contenders: BTreeMap<(LinkId, PeerId, Address), Timestamp<HostClock>>,
     /// Until when an address counts as heard by several ways.
@@ -73,6 +75,25 @@ impl SenderIdentities {
         self.contenders.remove(&(endpoint.link, endpoint.peer, address));
         let peers = BTreeMap::from([(endpoint.link, (endpoint.peer, now))]);
         self.known.entry(address).or_default().push(KnownSender { robot, home, peers, last_telemetry: now });
+        self.by_endpoint.entry(endpoint).or_default().push(robot);
+    }
+
+    /// The robots that are heard by an endpoint.
+    pub(crate) fn at_endpoint(&self, endpoint: Endpoint) -> &[RobotIndex] {
+        self.by_endpoint.get(&endpoint).map_or(&[], Vec::as_slice)
+    }
+
+    /// A robot is heard by another peer of a link than before, or on a further link.
+    fn move_robot(&mut self, robot: RobotIndex, from: Option<Endpoint>, to: Endpoint) {
+        if let Some(from) = from
+            && let Some(robots) = self.by_endpoint.get_mut(&from)
+        {
+            robots.retain(|other| *other != robot);
+            if robots.is_empty() {
+                self.by_endpoint.remove(&from);
+            }
+        }
+        self.by_endpoint.entry(to).or_default().push(robot);
     }
 
     /// The robot of an endpoint and an address, without any effect.
@@ -108,9 +129,12 @@ impl SenderIdentities {
         }
         if let Some(robot) = found {
             if let Some(sender) = known.iter_mut().find(|sender| sender.robot == robot) {
-                sender.peers.insert(endpoint.link, (endpoint.peer, now));
+                let before = sender.peers.insert(endpoint.link, (endpoint.peer, now));
                 if is_telemetry && is_new {
                     sender.last_telemetry = now;
+                }
+                if before.is_none() {
+                    self.move_robot(robot, None, endpoint);
                 }
             }
             return SenderIdentity::Robot(robot);
@@ -120,12 +144,15 @@ impl SenderIdentities {
         if let Some(sender) = oldest {
             let last = sender.peers.get(&endpoint.link).map_or(now, |(_, last)| *last);
             if !is_new || now - last >= HANDOVER {
+                let robot = sender.robot;
                 if is_new {
-                    sender.peers.insert(endpoint.link, (endpoint.peer, now));
+                    let before = sender.peers.insert(endpoint.link, (endpoint.peer, now));
                     sender.last_telemetry = now;
                     self.contenders.remove(&(endpoint.link, endpoint.peer, address));
+                    let from = before.map(|(peer, _)| Endpoint { link: endpoint.link, peer });
+                    self.move_robot(robot, from, endpoint);
                 }
-                return SenderIdentity::Robot(sender.robot);
+                return SenderIdentity::Robot(robot);
             }
         }
         if !is_telemetry {

@@ -8,14 +8,15 @@ use posebridge_estimator::PARAMS;
 use posebridge_protocol::dialect::commands::SUPPORTED_COMMANDS;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message};
-use posebridge_protocol::routing::DuplicateStatus;
-use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
+use posebridge_protocol::routing::{DuplicateStatus, Endpoint, FrameRouter};
+use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
 
 use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
 use crate::output_schedule::SETTABLE_OUTPUTS;
 use crate::receive::ReceivedMessage;
-use crate::robot_table::RobotIndex;
+use crate::robot::Robot;
+use crate::robot_table::{RobotIndex, RobotTable};
 use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
@@ -55,6 +56,16 @@ pub(crate) enum SenderRole {
     Station,
     /// As a robot, on a link for ground stations.
     Vehicle(RobotId),
+}
+
+impl SenderRole {
+    /// The robot that it speaks for; `None` for the station.
+    pub(crate) const fn robot(self) -> Option<RobotId> {
+        match self {
+            Self::Station => None,
+            Self::Vehicle(robot) => Some(robot),
+        }
+    }
 }
 
 /// The sessions of all links.
@@ -116,25 +127,36 @@ impl Sessions {
         self.links.get_mut(&id)?.vehicles.as_mut()
     }
 
-    /// Lets a robot appear as a vehicle on a link for ground stations, under `address`.
-    pub(crate) fn add_vehicle(
+    /// Brings up to date which robots appear as vehicles, and who sends heartbeats. `responder` says who answers for a robot; `None` if it
+    /// must not appear.
+    pub(crate) fn update_presence(
         &mut self,
-        id: LinkId,
-        robot: RobotId,
-        address: Address,
-        responder: CommandResponder,
         now: Timestamp<HostClock>,
+        robots: &mut RobotTable,
+        router: &FrameRouter,
+        responder: impl Fn(&Robot) -> Option<CommandResponder>,
     ) {
-        let config = SessionConfig { own: address, ..self.vehicle.clone() };
-        if let Some(vehicles) = self.vehicles_mut(id) {
-            vehicles.add(robot, config, responder, now);
+        if !self.has_ground_stations || !robots.take_presence_change(now) {
+            return;
         }
-    }
-
-    /// Whether the station sends heartbeats on the links for ground stations.
-    pub(crate) fn set_heartbeat_mode(&mut self, mode: HeartbeatMode) {
-        for link in self.links.values_mut().filter(|link| link.vehicles.is_some()) {
-            link.station.set_heartbeat_mode(mode);
+        let mode = |is_alive| if is_alive { HeartbeatMode::Active } else { HeartbeatMode::Suppressed };
+        let station_mode = mode(robots.is_any_alive(now));
+        for (id, link) in &mut self.links {
+            let Some(vehicles) = &mut link.vehicles else {
+                continue;
+            };
+            link.station.set_heartbeat_mode(station_mode);
+            for robot in robots.heard() {
+                // On a link where it is heard itself it needs nobody to speak for it.
+                if vehicles.address(robot.id).is_none()
+                    && !router.are_redundant(*id, robot.id.link)
+                    && let Some(responder) = responder(robot)
+                {
+                    let config = SessionConfig { own: robot.vehicle_address, ..self.vehicle.clone() };
+                    vehicles.add(robot.id, config, responder, now);
+                }
+                vehicles.set_heartbeat_mode(robot.id, mode(robot.is_alive(now)));
+            }
         }
     }
 
@@ -145,7 +167,7 @@ impl Sessions {
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<HostClock>,
-        id: LinkId,
+        endpoint: Endpoint,
         received: &ReceivedMessage,
         robot: Option<RobotIndex>,
     ) {
@@ -156,14 +178,16 @@ impl Sessions {
             DuplicateStatus::Duplicate | DuplicateStatus::Loop => !is_request(message),
             DuplicateStatus::Echo | DuplicateStatus::AddressConflict => return,
         };
-        let Some(link) = self.links.get_mut(&id) else {
+        let Some(link) = self.links.get_mut(&endpoint.link) else {
             return;
         };
         if !is_heard {
             link.station.record_activity(now, received.source);
             return;
         }
-        link.station.handle(now, received.source, message);
+        // A copy may have come by another peer than its sender's own.
+        let peer = (received.duplicate_status == DuplicateStatus::New).then_some(endpoint.peer);
+        link.station.handle_from_peer(now, SessionSender { address: received.source, peer }, message);
         if let Some(vehicles) = &mut link.vehicles {
             vehicles.handle(now, received.source, message);
         }

@@ -7,61 +7,37 @@
 use std::collections::BTreeMap;
 
 use posebridge_estimator::{FILTERS, Params, find_filter};
-use posebridge_protocol::dialect::RenumberError;
-use posebridge_protocol::message::Message;
-use posebridge_protocol::routing::{DuplicateStatus, Endpoint, ForwardPolicy, FrameRouter, RouterConfig};
-use posebridge_protocol::session::{HeartbeatMode, SessionOutput};
+use posebridge_protocol::routing::{Endpoint, FrameRouter};
+use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, Event, HostClock, Input, LinkId, LinkState, Output,
-    PeerId, Priority, Recipients, RobotId, SensorId, TimeDelta, Timestamp,
+    BrickClock, Calibration, DriveGeometry, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority,
+    RobotId, SensorId, TimeDelta, Timestamp,
 };
 
-use crate::codec_events::{CodecEvents, OwnedCodecEvent};
+use crate::codec_events::CodecEvents;
 use crate::commands::OperatorState;
-use crate::config::{OutputKind, StationConfig};
-use crate::egress::{Egress, OutgoingMessage};
-use crate::estimate_publisher::PublishedMessage;
-use crate::forwarding::{ForwardedFrame, ForwardingPass, ForwardingReport};
+use crate::config::{BuildError, StationConfig};
+use crate::egress::Egress;
+use crate::forwarding::ForwardingPass;
 use crate::link_context::LinkContext;
-
 use crate::observers::Observers;
 use crate::output_queue::OutputQueue;
-use crate::output_schedule::message_for_output;
 use crate::peer_framers::FramerInput;
-use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
+use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::receive_pass::{ReceivePass, ReceivedBatch};
 use crate::robot::Robot;
 use crate::robot_table::{RobotIndex, RobotTable};
-use crate::sessions::{SenderRole, Sessions, session_priority};
+use crate::sessions::Sessions;
 use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
-use crate::vehicle_proxy::{CommandResponder, VEHICLE_COMPONENT};
+use crate::transmitter::Transmitter;
+use crate::vehicle_proxy::CommandResponder;
 
 /// The health of every link is emitted once per second.
 const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// MAV_SEVERITY_WARNING.
 pub(crate) const SEVERITY_WARNING: u8 = 4;
-
-/// Why a station could not be built.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum BuildError {
-    /// There is no such filter.
-    #[error("unknown filter `{name}`; there are: {known}")]
-    UnknownFilter {
-        /// The name that was asked for.
-        name: String,
-        /// The names that there are.
-        known: String,
-    },
-    /// Two links have one id.
-    #[error("link id {id} is used twice")]
-    DuplicateLink {
-        /// The id.
-        id: LinkId,
-    },
-}
 
 /// The engine of a station: decode, align clocks, estimate, publish, for every robot that is heard.
 ///
@@ -90,27 +66,6 @@ pub(crate) struct StationTime {
     next_health: Option<Timestamp<HostClock>>,
 }
 
-/// What is sent, as whom, how urgently and to whom.
-#[derive(Clone, Copy)]
-struct Transmission<'a> {
-    link: LinkId,
-    sender: Sender,
-    message: &'a Message,
-    priority: Priority,
-    to: Recipients,
-}
-
-/// An address to send under.
-#[derive(Clone, Copy)]
-enum Sender {
-    /// The station's own.
-    Station,
-    /// The station's component in a robot's system.
-    Estimator(Address),
-    /// The robot's, which is reached by this endpoint.
-    Vehicle(Address, Endpoint),
-}
-
 impl Station {
     /// A station that has seen nothing; `now` is the first instant of its session.
     ///
@@ -129,7 +84,7 @@ impl Station {
         }
         Ok(Self {
             links,
-            router: FrameRouter::new(router_config(&config)),
+            router: FrameRouter::new(config.router_config()),
             sessions: Sessions::new(&config, now),
             observers: Observers::default(),
             robots: RobotTable::new(entry, &config),
@@ -188,13 +143,13 @@ impl Station {
             return;
         }
         self.publish_to_others();
-        self.forward_frames();
+        self.transmitter().forward_frames();
         self.router.run_deferred_work(self.time.now);
         self.advance_time();
         // What waited of a peer that fell silent may have been news, too.
         self.publish_to_robots();
         self.publish_to_others();
-        self.forward_frames();
+        self.transmitter().forward_frames();
         self.process_temperatures();
         self.send_status_texts();
     }
@@ -302,7 +257,7 @@ impl Station {
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
         let vehicles = self.sessions.vehicles(id);
-        let forwarding = ForwardingPass::new(&mut self.router, now, received.endpoint, sharing, vehicles);
+        let forwarding = ForwardingPass::new(&mut self.router, now, received.endpoint, sharing, vehicles, &self.robots);
         let LinkContext { framers, verifier, decoder, .. } = link;
         let batch = ReceivedBatch::default();
         let mut pass = ReceivePass { now, peer, verifier, forwarding, decoder, batch };
@@ -318,61 +273,6 @@ impl Station {
         }
         for message in batch.messages {
             self.handle_message(received, &message);
-        }
-    }
-
-    /// Acts on what a codec has found, then sends what it asks.
-    fn handle_codec_events(&mut self, received: ReceiveInfo, events: CodecEvents) {
-        let link = received.endpoint.link;
-        for event in events.into_events() {
-            match event {
-                OwnedCodecEvent::Message(source, message) => {
-                    let message = ReceivedMessage { source, duplicate_status: DuplicateStatus::New, message };
-                    self.handle_message(received, &message);
-                }
-                OwnedCodecEvent::ClockReply { from, sent, peer_nanos } => {
-                    self.handle_time_exchange(from, &TimeExchange { sent, answer: received, peer_nanos });
-                }
-                OwnedCodecEvent::StatusText { from: source, severity, text } => {
-                    self.emit(Event::Text { source, severity, text });
-                }
-                OwnedCodecEvent::Error(error) => self.emit(Event::ReceiveError { link, defect: error }),
-            }
-        }
-        self.send_codec_output(link);
-    }
-
-    /// Lets a codec do what is due.
-    fn run_codec(&mut self, id: LinkId) {
-        let now = self.time.now;
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        if link.codec_deadline().is_none_or(|due| due > now) {
-            return;
-        }
-        let Some(codec) = &mut link.codec else {
-            return;
-        };
-        let mut events = CodecEvents::default();
-        codec.tick(now, &mut |event| events.push(event));
-        let endpoint = Endpoint { link: id, peer: PeerId::default() };
-        self.handle_codec_events(ReceiveInfo { endpoint, host_time: now }, events);
-    }
-
-    /// Sends what a codec wants to send of itself.
-    fn send_codec_output(&mut self, id: LinkId) {
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        while let Some((to, bytes)) = link.codec.as_mut().and_then(|codec| codec.poll_addressed()) {
-            if link.state == LinkState::Down {
-                continue;
-            }
-            link.health.bytes_out += bytes.len() as u64;
-            link.health.frames_out += 1;
-            // Nothing takes the place of a lost request: the robot would wait for ever.
-            self.outputs.push(Output::Transmit { link: id, to, priority: Priority::Command, bytes });
         }
     }
 
@@ -395,7 +295,7 @@ impl Station {
             self.router.forget_link(id);
         }
         self.emit(Event::Link { link: id, state });
-        self.send_codec_output(id);
+        self.transmitter().send_codec_output(id);
     }
 
     /// Whether anything waits for an instant that has come.
@@ -412,7 +312,7 @@ impl Station {
             self.run_due();
         } else if !self.sessions.are_idle() {
             for id in self.link_ids() {
-                self.drain_sessions(self.local_receive_info(id));
+                self.drain_sessions(ReceiveInfo::local(id, self.time.now));
             }
         }
     }
@@ -430,7 +330,7 @@ impl Station {
             }
             self.run_codec(*id);
             self.sessions.tick(now, *id);
-            self.drain_sessions(self.local_receive_info(*id));
+            self.drain_sessions(ReceiveInfo::local(*id, now));
         }
         if let Some(due) = self.time.next_health.filter(|due| *due <= now) {
             // From the due time, not from now: the period must not drift with the load.
@@ -450,17 +350,12 @@ impl Station {
         self.links.keys().copied().collect()
     }
 
-    /// How something that the station does of itself on a link counts as received.
-    fn local_receive_info(&self, link: LinkId) -> ReceiveInfo {
-        ReceiveInfo { endpoint: Endpoint { link, peer: PeerId::default() }, host_time: self.time.now }
-    }
-
     /// Does what the sessions of a link want done after they took what came so, or time.
     pub(crate) fn drain_sessions(&mut self, received: ReceiveInfo) {
         let id = received.endpoint.link;
         while let Some((role, output)) = self.sessions.poll(id) {
             match output {
-                SessionOutput::Send(message) => self.send_session_message(id, role, &message),
+                SessionOutput::Send(message) => self.transmitter().send_session_message(id, role, &message),
                 SessionOutput::PeerSeen { peer, .. } => {
                     self.emit(Event::RobotDetected { robot: RobotId { link: id, address: peer } });
                 }
@@ -473,7 +368,7 @@ impl Station {
                 }
                 SessionOutput::CommandReceived { by, command } => self.handle_link_command(id, role, by, &command),
                 SessionOutput::IntervalRequested { message_id, interval, .. } => {
-                    let robot = self.robot_of(role);
+                    let robot = role.robot().and_then(|robot| self.robots.find(robot));
                     self.robots.set_interval(robot, id, message_id, interval);
                 }
                 SessionOutput::ParameterSetRequested { index, value, .. } => {
@@ -487,82 +382,26 @@ impl Station {
         }
     }
 
-    /// Sends a session's message; on a link that is down it is lost, and the session sends it again when the link is back.
-    fn send_session_message(&mut self, id: LinkId, role: SenderRole, message: &Message) {
-        if self.links.get(&id).is_none_or(|link| link.state == LinkState::Down) {
-            return;
-        }
-        self.send_as(id, role, message, session_priority(message));
-    }
-
-    /// Sends a message to all peers of a link, as the station or as a robot.
-    pub(crate) fn send_as(&mut self, id: LinkId, role: SenderRole, message: &Message, priority: Priority) {
-        match role {
-            SenderRole::Station => self.send(id, message, priority),
-            SenderRole::Vehicle(robot) => self.send_as_vehicle(id, robot, message, priority),
+    /// What sends messages and passes frames on.
+    pub(crate) const fn transmitter(&mut self) -> Transmitter<'_> {
+        Transmitter {
+            now: self.time.now,
+            own_address: self.config.own_address,
+            links: &mut self.links,
+            router: &mut self.router,
+            sessions: &mut self.sessions,
+            robots: &self.robots,
+            egress: &mut self.egress,
+            outputs: &mut self.outputs,
         }
     }
 
-    /// Sends a message of the station to all peers of a link.
-    pub(crate) fn send(&mut self, link: LinkId, message: &Message, priority: Priority) {
-        self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
-    }
-
-    /// Sends what a robot's session as a vehicle says, unless the robot says it itself or the station must not speak for it.
-    fn send_as_vehicle(&mut self, link: LinkId, robot: RobotId, message: &Message, priority: Priority) {
-        let now = self.time.now;
-        let Some(vehicles) = self.sessions.vehicles(link) else {
-            return;
-        };
-        let is_heartbeat = matches!(message, Message::Heartbeat(_));
-        let is_sent_by_robot =
-            is_heartbeat && vehicles.is_sent_by_robot(now, robot, posebridge_protocol::dialect::ids::HEARTBEAT);
-        if vehicles.is_suppressed(now, robot) || is_sent_by_robot {
-            return;
-        }
-        if let Some(sender) = self.vehicle_sender(link, robot) {
-            self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
-        }
-    }
-
-    /// How a robot appears as a vehicle on a link; `None` if it does not.
-    fn vehicle_sender(&self, link: LinkId, robot: RobotId) -> Option<Sender> {
-        let address = self.sessions.vehicles(link)?.address(robot)?;
-        let last_seen = self.robots.find(robot).and_then(|index| self.robots.get(index).last_seen);
-        Some(Sender::Vehicle(address, last_seen.map_or_else(Endpoint::default, |(endpoint, _)| endpoint)))
-    }
-
-    /// The robot that a role speaks for; `None` for the station.
-    fn robot_of(&self, role: SenderRole) -> Option<RobotIndex> {
-        match role {
-            SenderRole::Station => None,
-            SenderRole::Vehicle(robot) => self.robots.find(robot),
-        }
-    }
-
-    /// Gives a message to egress and its bytes to the queue.
-    fn transmit(&mut self, transmission: Transmission<'_>) {
-        let now = self.time.now;
-        let Transmission { link: id, sender, message, priority, to } = transmission;
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        let address = match sender {
-            Sender::Station => self.config.own_address,
-            Sender::Estimator(address) | Sender::Vehicle(address, _) => address,
-        };
-        let outgoing = OutgoingMessage { link: id, sender: address, message, priority };
-        let Some(bytes) = self.egress.send(now, link, outgoing) else {
-            return;
-        };
-        match sender {
-            Sender::Vehicle(_, endpoint) => self.router.record_sent_for(now, endpoint, &bytes),
-            Sender::Station | Sender::Estimator(_) if link.codec.is_none() => self.router.record_sent(&bytes),
-            Sender::Station | Sender::Estimator(_) => {}
-        }
-        link.health.bytes_out += bytes.len() as u64;
-        link.health.frames_out += 1;
-        self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+    /// Brings up to date who sends heartbeats: a ground station must notice when a robot is not heard any more.
+    pub(crate) fn update_presence(&mut self) {
+        let Self { sessions, robots, router, links, config, .. } = self;
+        sessions.update_presence(self.time.now, robots, router, |robot| {
+            CommandResponder::for_robot(robot, links.get(&robot.id.link)?, config.own_address)
+        });
     }
 
     /// One estimate per robot that has something new, for the latest instant that was observed: to the robot at once.
@@ -605,191 +444,8 @@ impl Station {
         }
         let (publisher, source) = self.robots.get_mut(index).publishing(self.time.now);
         for message in publisher.publish(id, estimate, source) {
-            self.send_published(index, &message);
+            self.transmitter().send_published(index, &message);
         }
-    }
-
-    /// Sends a robot's output: as the robot where a ground station looks for it at the vehicle, else as the station.
-    pub(crate) fn send_published(&mut self, index: RobotIndex, published: &PublishedMessage) {
-        let now = self.time.now;
-        let PublishedMessage { link, kind, ref message, priority } = *published;
-        let robot = self.robots.get(index).id;
-        let mut sender = Sender::Station;
-        if let Some(vehicles) = self.sessions.vehicles(link)
-            && kind.is_vehicle_output()
-            && vehicles.address(robot).is_some()
-        {
-            if vehicles.is_sent_by_robot(now, robot, message_for_output(kind)) {
-                return;
-            }
-            if !vehicles.is_suppressed(now, robot)
-                && let Some(vehicle) = self.vehicle_sender(link, robot)
-            {
-                sender = vehicle;
-            }
-        }
-        let at_home = self.robots.at_home(link, &self.router);
-        let is_at_home = self.router.first_of_group(link) == robot.link;
-        if index > 0 && matches!(sender, Sender::Station) && !is_at_home {
-            sender = self.estimator_sender(index);
-        }
-        if at_home.is_empty() || at_home == [index] {
-            self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
-        } else {
-            self.send_on_shared_link(index, Transmission { link, sender, message, priority, to: Recipients::All });
-        }
-    }
-
-    /// On a link with several robots a robot gets its own outputs, ground stations get all of them, and no robot gets another's.
-    fn send_on_shared_link(&mut self, index: RobotIndex, transmission: Transmission<'_>) {
-        let id = transmission.link;
-        let own_endpoint = self.robots.get(index).last_seen.map(|(endpoint, _)| endpoint);
-        if let Some(endpoint) = own_endpoint.filter(|endpoint| endpoint.link == id) {
-            self.transmit(Transmission {
-                to: Recipients::Peer(endpoint.peer),
-                sender: Sender::Station,
-                ..transmission
-            });
-        }
-        let Some(link) = self.links.get(&id) else {
-            return;
-        };
-        let ground_stations: Vec<PeerId> = link.ground_stations().collect();
-        let sender = match transmission.sender {
-            Sender::Station if index > 0 => self.estimator_sender(index),
-            Sender::Station | Sender::Estimator(_) | Sender::Vehicle(..) => transmission.sender,
-        };
-        for peer in ground_stations {
-            self.transmit(Transmission { to: Recipients::Peer(peer), sender, ..transmission });
-        }
-    }
-
-    /// The station's component in the system of a robot: whoever listens can tell the robots' outputs apart.
-    fn estimator_sender(&self, index: RobotIndex) -> Sender {
-        let system = self.robots.get(index).vehicle_address.system;
-        Sender::Estimator(Address { system, component: self.config.own_address.component })
-    }
-
-    /// Brings up to date who sends heartbeats: a ground station must notice when a robot is not heard any more.
-    pub(crate) fn update_presence(&mut self) {
-        let now = self.time.now;
-        if !self.sessions.has_ground_stations() || !self.robots.take_presence_change(now) {
-            return;
-        }
-        let mode = |is_alive| if is_alive { HeartbeatMode::Active } else { HeartbeatMode::Suppressed };
-        self.sessions.set_heartbeat_mode(mode(self.robots.is_any_alive(now)));
-        let links: Vec<LinkId> = self.sessions.ground_station_links().collect();
-        for robot in self.robots.all().iter().take(self.robots.len()) {
-            let responder = self.responder_for(robot);
-            for link in &links {
-                // On a link where it is heard itself it needs nobody to speak for it.
-                if let Some(responder) = responder
-                    && !self.router.are_redundant(*link, robot.id.link)
-                {
-                    self.sessions.add_vehicle(*link, robot.id, robot.vehicle_address, responder, now);
-                }
-                if let Some(vehicles) = self.sessions.vehicles_mut(*link) {
-                    vehicles.set_heartbeat_mode(robot.id, mode(robot.is_alive(now)));
-                }
-            }
-        }
-    }
-
-    /// Who answers commands to the robot as a vehicle; `None` if it must not appear as one.
-    fn responder_for(&self, robot: &Robot) -> Option<CommandResponder> {
-        let link = self.links.get(&robot.id.link)?;
-        let responder = if link.codec.is_some() || robot.id.address != robot.vehicle_address {
-            CommandResponder::Station
-        } else {
-            CommandResponder::Robot
-        };
-        (robot.vehicle_address != self.config.own_address).then_some(responder)
-    }
-
-    /// Counts what was routed in this input and forwards it.
-    fn forward_frames(&mut self) {
-        for (id, report) in self.outputs.take_reports() {
-            let ForwardingReport { filtered, duplicates, address_conflicts, forwarded } = report;
-            if let Some(link) = self.links.get_mut(&id) {
-                link.health.filtered += filtered;
-                link.health.duplicates += duplicates;
-                link.health.address_conflicts += address_conflicts;
-            }
-            for frame in &forwarded {
-                for to_link in frame.to.chunk_by(|one, next| one.0 == next.0) {
-                    self.forward_frame(to_link, frame);
-                }
-            }
-        }
-    }
-
-    /// Forwards a frame to its recipients on one link.
-    fn forward_frame(&mut self, to: &[(LinkId, Recipients)], frame: &ForwardedFrame) {
-        let now = self.time.now;
-        let Some((id, link)) = to.first().and_then(|(id, _)| Some((*id, self.links.get_mut(id)?))) else {
-            return;
-        };
-        if !self.egress.admit_forwarded(now, id, link, frame) || self.forward_renumbered(id, frame) {
-            return;
-        }
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        for (_, to) in to {
-            link.health.bytes_out += frame.bytes.len() as u64;
-            link.health.frames_out += 1;
-            link.health.forwarded += 1;
-            let bytes = frame.bytes.clone();
-            self.outputs.push_forwarded(Output::Transmit { link: id, to: *to, priority: frame.priority, bytes });
-        }
-    }
-
-    /// Forwards a frame to a link for ground stations, under the next number of its sender's count there. False if it is to be
-    /// forwarded like any other.
-    ///
-    /// Not every frame of a sender is for this link (answers to others, what is filtered or rate limited), and a robot shares its
-    /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
-    fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
-        let now = self.time.now;
-        // Whoever is on the link itself is heard there by some peers without the station.
-        if self.router.are_redundant(frame.from.link, id) {
-            return false;
-        }
-        // A sender with a robot's address on a link without robots must not silence the station.
-        let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, &self.router).is_empty();
-        let (Some(link), Some(vehicles)) = (self.links.get_mut(&id), self.sessions.vehicles_mut(id)) else {
-            return false;
-        };
-        let from = frame.source;
-        if is_from_robot && from.component == VEHICLE_COMPONENT {
-            vehicles.record_forwarded(now, from.system, frame.message_id);
-            if link.verifier.is_signed() {
-                vehicles.record_on_signed_link(now, from.system);
-            }
-        }
-        let renumbered = if vehicles.is_unmodified(now, from) {
-            Err(RenumberError::Signed)
-        } else {
-            self.egress.renumber(id, &frame.bytes)
-        };
-        if renumbered == Err(RenumberError::Signed) && is_from_robot {
-            if frame.is_signed {
-                vehicles.record_unmodified(now, from);
-            }
-            // Should the next one be ours, it follows that.
-            self.egress.follow_sequence(id, from, frame.sequence);
-        }
-        let Ok(bytes) = renumbered else {
-            return false;
-        };
-        self.router.record_sent_for(now, frame.from, &bytes);
-        link.health.bytes_out += bytes.len() as u64;
-        link.health.frames_out += 1;
-        link.health.forwarded += 1;
-        // Among the station's own, because the robot's count is the station's, too, and what is counted first must leave first. To all
-        // peers of the link, because whoever does not get a frame would take it for lost.
-        self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
-        true
     }
 
     fn emit_health(&mut self, id: LinkId) {
@@ -833,51 +489,9 @@ impl Station {
             let links: Vec<LinkId> = links.filter(is_up).collect();
             for id in links {
                 for part in &parts {
-                    self.send_as(id, text.sender, part, Priority::Session);
+                    self.transmitter().send_as(id, text.sender, part, Priority::Session);
                 }
             }
         }
     }
-
-    /// Uses the temperatures that wait: nobody steers by them.
-    pub(crate) fn process_temperatures(&mut self) {
-        let outputs = &mut self.outputs;
-        self.thermometers
-            .process(&self.config.robot.filter_config, &self.config.thermometers, |event| outputs.emit(event));
-        if self.thermometers.take_limit_report() {
-            self.emit(Event::Text {
-                source: self.config.own_address,
-                severity: SEVERITY_WARNING,
-                text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
-            });
-        }
-    }
-}
-
-impl OutputKind {
-    /// Whether a ground station looks for it at the vehicle.
-    const fn is_vehicle_output(self) -> bool {
-        match self {
-            Self::Attitude | Self::DistanceSensor => true,
-            Self::PlanarPose
-            | Self::Odometry
-            | Self::LocalPosition
-            | Self::EstimatorStatus
-            | Self::FusionHealth
-            | Self::NamedValue
-            | Self::FloatArray => false,
-        }
-    }
-}
-
-fn router_config(config: &StationConfig) -> RouterConfig {
-    let rules = config.links.iter().map(|link| {
-        let mut rules = link.rules.clone();
-        // A robot that speaks no MAVLink would take the others' frames for noise.
-        if link.brick.is_some() {
-            rules.forward = ForwardPolicy::Disabled;
-        }
-        (link.id, rules)
-    });
-    RouterConfig { own: config.own_address, duplicate_window: config.duplicate_window, links: rules.collect() }
 }

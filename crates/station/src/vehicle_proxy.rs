@@ -21,7 +21,9 @@ use posebridge_protocol::message::Message;
 use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
 
+use crate::link_context::LinkContext;
 use crate::output_schedule::output_for_message;
+use crate::robot::Robot;
 
 /// MAV_COMP_ID_AUTOPILOT1: the component that a ground station takes for the vehicle.
 pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
@@ -35,6 +37,15 @@ pub(crate) enum CommandResponder {
     Station,
     /// The robot, except for what the station sends in its name.
     Robot,
+}
+
+impl CommandResponder {
+    /// Who answers for a robot that is heard on `link`; `None` if it must not appear as a vehicle.
+    pub(crate) fn for_robot(robot: &Robot, link: &LinkContext, own_address: Address) -> Option<Self> {
+        let speaks_as_vehicle = robot.wire_address.component == robot.vehicle_address.component;
+        let responder = if link.codec.is_some() || !speaks_as_vehicle { Self::Station } else { Self::Robot };
+        (robot.vehicle_address != own_address).then_some(responder)
+    }
 }
 
 /// All vehicles of one link.

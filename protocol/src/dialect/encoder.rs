@@ -6,8 +6,9 @@ use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
+use super::rewrite::{FrameLayout, RenumberError, rewrite};
 use super::{component, ids, posebridge, poses, sensors, services};
-use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
+use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
 
@@ -92,20 +93,20 @@ impl Encoder {
     /// A frame that cannot be numbered stays as it is.
     pub fn renumber(&mut self, frame: &mut [u8]) -> Result<(), RenumberError> {
         let layout = FrameLayout::parse(frame).ok_or(RenumberError::NoFrame)?;
-        if layout.is_signed {
-            return Err(RenumberError::Signed);
-        }
-        let FrameLayout { source, sequence_at, end, .. } = layout;
-        let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
-        let sum = match frame.get(end..end + 2) {
-            Some(&[low, high]) => u16::from_le_bytes([low, high]),
-            _ => return Err(RenumberError::NoFrame),
-        };
-        let crc_extra = crc_extra_of(body, sum).ok_or(RenumberError::Damaged)?;
-        frame[sequence_at] = self.next_sequence(source);
-        let sum = checksum(&frame[1..end], crc_extra);
-        frame[end..end + 2].copy_from_slice(&sum.to_le_bytes());
-        Ok(())
+        self.readdress(frame, layout.source)
+    }
+
+    /// The same under another sender's address, whose next number it takes.
+    ///
+    /// # Errors
+    /// A frame that cannot be changed stays as it is.
+    pub fn readdress(&mut self, frame: &mut [u8], sender: Address) -> Result<(), RenumberError> {
+        rewrite(frame, |frame, layout| {
+            frame[layout.sequence_at] = self.next_sequence(sender);
+            frame[layout.system_at] = sender.system.0;
+            frame[layout.system_at + 1] = sender.component.0;
+            Ok(())
+        })
     }
 
     /// Takes note that a frame of somebody else leaves under the number that it came with: his next one here is the next after that.
@@ -118,55 +119,6 @@ impl Encoder {
         let sequence = *next;
         *next = next.wrapping_add(1);
         sequence
-    }
-}
-
-/// Why a frame was not numbered anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum RenumberError {
-    /// The bytes are no whole frame.
-    #[error("the bytes are no whole frame")]
-    NoFrame,
-    /// It is signed: only who has the key may change it.
-    #[error("the frame is signed, and only its sender can sign it under another number")]
-    Signed,
-    /// No CRC_EXTRA makes its checksum right, so no right one can be given to it.
-    #[error("the frame's checksum is right for no message")]
-    Damaged,
-}
-
-/// Whether a whole frame bears a signature; false of what is no frame.
-#[must_use]
-pub fn is_signed(frame: &[u8]) -> bool {
-    FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
-}
-
-/// Where in a frame that is to be numbered the parts stand.
-struct FrameLayout {
-    source: Address,
-    sequence_at: usize,
-    /// Where the payload ends and the checksum begins.
-    end: usize,
-    is_signed: bool,
-}
-
-impl FrameLayout {
-    fn parse(frame: &[u8]) -> Option<Self> {
-        match *frame {
-            [START_BYTE_V2, len, flags, _, _, system, component, ..] => Some(Self {
-                source: Address::new(system, component),
-                sequence_at: 4,
-                end: 10 + usize::from(len),
-                is_signed: flags & FLAG_SIGNED != 0,
-            }),
-            [START_BYTE_V1, len, _, system, component, ..] => Some(Self {
-                source: Address::new(system, component),
-                sequence_at: 2,
-                end: 6 + usize::from(len),
-                is_signed: false,
-            }),
-            _ => None,
-        }
     }
 }
 

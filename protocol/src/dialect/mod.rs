@@ -20,13 +20,15 @@ pub mod ids;
 mod payload;
 mod posebridge;
 mod poses;
+pub(crate) mod rewrite;
 mod sensors;
 mod services;
 
 pub use catalogue::message_name;
-pub use encoder::{Encoder, RenumberError, is_signed};
+pub use encoder::Encoder;
 pub use error::PayloadError;
 pub use ids::{MESSAGES, MessageInfo};
+pub use rewrite::{RenumberError, is_signed};
 
 use crate::framing::FrameRef;
 use crate::message::{Message, WireStamp};

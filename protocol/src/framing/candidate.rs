@@ -6,7 +6,7 @@
 
 use posebridge_telemetry::Address;
 
-use super::crc::checksum;
+use super::checksum::checksum;
 use super::{FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
 use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue, MessageLayout};
 

@@ -18,7 +18,7 @@
 use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 
 use super::candidate::{FrameCandidate, FrameHeader, classify};
-use super::crc::checksum;
+use super::checksum::checksum;
 use super::unknown_spans::{UnknownSpan, UnknownSpans};
 use super::{FramerConfig, FramerCounters, FramerOutput, START_BYTE_V1, START_BYTE_V2, TransportKind};
 use crate::dialect::catalogue::{CATALOGUE, FULL_CATALOGUE, MessageCatalogue};

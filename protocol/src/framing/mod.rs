@@ -12,16 +12,14 @@
 //! checksum and then CRC_EXTRA, 13 bytes of signature when incompatibility flag 1 is set.
 
 mod candidate;
-mod crc;
-#[cfg(target_arch = "x86_64")]
-mod crc_clmul;
+mod checksum;
 mod framer;
 mod sequence;
 mod unknown_spans;
 
 pub use candidate::{VerifiedFrame, parse_verified, verify};
-pub(crate) use crc::crc_extra_of;
-pub use crc::{Crc, checksum};
+pub use checksum::checksum;
+pub(crate) use checksum::crc_extra_of;
 pub use framer::Framer;
 pub use sequence::{SequenceCounter, SequenceTracker};
 

@@ -33,7 +33,7 @@ use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipie
 
 pub use limits::{LinkRateLimiter, RateLimits};
 pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRules, message_id_named};
-pub use targets::{MessageTarget, target_of};
+pub use targets::{MessageTarget, retarget, target_of};
 pub use timestamped::has_timestamp;
 
 use self::duplicates::{DuplicateGuard, content_key, frame_key};
@@ -201,6 +201,20 @@ impl FrameRouter {
             | DuplicateStatus::AddressConflict => Vec::new(),
         };
         RoutingDecision { duplicate_status: occurrence, to }
+    }
+
+    /// Where a frame goes that is for somebody of whom only the caller knows by which endpoint he is heard: there, if the rules let it.
+    #[must_use]
+    pub fn destinations_at(
+        &self,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+        recipient: Endpoint,
+    ) -> Vec<(LinkId, Recipients)> {
+        let target = target_of(frame.message_id, frame.payload);
+        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled);
+        let may_go = leaves && recipient != from && self.is_allowed_out(recipient.link, target, frame);
+        may_go.then_some((recipient.link, Recipients::Peer(recipient.peer))).into_iter().collect()
     }
 
     /// Does what nobody waits for; best called when an input's answers have left.

@@ -15,7 +15,9 @@ use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 use posebridge_telemetry::{Address, ComponentId, SystemId};
 
+use crate::dialect::RenumberError;
 use crate::dialect::generated::posebridge;
+use crate::dialect::rewrite::rewrite;
 
 /// A payload is at most this long.
 const MAX_PAYLOAD: usize = 255;
@@ -29,6 +31,18 @@ pub enum MessageTarget {
     System(SystemId),
     /// One component.
     Component(Address),
+}
+
+impl MessageTarget {
+    /// The system that it is for; `None` if it is for everybody.
+    #[must_use]
+    pub const fn system(self) -> Option<SystemId> {
+        match self {
+            Self::Broadcast => None,
+            Self::System(system) => Some(system),
+            Self::Component(address) => Some(address.system),
+        }
+    }
 }
 
 /// Where the target fields of one message stand in its payload.
@@ -68,6 +82,25 @@ pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     }
 }
 
+/// Gives a whole frame that is for a system or a component of it to the same component of another system. Its checksum follows; nothing
+/// else changes.
+///
+/// # Errors
+/// A frame that names no target, or that cannot be changed, stays as it is.
+pub fn retarget(message_id: u32, frame: &mut [u8], system: SystemId) -> Result<(), RenumberError> {
+    let index = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id);
+    let offsets = index.map_err(|_unknown| RenumberError::NoFrame)?;
+    rewrite(frame, |frame, layout| {
+        let target = layout.payload_at + usize::from(OFFSETS[offsets].system);
+        // What is cut off is zero: a broadcast.
+        if target >= layout.end {
+            return Err(RenumberError::NoFrame);
+        }
+        frame[target] = system.0;
+        Ok(())
+    })
+}
+
 fn offsets_of<M: Message>(message_id: u32) -> Option<TargetOffsets> {
     let mut message = M::default_message_from_id(message_id)?;
     Some(TargetOffsets {
@@ -105,6 +138,32 @@ mod tests {
         payload[31] = 9;
         assert_eq!(target_of(76, &payload), MessageTarget::Component(Address::new(7, 9)));
         assert_eq!(target_of(76, &[]), MessageTarget::Broadcast);
+    }
+
+    #[test]
+    fn a_command_for_another_system_is_otherwise_the_same_command() {
+        use crate::dialect::{Encoder, decode};
+        use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
+        use crate::message::{CommandLong, Message};
+        let command = |system| {
+            let target = Address::new(system, 1);
+            Message::Command(CommandLong { target, command: 400, params: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0] })
+        };
+        let mut bytes = Vec::new();
+        Encoder::new(WireVersion::V2).encode(Address::new(254, 190), &command(7), &mut bytes);
+        assert_eq!(retarget(76, &mut bytes, SystemId(9)), Ok(()));
+        let mut found = Vec::new();
+        Framer::new(FramerConfig::default()).push(
+            posebridge_telemetry::Timestamp::<posebridge_telemetry::HostClock>::ZERO,
+            &bytes,
+            &mut |output| {
+                if let FramerOutput::Frame(frame) = output {
+                    found.extend(decode(&frame).unwrap());
+                }
+            },
+        );
+        assert_eq!(found, [command(9)]);
+        assert_eq!(retarget(0, &mut bytes, SystemId(9)), Err(RenumberError::NoFrame), "a heartbeat is for everybody");
     }
 
     #[test]

@@ -21,7 +21,7 @@ mod time_requests;
 use std::collections::VecDeque;
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, ComponentId, PeerId, TimeDelta, Timestamp};
 
 pub use self::output::SessionOutput;
 use self::parameters::ParameterServer;
@@ -48,6 +48,15 @@ pub struct SessionConfig {
     pub requested_messages: Vec<(u32, TimeDelta)>,
     /// Messages whose interval others may set; a request for any other is answered as unsupported.
     pub offered_messages: Vec<u32>,
+}
+
+/// Who sent a message on the session's link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SessionSender {
+    /// The address that the message names.
+    pub address: Address,
+    /// By which peer of the link it came; `None` if that says nothing.
+    pub peer: Option<PeerId>,
 }
 
 /// Whether a [`Session`] shows that it is there.
@@ -113,6 +122,12 @@ impl<C: Clock> Session<C> {
 
     /// Takes a message that arrived at `now`. Our own messages, coming back from a link that echoes, are ignored.
     pub fn handle(&mut self, now: Timestamp<C>, from: Address, message: &Message) {
+        self.handle_from_peer(now, SessionSender { address: from, peer: None }, message);
+    }
+
+    /// The same on a link where several participants may have one address: each of them answers a time request.
+    pub fn handle_from_peer(&mut self, now: Timestamp<C>, sender: SessionSender, message: &Message) {
+        let from = sender.address;
         self.rebase_clock(now);
         if from == self.config.own {
             return;
@@ -125,7 +140,7 @@ impl<C: Clock> Session<C> {
         )]
         match message {
             Message::Heartbeat(heartbeat) => self.on_heartbeat(now, from, *heartbeat),
-            Message::TimeSync(sync) => self.on_time_sync(now, from, *sync),
+            Message::TimeSync(sync) => self.on_time_sync(now, sender, *sync),
             Message::SetMessageInterval(wanted) => self.on_interval(from, *wanted),
             Message::Command(command) => self.on_command(from, *command),
             Message::CommandInt(command) => {
@@ -255,7 +270,8 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    fn on_time_sync(&mut self, now: Timestamp<C>, from: Address, sync: TimeSync) {
+    fn on_time_sync(&mut self, now: Timestamp<C>, sender: SessionSender, sync: TimeSync) {
+        let from = sender.address;
         let is_for_us = sync.target.is_none_or(|target| self.is_for_us(target));
         if !is_for_us {
             return;
@@ -266,7 +282,7 @@ impl<C: Clock> Session<C> {
                 request_nanos: sync.request_nanos,
                 target: Some(from),
             }));
-        } else if let Some(sent) = self.time_requests.match_response(now, from, sync.request_nanos) {
+        } else if let Some(sent) = self.time_requests.match_response(now, sender, sync.request_nanos) {
             self.outputs.push_back(SessionOutput::TimeExchanged {
                 peer: from,
                 sent,

@@ -3,11 +3,12 @@
 //! Requests go to everybody; every peer replies once. A reply counts only if it echoes the timestamp of a recent
 //! request: late, duplicate and forged replies would corrupt the clock alignment.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, TimeDelta, Timestamp};
+use posebridge_telemetry::{PeerId, TimeDelta, Timestamp};
 
+use super::SessionSender;
 use super::period::{MIN_PERIOD, next_period};
 
 /// Requests at the start, and again for each new peer, that come in quick succession: ten exchanges give the hulls of the
@@ -24,7 +25,20 @@ const MAX_OPEN: usize = 50;
 #[derive(Debug)]
 struct OpenTimeRequest<C: Clock> {
     sent: Timestamp<C>,
-    answered_by: Vec<Address>,
+    answered_by: BTreeSet<SessionSender>,
+}
+
+impl<C: Clock> OpenTimeRequest<C> {
+    /// Whether a sender has answered already; one whose peer is not known may be any that has its address.
+    fn is_answered_by(&self, sender: SessionSender) -> bool {
+        let of_address = |peer| SessionSender { peer, ..sender };
+        let is_unknown_peer = self.answered_by.contains(&of_address(None));
+        is_unknown_peer
+            || match sender.peer {
+                Some(_) => self.answered_by.contains(&sender),
+                None => self.answered_by.range(of_address(None)..=of_address(Some(PeerId(u32::MAX)))).next().is_some(),
+            }
+    }
 }
 
 /// The requests that may still be answered, and when the next one is due.
@@ -66,7 +80,7 @@ impl<C: Clock> TimeRequests<C> {
         if self.open.len() == MAX_OPEN {
             self.open.pop_front();
         }
-        self.open.push_back(OpenTimeRequest { sent: now, answered_by: Vec::new() });
+        self.open.push_back(OpenTimeRequest { sent: now, answered_by: BTreeSet::new() });
         Some(now.as_nanos())
     }
 
@@ -74,15 +88,15 @@ impl<C: Clock> TimeRequests<C> {
     pub(super) fn match_response(
         &mut self,
         now: Timestamp<C>,
-        peer: Address,
+        sender: SessionSender,
         echoed_nanos: i64,
     ) -> Option<Timestamp<C>> {
         self.expire_stale(now);
         let request = self.open.iter_mut().find(|request| request.sent.as_nanos() == echoed_nanos)?;
-        if request.answered_by.contains(&peer) {
+        if request.is_answered_by(sender) {
             return None;
         }
-        request.answered_by.push(peer);
+        request.answered_by.insert(sender);
         Some(request.sent)
     }
 

@@ -1,4 +1,4 @@
-//! The messages of a brick that sends MAVLink 2, as system 1, component 1: wheels, inertial readings, its build.
+//! The messages of a brick that sends MAVLink 2, as component 1 of its system: wheels, inertial readings, its build.
 //!
 //! Its inputs are the brick's clock, the sensors and the station's messages, never the true state.
 
@@ -16,7 +16,7 @@ use crate::scenario::{BrickSettings, Scenario, ThermometerSettings, Wire};
 use crate::sensors::SensorBoard;
 use crate::wheels::PerWheel;
 
-/// The brick's address on the link.
+/// The brick's address on the link, unless its scenario gives it another system.
 pub const BRICK: Address = Address::new(1, 1);
 /// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
 const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
@@ -47,7 +47,7 @@ impl BrickMessenger {
             geometry: scenario.drive_geometry(),
             noise: scenario.sensor_noise(),
             node: MavlinkNode::new(
-                BRICK,
+                scenario.brick.address_of(BRICK),
                 HEARTBEAT,
                 register_time_of(scenario.brick.wire, now),
                 &schedule.message_ids(),
@@ -92,7 +92,8 @@ impl BrickMessenger {
     /// A power cycle or a program begun anew: session and message intervals begin anew, and what is sent counts from `zero`.
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>, zero: PerWheel<i64>) {
         self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
-        self.node = MavlinkNode::new(BRICK, HEARTBEAT, self.register_time(now), &self.schedule.message_ids());
+        let own = self.settings.address_of(BRICK);
+        self.node = MavlinkNode::new(own, HEARTBEAT, self.register_time(now), &self.schedule.message_ids());
         self.zero = zero;
     }
 

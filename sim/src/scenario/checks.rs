@@ -14,6 +14,8 @@ const SMALLEST: f64 = 1e-6;
 
 /// Most laps of one run; keeps the list of manoeuvres small.
 pub(super) const MAX_LAPS: u32 = 10_000;
+/// The highest system id of a vehicle.
+pub(crate) const LAST_VEHICLE_SYSTEM: u8 = 250;
 /// A path needs two points.
 const MIN_WAYPOINTS: usize = 2;
 /// Most way-points; keeps the list of manoeuvres small.
@@ -73,6 +75,16 @@ pub(super) fn clock_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result
         Ok(micros)
     } else {
         Err(D::Error::custom(format!("a clock that starts at {micros} microseconds is not supported; stay below 2^48")))
+    }
+}
+
+/// A MAVLink system id of a vehicle; those above are for ground stations.
+pub(super) fn vehicle_system<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u8, D::Error> {
+    let system = u8::deserialize(deserializer)?;
+    if (1..=LAST_VEHICLE_SYSTEM).contains(&system) {
+        Ok(system)
+    } else {
+        Err(D::Error::custom(format!("a system id of {system} is outside 1 to {LAST_VEHICLE_SYSTEM}")))
     }
 }
 

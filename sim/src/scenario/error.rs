@@ -38,6 +38,16 @@ pub enum ScenarioError {
         /// What is wrong and what to do.
         reason: String,
     },
+    /// There are not so many MAVLink systems for vehicles.
+    #[error("{count} robots from system {first} on are too many: at most {most}")]
+    TooManyRobots {
+        /// How many were asked for.
+        count: u8,
+        /// The system of the first.
+        first: u8,
+        /// How many there can be.
+        most: u8,
+    },
     /// No bundled scenario is called like this.
     #[error("no bundled scenario is called \"{name}\"; there are {known}")]
     UnknownName {

@@ -10,6 +10,7 @@ mod error;
 mod personality;
 mod robot;
 mod sensors;
+mod side_by_side;
 mod thermometer;
 mod waypoints;
 

@@ -1,6 +1,6 @@
 //! The robot as its brick believes it to be, how the real one differs, and the brick itself.
 
-use posebridge_telemetry::TimeDelta;
+use posebridge_telemetry::{Address, SystemId, TimeDelta};
 use serde::Deserialize;
 
 use super::checks;
@@ -188,6 +188,9 @@ pub struct BrickSettings {
     pub telemetry_hz: f64,
     /// In which messages.
     pub wire: Wire,
+    /// The MAVLink system id of brick and camera.
+    #[serde(deserialize_with = "checks::vehicle_system")]
+    pub system: u8,
     /// What the clock shows at the beginning, in microseconds; just below 2^32 makes the register wrap early.
     #[serde(deserialize_with = "checks::clock_micros")]
     pub clock_start_micros: u64,
@@ -224,6 +227,7 @@ impl Default for BrickSettings {
         Self {
             telemetry_hz: 20.0,
             wire: Wire::default(),
+            system: 1,
             clock_start_micros: 5_000_000,
             clock_skew_ppm: 60.0,
             clock_tick_micros: 1_000,
@@ -244,6 +248,12 @@ impl BrickSettings {
     pub(crate) fn turn_around(&self) -> TimeDelta {
         let usual_ms = self.personality.turn_around_ms();
         TimeDelta::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
+    }
+
+    /// The address of a component of the brick's system.
+    #[must_use]
+    pub fn address_of(&self, component: Address) -> Address {
+        Address { system: SystemId(self.system), ..component }
     }
 
     /// The clock alone.

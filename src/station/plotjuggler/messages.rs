@@ -182,8 +182,10 @@ fn text(timestamp: f64, name: &str, object: Object) -> String {
 fn truth_messages(point: &TruthPoint) -> Vec<String> {
     let place = |[x_m, y_m, heading_rad]: [Number; 3]| Object::Place(PlaceObject { x_m, y_m, heading_rad });
     let really = place([point.x_m, point.y_m, point.heading_rad]);
-    let odometry = point.odometry.map(|odometry| text(point.t_s, "odometry", place(odometry)));
-    let truth = text(point.t_s, "truth", really);
+    // One of several robots has series of its own.
+    let suffix = point.robot.as_ref().map_or_else(String::new, |id| format!("_{}", id.replace('/', "_")));
+    let odometry = point.odometry.map(|odometry| text(point.t_s, &format!("odometry{suffix}"), place(odometry)));
+    let truth = text(point.t_s, &format!("truth{suffix}"), really);
     std::iter::once(truth).chain(odometry).collect()
 }
 

@@ -1,23 +1,25 @@
-//! The simulated brick in real time, behind a real link: its own thread when it is embedded, the whole process in `posebridge sim`.
+//! Simulated bricks in real time, behind real links: a thread of their own when they are embedded, the whole process in `posebridge sim`.
 
 mod cable;
 mod controls;
 mod embedded;
 pub mod truth_tap;
 
+use anyhow::{Context, Result};
 use posebridge_link::{HostTimer, Link, LinkEvent};
 use posebridge_sim::{STEP, Simulation};
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use tokio::sync::watch;
+use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
 pub use self::cable::SimulatedCable;
 pub use self::controls::{
     COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, controls,
 };
-pub use self::embedded::EmbeddedBrick;
+pub use self::embedded::{BrickStart, EmbeddedBrick, EmbeddedBricks};
 
-/// The world is stepped in bites of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
+/// The world is stepped in chunks of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
 /// After the path's end the brick still talks for this long, so that the last late fixes are used.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
@@ -114,46 +116,72 @@ async fn next_of(port: Option<&mut Link>) -> LinkEvent {
     }
 }
 
-/// Who can reach a brick while it drives.
-pub struct DriveContext<'a> {
-    /// Cancelled when it has to stop.
-    pub stop: &'a CancellationToken,
+/// A simulated brick that is ready to drive.
+pub struct BrickDrive {
+    /// Its world.
+    pub simulation: Simulation,
+    /// Its links, open.
+    pub ports: BrickPorts,
     /// Told how much of the path is driven, 0 to 1.
-    pub progress: &'a watch::Sender<f64>,
-    /// Whoever may do things to it, if anybody.
+    pub progress: watch::Sender<f64>,
+    /// Through which people reach it, if they can.
     pub controls: Option<ControlReceiver>,
 }
 
-/// Drives a simulation in real time on its ports, until its path ends or somebody stops it.
-pub async fn drive(
-    simulation: &mut Simulation,
-    ports: &mut BrickPorts,
-    timer: HostTimer,
-    mut company: DriveContext<'_>,
-) {
-    let start = timer.now();
-    let mut ends_at: Option<Timestamp<HostClock>> = None;
-    loop {
-        let bite_end = start + simulation.elapsed() + STEP_CHUNK;
-        tokio::select! {
-            () = ports.serve(simulation, (timer, start)) => {}
-            () = timer.sleep_until(bite_end) => step_to(simulation, timer.now() - start),
-            () = company.stop.cancelled() => return,
-        }
-        let now = timer.now();
-        if let Some(reach) = &mut company.controls {
-            reach.execute_commands(now, simulation, &mut ports.brick);
-            reach.publish_truth(start, simulation);
-        }
-        ports.send_all(now, simulation);
-        company.progress.send_replace(simulation.progress());
-        if simulation.is_finished() {
-            let end = *ends_at.get_or_insert(now + LINGER_AFTER_END);
-            if now >= end {
-                return;
+impl BrickDrive {
+    /// A brick whose progress nobody watches and that nobody reaches.
+    #[must_use]
+    pub fn unattended(simulation: Simulation, ports: BrickPorts) -> Self {
+        Self { simulation, ports, progress: watch::channel(0.0).0, controls: None }
+    }
+
+    /// Drives in real time until the path ends or somebody stops it; gives the simulation back.
+    async fn run(self, timer: HostTimer, stop: CancellationToken) -> Simulation {
+        let Self { mut simulation, mut ports, progress, mut controls } = self;
+        let start = timer.now();
+        let mut ends_at: Option<Timestamp<HostClock>> = None;
+        loop {
+            let chunk_end = start + simulation.elapsed() + STEP_CHUNK;
+            tokio::select! {
+                () = ports.serve(&mut simulation, (timer, start)) => {}
+                () = timer.sleep_until(chunk_end) => step_to(&mut simulation, timer.now() - start),
+                () = stop.cancelled() => break,
+            }
+            let now = timer.now();
+            if let Some(controls) = &mut controls {
+                controls.execute_commands(now, &mut simulation, &mut ports.brick);
+                controls.publish_truth(start, &simulation);
+            }
+            ports.send_all(now, &mut simulation);
+            progress.send_replace(simulation.progress());
+            if simulation.is_finished() {
+                let end = *ends_at.get_or_insert(now + LINGER_AFTER_END);
+                if now >= end {
+                    break;
+                }
             }
         }
+        simulation
     }
+}
+
+/// Drives bricks in real time on this thread until all of their paths end or `stop` is cancelled; gives their simulations back in
+/// the same order.
+///
+/// # Errors
+/// A brick's task died.
+pub async fn drive(bricks: Vec<BrickDrive>, timer: HostTimer, stop: &CancellationToken) -> Result<Vec<Simulation>> {
+    let tasks = LocalSet::new();
+    let running: Vec<_> = bricks.into_iter().map(|brick| tasks.spawn_local(brick.run(timer, stop.clone()))).collect();
+    tasks
+        .run_until(async {
+            let mut simulations = Vec::new();
+            for brick in running {
+                simulations.push(brick.await.context("a brick's task died")?);
+            }
+            Ok(simulations)
+        })
+        .await
 }
 
 /// The world follows the host's clock and never runs ahead of it: nothing may be sent before it was measured.

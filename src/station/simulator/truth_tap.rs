@@ -1,5 +1,6 @@
 //! One who watches where a simulated robot really is.
 
+use posebridge_telemetry::RobotId;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::TryRecvError;
 
@@ -8,14 +9,21 @@ use super::TimedTruthSample;
 /// Takes what was shown since it looked last. Who is too slow misses the oldest samples, and they are counted.
 pub struct TruthTap {
     receiver: broadcast::Receiver<TimedTruthSample>,
+    robot: Option<RobotId>,
     missed: u64,
 }
 
 impl TruthTap {
-    /// One who hears what is shown from now on.
+    /// One who hears what is shown of a robot from now on; `None` for the only one.
     #[must_use]
-    pub fn new(truth: &broadcast::Sender<TimedTruthSample>) -> Self {
-        Self { receiver: truth.subscribe(), missed: 0 }
+    pub fn new(truth: &broadcast::Sender<TimedTruthSample>, robot: Option<RobotId>) -> Self {
+        Self { receiver: truth.subscribe(), robot, missed: 0 }
+    }
+
+    /// Whose truth it is; `None` for that of the only robot.
+    #[must_use]
+    pub const fn robot(&self) -> Option<RobotId> {
+        self.robot
     }
 
     /// What was shown since the last time; never waits.
@@ -48,7 +56,7 @@ mod tests {
     #[test]
     fn who_looks_too_rarely_misses_the_oldest_and_knows_how_many() {
         let (hands, mut reach) = controls();
-        let mut tap = TruthTap::new(&hands.truth);
+        let mut tap = TruthTap::new(&hands.truth, None);
         let mut simulation = Simulation::new(Scenario::default());
         reach.publish_truth(Timestamp::from_millis(5_000), &simulation);
         let first = tap.drain();

@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
 use posebridge_dashboard::model::SimulatorFacts;
+use posebridge_dashboard::views::parse_robot_name;
 use posebridge_dashboard::{CommandSubmitter, FrameTap, TapPoll};
 use tokio_util::sync::CancellationToken;
 
@@ -170,15 +171,21 @@ impl TerminalLoop {
             self.model.set_notice("this station has no simulated brick");
             return;
         }
-        let camera = if self.model.selection.is_camera_covered { CameraState::Covered } else { CameraState::Open };
-        if !self.inputs.commands.send(deed.command(camera)) {
+        let id = self.model.selected_robot().map_or_else(String::new, |robot| robot.id.clone());
+        let covered = &self.model.selection.covered_cameras;
+        let camera = if covered.contains(&id) { CameraState::Covered } else { CameraState::Open };
+        // One robot needs no name, and a recording of it is as ever.
+        let robot = if self.model.visible_robots().len() > 1 { parse_robot_name(&id) } else { None };
+        if !self.inputs.commands.send(robot, deed.command(camera)) {
             self.model.set_notice("too many commands wait; try again");
             return;
         }
         self.model.set_notice(deed.description(camera));
         if deed == OperatorAction::Camera {
-            let chosen = &mut self.model.selection;
-            chosen.is_camera_covered = !chosen.is_camera_covered;
+            let covered = &mut self.model.selection.covered_cameras;
+            if !covered.remove(&id) {
+                covered.insert(id);
+            }
         }
     }
 }

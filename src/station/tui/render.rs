@@ -59,6 +59,9 @@ fn tiled_layout(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
     let mut places = vec![(map, left)];
     for (index, panel) in numbers.iter().enumerate() {
         let wanted = u16::try_from((panel.lines)(model)).unwrap_or(u16::MAX);
+        if wanted == 0 {
+            continue;
+        }
         let is_last = index + 1 == numbers.len();
         let mut height = wanted.saturating_add(FRAME).min(right.height);
         // What would be too small for the next one goes to this one.
@@ -100,9 +103,9 @@ fn head_line(model: &Model, look: Theme) -> Line<'static> {
     }
     let shown = model.visible_robots();
     if let (Some(robot), 2..) = (model.selected_robot(), shown.len()) {
-        add(format!("robot {} of {}", sanitize(&robot.id), shown.len()), StyleRole::Strong);
+        add(format!("robot {} of {}", sanitize(robot.label()), shown.len()), StyleRole::Strong);
     }
-    if let Some(errors) = &model.errors {
+    if let Some(errors) = model.selected_errors() {
         add(format!("estimate {} m off", fixed(errors.estimate_m, 3)), StyleRole::Estimate);
     }
     match &model.recording {

@@ -44,6 +44,7 @@ fn estimates() -> Vec<EstimatePoint> {
 
 fn truth() -> Vec<TruthPoint> {
     let points = drive(200).map(|(t_s, x_m, y_m)| TruthPoint {
+        robot: None,
         t_s,
         x_m: x_m.into(),
         y_m: y_m.into(),
@@ -205,6 +206,33 @@ fn each_panel_alone() {
     assert_eq!(model.selection.panel, Some(PANELS.len() - 1));
     choose(&mut model, UiAction::Back);
     assert_eq!(model.selection.panel, None);
+}
+
+#[test]
+fn several_robots_have_a_list_and_the_others_stand_on_the_map() {
+    let mut model = model();
+    let at = |x_m: f64, y_m: f64, t_s: f64| EstimatePoint {
+        t_s,
+        x_m: x_m.into(),
+        y_m: y_m.into(),
+        heading_rad: 0.0.into(),
+        major_m: 0.012.into(),
+        fix_age_s: 0.4.into(),
+        ..EstimatePoint::default()
+    };
+    let robot = |id: &str, name: Option<&str>, estimate| RobotFrame {
+        id: id.to_owned(),
+        name: name.map(str::to_owned),
+        estimates: vec![estimate],
+        ..RobotFrame::default()
+    };
+    model.on_frame(&Frame {
+        now_s: 10.0,
+        robots: vec![robot("0/2/1", Some("ada\u{1b}[2J"), at(1.5, 0.2, 9.9)), robot("0/3/1", None, at(0.4, 1.2, 4.0))],
+        ..Frame::default()
+    });
+    choose(&mut model, UiAction::NextRobot);
+    insta::assert_snapshot!("several_robots_120x40", pictured(&model, (120, 40)));
 }
 
 #[test]

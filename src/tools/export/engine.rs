@@ -16,6 +16,7 @@ use super::output_files::{AtomicFile, create_new, print_notes, print_written};
 use crate::config::{Config, Overlay, config_with_overlay};
 use crate::console::print_line;
 use crate::station::input_file::InputKind;
+use crate::station::per_robot::PerRobot;
 use crate::station::recording_warnings::missing_start;
 use crate::station::signing;
 use crate::station::traffic_log::TrafficLog;
@@ -36,12 +37,20 @@ pub(super) struct ExportSession {
 
 /// What a run has made besides files.
 pub(super) struct ExportedRun {
-    /// The estimates whose position and heading were valid, in the order in which they were made.
-    pub(super) estimates: Vec<TimedPose>,
-    /// The truth of a recording of ours.
-    pub(super) truth: Option<PoseTrack>,
+    /// The robots of a recording of ours; there is always one.
+    pub(super) robots: Vec<RobotPoses>,
     /// A descriptor's run at the instants of its truth or withheld fixes.
     pub(super) pairs: Option<Vec<PosePair>>,
+}
+
+/// Estimates and truth of one robot.
+pub(super) struct RobotPoses {
+    /// What it is called, where there are several.
+    pub(super) label: Option<String>,
+    /// The estimates whose position and heading were valid, in the order in which they were made.
+    pub(super) estimates: Vec<TimedPose>,
+    /// Where it really was.
+    pub(super) truth: Option<PoseTrack>,
 }
 
 /// The files that are written while the engine runs.
@@ -83,7 +92,7 @@ impl ExportSession {
             config.filter.name.clone_from(filter);
         }
         let known = if args.formats.contains(&Format::Tum) || args.truth.is_some() {
-            GroundTruth::load(&name, &bytes, args.truth.as_deref())?
+            GroundTruth::load(&name, &bytes, args.truth.as_deref(), None)?
         } else {
             GroundTruth::default()
         };
@@ -110,7 +119,7 @@ impl ExportSession {
         };
         let mut pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
         let mut scorer = self.scorer;
-        let mut estimates = Vec::new();
+        let mut estimates = PerRobot::new(Vec::new);
         for item in &mut reader {
             match item {
                 Ok((now, input)) => {
@@ -131,8 +140,31 @@ impl ExportSession {
             scorer.finish(&pipeline);
         }
         files.finish(args, fresh)?;
-        Ok(ExportedRun { estimates, truth: self.truth, pairs: scorer.map(|scorer| scorer.pairs) })
+        let robots = robot_poses(args, &self.name, &self.bytes, estimates, self.truth)?;
+        Ok(ExportedRun { robots, pairs: scorer.map(|scorer| scorer.pairs) })
     }
+}
+
+/// Each robot's estimates with its truth; `truth` is that of the only robot, or of the first.
+fn robot_poses(
+    args: &ExportArgs,
+    name: &str,
+    recording: &[u8],
+    estimates: PerRobot<Vec<TimedPose>>,
+    truth: Option<PoseTrack>,
+) -> Result<Vec<RobotPoses>> {
+    let robots = estimates.into_entries();
+    if robots.len() == 1 {
+        let only = robots.into_iter().map(|robot| robot.value);
+        return Ok(only.map(|estimates| RobotPoses { label: None, estimates, truth: truth.clone() }).collect());
+    }
+    let wants_truth = args.formats.contains(&Format::Tum);
+    let robots = robots.into_iter().map(|robot| {
+        let known = wants_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
+        let truth = known.transpose()?.and_then(|known| known.truth);
+        Ok(RobotPoses { label: Some(robot.label()), estimates: robot.value, truth })
+    });
+    robots.collect()
 }
 
 /// The truth or the withheld fixes of the one run that the flags choose.
@@ -166,7 +198,7 @@ impl ExportFiles {
         &mut self,
         now: Timestamp<HostClock>,
         pipeline: &mut Station,
-        estimates: &mut Vec<TimedPose>,
+        estimates: &mut PerRobot<Vec<TimedPose>>,
     ) -> Result<()> {
         while let Some(output) = pipeline.poll() {
             match output {
@@ -174,7 +206,7 @@ impl ExportFiles {
                     if let Some(csv) = &mut self.csv {
                         csv.record(now, &event).context("writing CSV")?;
                     }
-                    estimates.extend(valid_pose(&event));
+                    estimates.push(&event, |estimates, event| estimates.extend(valid_pose(event)));
                 }
                 Output::Transmit { link, priority, bytes, .. } => {
                     if let Some(tlog) = &mut self.tlog {

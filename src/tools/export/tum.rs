@@ -1,47 +1,59 @@
 //! Trajectories for evo: truth and estimate at the same stamps, where there is truth.
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail};
 use posebridge_recording::tum;
 use posebridge_report::TimedPose;
 use posebridge_telemetry::TimeDelta;
 
 use super::args::ExportArgs;
-use super::engine::ExportedRun;
+use super::engine::{ExportedRun, RobotPoses};
 use super::output_files::print_written;
 use crate::console::print_line;
+use crate::station::per_robot::file_part;
 
 /// The last digit of a stamp in such a file.
 const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
 
-/// Writes `estimate.tum`, and `truth.tum` where there is truth.
+/// Writes `estimate.tum`, and `truth.tum` where there is truth; of several robots `estimate-NAME.tum` and `truth-NAME.tum` each.
 ///
 /// # Errors
 /// There is nothing to write, or it cannot be written.
 pub(super) fn write(args: &ExportArgs, made: &ExportedRun) -> Result<()> {
-    let (estimate, truth) = trajectories(made);
-    ensure!(
-        !estimate.is_empty(),
-        "there is no valid estimate{} to write",
-        if made.truth.is_some() { " where there is truth" } else { "" }
-    );
-    write_one(args, "estimate", &estimate)?;
-    if let Some(truth) = truth {
-        return write_one(args, "truth", &truth);
+    if let Some(pairs) = &made.pairs {
+        let at = |time, pose| TimedPose { time, pose };
+        write_one(args, "estimate", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.estimated))))?;
+        return write_one(args, "truth", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.expected))));
     }
-    print_line("there is no truth: `estimate.tum` stands alone; give --truth");
+    for robot in &made.robots {
+        write_robot(args, robot)?;
+    }
+    Ok(())
+}
+
+fn write_robot(args: &ExportArgs, robot: &RobotPoses) -> Result<()> {
+    let suffix = robot.label.as_ref().map_or_else(String::new, |label| format!("-{}", file_part(label)));
+    let (estimate, truth) = trajectories(robot);
+    if estimate.is_empty() {
+        let place = if robot.truth.is_some() { " where there is truth" } else { "" };
+        match &robot.label {
+            // The others have theirs.
+            Some(label) => print_line(&format!("there is no valid estimate of {label}{place} to write")),
+            None => bail!("there is no valid estimate{place} to write"),
+        }
+        return Ok(());
+    }
+    write_one(args, &format!("estimate{suffix}"), &estimate)?;
+    if let Some(truth) = truth {
+        return write_one(args, &format!("truth{suffix}"), &truth);
+    }
+    print_line(&format!("there is no truth: `estimate{suffix}.tum` stands alone; give --truth"));
     Ok(())
 }
 
 /// Estimates and truth, pair by pair.
-fn trajectories(made: &ExportedRun) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) {
-    if let Some(pairs) = &made.pairs {
-        let at = |stamp, pose| TimedPose { time: stamp, pose };
-        let estimate = pairs.iter().map(|pair| at(pair.time, pair.estimated));
-        let truth = pairs.iter().map(|pair| at(pair.time, pair.expected));
-        return (with_unique_times(estimate), Some(with_unique_times(truth)));
-    }
-    let estimates = made.estimates.iter().copied();
-    let Some(truth) = &made.truth else {
+fn trajectories(robot: &RobotPoses) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) {
+    let estimates = robot.estimates.iter().copied();
+    let Some(truth) = &robot.truth else {
         return (with_unique_times(estimates), None);
     };
     let pairs = estimates.filter_map(|estimate| {

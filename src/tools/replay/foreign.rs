@@ -21,6 +21,7 @@ use crate::flags::{DataFlags, SessionFlags};
 use crate::station::event_collector::{EventCollector, MAX_INTERPOLATION_GAP};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
+use crate::station::per_robot::PerRobot;
 use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::score::{Scorer, pose_at};
 
@@ -86,11 +87,13 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
         }
         let mut scored = None;
         for (filter, gathered) in filters.iter().zip(&mut per_filter) {
-            let mut seen = ReplayWatcher::new(EventCollector::default());
+            let mut seen = ReplayWatcher::new(PerRobot::new(EventCollector::default));
             seen.events = events.as_mut();
             seen.show_at(args.speed);
             let one = replay_run(&robot_run, filter, &mut seen, (window, pace.as_mut())).while_running()?;
-            let collector = seen.finish();
+            // A foreign run is one robot's.
+            let robots = seen.finish().into_entries();
+            let collector = robots.into_iter().next().map_or_else(EventCollector::default, |robot| robot.value);
             if Some(filter) == filters.last() {
                 write_run_charts(args, &robot_run, &collector, replayed.smoothed.last()).while_running()?;
             }
@@ -172,6 +175,7 @@ impl ScoreTotals {
     fn outcome(self, name: String) -> FilterResult {
         FilterResult {
             name,
+            robot: None,
             errors: mean_over_runs(&self.errors),
             position_rms_uncorrected_m: mean_over_runs(&self.uncorrected).position_rms_m,
             learned: self.learned,
@@ -248,7 +252,11 @@ pub fn replay_run(
     Ok(ReplayScores {
         errors: summarise(&scorer.errors),
         uncorrected: summarise(&scorer.uncorrected),
-        learned: LearnedCalibration::from_pipeline(&lane.pipeline, name, robot, &prior),
+        learned: lane
+            .pipeline
+            .robots()
+            .first()
+            .and_then(|heard| LearnedCalibration::of_robot(heard, name, robot, &prior)),
         duration: recorded,
         observations,
     })

@@ -45,6 +45,9 @@ struct Smooth<'a> {
 #[derive(Serialize)]
 struct Estimator<'a> {
     name: &'a str,
+    /// Only where the recording has several robots.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    robot: Option<&'a str>,
     position_rms_m: Option<f64>,
     position_max_m: Option<f64>,
     position_end_m: Option<f64>,
@@ -100,6 +103,7 @@ fn estimator(outcome: &FilterResult) -> Estimator<'_> {
     let errors = &outcome.errors;
     Estimator {
         name: &outcome.name,
+        robot: outcome.robot.as_deref(),
         position_rms_m: errors.position_rms_m,
         position_max_m: errors.position_max_m,
         position_end_m: errors.position_end_m,
@@ -175,6 +179,7 @@ mod tests {
             Calibration { track_scale: UncertainValue { value: 0.116, sigma: 0.004 }, ..Calibration::default() };
         let outcome = FilterResult {
             name: "pose".to_owned(),
+            robot: None,
             errors: ErrorSummary::default(),
             position_rms_uncorrected_m: Some(0.0194),
             learned: vec![LearnedCalibration {

@@ -7,7 +7,7 @@ use anyhow::{Result, anyhow};
 use posebridge_estimator::FilterConfig;
 use posebridge_report::metrics::{errors_of_estimates, summarise};
 use posebridge_report::{ErrorSummary, PoseTrack};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 
 use super::args::ReplayArgs;
 use super::output_files::{finish_events, write_charts};
@@ -22,7 +22,7 @@ use crate::exit::{ExitStage, Failure};
 use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
-use crate::tools::ground_truth::GroundTruth;
+use crate::station::per_robot::PerRobot;
 
 /// What a recording of ours is called among runs.
 pub const WHOLE_RUN: &str = "recording";
@@ -43,7 +43,6 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     if !changed.is_empty() {
         print_line(&format!("{}: replayed with {}: this is not what ran", recording.name, changed.join(", ")));
     }
-    let known = recording.ground_truth(flags.truth.as_deref()).before_start()?;
     let mut events = args.events.as_deref().map(create).transpose().before_start()?;
     let pace = args.speed.map(ReplayPacer::new).transpose().before_start()?;
     let mut seen = watchers(args, configs.len(), events.as_mut());
@@ -57,14 +56,14 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
         print_line(&format!("{}: {note}", recording.name));
     }
     let pipelines: Vec<Station> = lanes.into_iter().map(|lane| lane.pipeline).collect();
-    let collectors: Vec<EventCollector> = seen.into_iter().map(ReplayWatcher::finish).collect();
+    let collectors: Vec<_> = seen.into_iter().map(ReplayWatcher::finish).collect();
     if let Some(events) = events {
         finish_events(events).while_running()?;
     }
-    let made = configs.iter().zip(pipelines.iter().zip(collectors));
-    let made: Vec<FilterReplay<'_>> =
-        made.map(|(config, (pipeline, collector))| FilterReplay { config, pipeline, collector }).collect();
-    summarize(args, &recording, &known, made).map(|replayed| ReplayResult {
+    let replays = configs.iter().zip(pipelines.iter().zip(collectors));
+    let replays: Vec<FilterReplay<'_>> =
+        replays.map(|(config, (pipeline, collectors))| FilterReplay { config, pipeline, collectors }).collect();
+    summarize(args, &recording, replays).map(|replayed| ReplayResult {
         duration: passage.duration,
         changed_settings: changed,
         ..replayed
@@ -75,7 +74,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
 struct FilterReplay<'m> {
     config: &'m Config,
     pipeline: &'m Station,
-    collector: EventCollector,
+    collectors: PerRobot<EventCollector>,
 }
 
 /// One configuration for each estimator.
@@ -96,9 +95,8 @@ fn watchers<'e>(
     let mut all = Vec::new();
     for index in 0..count {
         let is_last = index + 1 == count;
-        let collector =
-            if args.smooth && is_last { EventCollector::with_observations() } else { EventCollector::default() };
-        let mut seen = ReplayWatcher::new(collector);
+        let make = if args.smooth && is_last { EventCollector::with_observations } else { EventCollector::default };
+        let mut seen = ReplayWatcher::new(PerRobot::new(make));
         if is_last {
             seen.events = events.take();
             seen.show_at(args.speed);
@@ -111,42 +109,48 @@ fn watchers<'e>(
 fn summarize(
     args: &ReplayArgs,
     recording: &OwnRecording,
-    known: &GroundTruth,
-    mut made: Vec<FilterReplay<'_>>,
+    replays: Vec<FilterReplay<'_>>,
 ) -> Result<ReplayResult, Failure> {
-    let truth = known.truth.as_ref();
-    let mut smoothed_run = None;
-    if let Some(last) = made.last() {
-        let mut filter_config = last.config.filter_config().before_start()?;
-        // The robot may have described another geometry than the configuration.
-        filter_config.geometry = last.pipeline.geometry();
-        smoothed_run = args.smooth.then(|| smoothed(&filter_config, &last.collector, truth));
-        let path = smoothed_run.as_ref().and_then(SmoothedRun::track);
-        let tracks = (truth, known.odometry.as_ref(), path.as_ref());
-        write_charts(args, &recording.name, &last.collector, tracks).while_running()?;
+    let mut result =
+        ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
+    let count = replays.len();
+    for (index, replay) in replays.into_iter().enumerate() {
+        let learned = LearnedCalibration::of_session(replay.pipeline, WHOLE_RUN, replay.config).before_start()?;
+        let robots = replay.collectors.into_entries();
+        let has_several = robots.len() > 1;
+        for (position, robot) in robots.into_iter().enumerate() {
+            let label = has_several.then(|| robot.label());
+            let known = recording.ground_truth(args.session.truth.as_deref(), robot.robot).before_start()?;
+            let engine = replay.pipeline.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+            let collector = robot.value;
+            if index + 1 == count {
+                // The robot may have described another geometry than the configuration.
+                let mut filter_config = replay.config.filter_config().before_start()?;
+                filter_config.geometry = engine.map_or(filter_config.geometry, Robot::geometry);
+                let run = label.as_deref().unwrap_or(WHOLE_RUN);
+                let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, known.truth.as_ref()));
+                if position == 0 {
+                    let path = smoothed.as_ref().and_then(SmoothedRun::track);
+                    let tracks = (known.truth.as_ref(), known.odometry.as_ref(), path.as_ref());
+                    write_charts(args, &recording.name, &collector, tracks).while_running()?;
+                }
+                result.smoothed.extend(smoothed);
+            }
+            if index == 0 {
+                result.observations += collector.observations;
+            }
+            let run = label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
+            result.outcomes.push(FilterResult {
+                name: replay.config.filter.name.clone(),
+                robot: label,
+                errors: errors(&collector, known.truth.as_ref()),
+                position_rms_uncorrected_m: None,
+                learned: learned.iter().filter(|one| one.run == run).cloned().collect(),
+                sources: collector.sources,
+            });
+        }
     }
-    let observations = made.first().map_or(0, |one| one.collector.observations);
-    let outcomes: Result<Vec<FilterResult>> = made.drain(..).map(|one| outcome(one, truth)).collect();
-    Ok(ReplayResult {
-        recording: recording.name.clone(),
-        runs: vec![WHOLE_RUN.to_owned()],
-        observations,
-        outcomes: outcomes.before_start()?,
-        smoothed: smoothed_run.into_iter().collect(),
-        ..ReplayResult::default()
-    })
-}
-
-fn outcome(made: FilterReplay<'_>, truth: Option<&PoseTrack>) -> Result<FilterResult> {
-    let prior = made.config.filter_config()?.calibration;
-    let learned = LearnedCalibration::from_pipeline(made.pipeline, WHOLE_RUN, &made.config.robot, &prior);
-    Ok(FilterResult {
-        name: made.config.filter.name.clone(),
-        errors: errors(&made.collector, truth),
-        position_rms_uncorrected_m: None,
-        learned: learned.into_iter().collect(),
-        sources: made.collector.sources,
-    })
+    Ok(result)
 }
 
 /// Every published estimate against the truth at its own stamp.
@@ -156,11 +160,11 @@ pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSum
 }
 
 /// The whole recording in hindsight, held against the truth at its own stamps as the filter's estimates are at theirs.
-fn smoothed(config: &FilterConfig, collector: &EventCollector, truth: Option<&PoseTrack>) -> SmoothedRun {
+fn smoothed(run: &str, config: &FilterConfig, collector: &EventCollector, truth: Option<&PoseTrack>) -> SmoothedRun {
     if collector.restarts > 0 {
-        return SmoothedRun::failed(WHOLE_RUN, SmoothError::Restarted(collector.restarts));
+        return SmoothedRun::failed(run, SmoothError::Restarted(collector.restarts));
     }
-    let mut smoothed = SmoothedRun::new(WHOLE_RUN, config, &collector.retained_observations);
+    let mut smoothed = SmoothedRun::new(run, config, &collector.retained_observations);
     if let Some(truth) = truth {
         smoothed.errors = summarise(&errors_of_estimates(&smoothed.estimates(), truth));
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use posebridge_recording::container::{RecordingHeader, RecordingReader};
 use posebridge_station::Station;
-use posebridge_telemetry::{HostClock, Input, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::robot;
 use super::watch::{ReplayLane, ReplayPacer, Window, WindowPosition};
@@ -93,13 +93,13 @@ impl OwnRecording {
         Ok(Station::new(pipeline_config, Timestamp::ZERO)?)
     }
 
-    /// The truth: that of a file, else that of the recording.
+    /// The truth of a robot: that of a file, else that of the recording.
     ///
     /// # Errors
     /// The file cannot be read, or the recorded truth is damaged.
-    pub fn ground_truth(&self, truth: Option<&Path>) -> Result<GroundTruth> {
+    pub fn ground_truth(&self, truth: Option<&Path>, robot: Option<RobotId>) -> Result<GroundTruth> {
         match &self.inputs {
-            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth),
+            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth, robot),
             InputSource::Logged(_) => GroundTruth::from_file(truth),
         }
     }

@@ -10,6 +10,8 @@ use crate::station::learned_calibration::LearnedCalibration;
 pub struct FilterResult {
     /// Its name.
     pub name: String,
+    /// Which robot it followed, where the recording has several.
+    pub robot: Option<String>,
     /// Its errors, the mean over the runs.
     pub errors: ErrorSummary,
     /// Its root mean square position error at the withheld fixes' own stamps, where `errors` is corrected for a delay that it
@@ -19,6 +21,14 @@ pub struct FilterResult {
     pub learned: Vec<LearnedCalibration>,
     /// How each sensor's observations fared, over all runs.
     pub sources: Vec<SourceTally>,
+}
+
+impl FilterResult {
+    /// Its name, and its robot where there are several.
+    #[must_use]
+    pub fn label(&self) -> String {
+        self.robot.as_ref().map_or_else(|| self.name.clone(), |robot| format!("{} {robot}", self.name))
+    }
 }
 
 /// Everything that was replayed.

@@ -10,13 +10,14 @@ use super::watch::EventWatcher;
 use crate::station::event_collector::EventCollector;
 use crate::station::live_status::LiveView;
 use crate::station::observer::write_event;
+use crate::station::per_robot::PerRobot;
 
 /// The status block is drawn this often, by the clock of the recording at its real speed.
 const DRAW_PERIOD_S: f64 = 0.2;
 
 /// Watches one estimator.
 pub(super) struct ReplayWatcher<'e> {
-    collector: EventCollector,
+    collectors: PerRobot<EventCollector>,
     /// Every event goes there as a line of text.
     pub(super) events: Option<&'e mut BufWriter<File>>,
     view: Option<TimedView>,
@@ -31,8 +32,8 @@ struct TimedView {
 
 impl ReplayWatcher<'_> {
     /// One that keeps what tables need.
-    pub(super) fn new(collector: EventCollector) -> Self {
-        Self { collector, events: None, view: None }
+    pub(super) fn new(collectors: PerRobot<EventCollector>) -> Self {
+        Self { collectors, events: None, view: None }
     }
 
     /// Shows the status block of a live run if the replay has a speed.
@@ -45,17 +46,17 @@ impl ReplayWatcher<'_> {
     }
 
     /// What it kept.
-    pub(super) fn finish(self) -> EventCollector {
+    pub(super) fn finish(self) -> PerRobot<EventCollector> {
         if let Some(TimedView { live: shown, .. }) = self.view {
             shown.finish();
         }
-        self.collector
+        self.collectors
     }
 }
 
 impl EventWatcher for ReplayWatcher<'_> {
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
-        self.collector.on_event(event);
+        self.collectors.push(event, EventCollector::on_event);
         if let Some(file) = self.events.as_deref_mut() {
             write_event(file, event).context("writing the events")?;
         }

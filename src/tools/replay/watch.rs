@@ -7,6 +7,7 @@ use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp
 
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
+use crate::station::per_robot::PerRobot;
 
 /// Sees what one estimator's pipeline does.
 pub trait EventWatcher {
@@ -23,6 +24,14 @@ pub trait EventWatcher {
 impl EventWatcher for EventCollector {
     fn observe(&mut self, _now: Timestamp<HostClock>, event: &Event) -> Result<()> {
         self.on_event(event);
+        Ok(())
+    }
+}
+
+/// The same for each robot.
+impl EventWatcher for PerRobot<EventCollector> {
+    fn observe(&mut self, _now: Timestamp<HostClock>, event: &Event) -> Result<()> {
+        self.push(event, EventCollector::on_event);
         Ok(())
     }
 }

@@ -9,12 +9,13 @@ use anyhow::Result;
 use posebridge_report::chart::session::{CalibrationSample, ClockSample, ErrorSample, InnovationSample, LinkSample};
 use posebridge_report::metrics::InnovationTest;
 use posebridge_report::{PoseTrack, SourceTally};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Estimate, Event, FusionRecord, HostClock, LinkId, SensorId, TimeDelta, Timestamp};
 
 use super::timeline::EventTimeline;
 use crate::config::CALIBRATION_KEYS;
 use crate::station::event_collector::{Downsampled, EventCollector};
+use crate::station::per_robot::PerRobot;
 use crate::tools::replay::watch::EventWatcher;
 
 /// So many samples of a curve are kept; an hour at 50 Hz has fewer.
@@ -188,13 +189,36 @@ impl EventWatcher for SessionHistory {
     }
 
     fn after_input(&mut self, now: Timestamp<HostClock>, pipeline: &Station) {
+        self.record_calibration(now, pipeline.robots().first());
+    }
+}
+
+/// One history for each robot.
+impl EventWatcher for PerRobot<SessionHistory> {
+    fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
+        self.try_push(event, |history, event| history.observe(now, event))
+    }
+
+    fn after_input(&mut self, now: Timestamp<HostClock>, pipeline: &Station) {
+        let robots = pipeline.robots();
+        for entry in self.entries_mut() {
+            // Both are in the order in which robots were heard, but not every robot has been observed.
+            let robot = robots.iter().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
+            entry.value.record_calibration(now, robot);
+        }
+    }
+}
+
+impl SessionHistory {
+    /// Keeps now and then what a robot's filter has learned.
+    fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: Option<&Robot>) {
         self.last = self.last.max(now);
         let is_due = self.last_calibration_poll.is_none_or(|asked| now - asked >= LEARNED_PERIOD);
-        if !is_due || pipeline.latest_time().is_none() {
+        let Some(robot) = robot.filter(|robot| is_due && robot.latest_time().is_some()) else {
             return;
-        }
+        };
         self.last_calibration_poll = Some(now);
-        let Some(calibration) = pipeline.calibration() else {
+        let Some(calibration) = robot.calibration() else {
             return;
         };
         let t_s = (now - self.origin).as_secs_f64();

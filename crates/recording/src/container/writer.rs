@@ -5,11 +5,11 @@ use std::io::{BufWriter, IntoInnerError, Write};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, TimeDelta, Timestamp};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::encoding::{self, RecordPosition};
 use super::{INPUT_ENCODING, INPUT_TOPIC, PartHeader, RecordingGap, RecordingHeader, TruthSample, header};
-use crate::foxglove::{self, EncodedMessage, OutputEncoder};
+use crate::foxglove::{self, ChannelKey, EncodedMessage, OutputEncoder};
 
 /// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
@@ -59,14 +59,14 @@ pub struct RecordingWriter<W: Write> {
     zero_nanos: u64,
     input_channel: u16,
     sequence: u32,
-    /// The channels beside the inputs by topic; each is made for its first message.
-    output_channels: BTreeMap<&'static str, OutputChannel>,
+    /// The channels beside the inputs; each is made for its first message.
+    output_channels: BTreeMap<ChannelKey, OutputChannel>,
     outputs: OutputEncoder,
     scratch: Vec<u8>,
 }
 
-/// What the writer of one part knows and that of the next needs: the alignment of the brick's clock, where the robot has been, and how far
-/// apart estimates lie.
+/// What the writer of one part knows and that of the next needs: the topics of the robots, the alignment of their clocks, where they have been,
+/// and how far apart estimates lie.
 pub struct OutputHandover(Box<OutputEncoder>);
 
 /// A channel beside the inputs.
@@ -118,9 +118,14 @@ impl<W: Write> RecordingWriter<W> {
         })
     }
 
-    /// Sets how far apart estimates, and fusions of one sensor and kind, lie at least beside the inputs; zero keeps all of them.
+    /// Sets how far apart estimates of a robot, and its fusions of one sensor and kind, lie at least beside the inputs; zero keeps all of them.
     pub fn set_output_spacing(&mut self, spacing: TimeDelta) {
         self.outputs.set_spacing(spacing);
+    }
+
+    /// How many events, calibrations and true poses of robots were left out, in this part and those before: only 64 robots have topics.
+    pub const fn skipped_outputs(&self) -> u64 {
+        self.outputs.skipped()
     }
 
     /// Ends the file as [`Self::finish`] does and gives back what the next part has to know.
@@ -185,16 +190,18 @@ impl<W: Write> RecordingWriter<W> {
         self.write_messages(now, messages)
     }
 
-    /// Records what the filter has learned about the robot, as of `now`, for viewers.
+    /// Records what the filter has learned about a robot, as of `now`, for viewers; `None` is the first robot.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
     pub fn record_calibration(
         &mut self,
         now: Timestamp<HostClock>,
+        robot: Option<RobotId>,
         calibration: &Calibration,
     ) -> Result<(), WriteError> {
-        self.write_messages(now, foxglove::calibration_message(calibration))
+        let messages = self.outputs.calibration_messages(robot, calibration);
+        self.write_messages(now, messages)
     }
 
     /// Records a line for people, with its MAVLink severity: 0 emergency to 7 debug.
@@ -226,7 +233,7 @@ impl<W: Write> RecordingWriter<W> {
         self.record_log_message(gap.to, 3, &text)
     }
 
-    /// Records where the robot really was, as a simulation knows it; called once, when the run is over at `now`.
+    /// Records where robots really were, as a simulation knows it. A sample that no clock alignment places is of `now`.
     ///
     /// # Errors
     /// When the file cannot be written, or `now` is negative.
@@ -264,8 +271,8 @@ impl<W: Write> RecordingWriter<W> {
     ) -> Result<(), WriteError> {
         let time = self.zero_nanos + log_time_nanos(at)?;
         for message in messages {
-            let topic = message.channel.topic;
-            let beside = match self.output_channels.get(topic) {
+            let key = message.key();
+            let beside = match self.output_channels.get(&key) {
                 Some(beside) => *beside,
                 None => self.open_channel(&message)?,
             };
@@ -273,7 +280,7 @@ impl<W: Write> RecordingWriter<W> {
                 MessageHeader { channel_id: beside.id, sequence: beside.sequence, log_time: time, publish_time: time };
             self.mcap.write_to_known_channel(&header, &message.data)?;
             let sequence = beside.sequence.wrapping_add(1);
-            self.output_channels.insert(topic, OutputChannel { sequence, ..beside });
+            self.output_channels.insert(key, OutputChannel { sequence, ..beside });
         }
         Ok(())
     }
@@ -282,7 +289,7 @@ impl<W: Write> RecordingWriter<W> {
         let channel = message.channel;
         let (encoding, schema_encoding, schema) = channel.encoding.parts();
         let schema_id = self.mcap.add_schema(channel.schema, schema_encoding, &schema)?;
-        let id = self.mcap.add_channel(schema_id, channel.topic, encoding, &BTreeMap::new())?;
+        let id = self.mcap.add_channel(schema_id, &message.topic(), encoding, &BTreeMap::new())?;
         Ok(OutputChannel { id, sequence: 0 })
     }
 }

@@ -1,7 +1,7 @@
 //! Events as CSV lines.
 
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, SourceHealth, TimeDelta,
+    Address, Estimate, Event, FusionRecord, HostClock, LinkHealth, LinkId, LinkState, RobotId, SourceHealth, TimeDelta,
     Timestamp,
 };
 
@@ -12,9 +12,11 @@ use crate::event_json;
 /// The lines of an event that happened at `now`.
 pub(super) fn rows(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
     match event {
-        Event::ObservationAligned { arrival, observation, .. } => vec![observations::row(*arrival, observation)],
-        Event::ObservationFused { record, .. } => vec![fusion(now, record)],
-        Event::EstimateUpdated { estimate, .. } => vec![self::estimate(now, estimate)],
+        Event::ObservationAligned { robot, arrival, observation, .. } => {
+            vec![observations::row(*robot, *arrival, observation)]
+        }
+        Event::ObservationFused { robot, record } => vec![fusion(*robot, now, record)],
+        Event::EstimateUpdated { robot, estimate } => vec![self::estimate(*robot, now, estimate)],
         Event::Temperature { .. } => temperature(event).into_iter().collect(),
         Event::BrickClockAligned { .. } => clock(event).into_iter().collect(),
         Event::Health { link, health, sources } => std::iter::once(self::link(now, *link, health))
@@ -35,7 +37,7 @@ fn seconds(span: TimeDelta) -> CsvField {
     span.as_secs_f64().into()
 }
 
-fn estimate(now: Timestamp<HostClock>, estimate: &Estimate) -> CsvRow {
+fn estimate(robot: RobotId, now: Timestamp<HostClock>, estimate: &Estimate) -> CsvRow {
     let mut fields: Vec<CsvField> = vec![
         estimate.stamp.as_secs_f64().into(),
         estimate.pose.x.0.into(),
@@ -57,10 +59,10 @@ fn estimate(now: Timestamp<HostClock>, estimate: &Estimate) -> CsvRow {
         u64::from(estimate.reset_counter).into(),
         now.as_secs_f64().into(),
     ]);
-    CsvRow { stream: "estimates", header: columns::ESTIMATES, fields }
+    CsvRow { stream: "estimates", header: columns::ESTIMATES, fields, robot: Some(robot) }
 }
 
-fn fusion(now: Timestamp<HostClock>, record: &FusionRecord) -> CsvRow {
+fn fusion(robot: RobotId, now: Timestamp<HostClock>, record: &FusionRecord) -> CsvRow {
     let mut fields: Vec<CsvField> = vec![
         record.stamp.as_secs_f64().into(),
         u64::from(record.sensor.0).into(),
@@ -77,7 +79,7 @@ fn fusion(now: Timestamp<HostClock>, record: &FusionRecord) -> CsvRow {
         fields.extend(row.iter().skip(index).map(|entry| CsvField::from(*entry)));
     }
     fields.push(now.as_secs_f64().into());
-    CsvRow { stream: "fusion", header: columns::FUSION, fields }
+    CsvRow { stream: "fusion", header: columns::FUSION, fields, robot: Some(robot) }
 }
 
 fn temperature(event: &Event) -> Option<CsvRow> {
@@ -87,6 +89,7 @@ fn temperature(event: &Event) -> Option<CsvRow> {
     Some(CsvRow {
         stream: "temperature",
         header: columns::TEMPERATURE,
+        robot: Some(*brick),
         fields: vec![
             stamp.as_secs_f64().into(),
             arrival.as_secs_f64().into(),
@@ -108,6 +111,7 @@ fn clock(event: &Event) -> Option<CsvRow> {
     Some(CsvRow {
         stream: "clock",
         header: columns::CLOCK,
+        robot: Some(*robot),
         fields: vec![
             host.as_secs_f64().into(),
             brick.as_secs_f64().into(),
@@ -148,13 +152,14 @@ fn link(now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> CsvRow 
         u64::from(health.port.queued_frames).into(),
         u64::from(health.port.queued_bytes).into(),
     ]);
-    CsvRow { stream: "links", header: columns::LINKS, fields }
+    CsvRow { stream: "links", header: columns::LINKS, fields, robot: None }
 }
 
 fn source(now: Timestamp<HostClock>, link: LinkId, source: &SourceHealth) -> CsvRow {
     CsvRow {
         stream: "sources",
         header: columns::SOURCES,
+        robot: None,
         fields: vec![
             now.as_secs_f64().into(),
             u64::from(link.0).into(),
@@ -180,6 +185,7 @@ fn event_row(now: Timestamp<HostClock>, event: &Event) -> CsvRow {
     CsvRow {
         stream: "events",
         header: columns::EVENTS,
+        robot: None,
         fields: vec![
             now.as_secs_f64().into(),
             name.into(),
@@ -230,7 +236,7 @@ mod tests {
     use crate::csv::CsvWriter;
     use posebridge_telemetry::{
         BrickClock, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Pose, Radians, RadiansPerSecond,
-        RobotId, SensorId, Validity,
+        SensorId, Validity,
     };
     use std::cell::RefCell;
     use std::collections::BTreeMap;

@@ -14,6 +14,8 @@
 //! sources.csv        counters of each sender
 //! events.csv         everything else, in words
 //! ```
+//! The first five end in the column `robot`: its name, else `link/system/component`.
+//!
 //! Names of columns end in their unit, SI throughout. Positions and headings are in the arena, counter-clockwise
 //! positive.
 //!
@@ -30,7 +32,8 @@ use std::io::Write;
 
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
-use row::CsvRow;
+use crate::robot_names::RobotNames;
+use row::{CsvField, CsvRow};
 
 /// Opens a stream by its name, without extension.
 type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
@@ -39,12 +42,13 @@ type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
 pub struct CsvWriter<'o, W: Write> {
     open: Box<OpenFile<'o, W>>,
     files: BTreeMap<String, (W, u64)>,
+    names: RobotNames,
 }
 
 impl<'o, W: Write> CsvWriter<'o, W> {
     /// No stream yet.
     pub fn new(open: impl FnMut(&str) -> std::io::Result<W> + 'o) -> Self {
-        Self { open: Box::new(open), files: BTreeMap::new() }
+        Self { open: Box::new(open), files: BTreeMap::new(), names: RobotNames::default() }
     }
 
     /// Writes an event that happened at `now`.
@@ -52,6 +56,7 @@ impl<'o, W: Write> CsvWriter<'o, W> {
     /// # Errors
     /// A stream cannot be opened or written.
     pub fn record(&mut self, now: Timestamp<HostClock>, event: &Event) -> std::io::Result<()> {
+        self.names.observe(event);
         for row in events::rows(now, event) {
             self.write(&row)?;
         }
@@ -74,7 +79,7 @@ impl<'o, W: Write> CsvWriter<'o, W> {
     fn write(&mut self, row: &CsvRow) -> std::io::Result<()> {
         if !self.files.contains_key(row.stream) {
             let mut out = (self.open)(row.stream)?;
-            writeln!(out, "{}", row.header)?;
+            writeln!(out, "{}{}", row.header, if row.robot.is_some() { ",robot" } else { "" })?;
             self.files.insert(row.stream.to_owned(), (out, 0));
         }
         let Some((out, count)) = self.files.get_mut(row.stream) else {
@@ -86,6 +91,10 @@ impl<'o, W: Write> CsvWriter<'o, W> {
                 out.write_all(b",")?;
             }
             field.write(out)?;
+        }
+        if let Some(robot) = row.robot {
+            out.write_all(b",")?;
+            CsvField::from(self.names.label(robot)).write(out)?;
         }
         out.write_all(b"\n")
     }

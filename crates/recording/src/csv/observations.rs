@@ -1,6 +1,6 @@
 //! One stream per kind of observation.
 
-use posebridge_telemetry::{HostClock, Observation, ObservationKind, Timestamp};
+use posebridge_telemetry::{HostClock, Observation, ObservationKind, RobotId, Timestamp};
 
 use super::row::{CsvField, CsvRow};
 
@@ -11,8 +11,8 @@ macro_rules! columns {
     };
 }
 
-/// The line of an observation.
-pub(super) fn row(arrival: Timestamp<HostClock>, observation: &Observation) -> CsvRow {
+/// The line of an observation of a robot.
+pub(super) fn row(robot: RobotId, arrival: Timestamp<HostClock>, observation: &Observation) -> CsvRow {
     let (header, own) = kind_fields(&observation.measurement);
     let mut fields = vec![
         observation.stamp.as_secs_f64().into(),
@@ -21,7 +21,7 @@ pub(super) fn row(arrival: Timestamp<HostClock>, observation: &Observation) -> C
         u64::from(observation.sensor.0).into(),
     ];
     fields.extend(own);
-    CsvRow { stream: observation.measurement.kind(), header, fields }
+    CsvRow { stream: observation.measurement.kind(), header, fields, robot: Some(robot) }
 }
 
 fn kind_fields(observed: &ObservationKind) -> (&'static str, Vec<CsvField>) {

@@ -2,11 +2,15 @@
 
 use std::io::Write;
 
+use posebridge_telemetry::RobotId;
+
 /// A line for one stream.
 pub(super) struct CsvRow {
     pub(super) stream: &'static str,
     pub(super) header: &'static str,
     pub(super) fields: Vec<CsvField>,
+    /// Whom the line is about, in a stream that is about robots: its last column.
+    pub(super) robot: Option<RobotId>,
 }
 
 /// What stands between two commas.

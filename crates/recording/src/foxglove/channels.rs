@@ -1,20 +1,58 @@
-//! The output channels of a recording, each with its schema.
+//! The output channels of a recording, each with its schema, and the messages that go to them.
+
+use std::borrow::Cow;
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 
 use super::records;
+use super::robot_truth::RobotTruthRecord;
 use crate::container::TRUTH_TOPIC;
 
 /// A channel beside the inputs.
 #[derive(Clone, Copy, Debug)]
 pub struct Channel {
-    /// Its topic.
+    /// Its topic; where there is one channel for each robot, that of the first.
     pub topic: &'static str,
+    /// What the topic of another robot ends in, behind `/robots/` and the robot; `None` where one channel is for all robots.
+    pub robot_topic: Option<&'static str>,
     /// Name of its schema; Foxglove and its like know a `foxglove.*` message by it.
     pub schema: &'static str,
     /// How its messages are encoded.
     pub(crate) encoding: Encoding,
+}
+
+/// One message for a channel beside the inputs.
+#[derive(Debug)]
+pub(crate) struct EncodedMessage {
+    pub(crate) channel: Channel,
+    /// Stands for the robot in the topic; `None` for the first.
+    pub(crate) robot: Option<Arc<str>>,
+    pub(crate) data: Vec<u8>,
+}
+
+/// Which channel of a file a message goes to.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct ChannelKey {
+    topic: &'static str,
+    robot: Option<Arc<str>>,
+}
+
+impl EncodedMessage {
+    /// The channel that it goes to.
+    pub(crate) fn key(&self) -> ChannelKey {
+        let robot = self.channel.robot_topic.and_then(|_| self.robot.clone());
+        ChannelKey { topic: self.channel.topic, robot }
+    }
+
+    /// The topic of that channel.
+    pub(crate) fn topic(&self) -> Cow<'static, str> {
+        match (&self.robot, self.channel.robot_topic) {
+            (Some(robot), Some(topic)) => Cow::Owned(format!("/robots/{robot}/{topic}")),
+            (None, _) | (_, None) => Cow::Borrowed(self.channel.topic),
+        }
+    }
 }
 
 /// How the messages of a channel are encoded, with the text or bytes of their schema.
@@ -37,9 +75,10 @@ impl Encoding {
 }
 
 macro_rules! foxglove {
-    ($topic:literal, $message:literal) => {
+    ($topic:literal, $message:literal, $robot_topic:expr) => {
         Channel {
             topic: $topic,
+            robot_topic: $robot_topic,
             schema: concat!("foxglove.", $message),
             encoding: Encoding::Protobuf(include_bytes!(concat!("descriptors/", $message, ".bin"))),
         }
@@ -48,32 +87,53 @@ macro_rules! foxglove {
 
 const fn json(topic: &'static str, schema: &'static str, text: fn() -> String) -> Channel {
     let encoding = Encoding::Json(text);
-    Channel { topic, schema, encoding }
+    Channel { topic, robot_topic: None, schema, encoding }
 }
 
-pub(super) const ODOMETRY: Channel = foxglove!("/posebridge/odometry", "Odometry");
-pub(super) const POSE: Channel = foxglove!("/posebridge/pose", "PoseInFrame");
-pub(super) const PATH: Channel = foxglove!("/posebridge/path", "PosesInFrame");
-pub(super) const ELLIPSE: Channel = foxglove!("/posebridge/ellipse", "SceneUpdate");
-pub(super) const TRANSFORM: Channel = foxglove!("/tf", "FrameTransform");
-pub(super) const FIX: Channel = foxglove!("/camera/fix", "PoseInFrame");
-pub(super) const LOG: Channel = foxglove!("/log", "Log");
-pub(super) const TRUE_POSE: Channel = foxglove!("/truth/pose", "PoseInFrame");
+const fn json_of_robot(
+    topic: &'static str,
+    robot_topic: &'static str,
+    schema: &'static str,
+    text: fn() -> String,
+) -> Channel {
+    Channel { robot_topic: Some(robot_topic), ..json(topic, schema, text) }
+}
+
+pub(super) const ODOMETRY: Channel = foxglove!("/posebridge/odometry", "Odometry", Some("odometry"));
+pub(super) const POSE: Channel = foxglove!("/posebridge/pose", "PoseInFrame", Some("pose"));
+pub(super) const PATH: Channel = foxglove!("/posebridge/path", "PosesInFrame", Some("path"));
+pub(super) const ELLIPSE: Channel = foxglove!("/posebridge/ellipse", "SceneUpdate", Some("ellipse"));
+pub(super) const TRANSFORM: Channel = foxglove!("/tf", "FrameTransform", None);
+pub(super) const FIX: Channel = foxglove!("/camera/fix", "PoseInFrame", Some("camera/fix"));
+pub(super) const LOG: Channel = foxglove!("/log", "Log", None);
+pub(super) const TRUE_POSE: Channel = foxglove!("/truth/pose", "PoseInFrame", Some("truth/pose"));
 
 pub(super) const ESTIMATE: Channel =
-    json("posebridge/estimate", "posebridge.Estimate", schema_of::<records::EstimateRecord>);
-pub(super) const FUSION: Channel = json("posebridge/fusion", "posebridge.Fusion", schema_of::<records::FusedRecord>);
+    json_of_robot("posebridge/estimate", "estimate", "posebridge.Estimate", schema_of::<records::EstimateRecord>);
+pub(super) const FUSION: Channel =
+    json_of_robot("posebridge/fusion", "fusion", "posebridge.Fusion", schema_of::<records::FusedRecord>);
 pub(super) const LINK_HEALTH: Channel =
     json("posebridge/link_health", "posebridge.LinkHealth", schema_of::<records::HealthRecord>);
-pub(super) const CLOCK: Channel = json("posebridge/clock", "posebridge.Clock", schema_of::<records::ClockRecord>);
-pub(super) const CALIBRATION: Channel =
-    json("posebridge/calibration", "posebridge.Calibration", schema_of::<records::CalibrationRecord>);
-pub(super) const TEMPERATURE: Channel =
-    json("posebridge/temperature", "posebridge.Temperature", schema_of::<records::TemperatureRecord>);
+pub(super) const CLOCK: Channel =
+    json_of_robot("posebridge/clock", "clock", "posebridge.Clock", schema_of::<records::ClockRecord>);
+pub(super) const CALIBRATION: Channel = json_of_robot(
+    "posebridge/calibration",
+    "calibration",
+    "posebridge.Calibration",
+    schema_of::<records::CalibrationRecord>,
+);
+pub(super) const TEMPERATURE: Channel = json_of_robot(
+    "posebridge/temperature",
+    "temperature",
+    "posebridge.Temperature",
+    schema_of::<records::TemperatureRecord>,
+);
 pub(super) const COMMAND: Channel =
     json("posebridge/command", "posebridge.Command", schema_of::<records::CommandRecord>);
 pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
 pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
+/// [`TRUTH`] where the samples say which robot they are of; without, a recording of one robot has the bytes that it always had.
+pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<RobotTruthRecord>);
 
 /// Every channel beside the inputs.
 pub const CHANNELS: &[Channel] = &[

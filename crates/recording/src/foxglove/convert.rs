@@ -7,15 +7,15 @@ use super::wire;
 
 /// Name of [`Arena`] in messages.
 pub(super) const ARENA: &str = "arena";
-/// Name of [`posebridge_telemetry::Body`] in messages.
+/// Name of [`posebridge_telemetry::Body`] of the first robot in messages.
 pub(super) const BODY: &str = "body";
 /// So many standard deviations around the mean hold 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05).
 const SIGMAS_95: f64 = 2.447_746_830_680_816;
 /// Height of the ellipse's disc, m: flat, but not so flat that a viewer lets it flicker.
 const DISC_HEIGHT_M: f64 = 0.002;
 
-/// Pose and speeds with their covariances.
-pub(super) fn odometry_of(estimate: &Estimate, timestamp: Option<wire::Timestamp>) -> wire::Odometry {
+/// Pose and speeds with their covariances, of the robot whose body has this name.
+pub(super) fn odometry_of(estimate: &Estimate, body: &str, timestamp: Option<wire::Timestamp>) -> wire::Odometry {
     // Rows of a pose in space, and of a velocity, that a robot on a plane has.
     const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
     const VELOCITY_ROWS: [(usize, usize); 2] = [(0, row::FORWARD), (5, row::TURN)];
@@ -34,7 +34,7 @@ pub(super) fn odometry_of(estimate: &Estimate, timestamp: Option<wire::Timestamp
     wire::Odometry {
         timestamp,
         frame_id: ARENA.to_owned(),
-        body_frame_id: BODY.to_owned(),
+        body_frame_id: body.to_owned(),
         pose: Some(pose_of(&estimate.pose)),
         linear_velocity: vector(estimate.forward_speed.0, 0.0),
         angular_velocity: vector(0.0, estimate.turn_rate.0),

@@ -3,7 +3,8 @@
 //! Protocol buffers of Foxglove's schemas for what every viewer draws (odometry, pose, path, transform, ellipse, fixes,
 //! log); JSON with a schema for the rest (innovations, health of links, clocks, calibration, temperature, commands,
 //! gaps, truth). [`OutputEncoder`] converts events to messages; [`crate::container::RecordingWriter`] stores them
-//! beside the inputs of a recording. A replay does not read them: it computes the same events from the inputs.
+//! beside the inputs of a recording. A replay does not read them: it computes the same events from the inputs. Robots
+//! after the first have topics and a frame of their own.
 //!
 //! # Model
 //! ```text
@@ -17,9 +18,11 @@ mod channels;
 mod convert;
 mod outputs;
 mod records;
+mod robot_outputs;
+mod robot_truth;
 mod wire;
 
 pub use channels::{CHANNELS, Channel};
-pub(crate) use outputs::EncodedMessage;
+pub(crate) use channels::{ChannelKey, EncodedMessage};
 pub use outputs::OutputEncoder;
-pub(crate) use outputs::{calibration_message, command_message, gap_message};
+pub(crate) use outputs::{command_message, gap_message};

@@ -1,77 +1,47 @@
 //! From events to messages.
 
-use std::collections::BTreeMap;
-
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkState,
-    Observation, ObservationKind, Pose, RobotId, SensorId, TimeDelta, Timestamp,
+    Arena, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkState, Observation,
+    ObservationKind, Pose, RobotId, TimeDelta, Timestamp,
 };
 use serde::Serialize;
 
-use super::channels::{self, Channel};
-use super::convert::{ARENA, BODY, ellipse_of, log_level, odometry_of, pose_of};
+use super::channels::{self, Channel, EncodedMessage};
+use super::convert::{ARENA, ellipse_of, log_level, odometry_of, pose_of};
 use super::records::{
     CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
     TemperatureRecord, TruthRecord, finite,
 };
+use super::robot_outputs::{ClockAlignmentPoint, RobotOutputsTable};
+use super::robot_truth::RobotTruthRecord;
 use super::wire;
 use crate::container::{RecordingGap, TruthSample};
 
 /// The path is written this often: it is whole each time.
 const PATH_PERIOD: TimeDelta = TimeDelta::from_millis(2_000);
-/// The path has at most so many poses; from then on every second one stays.
-const PATH_POSES: usize = 256;
-
-/// One message for a channel beside the inputs.
-#[derive(Debug)]
-pub(crate) struct EncodedMessage {
-    pub(crate) channel: Channel,
-    pub(crate) data: Vec<u8>,
-}
 
 /// Turns events into messages, in the order in which they happened.
 #[derive(Debug)]
 pub struct OutputEncoder {
+    utc: UtcClock,
+    /// Estimates, and fusions of one sensor and kind, of a robot lie at least so far apart.
+    spacing: TimeDelta,
+    robots: RobotOutputsTable,
+}
+
+/// The host's clock in UTC.
+#[derive(Clone, Copy, Debug)]
+struct UtcClock {
     /// UTC of the host clock's zero, ns.
     zero_nanos: u64,
-    /// Estimates, and fusions of one sensor and kind, lie at least so far apart.
-    spacing: TimeDelta,
-    alignment: Option<ClockAlignmentPoint>,
-    last_estimate: Option<Timestamp<HostClock>>,
-    last_fusions: BTreeMap<(SensorId, &'static str), Option<Timestamp<HostClock>>>,
-    path: PathHistory,
-}
-
-/// An instant by both clocks.
-#[derive(Clone, Copy, Debug)]
-struct ClockAlignmentPoint {
-    host: Timestamp<HostClock>,
-    brick: Timestamp<BrickClock>,
-    skew_ppm: f64,
-}
-
-/// Where the robot has been.
-#[derive(Debug, Default)]
-struct PathHistory {
-    poses: Vec<wire::Pose>,
-    stride: usize,
-    pose_count: usize,
-    last_written: Option<Timestamp<HostClock>>,
 }
 
 impl OutputEncoder {
-    /// For a session whose host clock was zero at this UTC, in nanoseconds. Estimates, and fusions of one sensor and kind that were
-    /// accepted, are thinned to this spacing; whatever was not accepted stays.
+    /// For a session whose host clock was zero at this UTC, in nanoseconds. Of each robot, estimates, and fusions of one sensor and kind that
+    /// were accepted, are thinned to this spacing; whatever was not accepted stays.
     #[must_use]
     pub fn new(zero_nanos: u64, spacing: TimeDelta) -> Self {
-        Self {
-            zero_nanos,
-            spacing,
-            alignment: None,
-            last_estimate: None,
-            last_fusions: BTreeMap::new(),
-            path: PathHistory::default(),
-        }
+        Self { utc: UtcClock { zero_nanos }, spacing, robots: RobotOutputsTable::default() }
     }
 
     /// Sets how far apart estimates lie at least.
@@ -79,15 +49,28 @@ impl OutputEncoder {
         self.spacing = spacing;
     }
 
+    /// How many messages are missing because there are too many robots for each to have topics.
+    pub(crate) const fn skipped(&self) -> u64 {
+        self.robots.skipped()
+    }
+
     /// The messages of an event that came at `now`.
     pub(crate) fn encode_event(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<EncodedMessage> {
+        self.robots.observe_name(event);
+        let mut messages = self.messages_of(now, event);
+        let warning = self.robots.take_overflow_warning();
+        messages.extend(warning.map(|text| self.log_message(now, 4, "recording", &text)));
+        messages
+    }
+
+    fn messages_of(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<EncodedMessage> {
         match event {
-            Event::EstimateUpdated { estimate, .. } => self.estimate_messages(now, estimate),
-            Event::ObservationFused { record, .. } => self.fusion_messages(now, record),
-            Event::ObservationAligned { observation, .. } => self.fix_message(now, observation).into_iter().collect(),
-            Event::BrickClockAligned { .. } => self.brick_clock_message(event).into_iter().collect(),
+            Event::EstimateUpdated { robot, estimate } => self.estimate_messages(*robot, now, estimate),
+            Event::ObservationFused { robot, record } => self.fusion_messages(*robot, now, record),
+            Event::ObservationAligned { robot, observation, .. } => self.fix_messages(*robot, now, observation),
+            Event::BrickClockAligned { .. } => self.brick_clock_messages(event),
             Event::CameraClockAligned { .. } => camera_clock_message(event).into_iter().collect(),
-            Event::Temperature { .. } => temperature_message(event).into_iter().collect(),
+            Event::Temperature { brick, .. } => self.temperature_messages(*brick, event),
             Event::Health { link, health, sources } => {
                 json_message(channels::LINK_HEALTH, &HealthRecord::new(*link, health, sources)).into_iter().collect()
             }
@@ -110,7 +93,7 @@ impl OutputEncoder {
         text: &str,
     ) -> EncodedMessage {
         let log = wire::Log {
-            timestamp: Some(self.time(now)),
+            timestamp: Some(self.utc.timestamp(now)),
             level: log_level(severity),
             message: text.to_owned(),
             name: name.to_owned(),
@@ -118,90 +101,147 @@ impl OutputEncoder {
         protobuf_message(channels::LOG, &log)
     }
 
-    /// The truth of one instant, and by the last alignment of the brick's clock when that was.
+    /// What the filter of a robot has learned; `None` is the first robot.
+    pub(crate) fn calibration_messages(
+        &mut self,
+        robot: Option<RobotId>,
+        calibration: &Calibration,
+    ) -> Vec<EncodedMessage> {
+        let Some(outputs) = self.robots.get_or_add(robot) else {
+            return Vec::new();
+        };
+        let message = json_message(channels::CALIBRATION, &CalibrationRecord::from(calibration));
+        let mut messages: Vec<EncodedMessage> = message.into_iter().collect();
+        outputs.assign(&mut messages);
+        messages
+    }
+
+    /// The truth of one instant, and by the last alignment of that robot's clock when that was.
     pub(crate) fn truth_messages(
-        &self,
+        &mut self,
         end: Timestamp<HostClock>,
         sample: &TruthSample,
     ) -> (Timestamp<HostClock>, Vec<EncodedMessage>) {
-        let at = self.host_time(sample.time).unwrap_or(end).max(Timestamp::ZERO);
-        let pose = wire::PoseInFrame {
-            timestamp: Some(self.time(at)),
-            frame_id: ARENA.to_owned(),
-            pose: Some(pose_of(&sample.pose)),
-        };
-        let mut messages = vec![protobuf_message(channels::TRUE_POSE, &pose)];
-        messages.extend(json_message(channels::TRUTH, &TruthRecord::from(sample)));
+        let mut messages = Vec::new();
+        let mut at = end;
+        if let Some(outputs) = self.robots.get_or_add(sample.robot) {
+            at = outputs.host_time(sample.time).unwrap_or(end).max(Timestamp::ZERO);
+            let pose = wire::PoseInFrame {
+                timestamp: Some(self.utc.timestamp(at)),
+                frame_id: ARENA.to_owned(),
+                pose: Some(pose_of(&sample.pose)),
+            };
+            messages.push(protobuf_message(channels::TRUE_POSE, &pose));
+            outputs.assign(&mut messages);
+        }
+        // It is read back: that of a robot without topics is kept as well.
+        messages.extend(match sample.robot {
+            None => json_message(channels::TRUTH, &TruthRecord::from(sample)),
+            Some(robot) => json_message(channels::ROBOT_TRUTH, &RobotTruthRecord::new(robot, sample)),
+        });
         (at, messages)
     }
 
-    fn estimate_messages(&mut self, now: Timestamp<HostClock>, estimate: &Estimate) -> Vec<EncodedMessage> {
-        if !is_due(&mut self.last_estimate, now, self.spacing) {
+    fn estimate_messages(
+        &mut self,
+        robot: RobotId,
+        now: Timestamp<HostClock>,
+        estimate: &Estimate,
+    ) -> Vec<EncodedMessage> {
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
+        };
+        if !is_due(&mut outputs.last_estimate, now, self.spacing) {
             return Vec::new();
         }
         let mut messages: Vec<EncodedMessage> =
             json_message(channels::ESTIMATE, &EstimateRecord::from(estimate)).into_iter().collect();
         if !(estimate.validity.position && estimate.validity.heading) {
+            outputs.assign(&mut messages);
             return messages;
         }
-        let timestamp = Some(self.time(self.host_time(estimate.stamp).unwrap_or(now)));
+        let timestamp = Some(self.utc.timestamp(outputs.host_time(estimate.stamp).unwrap_or(now)));
         let pose = pose_of(&estimate.pose);
-        messages.push(protobuf_message(channels::ODOMETRY, &odometry_of(estimate, timestamp)));
+        let odometry = odometry_of(estimate, &outputs.body_frame, timestamp);
+        messages.push(protobuf_message(channels::ODOMETRY, &odometry));
         let frame_id = ARENA.to_owned();
         let in_arena = wire::PoseInFrame { timestamp, frame_id, pose: Some(pose) };
         messages.push(protobuf_message(channels::POSE, &in_arena));
         let transform = wire::FrameTransform {
             timestamp,
             parent_frame_id: ARENA.to_owned(),
-            child_frame_id: BODY.to_owned(),
+            child_frame_id: outputs.body_frame.clone(),
             translation: pose.position,
             rotation: pose.orientation,
         };
         messages.push(protobuf_message(channels::TRANSFORM, &transform));
         let ellipse = ellipse_of(estimate, timestamp);
         messages.extend(ellipse.map(|scene| protobuf_message(channels::ELLIPSE, &scene)));
-        self.path.push(pose);
-        if is_due(&mut self.path.last_written, now, PATH_PERIOD) {
-            let path = wire::PosesInFrame { timestamp, frame_id: ARENA.to_owned(), poses: self.path.poses.clone() };
+        outputs.path.push(pose);
+        if is_due(&mut outputs.path.last_written, now, PATH_PERIOD) {
+            let path = wire::PosesInFrame { timestamp, frame_id: ARENA.to_owned(), poses: outputs.path.poses.clone() };
             messages.push(protobuf_message(channels::PATH, &path));
         }
+        outputs.assign(&mut messages);
         messages
     }
 
-    fn fusion_messages(&mut self, now: Timestamp<HostClock>, record: &FusionRecord) -> Vec<EncodedMessage> {
-        let last = self.last_fusions.entry((record.sensor, record.kind));
+    fn fusion_messages(
+        &mut self,
+        robot: RobotId,
+        now: Timestamp<HostClock>,
+        record: &FusionRecord,
+    ) -> Vec<EncodedMessage> {
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
+        };
+        let last = outputs.last_fusions.entry((record.sensor, record.kind));
         let is_due = is_due(last.or_default(), now, self.spacing);
         let mut messages = Vec::new();
         if is_due || !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::Unused) {
             messages.extend(json_message(channels::FUSION, &FusedRecord::from(record)));
+            outputs.assign(&mut messages);
         }
         if record.outcome == FusionOutcome::PoseReset {
-            let text = format!("the estimate was moved to a {}", record.kind);
+            let text = format!("{} was moved to a {}", outputs.estimate_name(), record.kind);
             messages.push(self.log_message(now, 4, "estimator", &text));
         }
         messages
     }
 
-    fn fix_message(&self, now: Timestamp<HostClock>, observation: &Observation) -> Option<EncodedMessage> {
+    fn fix_messages(
+        &mut self,
+        robot: RobotId,
+        now: Timestamp<HostClock>,
+        observation: &Observation,
+    ) -> Vec<EncodedMessage> {
         let ObservationKind::Fix(fix) = observation.measurement else {
-            return None;
+            return Vec::new();
+        };
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
         };
         let heading = fix.heading.unwrap_or_default();
         let pose = Pose::<Arena>::new(fix.position.x, fix.position.y, heading);
-        let at = self.host_time(observation.stamp).unwrap_or(now);
+        let at = outputs.host_time(observation.stamp).unwrap_or(now);
         let pose = wire::PoseInFrame {
-            timestamp: Some(self.time(at)),
+            timestamp: Some(self.utc.timestamp(at)),
             frame_id: ARENA.to_owned(),
             pose: Some(pose_of(&pose)),
         };
-        Some(protobuf_message(channels::FIX, &pose))
+        let mut messages = vec![protobuf_message(channels::FIX, &pose)];
+        outputs.assign(&mut messages);
+        messages
     }
 
-    fn brick_clock_message(&mut self, event: &Event) -> Option<EncodedMessage> {
+    fn brick_clock_messages(&mut self, event: &Event) -> Vec<EncodedMessage> {
         let Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host } = *event else {
-            return None;
+            return Vec::new();
         };
-        self.alignment = Some(ClockAlignmentPoint { host, brick, skew_ppm });
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
+        };
+        outputs.alignment = Some(ClockAlignmentPoint { host, brick, skew_ppm });
         let record = ClockRecord {
             clock: "brick",
             system: robot.address.system.0,
@@ -213,7 +253,18 @@ impl OutputEncoder {
             uncertainty_s: uncertainty.as_secs_f64(),
             round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
         };
-        json_message(channels::CLOCK, &record)
+        let mut messages: Vec<EncodedMessage> = json_message(channels::CLOCK, &record).into_iter().collect();
+        outputs.assign(&mut messages);
+        messages
+    }
+
+    /// A thermometer may be that of a brick that is no robot.
+    fn temperature_messages(&self, brick: RobotId, event: &Event) -> Vec<EncodedMessage> {
+        let mut messages: Vec<EncodedMessage> = temperature_message(event).into_iter().collect();
+        if let Some(outputs) = self.robots.find_other(brick) {
+            outputs.assign(&mut messages);
+        }
+        messages
     }
 
     /// What a person would want to read of an event.
@@ -245,16 +296,10 @@ impl OutputEncoder {
         };
         Some(self.log_message(now, severity, name, &text))
     }
+}
 
-    /// When the host's clock showed what the brick's does; `None` before the first alignment.
-    fn host_time(&self, brick: Timestamp<BrickClock>) -> Option<Timestamp<HostClock>> {
-        let ClockAlignmentPoint { host, brick: zero, skew_ppm } = self.alignment?;
-        let since_s = (brick - zero).as_secs_f64() / (1.0 + 1e-6 * skew_ppm);
-        Some(host + TimeDelta::from_secs_f64(since_s))
-    }
-
-    /// UTC.
-    fn time(&self, at: Timestamp<HostClock>) -> wire::Timestamp {
+impl UtcClock {
+    fn timestamp(self, at: Timestamp<HostClock>) -> wire::Timestamp {
         let nanos = i128::from(self.zero_nanos) + i128::from(at.as_nanos());
         wire::Timestamp {
             seconds: nanos.div_euclid(1_000_000_000) as i64,
@@ -263,32 +308,9 @@ impl OutputEncoder {
     }
 }
 
-impl PathHistory {
-    fn push(&mut self, pose: wire::Pose) {
-        self.stride = self.stride.max(1);
-        if self.pose_count.is_multiple_of(self.stride) {
-            self.poses.push(pose);
-        }
-        self.pose_count += 1;
-        if self.poses.len() >= PATH_POSES {
-            let mut is_kept = false;
-            self.poses.retain(|_| {
-                is_kept = !is_kept;
-                is_kept
-            });
-            self.stride *= 2;
-        }
-    }
-}
-
 /// A request of a person or a program as a message; `robot` is the one that it is for, if it names one.
 pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> Option<EncodedMessage> {
     json_message(channels::COMMAND, &CommandRecord::new(command, robot))
-}
-
-/// What the filter has learned as a message.
-pub(crate) fn calibration_message(calibration: &Calibration) -> Option<EncodedMessage> {
-    json_message(channels::CALIBRATION, &CalibrationRecord::from(calibration))
 }
 
 /// Inputs that are missing as a message.
@@ -342,11 +364,11 @@ fn temperature_message(event: &Event) -> Option<EncodedMessage> {
 
 fn protobuf_message(channel: Channel, message: &impl prost::Message) -> EncodedMessage {
     let data = message.encode_to_vec();
-    EncodedMessage { channel, data }
+    EncodedMessage { channel, robot: None, data }
 }
 
 /// A record as JSON. It has numbers, texts and lists alone, so that there is always one.
 fn json_message(channel: Channel, record: &impl Serialize) -> Option<EncodedMessage> {
     let data = serde_json::to_vec(record).ok()?;
-    Some(EncodedMessage { channel, data })
+    Some(EncodedMessage { channel, robot: None, data })
 }

@@ -6,6 +6,7 @@
 mod damage;
 mod older;
 mod properties;
+mod truth;
 
 use std::cell::RefCell;
 use std::io::{Cursor, Result as IoResult, Seek, SeekFrom, Write};
@@ -275,6 +276,7 @@ fn a_later_part_says_what_it_continues_and_counts_on() {
 fn the_truth_of_a_run_comes_back_and_is_no_input() {
     let samples: Vec<TruthSample> = (0..100)
         .map(|n| TruthSample {
+            robot: None,
             time: Timestamp::from_millis(20 * n),
             pose: Pose::new(Meters(0.1 * n as f64), Meters(-0.3), Heading::from_rad(0.07 * n as f64)),
             odometry: (n % 2 == 0).then(|| Pose::new(Meters(0.11), Meters(1.0 / 3.0), Heading::from_rad(-1.0))),

@@ -74,6 +74,6 @@ fn a_file_that_was_put_together_by_hand_from_the_specification_is_read() {
         [(Timestamp::from_micros(1), Input::Tick), (Timestamp::from_micros(2), hello), (Timestamp::from_micros(3), up)];
     assert_eq!(read_all(bytes), expected);
     let pose = Pose::new(Meters(1.5), Meters(-2.0), Heading::from_rad(0.5));
-    let sample = TruthSample { time: Timestamp::from_nanos(7), pose, odometry: None };
+    let sample = TruthSample { robot: None, time: Timestamp::from_nanos(7), pose, odometry: None };
     assert_eq!(read_truth(bytes).unwrap(), [sample]);
 }

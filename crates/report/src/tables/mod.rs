@@ -11,6 +11,6 @@ mod text_table;
 
 pub use cells::NO_VALUE;
 pub use replay::{EstimatorRow, estimator_table, runs_table, source_table};
-pub use run::{RunRow, run_table};
+pub use run::{RobotErrors, RobotRow, RunRow, robots_table, run_table};
 pub use smooth::{SmoothRow, smooth_table};
 pub use text_table::TextTable;

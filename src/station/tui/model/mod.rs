@@ -6,7 +6,7 @@
 mod recent;
 mod robot;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
     ClockRow, ErrorsRow, Frame, LinkRow, LogLine, RecordingNow, SimulatorFacts, TruthPoint,
@@ -33,10 +33,10 @@ pub struct Model {
     pub now_s: f64,
     /// Every robot that was heard.
     pub robots: Vec<Robot>,
-    /// Where the simulated robot really was.
-    pub truth: RecentPoints<TruthPoint>,
-    /// How far odometry and estimate are from it.
-    pub errors: Option<ErrorsRow>,
+    /// Where the only simulated robot really was.
+    truth: RecentPoints<TruthPoint>,
+    /// How far odometry and estimate of the first simulated robot are from the truth.
+    errors: Option<ErrorsRow>,
     /// All links.
     pub links: Vec<LinkRow>,
     /// The alignment of the robot's clock.
@@ -60,8 +60,8 @@ pub struct Selection {
     pub panel: Option<usize>,
     /// Whether the keys are explained.
     pub has_help: bool,
-    /// Whether the simulated camera was covered from here.
-    pub is_camera_covered: bool,
+    /// The robots whose simulated cameras were covered from here.
+    pub covered_cameras: BTreeSet<String>,
     /// What was done last, and when.
     pub notice: Option<(f64, &'static str)>,
 }
@@ -82,7 +82,13 @@ impl Model {
             }
         }
         for point in &frame.truth {
-            self.truth.push(point.t_s, point.clone());
+            let truth = match &point.robot {
+                None => Some(&mut self.truth),
+                Some(id) => self.robot(id).map(|robot| &mut robot.truth),
+            };
+            if let Some(truth) = truth {
+                truth.push(point.t_s, point.clone());
+            }
         }
         if let Some(errors) = &frame.errors {
             self.errors = Some(errors.clone());
@@ -134,6 +140,20 @@ impl Model {
         let shown = self.visible_robots();
         let last = shown.len().checked_sub(1)?;
         shown.get(self.selection.robot.min(last)).copied()
+    }
+
+    /// Where the chosen robot really was, if it is simulated.
+    #[must_use]
+    pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
+        let own = self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty());
+        own.or_else(|| (self.visible_robots().len() <= 1).then_some(&self.truth))
+    }
+
+    /// How far odometry and estimate of the chosen robot are from its truth.
+    #[must_use]
+    pub fn selected_errors(&self) -> Option<&ErrorsRow> {
+        let own = self.selected_robot().and_then(|robot| robot.errors.as_ref());
+        own.or_else(|| self.errors.as_ref().filter(|_| self.visible_robots().len() <= 1))
     }
 
     fn robot(&mut self, id: &str) -> Option<&mut Robot> {

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_dashboard::model::{CalibrationRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame};
+use posebridge_dashboard::model::{
+    CalibrationRow, ErrorsRow, EstimatePoint, FixPoint, FusionPoint, RobotFrame, TruthPoint,
+};
 use posebridge_report::RecentNis;
 
 use super::RecentPoints;
@@ -15,10 +17,16 @@ const MAX_SOURCES: usize = 32;
 pub struct Robot {
     /// Link, system and component.
     pub id: String,
+    /// Its configured name, if it has one.
+    pub name: Option<String>,
     /// Its estimates.
     pub estimates: RecentPoints<EstimatePoint>,
     /// Fixes of it.
     pub fixes: RecentPoints<FixPoint>,
+    /// Where it really was, if it is one of several simulated robots.
+    pub truth: RecentPoints<TruthPoint>,
+    /// How far odometry and estimate are from that.
+    pub errors: Option<ErrorsRow>,
     /// Its sensors, by their names.
     pub sources: BTreeMap<String, SourceModel>,
     /// What was learned about it.
@@ -43,7 +51,19 @@ impl Robot {
         Self { id: id.to_owned(), ..Self::default() }
     }
 
+    /// What people read: the name, else the id.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.id)
+    }
+
     pub(super) fn on_frame(&mut self, part: &RobotFrame) {
+        if part.name.is_some() {
+            self.name.clone_from(&part.name);
+        }
+        if part.errors.is_some() {
+            self.errors.clone_from(&part.errors);
+        }
         for estimate in &part.estimates {
             self.estimates.push(estimate.t_s, estimate.clone());
         }

@@ -10,6 +10,7 @@ use ratatui::widgets::Widget;
 use ratatui::widgets::canvas::{Canvas, Context, Line, Points};
 
 use super::panel::Panel;
+use crate::station::tui::format::sanitize;
 use crate::station::tui::model::{Model, Robot};
 use crate::station::tui::theme::{StyleRole, Theme};
 
@@ -81,6 +82,23 @@ struct Map<'a> {
     ellipse: Vec<MapPoint>,
     fixes: Vec<&'a FixPoint>,
     latest: Option<&'a EstimatePoint>,
+    /// The robots that are not chosen.
+    others: Vec<OtherRobot>,
+}
+
+/// A robot that is not chosen: where it is and what it is called.
+struct OtherRobot {
+    place: MapPoint,
+    heading_rad: Number,
+    label: String,
+}
+
+impl OtherRobot {
+    fn of(robot: &Robot) -> Option<Self> {
+        let latest = robot.estimates.last()?;
+        let place = map_point(latest.x_m, latest.y_m)?;
+        Some(Self { place, heading_rad: latest.heading_rad, label: sanitize(robot.label()) })
+    }
 }
 
 impl<'a> Map<'a> {
@@ -88,23 +106,25 @@ impl<'a> Map<'a> {
         let robot = model.selected_robot();
         let latest = robot.and_then(|robot| robot.estimates.last());
         let path = model.simulator.as_ref().map_or(&[][..], |known| known.path.as_slice());
-        let odometry = model.truth.iter().filter_map(|point| point.odometry);
+        let truth = model.selected_truth();
+        let odometry = truth.iter().flat_map(|truth| truth.iter()).filter_map(|point| point.odometry);
         Self {
             path: path.iter().map(|[x_m, y_m]| (*x_m, *y_m)).collect(),
-            truth: map_points(model.truth.iter().map(|point| (point.x_m, point.y_m))),
+            truth: map_points(truth.iter().flat_map(|truth| truth.iter()).map(|point| (point.x_m, point.y_m))),
             odometry: map_points(odometry.map(|[x_m, y_m, _]| (x_m, y_m))),
             estimate: robot
                 .map_or_else(Vec::new, |robot| map_points(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))),
             ellipse: latest.and_then(ellipse_of).unwrap_or_default(),
             fixes: robot.map_or_else(Vec::new, |robot| fixes_of(robot, model.now_s)),
             latest,
+            others: others_of(model),
         }
     }
 
     /// Every place that has to be seen. Fixes may be anywhere.
     fn visible_points(&self) -> impl Iterator<Item = &MapPoint> {
         let lines = [&self.path, &self.truth, &self.odometry, &self.estimate];
-        lines.into_iter().flatten()
+        lines.into_iter().flatten().chain(self.others.iter().map(|other| &other.place))
     }
 
     fn paint(&self, look: Theme, context: &mut Context<'_>) {
@@ -123,6 +143,11 @@ impl<'a> Map<'a> {
                 context.print(x, y, Span::styled(sign, look.style(role)));
             }
         }
+        for other in &self.others {
+            let (x, y) = other.place;
+            let text = format!("{} {}", arrow_of(other.heading_rad), other.label);
+            context.print(x, y, Span::styled(text, look.style(StyleRole::Quiet)));
+        }
         let ends = [("T", &self.truth, StyleRole::Truth), ("O", &self.odometry, StyleRole::Odometry)];
         for (letter, trail, role) in ends {
             if let Some((x, y)) = trail.last() {
@@ -136,6 +161,12 @@ impl<'a> Map<'a> {
             context.print(x, y, Span::styled(arrow, look.style(StyleRole::Estimate)));
         }
     }
+}
+
+fn others_of(model: &Model) -> Vec<OtherRobot> {
+    let selected = model.selected_robot().map(|robot| robot.id.as_str());
+    let others = model.visible_robots().into_iter().filter(|robot| Some(robot.id.as_str()) != selected);
+    others.filter_map(OtherRobot::of).collect()
 }
 
 fn draw_polyline(places: &[MapPoint], look: Theme, role: StyleRole, context: &mut Context<'_>) {

@@ -8,6 +8,7 @@ mod events;
 mod links;
 mod panel;
 mod pose;
+mod robots;
 mod sources;
 
 pub use panel::Panel;
@@ -15,4 +16,4 @@ pub use panel::Panel;
 /// Every panel, in the order in which Tab shows them. Adding one: a file here and a line in this table. The first has the large place
 /// where all are shown together, the last the broad one below; the others stand between as far as there is room.
 pub const PANELS: &[Panel] =
-    &[arena::PANEL, pose::PANEL, sources::PANEL, links::PANEL, calibration::PANEL, events::PANEL];
+    &[arena::PANEL, pose::PANEL, robots::PANEL, sources::PANEL, links::PANEL, calibration::PANEL, events::PANEL];

@@ -26,7 +26,7 @@ fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
 
 /// How far odometry and estimate are from the truth; of a real robot nobody knows.
 fn error_line(model: &Model, look: Theme) -> Line<'static> {
-    match &model.errors {
+    match model.selected_errors() {
         Some(errors) => Line::from(vec![
             Span::styled(format!("odometry {} m off", fixed(errors.odometry_m, 2)), look.style(StyleRole::Odometry)),
             Span::raw(", "),

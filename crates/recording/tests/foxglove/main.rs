@@ -2,8 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
-#[path = "support/protobuf.rs"]
+#[path = "../support/protobuf.rs"]
 mod protobuf;
+mod robots;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
@@ -160,13 +161,18 @@ struct RecordedMessage {
     data: Vec<u8>,
 }
 
+fn writer(spacing: TimeDelta) -> RecordingWriter<Cursor<Vec<u8>>> {
+    let header = RecordingHeader { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..RecordingHeader::default() };
+    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header).unwrap();
+    writer.set_output_spacing(spacing);
+    writer
+}
+
 fn write_messages(
     spacing: TimeDelta,
     write: impl FnOnce(&mut RecordingWriter<Cursor<Vec<u8>>>),
 ) -> Vec<RecordedMessage> {
-    let header = RecordingHeader { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..RecordingHeader::default() };
-    let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header).unwrap();
-    writer.set_output_spacing(spacing);
+    let mut writer = writer(spacing);
     write(&mut writer);
     let bytes = writer.finish().unwrap().into_inner();
     let found = mcap::MessageStream::new(&bytes).unwrap().map(|message| {
@@ -198,10 +204,11 @@ fn one_message_of_each() -> Vec<RecordedMessage> {
         };
         writer.record(now, &Input::Command(set_pose)).unwrap();
         let learned = Calibration::default();
-        writer.record_calibration(now, &learned).unwrap();
+        writer.record_calibration(now, None, &learned).unwrap();
         let gap = RecordingGap { inputs: 7, from: now, to: Timestamp::from_millis(1_200) };
         writer.record_gap(&gap).unwrap();
         let truth = TruthSample {
+            robot: None,
             time: Timestamp::from_millis(5_100),
             pose: Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(3.0)),
             odometry: None,

@@ -1,0 +1,339 @@
+//! The sending half of a station: as whom a message is sent and to whom, and how frames of others are passed on.
+//!
+//! It borrows what it sends with for as long as something is to be sent; what is due, and what is worth sending, is decided by its
+//! callers.
+
+use std::collections::BTreeMap;
+
+use posebridge_protocol::dialect::{RenumberError, ids};
+use posebridge_protocol::message::Message;
+use posebridge_protocol::routing::{Endpoint, FrameRouter};
+use posebridge_telemetry::{
+    Address, HostClock, LinkId, LinkState, Output, PeerId, Priority, Recipients, RobotId, Timestamp,
+};
+
+use crate::config::OutputKind;
+use crate::egress::{Egress, OutgoingMessage};
+use crate::estimate_publisher::PublishedMessage;
+use crate::forwarding::{ForwardedFrame, ForwardingReport};
+use crate::link_context::LinkContext;
+use crate::output_queue::OutputQueue;
+use crate::output_schedule::message_for_output;
+use crate::robot_table::{RobotIndex, RobotTable};
+use crate::sessions::{SenderRole, Sessions, session_priority};
+use crate::vehicle_proxy::VEHICLE_COMPONENT;
+
+/// Sends messages and passes frames on, at one instant.
+pub(crate) struct Transmitter<'a> {
+    pub(crate) now: Timestamp<HostClock>,
+    pub(crate) own_address: Address,
+    pub(crate) links: &'a mut BTreeMap<LinkId, LinkContext>,
+    pub(crate) router: &'a mut FrameRouter,
+    pub(crate) sessions: &'a mut Sessions,
+    pub(crate) robots: &'a RobotTable,
+    pub(crate) egress: &'a mut Egress,
+    pub(crate) outputs: &'a mut OutputQueue,
+}
+
+/// What is sent, as whom, how urgently and to whom.
+#[derive(Clone, Copy)]
+struct Transmission<'a> {
+    link: LinkId,
+    sender: Sender,
+    message: &'a Message,
+    priority: Priority,
+    to: Recipients,
+}
+
+/// An address to send under.
+#[derive(Clone, Copy)]
+enum Sender {
+    /// The station's own.
+    Station,
+    /// The station's component in a robot's system.
+    Estimator(Address),
+    /// The robot's, which is reached by this endpoint.
+    Vehicle(Address, Endpoint),
+}
+
+impl Transmitter<'_> {
+    /// Sends a session's message; on a link that is down it is lost, and the session sends it again when the link is back.
+    pub(crate) fn send_session_message(&mut self, id: LinkId, role: SenderRole, message: &Message) {
+        if self.links.get(&id).is_none_or(|link| link.state == LinkState::Down) {
+            return;
+        }
+        self.send_as(id, role, message, session_priority(message));
+    }
+
+    /// Sends a message to all peers of a link, as the station or as a robot.
+    pub(crate) fn send_as(&mut self, id: LinkId, role: SenderRole, message: &Message, priority: Priority) {
+        match role {
+            SenderRole::Station => self.send(id, message, priority),
+            SenderRole::Vehicle(robot) => self.send_as_vehicle(id, robot, message, priority),
+        }
+    }
+
+    /// Sends a message of the station to all peers of a link.
+    pub(crate) fn send(&mut self, link: LinkId, message: &Message, priority: Priority) {
+        self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
+    }
+
+    /// Sends what a robot's session as a vehicle says, unless the robot says it itself or the station must not speak for it.
+    fn send_as_vehicle(&mut self, link: LinkId, robot: RobotId, message: &Message, priority: Priority) {
+        let now = self.now;
+        let Some(vehicles) = self.sessions.vehicles(link) else {
+            return;
+        };
+        let is_heartbeat = matches!(message, Message::Heartbeat(_));
+        let is_sent_by_robot = is_heartbeat && vehicles.is_sent_by_robot(now, robot, ids::HEARTBEAT);
+        if vehicles.is_suppressed(now, robot) || is_sent_by_robot {
+            return;
+        }
+        if let Some(sender) = self.vehicle_sender(link, robot) {
+            self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
+        }
+    }
+
+    /// How a robot appears as a vehicle on a link; `None` if it does not.
+    fn vehicle_sender(&self, link: LinkId, robot: RobotId) -> Option<Sender> {
+        let address = self.sessions.vehicles(link)?.address(robot)?;
+        let last_seen = self.robots.find(robot).and_then(|index| self.robots.get(index).last_seen);
+        Some(Sender::Vehicle(address, last_seen.map_or_else(Endpoint::default, |(endpoint, _)| endpoint)))
+    }
+
+    /// Sends what a codec wants to send of itself.
+    pub(crate) fn send_codec_output(&mut self, id: LinkId) {
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        while let Some((to, bytes)) = link.codec.as_mut().and_then(|codec| codec.poll_addressed()) {
+            if link.state == LinkState::Down {
+                continue;
+            }
+            link.health.bytes_out += bytes.len() as u64;
+            link.health.frames_out += 1;
+            // Nothing takes the place of a lost request: the robot would wait for ever.
+            self.outputs.push(Output::Transmit { link: id, to, priority: Priority::Command, bytes });
+        }
+    }
+
+    /// Sends a robot's output: as the robot where a ground station looks for it at the vehicle, else as the station.
+    pub(crate) fn send_published(&mut self, index: RobotIndex, published: &PublishedMessage) {
+        let now = self.now;
+        let PublishedMessage { link, kind, ref message, priority } = *published;
+        let robot = self.robots.get(index).id;
+        let mut sender = Sender::Station;
+        if let Some(vehicles) = self.sessions.vehicles(link)
+            && kind.is_vehicle_output()
+            && vehicles.address(robot).is_some()
+        {
+            if vehicles.is_sent_by_robot(now, robot, message_for_output(kind)) {
+                return;
+            }
+            if !vehicles.is_suppressed(now, robot)
+                && let Some(vehicle) = self.vehicle_sender(link, robot)
+            {
+                sender = vehicle;
+            }
+        }
+        let at_home = self.robots.at_home(link, self.router);
+        let is_at_home = self.router.first_of_group(link) == robot.link;
+        if index > 0 && matches!(sender, Sender::Station) && !is_at_home {
+            sender = self.estimator_sender(index);
+        }
+        if at_home.is_empty() || at_home == [index] {
+            self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
+        } else {
+            self.send_on_shared_link(index, Transmission { link, sender, message, priority, to: Recipients::All });
+        }
+    }
+
+    /// On a link with several robots a robot gets its own outputs, ground stations get all of them, and no robot gets another's.
+    fn send_on_shared_link(&mut self, index: RobotIndex, transmission: Transmission<'_>) {
+        let id = transmission.link;
+        let own_endpoint = self.robots.get(index).last_seen.map(|(endpoint, _)| endpoint);
+        if let Some(endpoint) = own_endpoint.filter(|endpoint| endpoint.link == id) {
+            self.transmit(Transmission {
+                to: Recipients::Peer(endpoint.peer),
+                sender: Sender::Station,
+                ..transmission
+            });
+        }
+        let Some(link) = self.links.get(&id) else {
+            return;
+        };
+        let ground_stations: Vec<PeerId> = link.ground_stations().collect();
+        let sender = match transmission.sender {
+            Sender::Station if index > 0 => self.estimator_sender(index),
+            Sender::Station | Sender::Estimator(_) | Sender::Vehicle(..) => transmission.sender,
+        };
+        for peer in ground_stations {
+            self.transmit(Transmission { to: Recipients::Peer(peer), sender, ..transmission });
+        }
+    }
+
+    /// The station's component in the system of a robot: whoever listens can tell the robots' outputs apart.
+    fn estimator_sender(&self, index: RobotIndex) -> Sender {
+        let system = self.robots.get(index).vehicle_address.system;
+        Sender::Estimator(Address { system, component: self.own_address.component })
+    }
+
+    /// Gives a message to egress and its bytes to the queue.
+    fn transmit(&mut self, transmission: Transmission<'_>) {
+        let now = self.now;
+        let Transmission { link: id, sender, message, priority, to } = transmission;
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        let address = match sender {
+            Sender::Station => self.own_address,
+            Sender::Estimator(address) | Sender::Vehicle(address, _) => address,
+        };
+        let outgoing = OutgoingMessage { link: id, sender: address, message, priority };
+        let Some(bytes) = self.egress.send(now, link, outgoing) else {
+            return;
+        };
+        match sender {
+            Sender::Vehicle(_, endpoint) => self.router.record_sent_for(now, endpoint, &bytes),
+            Sender::Station | Sender::Estimator(_) if link.codec.is_none() => self.router.record_sent(&bytes),
+            Sender::Station | Sender::Estimator(_) => {}
+        }
+        link.health.bytes_out += bytes.len() as u64;
+        link.health.frames_out += 1;
+        self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+    }
+
+    /// Counts what was routed in this input and forwards it.
+    pub(crate) fn forward_frames(&mut self) {
+        for (id, report) in self.outputs.take_reports() {
+            let ForwardingReport { filtered, duplicates, address_conflicts, unchangeable, forwarded } = report;
+            if let Some(link) = self.links.get_mut(&id) {
+                link.health.drops_out += unchangeable;
+                link.health.filtered += filtered;
+                link.health.duplicates += duplicates;
+                link.health.address_conflicts += address_conflicts;
+            }
+            for frame in &forwarded {
+                for to_link in frame.to.chunk_by(|one, next| one.0 == next.0) {
+                    self.forward_frame(to_link, frame);
+                }
+            }
+        }
+    }
+
+    /// Forwards a frame to its recipients on one link.
+    fn forward_frame(&mut self, to: &[(LinkId, Recipients)], frame: &ForwardedFrame) {
+        let now = self.now;
+        let Some((id, link)) = to.first().and_then(|(id, _)| Some((*id, self.links.get_mut(id)?))) else {
+            return;
+        };
+        if !self.egress.admit_forwarded(now, id, link, frame) || self.forward_renumbered(id, frame) {
+            return;
+        }
+        let listeners = self.broadcast_listeners(id, frame.from);
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
+        let mut push = |to: Recipients| {
+            link.health.bytes_out += frame.bytes.len() as u64;
+            link.health.frames_out += 1;
+            link.health.forwarded += 1;
+            let bytes = frame.bytes.clone();
+            self.outputs.push_forwarded(Output::Transmit { link: id, to, priority: frame.priority, bytes });
+        };
+        for (_, to) in to {
+            match (to, &listeners) {
+                (Recipients::All | Recipients::AllExcept(_), Some(listeners)) => {
+                    listeners.iter().for_each(|peer| push(Recipients::Peer(*peer)));
+                }
+                _ => push(*to),
+            }
+        }
+    }
+
+    /// The peers of a link that listen to what others say to everybody; `None` for all of them.
+    ///
+    /// Where several robots share a link, those are its ground stations: what a robot or its camera says twenty times a second would
+    /// otherwise go to every other robot, and a weak robot has no time for it. What a ground station says to everybody goes to all.
+    fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
+        let is_ground_station =
+            self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
+        if is_ground_station || self.robots.at_home(id, self.router).len() < 2 {
+            return None;
+        }
+        let peers = self.links.get(&id)?.ground_stations();
+        Some(peers.filter(|peer| (id, *peer) != (from.link, from.peer)).collect())
+    }
+
+    /// Forwards a frame to a link for ground stations, under the address by which they know its sender and the next number of its count
+    /// there. False if it is to be forwarded like any other.
+    ///
+    /// Not every frame of a sender is for this link (answers to others, what is filtered or rate limited), and a robot shares its
+    /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
+    fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
+        let now = self.now;
+        // Whoever is on the link itself is heard there by some peers without the station.
+        if self.router.are_redundant(frame.from.link, id) {
+            return false;
+        }
+        // A sender with a robot's address on a link without robots must not silence the station.
+        let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, self.router).is_empty();
+        let (Some(link), Some(vehicles)) = (self.links.get_mut(&id), self.sessions.vehicles_mut(id)) else {
+            return false;
+        };
+        let home = self.router.first_of_group(frame.from.link);
+        let announced = self.robots.announced_address(frame.from, home, frame.source);
+        let from = announced.unwrap_or(frame.source);
+        if announced.is_some() && frame.is_signed {
+            // Under its own ids it would be another robot's there.
+            link.health.drops_out += 1;
+            return true;
+        }
+        if is_from_robot && from.component == VEHICLE_COMPONENT {
+            vehicles.record_forwarded(now, from.system, frame.message_id);
+            if link.verifier.is_signed() {
+                vehicles.record_on_signed_link(now, from.system);
+            }
+        }
+        let renumbered = if vehicles.is_unmodified(now, from) {
+            Err(RenumberError::Signed)
+        } else {
+            self.egress.readdress(id, &frame.bytes, from)
+        };
+        if renumbered == Err(RenumberError::Signed) && is_from_robot {
+            if frame.is_signed {
+                vehicles.record_unmodified(now, from);
+            }
+            // Should the next one be ours, it follows that.
+            self.egress.follow_sequence(id, from, frame.sequence);
+        }
+        let Ok(bytes) = renumbered else {
+            link.health.drops_out += u64::from(announced.is_some());
+            return announced.is_some();
+        };
+        self.router.record_sent_for(now, frame.from, &bytes);
+        link.health.bytes_out += bytes.len() as u64;
+        link.health.frames_out += 1;
+        link.health.forwarded += 1;
+        // Among the station's own, because the robot's count is the station's, too, and what is counted first must leave first. To all
+        // peers of the link, because whoever does not get a frame would take it for lost.
+        self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
+        true
+    }
+}
+
+impl OutputKind {
+    /// Whether a ground station looks for it at the vehicle.
+    const fn is_vehicle_output(self) -> bool {
+        match self {
+            Self::Attitude | Self::DistanceSensor => true,
+            Self::PlanarPose
+            | Self::Odometry
+            | Self::LocalPosition
+            | Self::EstimatorStatus
+            | Self::FusionHealth
+            | Self::NamedValue
+            | Self::FloatArray => false,
+        }
+    }
+}

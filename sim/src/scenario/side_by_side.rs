@@ -1,0 +1,76 @@
+//! One scenario for several robots, side by side in one arena.
+
+use super::{Scenario, ScenarioError, checks};
+use crate::path::Path;
+
+/// Distance between two robots' paths, as a multiple of a path's extent.
+const SPACING: f64 = 1.5;
+
+impl Scenario {
+    /// The same scenario for `count` robots: in rows and columns, each with a seed and a MAVLink system of its own, counted up
+    /// from those of the scenario. The seed draws the errors of wheels and track, so that each robot has a geometry of its own.
+    /// The first is the scenario itself.
+    ///
+    /// # Errors
+    /// [`ScenarioError::TooManyRobots`] if there are not so many systems for vehicles.
+    pub fn side_by_side(&self, count: u8) -> Result<Vec<Self>, ScenarioError> {
+        let systems = checks::LAST_VEHICLE_SYSTEM - self.brick.system + 1;
+        if count > systems {
+            return Err(ScenarioError::TooManyRobots { count, first: self.brick.system, most: systems });
+        }
+        let columns = f64::from(count).sqrt().ceil() as u8;
+        let distance_m = SPACING * self.extent_m();
+        let robots = (0..count).map(|index| {
+            let mut robot = self.clone().with_seed(self.seed.wrapping_add(u64::from(index)));
+            robot.brick.system += index;
+            robot.start.x_m += f64::from(index % columns) * distance_m;
+            robot.start.y_m += f64::from(index / columns) * distance_m;
+            robot
+        });
+        Ok(robots.collect())
+    }
+
+    /// The longer side of the rectangle around the path, in metres.
+    fn extent_m(&self) -> f64 {
+        let points = Path::new(self).polyline();
+        let extent = |coordinates: &mut dyn Iterator<Item = f64>| {
+            let (low, high) = coordinates
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+            high - low
+        };
+        let along_x = extent(&mut points.iter().map(|point| point.x.0));
+        let along_y = extent(&mut points.iter().map(|point| point.y.0));
+        along_x.max(along_y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn robots_differ_in_system_seed_and_place_and_the_first_is_the_scenario() {
+        let scenario = Scenario::default().with_seed(7);
+        let robots = scenario.side_by_side(5).unwrap();
+        assert_eq!(robots[0], scenario);
+        let systems: Vec<u8> = robots.iter().map(|robot| robot.brick.system).collect();
+        assert_eq!(systems, [1, 2, 3, 4, 5]);
+        let seeds: Vec<u64> = robots.iter().map(|robot| robot.seed).collect();
+        assert_eq!(seeds, [7, 8, 9, 10, 11]);
+        // A square of one metre, three in a row.
+        let expected = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
+        for (robot, (x_m, y_m)) in robots.iter().zip(expected) {
+            let start = robot.start;
+            assert!((start.x_m - x_m).hypot(start.y_m - y_m) < 1e-9, "{start:?}");
+        }
+    }
+
+    #[test]
+    fn more_robots_than_systems_are_refused() {
+        let mut scenario = Scenario::default();
+        assert_eq!(scenario.side_by_side(250).unwrap().last().unwrap().brick.system, 250);
+        scenario.brick.system = 240;
+        let message = scenario.side_by_side(12).unwrap_err().to_string();
+        assert!(message.contains("12 robots") && message.contains("at most 11"), "{message}");
+    }
+}
