@@ -214,7 +214,7 @@ impl Sessions {
     pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
         self.links
             .values_mut()
-            .any(|link| link.station.is_due(now) || link.vehicles.as_mut().is_some_and(|vehicles| vehicles.is_due(now)))
+            .any(|link| link.station.is_due(now) || link.vehicles.as_ref().is_some_and(|vehicles| vehicles.is_due(now)))
     }
 
     /// When the next session must be woken.
@@ -235,12 +235,17 @@ impl Sessions {
         }
     }
 
-    /// The session that speaks in a role on a link.
-    pub(crate) fn session(&mut self, id: LinkId, role: SenderRole) -> Option<&mut Session<HostClock>> {
+    /// Lets the session that speaks in a role on a link do something.
+    pub(crate) fn with_session<T>(
+        &mut self,
+        id: LinkId,
+        role: SenderRole,
+        act: impl FnOnce(&mut Session<HostClock>) -> T,
+    ) -> Option<T> {
         let link = self.links.get_mut(&id)?;
         match role {
-            SenderRole::Station => Some(&mut link.station),
-            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.session(robot),
+            SenderRole::Station => Some(act(&mut link.station)),
+            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.with_session(robot, act),
         }
     }
 
