@@ -1,11 +1,16 @@
 //! Several robots in one station, from the command line to the tables: on one UDP port and on terminals of their own.
 
 mod support;
+#[path = "support/virtual_class.rs"]
+mod virtual_class;
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use posebridge_sim::{Scenario, Steering};
+use posebridge_telemetry::{Event, Output, TimeDelta, Timestamp};
 use support::{RunningProgram, posebridge, stdout_of};
+use virtual_class::{Pupil, rms_m, run, station};
 
 const CONFIG: &str = r#"
 [[robot]]
@@ -72,4 +77,56 @@ fn robots_on_terminals_of_their_own_are_robots_of_their_own_links() {
     for robot in ["0/1/1", "1/2/1"] {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
     }
+}
+
+/// Robots on one UDP port, on terminals of their own, and two more on the port with ids that others there have.
+const ON_PORT: u8 = 30;
+const ON_TERMINALS: u8 = 8;
+const NAMESAKES: u8 = 2;
+
+#[test]
+fn each_of_many_robots_is_estimated_as_well_as_alone_and_a_replay_is_the_run() {
+    let duration = TimeDelta::from_millis(60_000);
+    let count = ON_PORT + ON_TERMINALS + NAMESAKES;
+    // By its own odometry a robot drives the same path whatever the station tells it, so that both have one truth.
+    let scenario = Scenario::default().without_end().with_steering(Steering::Odometry);
+    let mut scenarios = scenario.side_by_side(count).unwrap();
+    for (index, scenario) in scenarios.iter_mut().skip(usize::from(ON_PORT + ON_TERMINALS)).enumerate() {
+        scenario.brick.system = 1 + index as u8;
+    }
+    let links = u16::from(1 + ON_TERMINALS);
+    let place = |index: usize| match index.checked_sub(usize::from(ON_PORT)) {
+        Some(terminal) if terminal < usize::from(ON_TERMINALS) => (1 + terminal as u16, 0),
+        _ => (0, index as u32),
+    };
+    let pupils = scenarios.iter().enumerate().map(|(index, scenario)| {
+        let (link, peer) = place(index);
+        Pupil::new(scenario.clone(), link, peer)
+    });
+    let class = run(links, pupils.collect(), duration);
+    let together_m = rms_m(&class);
+    for (index, scenario) in scenarios.into_iter().enumerate() {
+        let (link, peer) = place(index);
+        let mut pupil = Pupil::new(scenario, link, peer);
+        if index >= usize::from(ON_PORT + ON_TERMINALS) {
+            // By its first telemetry a robot with known ids is told apart from the other one; from the second on it is used.
+            pupil = pupil.with_telemetry_from(TimeDelta::from_millis(40));
+        }
+        let alone = run(links, vec![pupil], duration);
+        let ratio = together_m[index] / rms_m(&alone)[0];
+        println!("robot {index}: {:.3} mm, {ratio:.4} of what it is alone", 1e3 * together_m[index]);
+        assert!((0.95..1.05).contains(&ratio), "robot {index}: {ratio}");
+    }
+    let mut replay = station(links);
+    let mut replayed: Vec<Event> = Vec::new();
+    for (elapsed, input) in &class.inputs {
+        replay.handle(Timestamp::ZERO + *elapsed, input);
+        while let Some(output) = replay.poll() {
+            if let Output::Event(event) = output {
+                replayed.push(event);
+            }
+        }
+    }
+    assert_eq!(replay.robots().len(), usize::from(count));
+    assert!(replayed == class.events, "the replay is the run");
 }

@@ -203,6 +203,8 @@ impl Station {
                 address.component
             );
             self.report_own_text(SEVERITY_WARNING, text);
+            // What is asked of everybody who is new was asked of these ids when the other robot was.
+            self.sessions.handle_peer_restart(self.time.now, link, address);
         }
     }
 
@@ -262,6 +264,9 @@ impl Station {
         let (link, source) = (sender.sign.home, sender.sign.address);
         let observer = ObserverAddress { home: link, address: source };
         let host = self.observers.host_time(observer, sender.received, observation.stamp);
+        if self.observers.take_namesake() {
+            self.request_time_burst(observer);
+        }
         if host.has_restarted {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));

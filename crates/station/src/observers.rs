@@ -41,6 +41,8 @@ pub(crate) struct Observers {
     next_id: u64,
     /// When a sender whose identity is open was heard first.
     contenders: BTreeMap<(Endpoint, Address), Timestamp<HostClock>>,
+    /// Another observer with ids that were known was found.
+    has_found_namesake: bool,
     pub(crate) fix_requests: FixRequests,
 }
 
@@ -78,6 +80,11 @@ pub(crate) struct ObserverTime<T> {
 }
 
 impl Observers {
+    /// Whether another observer with ids that were known was found since this was asked last: nobody has asked it for its time yet.
+    pub(crate) const fn take_namesake(&mut self) -> bool {
+        std::mem::replace(&mut self.has_found_namesake, false)
+    }
+
     /// The clock of a sender that proves to be a robot.
     pub(crate) fn remove_clock(
         &mut self,
@@ -184,7 +191,10 @@ impl Observers {
             None if observers.is_empty() => self.add(sender, host_time),
             None => match judge(observers, endpoint, host_time, self.contenders.get(&contender).copied()) {
                 Newcomer::SameAs(index) => index,
-                Newcomer::Another => self.add(sender, host_time),
+                Newcomer::Another => {
+                    self.has_found_namesake = true;
+                    self.add(sender, host_time)
+                }
                 Newcomer::Contested(id) => {
                     if self.contenders.len() >= MAX_CONTENDERS && !self.contenders.contains_key(&contender) {
                         self.contenders.clear();

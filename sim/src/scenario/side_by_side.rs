@@ -3,12 +3,14 @@
 use super::{Scenario, ScenarioError, checks};
 use crate::path::Path;
 
+/// Robots and cameras are switched on one after the other: each clock is ahead of the one before by this, in microseconds.
+const SWITCHED_ON_APART_MICROS: u64 = 1_234_567;
 /// Distance between two robots' paths, as a multiple of a path's extent.
 const SPACING: f64 = 1.5;
 
 impl Scenario {
     /// The same scenario for `count` robots: in rows and columns, each with a seed and a MAVLink system of its own, counted up
-    /// from those of the scenario. The seed draws the errors of wheels and track, so that each robot has a geometry of its own.
+    /// from those of the scenario, and a clock that shows another time. The seed draws the errors of wheels and track, so that each robot has a geometry of its own.
     /// The first is the scenario itself.
     ///
     /// # Errors
@@ -23,6 +25,9 @@ impl Scenario {
         let robots = (0..count).map(|index| {
             let mut robot = self.clone().with_seed(self.seed.wrapping_add(u64::from(index)));
             robot.brick.system += index;
+            let switched_on_before = u64::from(index) * SWITCHED_ON_APART_MICROS;
+            robot.brick.clock_start_micros += switched_on_before;
+            robot.camera.clock_start_micros += switched_on_before;
             robot.start.x_m += f64::from(index % columns) * distance_m;
             robot.start.y_m += f64::from(index / columns) * distance_m;
             robot
@@ -57,6 +62,8 @@ mod tests {
         assert_eq!(systems, [1, 2, 3, 4, 5]);
         let seeds: Vec<u64> = robots.iter().map(|robot| robot.seed).collect();
         assert_eq!(seeds, [7, 8, 9, 10, 11]);
+        let clocks: Vec<u64> = robots.iter().map(|robot| robot.brick.clock_start_micros).collect();
+        assert!(clocks.windows(2).all(|pair| pair[0] < pair[1]), "{clocks:?}");
         // A square of one metre, three in a row.
         let expected = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
         for (robot, (x_m, y_m)) in robots.iter().zip(expected) {
