@@ -101,7 +101,7 @@ impl<T> PerRobot<T> {
     }
 }
 
-/// The robot that an event is about. That a sender was heard or lost is said of cameras and ground stations, too.
+/// The robot that an event is about. Senders that are heard or lost may also be cameras and ground stations.
 const fn robot_of(event: &Event) -> Option<RobotId> {
     match event {
         Event::RobotNamed { robot, .. }
