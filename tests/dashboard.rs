@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 
 use http::{StreamReader, connect, exchange, get, metric, post, refused, request};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
-use posebridge_dashboard::model::{Frame, Message, ParameterRow, RecordingRow, SourceRow, State};
+use posebridge_dashboard::model::{Frame, Message, ParameterRow, RecordingRow, RobotRow, SourceRow, State};
 use serde::de::DeserializeOwned;
 use support::{RunningProgram, posebridge, root, stdout_of};
 use tungstenite::Message as Packet;
@@ -89,8 +89,8 @@ fn page_stream_and_requests_tell_of_the_same_run() {
     assert_eq!(state.recording.unwrap().name, "recording.mcap");
     let sources: Vec<SourceRow> = typed(address, "/v1/sources");
     assert!(sources.iter().any(|source| source.name == "wheels" && source.kind == "wheel_angles"));
-    let robots: Vec<String> = typed(address, "/v1/robots");
-    assert_eq!(robots, ["0/1/1"]);
+    let robots: Vec<RobotRow> = typed(address, "/v1/robots");
+    assert_eq!(robots, [RobotRow { id: "0/1/1".to_owned(), name: None }]);
     let parameters: Vec<ParameterRow> = typed(address, "/v1/parameters");
     assert!(parameters.iter().any(|row| row.mavlink_name == "GATE_PROB"));
     assert!(metric(address, "posebridge_estimates_total") > 0.0);

@@ -239,10 +239,10 @@ fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
     });
     let heard = std::iter::from_fn(|| tap.recv()).find(|frame| !frame.log.is_empty());
     assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
-    assert!(dashboard.commander().send(Command::ResetPose));
+    assert!(dashboard.commander().send(None, Command::ResetPose));
     assert_eq!(commands.try_recv().unwrap(), Input::Command(Command::ResetPose));
     drop(commands);
-    assert!(!dashboard.commander().send(Command::ResetPose));
+    assert!(!dashboard.commander().send(None, Command::ResetPose));
     dashboard.finish();
     // What waits is still told, then comes the end.
     while tap.recv().is_some() {}

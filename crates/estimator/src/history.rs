@@ -15,8 +15,11 @@ use posebridge_telemetry::{BrickClock, Timestamp};
 use crate::motion::count_before;
 
 /// The first capacity: ten seconds of a brick that is read 50 times a second, more than a history holds as a rule. A state takes over a
-/// kilobyte, and a ring that grows later leaves a hole as large as it was in the memory of a station that runs for weeks.
+/// kilobyte, and memory that is moved later leaves a hole as large as it was in a station that runs for weeks.
 const INITIAL_CAPACITY: usize = 512;
+/// The first length of the ring: one or two seconds. It is as long as the history needs and no longer, because what it goes round has to
+/// fit into a cache beside the rings of hundreds of other robots.
+const INITIAL_STATES: usize = 64;
 
 /// What a filter uses at one instant.
 pub trait HistoryEntry {
@@ -120,12 +123,10 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
     fn grow(&mut self) {
         self.states.rotate_left(self.first);
         self.first = 0;
-        let more = match self.states.len() {
-            0 => INITIAL_CAPACITY,
-            full => full / 4,
-        };
-        self.states.reserve_exact(more);
-        self.states.resize(self.states.len() + more, self.base);
+        let before = self.states.len();
+        let wanted = if before == 0 { INITIAL_STATES } else { before + before / 4 };
+        self.states.reserve_exact(wanted.max(INITIAL_CAPACITY) - before);
+        self.states.resize(wanted, self.base);
     }
 }
 

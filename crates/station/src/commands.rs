@@ -164,7 +164,7 @@ impl Station {
             role,
         };
         let heartbeat = |sessions: &mut crate::sessions::Sessions| {
-            sessions.session(id, role).and_then(|session| session.active_heartbeat())
+            sessions.with_session(id, role, |session| session.active_heartbeat()).flatten()
         };
         let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
             Some(answer) => answer,
@@ -173,12 +173,12 @@ impl Station {
         if answer.is_left_to_others(command) {
             return;
         }
-        if let Some(session) = self.sessions.session(id, role) {
+        self.sessions.with_session(id, role, |session| {
             session.acknowledge_command(by, command.command, answer.result);
             for message in answer.messages {
                 session.queue_message(message);
             }
-        }
+        });
     }
 
     /// Does what a command from a link asks for, and tells what became of it. A robot as a vehicle takes only what concerns robots.

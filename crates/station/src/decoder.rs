@@ -34,3 +34,49 @@ impl Decoder {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_protocol::dialect::Encoder;
+    use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
+    use posebridge_protocol::message::{Odometry, OdometryPose, WireStamp};
+    use posebridge_telemetry::{HostClock, MetersPerSecond, Pose, RadiansPerSecond, Timestamp};
+
+    /// What comes of an ODOMETRY that says that it has failed.
+    fn decode_failed(decoder: &mut Decoder, sender: Address) -> PayloadError {
+        let message = Message::Odometry(Odometry {
+            stamp: WireStamp::Micros64(1),
+            pose: OdometryPose::Arena(Pose::default()),
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance: None,
+            reset_counter: 0,
+            quality: -1,
+        });
+        let mut bytes = Vec::new();
+        Encoder::new(WireVersion::V2).encode(sender, &message, &mut bytes);
+        let mut found = None;
+        Framer::new(FramerConfig::default()).push(Timestamp::<HostClock>::ZERO, &bytes, &mut |output| {
+            if let FramerOutput::Frame(frame) = output {
+                found = decoder.decode(&frame).err();
+            }
+        });
+        found.unwrap()
+    }
+
+    #[test]
+    fn each_bad_payload_is_an_error_and_the_first_of_each_of_some_senders_is_described() {
+        let mut decoder = Decoder::default();
+        let mut described = 0;
+        for round in 0..2 {
+            for number in 0..=u8::MAX {
+                let error = decode_failed(&mut decoder, Address::new(1, number));
+                assert_eq!(error.message_id, 331);
+                assert!(round == 0 || error.description.is_none(), "it was described before");
+                described += usize::from(error.description.is_some());
+            }
+        }
+        assert_eq!(described, MAX_DESCRIPTIONS);
+    }
+}

@@ -31,12 +31,15 @@ mod receive;
 mod receive_pass;
 mod record_messages;
 mod robot;
+mod robot_blocks;
 mod robot_table;
 mod sender_identity;
 mod sessions;
 mod slip_watch;
 mod station;
 mod status_text;
+#[cfg(test)]
+mod test_config;
 mod thermometer_bank;
 mod transmitter;
 mod vehicle_proxy;

@@ -134,7 +134,7 @@ impl Station {
         sender: ObserverAddress,
         tag: Option<u32>,
     ) -> ObservationExtractor {
-        let unknown = ObservationExtractor::new(self.config.robot_for(sender.home, sender.address));
+        let unknown = ObservationExtractor::new(self.robots.config_for(&self.config, sender.home, sender.address));
         let robot = self.fixed_robot(endpoint, sender.address, tag).map(|index| self.robots.get(index).extractor);
         ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
     }
@@ -459,7 +459,7 @@ impl Station {
     fn handle_description(&mut self, sender: &mut MessageSender, description: &RobotDescription) {
         let is_wanted = sender.robot.map_or_else(
             || {
-                let robot = self.config.robot_for(sender.sign.home, sender.sign.address);
+                let robot = self.robots.config_for(&self.config, sender.sign.home, sender.sign.address);
                 robot.description == DescriptionPolicy::Adopt
             },
             |index| self.robots.get(index).wants_description(),

@@ -7,10 +7,11 @@ use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{Address, HostClock, LinkId, RobotId, SystemId, TimeDelta, Timestamp};
 
 use crate::clock_alignment::ClockAlignment;
-use crate::config::StationConfig;
+use crate::config::{RobotConfig, StationConfig};
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
+use crate::robot_blocks::RobotBlockIndex;
 use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
 use crate::sessions::PEER_TIMEOUT;
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
@@ -26,7 +27,11 @@ pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
     identities: SenderIdentities,
+    blocks: RobotBlockIndex,
     by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
+    by_tag: BTreeMap<u32, Vec<RobotIndex>>,
+    /// Systems that ground stations see already, as vehicles or in ids.
+    used_systems: BTreeSet<SystemId>,
     /// Robots that ground stations see under another system than that of their own frames, by the system that they see.
     renamed: BTreeMap<SystemId, RobotIndex>,
     /// Which robots are at home on a link, by the first link of its group.
@@ -47,7 +52,10 @@ impl RobotTable {
             robots: vec![Robot::new(entry, &config.robot, &config.links)],
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
+            blocks: RobotBlockIndex::new(&config.robots),
             by_system: BTreeMap::new(),
+            by_tag: BTreeMap::new(),
+            used_systems: BTreeSet::new(),
             renamed: BTreeMap::new(),
             by_link: BTreeMap::new(),
             news: BTreeSet::new(),
@@ -100,17 +108,12 @@ impl RobotTable {
 
     /// The robot of a system; `None` if there is none or more than one.
     pub(crate) fn of_system(&self, system: SystemId) -> Option<RobotIndex> {
-        match self.by_system.get(&system)?.as_slice() {
-            [index] => Some(*index),
-            _ => None,
-        }
+        only_one(self.by_system.get(&system)?)
     }
 
     /// The robot of a tag; `None` if there is none or more than one.
     pub(crate) fn of_tag(&self, tag: u32) -> Option<RobotIndex> {
-        let mut robots = self.robots.iter().take(self.len()).enumerate().filter(|(_, robot)| robot.tag == Some(tag));
-        let found = robots.next().map(|(index, _)| index);
-        found.filter(|_| robots.next().is_none())
+        only_one(self.by_tag.get(&tag)?)
     }
 
     /// Who sent a message that came in now.
@@ -125,10 +128,7 @@ impl RobotTable {
 
     /// The only robot that is heard by an endpoint.
     pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
-        match self.identities.at_endpoint(endpoint) {
-            [index] => Some(*index),
-            _ => None,
-        }
+        self.identities.only_at(endpoint)
     }
 
     /// The address under which ground stations see a sender that is heard by an endpoint; `None` if that is its own.
@@ -154,6 +154,11 @@ impl RobotTable {
         robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
     }
 
+    /// What is known about the robot that is heard on a link under an address; `config` is the one that the table was made with.
+    pub(crate) fn config_for<'a>(&self, config: &'a StationConfig, home: LinkId, address: Address) -> &'a RobotConfig {
+        self.blocks.robot_for(config, home, address)
+    }
+
     /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
     pub(crate) fn adopt(
         &mut self,
@@ -174,7 +179,7 @@ impl RobotTable {
         }
         let vehicle_address = self.free_vehicle_address(address.system, config.own_address);
         let index = self.len();
-        let robot_config = config.robot_for(sign.home, address);
+        let robot_config = self.config_for(config, sign.home, address);
         // The first robot takes the place of the one that is configured, with what that was given before it was heard.
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
@@ -189,12 +194,16 @@ impl RobotTable {
         // Two robots with the same ids on one link are told apart by the system that the second is given.
         let system = if self.identities.is_taken(sign.home, address) { vehicle_address.system } else { address.system };
         let id = RobotId { link: sign.home, address: Address { system, ..address } };
-        self.identities.add(now, sign, index);
+        self.identities.add(now, sign);
         self.by_id.insert(id, index);
         self.by_link.entry(id.link).or_default().push(index);
         self.by_system.entry(system).or_default().push(index);
+        self.used_systems.extend([system, vehicle_address.system]);
         let robot = &mut self.robots[index];
         robot.id = id;
+        if let Some(tag) = robot.tag {
+            self.by_tag.entry(tag).or_default().push(index);
+        }
         robot.wire_address = address;
         robot.vehicle_address = vehicle_address;
         if robot.is_renamed() {
@@ -210,10 +219,7 @@ impl RobotTable {
 
     /// The address under which ground stations see a robot: that of its own system, unless another robot has it.
     fn free_vehicle_address(&self, wanted: SystemId, own: Address) -> Address {
-        let is_taken = |system: SystemId| {
-            let mut known = self.robots.iter().take(self.len());
-            known.any(|robot| robot.vehicle_address.system == system || robot.id.address.system == system)
-        };
+        let is_taken = |system: SystemId| self.used_systems.contains(&system);
         let system = if is_taken(wanted) {
             let mut systems = (1..=LAST_VEHICLE_SYSTEM).map(SystemId);
             systems.find(|system| *system != own.system && !is_taken(*system)).unwrap_or(wanted)
@@ -293,5 +299,63 @@ impl RobotTable {
     /// The next robot whose estimate the other links have not been sent yet.
     pub(crate) fn pop_pending(&mut self) -> Option<RobotIndex> {
         self.pending.pop_first()
+    }
+}
+
+fn only_one(robots: &[RobotIndex]) -> Option<RobotIndex> {
+    match robots {
+        [index] => Some(*index),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{RobotBlock, RobotMatch};
+    use crate::test_config::station_config;
+    use posebridge_telemetry::PeerId;
+
+    const HOME: LinkId = LinkId(0);
+
+    /// A table whose robots have spoken in this order, each by a peer of its own.
+    fn table_of(config: &StationConfig, addresses: &[Address]) -> RobotTable {
+        let entry = find_filter(&config.robot.filter).unwrap();
+        let mut table = RobotTable::new(entry, config);
+        for (peer, address) in (0..).zip(addresses) {
+            let endpoint = Endpoint { link: HOME, peer: PeerId(peer) };
+            let sign = SenderSign { endpoint, home: HOME, address: *address, is_new: true, is_telemetry: true };
+            table.adopt(Timestamp::ZERO, sign, config, &mut Observers::default()).unwrap();
+        }
+        table
+    }
+
+    #[test]
+    fn each_robot_is_announced_under_a_system_that_nobody_else_has() {
+        let config = StationConfig { own_address: Address::new(3, 190), ..station_config() };
+        let addresses =
+            [(1, 1), (1, 2), (2, 1), (1, 1), (4, 7)].map(|(system, component)| Address::new(system, component));
+        let table = table_of(&config, &addresses);
+        let announced: Vec<u8> = table.heard().iter().map(|robot| robot.vehicle_address.system.0).collect();
+        // 3 is the station's own.
+        assert_eq!(announced, [1, 2, 4, 5, 6]);
+        let ids: Vec<Address> = table.heard().iter().map(|robot| robot.id.address).collect();
+        assert_eq!(ids, [(1, 1), (1, 2), (2, 1), (5, 1), (4, 7)].map(|(system, id)| Address::new(system, id)));
+        assert_eq!(table.of_system(SystemId(1)), None, "there are two");
+        assert_eq!(table.of_system(SystemId(2)), Some(2));
+    }
+
+    #[test]
+    fn a_tag_names_the_robot_that_has_it_alone() {
+        let mut config = station_config();
+        for (system, tag) in [(1, 7), (2, 8), (3, 7)] {
+            let matches = RobotMatch { system: Some(SystemId(system)), ..RobotMatch::default() };
+            let robot = RobotConfig { tag: Some(tag), ..config.robot.clone() };
+            config.robots.push(RobotBlock { matches, robot });
+        }
+        let robots = [1, 2, 3].map(|system| Address::new(system, 1));
+        assert_eq!(table_of(&config, &robots[..2]).of_tag(7), Some(0));
+        let table = table_of(&config, &robots);
+        assert_eq!((table.of_tag(7), table.of_tag(8), table.of_tag(9)), (None, Some(1), None));
     }
 }

@@ -50,9 +50,10 @@ pub(crate) struct SenderSign {
 /// All senders that are robots, and those that may be.
 #[derive(Debug, Default)]
 pub(crate) struct SenderIdentities {
-    known: BTreeMap<Address, Vec<KnownSender>>,
-    /// The robots that are heard by each endpoint.
-    by_endpoint: BTreeMap<Endpoint, Vec<RobotIndex>>,
+    /// By the robots' places in their table.
+    senders: Vec<KnownSender>,
+    by_address: BTreeMap<Address, Vec<RobotIndex>>,
+    by_endpoint: BTreeMap<(Endpoint, Address), RobotIndex>,
     /// When a sender whose identity is open was heard first.
     contenders: BTreeMap<(LinkId, PeerId, Address), Timestamp<HostClock>>,
     /// Until when an address counts as heard by several ways.
@@ -61,7 +62,6 @@ pub(crate) struct SenderIdentities {
 
 #[derive(Debug)]
 struct KnownSender {
-    robot: RobotIndex,
     home: LinkId,
     /// The peer on each link of the group, and when it was heard last.
     peers: BTreeMap<LinkId, (PeerId, Timestamp<HostClock>)>,
@@ -69,88 +69,75 @@ struct KnownSender {
 }
 
 impl SenderIdentities {
-    /// A sender is a robot from now on.
-    pub(crate) fn add(&mut self, now: Timestamp<HostClock>, sign: SenderSign, robot: RobotIndex) {
+    /// A sender is a robot from now on: the next of the table.
+    pub(crate) fn add(&mut self, now: Timestamp<HostClock>, sign: SenderSign) {
         let SenderSign { endpoint, home, address, .. } = sign;
+        let robot = self.senders.len();
         self.contenders.remove(&(endpoint.link, endpoint.peer, address));
         let peers = BTreeMap::from([(endpoint.link, (endpoint.peer, now))]);
-        self.known.entry(address).or_default().push(KnownSender { robot, home, peers, last_telemetry: now });
-        self.by_endpoint.entry(endpoint).or_default().push(robot);
+        self.senders.push(KnownSender { home, peers, last_telemetry: now });
+        self.by_address.entry(address).or_default().push(robot);
+        self.by_endpoint.insert((endpoint, address), robot);
     }
 
-    /// The robots that are heard by an endpoint.
-    pub(crate) fn at_endpoint(&self, endpoint: Endpoint) -> &[RobotIndex] {
-        self.by_endpoint.get(&endpoint).map_or(&[], Vec::as_slice)
-    }
-
-    /// A robot is heard by another peer of a link than before, or on a further link.
-    fn move_robot(&mut self, robot: RobotIndex, from: Option<Endpoint>, to: Endpoint) {
-        if let Some(from) = from
-            && let Some(robots) = self.by_endpoint.get_mut(&from)
-        {
-            robots.retain(|other| *other != robot);
-            if robots.is_empty() {
-                self.by_endpoint.remove(&from);
-            }
-        }
-        self.by_endpoint.entry(to).or_default().push(robot);
+    /// The only robot that is heard by an endpoint, under whichever address.
+    pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
+        let first = (endpoint, Address::new(0, 0));
+        let last = (endpoint, Address::new(u8::MAX, u8::MAX));
+        let mut robots = self.by_endpoint.range(first..=last).map(|(_, robot)| *robot);
+        let only = robots.next();
+        only.filter(|_| robots.next().is_none())
     }
 
     /// The robot of an endpoint and an address, without any effect.
     pub(crate) fn find(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
-        let known = self.known.get(&address)?;
-        let mut at_home = known.iter().filter(|sender| sender.home == home);
-        let is_it = |sender: &&KnownSender| sender.peers.get(&endpoint.link).is_some_and(|at| at.0 == endpoint.peer);
-        let same_peer = at_home.clone().find(is_it);
-        same_peer
-            .or_else(|| at_home.find(|sender| !sender.peers.contains_key(&endpoint.link)))
-            .map(|sender| sender.robot)
+        let same_peer = self.by_endpoint.get(&(endpoint, address)).copied();
+        same_peer.or_else(|| {
+            let is_elsewhere = |robot: &RobotIndex| !self.senders[*robot].peers.contains_key(&endpoint.link);
+            self.at_home(home, address).find(is_elsewhere)
+        })
     }
 
     /// Whether a robot with this address is known, on whichever link.
     pub(crate) fn is_known(&self, address: Address) -> bool {
-        self.known.contains_key(&address)
+        self.by_address.contains_key(&address)
     }
 
     /// Whether a robot with this address is known on a link.
     pub(crate) fn is_taken(&self, home: LinkId, address: Address) -> bool {
-        self.known.get(&address).is_some_and(|known| known.iter().any(|sender| sender.home == home))
+        self.at_home(home, address).next().is_some()
+    }
+
+    /// The robots with an address at home on a link.
+    fn at_home(&self, home: LinkId, address: Address) -> impl Iterator<Item = RobotIndex> {
+        let robots = self.by_address.get(&address).map_or(&[][..], Vec::as_slice);
+        robots.iter().copied().filter(move |robot| self.senders[*robot].home == home)
     }
 
     /// Who sent a message that came in now.
     pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, sign: SenderSign) -> SenderIdentity {
         let SenderSign { endpoint, home, address, is_new, is_telemetry } = sign;
-        let found = self.find(endpoint, home, address);
-        let Some(known) = self.known.get_mut(&address) else {
+        if !self.is_known(address) {
             return SenderIdentity::Unknown;
-        };
+        }
         if is_telemetry && !is_new {
             self.looped_until.insert(address, now + LOOP_MEMORY);
         }
-        if let Some(robot) = found {
-            if let Some(sender) = known.iter_mut().find(|sender| sender.robot == robot) {
-                let before = sender.peers.insert(endpoint.link, (endpoint.peer, now));
-                if is_telemetry && is_new {
-                    sender.last_telemetry = now;
-                }
-                if before.is_none() {
-                    self.move_robot(robot, None, endpoint);
-                }
+        if let Some(robot) = self.find(endpoint, home, address) {
+            self.move_to(robot, now, sign);
+            if is_telemetry && is_new {
+                self.senders[robot].last_telemetry = now;
             }
             return SenderIdentity::Robot(robot);
         }
-        let at_home = known.iter_mut().filter(|sender| sender.home == home);
-        let oldest = at_home.min_by_key(|sender| sender.peers.get(&endpoint.link).map(|(_, last)| *last));
-        if let Some(sender) = oldest {
-            let last = sender.peers.get(&endpoint.link).map_or(now, |(_, last)| *last);
+        let last_heard = |robot: &RobotIndex| self.senders[*robot].peers.get(&endpoint.link).map(|(_, last)| *last);
+        if let Some(robot) = self.at_home(home, address).min_by_key(last_heard) {
+            let last = last_heard(&robot).unwrap_or(now);
             if !is_new || now - last >= HANDOVER {
-                let robot = sender.robot;
                 if is_new {
-                    let before = sender.peers.insert(endpoint.link, (endpoint.peer, now));
-                    sender.last_telemetry = now;
+                    self.move_to(robot, now, sign);
+                    self.senders[robot].last_telemetry = now;
                     self.contenders.remove(&(endpoint.link, endpoint.peer, address));
-                    let from = before.map(|(peer, _)| Endpoint { link: endpoint.link, peer });
-                    self.move_robot(robot, from, endpoint);
                 }
                 return SenderIdentity::Robot(robot);
             }
@@ -168,10 +155,23 @@ impl SenderIdentities {
             self.contenders.clear();
         }
         let first = *self.contenders.entry(key).or_insert(now);
-        let known = self.known.get(&address).map_or(&[][..], Vec::as_slice);
+        let mut known = self.by_address.get(&address).into_iter().flatten();
         // All who have the address have gone on since, each with telemetry of its own.
-        let is_distinct = known.iter().all(|sender| sender.last_telemetry > first);
+        let is_distinct = known.all(|robot| self.senders[*robot].last_telemetry > first);
         if is_distinct && !is_looped { SenderIdentity::Unknown } else { SenderIdentity::Contested }
+    }
+
+    /// A robot is heard by an endpoint; by another peer of that link it is heard no more.
+    fn move_to(&mut self, robot: RobotIndex, now: Timestamp<HostClock>, sign: SenderSign) {
+        let SenderSign { endpoint, address, .. } = sign;
+        let before = self.senders[robot].peers.insert(endpoint.link, (endpoint.peer, now));
+        if before.is_some_and(|(peer, _)| peer == endpoint.peer) {
+            return;
+        }
+        if let Some((peer, _)) = before {
+            self.by_endpoint.remove(&(Endpoint { peer, ..endpoint }, address));
+        }
+        self.by_endpoint.insert((endpoint, address), robot);
     }
 }
 
@@ -193,7 +193,7 @@ mod tests {
     fn with_one_robot() -> SenderIdentities {
         let mut identities = SenderIdentities::default();
         assert_eq!(identities.identify(at(0), telemetry(0, 0)), SenderIdentity::Unknown);
-        identities.add(at(0), telemetry(0, 0), 0);
+        identities.add(at(0), telemetry(0, 0));
         identities
     }
 
@@ -221,7 +221,7 @@ mod tests {
             assert_eq!(identities.identify(at(10), other), SenderIdentity::Contested, "link {link}");
             assert_eq!(identities.identify(at(50), telemetry(0, 0)), SenderIdentity::Robot(0));
             assert_eq!(identities.identify(at(60), other), SenderIdentity::Unknown, "link {link}");
-            identities.add(at(60), other, 1);
+            identities.add(at(60), other);
             assert_eq!(identities.identify(at(100), telemetry(0, 0)), SenderIdentity::Robot(0));
             assert_eq!(identities.identify(at(110), other), SenderIdentity::Robot(1));
         }

@@ -214,7 +214,7 @@ impl Sessions {
     pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
         self.links
             .values_mut()
-            .any(|link| link.station.is_due(now) || link.vehicles.as_mut().is_some_and(|vehicles| vehicles.is_due(now)))
+            .any(|link| link.station.is_due(now) || link.vehicles.as_ref().is_some_and(|vehicles| vehicles.is_due(now)))
     }
 
     /// When the next session must be woken.
@@ -235,12 +235,17 @@ impl Sessions {
         }
     }
 
-    /// The session that speaks in a role on a link.
-    pub(crate) fn session(&mut self, id: LinkId, role: SenderRole) -> Option<&mut Session<HostClock>> {
+    /// Lets the session that speaks in a role on a link do something.
+    pub(crate) fn with_session<T>(
+        &mut self,
+        id: LinkId,
+        role: SenderRole,
+        act: impl FnOnce(&mut Session<HostClock>) -> T,
+    ) -> Option<T> {
         let link = self.links.get_mut(&id)?;
         match role {
-            SenderRole::Station => Some(&mut link.station),
-            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.session(robot),
+            SenderRole::Station => Some(act(&mut link.station)),
+            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.with_session(robot, act),
         }
     }
 
@@ -319,5 +324,63 @@ const fn is_answer(message: &Message) -> bool {
         sync.answer_nanos != 0
     } else {
         matches!(message, Message::CommandAck(_))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_config::station_config;
+    use posebridge_protocol::message::{CommandLong, TimeSync};
+    use posebridge_telemetry::PeerId;
+
+    const LINK: LinkId = LinkId(0);
+    const SENDER: Address = Address::new(7, 1);
+
+    struct Scene {
+        sessions: Sessions,
+        now: Timestamp<HostClock>,
+    }
+
+    impl Scene {
+        /// The sessions of a station that has sent its first heartbeat and its first time request, at instant zero.
+        fn new() -> Self {
+            let now = Timestamp::ZERO;
+            let mut scene = Self { sessions: Sessions::new(&station_config(), now), now };
+            scene.sessions.tick(now, LINK);
+            scene.take_outputs();
+            scene
+        }
+
+        fn take_outputs(&mut self) -> Vec<SessionOutput<HostClock>> {
+            std::iter::from_fn(|| self.sessions.poll(LINK)).map(|(_, output)| output).collect()
+        }
+
+        fn hear(&mut self, peer: u32, duplicate_status: DuplicateStatus, message: &Message) -> usize {
+            self.now = self.now + TimeDelta::from_millis(1);
+            let endpoint = Endpoint { link: LINK, peer: PeerId(peer) };
+            let received = ReceivedMessage { source: SENDER, duplicate_status, message: message.clone() };
+            self.sessions.handle(self.now, endpoint, &received, None);
+            self.take_outputs().len()
+        }
+    }
+
+    #[test]
+    fn a_copy_of_a_command_is_not_carried_out_again() {
+        let mut scene = Scene::new();
+        let [_, _, _, _, reset, ..] = SUPPORTED_COMMANDS;
+        let target = station_config().own_address;
+        let command = Message::Command(CommandLong { target, command: reset, params: [0.0; 7] });
+        let statuses = [DuplicateStatus::New, DuplicateStatus::Duplicate, DuplicateStatus::Loop, DuplicateStatus::Echo];
+        assert_eq!(statuses.map(|status| scene.hear(0, status, &command)), [1, 0, 0, 0]);
+    }
+
+    #[test]
+    fn each_peer_with_an_address_answers_a_time_request_once_and_a_copy_does_not() {
+        let mut scene = Scene::new();
+        let answer = Message::TimeSync(TimeSync { answer_nanos: 5, request_nanos: 0, target: None });
+        let new = DuplicateStatus::New;
+        assert_eq!([0, 0, 1, 1].map(|peer| scene.hear(peer, new, &answer)), [1, 0, 1, 0]);
+        assert_eq!(scene.hear(2, DuplicateStatus::Duplicate, &answer), 0);
     }
 }

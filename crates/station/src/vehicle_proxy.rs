@@ -58,10 +58,12 @@ pub(crate) struct VehicleProxies {
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
     /// When a vehicle's own frame left here last while the link has a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
+    /// Of two robots with one address the first.
+    by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have something to send.
     active: BTreeSet<RobotId>,
-    /// No session is due before this instant; `None` when that must be looked up.
-    idle_until: Option<Timestamp<HostClock>>,
+    /// When each vehicle's session is due, or sooner.
+    due: BTreeSet<(Timestamp<HostClock>, RobotId)>,
 }
 
 /// One robot as a vehicle.
@@ -70,6 +72,8 @@ struct VehicleProxy {
     address: Address,
     responder: CommandResponder,
     session: Session<HostClock>,
+    /// Its place in [`VehicleProxies::due`].
+    due: Option<Timestamp<HostClock>>,
 }
 
 impl VehicleProxies {
@@ -81,13 +85,27 @@ impl VehicleProxies {
         responder: CommandResponder,
         now: Timestamp<HostClock>,
     ) {
-        self.vehicles.entry(robot).or_insert_with(|| VehicleProxy {
-            address: config.own,
-            responder,
-            session: Session::new(config, now),
-        });
+        if self.vehicles.contains_key(&robot) {
+            return;
+        }
+        let address = config.own;
+        let first = self.by_address.entry(address).or_insert(robot);
+        *first = robot.min(*first);
+        self.vehicles.insert(robot, VehicleProxy { address, responder, session: Session::new(config, now), due: None });
         self.active.insert(robot);
-        self.idle_until = None;
+        self.plan(robot);
+    }
+
+    /// Brings up to date when a vehicle's session is due.
+    fn plan(&mut self, robot: RobotId) {
+        let Some(vehicle) = self.vehicles.get_mut(&robot) else {
+            return;
+        };
+        if let Some(due) = vehicle.due {
+            self.due.remove(&(due, robot));
+        }
+        vehicle.due = vehicle.session.deadline();
+        self.due.extend(vehicle.due.map(|due| (due, robot)));
     }
 
     /// The address that a robot appears under; `None` if it does not appear on this link.
@@ -95,11 +113,16 @@ impl VehicleProxies {
         self.vehicles.get(&robot).map(|vehicle| vehicle.address)
     }
 
-    pub(crate) fn session(&mut self, robot: RobotId) -> Option<&mut Session<HostClock>> {
-        let vehicle = self.vehicles.get_mut(&robot)?;
+    /// Lets a vehicle's session do something, which may plan something or leave something to be sent.
+    pub(crate) fn with_session<T>(
+        &mut self,
+        robot: RobotId,
+        act: impl FnOnce(&mut Session<HostClock>) -> T,
+    ) -> Option<T> {
+        let done = act(&mut self.vehicles.get_mut(&robot)?.session);
         self.active.insert(robot);
-        self.idle_until = None;
-        Some(&mut vehicle.session)
+        self.plan(robot);
+        Some(done)
     }
 
     pub(crate) fn set_heartbeat_mode(&mut self, robot: RobotId, mode: HeartbeatMode) {
@@ -110,21 +133,20 @@ impl VehicleProxies {
 
     /// Gives a message to the session of the vehicle that it commands, if that is for the station to answer.
     pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, from: Address, message: &Message) {
-        if let Some(robot) = self.commanded_vehicle(now, message)
-            && let Some(session) = self.session(robot)
-        {
-            session.handle(now, from, message);
+        if let Some(robot) = self.commanded_vehicle(now, message) {
+            self.with_session(robot, |session| session.handle(now, from, message));
         }
     }
 
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>) {
-        for (robot, vehicle) in &mut self.vehicles {
-            if vehicle.session.is_due(now) {
-                vehicle.session.tick(now);
-                self.active.insert(*robot);
-            }
+        let due: Vec<RobotId> = self.due.iter().take_while(|(due, _)| *due <= now).map(|(_, robot)| *robot).collect();
+        for robot in due {
+            self.with_session(robot, |session| {
+                if session.is_due(now) {
+                    session.tick(now);
+                }
+            });
         }
-        self.idle_until = None;
     }
 
     pub(crate) fn poll(&mut self) -> Option<(RobotId, SessionOutput<HostClock>)> {
@@ -143,16 +165,12 @@ impl VehicleProxies {
     }
 
     /// Whether a session waits for an instant that has come.
-    pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
-        if self.idle_until.is_some_and(|until| now < until) {
-            return false;
-        }
-        self.idle_until = self.find_deadline();
-        self.vehicles.values_mut().any(|vehicle| vehicle.session.is_due(now))
+    pub(crate) fn is_due(&self, now: Timestamp<HostClock>) -> bool {
+        self.deadline().is_some_and(|due| due <= now)
     }
 
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.idle_until.or_else(|| self.find_deadline())
+        self.due.first().map(|(due, _)| *due)
     }
 
     /// A vehicle's own frame leaves on the link.
@@ -196,17 +214,14 @@ impl VehicleProxies {
     /// concerns messages that the station sends in its name.
     pub(crate) fn commanded_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
         let (target, concerns) = command_target(message)?;
-        let (robot, vehicle) = self.vehicles.iter().find(|(_, vehicle)| vehicle.address == target)?;
+        let robot = self.by_address.get(&target)?;
+        let vehicle = self.vehicles.get(robot)?;
         if self.is_suppressed(now, *robot) {
             return None;
         }
         let is_ours = |id| output_for_message(id).is_some() && !self.is_sent_by_robot(now, *robot, id);
         let is_answered = vehicle.responder == CommandResponder::Station || concerns.is_some_and(is_ours);
         is_answered.then_some(*robot)
-    }
-
-    fn find_deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.vehicles.values().filter_map(|vehicle| vehicle.session.deadline()).min()
     }
 }
 

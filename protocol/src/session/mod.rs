@@ -133,7 +133,7 @@ impl<C: Clock> Session<C> {
             return;
         }
         self.peers.record_activity(now, from);
-        let idle_until = self.idle_until.take();
+        // What plans something new says so, because with hundreds of peers the search for the next instant is worth keeping.
         #[expect(
             clippy::wildcard_enum_match_arm,
             reason = "telemetry is not part of the conversation, however many kinds there are"
@@ -150,17 +150,21 @@ impl<C: Clock> Session<C> {
                     None => self.on_command(from, command),
                 }
             }
-            Message::CommandAck(ack) => self.on_ack(now, from, *ack),
+            Message::CommandAck(ack) => {
+                self.idle_until = None;
+                self.on_ack(now, from, *ack);
+            }
             Message::ParamRequestList { .. }
             | Message::ParamRequestRead { .. }
             | Message::ParamSet { .. }
             | Message::ParamSetUnsupported { .. } => {
+                self.idle_until = None;
                 let own = self.config.own;
                 let output = self.parameters.handle(now, own, from, message);
                 self.outputs.extend(output);
             }
-            // A sign of life, which plans nothing.
-            _ => self.idle_until = idle_until,
+            // A sign of life.
+            _ => {}
         }
     }
 
@@ -231,7 +235,7 @@ impl<C: Clock> Session<C> {
     /// When to call [`Session::tick`], at the latest. There is always a next heartbeat.
     #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<C>> {
-        // With hundreds of peers the search is worth keeping; a sign of life since then has only put the end off.
+        // A sign of life since it was found has only put the end off.
         Some(self.idle_until.unwrap_or_else(|| self.find_deadline()))
     }
 
@@ -265,6 +269,7 @@ impl<C: Clock> Session<C> {
 
     fn on_heartbeat(&mut self, now: Timestamp<C>, from: Address, heartbeat: Heartbeat) {
         if self.peers.record_heartbeat(now, from, heartbeat) {
+            self.idle_until = None;
             self.time_requests.restart_quick(now);
             self.outputs.push_back(SessionOutput::PeerSeen { peer: from, heartbeat });
         }

@@ -283,3 +283,6 @@ fn point_of(sample: &SimulatedTruth) -> TruthPoint {
         odometry: sample.odometry.map(numbers),
     }
 }
+
+#[cfg(test)]
+mod tests;
