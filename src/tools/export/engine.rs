@@ -153,10 +153,11 @@ fn robot_poses(
     estimates: PerRobot<Vec<TimedPose>>,
     truth: Option<PoseTrack>,
 ) -> Result<Vec<RobotPoses>> {
-    let robots = estimates.into_entries();
-    if robots.len() == 1 {
-        let only = robots.into_iter().map(|robot| robot.value);
-        return Ok(only.map(|estimates| RobotPoses { label: None, estimates, truth: truth.clone() }).collect());
+    let mut robots = estimates.into_entries();
+    if robots.len() == 1
+        && let Some(only) = robots.pop()
+    {
+        return Ok(vec![RobotPoses { label: None, estimates: only.value, truth }]);
     }
     let wants_truth = args.formats.contains(&Format::Tum);
     let robots = robots.into_iter().map(|robot| {
