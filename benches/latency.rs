@@ -1,6 +1,6 @@
 //! From the last byte of a telemetry frame to the estimate's datagram, beside a bare echo of the same sizes.
 //!
-//! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own shard with its
+//! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own station loop with its
 //! recorder, its observer and a ground station on a second UDP link attached, which gets what such programs show. The echo answers each
 //! datagram with one as long as the estimate, on a runtime of the same kind. Both take turns in one run, so that a busy machine
 //! slows both. Run with `cargo bench --bench latency`.
@@ -201,7 +201,7 @@ fn runtime() -> tokio::runtime::Runtime {
 enum Threads {
     /// As a task of a runtime with worker threads, as most servers are written.
     Many,
-    /// On a runtime of its own thread, as the station's shard runs.
+    /// On a runtime of its own thread, as the station's station loop runs.
     One,
 }
 
@@ -233,10 +233,10 @@ fn start_station(stop: CancellationToken, ground: SocketAddr) -> (SocketAddr, st
         let folder = std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a scratch folder");
         runtime().block_on(async {
-            let (mut shard, address) = shard(&folder.join("latency.mcap"), ground).await;
+            let (mut station_loop, address) = start_station_loop(&folder.join("latency.mcap"), ground).await;
             tell.send(address).expect("somebody waits");
-            shard.run(&StopConditions { stop, at: None, silence: None, progress: None }).await;
-            let StationLoop { recorder, observer, .. } = shard;
+            station_loop.run(&StopConditions { stop, at: None, silence: None, progress: None }).await;
+            let StationLoop { recorder, observer, .. } = station_loop;
             recorder.map(Recorder::finish).transpose().expect("the recording is whole");
             observer.finish().expect("the observer ends");
         });
@@ -253,8 +253,8 @@ fn shown() -> Vec<OutputSection> {
         .to_vec()
 }
 
-/// The program's own shard on a loopback UDP port, with recorder and observer, and a link to a ground station.
-async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop, SocketAddr) {
+/// The program's own station loop on a loopback UDP port, with recorder and observer, and a link to a ground station.
+async fn start_station_loop(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop, SocketAddr) {
     let timer = HostTimer::start();
     let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
     let to_ground = LinkSection { outputs: Some(shown()), ..LinkSection::new(&ground) };
@@ -269,8 +269,8 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop,
     ports.try_open_all().await.expect("the link opens");
     let address = ports.iter().nth(1).and_then(Link::local_address).expect("an address");
     let observed = ObserverConfig { events: None, view: LiveView::silent() };
-    let shard = StationLoop {
-        pipeline: Station::new(config.station_config().expect("a pipeline"), Timestamp::ZERO).expect("a pipeline"),
+    let station_loop = StationLoop {
+        station: Station::new(config.station_config().expect("a station"), Timestamp::ZERO).expect("a station"),
         links: ports,
         timer,
         recorder: Some(Recorder::start(recording, &RecordingHeader::default()).expect("a recorder")),
@@ -283,10 +283,11 @@ async fn shard(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop,
         requests: RequestHandler::new(
             recording.with_extension("folder"),
             timer,
-            (config.clone(), config),
+            config.clone(),
+            config,
             Some(recording.to_owned()),
         ),
         truth: Vec::new(),
     };
-    (shard, address)
+    (station_loop, address)
 }

@@ -1,7 +1,7 @@
 //! What the person who runs the program reads: lines on stderr, results on stdout, progress bars.
 //!
 //! A stderr that cannot be written is no reason to stop. While the terminal view has the screen, lines go to its panel of events and not across the screen ([`redirect_stderr`]). They are kept as well,
-//! and written when the screen is given back, so that nothing that was said is lost with it.
+//! and written when the screen is given back, so that no message is lost with it.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -43,7 +43,7 @@ pub fn print_line(line: &str) {
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
-/// Where the log is written to: the same way as everything else that is said. Each write is one entry.
+/// Where the log is written to: the same way as every other message. Each write is one entry.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LogWriter;
 

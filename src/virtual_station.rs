@@ -1,6 +1,6 @@
 //! Brick and station in one loop, in virtual time: no socket, no thread, no clock, the same every time.
 //!
-//! It drives the same simulation and the same pipeline as a live run. Between them stands a link that delivers at once, or one of
+//! It drives the same simulation and the same station as a live run. Between them stands a link that delivers at once, or one of
 //! [`posebridge_sim::impairment`]. Used where two ways of steering or two links are compared on the same world, and by tests.
 
 use std::collections::VecDeque;
@@ -59,7 +59,7 @@ pub struct LinkTotals {
 pub struct VirtualRun {
     /// The simulation with its truth.
     pub simulation: Simulation,
-    /// What the station told.
+    /// The events of the station.
     pub collector: EventCollector,
     /// What the link did; a link that delivers at once counts, too.
     pub link: LinkTotals,
@@ -69,23 +69,23 @@ pub struct VirtualRun {
     pub delays_to_brick: Vec<TimeDelta>,
 }
 
-/// Runs a scenario against a pipeline whose first link is the brick's; the link delivers at once. A brick that does not share its link with
+/// Runs a scenario against a station whose first link is the brick's; the link delivers at once. A brick that does not share its link with
 /// the camera leaves the second link to it, which delivers at once, too.
 ///
 /// # Errors
-/// The pipeline cannot be built.
+/// The station cannot be built.
 pub fn run(scenario: Scenario, config: StationConfig) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
     run_on(scenario, config, link)
 }
 
-/// Runs a scenario against a pipeline whose first link is the brick's, over a link with faults.
+/// Runs a scenario against a station whose first link is the brick's, over a link with faults.
 ///
-/// What arrives at the station is given to the pipeline with the instant of its arrival; the brick, whose world advances in
-/// steps of a millisecond, takes what has arrived since its last step. An outage is told to the pipeline as a port would tell it.
+/// What arrives is given to the station with the instant of its arrival; the brick, whose world advances in
+/// steps of a millisecond, takes what has arrived since its last step. An outage reaches the station as a link would report it.
 ///
 /// # Errors
-/// The pipeline cannot be built.
+/// The station cannot be built.
 pub fn run_over_link(
     mut scenario: Scenario,
     mut config: StationConfig,
@@ -108,9 +108,9 @@ pub fn run_over_link(
 /// What somebody sees who looks on at a run, in the order in which it happens.
 #[derive(Clone, Copy, Debug)]
 pub enum RunEvent<'a> {
-    /// The pipeline is given this.
+    /// The station is given this.
     Input(&'a Input),
-    /// The pipeline tells this.
+    /// The station tells this.
     Event(&'a Event),
 }
 
@@ -119,7 +119,7 @@ pub type RunObserver<'a> = dyn FnMut(Timestamp<HostClock>, RunEvent<'_>) + 'a;
 
 /// What is done in a run, and who looks on.
 pub struct RunScript<'a> {
-    /// What the pipeline is told to do at which world time, in the order of time. What it asks to be done to the brick is done.
+    /// What the station is asked to do at which world time, in the order of time. What it asks to be done to the brick is done.
     pub commands: &'a [(TimeDelta, Command)],
     /// The run ends then, if not before.
     pub until: TimeDelta,
@@ -130,7 +130,7 @@ pub struct RunScript<'a> {
 /// Runs a scenario as [`run`] does, while somebody gives commands.
 ///
 /// # Errors
-/// The pipeline cannot be built.
+/// The station cannot be built.
 pub fn run_with(scenario: Scenario, config: StationConfig, deeds: RunScript<'_>) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
     let RunScript { commands, until, observer: look } = deeds;
@@ -149,16 +149,16 @@ struct VirtualSession<'a> {
     id: LinkId,
     /// The camera's own link, where it has one.
     camera: Option<LinkId>,
-    pipeline: Station,
+    station: Station,
     simulation: Simulation,
     collector: EventCollector,
     link: ImpairedLink,
     outages: u64,
     to_station: TransitTimes,
     to_brick: TransitTimes,
-    /// What is still to be told to the pipeline, and when.
+    /// Inputs that the station is still to get, and when.
     commands: VecDeque<(TimeDelta, Command)>,
-    /// What the pipeline has asked to be done to the link.
+    /// What the station has asked to be done to the link.
     pending_link_commands: VecDeque<SimulatorCommand>,
     /// Until when the cable is out.
     unplugged_until: Option<TimeDelta>,
@@ -200,7 +200,7 @@ impl VirtualSession<'_> {
         Ok(Self {
             id: config.links.first().map_or(LinkId(0), |link| link.id),
             camera: camera.filter(|_| !scenario.brick.personality.shares_link_with_camera()),
-            pipeline: Station::new(config, Timestamp::ZERO)?,
+            station: Station::new(config, Timestamp::ZERO)?,
             simulation: Simulation::new(scenario),
             collector: EventCollector::default(),
             link,
@@ -301,7 +301,7 @@ impl VirtualSession<'_> {
             self.push_input(now, &Input::Bytes { link, peer, bytes });
             self.advance_to(now);
         }
-        if self.pipeline.deadline().is_some_and(|deadline| deadline <= now) {
+        if self.station.deadline().is_some_and(|deadline| deadline <= now) {
             self.push_input(now, &Input::Tick);
             self.advance_to(now);
         }
@@ -346,8 +346,8 @@ impl VirtualSession<'_> {
         if let Some(look) = &mut self.observer {
             look(at, RunEvent::Input(input));
         }
-        self.pipeline.handle(at, input);
-        while let Some(output) = self.pipeline.poll() {
+        self.station.handle(at, input);
+        while let Some(output) = self.station.poll() {
             match output {
                 Output::Transmit { .. } if self.unplugged_until.is_some() => {}
                 Output::Transmit { link, bytes, .. } if self.camera == Some(link) => {

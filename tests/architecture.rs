@@ -48,7 +48,7 @@ const LAYERS: &[Layer] = &[
     pure("station", &["telemetry", "protocol", "estimator"]),
     pure("report", &["telemetry", "estimator"]),
     pure("lab", &["telemetry", "estimator", "station", "recording", "report"]),
-    // Never estimator or pipeline: nobody marks their own exam.
+    // Never estimator or station: nobody marks their own exam.
     pure("sim", &["telemetry", "protocol", "brick"]),
     io("link", &["telemetry"]),
     io("dashboard", &["telemetry", "recording"]),

@@ -1,4 +1,4 @@
-//! The brick SDK and the station: robots in C and in Python that are driven against the real pipeline, and robot profiles.
+//! The brick SDK and the station: robots in C and in Python that are driven against the same station, and robot profiles.
 //!
 //! A board stands behind each robot as lines of text (brick/check/robot.c), time is virtual, and the clock of the robot is wrong
 //! and wraps in the middle. That the SDKs make the right bytes is tested in brick/rust.
@@ -90,13 +90,13 @@ fn drive(command: Command) -> Drive {
     let mut config = Config::default();
     config.robot.start =
         Some(RobotStart { x_m: 0.0, y_m: 0.0, heading_deg: 0.0, position_sigma_m: 0.001, heading_sigma_deg: 0.1 });
-    let mut pipeline = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
+    let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut robot = Robot::start(command);
     let (mut to_robot, mut estimate, mut belief) = (Vec::new(), None, Belief::default());
     let mut alignments = 0;
     let link = LinkId(0);
     let up = Input::Link { link, state: LinkState::Up };
-    pipeline.handle(Timestamp::ZERO, &up);
+    station.handle(Timestamp::ZERO, &up);
     for step in 0..STEPS {
         let at = TimeDelta::from_millis(step * STEP_MS);
         let (bytes, believed) = robot.step(at.as_secs_f64(), &to_robot);
@@ -105,8 +105,8 @@ fn drive(command: Command) -> Drive {
         let peer = PeerId::default();
         let input = Input::Bytes { link, peer, bytes };
         for input in [&input, &Input::Tick] {
-            pipeline.handle(Timestamp::ZERO + at + DELAY, input);
-            while let Some(output) = pipeline.poll() {
+            station.handle(Timestamp::ZERO + at + DELAY, input);
+            while let Some(output) = station.poll() {
                 match output {
                     Output::Transmit { bytes, .. } => to_robot.extend(bytes),
                     Output::Event(Event::EstimateUpdated { estimate: new, .. }) => estimate = Some(new),

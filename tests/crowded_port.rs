@@ -115,7 +115,7 @@ fn speak(to: SocketAddr, stop: &AtomicBool, heard: &AtomicU64) {
 struct TestStation {
     port: Link,
     timer: HostTimer,
-    pipeline: Station,
+    station: Station,
     health: LinkHealth,
     sources: Vec<SourceHealth>,
     observations: Vec<(RobotId, Observation)>,
@@ -135,7 +135,7 @@ impl TestStation {
         let mut station = Self {
             port: Link::new(port, timer),
             timer,
-            pipeline: Station::new(config, Timestamp::ZERO).expect("a configuration"),
+            station: Station::new(config, Timestamp::ZERO).expect("a configuration"),
             health: LinkHealth::default(),
             sources: Vec::new(),
             observations: Vec::new(),
@@ -147,8 +147,8 @@ impl TestStation {
     }
 
     fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
-        self.pipeline.handle(now, input);
-        while let Some(output) = self.pipeline.poll() {
+        self.station.handle(now, input);
+        while let Some(output) = self.station.poll() {
             match output {
                 Output::Event(Event::ObservationAligned { robot, observation, .. }) => {
                     self.observations.push((robot, observation));
@@ -161,7 +161,7 @@ impl TestStation {
 
     /// The next thing that happens; garbage is the engine's business like everything else.
     async fn step(&mut self) {
-        let due = self.pipeline.deadline().expect("health is told for ever");
+        let due = self.station.deadline().expect("health is told for ever");
         let (link, state) = (LINK, LinkState::Up);
         let mut is_good = false;
         let (now, input) = tokio::select! {
@@ -237,7 +237,7 @@ fn expected_sources() -> Vec<SourceHealth> {
 
 /// As many robots are followed as there is room for, each by the counts of its own wheels.
 fn check_observations(station: &TestStation) {
-    let tick_rad = station.pipeline.geometry().tick.0;
+    let tick_rad = station.station.geometry().tick.0;
     let mut followed = BTreeSet::new();
     for (robot, observation) in &station.observations {
         let ObservationKind::WheelAngles { left, right } = observation.measurement else {

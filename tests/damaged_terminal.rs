@@ -34,7 +34,7 @@ const STEP: TimeDelta = TimeDelta::from_millis(1);
 
 /// An engine that is told what a port tells, with books that are held against what it observes.
 struct TestStation {
-    pipeline: Station,
+    station: Station,
     books: Books,
     now: Timestamp<HostClock>,
     /// Chunks that the kernel has made of the bytes.
@@ -48,15 +48,15 @@ impl TestStation {
         let config = config.config.station_config().expect("a configuration");
         Self {
             books: Books::new(config.robot.filter_config.geometry.left_wheel_radius.0),
-            pipeline: Station::new(config, Timestamp::ZERO).expect("a configuration"),
+            station: Station::new(config, Timestamp::ZERO).expect("a configuration"),
             now: Timestamp::ZERO,
             chunks: 0,
         }
     }
 
     fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
-        self.pipeline.handle(now, input);
-        while let Some(output) = self.pipeline.poll() {
+        self.station.handle(now, input);
+        while let Some(output) = self.station.poll() {
             if let Output::Event(event) = output {
                 self.books.take(&event);
             }
@@ -65,7 +65,7 @@ impl TestStation {
 
     fn pass(&mut self, span: TimeDelta) {
         self.now = self.now + span;
-        while let Some(due) = self.pipeline.deadline().filter(|due| *due <= self.now) {
+        while let Some(due) = self.station.deadline().filter(|due| *due <= self.now) {
             self.give(due, &Input::Tick);
         }
     }

@@ -123,16 +123,16 @@ fn hand_in_hand() -> Simulation {
     let scenario = scenario();
     let config = Config::default().with_tag_of(&scenario).station_config().unwrap();
     let link = config.links.first().unwrap().id;
-    let mut pipeline = Station::new(config, Timestamp::ZERO).unwrap();
+    let mut station = Station::new(config, Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
     let mut give = |now, input: &Input, simulation: &mut Simulation| {
-        pipeline.handle(now, input);
-        while let Some(output) = pipeline.poll() {
+        station.handle(now, input);
+        while let Some(output) = station.poll() {
             if let Output::Transmit { bytes, .. } = output {
                 simulation.receive(&bytes);
             }
         }
-        pipeline.deadline()
+        station.deadline()
     };
     let state = LinkState::Up;
     let mut deadline = give(Timestamp::ZERO, &Input::Link { link, state }, &mut simulation);

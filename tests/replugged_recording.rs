@@ -28,7 +28,7 @@ const MESSAGES: i64 = 20;
 const STEP_MICROS: u32 = 20_000;
 
 /// What a plugging has sent: whether it must all be there is known of the bytes before the torn frame.
-struct Sent {
+struct SentBytes {
     whole: Vec<u8>,
     torn: Vec<u8>,
 }
@@ -36,7 +36,7 @@ struct Sent {
 /// A brick that numbers its messages through all pluggings.
 struct Brick {
     encoder: Encoder,
-    said: i64,
+    message_count: i64,
 }
 
 impl Brick {
@@ -47,20 +47,20 @@ impl Brick {
     }
 
     fn next_ticks(&mut self) -> Vec<u8> {
-        self.said += 1;
-        self.frame(&ticks(self.said))
+        self.message_count += 1;
+        self.frame(&ticks(self.message_count))
     }
 
     /// Waits until the station speaks, says its part, waits for the answer to its last word, and is torn off in the middle of
     /// the next. `remainder` is what the plugging before has not got rid of.
-    fn talk(&mut self, mut terminal: PseudoTerminal, remainder: &[u8]) -> Sent {
+    fn talk(&mut self, mut terminal: PseudoTerminal, remainder: &[u8]) -> SentBytes {
         hear(&mut terminal, |_| true);
         let mut whole = remainder.to_vec();
         whole.extend(self.frame(&HEARTBEAT));
         for _ in 0..MESSAGES {
             whole.extend(self.next_ticks());
         }
-        let request_nanos = 1_000 + self.said;
+        let request_nanos = 1_000 + self.message_count;
         whole.extend(self.frame(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None })));
         terminal.wire.write_all(&whole).expect("it is plugged in");
         hear(
@@ -70,7 +70,7 @@ impl Brick {
         let torn = self.next_ticks();
         let half = torn.len() / 2;
         terminal.wire.write_all(&torn[..half]).expect("it is plugged in");
-        Sent { whole, torn }
+        SentBytes { whole, torn }
     }
 }
 
@@ -135,7 +135,7 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
     let mut terminal = PseudoTerminal::open_as(&name);
     let args = ["run", "--link", &link, "--out", "run", "--events", "live.txt"];
     let station = RunningProgram::start(posebridge(folder.path()).args(args));
-    let mut brick = Brick { encoder: Encoder::new(WireVersion::V2), said: 0 };
+    let mut brick = Brick { encoder: Encoder::new(WireVersion::V2), message_count: 0 };
     let mut sent = vec![brick.talk(terminal, &[])];
     while sent.len() < PLUGGINGS {
         terminal = PseudoTerminal::open_as(&name);
@@ -152,16 +152,16 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
         assert!(found.starts_with(&sent.whole), "plugging {number}: bytes are missing");
         assert!(all.starts_with(found), "plugging {number}: bytes are made up");
     }
-    check_events(folder.path(), brick.said);
+    check_events(folder.path(), brick.message_count);
 }
 
 /// Every whole message was observed once and in order, no torn one was, and the recording replays to the same events.
-fn check_events(folder: &Path, said: i64) {
+fn check_events(folder: &Path, message_count: i64) {
     let live = std::fs::read_to_string(folder.join("live.txt")).unwrap();
     let observed = events_named(&live, "observed");
     let stamps: Vec<i64> = observed.iter().map(|event| event["robot_ns"].as_i64().unwrap()).collect();
     // The last of each plugging is the torn one.
-    let expected: Vec<i64> = (1..=said)
+    let expected: Vec<i64> = (1..=message_count)
         .filter(|number| number % (MESSAGES + 1) != 0)
         .map(|number| 1_000 * (5_000_000 + number * i64::from(STEP_MICROS)))
         .collect();

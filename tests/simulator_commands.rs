@@ -12,13 +12,13 @@ use posebridge_telemetry::{
 };
 
 /// Everything of a run, in its order.
-struct Told {
+struct DrivenRun {
     run: VirtualRun,
     inputs: Vec<(Timestamp<HostClock>, Input)>,
     events: Vec<(Timestamp<HostClock>, Event)>,
 }
 
-impl Told {
+impl DrivenRun {
     fn estimates(&self) -> impl Iterator<Item = (Timestamp<HostClock>, &Estimate)> {
         self.events.iter().filter_map(|(at, event)| {
             let Event::EstimateUpdated { estimate, .. } = event else {
@@ -81,14 +81,14 @@ fn at(secs: f64, command: SimulatorCommand) -> (TimeDelta, Command) {
     (TimeDelta::from_secs_f64(secs), Command::Simulator(command))
 }
 
-fn pipeline_of(scenario: &Scenario) -> StationConfig {
+fn station_config_of(scenario: &Scenario) -> StationConfig {
     Config::default().with_tag_of(scenario).station_config().unwrap()
 }
 
 /// The bundled scenario, driven without an end for so long.
-fn driven(name: &str, commands: &[(TimeDelta, Command)], secs: f64) -> Told {
+fn driven(name: &str, commands: &[(TimeDelta, Command)], secs: f64) -> DrivenRun {
     let scenario = Scenario::bundled(name).unwrap().without_end();
-    let config = pipeline_of(&scenario);
+    let config = station_config_of(&scenario);
     let (mut inputs, mut events) = (Vec::new(), Vec::new());
     let deeds = RunScript {
         commands,
@@ -99,7 +99,7 @@ fn driven(name: &str, commands: &[(TimeDelta, Command)], secs: f64) -> Told {
         },
     };
     let run = virtual_station::run_with(scenario, config, deeds).unwrap();
-    Told { run, inputs, events }
+    DrivenRun { run, inputs, events }
 }
 
 #[test]
@@ -321,11 +321,11 @@ fn everything() -> Vec<(TimeDelta, Command)> {
 fn a_replay_of_everything_that_was_done_is_the_session_bit_for_bit() {
     let told = driven("square", &everything(), 20.0);
     let scenario = Scenario::bundled("square").unwrap();
-    let mut pipeline = Station::new(pipeline_of(&scenario), Timestamp::ZERO).unwrap();
+    let mut station = Station::new(station_config_of(&scenario), Timestamp::ZERO).unwrap();
     let (mut events, mut asked) = (Vec::new(), 0);
     for (at, input) in &told.inputs {
-        pipeline.handle(*at, input);
-        while let Some(output) = pipeline.poll() {
+        station.handle(*at, input);
+        while let Some(output) = station.poll() {
             match output {
                 Output::Event(event) => events.push((*at, event)),
                 // Nobody carries it out: the inputs that it led to are there.

@@ -97,7 +97,7 @@ fn wished<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<
 struct Soak {
     id: LinkId,
     now: Timestamp<HostClock>,
-    pipeline: Station,
+    station: Station,
     simulation: Simulation,
     link: ImpairedLink,
     to_station: FrameLedger,
@@ -106,7 +106,7 @@ struct Soak {
     collector: EventCollector,
     /// Live bytes of station and collector.
     kept_bytes: i64,
-    told: Told,
+    totals: StationTotals,
     outages: Outages,
     /// Seconds at which the two accounts were equal and not.
     equal: u64,
@@ -114,9 +114,9 @@ struct Soak {
     unequal_in_a_row: u32,
 }
 
-/// What the station told last, or counts.
+/// What the station has reported: the latest, or counts.
 #[derive(Default)]
-struct Told {
+struct StationTotals {
     health: LinkHealth,
     sources: Vec<SourceHealth>,
     estimates: u64,
@@ -146,24 +146,24 @@ impl Soak {
                 LinkKind::Datagram => TransportKind::Datagram,
             };
         }
-        let mut station = None;
+        let mut started = None;
         let made = measure(|| {
             let config = config.clone();
-            let pipeline = Station::new(config, Timestamp::ZERO).expect("the default makes sense");
-            station = Some((pipeline, EventCollector::live()));
+            let station = Station::new(config, Timestamp::ZERO).expect("the default makes sense");
+            started = Some((station, EventCollector::live()));
         });
-        let (pipeline, collector) = station.expect("it was made");
+        let (station, collector) = started.expect("it was made");
         let mut soak = Self {
             id: config.links.first().map_or(LinkId(0), |link| link.id),
             now: Timestamp::ZERO,
-            pipeline,
+            station,
             simulation: Simulation::new(scenario).without_history(),
             link: ImpairedLink::new(profile, seed, Timestamp::ZERO),
             to_station: FrameLedger::new(),
             to_brick: FrameLedger::new(),
             collector,
             kept_bytes: made.bytes_current,
-            told: Told::default(),
+            totals: StationTotals::default(),
             outages: Outages::default(),
             equal: 0,
             unequal: 0,
@@ -184,7 +184,7 @@ impl Soak {
                 self.pass_to(self.now);
             }
             let is_due = |due: Timestamp<HostClock>| due <= self.now;
-            if self.pipeline.deadline().is_some_and(is_due) {
+            if self.station.deadline().is_some_and(is_due) {
                 self.give(self.now, &Input::Tick);
                 self.pass_to(self.now);
             }
@@ -229,8 +229,8 @@ impl Soak {
 
     fn give(&mut self, at: Timestamp<HostClock>, input: &Input) {
         let change = measure(|| {
-            self.pipeline.handle(at, input);
-            while let Some(output) = self.pipeline.poll() {
+            self.station.handle(at, input);
+            while let Some(output) = self.station.poll() {
                 match output {
                     // The link and the test itself keep what is theirs.
                     Output::Transmit { bytes, .. } => opt_out(|| {
@@ -249,7 +249,7 @@ impl Soak {
     }
 
     fn hear(&mut self, at: Timestamp<HostClock>, event: &Event) {
-        self.told.take(at, event);
+        self.totals.take(at, event);
         if matches!(event, Event::Health { .. }) {
             // What has arrived in this very millisecond is not in the log's account yet.
             self.to_station.apply_log(&self.link.take_log(LinkEnd::Station));
@@ -267,15 +267,15 @@ impl Soak {
         let truth: BTreeMap<Address, FrameCounts> = self.to_station.counts().collect();
         let mut differences = Vec::new();
         for source in [BRICK, CAMERA] {
-            let said = self.told.sources.iter().find(|said| said.source == source);
-            let told =
+            let said = self.totals.sources.iter().find(|said| said.source == source);
+            let totals =
                 said.map_or(FrameAccount::default(), |said| FrameAccount { received: said.frames, lost: said.lost });
             let counts = truth.get(&source).copied().unwrap_or_default();
             let made = FrameAccount { received: counts.whole + counts.repeated, lost: counts.missing_between };
             let unseen = max_unseen(self.now.as_secs_f64() / 3_600.0);
-            let is_equal = told.agrees(made, unseen, counts.undatable);
+            let is_equal = totals.agrees(made, unseen, counts.undatable);
             if !is_equal {
-                differences.push(format!("{source}: told {told:?}; {counts:?}"));
+                differences.push(format!("{source}: told {totals:?}; {counts:?}"));
             }
         }
         differences
@@ -298,7 +298,7 @@ impl Soak {
         let counts = truth.get(&STATION).copied().unwrap_or_default();
         println!("to the brick: {counts:?}, it heard {:?}", self.simulation.receive_counters());
         assert_eq!(truth.len(), 1, "nobody else speaks there");
-        assert!(counts.sent >= self.told.health.frames_out);
+        assert!(counts.sent >= self.totals.health.frames_out);
         assert!(counts.lost > 0);
         // One may wait behind a torn one for the brick's next bytes.
         let came = counts.whole + counts.repeated;
@@ -310,13 +310,13 @@ impl Soak {
         assert!(begun > 0);
         assert_eq!(recovered + cut_short + u64::from(is_pending), begun);
         assert!(cut_short * 10 < begun, "{cut_short} of {begun}");
-        assert_eq!(self.told.restarts, 0);
-        assert!(self.told.longest_silence < LONGEST_SILENCE);
+        assert_eq!(self.totals.restarts, 0);
+        assert!(self.totals.longest_silence < LONGEST_SILENCE);
         assert!(self.equal > 10 * self.unequal, "{self}");
     }
 }
 
-impl Told {
+impl StationTotals {
     fn take(&mut self, at: Timestamp<HostClock>, event: &Event) {
         match event {
             Event::Health { health, sources, .. } => {
@@ -348,7 +348,7 @@ impl Told {
 impl std::fmt::Display for Soak {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         for (source, counts) in self.to_station.counts() {
-            let said = self.told.sources.iter().find(|said| said.source == source);
+            let said = self.totals.sources.iter().find(|said| said.source == source);
             let (frames, lost) = said.map_or((0, 0), |said| (said.frames, said.lost));
             write!(
                 f,
@@ -360,9 +360,9 @@ impl std::fmt::Display for Soak {
             f,
             "{} bytes, {} estimates, {} alignments, silent for {:.1} s at most; {} outages; equal in {} of {} seconds",
             self.kept_bytes,
-            self.told.estimates,
-            self.told.alignments,
-            self.told.longest_silence.as_secs_f64(),
+            self.totals.estimates,
+            self.totals.alignments,
+            self.totals.longest_silence.as_secs_f64(),
             self.outages.begun,
             self.equal,
             self.equal + self.unequal,

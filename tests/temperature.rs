@@ -1,4 +1,4 @@
-//! A thermometer on a robot that drives: its end is told with a bound long before it shows it, live as in the replay.
+//! A thermometer on a robot that drives: its settled value is reported with a bound long before it shows it, live as in the replay.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
@@ -18,29 +18,29 @@ const QUICK: &str = "seed = 3\n[path.circle]\nradius_m = 0.4\n[drive]\nlaps = 3\
                      lags_s = [2.0, 8.0]\nshares = [0.3, 0.7]\nsigma_k = 0.03\nresolution_k = 0.0625\nbefore_c = 20.0\n\
                      after_c = 48.7\ndipped_at_s = 2.0\n";
 
-/// What was told of a temperature, at an instant of the world.
+/// What was reported of a temperature, at an instant of the world.
 #[derive(Clone, Copy, Debug)]
-struct Told {
+struct TemperatureReport {
     at_s: f64,
     shown_c: f64,
     settled_c: f64,
     bound_k: f64,
 }
 
-impl Told {
+impl TemperatureReport {
     fn holds_the_water(&self) -> bool {
         (self.settled_c - WATER_C).abs() <= self.bound_k
     }
 }
 
 /// Robot and station in virtual time, without a link between them.
-fn driven(seed: u64, until_s: f64) -> Vec<Told> {
+fn driven(seed: u64, until_s: f64) -> Vec<TemperatureReport> {
     let scenario = Scenario::bundled("thermometer").unwrap().with_seed(seed);
     let config = Config::default().with_tag_of(&scenario);
-    let mut pipeline = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
+    let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
     let link = LinkId(0);
-    let mut told = Vec::new();
+    let mut reports = Vec::new();
     let up = Input::Link { link, state: LinkState::Up };
     let mut inputs = vec![up];
     while simulation.elapsed() < TimeDelta::from_secs_f64(until_s) {
@@ -50,17 +50,17 @@ fn driven(seed: u64, until_s: f64) -> Vec<Told> {
             let peer = PeerId::default();
             inputs.push(Input::Bytes { link, peer, bytes });
         }
-        if pipeline.deadline().is_some_and(|due| due <= now) {
+        if station.deadline().is_some_and(|due| due <= now) {
             inputs.push(Input::Tick);
         }
         for input in inputs.drain(..) {
-            pipeline.handle(now, &input);
-            while let Some(output) = pipeline.poll() {
+            station.handle(now, &input);
+            while let Some(output) = station.poll() {
                 match output {
                     Output::Transmit { bytes, .. } => simulation.receive(&bytes),
                     Output::Event(Event::Temperature { shown, settled, .. }) => {
                         let settled = settled.expect("it was read");
-                        told.push(Told {
+                        reports.push(TemperatureReport {
                             at_s: now.as_secs_f64(),
                             shown_c: shown.0,
                             settled_c: settled.value,
@@ -72,7 +72,7 @@ fn driven(seed: u64, until_s: f64) -> Vec<Told> {
             }
         }
     }
-    told
+    reports
 }
 
 #[test]
@@ -81,11 +81,11 @@ fn the_water_is_within_a_small_bound_while_the_sensor_is_still_far_from_it() {
     assert_eq!(STEP, TimeDelta::from_millis(1));
     let mut held = 0;
     for seed in 1..=SEEDS {
-        let told = driven(seed, DIPPED_S + 20.0);
-        assert!((115..=121).contains(&told.len()), "{}", told.len());
-        let rest = told.iter().rfind(|told| told.at_s < DIPPED_S).unwrap();
+        let reports = driven(seed, DIPPED_S + 20.0);
+        assert!((115..=121).contains(&reports.len()), "{}", reports.len());
+        let rest = reports.iter().rfind(|reports| reports.at_s < DIPPED_S).unwrap();
         assert!((rest.settled_c - 20.0).abs() < 0.5 && rest.bound_k < 2.0, "{rest:?}");
-        let last = told.last().unwrap();
+        let last = reports.last().unwrap();
         println!("seed {seed}: {last:.2?}");
         // 0.7 of 28.7 K, less than one time constant after the dip.
         assert!(WATER_C - last.shown_c > 7.0, "{last:?}");

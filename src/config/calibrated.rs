@@ -207,8 +207,8 @@ mod tests {
         for value in [0.6, f64::NAN] {
             let mut calibrated = calibrated();
             calibrated.learned.track_scale.value = value;
-            let said = format!("{:#}", calibrated.to_toml().unwrap_err());
-            assert!(said.contains("robot.calibration.track_scale"), "{said}");
+            let error = format!("{:#}", calibrated.to_toml().unwrap_err());
+            assert!(error.contains("robot.calibration.track_scale"), "{error}");
         }
     }
 

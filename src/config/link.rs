@@ -156,9 +156,9 @@ fn output(message: &str, interval_ms: u32) -> OutputSection {
 }
 
 impl LinkSection {
-    pub(super) fn pipeline(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
+    pub(super) fn to_link_config(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
         let outputs = self.outputs();
-        let outputs = outputs.iter().map(OutputSection::pipeline);
+        let outputs = outputs.iter().map(OutputSection::to_output_stream);
         Ok(LinkConfig {
             brick: None,
             id: LinkId(index as u16),
@@ -174,7 +174,7 @@ impl LinkSection {
 }
 
 impl OutputSection {
-    fn pipeline(&self) -> Result<OutputStream> {
+    fn to_output_stream(&self) -> Result<OutputStream> {
         let Some((_, kind)) = OUTPUTS.iter().find(|(name, _)| *name == self.message) else {
             let known: Vec<_> = OUTPUTS.iter().map(|(name, _)| *name).collect();
             bail!("`outputs.message` is `{}`; there are: {}", self.message, known.join(", "));

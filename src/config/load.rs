@@ -28,7 +28,7 @@ pub enum ConfigError {
     Unreadable {
         /// The file.
         path: String,
-        /// What the system said.
+        /// The error of the system.
         why: std::io::Error,
     },
     /// The text makes no sense.
@@ -82,7 +82,7 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
 /// A configuration with some keys set. They are judged together: a section that has no default may be made of several.
 ///
 /// # Errors
-/// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if it cannot be told.
+/// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if that is not known.
 pub fn apply_overrides(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
     let all: Vec<&Setting> = settings.iter().collect();
     with_overrides(config, &all).map_err(|why| {
@@ -123,19 +123,19 @@ fn offending_settings<'a>(config: &Config, settings: &[&'a Setting], why: &str) 
 
 /// What a TOML error says, with line and column in front.
 fn located(error: &toml::de::Error, text: &str) -> String {
-    let mut said = String::new();
+    let mut description = String::new();
     if let Some(span) = error.span() {
         let before = text.get(..span.start).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
         let column = before.chars().rev().take_while(|character| *character != '\n').count() + 1;
         // Writing to a String cannot fail.
-        let _ = write!(said, "line {line}, column {column}: ");
+        let _ = write!(description, "line {line}, column {column}: ");
         if let Some(source) = text.lines().nth(line - 1) {
-            let _ = write!(said, "{}\n    {}", error.message(), source.trim());
-            return said;
+            let _ = write!(description, "{}\n    {}", error.message(), source.trim());
+            return description;
         }
     }
-    said + error.message()
+    description + error.message()
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where PlotJuggler's UDP server listens unless it is told otherwise, on this computer. Source: its plugin `DataStreamUDP`.
+/// Where PlotJuggler's UDP server listens by default, on this computer. Source: its plugin `DataStreamUDP`.
 pub const PLOTJUGGLER_ADDRESS: &str = "127.0.0.1:9870";
 
 /// JSON datagrams for PlotJuggler.

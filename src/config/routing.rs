@@ -81,7 +81,7 @@ pub struct LimitsSection {
 }
 
 impl RoutingSection {
-    /// The window for the pipeline.
+    /// The window for the station.
     ///
     /// # Errors
     /// It is longer than a minute.

@@ -74,9 +74,9 @@ const fn default_required() -> bool {
 }
 
 impl SigningSection {
-    /// What the pipeline needs, with the key and with what the link begins with.
+    /// What the station needs, with the key and with what the link begins with.
     #[must_use]
-    pub fn pipeline(&self, key: Key, memory: SigningState) -> SigningConfig {
+    pub fn to_signing_config(&self, key: Key, memory: SigningState) -> SigningConfig {
         let accepted: BTreeSet<u32> = self.accept_unsigned.iter().copied().collect();
         SigningConfig {
             key,

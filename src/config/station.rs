@@ -1,4 +1,4 @@
-//! The station's own part of the configuration, and how it becomes a pipeline.
+//! The station's own part of the configuration, and how it becomes a station.
 
 use std::collections::BTreeMap;
 
@@ -211,7 +211,7 @@ impl Config {
         blocks.collect()
     }
 
-    /// The pipeline's configuration, without the keys of signed links; see [`crate::station::signing`].
+    /// The station's configuration, without the keys of signed links; see [`crate::station::signing`].
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
@@ -221,8 +221,8 @@ impl Config {
         let links = self.links.iter().zip(rules).enumerate().map(|(index, (link, rules))| {
             let brick = brick_link(link, &self.robot, &self.camera.json);
             let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
-            let pipeline = link.pipeline(index, rules)?;
-            Ok(LinkConfig { brick, ..pipeline })
+            let config = link.to_link_config(index, rules)?;
+            Ok(LinkConfig { brick, ..config })
         });
         let interval = TimeDelta::from_millis(i64::from(self.clock.telemetry_interval_ms));
         let wanted = match self.clock.telemetry_interval_ms {

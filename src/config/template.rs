@@ -29,7 +29,7 @@ struct Block<'a> {
     lines: Vec<&'a str>,
 }
 
-/// The configuration of a robot at this link; `file` is the name that the reader is told to use.
+/// The configuration of a robot at this link; `file` is the name that it shows to the reader.
 #[must_use]
 pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String {
     let (_, default) = blocks_of(DEFAULT_TOML);

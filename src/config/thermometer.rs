@@ -111,9 +111,9 @@ mod tests {
             ("channel = \"temp\"\n[[robot.thermometer]]\nchannel = \"temp\"", "twice"),
         ] {
             let refused = thermometers(&format!("[[robot.thermometer]]\n{line}\n"));
-            let said = format!("{:#}", refused.unwrap_err());
-            let has_place = said.contains("robot.thermometer") || said.contains("line 3");
-            assert!(said.contains(key) && has_place, "{line}: {said}");
+            let error = format!("{:#}", refused.unwrap_err());
+            let has_place = error.contains("robot.thermometer") || error.contains("line 3");
+            assert!(error.contains(key) && has_place, "{line}: {error}");
         }
     }
 }

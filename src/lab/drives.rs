@@ -28,17 +28,17 @@ pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
 
 /// A filter's configuration from what it may know.
 #[must_use]
-pub fn filter_config(told: &FilterPrior) -> FilterConfig {
+pub fn filter_config(prior: &FilterPrior) -> FilterConfig {
     FilterConfig {
-        geometry: told.geometry,
-        noise: told.noise,
+        geometry: prior.geometry,
+        noise: prior.noise,
         start: Some(StartPose {
-            pose: told.start,
-            position_sigma_m: told.start_position_sigma_m,
-            heading_sigma_rad: told.start_heading_sigma_rad,
+            pose: prior.start,
+            position_sigma_m: prior.start_position_sigma_m,
+            heading_sigma_rad: prior.start_heading_sigma_rad,
         }),
         params: Params::default(),
-        calibration: told.calibration,
+        calibration: prior.calibration,
         arena_map: Arc::default(),
     }
 }

@@ -1,8 +1,8 @@
-//! Receives in gulps, so that whoever sends need not wake anybody.
+//! A channel that is received in batches, so that the sender need not wake the receiver.
 //!
 //! To wake a thread that waits on a channel costs the sender a call of the system, and the woken thread takes a core just when the
 //! next telemetry may come. A thread that may be a little late therefore naps before it looks again, and waits on the channel only
-//! when nothing has come in the meantime: under steady telemetry the shard's sends then only store.
+//! when nothing has come in the meantime: under steady telemetry the station loop's sends then only store.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SendError, SyncSender, TryRecvError, TrySendError, sync_channel};
@@ -32,7 +32,7 @@ pub(super) struct BatchSender<T> {
     shared: Arc<BatchChannelState>,
 }
 
-/// The receiving end of a channel, emptied in gulps.
+/// The receiving end of a channel, emptied in batches.
 pub(super) struct BatchReceiver<T> {
     receiver: Receiver<T>,
     shared: Arc<BatchChannelState>,
@@ -45,9 +45,9 @@ pub(super) struct BatchReceiver<T> {
 pub(super) fn channel<T>(places: usize) -> (BatchSender<T>, BatchReceiver<T>) {
     let (sender, receiver) = sync_channel(places);
     let shared = Arc::new(BatchChannelState::default());
-    let gulps =
+    let receiver =
         BatchReceiver { receiver, shared: Arc::clone(&shared), poll_interval: POLL_INTERVAL, has_polled_empty: false };
-    (BatchSender { sender, shared }, gulps)
+    (BatchSender { sender, shared }, receiver)
 }
 
 impl<T> BatchSender<T> {
@@ -127,59 +127,59 @@ mod tests {
 
     #[test]
     fn everything_comes_in_order_and_the_end_after_it() {
-        let (sender, mut gulps) = channel(100);
+        let (sender, mut receiver) = channel(100);
         let sending = std::thread::spawn(move || (0..1_000).try_for_each(|i| sender.send(i)));
         let patience = Duration::from_secs(60);
-        let received: Vec<i32> = std::iter::from_fn(|| gulps.recv(patience).ok()).collect();
+        let received: Vec<i32> = std::iter::from_fn(|| receiver.recv(patience).ok()).collect();
         assert_eq!(received, (0..1_000).collect::<Vec<_>>());
-        assert_eq!(gulps.recv(patience), Err(RecvTimeoutError::Disconnected));
+        assert_eq!(receiver.recv(patience), Err(RecvTimeoutError::Disconnected));
         assert!(sending.join().unwrap().is_ok());
     }
 
     #[test]
     fn patience_ends_while_somebody_could_still_send() {
-        let (_sender, mut gulps) = channel::<i32>(1);
+        let (_sender, mut receiver) = channel::<i32>(1);
         for _ in 0..3 {
-            assert_eq!(gulps.recv(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));
+            assert_eq!(receiver.recv(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));
         }
     }
 
     #[test]
     fn what_waits_is_counted() {
-        let (sender, mut gulps) = channel(2 * WAKE_BACKLOG);
+        let (sender, mut receiver) = channel(2 * WAKE_BACKLOG);
         for item in 0..2 * WAKE_BACKLOG {
             assert_eq!(sender.backlog(), item);
             sender.try_send(item).unwrap();
         }
         assert!(sender.try_send(0).is_err());
         assert_eq!(sender.backlog(), 2 * WAKE_BACKLOG);
-        let received = std::iter::from_fn(|| gulps.recv(Duration::ZERO).ok());
+        let received = std::iter::from_fn(|| receiver.recv(Duration::ZERO).ok());
         assert_eq!(received.count(), 2 * WAKE_BACKLOG);
         assert_eq!(sender.backlog(), 0);
-        drop(gulps);
+        drop(receiver);
         assert!(sender.send(0).is_err());
         assert_eq!(sender.backlog(), 0);
     }
 
     #[test]
     fn a_crowd_ends_a_nap() {
-        let (tell, told) = sync_channel(1);
+        let (signal, awake) = sync_channel(1);
         // Who is woken before the nap begins does not nap at all: so the order of two threads does not matter.
         let reading = std::thread::spawn(move || {
-            let (sender, mut gulps) = channel(WAKE_BACKLOG);
+            let (sender, mut receiver) = channel(WAKE_BACKLOG);
             let nothing = Err(RecvTimeoutError::Timeout);
-            assert_eq!(gulps.recv(Duration::ZERO), nothing, "known from now on");
+            assert_eq!(receiver.recv(Duration::ZERO), nothing, "known from now on");
             for item in 0..WAKE_BACKLOG {
                 sender.try_send(item).unwrap();
             }
             for item in 0..WAKE_BACKLOG {
-                assert_eq!(gulps.recv(Duration::ZERO), Ok(item));
+                assert_eq!(receiver.recv(Duration::ZERO), Ok(item));
             }
-            gulps.poll_interval = Duration::from_secs(3_600);
-            assert_eq!(gulps.recv(Duration::ZERO), nothing);
-            tell.send(()).unwrap();
+            receiver.poll_interval = Duration::from_secs(3_600);
+            assert_eq!(receiver.recv(Duration::ZERO), nothing);
+            signal.send(()).unwrap();
         });
-        let is_awake = told.recv_timeout(Duration::from_secs(60));
+        let is_awake = awake.recv_timeout(Duration::from_secs(60));
         assert!(is_awake.is_ok(), "{:?}", reading.is_finished());
         reading.join().unwrap();
     }

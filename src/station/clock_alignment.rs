@@ -1,4 +1,4 @@
-//! What a pipeline said of the clocks of host and brick, for instants that it did not convert itself.
+//! The alignment of host and brick clock, as a station has published it, for instants that it did not convert itself.
 
 use posebridge_telemetry::{BrickClock, Event, HostClock, TimeDelta, Timestamp};
 

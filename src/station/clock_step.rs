@@ -15,7 +15,7 @@ pub struct ClockStepDetector {
 }
 
 impl ClockStepDetector {
-    /// Takes by how much the date runs ahead of the session's clock, and says by how much it has leapt since it was last told.
+    /// Takes by how much the date runs ahead of the session's clock, and returns by how much it has leapt since the last report.
     pub fn detect(&mut self, ahead: TimeDelta) -> Option<TimeDelta> {
         let leapt = ahead - self.reported;
         if leapt < STEP_THRESHOLD && leapt > -STEP_THRESHOLD {

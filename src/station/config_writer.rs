@@ -32,12 +32,12 @@ impl ConfigSaver {
     /// The system has no thread left.
     pub(super) fn start(folder: PathBuf) -> Result<Self> {
         let (jobs, waiting) = sync_channel(QUEUE_CAPACITY);
-        let (reports, told) = mpsc::channel(QUEUE_CAPACITY);
+        let (reports, waiting_reports) = mpsc::channel(QUEUE_CAPACITY);
         let thread = std::thread::Builder::new()
             .name("saver".to_owned())
             .spawn(move || save_all(&folder, &waiting, &reports))
             .context("starting the thread that saves")?;
-        Ok(Self { jobs, reports: told, thread })
+        Ok(Self { jobs, reports: waiting_reports, thread })
     }
 
     /// Hands a configuration over.
@@ -59,7 +59,7 @@ impl ConfigSaver {
         }
     }
 
-    /// Waits until all is written; what nobody has heard yet is said to whoever looks on.
+    /// Waits until all is written; results that nobody has received yet are printed.
     pub(super) fn finish(mut self) {
         drop(self.jobs);
         self.reports.close();
@@ -104,7 +104,7 @@ fn save(folder: &Path, saved: &mut Option<PathBuf>, config: &Config) -> Result<S
     std::fs::write(&beside, text)
         .and_then(|()| std::fs::rename(&beside, &path))
         .with_context(|| done_message("not saved", &path))?;
-    let told = done_message("saved", &path);
+    let message = done_message("saved", &path);
     *saved = Some(path);
-    Ok(told)
+    Ok(message)
 }

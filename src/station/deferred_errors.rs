@@ -1,4 +1,4 @@
-//! What fails while the rest goes on: kept until the end, and then told together.
+//! What fails while the rest goes on: kept until the end, and then reported together.
 
 use anyhow::{Result, anyhow};
 
@@ -58,8 +58,8 @@ mod tests {
             let failed: Option<()> = failures.record(Err(anyhow!("file {number}")));
             assert_eq!(failed, None);
         }
-        let told = failures.into_result().unwrap_err().to_string();
-        assert!(told.starts_with("file 1; file 2; "), "{told}");
-        assert!(told.ends_with("file 8; 2 more"), "{told}");
+        let message = failures.into_result().unwrap_err().to_string();
+        assert!(message.starts_with("file 1; file 2; "), "{message}");
+        assert!(message.ends_with("file 8; 2 more"), "{message}");
     }
 }

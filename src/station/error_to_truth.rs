@@ -37,7 +37,7 @@ pub fn error_line(errors: &[CurrentErrors]) -> Option<String> {
 pub struct ErrorToTruth {
     tap: TruthTap,
     truth: VecDeque<TruthSample>,
-    /// Of the same time; some of them are ahead of the truth, which is told at its own instants.
+    /// Of the same time; some of them are ahead of the truth, which comes at its own instants.
     estimates: VecDeque<TimedPose>,
 }
 

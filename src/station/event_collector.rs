@@ -24,9 +24,9 @@ pub const MAX_INTERPOLATION_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 #[derive(Debug, Default)]
 pub struct EventCollector {
     /// Estimates whose position and heading were valid.
-    pub estimates: Downsampled<Estimate>,
+    pub estimates: ThinnedSeries<Estimate>,
     /// Fixes with what became of them.
-    pub fixes: Downsampled<FixMark>,
+    pub fixes: ThinnedSeries<FixMark>,
     /// How the observations of each sensor fared.
     pub sources: Vec<SourceTally>,
     /// How many observations came.
@@ -57,8 +57,8 @@ impl EventCollector {
     #[must_use]
     pub fn live() -> Self {
         Self {
-            estimates: Downsampled::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
-            fixes: Downsampled::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |fix| fix.time),
+            estimates: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
+            fixes: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |fix| fix.time),
             ..Self::default()
         }
     }
@@ -122,7 +122,7 @@ impl EventCollector {
 /// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number. One for the recent
 /// past stops to thin once it reaches back far enough, and forgets the oldest instead.
 #[derive(Debug)]
-pub struct Downsampled<T> {
+pub struct ThinnedSeries<T> {
     items: Vec<T>,
     capacity: usize,
     stride: usize,
@@ -137,13 +137,13 @@ struct RecentWindow<T> {
     time_of: fn(&T) -> Timestamp<BrickClock>,
 }
 
-impl<T> Default for Downsampled<T> {
+impl<T> Default for ThinnedSeries<T> {
     fn default() -> Self {
         Self::with_capacity(MAX_ESTIMATES)
     }
 }
 
-impl<T> Downsampled<T> {
+impl<T> ThinnedSeries<T> {
     /// An empty list that never holds more than `most` items.
     #[must_use]
     pub fn with_capacity(capacity: usize) -> Self {
@@ -151,10 +151,10 @@ impl<T> Downsampled<T> {
     }
 
     /// An empty list with room for `most` items that reaches back at least so far.
-    fn with_window(most: usize, reach: TimeDelta, stamp_of: fn(&T) -> Timestamp<BrickClock>) -> Self {
+    fn with_window(most: usize, duration: TimeDelta, stamp_of: fn(&T) -> Timestamp<BrickClock>) -> Self {
         Self {
             items: Vec::with_capacity(most),
-            recent: Some(RecentWindow { duration: reach, time_of: stamp_of }),
+            recent: Some(RecentWindow { duration, time_of: stamp_of }),
             ..Self::with_capacity(most)
         }
     }
@@ -208,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_thinned_list_stays_small_and_even() {
-        let mut list = Downsampled::default();
+        let mut list = ThinnedSeries::default();
         for item in 0..4 * MAX_ESTIMATES {
             list.push(item);
         }
@@ -219,8 +219,8 @@ mod tests {
 
     #[test]
     fn a_list_of_the_recent_past_reaches_back_far_enough_and_takes_no_more_memory() {
-        let reach = TimeDelta::from_millis(1_000);
-        let mut list = Downsampled::with_window(100, reach, |item: &i64| Timestamp::from_millis(*item));
+        let duration = TimeDelta::from_millis(1_000);
+        let mut list = ThinnedSeries::with_window(100, duration, |item: &i64| Timestamp::from_millis(*item));
         let capacity = list.items.capacity();
         for item in 0..100_000 {
             list.push(item);

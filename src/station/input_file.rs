@@ -114,7 +114,7 @@ impl InputFile {
         }
     }
 
-    /// All bytes, at most `most` of them; of a packed file that was cut those before, and it is said.
+    /// All bytes, at most `most` of them; of a packed file that was cut those before, and a note says so.
     ///
     /// # Errors
     /// It cannot be read or unpacked, or is longer.

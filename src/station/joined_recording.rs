@@ -1,7 +1,7 @@
 //! A recording in several files as one: the parts that continue each other, joined in memory.
 //!
 //! A part is known to follow by its number and by the name of the file that it says it continues; what else lies in the folder under such
-//! a name is left alone. What was damaged or missing is said, because the joined recording no longer shows it.
+//! a name is left alone. What was damaged or missing is reported, because the joined recording no longer shows it.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub struct MemoryLimit {
 pub enum ExcessPolicy {
     /// They are an error.
     Reject,
-    /// They are left out, and it is said.
+    /// They are left out, and a note says so.
     Skip,
 }
 
@@ -70,7 +70,7 @@ fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>
         return Ok((first, Vec::new()));
     };
     let number = reader.part_header().part;
-    let Some((next_path, next)) = continuation((path, number), &mut room)? else {
+    let Some((next_path, next)) = continuation(path, number, &mut room)? else {
         return Ok((first, room.notes()));
     };
     let out = Cursor::new(Vec::with_capacity(first.len() + next.len()));
@@ -92,7 +92,7 @@ fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>
             notes.extend(room.notes());
             break;
         };
-        let behind = continuation((&next.1, next.0), &mut room)?;
+        let behind = continuation(&next.1, next.0, &mut room)?;
         following = behind.map(|(path, bytes)| (next.0 + 1, path, bytes));
         part = next;
     }
@@ -112,7 +112,7 @@ pub(crate) fn continuation_names(path: &Path, first: &[u8]) -> Result<Vec<String
     loop {
         // One at a time lies in memory.
         let mut room = RemainingMemory::new(MemoryLimit::default(), 0);
-        let Some((next, _)) = continuation((&path, number), &mut room)? else {
+        let Some((next, _)) = continuation(&path, number, &mut room)? else {
             return Ok(names);
         };
         names.push(name_of(&next));
@@ -159,7 +159,7 @@ impl RemainingMemory {
 }
 
 /// The part behind part `number`, which is the file at `path`; takes its bytes from the room.
-fn continuation((path, number): (&Path, u32), room: &mut RemainingMemory) -> Result<Option<(PathBuf, Vec<u8>)>> {
+fn continuation(path: &Path, number: u32, room: &mut RemainingMemory) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
         return Ok(None);

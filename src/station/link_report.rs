@@ -17,7 +17,7 @@ pub struct LinkReport {
     pub sources: Vec<SourceHealth>,
 }
 
-/// What there is to say of a link besides its rates: the timing, and everything that went wrong. Nothing is said of what did not
+/// The state of a link besides its rates: the timing, and everything that went wrong. Nothing is said of what did not
 /// happen.
 #[must_use]
 pub fn condition(report: &LinkReport) -> String {
@@ -59,8 +59,8 @@ fn losses(report: &LinkReport) -> String {
     let losers: Vec<String> = report
         .sources
         .iter()
-        .filter(|said| said.lost > 0)
-        .map(|said| format!("{}: {}", said.source, said.lost))
+        .filter(|counts| counts.lost > 0)
+        .map(|counts| format!("{}: {}", counts.source, counts.lost))
         .collect();
     if !losers.is_empty() {
         // Writing to a String cannot fail.
@@ -76,7 +76,7 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
     let sent = links.clone().map(|(id, report)| sent(*id, &report.health));
     let senders = links.flat_map(|(id, report)| {
         let of_link = report.sources.iter();
-        of_link.map(|said| sender(*id, said))
+        of_link.map(|counts| sender(*id, counts))
     });
     let mut text = table(
         [
@@ -157,11 +157,11 @@ fn sent(id: LinkId, health: &LinkHealth) -> [String; 11] {
     ]
 }
 
-fn sender(id: LinkId, said: &SourceHealth) -> [String; 4] {
-    let whole = said.frames + said.lost;
+fn sender(id: LinkId, counts: &SourceHealth) -> [String; 4] {
+    let whole = counts.frames + counts.lost;
     let share =
-        if whole == 0 { NO_VALUE.to_owned() } else { format!("{:.2}", said.lost as f64 / whole as f64 * 100.0) };
-    [format!("link {id} {}", said.source), said.frames.to_string(), said.lost.to_string(), share]
+        if whole == 0 { NO_VALUE.to_owned() } else { format!("{:.2}", counts.lost as f64 / whole as f64 * 100.0) };
+    [format!("link {id} {}", counts.source), counts.frames.to_string(), counts.lost.to_string(), share]
 }
 
 fn table<const COLUMNS: usize>(header: [&str; COLUMNS], rows: impl IntoIterator<Item = [String; COLUMNS]>) -> String {

@@ -28,7 +28,7 @@ pub struct Observer {
     sender: BatchSender<(Timestamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<PerRobot<EventCollector>>>,
     dropped: u64,
-    /// With an event file nothing may be missing: then the shard waits for the disk.
+    /// With an event file nothing may be missing: then the station loop waits for the disk.
     blocks_when_full: bool,
 }
 
@@ -47,11 +47,11 @@ impl Observer {
     /// The event file cannot be created.
     pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
         let events = config.events.map(create).transpose()?;
-        let (sender, seen) = channel(QUEUE_CAPACITY);
+        let (sender, batches) = channel(QUEUE_CAPACITY);
         let view = config.view;
         let thread = std::thread::Builder::new()
             .name("observer".to_owned())
-            .spawn(move || run_observer(seen, events, view))
+            .spawn(move || run_observer(batches, events, view))
             .context("starting the observer's thread")?;
         Ok(Self { sender, thread, dropped: 0, blocks_when_full: config.events.is_some() })
     }
@@ -61,9 +61,9 @@ impl Observer {
         if events.is_empty() {
             return;
         }
-        let seen = (now, Arc::clone(events));
+        let batch = (now, Arc::clone(events));
         let is_taken =
-            if self.blocks_when_full { self.sender.send(seen).is_ok() } else { self.sender.try_send(seen).is_ok() };
+            if self.blocks_when_full { self.sender.send(batch).is_ok() } else { self.sender.try_send(batch).is_ok() };
         if !is_taken {
             self.dropped += events.len() as u64;
         }
@@ -98,14 +98,14 @@ pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> 
 }
 
 fn run_observer(
-    mut seen: BatchReceiver<(Timestamp<HostClock>, Arc<[Event]>)>,
+    mut batches: BatchReceiver<(Timestamp<HostClock>, Arc<[Event]>)>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<PerRobot<EventCollector>> {
     let mut collectors = PerRobot::new(EventCollector::live);
     let mut drawn = Timestamp::<HostClock>::ZERO;
     loop {
-        match seen.recv(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+        match batches.recv(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
             Ok((now, events)) => {
                 for event in events.iter() {
                     if let Some(file) = &mut file {

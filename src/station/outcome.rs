@@ -171,9 +171,9 @@ fn simulate_other_steering(config: &Config, driven: &FinishedSimulation) -> Resu
         Steering::Odometry => Steering::Estimate,
         Steering::Estimate => Steering::Odometry,
     };
-    let mut pipeline = config.station_config()?;
-    pipeline.links.retain(|link| link.id == driven.link);
-    let run = virtual_station::run(driven.scenario.clone().with_steering(other), pipeline)?;
+    let mut station_config = config.station_config()?;
+    station_config.links.retain(|link| link.id == driven.link);
+    let run = virtual_station::run(driven.scenario.clone().with_steering(other), station_config)?;
     Ok(SimulationTruth::from_simulation(&run.simulation))
 }
 

@@ -101,7 +101,7 @@ impl<T> PerRobot<T> {
     }
 }
 
-/// The robot that an event is about. That a sender was heard or lost is said of cameras and ground stations, too.
+/// The robot that an event is about. Senders that are heard or lost may also be cameras and ground stations.
 const fn robot_of(event: &Event) -> Option<RobotId> {
     match event {
         Event::RobotNamed { robot, .. }
@@ -132,10 +132,9 @@ mod tests {
         let robot = |system| RobotId { link: LinkId(0), address: Address::new(system, 1) };
         let mut restarts = PerRobot::new(|| (0, 0));
         let mut push = |event: Event| {
-            restarts.push(&event, |(restarts, links), event| match event {
-                Event::BrickRestarted { .. } => *restarts += 1,
-                Event::Link { .. } => *links += 1,
-                _ => {}
+            restarts.push(&event, |(restarts, links), event| {
+                *restarts += i32::from(matches!(event, Event::BrickRestarted { .. }));
+                *links += i32::from(matches!(event, Event::Link { .. }));
             });
         };
         push(Event::Link { link: LinkId(0), state: LinkState::Up });

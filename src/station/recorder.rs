@@ -1,6 +1,6 @@
 //! The thread that owns the recording's files.
 //!
-//! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the pipeline first and the inputs
+//! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the station first and the inputs
 //! last. The recording itself says what it lacks.
 
 use std::path::{Path, PathBuf};
@@ -88,10 +88,10 @@ impl Recorder {
     fn spawn(first: &Path, given: u64, open: impl FnOnce() -> Result<RecordingParts> + Send + 'static) -> Result<Self> {
         let (sender, items) = channel(QUEUE_CAPACITY);
         let part = Arc::new(AtomicU32::new(1));
-        let told = Arc::clone(&part);
+        let current_part = Arc::clone(&part);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(open()?, items, &told))
+            .spawn(move || write(open()?, items, &current_part))
             .context("starting the recorder's thread")?;
         Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
     }
@@ -118,7 +118,7 @@ impl Recorder {
         }
     }
 
-    /// Records what came out of the pipeline for viewers; never waits, and gives way to the inputs.
+    /// Records what came out of the station for viewers; never waits, and gives way to the inputs.
     pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         if events.iter().any(Event::is_for_viewers) {
             self.offer(RecorderItem::Events(now, Arc::clone(events)));
@@ -157,7 +157,7 @@ impl Recorder {
     /// Ends the recording without waiting for the disk.
     pub fn stop(self) -> StoppingRecorder {
         let end = Box::new(RecorderItem::End(self.given));
-        // With a full queue the last gap is not told; it ends where its channel does.
+        // With a full queue the last gap is not recorded; it ends where its channel does.
         drop(self.sender.try_send(end));
         StoppingRecorder { thread: self.thread }
     }
@@ -266,7 +266,7 @@ mod tests {
         (recorder.unwrap(), stuck)
     }
 
-    fn seen() -> Arc<[Event]> {
+    fn some_events() -> Arc<[Event]> {
         Arc::from([Event::Link { link: LinkId(0), state: LinkState::Up }])
     }
 
@@ -279,7 +279,7 @@ mod tests {
         let given = QUEUE_CAPACITY as u64 + 500;
         for n in 0..given {
             recorder.record(now(n), Input::Tick).unwrap();
-            recorder.record_events(now(n), &seen());
+            recorder.record_events(now(n), &some_events());
         }
         let (lost, lost_outputs) = recorder.losses();
         // What came out gives way at half the queue, and the inputs have the other half to themselves.
@@ -324,8 +324,8 @@ mod tests {
         }
         assert!(second.is_file());
         let config = Config::default().station_config().unwrap();
-        let pipeline = Station::new(config, Timestamp::ZERO).unwrap();
-        let standing = station_status(&pipeline, Some(&recorder));
+        let station = Station::new(config, Timestamp::ZERO).unwrap();
+        let standing = station_status(&station, Some(&recorder));
         assert_eq!(standing.recording.as_deref(), Some("recording.2.mcap"));
         assert_eq!(recorder.finish().unwrap().parts, 2);
     }

@@ -19,7 +19,7 @@ use crate::config::RecordingLimits;
 /// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
 /// recording's memory grow.
 pub const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(600);
-/// What is said of everything that comes after a part that could not be ended, or the next one begun.
+/// The message about everything that comes after a part that could not be ended, or the next one begun.
 const RECORDING_ENDED: &str = "the recording has ended: it could not go on in another file";
 /// File and disk are looked at this often.
 const DISK_CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -78,7 +78,7 @@ impl OpenPart {
 }
 
 impl RecordingParts {
-    /// Creates the first file. `inputs_before` were given to the pipeline before the recording begins.
+    /// Creates the first file. `inputs_before` were given to the station before the recording begins.
     ///
     /// # Errors
     /// It cannot be created; one that is there already is never overwritten.
@@ -118,7 +118,7 @@ impl RecordingParts {
         Ok(())
     }
 
-    /// Records what came out of the pipeline.
+    /// Records what came out of the station.
     ///
     /// # Errors
     /// As [`Self::record`].

@@ -1,4 +1,4 @@
-//! What became of a request, as a line for people that goes back into the pipeline.
+//! What became of a request, as a line for people that goes back into the station.
 
 use anyhow::Result;
 use posebridge_telemetry::Input;
@@ -8,7 +8,7 @@ pub const WARNING: u8 = 4;
 /// MAV_SEVERITY_INFO.
 const INFO: u8 = 6;
 
-/// What became of something, as the pipeline is told.
+/// The outcome of a request as an input of the station.
 pub(super) fn report_input(outcome: Result<String>) -> Input {
     match outcome {
         Ok(text) => Input::Report { severity: INFO, text },

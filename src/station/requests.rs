@@ -1,9 +1,9 @@
-//! What the pipeline asks of the program around it: to write the tunables down, to begin and to end a recording, to do something to the
+//! What the station asks of the program around it: to write the tunables down, to begin and to end a recording, to do something to the
 //! simulated brick.
 //!
 //! What is saved is the whole configuration of the run with the tunables as they are set, as a file of its own in the run's folder:
 //! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
-//! pipeline as a line for people, and so into the recording.
+//! station as a line for people, and so into the recording.
 //!
 //! It stands between a robot and what steers it: what may have to wait for a disk is done by threads (`saver`, and the recorder
 //! makes its file itself). Here a new recording costs one look at a name.
@@ -32,7 +32,7 @@ use crate::config::Config;
 /// hundreds of them.
 const MIN_START_INTERVAL: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Carries out what the pipeline asks for.
+/// Carries out what the station asks for.
 pub struct RequestHandler {
     folder: PathBuf,
     timer: HostTimer,
@@ -53,7 +53,7 @@ pub struct RequestHandler {
     links: BTreeMap<LinkId, LinkState>,
     /// The simulated bricks of this station.
     bricks: Vec<ReachableBrick>,
-    orders: SimulatorOverrides,
+    overrides: SimulatorOverrides,
 }
 
 /// A simulated brick that commands can be sent to.
@@ -92,12 +92,14 @@ impl SimulatorOverrides {
 }
 
 impl RequestHandler {
-    /// For a run of this configuration in this folder; `current` is the recording that is being written.
+    /// For a run of this configuration in this folder; `recorded_config` is what a recording holds of it, `current` is the recording that
+    /// is being written.
     #[must_use]
     pub fn new(
         folder: PathBuf,
         timer: HostTimer,
-        (config, recorded_config): (Config, Config),
+        config: Config,
+        recorded_config: Config,
         current: Option<PathBuf>,
     ) -> Self {
         Self {
@@ -112,7 +114,7 @@ impl RequestHandler {
             ended_recordings: Vec::new(),
             links: BTreeMap::new(),
             bricks: Vec::new(),
-            orders: SimulatorOverrides::default(),
+            overrides: SimulatorOverrides::default(),
         }
     }
 
@@ -139,7 +141,7 @@ impl RequestHandler {
     /// How the simulated brick was set last.
     #[must_use]
     pub const fn overrides(&self) -> SimulatorOverrides {
-        self.orders
+        self.overrides
     }
 
     /// The recorder has failed and is gone.
@@ -147,11 +149,12 @@ impl RequestHandler {
         self.current = None;
     }
 
-    /// Does what is asked for now, after so many inputs; what became of it, for the pipeline. Nothing, if the pipeline has told it
-    /// already. What takes longer comes by [`Self::next_report`].
+    /// Carries out a request that was made after `input_count` inputs and returns its outcome for the station; `None` if the station has
+    /// reported it already. The outcome of what takes longer comes by [`Self::next_report`].
     pub fn execute(
         &mut self,
-        now: (Timestamp<HostClock>, u64),
+        now: Timestamp<HostClock>,
+        input_count: u64,
         request: &Request,
         recorder: &mut Option<Recorder>,
     ) -> Option<Input> {
@@ -160,7 +163,7 @@ impl RequestHandler {
                 Ok(()) => return None,
                 Err(error) => Err(error),
             },
-            Request::StartRecording { values } => self.start(now, values, recorder),
+            Request::StartRecording { values } => self.start(now, input_count, values, recorder),
             Request::StopRecording => self.stop(recorder),
             Request::Simulator { robot, command } => match self.forward_to_simulator(*robot, command) {
                 // What happens to the brick stands in the command.
@@ -181,7 +184,7 @@ impl RequestHandler {
     }
 
     /// Waits for what is being saved, and for the recordings that were ended; which there are, with what they hold. One that could not
-    /// be written to its end does not keep the others from being told.
+    /// be written to its end does not keep the others from being reported.
     pub fn finish(self, failures: &mut DeferredErrors) -> Vec<(PathBuf, RecordingTotals)> {
         if let Some(saver) = self.saver {
             saver.finish();
@@ -213,7 +216,7 @@ impl RequestHandler {
         })?;
         // What is shown as set is the first one's.
         if index == 0 {
-            self.orders.record(command);
+            self.overrides.record(command);
         }
         Ok(())
     }
@@ -229,7 +232,8 @@ impl RequestHandler {
 
     fn start(
         &mut self,
-        (now, given): (Timestamp<HostClock>, u64),
+        now: Timestamp<HostClock>,
+        input_count: u64,
         values: &[(ParameterName, f64)],
         recorder: &mut Option<Recorder>,
     ) -> Result<String> {
@@ -246,8 +250,8 @@ impl RequestHandler {
         ensure!(self.folder.is_dir(), done_message("not recording, its folder is gone:", &path));
         let header = header(&config, &self.timer)?;
         let limits = config.record.limits();
-        // A replay begins with all links down, as a run does: their states stand in the place of the inputs that told of them.
-        let before = given.saturating_sub(self.links.len() as u64);
+        // A replay begins with all links down, as a run does: their states stand in the place of the inputs that reported them.
+        let before = input_count.saturating_sub(self.links.len() as u64);
         let mut begun = Recorder::start_in_session(&path, &header, limits, before)?;
         for (link, state) in &self.links {
             let (link, state) = (*link, *state);
@@ -256,19 +260,19 @@ impl RequestHandler {
         *recorder = Some(begun);
         self.next_number = number + 1;
         self.last_started = Some(now);
-        let told = done_message("recording", &path);
+        let message = done_message("recording", &path);
         self.current = Some(path);
-        Ok(told)
+        Ok(message)
     }
 
     fn stop(&mut self, recorder: &mut Option<Recorder>) -> Result<String> {
         let (Some(path), Some(recorder)) = (self.current.take(), recorder.take()) else {
             return Err(anyhow!("nothing is being recorded"));
         };
-        let told = done_message("recorded", &path);
+        let message = done_message("recorded", &path);
         // The disk may be behind: nobody who steers by us waits for it.
         self.ended_recordings.push((path, recorder.stop()));
-        Ok(told)
+        Ok(message)
     }
 }
 
@@ -284,10 +288,10 @@ mod tests {
     use super::*;
     use crate::config;
 
-    fn desk(folder: &Path) -> RequestHandler {
+    fn handler(folder: &Path) -> RequestHandler {
         let config = Config::default();
         let timer = HostTimer::start();
-        RequestHandler::new(folder.to_owned(), timer, (config.clone(), config), None)
+        RequestHandler::new(folder.to_owned(), timer, config.clone(), config, None)
     }
 
     fn tuned(value: f64) -> Request {
@@ -299,11 +303,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let own = folder.path().join("parameters.toml");
         std::fs::write(&own, "# mine\n").unwrap();
-        let mut desk = desk(folder.path());
+        let mut handler = handler(folder.path());
         for value in [20.0, 30.0] {
-            let now = (Timestamp::ZERO, 0);
-            assert_eq!(desk.execute(now, &tuned(value), &mut None), None);
-            let report = desk.saver.as_mut().unwrap().wait();
+            assert_eq!(handler.execute(Timestamp::ZERO, 0, &tuned(value), &mut None), None);
+            let report = handler.saver.as_mut().unwrap().wait();
             let Some(Input::Report { severity: 6, text }) = report else {
                 panic!("{report:?}");
             };
@@ -319,16 +322,16 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_gone_is_told() {
+    fn a_folder_that_is_gone_is_reported() {
         let folder = tempfile::tempdir().unwrap();
-        let mut desk = desk(&folder.path().join("gone"));
+        let mut handler = handler(&folder.path().join("gone"));
         for (request, beginning) in [
             (tuned(20.0), "not saved parameters.toml in "),
             (Request::StartRecording { values: vec![] }, "not recording, its folder is gone: recording.mcap"),
             (Request::StopRecording, "nothing is being recorded"),
         ] {
-            let report = desk.execute((Timestamp::ZERO, 0), &request, &mut None);
-            let report = report.or_else(|| desk.saver.as_mut()?.wait());
+            let report = handler.execute(Timestamp::ZERO, 0, &request, &mut None);
+            let report = report.or_else(|| handler.saver.as_mut()?.wait());
             let Some(Input::Report { severity: 4, text }) = report else {
                 panic!("{report:?}");
             };
@@ -340,56 +343,56 @@ mod tests {
     fn only_a_station_with_a_simulated_brick_does_things_to_it_and_never_waits_for_it() {
         let folder = tempfile::tempdir().unwrap();
         let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.3, turn_rad: 0.0 };
-        let told = |desk: &mut RequestHandler, command| {
+        let report_of = |handler: &mut RequestHandler, command| {
             let request = Request::Simulator { robot: None, command };
-            match desk.execute((Timestamp::ZERO, 0), &request, &mut None) {
+            match handler.execute(Timestamp::ZERO, 0, &request, &mut None) {
                 Some(Input::Report { severity: 4, text }) => text,
                 None => "done".to_owned(),
                 other => panic!("{other:?}"),
             }
         };
-        let mut without = desk(folder.path());
-        assert_eq!(told(&mut without, kidnap), "kidnap: this station has no simulated brick of its own");
+        let mut without = handler(folder.path());
+        assert_eq!(report_of(&mut without, kidnap), "kidnap: this station has no simulated brick of its own");
         let (sender, mut receiver) = mpsc::channel(1);
-        let mut with = desk(folder.path()).with_bricks(vec![ReachableBrick { robot: None, commands: sender }]);
-        assert_eq!(told(&mut with, kidnap), "done");
-        assert_eq!(told(&mut with, kidnap), "kidnap: too many at a time");
+        let mut with = handler(folder.path()).with_bricks(vec![ReachableBrick { robot: None, commands: sender }]);
+        assert_eq!(report_of(&mut with, kidnap), "done");
+        assert_eq!(report_of(&mut with, kidnap), "kidnap: too many at a time");
         assert_eq!(receiver.try_recv(), Ok(kidnap));
         let profile = |name: &[u8]| SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(name)));
-        let unknown = told(&mut with, profile(b"string"));
+        let unknown = report_of(&mut with, profile(b"string"));
         assert!(unknown.starts_with("link-profile: "), "{unknown}");
         assert!(unknown.contains("string") && unknown.contains("usb"), "{unknown}");
         assert_eq!(with.overrides(), SimulatorOverrides::default(), "what was refused does not hold");
-        assert_eq!(told(&mut with, profile(b"usb")), "done");
+        assert_eq!(report_of(&mut with, profile(b"usb")), "done");
         let usb = ChannelName::from_bytes(b"usb");
         assert_eq!(with.overrides().link_profile, Some(usb));
         drop(receiver);
-        assert_eq!(told(&mut with, kidnap), "kidnap: the brick has stopped");
+        assert_eq!(report_of(&mut with, kidnap), "kidnap: the brick has stopped");
     }
 
     #[test]
     fn recordings_follow_one_another_under_names_of_their_own() {
         let folder = tempfile::tempdir().unwrap();
-        let mut desk = desk(folder.path());
+        let mut handler = handler(folder.path());
         let mut recorder = None;
         let start = Request::StartRecording { values: vec![] };
         let up = Input::Link { link: LinkId(0), state: LinkState::Up };
-        desk.on_input(&up);
+        handler.on_input(&up);
         for (now_s, name) in (0..).zip(["recording.mcap", "recording-2.mcap"]) {
             for (request, what) in
                 [(&start, "recording"), (&start, "already recording"), (&Request::StopRecording, "recorded")]
             {
-                let told = done_message(what, &folder.path().join(name));
+                let expected = done_message(what, &folder.path().join(name));
                 let now = Timestamp::from_millis(1_000 * now_s);
-                let report = desk.execute((now, 0), request, &mut recorder);
+                let report = handler.execute(now, 0, request, &mut recorder);
                 let Some(Input::Report { text, .. }) = report else {
                     panic!("{report:?}");
                 };
-                assert_eq!(text, told);
+                assert_eq!(text, expected);
             }
         }
         let mut failures = DeferredErrors::default();
-        let ended = desk.finish(&mut failures);
+        let ended = handler.finish(&mut failures);
         let inputs: Vec<u64> = ended.iter().map(|ended| ended.1.inputs).collect();
         assert_eq!(inputs, [1, 1], "the link that was up");
         failures.into_result().unwrap();
@@ -398,7 +401,7 @@ mod tests {
     #[test]
     fn a_recording_that_could_not_be_written_does_not_cost_the_next_one() {
         let folder = tempfile::tempdir().unwrap();
-        let mut desk = desk(folder.path());
+        let mut handler = handler(folder.path());
         let start = Request::StartRecording { values: vec![] };
         let mut recorder = None;
         // Gone between the look at the folder and the file: the recorder's thread cannot make it.
@@ -409,32 +412,32 @@ mod tests {
             Config::default().record.limits(),
             0,
         );
-        desk.ended_recordings.push((gone, lost.unwrap().stop()));
-        desk.execute((Timestamp::ZERO, 0), &start, &mut recorder);
-        desk.execute((Timestamp::ZERO, 0), &Request::StopRecording, &mut recorder);
+        handler.ended_recordings.push((gone, lost.unwrap().stop()));
+        handler.execute(Timestamp::ZERO, 0, &start, &mut recorder);
+        handler.execute(Timestamp::ZERO, 0, &Request::StopRecording, &mut recorder);
         let mut failures = DeferredErrors::default();
-        let ended = desk.finish(&mut failures);
+        let ended = handler.finish(&mut failures);
         let names: Vec<_> = ended.iter().map(|(path, _)| path.file_name()).collect();
         assert_eq!(names, [Some("recording.mcap".as_ref())]);
-        let told = format!("{:#}", failures.into_result().unwrap_err());
-        assert!(told.contains("gone/recording.mcap"), "{told}");
+        let error = format!("{:#}", failures.into_result().unwrap_err());
+        assert!(error.contains("gone/recording.mcap"), "{error}");
     }
 
     /// Each would leave a file.
     #[test]
     fn who_asks_for_recordings_without_end_gets_one_a_second() {
         let folder = tempfile::tempdir().unwrap();
-        let mut desk = desk(folder.path());
+        let mut handler = handler(folder.path());
         let start = Request::StartRecording { values: vec![] };
         let mut recorder = None;
         for now_ms in (0..3_000).step_by(10) {
-            let now = (Timestamp::from_millis(now_ms), 0);
+            let now = Timestamp::from_millis(now_ms);
             for request in [&start, &Request::StopRecording] {
-                desk.execute(now, request, &mut recorder);
+                handler.execute(now, 0, request, &mut recorder);
             }
         }
         let mut failures = DeferredErrors::default();
-        let ended = desk.finish(&mut failures);
+        let ended = handler.finish(&mut failures);
         let names: Vec<_> = ended.iter().filter_map(|(path, _)| path.file_name()).collect();
         let expected = ["recording.mcap", "recording-2.mcap", "recording-3.mcap"];
         assert_eq!(names, expected);

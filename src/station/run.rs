@@ -29,7 +29,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         ensure_terminal().before_start()?;
     }
     let laps = args.laps.map_or(LapLimit::Endless, LapLimit::Counted);
-    let session = run_in_runtime(session(args, &config, (RECORDING, laps)))?;
+    let session = run_in_runtime(session(args, &config, RECORDING, laps))?;
     // What cannot be drawn or saved must not cost the rest.
     let mut failures = DeferredErrors::default();
     failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
@@ -54,7 +54,7 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     config.record.enabled = true;
     // Whoever evaluates a recording wants it to end.
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
-    let session = run_in_runtime(session(args, &config, (file_name, laps)))?;
+    let session = run_in_runtime(session(args, &config, file_name, laps))?;
     let robots = session.collectors.entries();
     let heard = robots.first().map_or_else(String::new, |robot| report::sources(&robot.value));
     session.into_result().while_running()?;

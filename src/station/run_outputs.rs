@@ -44,7 +44,7 @@ pub(super) fn start_recorder(
     or_continue_without("recording", started, path, failures)
 }
 
-/// A file that cannot be begun is told once and costs the exit code, not the run: a robot may steer by us. One that is there
+/// A file that cannot be begun is reported once and costs the exit code, not the run: a robot may steer by us. One that is there
 /// already is a slip of who started the run, and cheap to mend before the robot drives.
 fn or_continue_without<T>(
     what: &str,

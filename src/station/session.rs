@@ -63,11 +63,12 @@ impl Session {
 pub(super) async fn session(
     args: &RunArgs,
     config: &Config,
-    (file_name, laps): (&str, LapLimit),
+    file_name: &str,
+    laps: LapLimit,
 ) -> Result<Session, Failure> {
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).before_start()?;
-    let pipeline = pipeline(args, config, &signing).before_start()?;
+    let station = build_station(args, config, &signing).before_start()?;
     if let Some(warning) = config.filter.warning(&config.robot) {
         print_line(&warning);
     }
@@ -75,8 +76,8 @@ pub(super) async fn session(
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
     let signals = Signals::listen().before_start()?;
-    let place = (timer, folder.as_path());
-    let opened = open(args, config, (place, laps), &stop).await;
+    let simulated = SimulatedSession { timer, folder: &folder, laps };
+    let opened = open(args, config, simulated, &stop).await;
     let (ports, mut embedded) = opened.before_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.config_for_recording(config);
@@ -87,10 +88,10 @@ pub(super) async fn session(
     let recorder = start_recorder(args, &for_recordings, &timer, &recording, &mut failures).before_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).before_start()?;
     let current = recorder.as_ref().map(|_| recording);
-    let configs = (config.clone(), for_recordings);
-    let (mut onlookers, outlet) = Viewers::start(reserved, (args, config), place, embedded.as_ref()).before_start()?;
-    let mut shard = StationLoop {
-        pipeline,
+    let viewers = Viewers::start(reserved, args, config, timer, &folder, embedded.as_ref());
+    let (mut viewers, dashboard) = viewers.before_start()?;
+    let mut station_loop = StationLoop {
+        station,
         links: ports,
         timer,
         recorder,
@@ -99,19 +100,19 @@ pub(super) async fn session(
         observer,
         failures,
         signing: keeper,
-        requests: RequestHandler::new(folder.clone(), timer, configs, current)
+        requests: RequestHandler::new(folder.clone(), timer, config.clone(), for_recordings, current)
             .with_bricks(simulated_bricks(embedded.as_ref())),
         truth,
-        dashboard: outlet,
+        dashboard,
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
-    wait_for_end((&mut shard, &ending), signals, &mut onlookers).await;
+    wait_for_end(&mut station_loop, &ending, signals, &mut viewers).await;
     let driven = stop_bricks(embedded, &stop).while_running()?;
-    let kept = shard.save_signing_state();
-    let learned = LearnedCalibration::of_session(&shard.pipeline, "live run", config).before_start()?;
-    shard.record_truth();
-    let closed = close(shard).while_running()?;
-    onlookers.finish().while_running()?;
+    let kept = station_loop.save_signing_state();
+    let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;
+    station_loop.record_truth();
+    let closed = close(station_loop).while_running()?;
+    viewers.finish().while_running()?;
     Ok(Session {
         timer,
         folder,
@@ -124,28 +125,28 @@ pub(super) async fn session(
     })
 }
 
-/// Runs the shard until its run is over, or somebody ends it.
+/// Runs the station loop until its run is over, or somebody ends it.
 async fn wait_for_end(
-    (shard, ending): (&mut StationLoop, &StopConditions),
+    station_loop: &mut StationLoop,
+    ending: &StopConditions,
     mut signals: Signals,
-    onlookers: &mut Viewers,
+    viewers: &mut Viewers,
 ) {
     tokio::select! {
-        () = shard.run(ending) => {}
+        () = station_loop.run(ending) => {}
         () = signals.received() => {}
-        () = onlookers.quit() => {}
+        () = viewers.quit() => {}
     }
-    onlookers.close_terminal();
+    viewers.close_terminal();
 }
 
 /// Opens the links.
 async fn open(
     args: &RunArgs,
     config: &Config,
-    ((timer, folder), laps): ((HostTimer, &Path), LapLimit),
+    session: SimulatedSession<'_>,
     stop: &CancellationToken,
 ) -> Result<(LinkSet, Option<EmbeddedLink>)> {
-    let session = SimulatedSession { timer, folder, laps };
     let opened = open_links(args, config, session, stop).await;
     match &opened {
         Ok((ports, _)) => warn_of_open_listeners(ports, config),
@@ -197,14 +198,14 @@ fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &Cance
 }
 
 /// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
-fn pipeline(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Station> {
-    let mut pipeline_config = config.station_config()?;
-    signing.apply_to(&mut pipeline_config);
-    let pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
-    if args.save_calibration.is_some() && pipeline.calibration().is_none() {
+fn build_station(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Station> {
+    let mut station_config = config.station_config()?;
+    signing.apply_to(&mut station_config);
+    let station = Station::new(station_config, Timestamp::ZERO)?;
+    if args.save_calibration.is_some() && station.calibration().is_none() {
         bail!("--save-calibration: the filter `{}` learns no calibration", config.filter.name);
     }
-    Ok(pipeline)
+    Ok(station)
 }
 
 /// What recorder and observer leave.
@@ -215,16 +216,16 @@ struct StoppedStation {
 }
 
 /// Closes the links, then lets recorder and observer finish what waits.
-fn close(shard: StationLoop) -> Result<StoppedStation> {
-    let StationLoop { recorder, tlog, observer, links: ports, mut failures, requests: desk, .. } = shard;
+fn close(station_loop: StationLoop) -> Result<StoppedStation> {
+    let StationLoop { recorder, tlog, observer, links: ports, mut failures, requests, .. } = station_loop;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
     if unsent > 0 {
         print_line(&format!("{unsent} messages were not sent: a link was down or too slow"));
     }
     drop(ports);
-    let last = desk.current().map(Path::to_owned);
+    let last = requests.current().map(Path::to_owned);
     // A disk that fails now must not cost the tables, nor one file the others.
-    let mut recorded = desk.finish(&mut failures);
+    let mut recorded = requests.finish(&mut failures);
     let kept = recorder.map(Recorder::finish).transpose();
     let kept = failures.record(kept.context("the recording is not whole"));
     recorded.extend(last.zip(kept.flatten()));

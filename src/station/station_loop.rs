@@ -1,4 +1,4 @@
-//! The loop that owns a pipeline and its ports: bytes in, reply out, in one wake-up.
+//! The loop that owns a station and its links: bytes in, reply out, in one wake-up.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -22,13 +22,13 @@ use super::simulator::truth_tap::TruthTap;
 use super::status::station_status;
 use super::tlog_writer::TlogRecorder;
 
-/// How often the pipeline is told what its ports have counted: as often as it tells of its links' health.
+/// How often the station gets the counters of its links: as often as it reports their health.
 const COUNTS_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// An observation makes three events: it came, it was fused, this is the estimate.
 const USUAL_EVENTS: usize = 4;
 
-/// What ends a shard.
+/// When a station loop ends.
 #[derive(Clone, Debug)]
 pub struct StopConditions {
     /// Somebody asked for it, or the simulated brick has finished.
@@ -49,18 +49,18 @@ impl StopConditions {
     }
 }
 
-/// A pipeline with its links and what hangs off it.
+/// A station with its links and what hangs off it.
 pub struct StationLoop {
     /// The engine.
-    pub pipeline: Station,
+    pub station: Station,
     /// Its links.
     pub links: LinkSet,
     /// The session's clock.
     pub timer: HostTimer,
-    /// The recording, if there is one. It can be taken away and another one put here while the shard runs; such a one begins after
+    /// The recording, if there is one. It can be taken away and another one put here while the station loop runs; such a one begins after
     /// [`Self::input_count`] inputs.
     pub recorder: Option<Recorder>,
-    /// How many inputs the pipeline has been given.
+    /// How many inputs the station has been given.
     pub input_count: u64,
     /// The telemetry log beside it, if there is one.
     pub tlog: Option<TlogRecorder>,
@@ -72,7 +72,7 @@ pub struct StationLoop {
     pub failures: DeferredErrors,
     /// What keeps the stamps of signed links, if there are any.
     pub signing: Option<SigningStateWriter>,
-    /// What carries out the pipeline's requests.
+    /// What carries out the station's requests.
     pub requests: RequestHandler,
     /// Where each simulated robot really is.
     pub truth: Vec<TruthTap>,
@@ -93,9 +93,9 @@ impl StationLoop {
         while !ending.stop.is_cancelled() && finished.len() < self.links.iter().len() {
             let silent_at = ending.silence.and_then(|span| last_byte.map(|last| last + span));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
-            let deadline = self.pipeline.deadline().into_iter().chain(end_at).min();
+            let deadline = self.station.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
-                // What came goes first; the pipeline sees by its instant what is due, and the loop whether it has to end.
+                // What came goes first; the station sees by its instant what is due, and the loop whether it has to end.
                 biased;
                 (link, event) = self.links.next_event() => {
                     if matches!(event, LinkEvent::Finished { .. }) {
@@ -136,10 +136,10 @@ impl StationLoop {
     /// They cannot be written.
     pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
-        keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.pipeline))
+        keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
     }
 
-    /// Tells the pipeline what its ports have counted.
+    /// Tells the station what its links have counted.
     fn report_counters(&mut self, now: Timestamp<HostClock>) {
         let counts: Vec<_> = self.links.iter().map(|port| (port.id(), port.port_counts())).collect();
         for (link, counts) in counts {
@@ -167,7 +167,7 @@ impl StationLoop {
         let Some(recorder) = &mut self.recorder else {
             return;
         };
-        for robot in self.pipeline.robots() {
+        for robot in self.station.robots() {
             if let Some(learned) = robot.calibration() {
                 recorder.record_calibration(now, robot.id(), learned);
             }
@@ -177,7 +177,7 @@ impl StationLoop {
     /// Tells the dashboard what stands.
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
-            let standing = station_status(&self.pipeline, self.recorder.as_ref());
+            let standing = station_status(&self.station, self.recorder.as_ref());
             dashboard.publish_status(now, standing, self.requests.overrides());
         }
     }
@@ -204,13 +204,13 @@ impl StationLoop {
     }
 
     fn handle(&mut self, now: Timestamp<HostClock>, input: Input) {
-        self.pipeline.handle(now, &input);
+        self.station.handle(now, &input);
         self.input_count += 1;
         // The reply first: to wake the threads that watch and record must not delay it.
         let mut events = Vec::with_capacity(USUAL_EVENTS);
         let mut sent = Vec::new();
         let mut requests = Vec::new();
-        while let Some(output) = self.pipeline.poll() {
+        while let Some(output) = self.station.poll() {
             match output {
                 Output::Transmit { link, to, priority, bytes } => {
                     if let Some(port) = self.links.get_mut(link) {
@@ -236,7 +236,7 @@ impl StationLoop {
         let recorded = self.record(now, input, &events);
         self.observer.push(now, &events);
         if let Some(keeper) = &mut self.signing {
-            keeper.save_if_due(now, &self.pipeline);
+            keeper.save_if_due(now, &self.station);
         }
         if let Some(report) = recorded {
             self.handle(now, report);
@@ -246,8 +246,7 @@ impl StationLoop {
         }
         // After the input that led to it: a recording that it ends holds it.
         for request in requests {
-            let moment = (now, self.input_count);
-            let report = self.requests.execute(moment, &request, &mut self.recorder);
+            let report = self.requests.execute(now, self.input_count, &request, &mut self.recorder);
             if let Some(report) = report {
                 self.handle(now, report);
             }
@@ -257,7 +256,7 @@ impl StationLoop {
         }
     }
 
-    /// Hands the recorder what came in and what came out. One that has failed is put away; then gives what is to be said.
+    /// Hands the recorder what came in and what came out. One that has failed is dropped; then returns a report.
     fn record(&mut self, now: Timestamp<HostClock>, input: Input, events: &Arc<[Event]>) -> Option<Input> {
         let recorder = self.recorder.as_mut()?;
         if recorder.record(now, input).is_ok() {
@@ -275,8 +274,8 @@ impl StationLoop {
         Some(report)
     }
 
-    /// Gives the telemetry log what came and what was sent for it. One that fails is put away, as a recorder is; then gives what is to
-    /// be said.
+    /// Gives the telemetry log what came and what was sent for it. One that fails is dropped, as a recorder is; then returns
+    /// a report.
     fn log_traffic(
         &mut self,
         now: Timestamp<HostClock>,
@@ -301,7 +300,7 @@ impl StationLoop {
     }
 }
 
-/// What the pipeline is told of something that failed.
+/// A report of something that failed.
 fn warning(text: String) -> Input {
     let severity = WARNING;
     Input::Report { severity, text }
@@ -315,7 +314,7 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
     true
 }
 
-/// What a port's event is to the pipeline.
+/// What a link's event is to the station.
 fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {
     match event {
         LinkEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),

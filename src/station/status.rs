@@ -1,4 +1,4 @@
-//! What stands in a pipeline at an instant, as the page shows it.
+//! What stands in a station at an instant, as the page shows it.
 
 use std::path::Path;
 
@@ -11,16 +11,16 @@ use posebridge_telemetry::Calibration;
 use super::recorder::Recorder;
 use crate::config::CALIBRATION_KEYS;
 
-/// What stands in a pipeline, and into which file it is recorded.
+/// What stands in a station, and into which file it is recorded.
 #[must_use]
-pub fn station_status(pipeline: &Station, recorder: Option<&Recorder>) -> StationStatus {
+pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> StationStatus {
     let recording = recorder.map(Recorder::current);
     let name = recording.as_deref().and_then(Path::file_name);
     StationStatus {
-        robots: pipeline.robots().iter().map(robot_status).collect(),
-        parameters: parameter_values(pipeline.params()),
+        robots: station.robots().iter().map(robot_status).collect(),
+        parameters: parameter_values(station.params()),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
-        switched_off: pipeline.switched_off().map(|sensor| sensor.0).collect(),
+        switched_off: station.switched_off().map(|sensor| sensor.0).collect(),
         simulator: None,
     }
 }

@@ -1,7 +1,7 @@
 //! The thread that writes a telemetry log beside the recording: what came and what was sent, as ground stations keep it.
 //!
-//! It hangs off the same place as the recorder but never makes the shard wait: what does not fit into its queue is dropped and counted,
-//! because the recording is whole without it. The frames are found here and not in the shard.
+//! It hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped and counted,
+//! because the recording is whole without it. The frames are found here and not in the station loop.
 //!
 //! It is one file, however long the run, because its readers know no parts. Once a second it is looked at as a recording is: one that was
 //! taken away, and one on a disk without room, ends with a reason.
@@ -79,7 +79,7 @@ impl TlogRecorder {
         Ok(Self { path: path.to_owned(), sender, thread, dropped: 0 })
     }
 
-    /// Takes note of what was given to the pipeline.
+    /// Takes note of what was given to the station.
     ///
     /// # Errors
     /// The file could not be written; nothing more is taken.
@@ -133,8 +133,8 @@ fn write(
         let is_due = match traffic.recv(patience) {
             Ok(one) => {
                 let written = match one.direction {
-                    Direction::In(peer) => log.received(one.now, (one.link, peer), &one.bytes),
-                    Direction::Out(priority) => log.sent(one.now, (one.link, priority), &one.bytes),
+                    Direction::In(peer) => log.received(one.now, one.link, peer, &one.bytes),
+                    Direction::Out(priority) => log.sent(one.now, one.link, priority, &one.bytes),
                 };
                 written.with_context(|| file.name())?;
                 let is_due = one.now - flushed >= FLUSH_PERIOD;

@@ -45,7 +45,8 @@ impl<W: Write> TrafficLog<W> {
     pub fn received(
         &mut self,
         now: Timestamp<HostClock>,
-        (link, peer): (LinkId, PeerId),
+        link: LinkId,
+        peer: PeerId,
         bytes: &[u8],
     ) -> std::io::Result<()> {
         let Some(config) = self.links.get(&link) else {
@@ -82,7 +83,8 @@ impl<W: Write> TrafficLog<W> {
     pub fn sent(
         &mut self,
         now: Timestamp<HostClock>,
-        (link, priority): (LinkId, Priority),
+        link: LinkId,
+        priority: Priority,
         frame: &[u8],
     ) -> std::io::Result<()> {
         let is_ours = priority != Priority::Forwarded && self.links.contains_key(&link);
@@ -161,15 +163,14 @@ mod tests {
         let peers = 3 * MAX_PEERS as u32;
         for number in 0..peers {
             let now = Timestamp::from_millis(i64::from(number));
-            log.received(now, (link, PeerId(number)), &frame).unwrap();
-            log.received(now, (link, PeerId(number)), begun).unwrap();
+            log.received(now, link, PeerId(number), &frame).unwrap();
+            log.received(now, link, PeerId(number), begun).unwrap();
             // One who goes on is not forgotten, however long ago he came.
-            log.received(now, (link, PeerId(0)), &frame).unwrap();
+            log.received(now, link, PeerId(0), &frame).unwrap();
             assert!(log.peers.len() <= MAX_PEERS);
         }
         let now = Timestamp::from_millis(i64::from(peers));
-        let last = (link, PeerId(peers - 1));
-        log.received(now, last, rest).unwrap();
+        log.received(now, link, PeerId(peers - 1), rest).unwrap();
         let (_, frames) = log.finish().unwrap();
         assert_eq!(frames, u64::from(2 * peers + 1));
     }

@@ -1,4 +1,4 @@
-//! Who looks on while a station runs: the page, the terminal view, PlotJuggler. None of them is waited for by the shard.
+//! The viewers of a running station: the page, the terminal view, PlotJuggler. None of them is waited for by the station loop.
 
 use std::path::Path;
 
@@ -17,22 +17,24 @@ use super::tui::{self, TerminalInputs, TerminalView};
 use crate::config::Config;
 use crate::console::print_line;
 
-/// Those who look on.
+/// The viewers that were started.
 #[derive(Default)]
 pub(super) struct Viewers {
     terminal: Option<TerminalView>,
     plotjuggler: Option<PlotJuggler>,
-    /// Behind the others: they hear of the end by it.
+    /// Dropped after the others: its end is theirs.
     dashboard: Option<Dashboard>,
     quit: CancellationToken,
 }
 
 impl Viewers {
-    /// Starts them; gives the shard's end of the channels to and from them, if there are any.
+    /// Starts them; gives the station loop's end of the channels to and from them, if there are any.
     pub(super) fn start(
         reserved: Option<ReservedListener>,
-        (args, config): (&RunArgs, &Config),
-        place: (HostTimer, &Path),
+        args: &RunArgs,
+        config: &Config,
+        timer: HostTimer,
+        folder: &Path,
         embedded: Option<&EmbeddedLink>,
     ) -> Result<(Self, Option<DashboardHandle>)> {
         let simulated = embedded.map(|link| SimulatedBrickInfo {
@@ -42,23 +44,24 @@ impl Viewers {
         });
         let facts = simulated.as_ref().map(dashboard::simulator_facts);
         let mut taps = FrameTaps::default();
-        let seen = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
+        let terminal_frames = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
         let plotted = plotjuggler_address(args, config)?;
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
         let page = (&args.page, config);
-        let Some((dashboard, outlet)) = dashboard::start(reserved, page, place, (simulated, taps))? else {
+        let started = dashboard::start(reserved, page, (timer, folder), (simulated, taps))?;
+        let Some((dashboard, handle)) = started else {
             return Ok((Self::default(), None));
         };
-        let mut onlookers = Self { dashboard: Some(dashboard), ..Self::default() };
+        let mut viewers = Self { dashboard: Some(dashboard), ..Self::default() };
         if let Some((address, frames)) = plotted {
-            onlookers.plotjuggler = Some(PlotJuggler::start(address, frames)?);
+            viewers.plotjuggler = Some(PlotJuggler::start(address, frames)?);
             print_line(&format!("plotjuggler: sending to udp://{address}"));
         }
         // Last: from here on the screen is the view's.
-        if let Some(frames) = seen {
-            onlookers.terminal = Some(onlookers.view(frames, facts)?);
+        if let Some(frames) = terminal_frames {
+            viewers.terminal = Some(viewers.view(frames, facts)?);
         }
-        Ok((onlookers, Some(outlet)))
+        Ok((viewers, Some(handle)))
     }
 
     fn view(&self, frames: FrameTap, simulator: Option<SimulatorFacts>) -> Result<TerminalView> {
@@ -82,7 +85,7 @@ impl Viewers {
         self.quit.cancelled().await;
     }
 
-    /// Gives the terminal back, so that what is said is read again.
+    /// Gives the terminal back, so that messages can be read again.
     pub(super) fn close_terminal(&mut self) {
         self.terminal = None;
     }

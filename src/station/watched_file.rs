@@ -37,7 +37,7 @@ impl WatchedFile {
         &self.path
     }
 
-    /// What is said of an error.
+    /// The message of an error.
     #[must_use]
     pub fn name(&self) -> String {
         format!("{} `{}`", self.description, self.path.display())

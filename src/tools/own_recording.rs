@@ -1,4 +1,4 @@
-//! A recording of ours as calibrations and experiments want it: what its pipeline made of the bytes, and of which robot.
+//! A recording of ours as calibrations and experiments want it: what its station made of the bytes, and of which robot.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use crate::station::clock_alignment::ClockAlignment;
 use crate::station::recording_warnings::missing_start;
 use crate::station::signing;
 
-/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the pipeline
+/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the station
 /// judges a brick's clock (`clock::unwrap`).
 const RESTART_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 
@@ -83,7 +83,7 @@ fn brick_name(brick: RobotId) -> String {
     format!("{}-{}", brick.link, brick.address)
 }
 
-/// What a recording's events said.
+/// The content of a recording's events.
 #[derive(Debug, Default)]
 struct SessionObservations {
     observations: Vec<Observation>,
@@ -129,7 +129,7 @@ impl SessionObservations {
         let is_it = |one: &&mut ThermometerReadings| one.brick == brick && one.channel == channel;
         match self.thermometers.iter_mut().find(is_it) {
             Some(known) => {
-                // The pipeline tells of a restart of its robot alone.
+                // The station tells of a restart of its robot alone.
                 if known.latest - reading.stamp > RESTART_THRESHOLD {
                     known.is_restarted = true;
                 }
@@ -164,7 +164,7 @@ pub fn is_own(path: &Path) -> bool {
     path.extension().is_none_or(|extension| extension != "toml")
 }
 
-/// Reads a recording as far as it goes; what is cut off or damaged is said on stderr.
+/// Reads a recording as far as it goes; what is cut off or damaged is reported on stderr.
 ///
 /// # Errors
 /// The file cannot be read, is no recording, holds no observation, or its brick was restarted; or what is laid over it makes no
@@ -182,10 +182,10 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         print_line(&format!("{name}: {lack}"));
     }
     let config = config_with_overlay(&reader.header().config_toml, overlay)?;
-    let mut pipeline_config = config.station_config()?;
-    signing::restore_states(&config, &[], &mut pipeline_config)?;
-    let mut pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
-    let heard = run_pipeline(&name, &mut reader, &mut pipeline);
+    let mut station_config = config.station_config()?;
+    signing::restore_states(&config, &[], &mut station_config)?;
+    let mut station = Station::new(station_config, Timestamp::ZERO)?;
+    let heard = run_station(&name, &mut reader, &mut station);
     ensure!(
         !(heard.observations.is_empty() && heard.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
@@ -198,7 +198,7 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         );
     }
     let mut filter_config = config.filter_config()?;
-    filter_config.geometry = pipeline.geometry();
+    filter_config.geometry = station.geometry();
     Ok(OwnRecordingRun {
         name,
         robot: with_described_geometry(&config.robot, &filter_config),
@@ -209,15 +209,15 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     })
 }
 
-/// What the pipeline made of all that is whole.
-fn run_pipeline(name: &str, reader: &mut RecordingReader<'_>, pipeline: &mut Station) -> SessionObservations {
+/// What the station made of all that is whole.
+fn run_station(name: &str, reader: &mut RecordingReader<'_>, station: &mut Station) -> SessionObservations {
     let mut heard = SessionObservations::default();
     for item in &mut *reader {
         match item {
-            Ok((now, input)) => pipeline.handle(now, &input),
+            Ok((now, input)) => station.handle(now, &input),
             Err(error) => print_line(&format!("{name}: {error}; what is whole is used")),
         }
-        while let Some(output) = pipeline.poll() {
+        while let Some(output) = station.poll() {
             if let Output::Event(event) = output {
                 heard.on_event(&event);
             }
@@ -270,8 +270,8 @@ mod tests {
             readings.map_err(|error| error.to_string())
         };
         assert_eq!(fallen(&[60_000, 61_000, 60_100, 62_000]), Ok(4));
-        let said = fallen(&[60_000, 61_000, 500, 1_500]).unwrap_err();
-        assert!(said.contains("`temp1` (link 0 3/1) fell back"), "{said}");
+        let error = fallen(&[60_000, 61_000, 500, 1_500]).unwrap_err();
+        assert!(error.contains("`temp1` (link 0 3/1) fell back"), "{error}");
     }
 
     #[test]

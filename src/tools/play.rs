@@ -131,14 +131,14 @@ impl Player {
         TimeDelta::from_secs_f64(span.as_secs_f64() / self.speed)
     }
 
-    /// Until a byte comes. A station that was called must be told that somebody is there.
+    /// Until a byte comes. A station that was called must notice that somebody is there.
     async fn wait_for_station(&mut self, brick: &mut RecordedRobot) {
         loop {
             let next = self.timer.now() + ANNOUNCE_PERIOD;
             tokio::select! {
                 event = self.port.next_event() => match event {
                     LinkEvent::Bytes { .. } => return,
-                    // Only a link that is up can be told; what a closed one refused is no loss.
+                    // Only a link that is up can send; what a closed one refused is no loss.
                     LinkEvent::Up { .. } | LinkEvent::Down { .. } | LinkEvent::Finished { .. } => {}
                 },
                 () = self.timer.sleep_until(next) => {
@@ -152,7 +152,7 @@ impl Player {
         }
     }
 
-    /// Lets what was sent last go out. The recording's clock stands: nobody is told the time any more.
+    /// Lets what was sent last go out. The recording's clock stands: time requests are not answered any more.
     async fn linger(&mut self) {
         let end = self.timer.now() + LINGER_AFTER_END;
         while self.timer.now() < end {

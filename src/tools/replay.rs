@@ -1,12 +1,12 @@
 //! `posebridge replay`: the estimators over a recording, offline, with the same engine as live.
 //!
-//! A recording of ours (`*.mcap`) is given to the pipeline exactly as it was given live, so its events are those of the live run,
+//! A recording of ours (`*.mcap`) is given to the station exactly as it was given live, so its events are those of the live run,
 //! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
 //! truth or against the fixes that were withheld.
 //!
 //! Several estimators of one recording of ours run side by side, input by input; those of a descriptor one after the other. `--from`
 //! and `--to` choose what counts: the filter is given all that came before, so that it is the filter that ran, but its events, tallies
-//! and errors begin there. Flags that change the configuration make it another run than the one that was recorded, and it is said.
+//! and errors begin there. Flags that change the configuration make it another run than the one that was recorded, and a note says so.
 
 mod args;
 pub mod foreign;
@@ -14,9 +14,9 @@ mod json;
 mod output_files;
 pub mod own;
 pub mod recording;
+mod replay_watcher;
 mod result;
 mod robot;
-mod seen;
 mod smooth;
 pub mod watch;
 

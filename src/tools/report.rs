@@ -32,7 +32,7 @@ use crate::tools::session::{json as session_json, page as session_page};
 
 /// The filter of a foreign recording unless another is asked for.
 const DEFAULT_FILTER: &str = "pose";
-/// The filter that shows what the wheels alone say, where the brick has told no belief of its own.
+/// The filter that shows what the wheels alone give, where the brick has sent no odometry of its own.
 const DEAD_RECKONING: &str = "odometry";
 /// A page of more runs would be too long to read.
 const MOST_RUNS: usize = 12;
@@ -60,20 +60,20 @@ pub struct ReportArgs {
 /// The recording cannot be read or makes no sense, or a file cannot be written.
 pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
     let window = Window::from_flags(&args.session).before_start()?;
-    let story = if is_own(&args.session.recording) {
+    let session = if is_own(&args.session.recording) {
         summarize_recording(args, window)?
     } else {
         summarize_foreign(args, window)?
     };
-    for note in &story.notes {
-        print_line(&format!("{}: {note}", story.recording));
+    for note in &session.notes {
+        print_line(&format!("{}: {note}", session.recording));
     }
     let folder: PathBuf = args.output.folder()?;
     let outcome = ExperimentOutcome {
         name: "report",
-        page: session_page::page(&story),
-        text: text(&story),
-        json: session_json::object(&story),
+        page: session_page::page(&session),
+        text: text(&session),
+        json: session_json::object(&session),
     };
     args.output.write_outcome(&folder, &outcome)
 }
@@ -84,18 +84,16 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let config = recording.config(flags, args.filter.as_deref()).before_start()?;
     let filters: Vec<String> = args.filter.iter().cloned().collect();
     let changed = recording.changes(flags, &filters).before_start()?;
-    let pipeline = OwnRecording::pipeline(flags, &config).before_start()?;
+    let station = OwnRecording::station(flags, &config).before_start()?;
     let alone = recording.config(flags, Some(DEAD_RECKONING)).before_start()?;
-    let alone = OwnRecording::pipeline(flags, &alone).before_start()?;
+    let alone = OwnRecording::station(flags, &alone).before_start()?;
     let origin = recording.origin();
     let mut histories = PerRobot::new(move || SessionHistory::new(origin));
     let mut dead_reckoning = PerRobot::new(EventCollector::default);
-    let mut lanes = [
-        ReplayLane { pipeline, watcher: &mut histories },
-        ReplayLane { pipeline: alone, watcher: &mut dead_reckoning },
-    ];
+    let mut lanes =
+        [ReplayLane { station, watcher: &mut histories }, ReplayLane { station: alone, watcher: &mut dead_reckoning }];
     let passage = recording.run(&mut lanes, window, None).while_running()?;
-    let [ReplayLane { pipeline, .. }, _] = lanes;
+    let [ReplayLane { station, .. }, _] = lanes;
     let mut notes = passage.notes;
     let robots = chosen_robots(args, histories.into_entries(), &mut notes).before_start()?;
     let mut facts = own_facts(&recording, &config);
@@ -105,7 +103,7 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         let reference = known.truth.as_ref().map_or(ScoreReference::None, |_| ScoreReference::Truth);
         let file = robot.robot.map_or(&config.robot, |id| config.robot_file(id));
         let prior = config.filter_config_of(file).before_start()?.calibration;
-        let engine = pipeline.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+        let engine = station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
             name: if robots.are_several { robot.label() } else { title_of(&config) },
@@ -131,7 +129,7 @@ struct ChosenRobots {
     are_several: bool,
 }
 
-/// The robots that the flags name, else the first; what is left out is said in a note.
+/// The robots that the flags name, else the first; a note says what is left out.
 fn chosen_robots(
     args: &ReportArgs,
     robots: Vec<RobotEntry<SessionHistory>>,
@@ -188,7 +186,7 @@ fn summarize_foreign(args: &ReportArgs, window: Window) -> Result<SessionSummary
     check_runs(&foreign).before_start()?;
     let filter = args.filter.as_deref().unwrap_or(DEFAULT_FILTER);
     check_filter(filter).before_start()?;
-    let mut story = SessionSummary {
+    let mut session = SessionSummary {
         recording: foreign.data.descriptor.name.clone(),
         facts: foreign_facts(&foreign),
         filter: filter.to_owned(),
@@ -201,32 +199,31 @@ fn summarize_foreign(args: &ReportArgs, window: Window) -> Result<SessionSummary
         let bad_rows = report_bad_rows(&robot_run);
         if bad_rows > 0 {
             let note = format!("run {name}: {bad_rows} rows could not be used");
-            story.notes.push(note);
+            session.notes.push(note);
         }
         let first = robot_run.run.observations.first();
         let origin = first.map_or(Timestamp::ZERO, |first| first.arrival);
-        let mut chronicle = SessionHistory::new(origin);
-        let scored = replay_run(&robot_run, filter, &mut chronicle, (window, None)).while_running()?;
+        let mut history = SessionHistory::new(origin);
+        let scored = replay_run(&robot_run, filter, &mut history, window, None).while_running()?;
         let mut dead_reckoning = EventCollector::default();
-        let alone = (window, None);
-        replay_run(&robot_run, DEAD_RECKONING, &mut dead_reckoning, alone).while_running()?;
+        replay_run(&robot_run, DEAD_RECKONING, &mut dead_reckoning, window, None).while_running()?;
         let truth = truth_of(&robot_run);
-        let yardstick = match (&truth, robot_run.run.withheld.is_empty()) {
+        let reference = match (&truth, robot_run.run.withheld.is_empty()) {
             (Some(_), _) => ScoreReference::Truth,
             (None, false) => ScoreReference::WithheldFixes,
             (None, true) => ScoreReference::None,
         };
-        story.runs.push(RunSummary {
+        session.runs.push(RunSummary {
             name: name.clone(),
             errors: scored.errors,
-            reference: yardstick,
+            reference,
             truth,
             odometry: track_of(&dead_reckoning),
             learned: scored.learned,
-            history: chronicle,
+            history,
         });
     }
-    Ok(story)
+    Ok(session)
 }
 
 fn check_runs(foreign: &ForeignRecording) -> Result<()> {
@@ -255,12 +252,12 @@ fn foreign_facts(foreign: &ForeignRecording) -> Vec<(String, String)> {
 }
 
 /// What a terminal shows: errors, and a verdict for each sensor.
-fn text(story: &SessionSummary) -> String {
+fn text(session: &SessionSummary) -> String {
     let rows: Vec<EstimatorRow<'_>> =
-        story.runs.iter().map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
-    let mut text = format!("{}, filter {}\n\n", story.recording, story.filter);
+        session.runs.iter().map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
+    let mut text = format!("{}, filter {}\n\n", session.recording, session.filter);
     text += &runs_table(&rows);
-    for run in &story.runs {
+    for run in &session.runs {
         let _ = writeln!(text, "\n{}", run.name);
         for verdict in run.source_summaries() {
             let _ = writeln!(text, "  {}: {}", verdict.sensor.name(), verdict.assessment);

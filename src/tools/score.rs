@@ -1,4 +1,4 @@
-//! An estimator against what it was not told: truth, or fixes that were withheld.
+//! An estimator against data that it did not get: truth, or fixes that were withheld.
 //!
 //! The estimate for an instant is taken as soon as the motion up to that instant has been observed, with the fixes that had come
 //! by then: the filter's own history interpolates the motion inside an encoder interval.
@@ -64,7 +64,7 @@ pub struct Scorer {
 /// What was believed of one instant, and what it is held against.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
-    /// The instant of the yardstick.
+    /// The instant of the reference.
     pub time: Timestamp<BrickClock>,
     /// The truth, or the withheld fix; heading 0 where it has none.
     pub expected: Pose<Arena>,
@@ -86,13 +86,13 @@ impl Scorer {
     #[must_use]
     pub fn new(run: &DatasetRun, prior: &Calibration) -> Self {
         let has_truth = !run.truth.is_empty();
-        let mut yardsticks: Vec<ErrorReference> = if has_truth {
+        let mut all_references: Vec<ErrorReference> = if has_truth {
             run.truth.iter().map(reference_from_truth).collect()
         } else {
             run.withheld.iter().map(reference_from_withheld).collect()
         };
-        yardsticks.sort_by_key(|yardstick| yardstick.time);
-        let mut references = yardsticks.into_iter();
+        all_references.sort_by_key(|reference| reference.time);
+        let mut references = all_references.into_iter();
         let next = references.next();
         let is_learned = !has_truth && prior.fix_delay_s.sigma > 0.0;
         Self {
@@ -140,18 +140,18 @@ impl Scorer {
     /// Scores what has been observed: a delay that is believed to be negative must not ask for what lies ahead.
     fn score_until(&mut self, until: Timestamp<BrickClock>, belief: &impl EstimateSource) {
         let delay = self.learned_delay(belief);
-        let true_at = |yardstick: &ErrorReference| yardstick.time - delay.unwrap_or(TimeDelta::ZERO);
-        while let Some(yardstick) = self.next.filter(|next| next.time.max(true_at(next)) <= until) {
+        let true_at = |reference: &ErrorReference| reference.time - delay.unwrap_or(TimeDelta::ZERO);
+        while let Some(reference) = self.next.filter(|next| next.time.max(true_at(next)) <= until) {
             let scored_at = |stamp| {
                 let estimate = belief.estimate_at(stamp)?;
-                error(&estimate, &yardstick)
+                error(&estimate, &reference)
             };
-            if let Some((error, pair)) = scored_at(true_at(&yardstick)) {
+            if let Some((error, pair)) = scored_at(true_at(&reference)) {
                 self.errors.push(error);
                 self.pairs.push(pair);
             }
             if delay.is_some() {
-                let uncorrected = scored_at(yardstick.time);
+                let uncorrected = scored_at(reference.time);
                 self.uncorrected.extend(uncorrected.map(|(error, _)| error));
             }
             self.next = self.references.next();
@@ -190,24 +190,24 @@ fn reference_from_withheld(withheld: &WithheldFix) -> ErrorReference {
     }
 }
 
-/// The error of the observed point, and of the heading where the yardstick has one. Only real truth can judge a covariance: a
+/// The error of the observed point, and of the heading where the reference has one. Only real truth can judge a covariance: a
 /// withheld fix has an error of its own.
-fn error(estimate: &Estimate, yardstick: &ErrorReference) -> Option<(PoseError, PosePair)> {
+fn error(estimate: &Estimate, reference: &ErrorReference) -> Option<(PoseError, PosePair)> {
     if !estimate.validity.position {
         return None;
     }
-    let seen = (estimate.pose * yardstick.body_from_point).origin();
-    let heading = yardstick.heading.unwrap_or_default();
-    let truth = Pose::<Arena>::new(yardstick.position.x, yardstick.position.y, heading);
-    let of_point = Estimate { pose: Pose::new(seen.x, seen.y, estimate.pose.heading), ..*estimate };
+    let observed_point = (estimate.pose * reference.body_from_point).origin();
+    let heading = reference.heading.unwrap_or_default();
+    let truth = Pose::<Arena>::new(reference.position.x, reference.position.y, heading);
+    let of_point = Estimate { pose: Pose::new(observed_point.x, observed_point.y, estimate.pose.heading), ..*estimate };
     let mut error = PoseError::of_estimate(&of_point, truth);
-    if yardstick.heading.is_none() {
+    if reference.heading.is_none() {
         error.heading_rad = None;
     }
-    if !yardstick.is_truth || yardstick.heading.is_none() {
+    if !reference.is_truth || reference.heading.is_none() {
         error.covariance = None;
     }
-    let pair = PosePair { time: yardstick.time, expected: truth, estimated: of_point.pose };
+    let pair = PosePair { time: reference.time, expected: truth, estimated: of_point.pose };
     Some((error, pair))
 }
 

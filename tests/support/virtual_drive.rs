@@ -44,7 +44,7 @@ fn drive(path: &Path, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<F
         config_toml: toml::to_string(&config).unwrap(),
         links: vec!["sim://".to_owned()],
     };
-    let mut pipeline = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
+    let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
     let mut writer = RecordingWriter::create(File::create(path).unwrap(), &header).unwrap();
     let link = LinkId(0);
@@ -52,13 +52,13 @@ fn drive(path: &Path, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<F
     let mut ends_at = None;
     while ends_at.is_none_or(|end| simulation.elapsed() < end) {
         let now = Timestamp::ZERO + simulation.elapsed();
-        if pipeline.deadline().is_some_and(|deadline| deadline <= now) {
+        if station.deadline().is_some_and(|deadline| deadline <= now) {
             inputs.push(Input::Tick);
         }
         for input in inputs.drain(..) {
             writer.record(now, &input).unwrap();
-            pipeline.handle(now, &input);
-            while let Some(output) = pipeline.poll() {
+            station.handle(now, &input);
+            while let Some(output) = station.poll() {
                 if let Output::Transmit { bytes, .. } = output {
                     simulation.receive(&bytes);
                 }

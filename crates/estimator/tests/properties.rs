@@ -87,7 +87,7 @@ fn assert_state_sound<const N: usize>(filter: &PoseFilter<N>) {
 }
 
 /// Gives a sequence to the filter, with damaged copies, doubles and latecomers in between.
-fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId, any::Seen)]) {
+fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId, any::AnyMeasurement)]) {
     let mut filter = PoseFilter::<N>::new(config);
     let mut millis = 10_000;
     for (step_ms, sensor, seen) in steps {

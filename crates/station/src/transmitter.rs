@@ -244,7 +244,9 @@ impl Transmitter<'_> {
         for (_, to) in to {
             match (to, &listeners) {
                 (Recipients::All | Recipients::AllExcept(_), Some(listeners)) => {
-                    listeners.iter().for_each(|peer| push(Recipients::Peer(*peer)));
+                    for peer in listeners {
+                        push(Recipients::Peer(*peer));
+                    }
                 }
                 _ => push(*to),
             }

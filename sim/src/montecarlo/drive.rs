@@ -10,7 +10,7 @@ use super::grid::first_step_from;
 use super::plan::DrivePlan;
 use super::pose::PlanarPose;
 use super::robot::{Accelerometers, GyroSensor, Robot, WheelTurn, draw_geometry, nominal_geometry};
-use super::scenario::{Scenario, ToldGeometry};
+use super::scenario::{PriorGeometry, Scenario};
 use crate::random::RandomStream;
 
 /// What happened in one run.
@@ -163,8 +163,8 @@ fn filter_prior(scenario: &Scenario, start: PlanarPose, true_geometry: DriveGeom
     let known = |sigma| UncertainValue { value: 0.0, sigma };
     FilterPrior {
         geometry: match prior.geometry {
-            ToldGeometry::Nominal => nominal_geometry(&scenario.robot),
-            ToldGeometry::True => true_geometry,
+            PriorGeometry::Nominal => nominal_geometry(&scenario.robot),
+            PriorGeometry::True => true_geometry,
         },
         noise: prior_noise(scenario),
         start: PlanarPose { heading_rad: start.heading_rad + off_rad, ..start }.into(),

@@ -37,5 +37,5 @@ pub use drive::{Arrival, Drive, FilterPrior};
 pub use robot::WheelTurn;
 pub use scenario::{
     Accelerometer, Blackout, Camera, CameraSees, GeometryErrors, Gyro, Kicks, MAX_RUNS, MotionNoise, NominalRobot,
-    Outliers, PriorSettings, Scenario, ScenarioError, ToldGeometry,
+    Outliers, PriorGeometry, PriorSettings, Scenario, ScenarioError,
 };

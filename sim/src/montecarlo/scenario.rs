@@ -206,7 +206,7 @@ pub struct Accelerometer {
 /// Which geometry a filter is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ToldGeometry {
+pub enum PriorGeometry {
     /// That of `[robot]`.
     Nominal,
     /// The true one of this run.
@@ -218,7 +218,7 @@ pub enum ToldGeometry {
 #[serde(deny_unknown_fields)]
 pub struct PriorSettings {
     /// Which geometry.
-    pub geometry: ToldGeometry,
+    pub geometry: PriorGeometry,
     /// Standard deviation of the error of the mean wheel radius; 0 for "take it as given".
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_scale_sigma: f64,

@@ -68,7 +68,7 @@ impl Default for Ev3Section {
 }
 
 impl Ev3Section {
-    /// What the codec is told.
+    /// The settings of the codec.
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
@@ -145,21 +145,21 @@ mod tests {
 
     #[test]
     fn what_is_said_is_told() {
-        let told = settings(
+        let parsed = settings(
             "left_motor = \"A\"\nright_motor = \"D\"\nmotors_backward = true\ngyro_port = 0\ndistance_port = 4\n\
              distance_kind = \"infrared\"\nmailbox = \"\"",
         )
         .unwrap();
-        assert_eq!((told.left_motor, told.right_motor), (MotorPort::A, MotorPort::D));
-        assert_eq!(told.motors, MotorDirection::Backward);
-        assert_eq!(told.gyro, None);
-        assert_eq!(told.distance.map(|one| one.kind), Some(DistanceKind::Infrared));
-        assert_eq!(told.mailbox, None);
+        assert_eq!((parsed.left_motor, parsed.right_motor), (MotorPort::A, MotorPort::D));
+        assert_eq!(parsed.motors, MotorDirection::Backward);
+        assert_eq!(parsed.gyro, None);
+        assert_eq!(parsed.distance.map(|one| one.kind), Some(DistanceKind::Infrared));
+        assert_eq!(parsed.mailbox, None);
     }
 
     #[test]
     fn what_cannot_be_is_refused_by_its_key() {
-        for (text, said) in [
+        for (text, expected) in [
             ("left_motor = \"E\"", "`left_motor`"),
             ("left_motor = \"C\"", "both C"),
             ("gyro_port = 5", "`gyro_port`"),
@@ -168,7 +168,7 @@ mod tests {
             ("outstanding = 0", "`outstanding`"),
         ] {
             let error = settings(text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

@@ -33,7 +33,7 @@ impl Default for FixSection {
 }
 
 impl FixSection {
-    /// What the codec is told.
+    /// The settings of the codec.
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
@@ -66,21 +66,21 @@ mod tests {
     #[test]
     fn without_a_word_it_is_the_usual_one_and_milliseconds_become_spans() {
         assert_eq!(settings("").unwrap(), CameraJsonSettings::default());
-        let told = settings("delay_ms = 150.5\nleast_quality = 40").unwrap();
-        assert_eq!(told.delay, TimeDelta::from_micros(150_500));
-        assert_eq!(told.min_quality, 40.0);
+        let parsed = settings("delay_ms = 150.5\nleast_quality = 40").unwrap();
+        assert_eq!(parsed.delay, TimeDelta::from_micros(150_500));
+        assert_eq!(parsed.min_quality, 40.0);
     }
 
     #[test]
     fn what_cannot_be_is_refused_by_its_key() {
-        for (text, said) in [
+        for (text, expected) in [
             ("delay_ms = -1.0", "`delay_ms` is -1"),
             ("delay_spread_ms = nan", "`delay_spread_ms` is NaN"),
             ("least_quality = 101.0", "`least_quality` is 101"),
             ("latency = 1.0", "latency"),
         ] {
             let error = settings(text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

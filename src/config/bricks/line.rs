@@ -46,7 +46,7 @@ impl Default for LineSection {
 }
 
 impl LineSection {
-    /// What the codec is told.
+    /// The settings of the codec.
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
@@ -117,14 +117,14 @@ mod tests {
         assert_eq!((keys.len(), separator), (3, Separator::Pipe));
         let csv =
             "columns = [\"time_us\", \"ignore\", \"gyro_deg_per_s\"]\nseparator = \";\"\nchecksum_required = true";
-        let told = settings(csv).unwrap();
-        assert_eq!(told.checksum, ChecksumPolicy::Required);
-        assert!(matches!(told.layout, LineLayout::Columns { columns, .. } if columns.len() == 3));
+        let parsed = settings(csv).unwrap();
+        assert_eq!(parsed.checksum, ChecksumPolicy::Required);
+        assert!(matches!(parsed.layout, LineLayout::Columns { columns, .. } if columns.len() == 3));
     }
 
     #[test]
     fn what_cannot_be_is_refused_by_its_key() {
-        for (text, said) in [
+        for (text, expected) in [
             ("columns = [\"speed\"]", "`speed` is no quantity"),
             ("columns = [\"left_ticks\"]", "both are needed"),
             ("separator = \"::\"", "`separator`"),
@@ -132,7 +132,7 @@ mod tests {
             ("keys = { \"\" = \"gyro_deg_per_s\" }", "`keys`"),
         ] {
             let error = settings(text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

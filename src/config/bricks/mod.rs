@@ -23,7 +23,7 @@ pub use nxt::{NxtSection, NxtSensorKind, NxtSensorSection, Place};
 /// The protocol whose participants need no codec of their own.
 const MAVLINK: &str = "mavlink";
 
-/// What a link's codec is told; `None` for MAVLink.
+/// The settings of a link's codec; `None` for MAVLink.
 ///
 /// # Errors
 /// There is no such protocol, or the link has keys that only MAVLink has.

@@ -105,7 +105,7 @@ impl Default for NxtSection {
 }
 
 impl NxtSection {
-    /// What the codec is told.
+    /// The settings of the codec.
     ///
     /// # Errors
     /// A value makes no sense; the message names its key.
@@ -206,24 +206,24 @@ mod tests {
 
     #[test]
     fn motors_and_sensors_stand_where_they_are_said_to() {
-        let told = settings(
+        let parsed = settings(
             "left_motor = \"-A\"\nright_motor = \"B\"\ngyro_rest = 598.5\nsensor = [{ port = 2, kind = \"ht-gyro\" }, \
              { port = 3, kind = \"ht-accelerometer\", forward = \"-y\", place = \"left\" }]",
         )
         .unwrap();
-        assert_eq!(told.left_motor.port, MotorPort::A);
-        assert_eq!(told.left_motor.mounting, MotorMounting::Backward);
-        assert_eq!(told.sensors[1], NxtSensor::HtGyro);
+        assert_eq!(parsed.left_motor.port, MotorPort::A);
+        assert_eq!(parsed.left_motor.mounting, MotorMounting::Backward);
+        assert_eq!(parsed.sensors[1], NxtSensor::HtGyro);
         assert_eq!(
-            told.sensors[2],
+            parsed.sensors[2],
             NxtSensor::HtAccelerometer { forward: ForwardAxis::MinusY, place: AccelerometerMounting::Left }
         );
-        assert_eq!(told.gyro_rest_counts, Some(598.5));
+        assert_eq!(parsed.gyro_rest_counts, Some(598.5));
     }
 
     #[test]
     fn what_cannot_be_is_refused_by_its_key() {
-        for (text, said) in [
+        for (text, expected) in [
             ("left_motor = \"D\"", "`left_motor`"),
             ("left_motor = \"C\"", "port C"),
             ("outstanding = 3", "`outstanding`"),
@@ -234,7 +234,7 @@ mod tests {
             ("sensor = [{ port = 1, kind = \"lidar\" }]", "lidar"),
         ] {
             let error = settings(text).unwrap_err();
-            assert!(error.contains(said), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

@@ -155,7 +155,7 @@ fn outcome(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> Experi
 
 fn picture(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> String {
     let floor = points.iter().map(|p| (p.floor_m[0], p.floor_m[1])).collect();
-    let seen = points.iter().map(|p| {
+    let by_camera = points.iter().map(|p| {
         let [x, y] = found.homography.to_floor(p.measured);
         (x, y)
     });
@@ -168,7 +168,7 @@ fn picture(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> String
             y_name: "y [m]".to_owned(),
             height_px: 420.0,
             is_map: true,
-            curves: vec![curve("by the tape", floor), curve("by the camera", seen.collect())],
+            curves: vec![curve("by the tape", floor), curve("by the camera", by_camera.collect())],
         }],
     })
 }

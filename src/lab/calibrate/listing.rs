@@ -113,11 +113,11 @@ mod tests {
 
     #[test]
     fn a_decimal_comma_is_refused_and_the_empty_cells_of_a_spreadsheet_are_not() {
-        let said = listing("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n").err();
-        let said = said.unwrap().to_string();
+        let error = listing("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n").err();
+        let error = error.unwrap().to_string();
         assert!(
-            said.ends_with("t.csv` line 3 has 5 cells under 3 columns; write decimal points, not commas: -12.5"),
-            "{said}"
+            error.ends_with("t.csv` line 3 has 5 cells under 3 columns; write decimal points, not commas: -12.5"),
+            "{error}"
         );
         let listing = listing("way,x_mm\ncw,-12.5,,\n").unwrap();
         let row = listing.rows().next().unwrap();
@@ -127,12 +127,12 @@ mod tests {
     #[test]
     fn what_is_missing_is_named_with_its_line() {
         let listing = listing("way,x_mm\ncw\ncw,far\n").unwrap();
-        let said = |index: usize, column: &str| {
+        let error = |index: usize, column: &str| {
             let row = listing.rows().nth(index).unwrap();
             row.number(column).unwrap_err().to_string()
         };
-        assert!(said(0, "x_mm").ends_with("t.csv` line 2: column `x_mm` is empty"));
-        assert!(said(1, "x_mm").ends_with("t.csv` line 3: `far` in column `x_mm` is no number"));
-        assert!(said(1, "y_mm").contains("has no column `y_mm`; it has: way, x_mm"));
+        assert!(error(0, "x_mm").ends_with("t.csv` line 2: column `x_mm` is empty"));
+        assert!(error(1, "x_mm").ends_with("t.csv` line 3: `far` in column `x_mm` is no number"));
+        assert!(error(1, "y_mm").contains("has no column `y_mm`; it has: way, x_mm"));
     }
 }

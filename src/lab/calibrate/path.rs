@@ -26,7 +26,7 @@ const TRUTH_SIGMA_M: f64 = 0.005;
 /// The same for a person with a tape.
 const TAPE_SIGMA_M: f64 = 0.01;
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 const TASK: &str = "drive about in the camera's sight, for a minute or two, with turns in both directions";
 
 /// Calibrates.

@@ -59,12 +59,12 @@ impl<'a> PathReport<'a> {
 
     /// What is wrong with the description, and what to change in which file.
     pub(super) fn findings(&self) -> Vec<String> {
-        let told = self.result;
+        let result = self.result;
         let mut findings = Vec::new();
-        if told.fit.consistency > UNEXPLAINED {
+        if result.fit.consistency > UNEXPLAINED {
             findings.push(format!(
                 "these numbers do not explain the drive: its innovations have {:.0} times the described variance. Do not use them; the wheels slipped, the noise is described far too small, or the drive is too long: choose a shorter one",
-                told.fit.consistency
+                result.fit.consistency
             ));
         }
         findings.extend(self.sanity_warnings());
@@ -72,9 +72,9 @@ impl<'a> PathReport<'a> {
     }
 
     fn sanity_warnings(&self) -> Vec<String> {
-        let told = self.result;
+        let result = self.result;
         let mut findings = Vec::new();
-        let Some(sanity) = &told.fit.hypothesis_test else {
+        let Some(sanity) = &result.fit.hypothesis_test else {
             return findings;
         };
         let found = sanity.found;
@@ -84,22 +84,22 @@ impl<'a> PathReport<'a> {
         if found.track_factor != 1.0 {
             findings.push(format!(
                 "`robot.track_width_m` is {} and fits {} times that: {}; write about {:.4}",
-                told.robot.track_width_m,
+                result.robot.track_width_m,
                 found.track_factor,
                 if found.track_factor > 1.0 {
                     "it is half the distance between the wheels"
                 } else {
                     "it is twice the distance between the wheels"
                 },
-                told.calibrated.track_width_m
+                result.calibrated.track_width_m
             ));
         }
         if found.travel_factor != 1.0 {
             findings.push(format!(
                 "a count moves the wheels by {} times what `robot.ticks_per_turn` = {} and the radii say: write ticks_per_turn = {} (a quadrature decoder counts 1, 2 or 4 times) or mend the radii (radius or diameter?)",
                 found.travel_factor,
-                told.robot.ticks_per_turn,
-                told.robot.ticks_per_turn / found.travel_factor
+                result.robot.ticks_per_turn,
+                result.robot.ticks_per_turn / found.travel_factor
             ));
         }
         if !findings.is_empty() {
@@ -138,24 +138,25 @@ impl<'a> PathReport<'a> {
     }
 
     fn groups(&self) -> Vec<(&'static str, &'a [RunComparison])> {
-        let told = self.result;
-        let all = [("the runs it was found on", told.runs.as_slice()), ("other runs", told.validation_runs.as_slice())];
+        let result = self.result;
+        let all =
+            [("the runs it was found on", result.runs.as_slice()), ("other runs", result.validation_runs.as_slice())];
         all.into_iter().filter(|(_, runs)| !runs.is_empty()).collect()
     }
 
     fn text(&self) -> String {
-        let told = self.result;
-        let mut text = format!("{}: {} run(s) against {}\n\n", told.recording, told.runs.len(), told.reference);
+        let result = self.result;
+        let mut text = format!("{}: {} run(s) against {}\n\n", result.recording, result.runs.len(), result.reference);
         text += &self.numbers();
         let _ = writeln!(text, "\n{}", self.geometry());
-        if let Some(windows) = told.fit.length_windows {
+        if let Some(windows) = result.fit.length_windows {
             let _ = writeln!(text, "wheel radius from the length of the way over {windows} windows");
         }
         let _ = writeln!(
             text,
             "innovations: {:.2} times the described variance{}",
-            told.fit.consistency,
-            if (1.0 / ROUGH..=ROUGH).contains(&told.fit.consistency) {
+            result.fit.consistency,
+            if (1.0 / ROUGH..=ROUGH).contains(&result.fit.consistency) {
                 ""
             } else {
                 " (the sigmas above do not use it)"
@@ -200,12 +201,12 @@ impl<'a> PathReport<'a> {
     }
 
     fn page(&self) -> ReportPage {
-        let told = self.result;
+        let result = self.result;
         let mut parts = vec![ReportBlock::Text(format!(
             "{} run(s) of {}, compared with its {}. docs/lab/calibrate.md says what the numbers mean.",
-            told.runs.len(),
-            told.recording,
-            told.reference
+            result.runs.len(),
+            result.recording,
+            result.reference
         ))];
         let findings = self.findings();
         if !findings.is_empty() {
@@ -220,18 +221,18 @@ impl<'a> PathReport<'a> {
             parts.push(ReportBlock::PreformattedText(errors_table(runs)));
         }
         parts.push(ReportBlock::Heading("The way".to_owned()));
-        for run in told.runs.iter().chain(&told.validation_runs).take(MAX_PLOTTED_RUNS) {
+        for run in result.runs.iter().chain(&result.validation_runs).take(MAX_PLOTTED_RUNS) {
             parts.push(ReportBlock::Figure {
                 svg: picture(run),
                 caption: format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name),
             });
         }
-        ReportPage { title: format!("Calibration by a watched drive: {}", told.recording), blocks: parts }
+        ReportPage { title: format!("Calibration by a watched drive: {}", result.recording), blocks: parts }
     }
 
     fn json(&self) -> Value {
-        let told = self.result;
-        let numbers: serde_json::Map<String, Value> = told
+        let result = self.result;
+        let numbers: serde_json::Map<String, Value> = result
             .fit
             .entries
             .iter()
@@ -245,7 +246,7 @@ impl<'a> PathReport<'a> {
                 (entry.unknown.key().to_owned(), object)
             })
             .collect();
-        let sanity = told.fit.hypothesis_test.as_ref().map(|sanity| {
+        let sanity = result.fit.hypothesis_test.as_ref().map(|sanity| {
             json!({
                 "is_sound": sanity.is_sound(),
                 "wiring": sanity.found.wiring.name(),
@@ -257,20 +258,20 @@ impl<'a> PathReport<'a> {
             })
         });
         json!({
-            "recording": told.recording,
-            "against": told.reference,
+            "recording": result.recording,
+            "against": result.reference,
             "numbers": numbers,
             "robot": {
-                "left_wheel_radius_m": told.calibrated.left_wheel_radius_m,
-                "right_wheel_radius_m": told.calibrated.right_wheel_radius_m,
-                "track_width_m": told.calibrated.track_width_m,
+                "left_wheel_radius_m": result.calibrated.left_wheel_radius_m,
+                "right_wheel_radius_m": result.calibrated.right_wheel_radius_m,
+                "track_width_m": result.calibrated.track_width_m,
             },
-            "length_windows": told.fit.length_windows,
-            "consistency": told.fit.consistency,
+            "length_windows": result.fit.length_windows,
+            "consistency": result.fit.consistency,
             "sanity": sanity,
             "findings": self.findings(),
-            "runs": told.runs.iter().map(run_json).collect::<Vec<Value>>(),
-            "tried": told.validation_runs.iter().map(run_json).collect::<Vec<Value>>(),
+            "runs": result.runs.iter().map(run_json).collect::<Vec<Value>>(),
+            "tried": result.validation_runs.iter().map(run_json).collect::<Vec<Value>>(),
         })
     }
 }
@@ -355,7 +356,7 @@ fn picture(run: &RunComparison) -> String {
     let points = |places: &[[f64; 2]]| places.iter().map(|[x, y]| (*x, *y)).collect();
     let line =
         |name: &str, places: &[[f64; 2]]| Curve { name: name.to_owned(), shape: CurveShape::Line(points(places)) };
-    let seen: Vec<[f64; 2]> = run.path.fixes.iter().map(|sight| sight.position_m).collect();
+    let fix_positions: Vec<[f64; 2]> = run.path.fixes.iter().map(|sight| sight.position_m).collect();
     let off = |places: &[[f64; 2]]| {
         let sights = run.path.fixes.iter().zip(places);
         let off = sights.map(|(sight, [x, y])| {
@@ -375,7 +376,7 @@ fn picture(run: &RunComparison) -> String {
                 height_px: 420.0,
                 is_map: true,
                 curves: vec![
-                    line("seen", &seen),
+                    line("seen", &fix_positions),
                     line("before", &run.before.positions_m),
                     line("after", &run.after.positions_m),
                 ],

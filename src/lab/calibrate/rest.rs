@@ -21,7 +21,7 @@ use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
 use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 const TASK: &str = "leave the robot standing for a minute, its motors off";
 
 /// Flags of `calibrate rest`.
@@ -91,7 +91,7 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &outcome(&drives.recording, &channels))
 }
 
-/// The channels that tell something; what the others lack is said.
+/// The channels with enough data; a note says what the others lack.
 ///
 /// # Errors
 /// None does.
@@ -144,7 +144,7 @@ fn with_noise(robot: &RobotFile, channels: &[ChannelNoise]) -> RobotFile {
         robot.calibration.gyro_bias_rad_per_s = Some(CalibrationEntry { value: rest.bias, sigma: rest.bias_sigma });
     }
     let accelerometers = [find("left accelerometer"), find("right accelerometer")];
-    // A profile has no resolution of an accelerometer: its noise is told with the rounding.
+    // A profile has no resolution of an accelerometer: its noise includes the rounding.
     let noise = accelerometers.into_iter().flatten().map(|channel| channel.noise.total);
     let largest = noise.fold(0.0, f64::max);
     if largest > 0.0 {

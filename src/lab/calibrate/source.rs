@@ -32,7 +32,7 @@ pub(crate) struct CalibrationDrive {
     pub(crate) observations: Vec<Observation>,
     /// The thermometers of a recording of ours; those of a descriptor are among the observations.
     pub(crate) thermometers: Vec<ThermometerReadings>,
-    /// Where the robot was seen, and by what.
+    /// Where the robot was observed, and by what.
     pub(crate) references: Vec<PositionFix>,
     pub(crate) reference: CalibrationReference,
 }
@@ -190,15 +190,15 @@ mod tests {
 
     #[test]
     fn a_robot_that_described_itself_in_single_precision_is_the_same_and_another_track_is_another_robot() {
-        let told = RobotFile::default().geometry().unwrap();
-        let mut described = told;
-        described.left_wheel_radius = Meters(f64::from(told.left_wheel_radius.0 as f32));
-        described.track_width = Meters(f64::from(told.track_width.0 as f32));
-        assert!(check_same_robot([("a", &told), ("b", &described)]).is_ok());
-        let mut wider = told;
-        wider.track_width = Meters(1.001 * told.track_width.0);
-        let said = check_same_robot([("a", &told), ("b", &described), ("c", &wider)]);
-        let said = said.unwrap_err().to_string();
-        assert!(said.starts_with("`a` and `c` are described"), "{said}");
+        let configured = RobotFile::default().geometry().unwrap();
+        let mut described = configured;
+        described.left_wheel_radius = Meters(f64::from(configured.left_wheel_radius.0 as f32));
+        described.track_width = Meters(f64::from(configured.track_width.0 as f32));
+        assert!(check_same_robot([("a", &configured), ("b", &described)]).is_ok());
+        let mut wider = configured;
+        wider.track_width = Meters(1.001 * configured.track_width.0);
+        let refused = check_same_robot([("a", &configured), ("b", &described), ("c", &wider)]);
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.starts_with("`a` and `c` are described"), "{refused}");
     }
 }

@@ -34,7 +34,7 @@ const OBSERVED_SIGMA_M: f64 = 0.005;
 /// What x and y say may lie apart by so much of what they say, before the drives are doubted.
 const SUSPECT_RATIO: f64 = 0.5;
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
 
 /// Flags of `calibrate umbmark`.
@@ -77,7 +77,7 @@ pub struct UmbmarkArgs {
     pub output: OutputArgs,
 }
 
-/// What the squares said, whatever their source.
+/// The result of the squares, whatever their source.
 struct UmbmarkResult {
     source: String,
     robot: RobotFile,
@@ -99,23 +99,23 @@ struct UmbmarkResult {
 pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
-    let told = compute(args)?;
-    for line in told.warnings() {
+    let result = compute(args)?;
+    for line in result.warnings() {
         print_line(&format!("warning: {line}"));
     }
     if let Some(path) = &args.save {
-        let found = told.calibration();
-        let (robot, calibration) = fold_into_geometry(&told.robot, found).while_running()?;
+        let found = result.calibration();
+        let (robot, calibration) = fold_into_geometry(&result.robot, found).while_running()?;
         let calibrated = CalibratedProfile {
             robot,
             calibration,
-            source: told.source.clone(),
+            source: result.source.clone(),
             method: "calibrate umbmark",
-            remarks: told.lines(),
+            remarks: result.lines(),
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output.write_outcome(&folder, &told.outcome())
+    args.output.write_outcome(&folder, &result.outcome())
 }
 
 fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
@@ -223,7 +223,7 @@ fn from_simulation(args: &UmbmarkArgs) -> Result<UmbmarkResult> {
         Ok(square_error(&closing_runs(&simulated.config, numbers, &simulated.others)?)?)
     };
     let others = [error_of(&squares.before)?, error_of(&squares.after)?];
-    let (truth, told) = (simulated.true_geometry, simulated.config.geometry);
+    let (truth, nominal) = (simulated.true_geometry, simulated.config.geometry);
     let (left, right) = (truth.left_wheel_radius.0, truth.right_wheel_radius.0);
     Ok(UmbmarkResult {
         source: "the simulated robot".to_owned(),
@@ -233,7 +233,7 @@ fn from_simulation(args: &UmbmarkArgs) -> Result<UmbmarkResult> {
         runs_before: squares.runs_before,
         runs_after: squares.runs_after,
         validation_errors: Some(others),
-        truth: Some([truth.track_width.0 / told.track_width.0 - 1.0, (right - left) / f64::midpoint(left, right)]),
+        truth: Some([truth.track_width.0 / nominal.track_width.0 - 1.0, (right - left) / f64::midpoint(left, right)]),
     })
 }
 

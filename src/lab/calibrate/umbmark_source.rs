@@ -59,11 +59,11 @@ pub(super) fn simulate(runs: u32, seed: Option<u64>) -> Result<SimulatedSquares>
         scenario = scenario.with_seed(seed);
     }
     let drive = scenario.drive(0);
-    let told = drive.prior;
+    let prior = drive.prior;
     let robot = RobotFile {
-        left_wheel_radius_m: told.geometry.left_wheel_radius.0,
-        right_wheel_radius_m: told.geometry.right_wheel_radius.0,
-        track_width_m: told.geometry.track_width.0,
+        left_wheel_radius_m: prior.geometry.left_wheel_radius.0,
+        right_wheel_radius_m: prior.geometry.right_wheel_radius.0,
+        track_width_m: prior.geometry.track_width.0,
         ..RobotFile::default()
     };
     let config = filter_config(&robot, &FilterSection::default(), ArenaMap::default())?;

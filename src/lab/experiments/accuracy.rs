@@ -143,7 +143,7 @@ fn table(scored: &ScenarioScores, names: &[String]) -> String {
         .map(|(name, EstimatorScores { score, .. })| ScoreRow { name, score, bound_m })
         .collect();
     let refusals = names.iter().zip(&scored.results);
-    let refusals: Vec<String> = refusals.filter_map(refusal_summary).collect();
+    let refusals: Vec<String> = refusals.filter_map(|(name, scores)| refusal_summary(name, scores)).collect();
     format!(
         "{}\n{}{}{}",
         headline(scored),
@@ -154,7 +154,7 @@ fn table(scored: &ScenarioScores, names: &[String]) -> String {
 }
 
 /// Of which runs an estimator says nothing; the first reason stands for all.
-fn refusal_summary((name, scores): (&String, &EstimatorScores)) -> Option<String> {
+fn refusal_summary(name: &str, scores: &EstimatorScores) -> Option<String> {
     let (run, reason) = scores.refusals.first()?;
     let count = scores.refusals.len();
     Some(format!("{name}: says nothing of {count} runs; of run {run}: {reason}\n"))

@@ -51,7 +51,7 @@ fn quoted(word: &str) -> String {
 mod tests {
     use super::*;
 
-    fn said(args: &[&str], live_recording: Option<&str>) -> String {
+    fn command_line_of(args: &[&str], live_recording: Option<&str>) -> String {
         let args: Vec<String> = args.iter().map(|arg| (*arg).to_owned()).collect();
         command_line(&args, live_recording)
     }
@@ -59,7 +59,7 @@ mod tests {
     #[test]
     fn a_command_is_told_as_it_was_typed_and_fits_through_a_shell() {
         let args = ["lab", "wall", "--out", "o", "--json", "--run", "step one", "--set", "a=it's"];
-        assert_eq!(said(&args, None), r"posebridge lab wall --run 'step one' --set 'a=it'\''s'");
+        assert_eq!(command_line_of(&args, None), r"posebridge lab wall --run 'step one' --set 'a=it'\''s'");
     }
 
     #[test]
@@ -77,6 +77,9 @@ mod tests {
             "--out",
             "o",
         ];
-        assert_eq!(said(&args, Some("o/live.mcap")), "posebridge lab indirect --judge start --recording o/live.mcap");
+        assert_eq!(
+            command_line_of(&args, Some("o/live.mcap")),
+            "posebridge lab indirect --judge start --recording o/live.mcap"
+        );
     }
 }

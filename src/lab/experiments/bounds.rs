@@ -4,7 +4,7 @@
 //! on top that no filter is told of, the bound is that of the drive without it, and says so.
 
 use posebridge_lab::accuracy::{BoundSum, ReferenceDrive, WheelRotation};
-use posebridge_sim::montecarlo::{Drive, GeometryErrors, Scenario, ToldGeometry};
+use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};
 
 use crate::lab::drives::filter_config;
 
@@ -19,22 +19,22 @@ pub(super) enum BoundKind {
 
 impl BoundKind {
     pub(super) fn for_scenario(scenario: &Scenario) -> Self {
-        let (motion, told) = (&scenario.motion, &scenario.told);
-        if motion.wheel_travel_m_per_sqrt_m != told.wheel_travel_m_per_sqrt_m
-            || motion.turn_rad_per_sqrt_rad != told.turn_rad_per_sqrt_rad
+        let (motion, prior) = (&scenario.motion, &scenario.told);
+        if motion.wheel_travel_m_per_sqrt_m != prior.wheel_travel_m_per_sqrt_m
+            || motion.turn_rad_per_sqrt_rad != prior.turn_rad_per_sqrt_rad
         {
             return Self::Unavailable("the noise of the motion is not what a filter is told");
         }
-        let drawn = match told.geometry {
-            ToldGeometry::Nominal => scenario.errors,
-            ToldGeometry::True => {
+        let drawn = match prior.geometry {
+            PriorGeometry::Nominal => scenario.errors,
+            PriorGeometry::True => {
                 GeometryErrors { radius_scale_sigma: 0.0, radius_difference_sigma: 0.0, track_scale_sigma: 0.0 }
             }
         };
         let known = GeometryErrors {
-            radius_scale_sigma: told.radius_scale_sigma,
-            radius_difference_sigma: told.radius_difference_sigma,
-            track_scale_sigma: told.track_scale_sigma,
+            radius_scale_sigma: prior.radius_scale_sigma,
+            radius_difference_sigma: prior.radius_difference_sigma,
+            track_scale_sigma: prior.track_scale_sigma,
         };
         if drawn != known {
             return Self::Unavailable("the spread of the geometry is not what a filter is told");

@@ -1,4 +1,4 @@
-//! What the experiments can run over a drive: every filter that estimates a pose, and yardsticks that no robot can have.
+//! What the experiments can run over a drive: every filter that estimates a pose, and references that no robot can have.
 
 use posebridge_estimator::smoother::{OfflineError, batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
@@ -8,7 +8,7 @@ use posebridge_telemetry::Calibration;
 
 use crate::lab::drives::filter_config;
 
-/// The filter whose clairvoyant twin is a yardstick.
+/// The filter that also runs with the true geometry, as a reference.
 const MAIN_FILTER: &str = "pose";
 /// What a clairvoyant filter's name ends in.
 const CLAIRVOYANT: &str = "-true-geometry";
@@ -23,9 +23,9 @@ const RTS: &str = "rts";
 /// [`Estimator::all`] and an arm in [`Estimator::score`].
 #[derive(Clone, Copy)]
 pub enum Estimator {
-    /// A row of the table of filters, told what the scenario tells.
+    /// A row of the table of filters, with the prior of the scenario.
     Filter(&'static FilterEntry),
-    /// A row of the table, told the true geometry of the run: the bound for every filter that has to learn it.
+    /// A row of the table, with the true geometry of the run: the bound for every filter that has to learn it.
     TrueGeometry(&'static FilterEntry),
     /// The flagship run forwards and back.
     Rts,

@@ -90,13 +90,13 @@ pub(super) fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
 }
 
 /// How old each instant's first estimate was when the brick had it. A fix that comes late mends the estimate of an instant of which the
-/// brick has already been told: that is no new instant, and its age says nothing about the link.
+/// brick already has an estimate: that is no new instant, and its age says nothing about the link.
 fn ages(received: &[ReceivedEstimate]) -> Vec<TimeDelta> {
-    let mut told = None;
+    let mut latest = None;
     let mut ages = Vec::with_capacity(received.len());
     for estimate in received {
-        if told.is_none_or(|told| estimate.estimate_time > told) {
-            told = Some(estimate.estimate_time);
+        if latest.is_none_or(|latest| estimate.estimate_time > latest) {
+            latest = Some(estimate.estimate_time);
             ages.push(estimate.age());
         }
     }

@@ -1,6 +1,6 @@
 //! A live robot for an experiment: recorded by the engine of `posebridge run`, then evaluated like any other recording.
 //!
-//! The recording stays: what an experiment said of a robot can be said again, with other flags, without the robot.
+//! The recording stays: an experiment can be repeated, with other flags, without the robot.
 
 use std::path::{Path, PathBuf};
 
@@ -53,7 +53,7 @@ impl LiveArgs {
         self.link.is_some() || self.listen.is_some()
     }
 
-    /// Records the robot into the folder of the results, after it has said what to do; gives the recording. `None` if no live
+    /// Records the robot into the folder of the results, after it has printed the instructions; gives the recording. `None` if no live
     /// robot was asked for.
     ///
     /// # Errors

@@ -58,7 +58,7 @@ pub(super) struct RobotDrive {
     /// The file.
     pub(super) name: String,
     pub(super) drive: RecordedDrive,
-    /// What the filters are told, the start included.
+    /// The configuration of the filters, the start included.
     pub(super) config: FilterConfig,
 }
 

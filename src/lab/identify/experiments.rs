@@ -1,4 +1,4 @@
-//! The three experiments: what is taken out of a run, given to the analysis, and told.
+//! The three experiments: what is taken out of a run, given to the analysis, and reported.
 
 use anyhow::{Context, Result, bail};
 use posebridge_lab::calibration::at_rest::{MIN_STANDSTILL_S, RestChannel, RestObservations};
@@ -16,13 +16,13 @@ use super::source::{ExperimentData, FixTimeSource};
 const PANEL_PX: f64 = 300.0;
 
 /// The gyro of a robot that rests.
-pub(super) fn rest(seen: &ExperimentData) -> Result<Findings> {
+pub(super) fn rest(data: &ExperimentData) -> Result<Findings> {
     let mut notes = Vec::new();
-    let resting = gyro_at_rest(seen, &mut notes)?;
-    let of_the_gyro = || format!("the gyro of `{}`", seen.name);
+    let resting = gyro_at_rest(data, &mut notes)?;
+    let of_the_gyro = || format!("the gyro of `{}`", data.name);
     let record = RestRecord::from_stretches(&resting.stretches).with_context(of_the_gyro)?;
     let found = noise_at_rest(&record).with_context(of_the_gyro)?;
-    let quantities = rest_quantities(seen, &found);
+    let quantities = rest_quantities(data, &found);
     notes.insert(0, format!("{} samples over {:.0} s", found.samples, found.rest_s));
     let silences = record.silences();
     if !silences.is_empty() {
@@ -43,9 +43,9 @@ pub(super) fn rest(seen: &ExperimentData) -> Result<Findings> {
     })
 }
 
-/// The gyro while the robot stood; what has to be said about that is noted.
-fn gyro_at_rest(seen: &ExperimentData, notes: &mut Vec<String>) -> Result<RestChannel> {
-    let mut observations: Vec<Observation> = seen.observations.iter().map(|one| one.observation).collect();
+/// The gyro while the robot stood; remarks about it go to the notes.
+fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestChannel> {
+    let mut observations: Vec<Observation> = data.observations.iter().map(|one| one.observation).collect();
     observations.sort_by_key(|observation| observation.stamp);
     let rate = |observation: &Observation| {
         let ObservationKind::TurnRate(rate) = observation.measurement else {
@@ -55,7 +55,7 @@ fn gyro_at_rest(seen: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
     };
     let all: Vec<(f64, f64)> = observations.iter().filter_map(rate).collect();
     if all.is_empty() {
-        bail!("run `{}` has no gyro", seen.name)
+        bail!("run `{}` has no gyro", data.name)
     }
     let is_wheel = |one: &Observation| matches!(one.measurement, ObservationKind::WheelAngles { .. });
     if !observations.iter().any(is_wheel) {
@@ -68,7 +68,7 @@ fn gyro_at_rest(seen: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
         bail!(
             "the robot of `{}` never stood: no reading of its gyro lies where the counts of its wheels were the same for {MIN_STANDSTILL_S} s \
              and more; record it standing, or cut such a stretch out with --from and --to",
-            seen.name
+            data.name
         )
     }
     let left_out = all.len() - standing.min(all.len());
@@ -80,7 +80,7 @@ fn gyro_at_rest(seen: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
     Ok(resting)
 }
 
-/// The Allan deviation of the longest stretch, and what is to be said about it.
+/// The Allan deviation of the longest stretch, and remarks about it.
 fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint> {
     if record.stretches().len() > 1 {
         notes.push(format!(
@@ -102,8 +102,8 @@ fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint
 }
 
 /// What a rest says of the gyro, beside the truth where there is one.
-fn rest_quantities(seen: &ExperimentData, found: &RestNoise) -> Vec<Quantity> {
-    let gyro = seen.scenario.as_ref().map(|scenario| scenario.gyro);
+fn rest_quantities(data: &ExperimentData, found: &RestNoise) -> Vec<Quantity> {
+    let gyro = data.scenario.as_ref().map(|scenario| scenario.gyro);
     let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| gyro.as_ref().map(|gyro| of(gyro).to_radians());
     vec![
         Quantity::new("bias, mean over the rest", "rad/s", found.bias, Some(found.bias_sigma)),
@@ -141,10 +141,10 @@ fn allan_plot(points: &[AllanPoint]) -> Plot {
 }
 
 /// The encoders of a robot that drives straight.
-pub(super) fn straight(seen: &ExperimentData) -> Result<Findings> {
-    let counts = travels(seen);
+pub(super) fn straight(data: &ExperimentData) -> Result<Findings> {
+    let counts = travels(data);
     if counts.is_empty() {
-        bail!("run `{}` has no wheel counts", seen.name)
+        bail!("run `{}` has no wheel counts", data.name)
     }
     let mut quantities = Vec::new();
     let mut notes = Vec::new();
@@ -157,11 +157,11 @@ pub(super) fn straight(seen: &ExperimentData) -> Result<Findings> {
                 _ => None,
             })
             .collect();
-        let found = straight_noise(&travel).with_context(|| format!("the {wheel} wheel of `{}`", seen.name))?;
+        let found = straight_noise(&travel).with_context(|| format!("the {wheel} wheel of `{}`", data.name))?;
         let (sigma, of_sigma) = (found.sigma_m_per_s, found.sigma_sigma_m_per_s);
         quantities.push(Quantity::new(format!("speed, {wheel} wheel"), "m/s", found.speed_m_per_s, None));
         quantities.push(Quantity::new(format!("root of R, {wheel} wheel"), "m/s", sigma, Some(of_sigma)));
-        let rounding = rounding_speed_sigma(&seen.geometry, &travel);
+        let rounding = rounding_speed_sigma(&data.geometry, &travel);
         notes.push(format!(
             "{wheel}: {} intervals, rho(1) {:+.2}; rounding to counts alone makes {rounding:.5} m/s on average over speeds, and rho(1) -0.5",
             found.samples, found.rho_1
@@ -181,11 +181,11 @@ pub(super) fn straight(seen: &ExperimentData) -> Result<Findings> {
 }
 
 /// Each instant, s, with how far both wheels have rolled by then, m: by rising time, whatever the order of arrival, each instant once.
-fn travels(seen: &ExperimentData) -> Vec<[f64; 3]> {
+fn travels(data: &ExperimentData) -> Vec<[f64; 3]> {
     let mut counts: Vec<[f64; 3]> = Vec::new();
-    for one in &seen.observations {
+    for one in &data.observations {
         if let ObservationKind::WheelAngles { left, right } = one.observation.measurement {
-            let geometry = &seen.geometry;
+            let geometry = &data.geometry;
             let at_s = one.observation.stamp.as_secs_f64();
             counts.push([at_s, left.0 * geometry.left_wheel_radius.0, right.0 * geometry.right_wheel_radius.0]);
         }
@@ -197,12 +197,12 @@ fn travels(seen: &ExperimentData) -> Vec<[f64; 3]> {
 }
 
 /// The camera of a robot that turns to and fro.
-pub(super) fn delay(seen: &ExperimentData, by: FixTimeSource, search: &DelaySearch) -> Result<Findings> {
-    let observations: Vec<Observation> = seen.observations.iter().map(|one| one.observation).collect();
-    let levels = cumulative_motion_of(&observations, &seen.geometry);
-    let sightings = sightings_of(seen, by)?;
-    let found = find_delay(&levels, &sightings, search).with_context(|| format!("the camera of `{}`", seen.name))?;
-    let camera = seen.scenario.as_ref().and_then(|scenario| Some((scenario.step_s, scenario.camera?)));
+pub(super) fn delay(data: &ExperimentData, by: FixTimeSource, search: &DelaySearch) -> Result<Findings> {
+    let observations: Vec<Observation> = data.observations.iter().map(|one| one.observation).collect();
+    let levels = cumulative_motion_of(&observations, &data.geometry);
+    let sightings = sightings_of(data, by)?;
+    let found = find_delay(&levels, &sightings, search).with_context(|| format!("the camera of `{}`", data.name))?;
+    let camera = data.scenario.as_ref().and_then(|scenario| Some((scenario.step_s, scenario.camera?)));
     let truth = camera.map(|(step_s, camera)| match by {
         FixTimeSource::Stamp => 0.0,
         FixTimeSource::Arrival => step_s * f64::from(camera.delay_steps),
@@ -230,9 +230,9 @@ pub(super) fn delay(seen: &ExperimentData, by: FixTimeSource, search: &DelaySear
 }
 
 /// The camera's fixes in the order of the clock that is asked about.
-fn sightings_of(seen: &ExperimentData, by: FixTimeSource) -> Result<Vec<CameraSample>> {
+fn sightings_of(data: &ExperimentData, by: FixTimeSource) -> Result<Vec<CameraSample>> {
     let mut sightings = Vec::new();
-    for one in &seen.observations {
+    for one in &data.observations {
         let ObservationKind::Fix(fix) = one.observation.measurement else {
             continue;
         };
@@ -244,7 +244,7 @@ fn sightings_of(seen: &ExperimentData, by: FixTimeSource) -> Result<Vec<CameraSa
             format!(
                 "`{}`: when a fix arrived by the clock of the brick is not known, because the brick never answered TIMESYNC; take \
                  `--by stamp`",
-                seen.name
+                data.name
             )
         })?;
         sightings.push(CameraSample {

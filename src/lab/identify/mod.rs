@@ -84,7 +84,7 @@ pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
         IdentifyExperiment::Straight(args) => run(&args.source, &args.output, &source::STRAIGHT, experiments::straight),
         IdentifyExperiment::Delay(args) => {
             let search = DelaySearch { from_s: -0.25 * args.most, to_s: args.most };
-            run(&args.source, &args.output, &source::DELAY, |seen| experiments::delay(seen, args.by, &search))
+            run(&args.source, &args.output, &source::DELAY, |data| experiments::delay(data, args.by, &search))
         }
         IdentifyExperiment::Step(args) => step::execute(args),
         IdentifyExperiment::Wall(args) => wall::execute(args),
@@ -97,8 +97,8 @@ fn run(
     asked: &ExperimentSource,
     experiment: impl FnOnce(&source::ExperimentData) -> Result<Findings>,
 ) -> Result<(), Failure> {
-    let seen = source.read(asked, output)?;
+    let data = source.read(asked, output)?;
     let folder = output.folder()?;
-    let findings = experiment(&seen).while_running()?;
-    write_findings(output, &folder, &findings, &seen.name)
+    let findings = experiment(&data).while_running()?;
+    write_findings(output, &folder, &findings, &data.name)
 }

@@ -27,7 +27,7 @@ impl Quantity {
         Self { of: None, name: name.into(), unit, value: Some(value), sigma, truth: None }
     }
 
-    /// One that may not be told from zero.
+    /// One that is not significantly different from zero.
     pub(super) fn optional(name: &str, unit: &'static str, found: Option<(f64, Option<f64>)>) -> Self {
         Self {
             of: None,

@@ -17,7 +17,7 @@ use crate::tools::own_recording;
 
 /// Where an experiment gets its drive from if nobody names a recording.
 pub(super) struct ExperimentSource {
-    /// What a person with a live robot is told to do.
+    /// The instructions for a person with a live robot.
     instruction: &'static str,
     /// What is simulated without a robot.
     scenario: &'static str,
@@ -87,7 +87,7 @@ pub(super) struct ArrivedObservation {
     pub(super) observation: Observation,
 }
 
-/// What was seen.
+/// The data of the run.
 pub(super) struct ExperimentData {
     pub(super) name: String,
     pub(super) observations: Vec<ArrivedObservation>,
@@ -105,28 +105,28 @@ impl SourceArgs {
         let robot = LiveRobot { file: None, settings: &self.settings };
         if let Some(live) = self.live.record(output, robot, experiment.instruction)? {
             // The keys that are set stand in the recording.
-            return read_own(&live, &[]).and_then(|seen| self.crop(seen)).while_running();
+            return read_own(&live, &[]).and_then(|data| self.crop(data)).while_running();
         }
-        let seen = match &self.recording {
+        let data = match &self.recording {
             Some(path) if own_recording::is_own(path) => self.load_own(path),
             Some(path) => self.load_descriptor(path),
             None => self.simulate(experiment.scenario),
         };
-        seen.and_then(|seen| self.crop(seen)).before_start()
+        data.and_then(|data| self.crop(data)).before_start()
     }
 
     /// As far as --from and --to let it.
-    fn crop(&self, mut seen: ExperimentData) -> Result<ExperimentData> {
+    fn crop(&self, mut data: ExperimentData) -> Result<ExperimentData> {
         let first_s =
-            seen.observations.iter().map(|one| one.observation.stamp.as_secs_f64()).fold(f64::INFINITY, f64::min);
+            data.observations.iter().map(|one| one.observation.stamp.as_secs_f64()).fold(f64::INFINITY, f64::min);
         let until_s = self.to.unwrap_or(f64::INFINITY);
         ensure!(self.from < until_s, "--from is {} and --to is {until_s}: nothing lies between them", self.from);
-        seen.observations.retain(|one| {
+        data.observations.retain(|one| {
             let at_s = one.observation.stamp.as_secs_f64() - first_s;
             self.from <= at_s && at_s <= until_s
         });
-        ensure!(!seen.observations.is_empty(), "no observation of `{}` lies between --from and --to", seen.name);
-        Ok(seen)
+        ensure!(!data.observations.is_empty(), "no observation of `{}` lies between --from and --to", data.name);
+        Ok(data)
     }
 
     fn load_own(&self, path: &Path) -> Result<ExperimentData> {

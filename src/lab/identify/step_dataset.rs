@@ -8,9 +8,9 @@ pub(super) struct StepDataset {
     pub(super) source: String,
     /// The sensor.
     pub(super) sensor: String,
-    /// Its unit; empty where nobody said it.
+    /// Its unit; empty where it is not known.
     pub(super) unit: &'static str,
-    /// That of its gain; empty where nobody said it.
+    /// That of its gain; empty where it is not known.
     pub(super) gain_unit: &'static str,
     /// The steps.
     pub(super) runs: Vec<StepRun>,

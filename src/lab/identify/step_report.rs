@@ -16,7 +16,7 @@ const REST_PX: f64 = 160.0;
 /// Samples that are drawn: more do not fit beside each other.
 const DRAWN: usize = 600;
 
-/// A run with what it has told.
+/// A run with its results.
 pub(super) struct StepResult {
     pub(super) run: StepRun,
     pub(super) identified: IdentifiedStep,

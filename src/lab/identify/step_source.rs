@@ -102,7 +102,7 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     })
 }
 
-/// What one sensor said during a drive.
+/// The readings of one sensor during a drive.
 struct StepPart<'a> {
     name: String,
     drive: &'a CalibrationDrive,

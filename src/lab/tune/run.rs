@@ -90,9 +90,9 @@ impl TuneRun {
                 let mut scorer = Scorer::new(run, &config.calibration);
                 for observation in &self.observations {
                     live.observe(observation);
-                    let told = scorer.errors.len();
+                    let scored_count = scorer.errors.len();
                     scorer.on_observation(&observation.measurement, observation.stamp, &FilterEstimates(&*live));
-                    for error in scorer.errors.iter().skip(told) {
+                    for error in scorer.errors.iter().skip(scored_count) {
                         add(observation.stamp, error);
                     }
                 }
@@ -131,7 +131,7 @@ impl TuneRun {
     }
 }
 
-/// Gives a drive to a filter as it arrives, and hands over its error at the end of each step that counts.
+/// Gives a drive to a filter as it arrives, and returns its error at the end of each step that counts.
 fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
     let mut arrivals = drive.arrivals.iter().peekable();
     for (step, truth) in drive.truth.iter().enumerate() {

@@ -148,8 +148,8 @@ fn simulated(args: &TuneArgs, asked: &str) -> Result<TuneDataset> {
         run_from_drive(&scenario.drive(run), format!("run {run}"), set)
     });
     let runs: Vec<TuneRun> = drives.collect();
-    let told = runs.first().map(|run| run.config.geometry);
-    let robot = told.map_or(robot.clone(), |geometry| RobotFile {
+    let used_geometry = runs.first().map(|run| run.config.geometry);
+    let robot = used_geometry.map_or(robot.clone(), |geometry| RobotFile {
         left_wheel_radius_m: geometry.left_wheel_radius.0,
         right_wheel_radius_m: geometry.right_wheel_radius.0,
         track_width_m: geometry.track_width.0,

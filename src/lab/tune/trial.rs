@@ -107,8 +107,8 @@ impl<'a> TuneSearch<'a> {
         let Some(parts) = self.cache.get(&cache_key(point)) else {
             return f64::NEG_INFINITY;
         };
-        let seen = parts.iter().enumerate();
-        seen.filter(|(part, _)| Some(part % self.folds()) != without).map(|(_, value)| value).sum()
+        let indexed = parts.iter().enumerate();
+        indexed.filter(|(part, _)| Some(part % self.folds()) != without).map(|(_, value)| value).sum()
     }
 
     /// How far to go: each fold is asked about the way that was found without it.

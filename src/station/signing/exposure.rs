@@ -41,7 +41,7 @@ mod tests {
     use super::*;
     use crate::config::SigningSection;
 
-    fn told(address: &str, required: Option<bool>) -> bool {
+    fn is_warned(address: &str, required: Option<bool>) -> bool {
         let section = LinkSection {
             signing: required.map(|required| SigningSection {
                 key_file: "a.key".to_owned(),
@@ -63,12 +63,12 @@ mod tests {
     #[test]
     fn only_a_listener_that_keeps_nobody_out_is_told() {
         for address in ["0.0.0.0:14550", "192.168.4.1:14550", "[::]:14550"] {
-            assert!(told(address, None));
-            assert!(told(address, Some(false)));
-            assert!(!told(address, Some(true)));
+            assert!(is_warned(address, None));
+            assert!(is_warned(address, Some(false)));
+            assert!(!is_warned(address, Some(true)));
         }
         for address in ["127.0.0.1:14550", "[::1]:14550", "[::ffff:127.0.0.1]:14550"] {
-            assert!(!told(address, None));
+            assert!(!is_warned(address, None));
         }
     }
 }

@@ -79,13 +79,13 @@ impl SigningStateWriter {
 
     /// Has the stamps written down if it is time or if somebody new was heard. Never waits: while the disk is behind, the next
     /// call tries again.
-    pub fn save_if_due(&mut self, now: Timestamp<HostClock>, pipeline: &Station) {
-        let met = pipeline.signing_stream_count();
+    pub fn save_if_due(&mut self, now: Timestamp<HostClock>, station: &Station) {
+        let met = station.signing_stream_count();
         if now < self.due && met == self.known_streams || self.is_writing.load(Ordering::Acquire) {
             return;
         }
         self.is_writing.store(true, Ordering::Release);
-        let snapshot = self.snapshot(now, pipeline, ShutdownKind::Interrupted);
+        let snapshot = self.snapshot(now, station, ShutdownKind::Interrupted);
         // There is room, since nothing is being written; a thread that has died says so at the end.
         drop(self.sender.try_send(snapshot));
         (self.due, self.known_streams) = (now + SigningState::WRITE_PERIOD, met);
@@ -95,16 +95,16 @@ impl SigningStateWriter {
     ///
     /// # Errors
     /// The last stamps could not be written: the next session goes on as after a crash.
-    pub fn finish(self, now: Timestamp<HostClock>, pipeline: &Station) -> Result<()> {
-        let last = self.snapshot(now, pipeline, ShutdownKind::Clean);
+    pub fn finish(self, now: Timestamp<HostClock>, station: &Station) -> Result<()> {
+        let last = self.snapshot(now, station, ShutdownKind::Clean);
         // A thread that has died says so below.
         drop(self.sender.send(last));
         drop(self.sender);
         self.thread.join().map_err(|_panic| anyhow!("the thread that keeps the stamps of signatures died"))?
     }
 
-    fn snapshot(&self, now: Timestamp<HostClock>, pipeline: &Station, ending: ShutdownKind) -> StateSnapshot {
-        let memories = self.links.iter().map(|id| pipeline.signing_state(*id, now));
+    fn snapshot(&self, now: Timestamp<HostClock>, station: &Station, ending: ShutdownKind) -> StateSnapshot {
+        let memories = self.links.iter().map(|id| station.signing_state(*id, now));
         StateSnapshot { memories: memories.collect(), ending }
     }
 }
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn while_the_disk_is_behind_no_snapshot_is_taken() {
-        let pipeline = Station::new(Config::default().station_config().unwrap(), Timestamp::ZERO).unwrap();
+        let station = Station::new(Config::default().station_config().unwrap(), Timestamp::ZERO).unwrap();
         let (sender, snapshots) = sync_channel(1);
         let mut keeper = SigningStateWriter {
             links: vec![],
@@ -188,14 +188,14 @@ mod tests {
             known_streams: 0,
         };
         let late = Timestamp::ZERO + SigningState::MAX_WRITE_GAP;
-        keeper.save_if_due(late, &pipeline);
+        keeper.save_if_due(late, &station);
         assert!(snapshots.try_recv().is_ok());
         assert!(keeper.is_writing.load(Ordering::Acquire));
         let later = late + SigningState::MAX_WRITE_GAP;
-        keeper.save_if_due(later, &pipeline);
+        keeper.save_if_due(later, &station);
         assert!(snapshots.try_recv().is_err(), "nobody has written the first");
         keeper.is_writing.store(false, Ordering::Release);
-        keeper.save_if_due(later, &pipeline);
+        keeper.save_if_due(later, &station);
         assert!(snapshots.try_recv().is_ok(), "the one that was put off");
     }
 

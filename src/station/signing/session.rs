@@ -13,7 +13,7 @@ use super::state_file::StateFile;
 use crate::config::{Config, MemoryRecord, SigningSection};
 use crate::console::print_line;
 
-/// A date that stands further back than this is told: peers may be a little ahead of us without anything being wrong.
+/// A date that stands further back than this is reported: peers may be a little ahead of us without anything being wrong.
 const TOLERATED_LAG: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// The signed links of a live session.
@@ -49,7 +49,7 @@ impl SigningSession {
                 file,
                 initial_state: memory.clone(),
             });
-            session.links.push((id, section.pipeline(key, memory)));
+            session.links.push((id, section.to_signing_config(key, memory)));
         }
         Ok(session)
     }
@@ -68,10 +68,10 @@ impl SigningSession {
         Ok(())
     }
 
-    /// Gives the links of a pipeline their keys.
-    pub fn apply_to(&self, pipeline: &mut StationConfig) {
+    /// Gives the links of a station their keys.
+    pub fn apply_to(&self, station_config: &mut StationConfig) {
         for (id, signing) in &self.links {
-            for link in pipeline.links.iter_mut().filter(|link| link.id == *id) {
+            for link in station_config.links.iter_mut().filter(|link| link.id == *id) {
                 link.signing = Some(signing.clone());
             }
         }
@@ -136,7 +136,7 @@ fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
 ///
 /// # Errors
 /// A key cannot be had; the message names it and says how to give it.
-pub fn restore_states(config: &Config, files: &[PathBuf], pipeline: &mut StationConfig) -> Result<()> {
+pub fn restore_states(config: &Config, files: &[PathBuf], station_config: &mut StationConfig) -> Result<()> {
     let given = files.iter().map(|path| read_key(path));
     let given: Vec<Key> = given.collect::<Result<_>>()?;
     for (index, link) in config.links.iter().enumerate() {
@@ -148,8 +148,8 @@ pub fn restore_states(config: &Config, files: &[PathBuf], pipeline: &mut Station
             bail!("{name}: the recording does not say with which stamps its signing began");
         };
         let key = key_by_name(&begun.key_name, &given, section).with_context(|| name.clone())?;
-        let signing = section.pipeline(key, begun.memory());
-        if let Some(link) = pipeline.links.get_mut(index) {
+        let signing = section.to_signing_config(key, begun.memory());
+        if let Some(link) = station_config.links.get_mut(index) {
             link.signing = Some(signing);
         }
     }
@@ -162,9 +162,9 @@ fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<
         return Ok(key.clone());
     }
     let names: Vec<String> = given.iter().map(Key::name).collect();
-    let told = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
+    let given_names = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
     let cure = format!(
-        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{told}"
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{given_names}"
     );
     let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
     if key.name() != wanted {

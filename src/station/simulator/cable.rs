@@ -76,7 +76,7 @@ impl SimulatedCable {
         }
     }
 
-    /// Sends what the brick has to say, and hands over what a bad cable lets through by now.
+    /// Sends what the brick has to say, and delivers what a bad cable lets through by now.
     pub fn transfer(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
         self.replug_if_due(now, simulation);
         while let Some(bytes) = simulation.poll() {
@@ -93,7 +93,7 @@ impl SimulatedCable {
                     LinkEnd::Station => self.send(&delivery.bytes),
                     LinkEnd::Brick => simulation.receive(&delivery.bytes),
                 },
-                // As with a radio that loses its other end: nobody is told, it is silent.
+                // As with a radio that loses its other end: nothing is reported, it is silent.
                 ImpairedLinkEvent::Down { .. } => {}
                 ImpairedLinkEvent::Up { .. } => simulation.reopen_link(),
             }

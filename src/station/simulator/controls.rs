@@ -9,7 +9,7 @@ use super::cable::SimulatedCable;
 
 /// So many commands wait for the brick, which looks every 2 ms; more are refused.
 pub const COMMAND_CAPACITY: usize = 64;
-/// So many samples wait for each who watches, at 20 per second 12 s; who is slower misses the oldest, and is told how many.
+/// So many samples wait for each receiver, at 20 per second 12 s; a slower one misses the oldest, and learns how many.
 const SAMPLE_CAPACITY: usize = 256;
 
 /// What really happened at one instant, as soon as it has happened.
@@ -46,9 +46,9 @@ pub struct ControlReceiver {
 pub fn controls() -> (SimulatorControls, ControlReceiver) {
     let (sender, commands) = mpsc::channel(COMMAND_CAPACITY);
     let (truth, _) = broadcast::channel(SAMPLE_CAPACITY);
-    let hands = SimulatorControls { commands: sender, truth: truth.clone() };
-    let reach = ControlReceiver { commands, truth, published: 0 };
-    (hands, reach)
+    let controls = SimulatorControls { commands: sender, truth: truth.clone() };
+    let receiver = ControlReceiver { commands, truth, published: 0 };
+    (controls, receiver)
 }
 
 impl ControlReceiver {
@@ -85,7 +85,7 @@ impl ControlReceiver {
 fn change_link(now: Timestamp<HostClock>, command: &SimulatorCommand, cable: &mut SimulatedCable, seed: u64) {
     match command {
         SimulatorCommand::LinkProfile(None) => cable.impair(now, None, seed),
-        // Who asked was told if there is no such profile.
+        // The request was refused already if there is no such profile.
         SimulatorCommand::LinkProfile(Some(name)) => {
             if let Ok(profile) = LinkProfile::bundled(name.as_str()) {
                 cable.impair(now, Some(&profile), seed);

@@ -32,7 +32,7 @@ pub struct EmbeddedBrick {
     pub robot: Option<RobotId>,
     /// How much of the path is driven, 0 to 1.
     pub progress: watch::Receiver<f64>,
-    /// What can be done to it and seen of it.
+    /// Its commands and its truth.
     pub controls: SimulatorControls,
     /// Who hears where it really is from the very start, until somebody takes it.
     pub truth: Option<TruthTap>,

@@ -69,7 +69,7 @@ impl BrickPorts {
     }
 
     /// Waits for something to happen and gives it to the simulation, which lives until then first.
-    async fn serve(&mut self, simulation: &mut Simulation, (timer, start): (HostTimer, Timestamp<HostClock>)) {
+    async fn serve(&mut self, simulation: &mut Simulation, timer: HostTimer, start: Timestamp<HostClock>) {
         tokio::select! {
             event = self.brick.next_event() => {
                 let now = timer.now();
@@ -143,7 +143,7 @@ impl BrickDrive {
         loop {
             let chunk_end = start + simulation.elapsed() + STEP_CHUNK;
             tokio::select! {
-                () = ports.serve(&mut simulation, (timer, start)) => {}
+                () = ports.serve(&mut simulation, timer, start) => {}
                 () = timer.sleep_until(chunk_end) => step_to(&mut simulation, timer.now() - start),
                 () = stop.cancelled() => break,
             }

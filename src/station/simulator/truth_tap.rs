@@ -55,17 +55,17 @@ mod tests {
 
     #[test]
     fn who_looks_too_rarely_misses_the_oldest_and_knows_how_many() {
-        let (hands, mut reach) = controls();
-        let mut tap = TruthTap::new(&hands.truth, None);
+        let (controls, mut control_receiver) = controls();
+        let mut tap = TruthTap::new(&controls.truth, None);
         let mut simulation = Simulation::new(Scenario::default());
-        reach.publish_truth(Timestamp::from_millis(5_000), &simulation);
+        control_receiver.publish_truth(Timestamp::from_millis(5_000), &simulation);
         let first = tap.drain();
         assert_eq!(first.len(), 1, "the start");
         assert_eq!(first[0].at, Timestamp::from_millis(5_000));
         // 20 samples a second for 30 s; 256 wait.
         for _ in 0..30_000 {
             simulation.step();
-            reach.publish_truth(Timestamp::ZERO, &simulation);
+            control_receiver.publish_truth(Timestamp::ZERO, &simulation);
         }
         let kept = tap.drain();
         assert_eq!((kept.len(), tap.missed()), (256, 600 - 256));

@@ -16,7 +16,7 @@ pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
         Err(error) => return vec![invalid_config(&error.to_string())],
     };
     let config = loaded.config;
-    let targets = config.station_config().and_then(|_pipeline| config.targets());
+    let targets = config.station_config().and_then(|_| config.targets());
     let targets = match targets {
         Ok(targets) => targets,
         Err(error) => return vec![invalid_config(&format!("{name}: {error:#}"))],

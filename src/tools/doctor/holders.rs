@@ -46,11 +46,11 @@ fn devices(examination: &DiagnosticContext) -> BTreeSet<PathBuf> {
 
 fn none_found(devices: usize, hidden: usize) -> CheckResult {
     let ports = if devices == 1 { "port" } else { "ports" };
-    let said = format!("no program that can be looked into holds the {devices} {ports}");
+    let message = format!("no program that can be looked into holds the {devices} {ports}");
     if hidden == 0 {
-        CheckResult::ok(said)
+        CheckResult::ok(message)
     } else {
-        CheckResult::ok(format!("{said}; {hidden} programs of other people cannot be looked into (sudo sees them)"))
+        CheckResult::ok(format!("{message}; {hidden} programs of other people cannot be looked into (sudo sees them)"))
     }
 }
 

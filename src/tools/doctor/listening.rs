@@ -158,23 +158,27 @@ fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
 /// Names what was heard, and what it means for the station.
 fn classify(place: &str, heard: &ListenResult) -> CheckResult {
     let found = heard.detect();
-    let said = describe(place, heard, found);
+    let description = describe(place, heard, found);
     match found.protocol {
         Protocol::NoData => silent_result(place, heard),
-        Protocol::Unrecognized => {
-            CheckResult::problem(said, "check the speed, the wires (ground too) and that both ends speak one protocol")
+        Protocol::Unrecognized => CheckResult::problem(
+            description,
+            "check the speed, the wires (ground too) and that both ends speak one protocol",
+        ),
+        Protocol::Mavlink1 => CheckResult::warning(
+            description,
+            "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link",
+        ),
+        Protocol::Nmea => {
+            CheckResult::warning(description, "this is a satellite receiver: the robot is on another port")
         }
-        Protocol::Mavlink1 => {
-            CheckResult::warning(said, "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link")
-        }
-        Protocol::Nmea => CheckResult::warning(said, "this is a satellite receiver: the robot is on another port"),
         Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
             let is_read = found.protocol.codec().and_then(brick_protocol).is_some();
             if is_read {
-                return CheckResult::ok(said);
+                return CheckResult::ok(description);
             }
             CheckResult::warning(
-                said,
+                description,
                 "posebridge does not read this: the robot has to send MAVLink 2 (docs/quick-start-robot.md)",
             )
         }
@@ -209,13 +213,13 @@ fn silent_result(place: &str, heard: &ListenResult) -> CheckResult {
 fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &ListenResult) -> CheckResult {
     let baud = baud_of(url);
     let place = format!("{} at {baud} baud", url.path().display());
-    let said = classify(&place, heard);
+    let result = classify(&place, heard);
     let link = format!("write the link as {url}");
-    let advice = match said.advice.as_str() {
+    let advice = match result.advice.as_str() {
         "" => link,
         further => format!("{link}; {further}"),
     };
-    CheckResult::warning(format!("{}; at {own_baud} baud it is noise", said.message), advice)
+    CheckResult::warning(format!("{}; at {own_baud} baud it is noise", result.message), advice)
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ pub(super) fn run_in_runtime(look: impl Future<Output = Vec<CheckResult>>) -> Ve
     }
 }
 
-/// What is said about a link that may come up later.
+/// The result for a link that may come up later.
 pub(super) fn unavailable_result(link: &str, reason: &str) -> CheckResult {
     CheckResult::warning(
         format!("{link} is not there: {reason}"),
@@ -56,9 +56,9 @@ pub(super) fn unavailable_result(link: &str, reason: &str) -> CheckResult {
     )
 }
 
-/// What is said about a link that a person has to change. The errors say what is wrong and, behind a colon, what to do.
+/// The result for a link that a person has to change. The errors say what is wrong and, behind a colon, what to do.
 pub(super) fn rejected_result(link: &str, error: &OpenError) -> CheckResult {
-    let said = error.to_string();
-    let (what, advice) = said.split_once(": ").unwrap_or((&said, "docs/links.md says how a link is written"));
+    let message = error.to_string();
+    let (what, advice) = message.split_once(": ").unwrap_or((&message, "docs/links.md says how a link is written"));
     CheckResult::problem(format!("{link} does not open: {what}"), advice)
 }

@@ -55,8 +55,8 @@ pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
 fn describe(port: &SerialPort) -> String {
     let driver = port.driver.as_ref().map(|driver| format!("driver {driver}"));
     let usb = port.usb.as_ref().map(|usb| {
-        let said = format!("USB {}:{} {}", usb.vendor, usb.product, usb.name);
-        said.trim_end().to_owned()
+        let description = format!("USB {}:{} {}", usb.vendor, usb.product, usb.name);
+        description.trim_end().to_owned()
     });
     let by_id = port.by_id.as_ref().map(|id| format!("also {}", id.display()));
     let parts = [Some(port.device.display().to_string()), driver, usb, by_id];

@@ -105,8 +105,8 @@ impl ExportSession {
     /// The configuration makes no sense, or a file cannot be written.
     pub(super) fn run(self, args: &ExportArgs, wanted: &[Format]) -> Result<ExportedRun> {
         let mut reader = RecordingReader::open(&self.bytes)?;
-        let mut pipeline_config = self.config.station_config()?;
-        signing::restore_states(&self.config, &args.keys, &mut pipeline_config)?;
+        let mut station_config = self.config.station_config()?;
+        signing::restore_states(&self.config, &args.keys, &mut station_config)?;
         let utc_start_micros = reader.header().utc_start_micros;
         let tlog = wanted.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
         let (tlog, fresh) = tlog.transpose()?.unzip();
@@ -114,20 +114,20 @@ impl ExportSession {
             csv: wanted.contains(&Format::Csv).then(|| streams(&args.out)),
             tlog: tlog.map(|file| {
                 let out = BufWriter::new(file);
-                TrafficLog::new(out, utc_start_micros, &pipeline_config.links)
+                TrafficLog::new(out, utc_start_micros, &station_config.links)
             }),
         };
-        let mut pipeline = Station::new(pipeline_config, Timestamp::ZERO)?;
+        let mut station = Station::new(station_config, Timestamp::ZERO)?;
         let mut scorer = self.scorer;
         let mut estimates = PerRobot::new(Vec::new);
         for item in &mut reader {
             match item {
                 Ok((now, input)) => {
                     files.record_input(now, &input)?;
-                    pipeline.handle(now, &input);
-                    files.record_outputs(now, &mut pipeline, &mut estimates)?;
+                    station.handle(now, &input);
+                    files.record_outputs(now, &mut station, &mut estimates)?;
                     if let (Some(scorer), Input::Observation(one)) = (&mut scorer, &input) {
-                        scorer.on_observation(&one.measurement, one.stamp, &pipeline);
+                        scorer.on_observation(&one.measurement, one.stamp, &station);
                     }
                 }
                 Err(error) => print_line(&format!("{}: {error}; what is whole is used", self.name)),
@@ -137,7 +137,7 @@ impl ExportSession {
             print_line(&format!("{}: cut off at byte {offset} ({what}); everything before is used", self.name));
         }
         if let Some(scorer) = &mut scorer {
-            scorer.finish(&pipeline);
+            scorer.finish(&station);
         }
         files.finish(args, fresh)?;
         let robots = robot_poses(args, &self.name, &self.bytes, estimates, self.truth)?;
@@ -153,10 +153,11 @@ fn robot_poses(
     estimates: PerRobot<Vec<TimedPose>>,
     truth: Option<PoseTrack>,
 ) -> Result<Vec<RobotPoses>> {
-    let robots = estimates.into_entries();
-    if robots.len() == 1 {
-        let only = robots.into_iter().map(|robot| robot.value);
-        return Ok(only.map(|estimates| RobotPoses { label: None, estimates, truth: truth.clone() }).collect());
+    let mut robots = estimates.into_entries();
+    if robots.len() == 1
+        && let Some(only) = robots.pop()
+    {
+        return Ok(vec![RobotPoses { label: None, estimates: only.value, truth }]);
     }
     let wants_truth = args.formats.contains(&Format::Tum);
     let robots = robots.into_iter().map(|robot| {
@@ -189,7 +190,7 @@ fn streams(folder: &Path) -> CsvWriter<'static, BufWriter<File>> {
 impl ExportFiles {
     fn record_input(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
         if let (Some(tlog), Input::Bytes { link, peer, bytes }) = (&mut self.tlog, input) {
-            tlog.received(now, (*link, *peer), bytes).context("writing the telemetry log")?;
+            tlog.received(now, *link, *peer, bytes).context("writing the telemetry log")?;
         }
         Ok(())
     }
@@ -197,10 +198,10 @@ impl ExportFiles {
     fn record_outputs(
         &mut self,
         now: Timestamp<HostClock>,
-        pipeline: &mut Station,
+        station: &mut Station,
         estimates: &mut PerRobot<Vec<TimedPose>>,
     ) -> Result<()> {
-        while let Some(output) = pipeline.poll() {
+        while let Some(output) = station.poll() {
             match output {
                 Output::Event(event) => {
                     if let Some(csv) = &mut self.csv {
@@ -210,7 +211,7 @@ impl ExportFiles {
                 }
                 Output::Transmit { link, priority, bytes, .. } => {
                     if let Some(tlog) = &mut self.tlog {
-                        tlog.sent(now, (link, priority), &bytes).context("writing the telemetry log")?;
+                        tlog.sent(now, link, priority, &bytes).context("writing the telemetry log")?;
                     }
                 }
                 // What the live program did for it, it did then.

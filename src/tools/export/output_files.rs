@@ -53,7 +53,7 @@ impl AtomicFile {
 impl Drop for AtomicFile {
     fn drop(&mut self) {
         if !self.is_complete {
-            // Why there is no file is told by whoever drops it.
+            // Whoever drops it reports why there is no file.
             drop(std::fs::remove_file(&self.temporary));
         }
     }

@@ -52,7 +52,7 @@ pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
 }
 
 fn create(args: &ImportArgs) -> Result<File> {
-    // What cannot be read is told before an empty file is made.
+    // What cannot be read is reported before an empty file is made.
     drop(crate::station::input_file::InputFile::open(&args.file)?);
     File::create_new(&args.out).with_context(|| format!("creating `{}`", args.out.display()))
 }

@@ -23,12 +23,12 @@ const LOOKAHEAD: usize = 256;
 /// The stamps of so many senders' messages are kept; what more send is not looked at.
 const MAX_CLOCKS: usize = 64;
 
-/// What a sender's clock said.
+/// A reading of a sender's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ClockReading {
     /// Whose clock, by sender and message: a sender may stamp its messages by several.
     pub(super) clock: (Address, u32),
-    /// What it said, microseconds since a zero of its own.
+    /// The reading, microseconds since a zero of its own.
     pub(super) micros: i64,
     /// After how many microseconds it begins anew, if its messages have no room for more.
     pub(super) wrap_period_micros: Option<i64>,
@@ -37,10 +37,10 @@ pub(super) struct ClockReading {
 }
 
 impl ClockReading {
-    /// How far the clock went since it said this, microseconds; `None` if it fell, because it began anew. A fall by all but a minute of
+    /// How far the clock went since this reading, microseconds; `None` if it fell, because it began anew. A fall by all but a minute of
     /// its range is that it wrapped.
-    fn advanced_since(&self, said_micros: i64) -> Option<i64> {
-        let advanced = self.micros - said_micros;
+    fn advanced_since(&self, sender_micros: i64) -> Option<i64> {
+        let advanced = self.micros - sender_micros;
         if advanced >= 0 {
             return Some(advanced);
         }
@@ -49,7 +49,7 @@ impl ClockReading {
     }
 }
 
-/// What a clock has said, each with the time that counts, microseconds.
+/// Readings of a clock, each with the time that counts, microseconds.
 #[derive(Clone, Copy, Debug)]
 struct SenderClock {
     /// Since it last began anew.
@@ -71,7 +71,7 @@ impl SenderClock {
 pub(super) struct TimedRecord<'f> {
     /// Its time, microseconds since 1970, as the file says.
     pub(super) micros: u64,
-    /// What the clock of its sender said, if the frame tells.
+    /// The reading of its sender's clock, if the frame has one.
     pub(super) clock_reading: Option<ClockReading>,
     /// The frame. Most are handed on at once, and need not be copied.
     pub(super) frame: Cow<'f, [u8]>,
@@ -180,22 +180,21 @@ impl Timeline {
 
     fn emit(&mut self, record: &TimedRecord<'_>, take: &mut FrameSink<'_>) {
         self.latest_micros = self.latest_micros.max(self.shifted(record.micros));
-        if let Some(told) = record.clock_reading {
-            self.observe_clock(told);
+        if let Some(reading) = record.clock_reading {
+            self.observe_clock(reading);
         }
         take(self.latest_micros, &record.frame);
     }
 
-    fn observe_clock(&mut self, told: ClockReading) {
-        let said = (self.latest_micros, told.micros);
-        if let Some(clock) = self.clocks.get_mut(&told.clock) {
-            if told.micros < clock.last.1 {
-                clock.first = said;
+    fn observe_clock(&mut self, reading: ClockReading) {
+        let pair = (self.latest_micros, reading.micros);
+        if let Some(clock) = self.clocks.get_mut(&reading.clock) {
+            if reading.micros < clock.last.1 {
+                clock.first = pair;
             }
-            clock.last = said;
+            clock.last = pair;
         } else if self.clocks.len() < MAX_CLOCKS {
-            let (first, last) = (said, said);
-            self.clocks.insert(told.clock, SenderClock { first, last });
+            self.clocks.insert(reading.clock, SenderClock { first: pair, last: pair });
         }
     }
 
@@ -269,7 +268,7 @@ impl Timeline {
             of_run.take_while(|(before, after)| are_consistent(before.micros, after.micros)).map(|(_, after)| after);
         let mut of_another = None;
         for record in std::iter::once(base).chain(following) {
-            let Some((is_hosts, wrong)) = self.told_wrong(record) else {
+            let Some((is_hosts, wrong)) = self.clock_disagreement(record) else {
                 continue;
             };
             if is_hosts {
@@ -281,12 +280,12 @@ impl Timeline {
     }
 
     /// The same by one record's clock, and whether that is the host's.
-    fn told_wrong(&self, record: &TimedRecord<'_>) -> Option<(bool, i64)> {
-        let told = record.clock_reading?;
-        let clock = self.clocks.get(&told.clock)?;
-        let (then_micros, said_micros) = clock.is_running().then_some(clock.last)?;
+    fn clock_disagreement(&self, record: &TimedRecord<'_>) -> Option<(bool, i64)> {
+        let reading = record.clock_reading?;
+        let clock = self.clocks.get(&reading.clock)?;
+        let (then_micros, sender_micros) = clock.is_running().then_some(clock.last)?;
         let passed = self.shifted(record.micros) as i64 - then_micros as i64;
-        Some((told.is_host_clock, passed - told.advanced_since(said_micros)?))
+        Some((reading.is_host_clock, passed - reading.advanced_since(sender_micros)?))
     }
 
     /// Whole numbers of links: the two lowest bits of a time stay what they are.
@@ -314,21 +313,21 @@ mod tests {
     /// About that of 32 bits of microseconds.
     const WRAPS_S: u64 = 4_295;
 
-    /// Records at these seconds, with what the robot's clock said, s.
+    /// Records at these seconds, with the readings of the robot's clock, s.
     fn judged(records: &[(u64, Option<u64>)]) -> (Vec<u64>, TimelineDefects) {
         let mut timeline = Timeline::new(records[0].0 * SECOND);
         let mut times = Vec::new();
         let zero = records[0].0;
         let mut take = |micros: u64, _frame: &[u8]| times.push(micros / SECOND - zero);
-        for (at_s, said_s) in records {
-            let told = said_s.map(|said_s| ClockReading {
+        for (at_s, sender_s) in records {
+            let reading = sender_s.map(|sender_s| ClockReading {
                 clock: (Address::new(1, 1), 30),
-                micros: (said_s * SECOND) as i64,
+                micros: (sender_s * SECOND) as i64,
                 wrap_period_micros: Some(WRAPS_S as i64 * SECOND as i64),
                 is_host_clock: false,
             });
             let record =
-                TimedRecord { micros: at_s.saturating_mul(SECOND), clock_reading: told, frame: Cow::default() };
+                TimedRecord { micros: at_s.saturating_mul(SECOND), clock_reading: reading, frame: Cow::default() };
             timeline.push(record, &mut take);
         }
         let found = timeline.finish(&mut take);
@@ -360,7 +359,7 @@ mod tests {
         let (stamps, found) = without_clock(&[10, 11, 5_000, 5_001]);
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
         let shared = [(10, 3), (11, 4), (5_000, 4_993), (5_001, 4_994)];
-        let (stamps, found) = judged(&shared.map(|(at, said)| (at, Some(said))));
+        let (stamps, found) = judged(&shared.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found), (vec![0, 1, 4_990, 4_991], TimelineDefects::default()));
     }
 
@@ -370,8 +369,8 @@ mod tests {
             let records = (0..40_u64).map(|second| {
                 let step = if second < 10 { 0 } else { step_s };
                 // Some messages have no stamp.
-                let said = (second % 3 != 1).then_some(second + 77);
-                (DATE_S + step + second, said)
+                let clock_s = (second % 3 != 1).then_some(second + 77);
+                (DATE_S + step + second, clock_s)
             });
             let (stamps, found) = judged(&records.collect::<Vec<_>>());
             assert_eq!(stamps, (0..40).collect::<Vec<u64>>(), "{step_s}");
@@ -384,7 +383,7 @@ mod tests {
         let (stamps, found) = without_clock(&[5_000, 5_001, 1_401, 1_402]);
         assert_eq!((stamps, found.steps_back), (vec![0, 1, 1, 2], 1));
         let records = [(5_000, 3), (5_001, 4), (1_401, 8), (1_402, 9)];
-        let (stamps, found) = judged(&records.map(|(at, said)| (at, Some(said))));
+        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.steps_back), (vec![0, 1, 5, 6], 1));
         let disorder = without_clock(&[10, 12, 11, 13]);
         assert_eq!(disorder, (vec![0, 2, 2, 3], TimelineDefects::default()));
@@ -393,21 +392,21 @@ mod tests {
     #[test]
     fn a_clock_that_stands_still_says_nothing_of_a_silence() {
         let records = [(10, 0), (11, 0), (5_000, 0), (5_001, 0)];
-        let (stamps, found) = judged(&records.map(|(at, said)| (at, Some(said))));
+        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
     }
 
     #[test]
     fn a_clock_that_wraps_at_the_step_tells_all_the_same() {
         let records = [(5_000, 4_293), (5_001, 4_294), (8_602, 0), (8_603, 1)];
-        let (stamps, found) = judged(&records.map(|(at, said)| (at, Some(said))));
+        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.steps_ahead), (vec![0, 1, 2, 3], 1));
     }
 
     #[test]
     fn a_robot_that_began_anew_in_a_silence_says_nothing_of_the_date() {
         let records = [(10, 900), (11, 901), (5_000, 2), (5_001, 3)];
-        let (stamps, found) = judged(&records.map(|(at, said)| (at, Some(said))));
+        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
     }
 }

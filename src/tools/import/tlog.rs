@@ -6,7 +6,7 @@
 //! zero      = time - stamp of the station's own first time request, which is by the host's clock; else the first time that counts
 //! ```
 //! Only times of verified frames with which the time before or behind them agrees say where zero is.
-//! The station's frames are left out, because the pipeline makes its own. Its time requests are kept as instants: a pipeline that is
+//! The station's frames are left out, because a replay makes its own. Its time requests are kept as instants: a station that is
 //! woken at them asks at them, and so the answers in the file are answers to it. What the file cannot tell, when links came and went
 //! and how chunks were cut, is lost: such a replay is close to what was live, not the same bit for bit.
 
@@ -30,9 +30,9 @@ use crate::tools::tlog_records::{first_records, records};
 const LINK: LinkId = LinkId(0);
 /// The station is sought in so many records.
 const SEARCH_RECORDS: usize = 20_000;
-/// In a silence the pipeline is woken so often, to find out that a robot was lost.
+/// In a silence the station is woken so often, to find out that a robot was lost.
 const TICK: TimeDelta = TimeDelta::from_millis(1_000);
-/// No silence is longer than this many ticks to a pipeline: it has found out by then.
+/// No silence is longer than this many ticks to a station: it has found out by then.
 const MAX_TICKS: u32 = 60;
 
 /// An opened log.
@@ -86,7 +86,7 @@ impl TlogSource {
             sink,
         };
         inputs.emit(Timestamp::ZERO, &Input::Link { link: LINK, state: LinkState::Up });
-        let (bytes_outside, found) = process_times(&self.path, (self.own, self.first_micros), &mut |micros, frame| {
+        let (bytes_outside, found) = process_times(&self.path, self.own, self.first_micros, &mut |micros, frame| {
             inputs.push_frame(micros, frame);
         })?;
         inputs.failure.map_or(Ok(()), Err)?;
@@ -108,14 +108,15 @@ impl TlogSource {
 /// The file cannot be read to its end, or holds no frame, or its times make no sense.
 pub(super) fn timed_frames(path: &Path, own: Address, take: &mut FrameSink<'_>) -> Result<Vec<String>> {
     let first_micros = find_origin(path, own)?.first_micros;
-    let (_, found) = process_times(path, (own, first_micros), take)?;
+    let (_, found) = process_times(path, own, first_micros, take)?;
     Ok(found.notes())
 }
 
 /// Also says how many bytes lie outside of frames.
 fn process_times(
     path: &Path,
-    (own, first_micros): (Address, u64),
+    own: Address,
+    first_micros: u64,
     take: &mut FrameSink<'_>,
 ) -> Result<(u64, TimelineDefects)> {
     let mut timeline = Timeline::new(first_micros);
@@ -125,7 +126,7 @@ fn process_times(
     Ok((reader.counts().skipped_bytes, timeline.finish(take)))
 }
 
-/// A record with what its sender's clock said.
+/// A record with the reading of its sender's clock.
 fn timed_record<'f>(record: &TlogRecord<'f, ()>, own: Address) -> TimedRecord<'f> {
     TimedRecord {
         micros: record.micros,
@@ -180,7 +181,7 @@ struct TimeOrigin {
 /// What is known of a log's beginning while it is sought.
 #[derive(Default)]
 struct OriginSearch {
-    seen: usize,
+    record_count: usize,
     /// Offset and time of the first verified record.
     lone: Option<(u64, u64)>,
     /// Time of the verified record before, and the zero that it tells.
@@ -191,7 +192,7 @@ struct OriginSearch {
 
 impl OriginSearch {
     fn push(&mut self, record: &TlogRecord<'_, ()>, own: Address) {
-        self.seen += 1;
+        self.record_count += 1;
         let micros = record.micros;
         if record.check != FrameCheck::Valid(()) {
             return;
@@ -230,7 +231,7 @@ fn find_origin(path: &Path, own: Address) -> Result<TimeOrigin> {
     let mut sought = OriginSearch::default();
     first_records(InputFile::open(path)?, |record| {
         sought.push(&record, own);
-        sought.zero.is_none() && sought.seen < SEARCH_RECORDS
+        sought.zero.is_none() && sought.record_count < SEARCH_RECORDS
     })?;
     sought.finish(path)
 }

@@ -49,7 +49,7 @@ impl TlogFacts {
     }
 }
 
-/// Everything that is told of a file.
+/// Everything that is reported of a file.
 pub(super) enum InspectResult {
     Framed(Box<FramedFacts>),
     Runs(Vec<RunFacts>),

@@ -1,4 +1,4 @@
-//! Recordings of ours: the bytes of each MAVLink link are scanned as they were live; of the others only the amount is told.
+//! Recordings of ours: the bytes of each MAVLink link are scanned as they were live; of the others only the amount is reported.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,7 +39,7 @@ pub(super) fn inspect(file: InputFile, path: &Path) -> Result<FramedFacts> {
     let mut scanners: BTreeMap<(LinkId, PeerId), Framer> = BTreeMap::new();
     for item in &mut reader {
         match item {
-            Ok((now, input)) => record_input(&mut framed, &mut facts, &mut scanners, (now, &input)),
+            Ok((now, input)) => record_input(&mut framed, &mut facts, &mut scanners, now, &input),
             Err(error) if facts.damages.len() < MAX_DAMAGES => {
                 facts.damages.push(error.to_string());
             }
@@ -90,7 +90,8 @@ fn record_input(
     framed: &mut FramedFacts,
     facts: &mut RecordingFacts,
     scanners: &mut BTreeMap<(LinkId, PeerId), Framer>,
-    (now, input): (Timestamp<HostClock>, &Input),
+    now: Timestamp<HostClock>,
+    input: &Input,
 ) {
     facts.inputs += 1;
     facts.first.get_or_insert(now);

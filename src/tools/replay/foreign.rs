@@ -7,11 +7,11 @@ use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Stati
 use posebridge_telemetry::{Address, Input, Observation, Point2, TimeDelta};
 
 use super::args::ReplayArgs;
-use super::output_files::{finish_events, write_charts};
+use super::output_files::{ReferenceTracks, finish_events, write_charts};
 use super::recording::changed_settings;
+use super::replay_watcher::ReplayWatcher;
 use super::result::{FilterResult, ReplayResult};
 use super::robot;
-use super::seen::ReplayWatcher;
 use super::smooth::SmoothedRun;
 use super::watch::{EventWatcher, ReplayLane, ReplayPacer, Window, WindowPosition};
 use crate::config::names_of_filters;
@@ -87,12 +87,12 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
         }
         let mut scored = None;
         for (filter, gathered) in filters.iter().zip(&mut per_filter) {
-            let mut seen = ReplayWatcher::new(PerRobot::new(EventCollector::default));
-            seen.events = events.as_mut();
-            seen.show_at(args.speed);
-            let one = replay_run(&robot_run, filter, &mut seen, (window, pace.as_mut())).while_running()?;
+            let mut replay_watcher = ReplayWatcher::new(PerRobot::new(EventCollector::default));
+            replay_watcher.events = events.as_mut();
+            replay_watcher.show_at(args.speed);
+            let one = replay_run(&robot_run, filter, &mut replay_watcher, window, pace.as_mut()).while_running()?;
             // A foreign run is one robot's.
-            let robots = seen.finish().into_entries();
+            let robots = replay_watcher.finish().into_entries();
             let collector = robots.into_iter().next().map_or_else(EventCollector::default, |robot| robot.value);
             if Some(filter) == filters.last() {
                 write_run_charts(args, &robot_run, &collector, replayed.smoothed.last()).while_running()?;
@@ -192,7 +192,8 @@ pub fn replay_run(
     robot_run: &RobotRun,
     filter: &str,
     watch: &mut dyn EventWatcher,
-    (window, mut pace): (Window, Option<&mut ReplayPacer>),
+    window: Window,
+    mut pace: Option<&mut ReplayPacer>,
 ) -> Result<ReplayScores> {
     let config = StationConfig {
         own_address: Address::default(),
@@ -215,10 +216,10 @@ pub fn replay_run(
         links: vec![],
     };
     let Some(first) = robot_run.run.observations.first() else { bail!("the run is empty") };
-    let pipeline = Station::new(config, first.arrival)?;
+    let station = Station::new(config, first.arrival)?;
     let prior = robot_run.filter_config.calibration;
     let mut scorer = Scorer::new(&robot_run.run, &prior);
-    let mut lane = ReplayLane { pipeline, watcher: watch };
+    let mut lane = ReplayLane { station, watcher: watch };
     let bar = progress_bar(robot_run.run.observations.len() as u64, "observations")?;
     if let Some(pace) = &mut pace {
         pace.restart();
@@ -236,7 +237,7 @@ pub fn replay_run(
         }
         lane.push(timed.arrival, &Input::Observation(timed.observation), place)?;
         let observation = &timed.observation;
-        scorer.on_observation(&observation.measurement, observation.stamp, &lane.pipeline);
+        scorer.on_observation(&observation.measurement, observation.stamp, &lane.station);
         if place == WindowPosition::Before {
             scorer.reset();
         }
@@ -247,13 +248,13 @@ pub fn replay_run(
         }
     }
     bar.finish_and_clear();
-    scorer.finish(&lane.pipeline);
+    scorer.finish(&lane.station);
     let (name, robot) = (&robot_run.run.name, &robot_run.robot);
     Ok(ReplayScores {
         errors: summarise(&scorer.errors),
         uncorrected: summarise(&scorer.uncorrected),
         learned: lane
-            .pipeline
+            .station
             .robots()
             .first()
             .and_then(|heard| LearnedCalibration::of_robot(heard, name, robot, &prior)),
@@ -277,7 +278,7 @@ fn write_run_charts(
 ) -> Result<()> {
     let truth = truth_of(robot_run);
     let smoothed = smoothed.and_then(SmoothedRun::track);
-    let tracks = (truth.as_ref(), None, smoothed.as_ref());
+    let tracks = ReferenceTracks { truth: truth.as_ref(), odometry: None, smoothed: smoothed.as_ref() };
     write_charts(args, &robot_run.run.name, collector, tracks)
 }
 

@@ -14,16 +14,25 @@ pub(super) fn finish_events(mut events: BufWriter<File>) -> Result<()> {
     events.flush().context("writing the events")
 }
 
-/// Truth, odometry and smoothed path go with the estimates of the collector.
+/// What is drawn beside the estimates.
+#[derive(Clone, Copy, Default)]
+pub(super) struct ReferenceTracks<'a> {
+    pub(super) truth: Option<&'a PoseTrack>,
+    pub(super) odometry: Option<&'a PoseTrack>,
+    pub(super) smoothed: Option<&'a PoseTrack>,
+}
+
+/// Draws the estimates of a collector and these tracks.
 pub(super) fn write_charts(
     args: &ReplayArgs,
     title: &str,
     collector: &EventCollector,
-    (truth, odometry, smoothed): (Option<&PoseTrack>, Option<&PoseTrack>, Option<&PoseTrack>),
+    tracks: ReferenceTracks<'_>,
 ) -> Result<()> {
     let (Some(path), Some(figure)) = (&args.figure, FIGURES.first()) else {
         return Ok(());
     };
+    let ReferenceTracks { truth, odometry, smoothed } = tracks;
     let layers = RunLayers {
         title,
         truth,

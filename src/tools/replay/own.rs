@@ -1,4 +1,4 @@
-//! A recording of ours: the pipeline is given what it was given live, so its events are those of the live run, bit for bit.
+//! A recording of ours: the station is given what it was given live, so its events are those of the live run, bit for bit.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -10,10 +10,10 @@ use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
 
 use super::args::ReplayArgs;
-use super::output_files::{finish_events, write_charts};
+use super::output_files::{ReferenceTracks, finish_events, write_charts};
 use super::recording::OwnRecording;
+use super::replay_watcher::ReplayWatcher;
 use super::result::{FilterResult, ReplayResult};
-use super::seen::ReplayWatcher;
 use super::smooth::{SmoothError, SmoothedRun};
 use super::watch::{ReplayLane, ReplayPacer, Window};
 use crate::config::Config;
@@ -45,24 +45,24 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     }
     let mut events = args.events.as_deref().map(create).transpose().before_start()?;
     let pace = args.speed.map(ReplayPacer::new).transpose().before_start()?;
-    let mut seen = watchers(args, configs.len(), events.as_mut());
+    let mut replay_watcher = watchers(args, configs.len(), events.as_mut());
     let mut lanes = Vec::new();
-    for (config, seen) in configs.iter().zip(&mut seen) {
-        let pipeline = OwnRecording::pipeline(flags, config).before_start()?;
-        lanes.push(ReplayLane { pipeline, watcher: seen });
+    for (config, replay_watcher) in configs.iter().zip(&mut replay_watcher) {
+        let station = OwnRecording::station(flags, config).before_start()?;
+        lanes.push(ReplayLane { station, watcher: replay_watcher });
     }
     let passage = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
     for note in &passage.notes {
         print_line(&format!("{}: {note}", recording.name));
     }
-    let pipelines: Vec<Station> = lanes.into_iter().map(|lane| lane.pipeline).collect();
-    let collectors: Vec<_> = seen.into_iter().map(ReplayWatcher::finish).collect();
+    let stations: Vec<Station> = lanes.into_iter().map(|lane| lane.station).collect();
+    let collectors: Vec<_> = replay_watcher.into_iter().map(ReplayWatcher::finish).collect();
     if let Some(events) = events {
         finish_events(events).while_running()?;
     }
-    let replays = configs.iter().zip(pipelines.iter().zip(collectors));
+    let replays = configs.iter().zip(stations.iter().zip(collectors));
     let replays: Vec<FilterReplay<'_>> =
-        replays.map(|(config, (pipeline, collectors))| FilterReplay { config, pipeline, collectors }).collect();
+        replays.map(|(config, (station, collectors))| FilterReplay { config, station, collectors }).collect();
     summarize(args, &recording, replays).map(|replayed| ReplayResult {
         duration: passage.duration,
         changed_settings: changed,
@@ -73,7 +73,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
 /// One estimator when all is over.
 struct FilterReplay<'m> {
     config: &'m Config,
-    pipeline: &'m Station,
+    station: &'m Station,
     collectors: PerRobot<EventCollector>,
 }
 
@@ -96,12 +96,12 @@ fn watchers<'e>(
     for index in 0..count {
         let is_last = index + 1 == count;
         let make = if args.smooth && is_last { EventCollector::with_observations } else { EventCollector::default };
-        let mut seen = ReplayWatcher::new(PerRobot::new(make));
+        let mut replay_watcher = ReplayWatcher::new(PerRobot::new(make));
         if is_last {
-            seen.events = events.take();
-            seen.show_at(args.speed);
+            replay_watcher.events = events.take();
+            replay_watcher.show_at(args.speed);
         }
-        all.push(seen);
+        all.push(replay_watcher);
     }
     all
 }
@@ -115,13 +115,13 @@ fn summarize(
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
     let count = replays.len();
     for (index, replay) in replays.into_iter().enumerate() {
-        let learned = LearnedCalibration::of_session(replay.pipeline, WHOLE_RUN, replay.config).before_start()?;
+        let learned = LearnedCalibration::of_session(replay.station, WHOLE_RUN, replay.config).before_start()?;
         let robots = replay.collectors.into_entries();
         let has_several = robots.len() > 1;
         for (position, robot) in robots.into_iter().enumerate() {
             let label = has_several.then(|| robot.label());
             let known = recording.ground_truth(args.session.truth.as_deref(), robot.robot).before_start()?;
-            let engine = replay.pipeline.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+            let engine = replay.station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
             let collector = robot.value;
             if index + 1 == count {
                 // The robot may have described another geometry than the configuration.
@@ -131,7 +131,11 @@ fn summarize(
                 let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, known.truth.as_ref()));
                 if position == 0 {
                     let path = smoothed.as_ref().and_then(SmoothedRun::track);
-                    let tracks = (known.truth.as_ref(), known.odometry.as_ref(), path.as_ref());
+                    let tracks = ReferenceTracks {
+                        truth: known.truth.as_ref(),
+                        odometry: known.odometry.as_ref(),
+                        smoothed: path.as_ref(),
+                    };
                     write_charts(args, &recording.name, &collector, tracks).while_running()?;
                 }
                 result.smoothed.extend(smoothed);

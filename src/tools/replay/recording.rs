@@ -83,14 +83,14 @@ impl OwnRecording {
         Ok(changes)
     }
 
-    /// The pipeline of a configuration.
+    /// The station of a configuration.
     ///
     /// # Errors
     /// The configuration or a key makes no sense.
-    pub fn pipeline(flags: &SessionFlags, config: &Config) -> Result<Station> {
-        let mut pipeline_config = config.station_config()?;
-        signing::restore_states(config, &flags.keys, &mut pipeline_config)?;
-        Ok(Station::new(pipeline_config, Timestamp::ZERO)?)
+    pub fn station(flags: &SessionFlags, config: &Config) -> Result<Station> {
+        let mut station_config = config.station_config()?;
+        signing::restore_states(config, &flags.keys, &mut station_config)?;
+        Ok(Station::new(station_config, Timestamp::ZERO)?)
     }
 
     /// The truth of a robot: that of a file, else that of the recording.
@@ -114,7 +114,7 @@ impl OwnRecording {
         first.map_or(Timestamp::ZERO, |(now, _)| now)
     }
 
-    /// Gives every lane what the pipeline was given live, at the same instants.
+    /// Gives every lane what the station was given live, at the same instants.
     ///
     /// # Errors
     /// As the watchers say; or a telemetry log cannot be read any further, or nothing lies within the window.

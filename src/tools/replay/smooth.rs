@@ -1,6 +1,6 @@
 //! `replay --smooth`: the most likely path of each run, found when it is over, beside what the filters knew in time.
 //!
-//! It gets the observations that the filters were given and their configuration, and is held against the same yardstick. It reads
+//! It gets the observations that the filters were given and their configuration, and is compared with the same reference. It reads
 //! wheels, gyro and fixes; what else a recording has is counted and named.
 
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ use crate::tools::score::{EstimateSource, Scorer};
 pub struct SmoothedRun {
     /// The run's name.
     pub run: String,
-    /// Its errors against the yardstick of the filters.
+    /// Its errors against the reference of the filters.
     pub errors: ErrorSummary,
     /// Those at the withheld fixes' own stamps, where `errors` is corrected for a delay that was found.
     pub uncorrected: ErrorSummary,

@@ -9,7 +9,7 @@ use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
 use crate::station::per_robot::PerRobot;
 
-/// Sees what one estimator's pipeline does.
+/// Sees what one estimator's station does.
 pub trait EventWatcher {
     /// Something happened when the input of `now` was handled.
     ///
@@ -17,7 +17,7 @@ pub trait EventWatcher {
     /// It cannot be kept.
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()>;
     /// All that follows from the input of `now` has happened.
-    fn after_input(&mut self, _now: Timestamp<HostClock>, _pipeline: &Station) {}
+    fn after_input(&mut self, _now: Timestamp<HostClock>, _station: &Station) {}
 }
 
 /// For who needs no more than tracks and tallies.
@@ -121,7 +121,7 @@ impl ReplayPacer {
 /// One estimator with its watcher.
 pub struct ReplayLane<'w> {
     /// The engine.
-    pub pipeline: Station,
+    pub station: Station,
     /// Who sees what it does.
     pub watcher: &'w mut dyn EventWatcher,
 }
@@ -132,16 +132,16 @@ impl ReplayLane<'_> {
     /// # Errors
     /// As the watcher says.
     pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, place: WindowPosition) -> Result<()> {
-        self.pipeline.handle(now, input);
-        while let Some(output) = self.pipeline.peek() {
+        self.station.handle(now, input);
+        while let Some(output) = self.station.peek() {
             match output {
                 Output::Event(event) if place == WindowPosition::Within => self.watcher.observe(now, event)?,
                 Output::Event(_) | Output::Transmit { .. } | Output::Request(_) => {}
             }
-            self.pipeline.skip_output();
+            self.station.skip_output();
         }
         if place == WindowPosition::Within {
-            self.watcher.after_input(now, &self.pipeline);
+            self.watcher.after_input(now, &self.station);
         }
         Ok(())
     }

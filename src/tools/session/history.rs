@@ -1,7 +1,7 @@
 //! What the page of a session needs of a run, over its time: gathered from the engine's events, in bounded memory.
 //!
 //! Times are seconds since the first input, by the host's clock. Tests and tallies see everything; what is only drawn is thinned in
-//! sessions of hours ([`Downsampled`]).
+//! sessions of hours ([`ThinnedSeries`]).
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use posebridge_telemetry::{Estimate, Event, FusionRecord, HostClock, LinkId, Sen
 
 use super::timeline::EventTimeline;
 use crate::config::CALIBRATION_KEYS;
-use crate::station::event_collector::{Downsampled, EventCollector};
+use crate::station::event_collector::{EventCollector, ThinnedSeries};
 use crate::station::per_robot::PerRobot;
 use crate::tools::replay::watch::EventWatcher;
 
@@ -23,7 +23,7 @@ const MAX_SAMPLES: usize = 200_000;
 /// What was learned is asked for this often.
 const LEARNED_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 
-/// One sensor's part of the story.
+/// The history of one sensor.
 #[derive(Debug)]
 pub struct SourceHistory {
     /// The sensor.
@@ -33,7 +33,7 @@ pub struct SourceHistory {
     /// Over all of its innovations.
     pub test: InnovationTest,
     /// For the picture.
-    pub samples: Downsampled<InnovationSample>,
+    pub samples: ThinnedSeries<InnovationSample>,
 }
 
 /// What was believed of one systematic error.
@@ -42,7 +42,7 @@ pub struct CalibrationHistory {
     /// Its key.
     pub key: &'static str,
     /// For the picture.
-    pub samples: Downsampled<CalibrationSample>,
+    pub samples: ThinnedSeries<CalibrationSample>,
 }
 
 /// Gathers.
@@ -53,14 +53,14 @@ pub struct SessionHistory {
     /// By sensor, in the order in which they were first heard.
     pub sources: Vec<SourceHistory>,
     /// By link.
-    pub links: BTreeMap<LinkId, Downsampled<LinkSample>>,
+    pub links: BTreeMap<LinkId, ThinnedSeries<LinkSample>>,
     /// Alignments of the brick's clock.
-    pub clock: Downsampled<ClockSample>,
+    pub clock: ThinnedSeries<ClockSample>,
     /// What happened, in words.
     pub timeline: EventTimeline,
     origin: Timestamp<HostClock>,
     last: Timestamp<HostClock>,
-    estimates: Downsampled<(f64, Estimate)>,
+    estimates: ThinnedSeries<(f64, Estimate)>,
     learned: Vec<CalibrationHistory>,
     last_calibration_poll: Option<Timestamp<HostClock>>,
 }
@@ -71,16 +71,16 @@ impl SessionHistory {
     pub fn new(origin: Timestamp<HostClock>) -> Self {
         let learned = CALIBRATION_KEYS
             .iter()
-            .map(|entry| CalibrationHistory { key: entry.key, samples: Downsampled::with_capacity(MAX_SAMPLES) });
+            .map(|entry| CalibrationHistory { key: entry.key, samples: ThinnedSeries::with_capacity(MAX_SAMPLES) });
         Self {
             collector: EventCollector::default(),
             sources: Vec::new(),
             links: BTreeMap::new(),
-            clock: Downsampled::with_capacity(MAX_SAMPLES),
+            clock: ThinnedSeries::with_capacity(MAX_SAMPLES),
             timeline: EventTimeline::default(),
             origin,
             last: origin,
-            estimates: Downsampled::with_capacity(MAX_SAMPLES),
+            estimates: ThinnedSeries::with_capacity(MAX_SAMPLES),
             learned: learned.collect(),
             last_calibration_poll: None,
         }
@@ -102,8 +102,8 @@ impl SessionHistory {
 
     /// What was not known from the beginning, and was learned: its sigma has fallen.
     pub fn learned(&self) -> impl Iterator<Item = &CalibrationHistory> {
-        self.learned.iter().filter(|story| {
-            let samples = story.samples.items();
+        self.learned.iter().filter(|series| {
+            let samples = series.samples.items();
             let ends = samples.first().zip(samples.last());
             ends.is_some_and(|(first, last)| {
                 first.sigma > 0.0 && (last.sigma < first.sigma || last.value != first.value)
@@ -131,7 +131,7 @@ impl SessionHistory {
                 sensor: record.sensor,
                 kind: record.kind,
                 test: InnovationTest::default(),
-                samples: Downsampled::with_capacity(MAX_SAMPLES),
+                samples: ThinnedSeries::with_capacity(MAX_SAMPLES),
             });
             self.sources.len() - 1
         });
@@ -147,7 +147,7 @@ impl SessionHistory {
         match event {
             Event::Health { link, health, .. } => {
                 let samples = self.links.entry(*link);
-                let samples = samples.or_insert_with(|| Downsampled::with_capacity(MAX_SAMPLES));
+                let samples = samples.or_insert_with(|| ThinnedSeries::with_capacity(MAX_SAMPLES));
                 samples.push(LinkSample { t_s, health: *health });
             }
             Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. } => {
@@ -188,8 +188,8 @@ impl EventWatcher for SessionHistory {
         Ok(())
     }
 
-    fn after_input(&mut self, now: Timestamp<HostClock>, pipeline: &Station) {
-        self.record_calibration(now, pipeline.robots().first());
+    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
+        self.record_calibration(now, station.robots().first());
     }
 }
 
@@ -199,8 +199,8 @@ impl EventWatcher for PerRobot<SessionHistory> {
         self.try_push(event, |history, event| history.observe(now, event))
     }
 
-    fn after_input(&mut self, now: Timestamp<HostClock>, pipeline: &Station) {
-        let robots = pipeline.robots();
+    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
+        let robots = station.robots();
         for entry in self.entries_mut() {
             // Both are in the order in which robots were heard, but not every robot has been observed.
             let robot = robots.iter().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
@@ -222,9 +222,9 @@ impl SessionHistory {
             return;
         };
         let t_s = (now - self.origin).as_secs_f64();
-        for (entry, story) in CALIBRATION_KEYS.iter().zip(&mut self.learned) {
+        for (entry, series) in CALIBRATION_KEYS.iter().zip(&mut self.learned) {
             let known = (entry.read)(&calibration);
-            story.samples.push(CalibrationSample { t_s, value: known.value, sigma: known.sigma });
+            series.samples.push(CalibrationSample { t_s, value: known.value, sigma: known.sigma });
         }
     }
 }

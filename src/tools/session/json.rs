@@ -10,33 +10,34 @@ use crate::config::CALIBRATION_KEYS;
 
 /// The object.
 #[must_use]
-pub fn object(story: &SessionSummary) -> Value {
-    let facts: BTreeMap<&str, &str> = story.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
+pub fn object(session: &SessionSummary) -> Value {
+    let facts: BTreeMap<&str, &str> =
+        session.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
     json!({
-        "recording": story.recording,
+        "recording": session.recording,
         "facts": facts,
-        "filter": story.filter,
-        "changed": story.changed,
-        "notes": story.notes,
-        "runs": story.runs.iter().map(run).collect::<Vec<_>>(),
+        "filter": session.filter,
+        "changed": session.changed,
+        "notes": session.notes,
+        "runs": session.runs.iter().map(run).collect::<Vec<_>>(),
     })
 }
 
 fn run(run: &RunSummary) -> Value {
     let errors = &run.errors;
-    let chronicle = &run.history;
-    let yardstick = match run.reference {
+    let history = &run.history;
+    let reference = match run.reference {
         ScoreReference::Truth => Some("truth"),
         ScoreReference::WithheldFixes => Some("withheld"),
         ScoreReference::None => None,
     };
-    let happenings = chronicle.timeline.entries.iter();
+    let entries = history.timeline.entries.iter();
     json!({
         "name": run.name,
-        "length_s": chronicle.length().as_secs_f64(),
-        "observations": chronicle.collector.observations,
+        "length_s": history.length().as_secs_f64(),
+        "observations": history.collector.observations,
         "verdict": run.verdict().2,
-        "yardstick": yardstick,
+        "yardstick": reference,
         "position_rms_m": errors.position_rms_m,
         "position_max_m": errors.position_max_m,
         "position_end_m": errors.position_end_m,
@@ -45,8 +46,8 @@ fn run(run: &RunSummary) -> Value {
         "sources": run.source_summaries().iter().map(source).collect::<Vec<_>>(),
         "calibration": calibration(run),
         "links": links(run),
-        "happenings": happenings.map(|one| json!({ "t_s": one.t_s, "what": one.text })).collect::<Vec<_>>(),
-        "further_happenings": chronicle.timeline.omitted,
+        "happenings": entries.map(|one| json!({ "t_s": one.t_s, "what": one.text })).collect::<Vec<_>>(),
+        "further_happenings": history.timeline.omitted,
     })
 }
 

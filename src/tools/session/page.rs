@@ -16,36 +16,36 @@ use crate::config::CALIBRATION_KEYS;
 
 /// The page.
 #[must_use]
-pub fn page(story: &SessionSummary) -> ReportPage {
-    let mut parts = summary(story);
-    for (index, run) in story.runs.iter().enumerate() {
-        parts.extend(run_blocks(story, run, index));
+pub fn page(session: &SessionSummary) -> ReportPage {
+    let mut parts = summary(session);
+    for (index, run) in session.runs.iter().enumerate() {
+        parts.extend(run_blocks(session, run, index));
     }
     parts.push(ReportBlock::Text(format!(
         "Made by posebridge {} from the recorded inputs alone, by the engine that runs live.",
         env!("CARGO_PKG_VERSION")
     )));
-    ReportPage { title: format!("Report of {}", story.recording), blocks: parts }
+    ReportPage { title: format!("Report of {}", session.recording), blocks: parts }
 }
 
-fn summary(story: &SessionSummary) -> Vec<ReportBlock> {
+fn summary(session: &SessionSummary) -> Vec<ReportBlock> {
     let mut rows: Vec<Vec<String>> =
-        story.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
-    rows.push(vec!["filter".to_owned(), story.filter.clone()]);
+        session.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
+    rows.push(vec!["filter".to_owned(), session.filter.clone()]);
     let mut parts =
-        vec![ReportBlock::CodeTable { header: vec!["recording".to_owned(), story.recording.clone()], rows }];
-    if !story.changed.is_empty() {
-        parts.push(ReportBlock::Text(format!("Replayed with {}: this is not what ran.", story.changed.join(", "))));
+        vec![ReportBlock::CodeTable { header: vec!["recording".to_owned(), session.recording.clone()], rows }];
+    if !session.changed.is_empty() {
+        parts.push(ReportBlock::Text(format!("Replayed with {}: this is not what ran.", session.changed.join(", "))));
     }
-    if !story.notes.is_empty() {
-        parts.push(ReportBlock::List(story.notes.clone()));
+    if !session.notes.is_empty() {
+        parts.push(ReportBlock::List(session.notes.clone()));
     }
     parts
 }
 
-fn run_blocks(story: &SessionSummary, run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+fn run_blocks(session: &SessionSummary, run: &RunSummary, index: usize) -> Vec<ReportBlock> {
     let mut parts = Vec::new();
-    if story.runs.len() > 1 {
+    if session.runs.len() > 1 {
         parts.push(ReportBlock::Heading(format!("Run {}", run.name)));
     }
     let (tone, word, text) = run.verdict();
@@ -61,9 +61,8 @@ fn run_blocks(story: &SessionSummary, run: &RunSummary, index: usize) -> Vec<Rep
 
 /// How long, how many, how far off: in one sentence each.
 fn in_figures(run: &RunSummary) -> String {
-    let chronicle = &run.history;
-    let mut text =
-        format!("{:.1} s, {} observations.", chronicle.length().as_secs_f64(), chronicle.collector.observations);
+    let history = &run.history;
+    let mut text = format!("{:.1} s, {} observations.", history.length().as_secs_f64(), history.collector.observations);
     let errors = &run.errors;
     if let (Some(rms_m), Some(max_m), Some(end_m)) =
         (errors.position_rms_m, errors.position_max_m, errors.position_end_m)
@@ -222,7 +221,7 @@ fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
     let series: Vec<CalibrationSeries<'_>> = run
         .history
         .learned()
-        .map(|story| CalibrationSeries { key: story.key, samples: story.samples.items() })
+        .map(|learned| CalibrationSeries { key: learned.key, samples: learned.samples.items() })
         .collect();
     if !series.is_empty() {
         parts.push(ReportBlock::FigureGrid(vec![picture(
@@ -236,8 +235,8 @@ fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
 }
 
 fn link_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
-    let chronicle = &run.history;
-    let mut pictures: Vec<ReportFigure> = chronicle
+    let history = &run.history;
+    let mut pictures: Vec<ReportFigure> = history
         .links
         .iter()
         .map(|(id, samples)| {
@@ -249,26 +248,22 @@ fn link_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
             )
         })
         .collect();
-    if !chronicle.clock.items().is_empty() {
+    if !history.clock.items().is_empty() {
         pictures.push(picture(
             index,
             "clock",
-            render_clock("The brick's clock", chronicle.clock.items()),
+            render_clock("The brick's clock", history.clock.items()),
             "Brick time less host time, and how far it may be off.",
         ));
     }
     if pictures.is_empty() {
         return Vec::new();
     }
-    vec![
-        ReportBlock::Subheading("Links and clock".to_owned()),
-        link_table(chronicle),
-        ReportBlock::FigureGrid(pictures),
-    ]
+    vec![ReportBlock::Subheading("Links and clock".to_owned()), link_table(history), ReportBlock::FigureGrid(pictures)]
 }
 
-fn link_table(chronicle: &SessionHistory) -> ReportBlock {
-    let links = chronicle.collector.links.iter();
+fn link_table(history: &SessionHistory) -> ReportBlock {
+    let links = history.collector.links.iter();
     let header = [
         "link",
         "received",
@@ -300,8 +295,8 @@ fn link_table(chronicle: &SessionHistory) -> ReportBlock {
     ReportBlock::table(&header, rows.collect())
 }
 
-fn timeline_blocks(chronicle: &SessionHistory) -> Vec<ReportBlock> {
-    let all = &chronicle.timeline;
+fn timeline_blocks(history: &SessionHistory) -> Vec<ReportBlock> {
+    let all = &history.timeline;
     if all.entries.is_empty() {
         return Vec::new();
     }

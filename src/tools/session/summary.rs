@@ -7,7 +7,7 @@ use posebridge_telemetry::SensorId;
 use super::history::SessionHistory;
 use crate::station::learned_calibration::LearnedCalibration;
 
-/// Everything that is told.
+/// Everything that is reported.
 pub struct SessionSummary {
     /// The recording, as it was given.
     pub recording: String,
@@ -101,7 +101,7 @@ impl RunSummary {
     }
 }
 
-/// A name in words for the yardstick.
+/// The name of the reference, for people.
 impl ScoreReference {
     /// As a sentence has it.
     #[must_use]

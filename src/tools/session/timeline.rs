@@ -25,7 +25,7 @@ pub struct EventTimeline {
     pub entries: Vec<TimelineEntry>,
     /// How many more there were.
     pub omitted: u64,
-    /// What is told once.
+    /// Events that are listed once.
     pushed_once: BTreeSet<String>,
     resets: Option<u8>,
     is_dead_reckoning: Option<bool>,
@@ -143,25 +143,25 @@ mod tests {
 
     #[test]
     fn damage_is_named_once_and_the_rest_in_order() {
-        let mut happenings = EventTimeline::default();
+        let mut timeline = EventTimeline::default();
         let damage = Event::ReceiveError { link: LinkId(0), defect: ReceiveError::UnframedBytes { bytes: 3 } };
-        happenings.on_event(1.0, &text("battery low"));
-        happenings.on_event(2.0, &damage);
-        happenings.on_event(3.0, &damage);
-        happenings.on_event(4.0, &Event::BrickRestarted { robot: RobotId::default() });
-        let said: Vec<&str> = happenings.entries.iter().map(|one| one.text.as_str()).collect();
-        assert_eq!(said.len(), 3);
-        assert_eq!(said[0], "1/1 says (severity 4): battery low");
-        assert_eq!(said[1], "first on link 0: bytes outside every frame");
-        assert!(said[2].contains("restarted"));
+        timeline.on_event(1.0, &text("battery low"));
+        timeline.on_event(2.0, &damage);
+        timeline.on_event(3.0, &damage);
+        timeline.on_event(4.0, &Event::BrickRestarted { robot: RobotId::default() });
+        let texts: Vec<&str> = timeline.entries.iter().map(|one| one.text.as_str()).collect();
+        assert_eq!(texts.len(), 3);
+        assert_eq!(texts[0], "1/1 says (severity 4): battery low");
+        assert_eq!(texts[1], "first on link 0: bytes outside every frame");
+        assert!(texts[2].contains("restarted"));
     }
 
     #[test]
     fn a_robot_that_talks_without_end_is_counted() {
-        let mut happenings = EventTimeline::default();
+        let mut timeline = EventTimeline::default();
         for _ in 0..1_000 {
-            happenings.on_event(0.0, &text("x"));
+            timeline.on_event(0.0, &text("x"));
         }
-        assert_eq!((happenings.entries.len(), happenings.omitted), (MAX_ENTRIES, 600));
+        assert_eq!((timeline.entries.len(), timeline.omitted), (MAX_ENTRIES, 600));
     }
 }

@@ -16,7 +16,7 @@ use super::unknown::all_unknown;
 
 /// What was observed, by name in messages.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen(pub(crate) ObservationKind);
+pub(crate) struct AnyMeasurement(pub(crate) ObservationKind);
 
 pub(crate) fn of(millis: i64, sensor: SensorId, observed: ObservationKind) -> Observation {
     Observation {
@@ -126,7 +126,7 @@ fn any_fix() -> impl Strategy<Value = ObservationKind> {
 }
 
 /// What a sensor may say; of landmarks and beacons some that are not told.
-fn any_seen() -> impl Strategy<Value = ObservationKind> {
+fn any_measurement() -> impl Strategy<Value = ObservationKind> {
     let small = || -1.0..1.0;
     prop_oneof![
         6 => (-40.0..40.0, -40.0..40.0).prop_map(|(left, right)| wheels(left, right)),
@@ -144,9 +144,10 @@ fn any_seen() -> impl Strategy<Value = ObservationKind> {
 }
 
 /// Milliseconds since the observation before, at times none or backwards, who made it, and what it says.
-pub(crate) fn any_observation() -> impl Strategy<Value = (i64, SensorId, Seen)> {
+pub(crate) fn any_observation() -> impl Strategy<Value = (i64, SensorId, AnyMeasurement)> {
     let step_ms = prop_oneof![8 => 0_i64..60, 2 => -500_i64..0, 1 => 0_i64..3_000, 1 => Just(-5_000)];
-    (step_ms, 3..5_u8, any_seen()).prop_map(|(step, sensor, seen)| (step, SensorId(sensor), Seen(seen)))
+    (step_ms, 3..5_u8, any_measurement())
+        .prop_map(|(step, sensor, seen)| (step, SensorId(sensor), AnyMeasurement(seen)))
 }
 
 const BAD: [f64; 4] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300];

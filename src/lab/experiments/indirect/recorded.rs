@@ -1,4 +1,4 @@
-//! The experiment on drives of a real robot: the same rows, over what its sensors said.
+//! The experiment on drives of a real robot: the same rows, over its sensor data.
 
 use anyhow::{Result, ensure};
 use posebridge_estimator::find_filter;
@@ -10,7 +10,7 @@ use crate::console::{print_line, progress_bar};
 use crate::lab::experiments::recorded::{RobotDrive, RobotDrives};
 use crate::lab::parallel::run_all;
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 pub(super) const TASK: &str =
     "leave the robot standing for two seconds, then drive the closed square, and let it stand again";
 
@@ -37,8 +37,8 @@ pub(super) fn rounds_of(drives: &RobotDrives) -> Result<RoundsResult> {
     let bar = progress_bar(drives.drives.len() as u64, "drives")?;
     let rounds = run_all(&drives.drives, |one| round(one, &rows), || bar.inc(1));
     bar.finish_and_clear();
-    let seen = drives.drives.first().map(|one| one.drive.fix_positions_m());
-    Ok(evaluate(&rows, &rounds, seen.unwrap_or_default()))
+    let fix_positions = drives.drives.first().map(|one| one.drive.fix_positions_m());
+    Ok(evaluate(&rows, &rounds, fix_positions.unwrap_or_default()))
 }
 
 fn is_acceleration(observed: &ObservationKind) -> bool {

@@ -1,4 +1,4 @@
-//! How the rounds of the square are told.
+//! The report about the rounds of the square.
 
 use posebridge_lab::end_errors::PairedDifference;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
@@ -66,10 +66,10 @@ impl ReportHeader {
 }
 
 /// Table, page and object.
-pub(super) fn outcome(told: &ReportHeader, found: &RoundsResult) -> ExperimentOutcome {
+pub(super) fn outcome(report_header: &ReportHeader, found: &RoundsResult) -> ExperimentOutcome {
     let headline = format!(
         "{}; within: {:.1} cm in x, {:.0} cm in y, the end of the paper's fused run",
-        told.headline,
+        report_header.headline,
         100.0 * PAPER_END_M.0,
         100.0 * PAPER_END_M.1
     );
@@ -87,14 +87,14 @@ pub(super) fn outcome(told: &ReportHeader, found: &RoundsResult) -> ExperimentOu
                  about that, and what does it change to feed the error back?"
                     .to_owned(),
             ),
-            ReportBlock::PreformattedText(told.command.clone()),
+            ReportBlock::PreformattedText(report_header.command.clone()),
             ReportBlock::Heading(headline),
             ReportBlock::table(&HEADER, rows.into_iter().map(Vec::from).collect()),
-            tracks(told.truth, found),
+            tracks(report_header.truth, found),
             ends(found),
         ],
     };
-    let mut json = told.object.clone();
+    let mut json = report_header.object.clone();
     json["paper_end_m"] = json!({ "x": PAPER_END_M.0, "y": PAPER_END_M.1 });
     json["rows"] = found.rows.iter().map(object).collect();
     ExperimentOutcome { name: "lab-indirect", page, text, json }

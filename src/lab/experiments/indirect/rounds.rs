@@ -161,8 +161,8 @@ fn round(scenario: &Scenario, run: u32) -> Vec<FilteredDrive> {
     let courses = ROWS.iter().filter_map(|row| {
         let mut filter = (find_filter(row.filter)?.build)(&config);
         let observations = drive.arrivals.iter().map(|arrival| &arrival.observation);
-        let seen = observations.filter(|observation| row.sensors.accepts(&observation.measurement));
-        let course = run_filter(filter.as_mut(), seen, truth);
+        let accepted = observations.filter(|observation| row.sensors.accepts(&observation.measurement));
+        let course = run_filter(filter.as_mut(), accepted, truth);
         // Only the first round is drawn.
         let way_m = if run == 0 { course.track_m } else { Vec::new() };
         Some(FilteredDrive { track_m: way_m, ..course })

@@ -24,7 +24,7 @@ const CAMERA: Camera = Camera {
     outliers: None,
     blackout: None,
 };
-/// What filters are told of the compass, in degrees: noise and deviation together, see docs/lab/nxt-square.md.
+/// The sigma of the compass that filters get, in degrees: noise and deviation together, see docs/lab/nxt-square.md.
 const COMPASS_SIGMA_DEG: f64 = 5.0;
 
 /// The square of the paper, with its camera.
@@ -37,19 +37,19 @@ pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
     Ok(scenario)
 }
 
-/// What a filter is told about the robot of a scenario.
+/// The filter configuration for the robot of a scenario.
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
-    let told = scenario.drive(0).prior;
-    let mut noise = told.noise;
+    let prior = scenario.drive(0).prior;
+    let mut noise = prior.noise;
     noise.compass_rad = COMPASS_SIGMA_DEG.to_radians();
     FilterConfig {
-        geometry: told.geometry,
+        geometry: prior.geometry,
         noise,
         start: None,
         params: Params::default(),
         calibration: Calibration {
             gyro_bias_rad_per_s: Calibration::default().gyro_bias_rad_per_s,
-            ..told.calibration
+            ..prior.calibration
         },
         arena_map: std::sync::Arc::default(),
     }

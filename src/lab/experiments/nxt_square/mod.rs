@@ -146,11 +146,11 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
     Ok(report(source, command, &runs, Vec::new(), example))
 }
 
-/// What the filters are told: the robot of a file, or the simulated one.
+/// The configuration of the filters: the robot of a file, or the simulated one.
 fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
-    let told = filter_config(&scenario(args.seed)?);
+    let config = filter_config(&scenario(args.seed)?);
     let Some(path) = &args.real.robot else {
-        return Ok(told);
+        return Ok(config);
     };
     let robot = RobotProfile::read(path)?.robot;
     let of_file = || -> Result<FilterConfig> {
@@ -159,7 +159,7 @@ fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
             noise: robot.noise()?,
             start: robot.start()?,
             calibration: robot.calibration()?,
-            ..told
+            ..config
         })
     };
     of_file().with_context(|| format!("robot `{}`", path.display()))

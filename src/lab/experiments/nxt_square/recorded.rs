@@ -9,7 +9,7 @@ use crate::console::progress_bar;
 use crate::lab::experiments::recorded::{RobotDrive, RobotDrives};
 use crate::lab::parallel::run_all;
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 pub(super) const TASK: &str = "leave the robot standing for two seconds, then drive the square, and let it stand again";
 
 /// Every method over every drive; the first one is drawn.

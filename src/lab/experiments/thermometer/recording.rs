@@ -22,10 +22,10 @@ use crate::tools::own_recording;
 /// Half a last digit of a thermometer with sixteen steps per kelvin, where the descriptor gives no noise; as the filter takes it.
 const DEFAULT_SIGMA_K: f64 = 0.03;
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
 
-/// Everything that is said about the runs of a descriptor, or of recordings of ours.
+/// The report about the runs of a descriptor, or of recordings of ours.
 pub(super) fn sections(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
     let robot = LiveRobot { file: None, settings: &args.settings };
     let live = args.live.record(&args.output, robot, TASK)?;
@@ -101,7 +101,7 @@ fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(RunRol
     Ok((chosen, shown))
 }
 
-/// Each thermometer of each recording is a run; unless told otherwise, the earlier recordings foretell a live one.
+/// Each thermometer of each recording is a run; without other flags the earlier recordings foretell a live one.
 fn of_recordings(
     args: &LabThermometerArgs,
     recordings: &[PathBuf],

@@ -133,12 +133,13 @@ fn tuned(scene: &WallScene, model: WallApproachModel) -> Gains {
 pub(super) fn drive_all(
     scene: &WallScene,
     steps: &StepResults,
-    (runs, link): (u32, &LinkProfile),
+    runs: u32,
+    link: &LinkProfile,
     ended: impl FnMut(),
 ) -> Vec<ApproachResult> {
     let cases = cases(scene, steps.all.model());
     let jobs: Vec<(ApproachCase, u32)> = cases.iter().flat_map(|case| (0..runs).map(|run| (*case, run))).collect();
-    let run = |&(case, run): &(ApproachCase, u32)| drive(scene, steps, link, (case, run));
+    let run = |&(case, run): &(ApproachCase, u32)| drive(scene, steps, link, case, run);
     let mut done = run_all(&jobs, run, ended).into_iter();
     let mut driven: Vec<ApproachResult> = Vec::new();
     for case in cases {
@@ -171,7 +172,7 @@ fn compare(driven: &mut [ApproachResult]) {
     }
 }
 
-fn drive(scene: &WallScene, steps: &StepResults, link: &LinkProfile, (case, run): (ApproachCase, u32)) -> Approach {
+fn drive(scene: &WallScene, steps: &StepResults, link: &LinkProfile, case: ApproachCase, run: u32) -> Approach {
     let task = ApproachTask { gains: case.gains, max_pwm: case.max_pwm, run };
     let mut on_car =
         EstimatorAdapter { estimator: case.source.estimator(steps), reference_pwm: scene.car.reference_pwm };

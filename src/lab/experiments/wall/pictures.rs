@@ -125,12 +125,12 @@ pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f6
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, range_m)| (low.min(*range_m), high.max(*range_m)));
     // A line through two readings of the same instant leads anywhere: the picture would show nothing else.
-    let reach = high - low;
-    let is_seen = move |value: &f64| *value > low - reach && *value < high + reach;
+    let span = high - low;
+    let is_visible = move |value: &f64| *value > low - span && *value < high + span;
     let mut curves = vec![
         curve("readings", CurveShape::Dots(readings)),
-        curve("line through two", CurveShape::Line(by(&|foreseen| foreseen.line_m.filter(is_seen)))),
-        curve("range-kf-corrected", CurveShape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_seen)))),
+        curve("line through two", CurveShape::Line(by(&|foreseen| foreseen.line_m.filter(is_visible)))),
+        curve("range-kf-corrected", CurveShape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_visible)))),
     ];
     if !theirs.is_empty() {
         curves.push(curve("their own filter", CurveShape::Dots(theirs.to_vec())));

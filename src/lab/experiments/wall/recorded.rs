@@ -36,14 +36,14 @@ pub(in crate::lab) struct RecordedRuns {
 pub(in crate::lab) struct RunLog {
     pub(in crate::lab) name: String,
     pub(in crate::lab) log: WallLog,
-    /// Whether the files say what the motors were told.
+    /// Whether the files have the motors' commands.
     pub(in crate::lab) knows_input: bool,
     /// Time and distance of somebody else's filter, in order.
     foreign_filter: Vec<(f64, f64)>,
     range_sigma_m: f64,
 }
 
-/// What a person with a live robot is told to do.
+/// The instructions for a person with a live robot.
 pub(super) const TASK: &str =
     "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
@@ -83,7 +83,7 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection<'_>) -> Result<
     Ok(RecordedRuns { descriptor: path.display().to_string(), runs })
 }
 
-/// A robot of ours tells its ranges but not what its motors were told: full drive is assumed, as for others who wrote it down nowhere.
+/// A recording of ours has ranges but no motor commands: full drive is assumed, as for others who wrote it down nowhere.
 fn prepare_own(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
     ensure!(
         choice.run.is_none() && choice.command_column.is_none() && choice.kalman_column.is_none(),
@@ -92,7 +92,7 @@ fn prepare_own(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
     );
     let overlay = Overlay { robot: None, settings: choice.settings };
     let run = own_recording::read(path, overlay)?;
-    let ranges = said(run.observations.iter(), |_, observed| range_m(observed).map(WallReading::Range));
+    let ranges = readings_of(run.observations.iter(), |_, observed| range_m(observed).map(WallReading::Range));
     ensure!(
         !ranges.is_empty(),
         "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
@@ -123,12 +123,12 @@ impl RunReader<'_> {
         report_bad_rows(&plain);
         let commanded = self.column(choice.command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
         let filtered = self.column(choice.kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
-        let ranges = said(of_run(&plain.run), |sensor, observed| {
+        let ranges = readings_of(of_run(&plain.run), |sensor, observed| {
             range_m(observed).filter(|_| sensor != FOREIGN_FILTER).map(WallReading::Range)
         });
         ensure!(!ranges.is_empty(), "run `{}` holds no range to a wall; choose another with --run", self.run);
         let inputs = commanded.map_or_else(Vec::new, |run| {
-            said(of_run(&run), |_, observed| {
+            readings_of(of_run(&run), |_, observed| {
                 let ObservationKind::BodyVelocity { forward, .. } = observed else {
                     return None;
                 };
@@ -136,7 +136,7 @@ impl RunReader<'_> {
             })
         });
         let theirs = filtered.map_or_else(Vec::new, |run| {
-            let entries = said(of_run(&run), |sensor, observed| {
+            let entries = readings_of(of_run(&run), |sensor, observed| {
                 range_m(observed).filter(|_| sensor == FOREIGN_FILTER).map(WallReading::Range)
             });
             WallLog::new(entries).readings().collect()
@@ -193,7 +193,7 @@ fn of_run(run: &DatasetRun) -> impl Iterator<Item = &Observation> {
     run.observations.iter().map(|timed| &timed.observation)
 }
 
-fn said<'a>(
+fn readings_of<'a>(
     observations: impl Iterator<Item = &'a Observation>,
     of: impl Fn(SensorId, &ObservationKind) -> Option<WallReading>,
 ) -> Vec<WallEntry> {
@@ -218,7 +218,7 @@ pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Experiment
 fn evaluate(run: &RunLog) -> RunResult {
     let search = PlantSearch { range_sigma_m: run.range_sigma_m };
     let foreseen = forecast(&run.log, search);
-    // What their filter said last before the reading came.
+    // The last output of their filter before the reading came.
     let before = |foreseen: &RangeForecast| {
         let earlier = run.foreign_filter.partition_point(|(at_s, _)| *at_s < foreseen.at_s);
         let last = earlier.checked_sub(1).and_then(|last| run.foreign_filter.get(last));

@@ -1,4 +1,4 @@
-//! How the experiment on a recording is told.
+//! The report of the experiment on a recording.
 
 use posebridge_lab::wall::{ForecastScore, GateStatistics, ManualStepFit, RangeForecast, StepFit, WallStepError};
 use posebridge_report::page::{ReportBlock, ReportPage};

@@ -1,4 +1,4 @@
-//! The experiment on the simulated car: what is driven, and how it is told.
+//! The experiment on the simulated car: what is driven, and its report.
 
 use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -34,8 +34,7 @@ pub(super) fn run(prepared: &SimulatedSetup) -> Result<ExperimentOutcome> {
     let steps = steps(&prepared.scene, prepared.steps)?;
     let kinds = cases(&prepared.scene, steps.all.model()).len() as u64;
     let bar = progress_bar(kinds * u64::from(prepared.runs), "approaches")?;
-    let settings = (prepared.runs, &prepared.link);
-    let driven = drive_all(&prepared.scene, &steps, settings, || bar.inc(1));
+    let driven = drive_all(&prepared.scene, &steps, prepared.runs, &prepared.link, || bar.inc(1));
     bar.finish_and_clear();
     let tables = ResultTables::of(prepared, &steps, &driven);
     Ok(ExperimentOutcome {
@@ -61,12 +60,12 @@ impl ResultTables {
     }
 
     fn text(&self) -> String {
-        let told = self.0.iter().map(|told| {
-            let mut text = format!("{}\n", told.headline);
-            text += &aligned(&told.header, &told.rows);
+        let table = self.0.iter().map(|table| {
+            let mut text = format!("{}\n", table.headline);
+            text += &aligned(&table.header, &table.rows);
             text
         });
-        told.collect::<Vec<_>>().join("\n")
+        table.collect::<Vec<_>>().join("\n")
     }
 }
 
@@ -263,9 +262,9 @@ fn page(prepared: &SimulatedSetup, steps: &StepResults, driven: &[ApproachResult
         None,
         Some(pictures::approaches(&prepared.scene, driven)),
     ];
-    for (told, figure) in tables.0.into_iter().zip(figures) {
-        parts.push(ReportBlock::Heading(told.headline));
-        parts.push(ReportBlock::table(&told.header, told.rows));
+    for (table, figure) in tables.0.into_iter().zip(figures) {
+        parts.push(ReportBlock::Heading(table.headline));
+        parts.push(ReportBlock::table(&table.header, table.rows));
         parts.extend(figure);
     }
     parts.push(ReportBlock::Text(

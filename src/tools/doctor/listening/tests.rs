@@ -1,4 +1,4 @@
-//! What is said about what is heard, on links of this computer and on made-up speeds.
+//! Results of listening, on links of this computer and on made-up speeds.
 
 use std::collections::BTreeMap;
 
