@@ -1,5 +1,7 @@
 //! Several robots in one station, from the command line to the tables: on one UDP port and on terminals of their own.
 
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
+
 mod support;
 #[path = "support/virtual_class.rs"]
 mod virtual_class;

@@ -113,16 +113,13 @@ impl PageHistoryBuilder {
     }
 
     fn align(&mut self, now: Timestamp<HostClock>, event: &Event) {
-        match event {
-            Event::BrickClockAligned { robot, .. } => {
-                let clock = self.clocks.entry(*robot).or_default();
-                clock.exchanged = ClockAlignment::from_event(event).or(clock.exchanged);
-            }
-            Event::EstimateUpdated { robot, estimate } => {
-                let heard = ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 };
-                self.clocks.entry(*robot).or_default().heard = Some(heard);
-            }
-            _ => {}
+        if let Event::BrickClockAligned { robot, .. } = event {
+            let clock = self.clocks.entry(*robot).or_default();
+            clock.exchanged = ClockAlignment::from_event(event).or(clock.exchanged);
+        }
+        if let Event::EstimateUpdated { robot, estimate } = event {
+            let heard = ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 };
+            self.clocks.entry(*robot).or_default().heard = Some(heard);
         }
     }
 

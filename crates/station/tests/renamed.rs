@@ -20,7 +20,7 @@ use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, checksum};
 use posebridge_protocol::message::{Message, TextPart};
 use posebridge_station::{AnnouncedAs, LinkConfig, OutputKind};
-use posebridge_telemetry::{Address, Event, LinkId, Output, PeerId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, Event, LinkId, Output, PeerId, Recipients, TimeDelta, Timestamp};
 use station::{LINK, TestStation, at, config, link, stream};
 
 const GCS_LINK: LinkId = LinkId(5);

@@ -8,9 +8,21 @@ const SWITCHED_ON_APART_MICROS: u64 = 1_234_567;
 /// Distance between two robots' paths, as a multiple of a path's extent.
 const SPACING: f64 = 1.5;
 
+/// The largest difference of a robot's wheel radii from the scenario's, and of one of its wheels from the other, as a fraction: what
+/// UMBmark reports say of LEGO tyres.
+const RADIUS_SPREAD: f64 = 0.005;
+/// The same for the track.
+const TRACK_SPREAD: f64 = 0.02;
+
+/// A number in -1 to 1 for each robot, 0 for the first; spread evenly, because multiples of an irrational `step` are.
+fn spread(index: u8, step: f64) -> f64 {
+    let turns = f64::from(index) * step;
+    2.0 * (turns - turns.round())
+}
+
 impl Scenario {
     /// The same scenario for `count` robots: in rows and columns, each with a seed and a MAVLink system of its own, counted up
-    /// from those of the scenario, and a clock that shows another time. The seed draws the errors of wheels and track, so that each robot has a geometry of its own.
+    /// from those of the scenario, a clock that shows another time, and wheels and a track of its own.
     /// The first is the scenario itself.
     ///
     /// # Errors
@@ -28,6 +40,9 @@ impl Scenario {
             let switched_on_before = u64::from(index) * SWITCHED_ON_APART_MICROS;
             robot.brick.clock_start_micros += switched_on_before;
             robot.camera.clock_start_micros += switched_on_before;
+            robot.errors.radius_error += RADIUS_SPREAD * spread(index, 0.618);
+            robot.errors.radius_mismatch += RADIUS_SPREAD * spread(index, 0.414);
+            robot.errors.track_error += TRACK_SPREAD * spread(index, 0.732);
             robot.start.x_m += f64::from(index % columns) * distance_m;
             robot.start.y_m += f64::from(index / columns) * distance_m;
             robot
@@ -64,6 +79,9 @@ mod tests {
         assert_eq!(seeds, [7, 8, 9, 10, 11]);
         let clocks: Vec<u64> = robots.iter().map(|robot| robot.brick.clock_start_micros).collect();
         assert!(clocks.windows(2).all(|pair| pair[0] < pair[1]), "{clocks:?}");
+        let mut radii: Vec<f64> = robots.iter().map(|robot| robot.errors.radius_error).collect();
+        radii.sort_by(f64::total_cmp);
+        assert!(radii.windows(2).all(|pair| pair[1] - pair[0] > 1e-4), "{radii:?}");
         // A square of one metre, three in a row.
         let expected = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
         for (robot, (x_m, y_m)) in robots.iter().zip(expected) {

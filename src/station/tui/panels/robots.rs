@@ -35,12 +35,12 @@ fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
     // The chosen one is always among those that are shown.
     let first = (index + 1).saturating_sub(height);
     let rows = robots.iter().skip(first).take(height);
-    let lines: Vec<Line<'static>> =
-        rows.map(|robot| row(robot, model.now_s, Some(robot.id.as_str()) == selected, look)).collect();
+    let lines: Vec<Line<'static>> = rows.map(|robot| row(robot, model.now_s, selected, look)).collect();
     Paragraph::new(lines).render(area, buffer);
 }
 
-fn row(robot: &Robot, now_s: f64, is_selected: bool, look: Theme) -> Line<'static> {
+fn row(robot: &Robot, now_s: f64, selected: Option<&str>, look: Theme) -> Line<'static> {
+    let is_selected = Some(robot.id.as_str()) == selected;
     let label: String = sanitize(robot.label()).chars().take(NAME_WIDTH).collect();
     let name = format!("{} {label:<NAME_WIDTH$} ", if is_selected { "▸" } else { " " });
     let role = if is_selected { StyleRole::Strong } else { StyleRole::Truth };
