@@ -84,7 +84,12 @@ impl<T> PerRobot<T> {
     /// The robot that an event is for; a robot's name is kept on the way.
     fn route(&mut self, event: &Event) -> Option<RobotId> {
         if let Event::RobotNamed { robot, name } = event {
-            self.entry(*robot).name = Some(name.clone());
+            // One block may match two robots; in tables their rows need names of their own.
+            let is_taken =
+                self.entries.iter().any(|entry| entry.robot != Some(*robot) && entry.name.as_ref() == Some(name));
+            let entry = self.entry(*robot);
+            entry.name = None;
+            entry.name = Some(if is_taken { format!("{name} {}", entry.label()) } else { name.clone() });
         }
         robot_of(event)
     }
@@ -140,10 +145,14 @@ mod tests {
         push(Event::Link { link: LinkId(0), state: LinkState::Up });
         push(Event::BrickRestarted { robot: robot(1) });
         push(Event::RobotNamed { robot: robot(2), name: "left".to_owned() });
+        push(Event::RobotNamed { robot: robot(3), name: "left".to_owned() });
         push(Event::BrickRestarted { robot: robot(2) });
         push(Event::BrickRestarted { robot: robot(2) });
         push(Event::Link { link: LinkId(0), state: LinkState::Down });
         let found: Vec<_> = restarts.entries().iter().map(|entry| (entry.label(), entry.value)).collect();
-        assert_eq!(found, [("0/1/1".to_owned(), (1, 2)), ("left".to_owned(), (2, 1))]);
+        assert_eq!(
+            found,
+            [("0/1/1".to_owned(), (1, 2)), ("left".to_owned(), (2, 1)), ("left 0/3/1".to_owned(), (0, 1))]
+        );
     }
 }

@@ -115,17 +115,18 @@ fn summarize(
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
     let count = replays.len();
     for (index, replay) in replays.into_iter().enumerate() {
-        let learned = LearnedCalibration::of_session(replay.station, WHOLE_RUN, replay.config).before_start()?;
         let robots = replay.collectors.into_entries();
         let has_several = robots.len() > 1;
         for (position, robot) in robots.into_iter().enumerate() {
             let label = has_several.then(|| robot.label());
             let known = recording.ground_truth(args.session.truth.as_deref(), robot.robot).before_start()?;
             let engine = replay.station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+            let file = robot.robot.map_or(&replay.config.robot, |id| replay.config.robot_file(id));
+            let mut filter_config = replay.config.filter_config_of(file).before_start()?;
+            let prior = filter_config.calibration;
             let collector = robot.value;
             if index + 1 == count {
                 // The robot may have described another geometry than the configuration.
-                let mut filter_config = replay.config.filter_config().before_start()?;
                 filter_config.geometry = engine.map_or(filter_config.geometry, Robot::geometry);
                 let run = label.as_deref().unwrap_or(WHOLE_RUN);
                 let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, known.truth.as_ref()));
@@ -144,12 +145,13 @@ fn summarize(
                 result.observations += collector.observations;
             }
             let run = label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
+            let learned = engine.and_then(|engine| LearnedCalibration::of_robot(engine, &run, file, &prior));
             result.outcomes.push(FilterResult {
                 name: replay.config.filter.name.clone(),
                 robot: label,
                 errors: errors(&collector, known.truth.as_ref()),
                 position_rms_uncorrected_m: None,
-                learned: learned.iter().filter(|one| one.run == run).cloned().collect(),
+                learned: learned.into_iter().collect(),
                 sources: collector.sources,
             });
         }
