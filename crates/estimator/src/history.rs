@@ -1,11 +1,17 @@
-//! Late data for any filter: what was used during the last seconds, with the state after each, so that it can be used again.
+//! Late data for any filter: what was used during the last seconds, with states from which it can be used again.
 //!
 //! An entry that comes late is put where its time says. The states from there on are out of date; [`FixedLagHistory::insert`] gives back
 //! each of these entries with the state before it, oldest first, for the filter to apply again. So the order of arrival does not matter,
 //! bit for bit, as long as nothing is older than the history.
 //!
-//! A state is large, and each begins as a copy of the one before. So the states stand in a ring, where that copy is made once and in
-//! place, apart from the entries, which are searched.
+//! # Model
+//! ```text
+//! state p      the state after the first p entries of the history; state 0 is the base
+//! kept         the last RECENT_STATES states, and of the older ones each with p = 0 mod CHECKPOINT_INTERVAL
+//! state p      that is not kept: from the nearest kept one before it, by applying the entries between them again
+//! ```
+//! A state is large: to keep all of them would take a hundred kilobytes for each robot, and a station with hundreds of robots would
+//! fetch each from memory instead of from a cache. Most late entries are only a few entries late, and these cost nothing more.
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
@@ -14,12 +20,13 @@ use posebridge_telemetry::{BrickClock, Timestamp};
 
 use crate::motion::count_before;
 
-/// The first capacity: ten seconds of a brick that is read 50 times a second, more than a history holds as a rule. A state takes over a
-/// kilobyte, and memory that is moved later leaves a hole as large as it was in a station that runs for weeks.
-const INITIAL_CAPACITY: usize = 512;
-/// The first length of the ring: one or two seconds. It is as long as the history needs and no longer, because what it goes round has to
-/// fit into a cache beside the rings of hundreds of other robots.
-const INITIAL_STATES: usize = 64;
+/// The number of last states that are kept: 0.16 s of a brick whose wheels and gyro are read 50 times a second.
+const RECENT_STATES: usize = 16;
+/// The distance between the older states that are kept, in entries.
+const CHECKPOINT_INTERVAL: usize = 8;
+/// The first capacity for checkpoints: three seconds of a brick that is read 80 times a second. Memory that is moved later leaves a hole
+/// as large as it was in a station that runs for weeks.
+const INITIAL_CHECKPOINTS: usize = 32;
 
 /// What a filter uses at one instant.
 pub trait HistoryEntry {
@@ -30,22 +37,24 @@ pub trait HistoryEntry {
     fn order(&self, other: &Self) -> Ordering;
 }
 
-/// The entries of the last seconds in the order of time, with the state after each.
+/// The entries of the last seconds in the order of time, with states between them.
 #[derive(Clone, Debug)]
 pub struct FixedLagHistory<E, S> {
     /// Oldest first.
     entries: VecDeque<E>,
-    /// The state after each entry, that after the oldest at `first`; behind the last slot comes the first one.
-    states: Vec<S>,
-    first: usize,
     /// The state before the oldest entry.
     base: S,
+    /// Every state p with p = 0 mod [`CHECKPOINT_INTERVAL`], from the first after the base on.
+    checkpoints: VecDeque<S>,
+    /// A ring of the last states; empty before the first entry. State p stands at (`ring_offset` + p) mod [`RECENT_STATES`].
+    recent: Vec<S>,
+    ring_offset: usize,
 }
 
 impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
     /// No entries, and the state before them.
     pub const fn new(base: S) -> Self {
-        Self { entries: VecDeque::new(), states: Vec::new(), first: 0, base }
+        Self { entries: VecDeque::new(), base, checkpoints: VecDeque::new(), recent: Vec::new(), ring_offset: 0 }
     }
 
     /// The entries, oldest first.
@@ -65,40 +74,53 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
 
     /// The state after the last entry.
     pub fn last_state(&self) -> &S {
-        self.state_before_index(self.entries.len())
+        self.kept_state(self.entries.len()).1
     }
 
-    /// The state after the last entry at or before an instant; that before all entries if there is none.
-    pub fn state_at_or_before(&self, stamp: Timestamp<BrickClock>) -> &S {
-        self.state_before_index(self.count_until(stamp))
+    /// The state after the last entry at or before an instant, as the nearest state that is kept and the entries to apply to it; that
+    /// before all entries if there is none.
+    pub fn state_at_or_before(&self, stamp: Timestamp<BrickClock>) -> (&S, impl Iterator<Item = &E>) {
+        let wanted = self.count_until(stamp);
+        let (kept, state) = self.kept_state(wanted);
+        (state, self.entries.range(kept..wanted))
     }
 
-    /// Inserts an entry at its own time and returns what has to be applied again, oldest first: the entry and all after it, and what
-    /// comes after `changed_after` where that is earlier. Until they are applied their states are not those after them.
+    /// Inserts an entry at its own time and returns what has to be applied again, oldest first: the entry and all after it, what comes
+    /// after `changed_after` where that is earlier, and what lies between there and the nearest state that is kept. Until they are
+    /// applied their states are not those after them.
     pub fn insert(&mut self, entry: E, changed_after: Option<Timestamp<BrickClock>>) -> Replay<'_, E, S> {
         let inserted = count_before(&self.entries, |other| other.order(&entry) != Ordering::Greater);
-        let next = changed_after.map_or(inserted, |after| self.count_until(after)).min(inserted);
-        if self.entries.len() == self.states.len() {
-            self.grow();
+        let changed = changed_after.map_or(inserted, |after| self.count_until(after)).min(inserted);
+        if self.recent.is_empty() {
+            self.checkpoints.reserve(INITIAL_CHECKPOINTS);
+            self.recent = vec![self.base; RECENT_STATES];
+        }
+        let (next, state) = self.kept_state(changed);
+        if !self.is_recent(next) {
+            let (slot, state) = (self.slot(next), *state);
+            self.recent[slot] = state;
         }
         self.entries.insert(inserted, entry);
         Replay { history: self, inserted, next }
     }
 
-    /// Forgets the entries before an instant; the state after them is the one before all others.
+    /// Forgets entries before an instant, up to the last checkpoint there; the state after them is the one before all others.
     pub fn discard_before(&mut self, stamp: Timestamp<BrickClock>) {
-        let count = self.entries.iter().take_while(|entry| entry.stamp() < stamp).count();
-        if count > 0 {
-            self.base = *self.state_before_index(count);
+        let outdated = self.entries.iter().take_while(|entry| entry.stamp() < stamp).count();
+        let checkpoints = (outdated / CHECKPOINT_INTERVAL).min(self.checkpoints.len());
+        let last = self.checkpoints.drain(..checkpoints).next_back();
+        if let Some(state) = last {
+            self.base = state;
+            let count = checkpoints * CHECKPOINT_INTERVAL;
             self.entries.drain(..count);
-            self.first = self.slot_of(count);
+            self.ring_offset = self.slot(count);
         }
     }
 
     /// Forgets all entries, and begins from another state.
     pub fn reset(&mut self, base: S) {
         self.entries.clear();
-        self.first = 0;
+        self.checkpoints.clear();
         self.base = base;
     }
 
@@ -107,26 +129,39 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         count_before(&self.entries, |entry| entry.stamp() <= stamp)
     }
 
-    /// The state before an entry, or after the last.
-    fn state_before_index(&self, index: usize) -> &S {
-        let slot = index.checked_sub(1).map(|before| self.slot_of(before));
-        slot.and_then(|slot| self.states.get(slot)).unwrap_or(&self.base)
+    /// The nearest state that is kept at or before a state, and its number.
+    fn kept_state(&self, wanted: usize) -> (usize, &S) {
+        if self.is_recent(wanted) {
+            return (wanted, &self.recent[self.slot(wanted)]);
+        }
+        let checkpoint = (wanted / CHECKPOINT_INTERVAL).checked_sub(1);
+        match checkpoint.and_then(|index| Some((index, self.checkpoints.get(index)?))) {
+            Some((index, state)) => ((index + 1) * CHECKPOINT_INTERVAL, state),
+            None => (0, &self.base),
+        }
     }
 
-    /// Where a state stands, or where the one behind the last would.
-    const fn slot_of(&self, index: usize) -> usize {
-        let slot = self.first + index;
-        if slot < self.states.len() { slot } else { slot - self.states.len() }
+    /// Whether a state stands in the ring. The base has a place of its own.
+    fn is_recent(&self, state: usize) -> bool {
+        state > 0 && state + RECENT_STATES > self.entries.len()
     }
 
-    #[cold]
-    fn grow(&mut self) {
-        self.states.rotate_left(self.first);
-        self.first = 0;
-        let before = self.states.len();
-        let wanted = if before == 0 { INITIAL_STATES } else { before + before / 4 };
-        self.states.reserve_exact(wanted.max(INITIAL_CAPACITY) - before);
-        self.states.resize(wanted, self.base);
+    /// Where a state stands in the ring, if it does.
+    const fn slot(&self, state: usize) -> usize {
+        (self.ring_offset + state) % RECENT_STATES
+    }
+
+    /// Copies a state out of the ring, if it is one of those that are kept for longer.
+    fn store_checkpoint(&mut self, number: usize) {
+        if number == 0 || !number.is_multiple_of(CHECKPOINT_INTERVAL) {
+            return;
+        }
+        let index = number / CHECKPOINT_INTERVAL - 1;
+        let state = self.recent[self.slot(number)];
+        match self.checkpoints.get_mut(index) {
+            Some(checkpoint) => *checkpoint = state,
+            None => self.checkpoints.push_back(state),
+        }
     }
 }
 
@@ -136,6 +171,7 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
 pub struct Replay<'h, E, S> {
     history: &'h mut FixedLagHistory<E, S>,
     inserted: usize,
+    /// The next entry; the state before it stands in the ring.
     next: usize,
 }
 
@@ -153,26 +189,20 @@ pub struct ReplayStep<'h, E, S> {
 }
 
 impl<E: HistoryEntry, S: Copy> Replay<'_, E, S> {
-    /// The next entry to apply.
+    /// The next entry to apply; the one before it was applied meanwhile.
     #[inline]
     #[expect(clippy::should_implement_trait, reason = "what it returns borrows from the replay")]
     pub fn next(&mut self) -> Option<ReplayStep<'_, E, S>> {
         let index = self.next;
         let history = &mut *self.history;
+        if index == history.entries.len() {
+            return None;
+        }
+        history.store_checkpoint(index);
+        let (before, after) = (history.slot(index), history.slot(index + 1));
         let entry = history.entries.get(index)?;
         self.next += 1;
-        let slot = history.slot_of(index);
-        let (before, after) = match index.checked_sub(1).map(|before| history.slot_of(before)) {
-            None => (&history.base, &mut history.states[slot]),
-            Some(before) if before < slot => {
-                let (left, right) = history.states.split_at_mut(slot);
-                (&left[before], &mut right[0])
-            }
-            Some(before) => {
-                let (left, right) = history.states.split_at_mut(before);
-                (&right[0], &mut left[slot])
-            }
-        };
+        let [before, after] = history.recent.get_disjoint_mut([before, after]).ok()?;
         *after = *before;
         Some(ReplayStep { entry, before, after, is_inserted: index == self.inserted })
     }
@@ -235,6 +265,12 @@ mod tests {
         Append { millis: 30, number: 4 },
     ];
 
+    /// The state at an instant, and how many entries had to be applied for it.
+    fn state_at(history: &FixedLagHistory<Append, Digest>, millis: i64) -> (Digest, usize) {
+        let (kept, unapplied) = history.state_at_or_before(ms(millis));
+        unapplied.fold((*kept, 0), |(state, count), entry| (applied(state, entry), count + 1))
+    }
+
     #[test]
     fn late_entries_lead_to_the_state_of_entries_in_order() {
         let in_order = history_of(&ENTRIES);
@@ -242,8 +278,7 @@ mod tests {
             let late = history_of(&order.map(|index| ENTRIES[index]));
             assert_eq!(late.last_state(), in_order.last_state(), "{order:?}");
             for millis in [9, 10, 15, 20, 29, 30, 99] {
-                let states = [&late, &in_order].map(|history| history.state_at_or_before(ms(millis)));
-                assert_eq!(states[0], states[1], "{order:?} at {millis} ms");
+                assert_eq!(state_at(&late, millis), state_at(&in_order, millis), "{order:?} at {millis} ms");
             }
         }
     }
@@ -270,42 +305,53 @@ mod tests {
     }
 
     #[test]
-    fn before_the_first_entry_holds_the_base_also_when_the_oldest_are_discarded() {
+    fn before_the_first_entry_holds_the_base_also_after_a_reset() {
         let mut history = history_of(&ENTRIES);
-        let after_two = *history.state_at_or_before(ms(10));
-        assert_eq!(*history.state_at_or_before(ms(9)), 1);
+        assert_eq!(state_at(&history, 9), (1, 0));
         history.discard_before(ms(20));
-        assert_eq!(history.entries().iter().copied().collect::<Vec<_>>(), ENTRIES[1..]);
-        assert_eq!(*history.base(), after_two);
-        assert_eq!(*history.state_at_or_before(ms(9)), after_two);
+        assert_eq!(history.entries().len(), ENTRIES.len(), "there is no checkpoint yet");
         history.reset(7);
         assert!(history.entries().is_empty());
-        assert_eq!(*history.last_state(), 7);
+        assert_eq!((*history.base(), *history.last_state()), (7, 7));
+        apply_all(history.insert(ENTRIES[0], None));
+        assert_eq!(*history.last_state(), applied(7, &ENTRIES[0]));
     }
 
-    /// The ring against a list, while it wraps and grows: each state adds one to that before it.
+    /// The history against one that keeps everything, while entries come up to 70 places late and the oldest are discarded.
     #[test]
-    fn states_stand_where_their_entries_stand_however_often_the_ring_turns() {
-        let mut history = FixedLagHistory::new(0);
-        let mut expected = vec![0];
+    fn every_state_is_the_one_of_entries_in_order_and_is_not_far_from_one_that_is_kept() {
+        const LONGEST: i64 = 90;
+        let mut history = FixedLagHistory::new(1);
+        let mut expected: Vec<Append> = Vec::new();
+        let mut base = 1;
         for step in 0..1_500_i64 {
-            let mut replay = history.insert(Append { millis: step, number: 0 }, None);
-            while let Some(step) = replay.next() {
-                *step.after = *step.before + 1;
+            // Places that are late come between two entries of before.
+            let late = if step % 3 == 0 { step * 7 % 70 } else { 0 };
+            let entry = Append { millis: (10 * step - 10 * late - late.signum() * 5).max(0), number: step as u64 };
+            let place = expected.partition_point(|other| other.order(&entry) != Ordering::Greater);
+            expected.insert(place, entry);
+            let replayed = apply_all(history.insert(entry, None));
+            let recomputed = replayed.len() - (expected.len() - place);
+            assert!(recomputed < CHECKPOINT_INTERVAL, "step {step}: {recomputed} more than the late ones");
+            history.discard_before(ms(10 * (step - LONGEST)));
+            let discarded = expected.len() - history.entries().len();
+            assert_eq!(discarded % CHECKPOINT_INTERVAL, 0);
+            base = expected.drain(..discarded).fold(base, |state, entry| applied(state, &entry));
+            assert_eq!(*history.base(), base, "step {step}");
+            assert!(history.entries().iter().copied().eq(expected.iter().copied()), "step {step}");
+            let mut state = base;
+            for (index, entry) in expected.iter().enumerate() {
+                state = applied(state, entry);
+                let (found, recomputed) = state_at(&history, entry.millis);
+                let is_last_of_instant = expected.get(index + 1).is_none_or(|next| next.millis > entry.millis);
+                if is_last_of_instant {
+                    assert_eq!(found, state, "step {step}, entry {index}");
+                }
+                assert!(recomputed < CHECKPOINT_INTERVAL, "step {step}, entry {index}: {recomputed}");
             }
-            expected.push(expected[expected.len() - 1] + 1);
-            // At first it fills, then it turns and empties, and in the end it fills from its middle and grows.
-            if step % 5 > 1 && (300..900).contains(&step) {
-                let count = 2.min(expected.len() - 1);
-                expected.drain(..count);
-                let oldest_kept = history.entries().get(count).map_or(step + 1, |entry| entry.millis);
-                history.discard_before(ms(oldest_kept));
-            }
-            let found = (0..=history.entries().len()).map(|index| *history.state_before_index(index));
-            assert_eq!(found.collect::<Vec<_>>(), expected, "step {step}");
+            assert_eq!(*history.last_state(), state, "step {step}");
         }
-        let (capacity, used) = (history.states.len(), history.entries().len());
-        assert!(used > INITIAL_CAPACITY, "{used} states: the ring has grown");
-        assert!(capacity < used + used / 3, "room for {capacity} of {used}");
+        let most = expected.len() / CHECKPOINT_INTERVAL;
+        assert!(expected.len() < LONGEST as usize + 2 * CHECKPOINT_INTERVAL && history.checkpoints.len() <= most);
     }
 }

@@ -20,6 +20,8 @@ mod reset;
 pub mod smoother;
 pub mod state;
 
+use std::borrow::Cow;
+
 use posebridge_telemetry::{
     BrickClock, Calibration, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, TimeDelta,
     Timestamp, UncertainValue,
@@ -108,12 +110,11 @@ impl<const N: usize> PoseFilter<N> {
     fn insert(&mut self, entry: PoseEntry, changed_after: Option<Timestamp<BrickClock>>, record: &mut FusionRecord) {
         let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
         let mut replay = self.history.insert(entry, changed_after);
-        while let Some(step) = replay.next() {
-            if step.is_inserted {
-                apply_entry(step, &context, record);
+        while let Some(ReplayStep { entry, before, after, is_inserted }) = replay.next() {
+            if is_inserted {
+                apply_entry(before, after, entry, &context, record);
             } else {
-                let mut scratch = scratch_record(step.entry);
-                apply_entry(step, &context, &mut scratch);
+                apply_entry(before, after, entry, &context, &mut scratch_record(entry));
             }
         }
         self.trim_history();
@@ -287,9 +288,16 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        let from = self.history.state_at_or_before(stamp);
-        from.stamp.filter(|known_from| *known_from <= stamp)?;
-        Some(predict::estimate(from, stamp, &self.context()))
+        let context = self.context();
+        let (kept, unapplied) = self.history.state_at_or_before(stamp);
+        let mut state = Cow::Borrowed(kept);
+        for entry in unapplied {
+            let mut after = *state;
+            apply_entry(&state, &mut after, entry, &context, &mut scratch_record(entry));
+            state = Cow::Owned(after);
+        }
+        state.stamp.filter(|known_from| *known_from <= stamp)?;
+        Some(predict::estimate(&state, stamp, &context))
     }
 }
 
@@ -318,13 +326,14 @@ fn update_kind(observation: &Observation) -> Option<UpdateKind> {
     }
 }
 
-/// Applies an entry to the state before it.
+/// Applies an entry to the state before it; `after` begins as a copy of that.
 fn apply_entry<const N: usize>(
-    step: ReplayStep<'_, PoseEntry, PoseState<N>>,
+    before: &PoseState<N>,
+    after: &mut PoseState<N>,
+    entry: &PoseEntry,
     context: &UpdateContext<'_>,
     record: &mut FusionRecord,
 ) {
-    let ReplayStep { entry, before, after, .. } = step;
     apply_update(after, entry, context, record);
     if entry.is_without_effect(record.outcome) {
         *after = before.after_rejection(after);
