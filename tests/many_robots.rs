@@ -112,10 +112,7 @@ fn each_of_many_robots_is_estimated_as_well_as_alone_and_a_replay_is_the_run() {
         let alone = run(links, vec![ConnectedBrick::new(scenario, link, peer)], duration);
         let ratio = together_m[index] / rms_m(&alone)[0];
         println!("robot {index}: {:.3} mm, {ratio:.4} of what it is alone", 1e3 * together_m[index]);
-        // A robot with known ids and its camera are told apart from the others by their first messages, which are not used. Why such a
-        // robot differs by more than 5 % from itself alone is not known yet; the bound only tells it from one that is followed wrongly.
-        let tolerance = if index < usize::from(ON_PORT + ON_TERMINALS) { 0.05 } else { 0.25 };
-        assert!((ratio - 1.0).abs() < tolerance, "robot {index}: {ratio}");
+        assert!((ratio - 1.0).abs() < 0.05, "robot {index}: {ratio}");
     }
     let mut replay = station(links);
     let mut replayed: Vec<Event> = Vec::new();

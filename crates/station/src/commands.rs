@@ -19,6 +19,7 @@ use posebridge_telemetry::{
 
 use crate::estimator::Estimator;
 use crate::message_requests::{self, RequestContext};
+use crate::receive::ReceiveInfo;
 use crate::robot::Robot;
 use crate::robot_table::RobotIndex;
 use crate::sessions::SenderRole;
@@ -154,7 +155,15 @@ impl Station {
     }
 
     /// A command from a link that no session answers by itself.
-    pub(crate) fn handle_link_command(&mut self, id: LinkId, role: SenderRole, by: Address, command: &CommandLong) {
+    pub(crate) fn handle_link_command(
+        &mut self,
+        received: ReceiveInfo,
+        role: SenderRole,
+        by: Address,
+        command: &CommandLong,
+    ) {
+        let id = received.endpoint.link;
+        let requester = self.requesting_robot(received, by);
         let context = RequestContext {
             config: &self.config,
             now: self.time.now,
@@ -162,36 +171,66 @@ impl Station {
             egress: &self.egress,
             link: id,
             role,
+            requester,
         };
         let heartbeat = |sessions: &mut crate::sessions::Sessions| {
             sessions.with_session(id, role, |session| session.active_heartbeat()).flatten()
         };
         let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
             Some(answer) => answer,
-            None => message_requests::Answer::of(self.execute_link_command(id, role, command)),
+            None => message_requests::Answer::of(self.execute_link_command(id, role, requester, command)),
         };
         if answer.is_left_to_others(command) {
             return;
         }
         self.sessions.with_session(id, role, |session| {
             session.acknowledge_command(by, command.command, answer.result);
-            for message in answer.messages {
-                session.queue_message(message);
-            }
         });
+        match requester.filter(|_| role == SenderRole::Station && self.robots.at_home(id, &self.router).len() > 1) {
+            // What is one robot's would mislead the others of the link.
+            Some(_) => {
+                self.drain_sessions(received);
+                for message in &answer.messages {
+                    self.transmitter().send_to_peer(received.endpoint, message, Priority::Command);
+                }
+            }
+            None => {
+                self.sessions.with_session(id, role, |session| {
+                    for message in answer.messages {
+                        session.queue_message(message);
+                    }
+                });
+            }
+        }
+    }
+
+    /// The robot that asks the station for something; `None` if it is not a robot that asks.
+    pub(crate) fn requesting_robot(&self, received: ReceiveInfo, by: Address) -> Option<RobotIndex> {
+        let home = self.router.first_of_group(received.endpoint.link);
+        self.robots.at_endpoint(received.endpoint, home, by)
     }
 
     /// Does what a command from a link asks for, and tells what became of it. A robot as a vehicle takes only what concerns robots.
-    fn execute_link_command(&mut self, link: LinkId, role: SenderRole, command: &CommandLong) -> CommandResult {
+    fn execute_link_command(
+        &mut self,
+        link: LinkId,
+        role: SenderRole,
+        requester: Option<RobotIndex>,
+        command: &CommandLong,
+    ) -> CommandResult {
         let target = match role {
-            SenderRole::Station => Some(CommandTarget::Station),
+            // A robot among others means itself.
+            SenderRole::Station => Some(match requester.filter(|_| self.robots.len() > 1) {
+                Some(robot) => CommandTarget::Robot(robot),
+                None => CommandTarget::Station,
+            }),
             SenderRole::Vehicle(robot) => self.robots.find(robot).map(CommandTarget::Robot),
         };
         let Some(target) = target else {
             return CommandResult::Unsupported;
         };
         let outcome = match decode_command(command) {
-            Ok(wanted) if target != CommandTarget::Station && !wanted.is_for_robots() => {
+            Ok(wanted) if role != SenderRole::Station && !wanted.is_for_robots() => {
                 return CommandResult::Unsupported;
             }
             Ok(wanted) => {
@@ -233,6 +272,9 @@ impl Station {
             Command::Parameters(storage) => self.store_parameters(storage),
             Command::OnlineCalibration(learning) => {
                 self.command_robots(target, "does not learn", |estimator| estimator.set_online_calibration(learning))?;
+                if target == CommandTarget::Station {
+                    self.robots.keep_online_calibration(learning);
+                }
                 Ok(match learning {
                     OnlineCalibration::Frozen => "calibration frozen".to_owned(),
                     OnlineCalibration::Enabled => "calibration learned further".to_owned(),
@@ -265,10 +307,11 @@ impl Station {
     }
 
     fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> Outcome {
-        self.robots.mark_news(index);
+        self.robots.mark_changed(index);
         if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
+        self.robots.keep_first_pose(Some(*start));
         let pose = &start.pose;
         Ok(format!("pose set to x {:.3} m, y {:.3} m, {:.1} deg", pose.x.0, pose.y.0, pose.heading.rad().to_degrees()))
     }
@@ -281,7 +324,8 @@ impl Station {
         if !estimator.forget_pose() {
             return Err(format!("the filter {} cannot forget its pose", estimator.filter_name()));
         }
-        self.robots.mark_news(index);
+        self.robots.keep_first_pose(None);
+        self.robots.mark_changed(index);
         Ok("pose forgotten: the next fix decides".to_owned())
     }
 
@@ -370,6 +414,9 @@ impl Station {
     fn switch_sensor(&mut self, target: CommandTarget, sensor: SensorId, to: SensorSwitch) -> String {
         for robot in self.targeted_robots(target) {
             robot.estimator.switch_sensor(sensor, to);
+        }
+        if target == CommandTarget::Station {
+            self.robots.keep_sensor_switch(sensor, to);
         }
         let is = match to {
             SensorSwitch::On => "used",

@@ -17,7 +17,7 @@ pub struct StationConfig {
     pub robot: RobotConfig,
     /// Robots with a configuration of their own; the first block that matches counts.
     pub robots: Vec<RobotBlock>,
-    /// Most robots at a time; strangers beyond are not followed.
+    /// Most robots of a session; those beyond are not followed, and that is reported.
     pub max_robots: usize,
     /// The only system that may be a robot; `None` takes every sender of odometry.
     pub robot_system: Option<SystemId>,

@@ -6,12 +6,14 @@
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{
-    DuplicateStatus, Endpoint, FrameRouter, LinkSharing, SenderCheck, SenderInfo, priority_of, retarget, target_of,
+    DuplicateStatus, Endpoint, FrameRouter, LinkSharing, MessageTarget, SenderCheck, SenderInfo, priority_of, retarget,
+    target_of,
 };
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, Timestamp};
 
+use crate::observers::{ObserverAddress, Observers};
 use crate::robot_table::RobotTable;
-use crate::vehicle_proxy::VehicleProxies;
+use crate::vehicle_proxy::{VEHICLE_COMPONENT, VehicleProxies};
 
 /// Looks at the frames of one input as they are found, and keeps those that go on.
 pub(crate) struct ForwardingPass<'a> {
@@ -22,6 +24,7 @@ pub(crate) struct ForwardingPass<'a> {
     /// The robots as vehicles on the link: the station may have to answer a command in their place.
     vehicles: Option<&'a VehicleProxies>,
     robots: &'a RobotTable,
+    observers: &'a Observers,
     report: ForwardingReport,
 }
 
@@ -71,8 +74,9 @@ impl<'a> ForwardingPass<'a> {
         sharing: LinkSharing,
         vehicles: Option<&'a VehicleProxies>,
         robots: &'a RobotTable,
+        observers: &'a Observers,
     ) -> Self {
-        Self { router, now, from, sharing, vehicles, robots, report: ForwardingReport::default() }
+        Self { router, now, from, sharing, vehicles, robots, observers, report: ForwardingReport::default() }
     }
 
     /// What it leaves behind.
@@ -89,6 +93,11 @@ impl<'a> ForwardingPass<'a> {
         let sharing = self.sharing;
         let sender = SenderInfo { check, sharing };
         let mut routed = self.router.route(self.now, self.from, frame, sender);
+        if matches!(routed.duplicate_status, DuplicateStatus::Duplicate | DuplicateStatus::Loop)
+            && self.is_of_another_sender(frame)
+        {
+            routed = self.router.route_as_new(self.now, self.from, frame, sender);
+        }
         match routed.duplicate_status {
             DuplicateStatus::Duplicate | DuplicateStatus::Loop => self.report.duplicates += 1,
             DuplicateStatus::AddressConflict => self.report.address_conflicts += 1,
@@ -116,12 +125,27 @@ impl<'a> ForwardingPass<'a> {
         Some(routed.duplicate_status)
     }
 
+    /// Whether a frame that came before by another endpoint was that of another robot or camera with the same ids: weak ones have no
+    /// clock, or start it at the same moment, and then send the same bytes.
+    fn is_of_another_sender(&self, frame: &FrameRef<'_>) -> bool {
+        let Some(first) = self.router.first_endpoint(self.now, self.from, frame) else {
+            return false;
+        };
+        let robots = [first, self.from].map(|endpoint| self.robots.heard_by(endpoint, frame.source));
+        let observers = [first, self.from].map(|endpoint| {
+            let home = self.router.first_of_group(endpoint.link);
+            self.observers.heard_by(endpoint, ObserverAddress { home, address: frame.source })
+        });
+        are_different(robots) || are_different(observers)
+    }
+
     /// Brings what a ground station says to a system to the robot that it sees as that system; its bytes, if they change with it.
     fn follow_renaming(&mut self, frame: &FrameRef<'_>, to: &mut Vec<(LinkId, Recipients)>) -> Option<Vec<u8>> {
-        let system = self.vehicles.and_then(|_| target_of(frame.message_id, frame.payload).system())?;
+        let target = target_of(frame.message_id, frame.payload);
+        let system = self.vehicles.and_then(|_| target.system())?;
         let Some(robot) = self.robots.renamed(system) else {
             to.retain(|(link, recipients)| match recipients {
-                Recipients::Peer(peer) => !self.robots.is_seen_elsewhere(Endpoint { link: *link, peer: *peer }, system),
+                Recipients::Peer(peer) => !self.robots.is_announced_otherwise(Endpoint { link: *link, peer: *peer }, system),
                 Recipients::All | Recipients::AllExcept(_) => true,
             });
             return None;
@@ -129,7 +153,15 @@ impl<'a> ForwardingPass<'a> {
         let (endpoint, _) = robot.last_seen?;
         *to = self.router.destinations_at(self.from, frame, endpoint);
         let mut bytes = frame.raw.to_vec();
-        if retarget(frame.message_id, &mut bytes, robot.wire_address.system).is_err() {
+        let component = match target {
+            // As a vehicle the robot has another component than in its own frames.
+            MessageTarget::Component(address) if address.component != VEHICLE_COMPONENT => address.component,
+            MessageTarget::Component(_) | MessageTarget::System(_) | MessageTarget::Broadcast => {
+                robot.wire_address.component
+            }
+        };
+        let wire_target = Address { system: robot.wire_address.system, component };
+        if retarget(frame.message_id, &mut bytes, wire_target).is_err() {
             self.report.unchangeable += u64::from(!to.is_empty());
             to.clear();
         }
@@ -145,4 +177,9 @@ impl<'a> ForwardingPass<'a> {
         let message = dialect::decode(frame).ok().flatten();
         message.is_some_and(|message| vehicles.commanded_vehicle(self.now, &message).is_some())
     }
+}
+
+/// Whether both senders are known and are not the same.
+fn are_different<T: PartialEq>([first, second]: [Option<T>; 2]) -> bool {
+    first.is_some() && second.is_some() && first != second
 }

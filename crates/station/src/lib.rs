@@ -12,6 +12,7 @@ mod clock_alignment;
 mod codec_events;
 mod commands;
 pub mod config;
+mod contested_messages;
 mod decoder;
 mod egress;
 mod estimate_messages;

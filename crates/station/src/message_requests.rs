@@ -19,7 +19,7 @@ use crate::egress::Egress;
 use crate::estimate_messages::host_stamp;
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
-use crate::robot_table::RobotTable;
+use crate::robot_table::{RobotIndex, RobotTable};
 use crate::sessions::SenderRole;
 
 /// Of MAV_PROTOCOL_CAPABILITY: COMMAND_INT is understood.
@@ -63,6 +63,8 @@ pub(crate) struct RequestContext<'a> {
     pub(crate) egress: &'a Egress,
     pub(crate) link: LinkId,
     pub(crate) role: SenderRole,
+    /// The robot that asks, if it is one.
+    pub(crate) requester: Option<RobotIndex>,
 }
 
 /// The answer to a command about messages; `None` if it is about something else. `heartbeat` is the present one of the role: whoever
@@ -106,10 +108,10 @@ impl RequestContext<'_> {
                 return self.interval(about as u32);
             }
             other => match output_for_message(other) {
-                Some(kind) => {
-                    let robot = self.robot();
-                    robot.publisher.current(self.link, kind, robot.estimate_source(self.now))
-                }
+                Some(kind) => match self.robot() {
+                    Some(robot) => robot.publisher.current(self.link, kind, robot.estimate_source(self.now)),
+                    None => Vec::new(),
+                },
                 None => return Answer::of(CommandResult::Unsupported),
             },
         };
@@ -120,11 +122,14 @@ impl RequestContext<'_> {
         Answer { result: CommandResult::Accepted, messages }
     }
 
-    /// The robot that the role speaks for; the station speaks for the first.
-    fn robot(&self) -> &Robot {
+    /// The robot that the answer is about: the one as which the station answers, or the one that asks, or the only one.
+    fn robot(&self) -> Option<&Robot> {
         match self.role {
-            SenderRole::Station => self.robots.first(),
-            SenderRole::Vehicle(id) => self.robots.find(id).map_or(self.robots.first(), |index| self.robots.get(index)),
+            SenderRole::Station => match self.requester {
+                Some(index) => Some(self.robots.get(index)),
+                None => (self.robots.len() < 2).then(|| self.robots.first()),
+            },
+            SenderRole::Vehicle(id) => self.robots.find(id).map(|index| self.robots.get(index)),
         }
     }
 
@@ -133,7 +138,9 @@ impl RequestContext<'_> {
             return Answer::of(CommandResult::Denied);
         };
         let kind = output_for_message(message_id);
-        let interval = kind.and_then(|kind| self.robot().publisher.interval_micros(self.link, kind));
+        // Nobody in particular is answered for the first robot: it has the intervals that were asked for all of them.
+        let robot = self.robot().unwrap_or_else(|| self.robots.first());
+        let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
         let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);
         let reply = Message::MessageInterval(MessageInterval { message_id: on_wire, interval_micros });
         Answer { result: CommandResult::Accepted, messages: vec![reply] }

@@ -29,6 +29,18 @@ pub(crate) struct UnalignedObservation {
     pub(crate) tag: Option<u32>,
 }
 
+impl UnalignedObservation {
+    /// Whether it says how a robot drives.
+    pub(crate) const fn is_of_wheels(&self) -> bool {
+        matches!(
+            self.observed,
+            ObservationKind::WheelAngles { .. }
+                | ObservationKind::OdometerPose(_)
+                | ObservationKind::BodyVelocity { .. }
+        )
+    }
+}
+
 /// What interpretation needs to know about the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ObservationExtractor {

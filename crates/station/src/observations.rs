@@ -10,23 +10,30 @@ use posebridge_telemetry::{
 use crate::clock::align::Alignment;
 use crate::codec_events::{CodecEvents, OwnedCodecEvent};
 use crate::config::DescriptionPolicy;
+use crate::contested_messages::ContestedMessage;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
 use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
 use crate::robot_table::RobotIndex;
-use crate::sender_identity::{SenderIdentity, SenderSign};
+use crate::sender_identity::{MessageOrigin, SenderIdentity};
 use crate::station::{SEVERITY_WARNING, Station};
 use crate::thermometer_bank::TemperatureReading;
 
 /// MAV_TYPE_GCS.
 const MAV_TYPE_GCS: u8 = 6;
 
+/// Whether any of a message's observations is a robot's own.
+fn is_telemetry(observations: &[Option<UnalignedObservation>]) -> bool {
+    observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot)
+}
+
 /// Who sent the message that is being handled.
+#[derive(Clone, Copy)]
 struct MessageSender {
     received: ReceiveInfo,
-    sign: SenderSign,
+    origin: MessageOrigin,
     robot: Option<RobotIndex>,
 }
 
@@ -47,44 +54,115 @@ impl Station {
         let observations = extractor.extract(content);
         if duplicate_status == DuplicateStatus::Duplicate {
             self.observe_copy(received, observer, known, content, &observations);
+            // Robots that are built alike begin with the same bytes: it is no copy if its sender proves to be another one.
+            let is_of_robot = matches!(content, Message::RobotDescription(_)) || is_telemetry(&observations);
+            if known.is_none() && is_of_robot && self.robots.is_known(source) {
+                self.keep_contested(received, source, content);
+            }
             return;
         }
         if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
             self.emit(Event::Text { source, severity: *severity, text: text.clone() });
         }
         self.observers.fix_requests.observe_message((home, source), content);
-        if let Message::Heartbeat(heartbeat) = content
+        if let (Message::Heartbeat(heartbeat), DuplicateStatus::New) = (content, duplicate_status)
             && heartbeat.vehicle_type == MAV_TYPE_GCS
             && let Some(link) = self.links.get_mut(&received.endpoint.link)
         {
             link.add_ground_station(received.endpoint.peer);
         }
-        let sign = SenderSign {
+        let origin = MessageOrigin {
             endpoint: received.endpoint,
             home,
             address: source,
             is_new: duplicate_status == DuplicateStatus::New,
-            is_telemetry: observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot),
+            is_telemetry: is_telemetry(&observations),
         };
-        let identity = self.robots.identify(now, sign);
-        if identity == SenderIdentity::Contested {
-            return;
+        let mut sender = MessageSender { received, origin, robot: None };
+        match self.robots.identify(now, origin) {
+            SenderIdentity::Contested => {
+                if origin.is_new {
+                    self.keep_contested(received, source, content);
+                }
+                return;
+            }
+            SenderIdentity::Robot(index) => {
+                sender.robot = Some(index);
+                self.robots.record_seen(index, received.endpoint, now);
+            }
+            SenderIdentity::Unknown => {
+                // A description tells nobody apart: telemetry will, and then it counts.
+                if matches!(content, Message::RobotDescription(_)) && self.robots.is_known(source) {
+                    self.keep_contested(received, source, content);
+                    return;
+                }
+            }
         }
-        let mut sender = MessageSender { received, sign, robot: None };
-        if let SenderIdentity::Robot(index) = identity {
-            sender.robot = Some(index);
-            self.robots.record_seen(index, received.endpoint, now);
+        let was_robot = sender.robot.is_some();
+        if origin.is_telemetry {
+            self.handle_contested(&mut sender);
         }
+        self.handle_content(&mut sender, content, &observations);
+        if let Some(index) = sender.robot.filter(|_| !was_robot) {
+            self.distinguish_cameras(&sender, index);
+        }
+    }
+
+    /// A robot was told apart from others with its ids, and with it the cameras that share its connection.
+    fn distinguish_cameras(&mut self, sender: &MessageSender, index: RobotIndex) {
+        let MessageOrigin { endpoint, home, .. } = sender.origin;
+        let namesakes = self.robots.namesake_peers(index, endpoint.link);
+        for address in self.observers.distinguish(sender.received, home, &namesakes) {
+            let origin = MessageOrigin { address, is_telemetry: false, ..sender.origin };
+            self.handle_contested_observer(&MessageSender { origin, robot: None, ..*sender });
+        }
+    }
+
+    fn keep_contested(&mut self, received: ReceiveInfo, source: Address, content: &Message) {
+        self.robots.contested.push(received.endpoint, source, ContestedMessage::Message(received, content.clone()));
+    }
+
+    /// What came before from a sender that is identified now: a robot, or one that becomes a robot by it.
+    fn handle_contested(&mut self, sender: &mut MessageSender) {
+        let MessageOrigin { endpoint, address, .. } = sender.origin;
+        let received = sender.received;
+        for earlier in self.robots.contested.take(endpoint, address) {
+            if let ContestedMessage::Message(earlier, message) = earlier {
+                sender.received = earlier;
+                let observations = self.extractor_for(sender, message.fix_tag()).extract(&message);
+                self.handle_content(sender, &message, &observations);
+            }
+        }
+        sender.received = received;
+    }
+
+    /// The extractor for a sender: a robot's own, or that for an unknown one.
+    fn extractor_for(&self, sender: &MessageSender, tag: Option<u32>) -> ObservationExtractor {
+        let MessageOrigin { endpoint, home, address, .. } = sender.origin;
+        match sender.robot {
+            Some(index) => self.robots.get(index).extractor,
+            None => self.extractor_for_unknown(endpoint, ObserverAddress { home, address }, tag),
+        }
+    }
+
+    /// What a message says about robots.
+    fn handle_content(
+        &mut self,
+        sender: &mut MessageSender,
+        content: &Message,
+        observations: &[Option<UnalignedObservation>],
+    ) {
+        let origin = sender.origin;
         if let Message::RobotDescription(description) = content {
-            self.handle_description(&mut sender, description);
+            self.handle_description(sender, description);
         }
         if let Message::Thermometer { stamp, channel, temperature } = *content {
-            self.handle_temperature(&sender, stamp, channel, temperature);
+            self.handle_temperature(sender, stamp, channel, temperature);
         }
         for observation in observations.iter().flatten() {
             // What went round a loop is news only from a robot, whose telemetry counts on its own link alone.
-            if sign.is_new || sender.robot.is_some() || observation.clock_source == ClockSource::Robot {
-                self.handle_observation(&mut sender, observation);
+            if origin.is_new || sender.robot.is_some() || observation.clock_source == ClockSource::Robot {
+                self.handle_observation(sender, observation);
             }
         }
     }
@@ -167,7 +245,9 @@ impl Station {
     fn handle_observation(&mut self, sender: &mut MessageSender, observation: &UnalignedObservation) {
         match (observation.clock_source, sender.robot) {
             (ClockSource::Robot, _) => {
-                if let Some(index) = self.adopt_robot(sender) {
+                // A board with a gyro or a compass alone is no further robot.
+                let may_be_robot = sender.robot.is_some() || self.robots.len() == 0 || observation.is_of_wheels();
+                if let Some(index) = may_be_robot.then(|| self.adopt_robot(sender)).flatten() {
                     self.handle_robot_observation(sender.received, index, observation);
                 }
             }
@@ -179,13 +259,18 @@ impl Station {
     /// The robot that a sender of odometry is, if it may be one.
     fn adopt_robot(&mut self, sender: &mut MessageSender) -> Option<RobotIndex> {
         if sender.robot.is_none() {
-            sender.robot = self.robots.adopt(self.time.now, sender.sign, &self.config, &mut self.observers);
+            sender.robot = self.robots.adopt(self.time.now, sender.origin, &self.config, &mut self.observers);
+            if self.robots.take_first_refusal() {
+                let most = self.config.max_robots;
+                let text = format!("more than {most} robots (station.max_robots): those heard last are not followed");
+                self.report_own_text(SEVERITY_WARNING, text);
+            }
             if let Some(index) = sender.robot {
                 let robot = self.robots.get(index);
                 if let Some(name) = robot.name() {
                     self.emit(Event::RobotNamed { robot: robot.id, name: name.to_owned() });
                 }
-                self.report_announced_system(index, sender.sign.address);
+                self.report_announced_system(index, sender.origin.address);
                 self.update_presence();
             }
         }
@@ -199,8 +284,8 @@ impl Station {
         if announced != address.system {
             let link = robot.id.link;
             let text = format!(
-                "another robot has the ids {address} of the one on link {link}: this one is called {announced}/{}",
-                address.component
+                "system {} of robot {address} on link {link} is taken: it is announced as {announced}/{}",
+                address.system, address.component
             );
             self.report_own_text(SEVERITY_WARNING, text);
             // What is asked of everybody who is new was asked of these ids when the other robot was.
@@ -261,8 +346,14 @@ impl Station {
 
     /// A fix of an observer with a clock of its own: to the host's clock, then to that of the robot that the fix is for.
     fn handle_observer_fix(&mut self, sender: &MessageSender, observation: &UnalignedObservation) {
-        let (link, source) = (sender.sign.home, sender.sign.address);
+        let (link, source) = (sender.origin.home, sender.origin.address);
         let observer = ObserverAddress { home: link, address: source };
+        if self.observers.is_contested(observer, sender.received) {
+            let fix = ContestedMessage::Fix(sender.received, *observation);
+            self.robots.contested.push(sender.origin.endpoint, source, fix);
+            return;
+        }
+        self.handle_contested_observer(sender);
         let host = self.observers.host_time(observer, sender.received, observation.stamp);
         if self.observers.take_namesake() {
             self.request_time_burst(observer);
@@ -288,12 +379,37 @@ impl Station {
         self.observe(index, source, sender.received.host_time, aligned);
     }
 
-    /// The robot that a fix is for: the one with the tag that was seen, else the only one that is heard by the same endpoint as its
-    /// sender, else the only one at all, else the one in whose system its sender is.
+    /// What came before from a camera that is identified now.
+    fn handle_contested_observer(&mut self, sender: &MessageSender) {
+        let MessageOrigin { endpoint, address, .. } = sender.origin;
+        for earlier in self.robots.contested.take(endpoint, address) {
+            match earlier {
+                ContestedMessage::TimeExchange(exchange) => self.handle_time_exchange(address, &exchange),
+                ContestedMessage::Fix(received, fix) => {
+                    let sender = MessageSender { received, ..*sender };
+                    self.handle_observer_fix(&sender, &fix);
+                }
+                ContestedMessage::Message(..) => {}
+            }
+        }
+    }
+
+    /// The robot that a fix is for. A fix of a tag that the configuration gives to a robot is for that one alone. Any other is for the
+    /// only robot that is heard by the same endpoint as its sender, else the only one at all, else the only one in its sender's system,
+    /// unless that one has another tag.
     fn fixed_robot(&self, endpoint: Endpoint, sender: Address, tag: Option<u32>) -> Option<RobotIndex> {
         let robots = &self.robots;
-        let named = tag.and_then(|tag| robots.of_tag(tag)).or_else(|| robots.only_at(endpoint));
-        named.or_else(|| robots.only()).or_else(|| robots.of_system(sender.system))
+        let Some(tag) = tag else {
+            return robots.only_at(endpoint).or_else(|| robots.only()).or_else(|| robots.of_system(sender.system));
+        };
+        if let Some(named) = robots.of_tag(tag) {
+            return Some(named);
+        }
+        let mut configured = self.config.robots.iter().map(|block| &block.robot).chain([&self.config.robot]);
+        if configured.any(|robot| robot.tag == Some(tag)) {
+            return None;
+        }
+        self.fixed_robot(endpoint, sender, None).filter(|index| robots.get(*index).tag.is_none())
     }
 
     /// Gives an observation to a robot's estimator and publishes what became of it.
@@ -309,7 +425,7 @@ impl Station {
         self.emit(Event::ObservationAligned { robot, source, arrival, observation });
         let report = self.robots.get_mut(index).estimator.observe(&observation);
         if report.is_used {
-            self.robots.mark_news(index);
+            self.robots.mark_changed(index);
         }
         let record = report.record;
         if let ObservationKind::WallRange(range) = observation.measurement {
@@ -328,7 +444,8 @@ impl Station {
         }
         self.emit(Event::ObservationFused { robot, record });
         if report.slip_began {
-            self.report_own_text(SEVERITY_WARNING, "wheels slip: gyro and wheels disagree".to_owned());
+            let text = "wheels slip: gyro and wheels disagree";
+            self.report_own_text(SEVERITY_WARNING, self.robots.labelled(index, text));
         }
     }
 
@@ -374,6 +491,8 @@ impl Station {
 
     fn align_observer_clock(&mut self, observer: ObserverAddress, exchange: &TimeExchange) {
         let Some(outcome) = self.observers.observe_exchange(observer, exchange) else {
+            let contested = ContestedMessage::TimeExchange(*exchange);
+            self.robots.contested.push(exchange.answer.endpoint, observer.address, contested);
             return;
         };
         if outcome.is_contradicted {
@@ -398,7 +517,7 @@ impl Station {
         channel: ChannelName,
         temperature: Celsius,
     ) {
-        let SenderSign { home, address, is_new, .. } = sender.sign;
+        let MessageOrigin { home, address, is_new, .. } = sender.origin;
         if !is_new && sender.robot.is_none() {
             return;
         }
@@ -448,13 +567,13 @@ impl Station {
     fn handle_robot_restart(&mut self, index: RobotIndex) {
         let now = self.time.now;
         let robot = self.robots.get_mut(index);
-        let id = robot.id;
+        let (id, wire_address) = (robot.id, robot.wire_address);
         robot.estimator.restart_clock();
         self.restart_thermometers(id);
         self.robots.get_mut(index).clocks.forget_gyro_turn();
         for link in self.links.keys() {
             if self.router.are_redundant(*link, id.link) {
-                self.sessions.handle_peer_restart(now, *link, id.address);
+                self.sessions.handle_peer_restart(now, *link, wire_address);
             }
         }
         self.emit(Event::BrickRestarted { robot: id });
@@ -464,7 +583,7 @@ impl Station {
     fn handle_description(&mut self, sender: &mut MessageSender, description: &RobotDescription) {
         let is_wanted = sender.robot.map_or_else(
             || {
-                let robot = self.robots.config_for(&self.config, sender.sign.home, sender.sign.address);
+                let robot = self.robots.config_for(&self.config, sender.origin.home, sender.origin.address);
                 robot.description == DescriptionPolicy::Adopt
             },
             |index| self.robots.get(index).wants_description(),
@@ -484,5 +603,35 @@ impl Station {
 
     fn report_unaligned(&mut self, link: LinkId, source: Address) {
         self.emit(Event::ReceiveError { link, defect: ReceiveError::ClockNotAligned { source } });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{RobotBlock, RobotConfig, RobotMatch};
+    use crate::test_config::station_config;
+    use posebridge_telemetry::{LinkState, PeerId, SystemId};
+
+    #[test]
+    fn a_fix_of_a_tag_is_for_the_robot_with_that_tag_and_for_no_other() {
+        let mut config = station_config();
+        let block = |system, tag| RobotBlock {
+            matches: RobotMatch { system: Some(SystemId(system)), ..RobotMatch::default() },
+            robot: RobotConfig { tag: Some(tag), ..config.robot.clone() },
+        };
+        config.robots = vec![block(1, 7), block(2, 8)];
+        let link = config.links[0].id;
+        let mut station = Station::new(config, Timestamp::ZERO).unwrap();
+        station.handle(Timestamp::ZERO, &posebridge_telemetry::Input::Link { link, state: LinkState::Up });
+        let endpoint = Endpoint { link, peer: PeerId(0) };
+        let origin =
+            MessageOrigin { endpoint, home: link, address: Address::new(1, 1), is_new: true, is_telemetry: true };
+        let received = ReceiveInfo { endpoint, host_time: Timestamp::ZERO };
+        let first = station.adopt_robot(&mut MessageSender { received, origin, robot: None });
+        assert_eq!(first, Some(0));
+        for (tag, robot) in [(None, Some(0)), (Some(7), Some(0)), (Some(8), None), (Some(9), None)] {
+            assert_eq!(station.fixed_robot(endpoint, Address::new(1, 100), tag), robot, "tag {tag:?}");
+        }
     }
 }

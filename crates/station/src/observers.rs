@@ -85,6 +85,12 @@ impl Observers {
         std::mem::replace(&mut self.has_found_namesake, false)
     }
 
+    /// The observer that is heard by an endpoint.
+    pub(crate) fn heard_by(&self, endpoint: Endpoint, sender: ObserverAddress) -> Option<ObserverId> {
+        let observers = self.known.get(&sender)?;
+        observers.iter().find(|observer| observer.is_heard_by(endpoint)).map(|observer| observer.id)
+    }
+
     /// The clock of a sender that proves to be a robot.
     pub(crate) fn remove_clock(
         &mut self,
@@ -120,6 +126,11 @@ impl Observers {
             ObserverIdentity::Known(observer) => Some(clock_alignment::observe_exchange(&mut observer.clock, exchange)),
             ObserverIdentity::Contested(_) => None,
         }
+    }
+
+    /// Whether it is open who has sent what came in.
+    pub(crate) fn is_contested(&mut self, sender: ObserverAddress, received: ReceiveInfo) -> bool {
+        matches!(self.identify(sender, received), ObserverIdentity::Contested(_))
     }
 
     /// The host's instant of an observer's timestamp, and how far it may be off either way.
@@ -177,6 +188,34 @@ impl Observers {
         }
     }
 
+    /// A peer is known to be another one than `others` of its link: so are the observers that are heard by it and have the ids of those
+    /// that are heard by `others`. The addresses of those that are told apart by it.
+    pub(crate) fn distinguish(&mut self, received: ReceiveInfo, home: LinkId, others: &[PeerId]) -> Vec<Address> {
+        let endpoint = received.endpoint;
+        let first = (endpoint, Address::new(0, 0));
+        let last = (endpoint, Address::new(u8::MAX, u8::MAX));
+        let contenders = self.contenders.range(first..=last).map(|((_, address), _)| *address);
+        let is_other = |observer: &Observer| {
+            observer.contacts.get(&endpoint.link).is_some_and(|contact| others.contains(&contact.peer))
+        };
+        let is_distinct = |address: &Address| {
+            let known = self.known.get(&ObserverAddress { home, address: *address });
+            known.is_some_and(|observers| observers.iter().all(is_other))
+        };
+        let addresses: Vec<Address> = contenders.filter(is_distinct).collect();
+        for address in &addresses {
+            let sender = ObserverAddress { home, address: *address };
+            self.contenders.remove(&(endpoint, *address));
+            self.has_found_namesake = true;
+            let index = self.add(sender, received.host_time);
+            let contact = Contact { peer: endpoint.peer, last_heard: received.host_time, former: None };
+            if let Some(observer) = self.known.get_mut(&sender).and_then(|observers| observers.get_mut(index)) {
+                observer.contacts.insert(endpoint.link, contact);
+            }
+        }
+        addresses
+    }
+
     /// Who has sent what came in; a sender that nobody is like becomes an observer.
     fn identify(&mut self, sender: ObserverAddress, received: ReceiveInfo) -> ObserverIdentity<'_> {
         let ReceiveInfo { endpoint, host_time } = received;
@@ -189,13 +228,13 @@ impl Observers {
         let index = match known {
             Some(index) => index,
             None if observers.is_empty() => self.add(sender, host_time),
-            None => match judge(observers, endpoint, host_time, self.contenders.get(&contender).copied()) {
-                Newcomer::SameAs(index) => index,
-                Newcomer::Another => {
+            None => match classify_peer(observers, endpoint, host_time, self.contenders.get(&contender).copied()) {
+                PeerClass::SameAs(index) => index,
+                PeerClass::Another => {
                     self.has_found_namesake = true;
                     self.add(sender, host_time)
                 }
-                Newcomer::Contested(id) => {
+                PeerClass::Contested(id) => {
                     if self.contenders.len() >= MAX_CONTENDERS && !self.contenders.contains_key(&contender) {
                         self.contenders.clear();
                     }
@@ -246,6 +285,10 @@ impl Observers {
 }
 
 impl Observer {
+    fn is_heard_by(&self, endpoint: Endpoint) -> bool {
+        self.contacts.get(&endpoint.link).is_some_and(|contact| contact.peer == endpoint.peer)
+    }
+
     fn last_heard(&self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
         self.contacts.values().map(|contact| contact.last_heard).max().unwrap_or(now)
     }
@@ -267,7 +310,7 @@ impl<T> ObserverTime<T> {
 }
 
 /// What is known of a peer that is heard under ids that another peer of its link has.
-enum Newcomer {
+enum PeerClass {
     /// It is this one, which has reconnected.
     SameAs(usize),
     /// It is another observer.
@@ -276,13 +319,13 @@ enum Newcomer {
     Contested(ObserverId),
 }
 
-/// Judges a peer that is heard on a link where all observers with its ids are heard by other peers; `first` is when it was heard first.
-fn judge(
+/// Classifies a peer that is heard on a link where all observers with its ids are heard by other peers; `first` is when it was heard first.
+fn classify_peer(
     observers: &[Observer],
     endpoint: Endpoint,
     now: Timestamp<HostClock>,
     first: Option<Timestamp<HostClock>>,
-) -> Newcomer {
+) -> PeerClass {
     let contacts = observers.iter().enumerate();
     let contacts =
         contacts.filter_map(|(index, observer)| Some((index, observer.id, *observer.contacts.get(&endpoint.link)?)));
@@ -290,23 +333,20 @@ fn judge(
     // All who have the ids have gone on since it was heard first.
     let is_distinct = first.is_some_and(|first| contacts.clone().all(|(_, _, contact)| contact.last_heard > first));
     let Some((index, id, contact)) = contacts.min_by_key(|(_, _, contact)| contact.last_heard) else {
-        return Newcomer::Another;
+        return PeerClass::Another;
     };
     if is_back || is_distinct {
-        Newcomer::Another
+        PeerClass::Another
     } else if now - contact.last_heard >= HANDOVER {
-        Newcomer::SameAs(index)
+        PeerClass::SameAs(index)
     } else {
-        Newcomer::Contested(id)
+        PeerClass::Contested(id)
     }
 }
 
 /// The observer that is heard by an endpoint: by that peer, or, if there is only one, not yet on that link.
 fn index_of(observers: &[Observer], endpoint: Endpoint) -> Option<usize> {
-    let is_it = |observer: &Observer| {
-        observer.contacts.get(&endpoint.link).is_some_and(|contact| contact.peer == endpoint.peer)
-    };
-    observers.iter().position(is_it).or_else(|| match observers {
+    observers.iter().position(|observer| observer.is_heard_by(endpoint)).or_else(|| match observers {
         [only] if !only.contacts.contains_key(&endpoint.link) => Some(0),
         _ => None,
     })

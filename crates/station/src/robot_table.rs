@@ -2,17 +2,22 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use posebridge_estimator::{FilterEntry, find_filter};
+use posebridge_estimator::{FilterEntry, StartPose, find_filter};
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
-use posebridge_telemetry::{Address, HostClock, LinkId, RobotId, SystemId, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, SystemId, TimeDelta,
+    Timestamp,
+};
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::{RobotConfig, StationConfig};
+use crate::contested_messages::ContestedMessages;
+use crate::estimator::Estimator;
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
 use crate::robot_blocks::RobotBlockIndex;
-use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
+use crate::sender_identity::{MessageOrigin, SenderIdentities, SenderIdentity};
 use crate::sessions::PEER_TIMEOUT;
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
@@ -27,6 +32,8 @@ pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
     identities: SenderIdentities,
+    /// What came from senders that may be robots or cameras with the ids of others.
+    pub(crate) contested: ContestedMessages,
     blocks: RobotBlockIndex,
     by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
     by_tag: BTreeMap<u32, Vec<RobotIndex>>,
@@ -36,8 +43,16 @@ pub(crate) struct RobotTable {
     renamed: BTreeMap<SystemId, RobotIndex>,
     /// Which robots are at home on a link, by the first link of its group.
     by_link: BTreeMap<LinkId, Vec<RobotIndex>>,
+    /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know addresses alone
+    /// and do not notice when one of them is lost.
+    lost_namesakes: BTreeMap<RobotIndex, bool>,
+    /// A robot was refused, because there are as many as there may be; whether that was reported.
+    has_refused: bool,
+    has_reported_refusal: bool,
+    /// What was asked of all robots, for those that appear later.
+    settings: CommonSettings,
     /// Robots with something new since their last estimate, in the order of the table.
-    news: BTreeSet<RobotIndex>,
+    changed: BTreeSet<RobotIndex>,
     /// Robots whose estimate the other links have not been sent yet.
     pending: BTreeSet<RobotIndex>,
     /// Intervals that peers asked for, which hold for robots that appear later, too.
@@ -46,19 +61,47 @@ pub(crate) struct RobotTable {
     presence_until: Option<Timestamp<HostClock>>,
 }
 
+/// What was asked of the estimators of all robots.
+#[derive(Debug, Default)]
+struct CommonSettings {
+    online_calibration: Option<OnlineCalibration>,
+    sensors: BTreeMap<SensorId, SensorSwitch>,
+    /// Where the robot was put that was not heard yet.
+    first_pose: Option<StartPose>,
+}
+
+impl CommonSettings {
+    fn apply(&mut self, estimator: &mut Estimator) {
+        if let Some(online_calibration) = self.online_calibration {
+            estimator.set_online_calibration(online_calibration);
+        }
+        for (sensor, switch) in &self.sensors {
+            estimator.switch_sensor(*sensor, *switch);
+        }
+        if let Some(pose) = self.first_pose.take() {
+            estimator.set_pose(&pose);
+        }
+    }
+}
+
 impl RobotTable {
     pub(crate) fn new(entry: &'static FilterEntry, config: &StationConfig) -> Self {
         Self {
             robots: vec![Robot::new(entry, &config.robot, &config.links)],
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
+            contested: ContestedMessages::default(),
             blocks: RobotBlockIndex::new(&config.robots),
             by_system: BTreeMap::new(),
             by_tag: BTreeMap::new(),
             used_systems: BTreeSet::new(),
             renamed: BTreeMap::new(),
             by_link: BTreeMap::new(),
-            news: BTreeSet::new(),
+            lost_namesakes: BTreeMap::new(),
+            has_refused: false,
+            has_reported_refusal: false,
+            settings: CommonSettings::default(),
+            changed: BTreeSet::new(),
             pending: BTreeSet::new(),
             intervals: Vec::new(),
             presence_until: None,
@@ -116,14 +159,29 @@ impl RobotTable {
         only_one(self.by_tag.get(&tag)?)
     }
 
+    /// Whether a robot with this address is known, on whichever link.
+    pub(crate) fn is_known(&self, address: Address) -> bool {
+        self.identities.is_known(address)
+    }
+
     /// Who sent a message that came in now.
-    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, sign: SenderSign) -> SenderIdentity {
-        self.identities.identify(now, sign)
+    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) -> SenderIdentity {
+        self.identities.identify(now, origin)
     }
 
     /// The robot that is heard by an endpoint under an address; `home` is the first link of the endpoint's group.
     pub(crate) fn at_endpoint(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
         self.identities.find(endpoint, home, address)
+    }
+
+    /// The robot that is heard by an endpoint under an address.
+    pub(crate) fn heard_by(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
+        self.identities.heard_by(endpoint, address)
+    }
+
+    /// By which peer a robot is heard on a link.
+    pub(crate) fn peer_on(&self, robot: RobotIndex, link: LinkId) -> Option<PeerId> {
+        self.identities.peer_on(robot, link)
     }
 
     /// The only robot that is heard by an endpoint.
@@ -149,7 +207,7 @@ impl RobotTable {
     }
 
     /// Whether what is for a system must not go to an endpoint, because only a robot that is seen as another system is heard there.
-    pub(crate) fn is_seen_elsewhere(&self, endpoint: Endpoint, system: SystemId) -> bool {
+    pub(crate) fn is_announced_otherwise(&self, endpoint: Endpoint, system: SystemId) -> bool {
         let robot = self.only_at(endpoint).filter(|_| !self.renamed.is_empty()).map(|index| self.get(index));
         robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
     }
@@ -163,42 +221,49 @@ impl RobotTable {
     pub(crate) fn adopt(
         &mut self,
         now: Timestamp<HostClock>,
-        sign: SenderSign,
+        origin: MessageOrigin,
         config: &StationConfig,
         observers: &mut Observers,
     ) -> Option<RobotIndex> {
-        let address = sign.address;
-        if config.robot_system.is_some_and(|wanted: SystemId| wanted != address.system)
-            || self.len() >= config.max_robots.max(1)
-        {
+        let address = origin.address;
+        if config.robot_system.is_some_and(|wanted: SystemId| wanted != address.system) {
             return None;
         }
         // Only telemetry tells two robots with the same ids apart.
-        if !sign.is_telemetry && self.identities.is_known(address) {
+        if !origin.is_telemetry && self.identities.is_known(address) {
             return None;
         }
         let vehicle_address = self.free_vehicle_address(address.system, config.own_address);
+        let id = self.free_id(RobotId { link: origin.home, address }, vehicle_address.system);
+        let Some(id) = id.filter(|_| self.len() < config.max_robots.max(1)) else {
+            self.has_refused = true;
+            return None;
+        };
         let index = self.len();
-        let robot_config = self.config_for(config, sign.home, address);
+        let robot_config = self.config_for(config, origin.home, address);
         // The first robot takes the place of the one that is configured, with what that was given before it was heard.
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
             let mut robot = Robot::new(entry, robot_config, &config.links);
             robot.estimator.set_params(config.robot.filter_config.params);
+            self.settings.apply(&mut robot.estimator);
             for (link, message_id, interval) in &self.intervals {
                 robot.publisher.set_interval(*link, *message_id, *interval);
             }
             self.robots.truncate(index);
             self.robots.push(robot);
         }
-        // Two robots with the same ids on one link are told apart by the system that the second is given.
-        let system = if self.identities.is_taken(sign.home, address) { vehicle_address.system } else { address.system };
-        let id = RobotId { link: sign.home, address: Address { system, ..address } };
-        self.identities.add(now, sign);
+        let namesakes: Vec<RobotIndex> = self.identities.at_home(origin.home, address).collect();
+        if !namesakes.is_empty() {
+            for robot in namesakes.into_iter().chain([index]) {
+                self.lost_namesakes.entry(robot).or_insert(false);
+            }
+        }
+        self.identities.add(now, origin);
         self.by_id.insert(id, index);
         self.by_link.entry(id.link).or_default().push(index);
-        self.by_system.entry(system).or_default().push(index);
-        self.used_systems.extend([system, vehicle_address.system]);
+        self.by_system.entry(address.system).or_default().push(index);
+        self.used_systems.extend([id.address.system, vehicle_address.system]);
         let robot = &mut self.robots[index];
         robot.id = id;
         if let Some(tag) = robot.tag {
@@ -210,11 +275,31 @@ impl RobotTable {
             self.renamed.entry(vehicle_address.system).or_insert(index);
         }
         // Its answers to time requests may have come before its telemetry.
-        if let Some(clock) = observers.remove_clock(ObserverAddress { home: sign.home, address }, sign.endpoint) {
+        if let Some(clock) = observers.remove_clock(ObserverAddress { home: origin.home, address }, origin.endpoint) {
             robot.clocks = ClockAlignment::from_observer(clock);
         }
         self.presence_until = None;
         Some(index)
+    }
+
+    /// An id that no robot has yet: that of its own frames, else the same with the first free of other systems, `preferred` before all;
+    /// `None` if there is none. Two robots with the same ids on one link are told apart by it.
+    fn free_id(&self, own: RobotId, preferred: SystemId) -> Option<RobotId> {
+        let systems = [own.address.system, preferred].into_iter().chain((1..=u8::MAX).map(SystemId));
+        let mut ids = systems.map(|system| RobotId { address: Address { system, ..own.address }, ..own });
+        ids.find(|id| !self.by_id.contains_key(id))
+    }
+
+    /// A text about a robot; among several it begins with what people call it.
+    pub(crate) fn labelled(&self, index: RobotIndex, text: &str) -> String {
+        if self.len() > 1 { format!("{}: {text}", self.get(index).label()) } else { text.to_owned() }
+    }
+
+    /// Whether a robot was refused for the first time, because there are as many as there may be.
+    pub(crate) const fn take_first_refusal(&mut self) -> bool {
+        let is_first = self.has_refused && !self.has_reported_refusal;
+        self.has_reported_refusal |= self.has_refused;
+        is_first
     }
 
     /// The address under which ground stations see a robot: that of its own system, unless another robot has it.
@@ -241,6 +326,33 @@ impl RobotTable {
     /// Whether any robot was heard recently.
     pub(crate) fn is_any_alive(&self, now: Timestamp<HostClock>) -> bool {
         self.robots.iter().any(|robot| robot.is_alive(now))
+    }
+
+    /// The peers of a link by which other robots with the ids of a robot are heard.
+    pub(crate) fn namesake_peers(&self, index: RobotIndex, link: LinkId) -> Vec<PeerId> {
+        let robot = self.get(index);
+        let namesakes = self.identities.at_home(robot.id.link, robot.wire_address);
+        namesakes.filter(|other| *other != index).filter_map(|other| self.identities.peer_on(other, link)).collect()
+    }
+
+    /// Whether several robots of a link have this address.
+    pub(crate) fn is_shared(&self, home: LinkId, address: Address) -> bool {
+        !self.lost_namesakes.is_empty() && self.identities.at_home(home, address).nth(1).is_some()
+    }
+
+    /// Robots that share their address and were lost, with their silence, or are heard again.
+    pub(crate) fn take_namesake_changes(&mut self, now: Timestamp<HostClock>) -> Vec<(RobotId, Option<TimeDelta>)> {
+        let mut changes = Vec::new();
+        for (index, is_lost) in &mut self.lost_namesakes {
+            let robot = &self.robots[*index];
+            if robot.is_alive(now) == *is_lost
+                && let Some((_, last_seen)) = robot.last_seen
+            {
+                *is_lost = !*is_lost;
+                changes.push((robot.id, is_lost.then(|| now - last_seen)));
+            }
+        }
+        changes
     }
 
     /// Whether a robot may have come, gone or come back since this was asked last.
@@ -281,14 +393,31 @@ impl RobotTable {
         }
     }
 
+    /// All robots learn about themselves, or do not, those that appear later, too.
+    pub(crate) const fn keep_online_calibration(&mut self, online_calibration: OnlineCalibration) {
+        self.settings.online_calibration = Some(online_calibration);
+    }
+
+    /// A sensor is on or off on all robots, those that appear later, too.
+    pub(crate) fn keep_sensor_switch(&mut self, sensor: SensorId, switch: SensorSwitch) {
+        self.settings.sensors.insert(sensor, switch);
+    }
+
+    /// The first robot is put somewhere, or its pose is forgotten; before one is heard that holds for the one that will be the first.
+    pub(crate) fn keep_first_pose(&mut self, pose: Option<StartPose>) {
+        if self.len() == 0 {
+            self.settings.first_pose = pose;
+        }
+    }
+
     /// Something new is known about a robot.
-    pub(crate) fn mark_news(&mut self, index: RobotIndex) {
-        self.news.insert(index);
+    pub(crate) fn mark_changed(&mut self, index: RobotIndex) {
+        self.changed.insert(index);
     }
 
     /// The next robot with something new.
-    pub(crate) fn pop_news(&mut self) -> Option<RobotIndex> {
-        self.news.pop_first()
+    pub(crate) fn pop_changed(&mut self) -> Option<RobotIndex> {
+        self.changed.pop_first()
     }
 
     /// A robot was sent its estimate, and the other links were not.
@@ -324,8 +453,8 @@ mod tests {
         let mut table = RobotTable::new(entry, config);
         for (peer, address) in (0..).zip(addresses) {
             let endpoint = Endpoint { link: HOME, peer: PeerId(peer) };
-            let sign = SenderSign { endpoint, home: HOME, address: *address, is_new: true, is_telemetry: true };
-            table.adopt(Timestamp::ZERO, sign, config, &mut Observers::default()).unwrap();
+            let origin = MessageOrigin { endpoint, home: HOME, address: *address, is_new: true, is_telemetry: true };
+            table.adopt(Timestamp::ZERO, origin, config, &mut Observers::default()).unwrap();
         }
         table
     }

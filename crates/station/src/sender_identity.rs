@@ -3,11 +3,12 @@
 //! A robot is known by link and address, and by the peer that it was heard from. When its address is heard from another peer of its
 //! link, or on another link, there are three explanations, which are told apart by what follows:
 //!
-//! - it reconnected: the old peer is silent from then on ([`HANDOVER`]), and the new one takes its place;
+//! - it reconnected: the old peer of that link is silent for longer than it usually is, and telemetry comes from the new one, which
+//!   takes its place;
 //! - its frames came round a loop: the same telemetry was received by both ways, which the router notices;
-//! - it is another robot with the same ids: both go on, with telemetry of their own.
+//! - it is another robot with the same ids: both go on, with telemetry of their own; or, on another link, the robot there is off.
 //!
-//! Until that is known, the telemetry of the newcomer is not used.
+//! Until that is known, the telemetry of the new peer is not used.
 
 use std::collections::BTreeMap;
 
@@ -15,9 +16,12 @@ use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
 use crate::robot_table::RobotIndex;
+use crate::sessions::PEER_TIMEOUT;
 
-/// Silence after which another peer with the same address takes a robot's place.
+/// Silence after which another peer with the same address takes the place of the first, at the earliest.
 pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
+/// A robot that sends rarely is silent for longer than that: another peer takes its place after so many of its usual intervals.
+const HANDOVER_INTERVALS: i64 = 2;
 /// Telemetry that came round a loop shows for so long that the address is heard by several ways.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
 /// Most senders whose identity is open.
@@ -36,7 +40,7 @@ pub(crate) enum SenderIdentity {
 
 /// A message, as far as identity is concerned.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct SenderSign {
+pub(crate) struct MessageOrigin {
     pub(crate) endpoint: Endpoint,
     /// The first link of the endpoint's group.
     pub(crate) home: LinkId,
@@ -66,16 +70,36 @@ struct KnownSender {
     /// The peer on each link of the group, and when it was heard last.
     peers: BTreeMap<LinkId, (PeerId, Timestamp<HostClock>)>,
     last_telemetry: Timestamp<HostClock>,
+    /// The last times between two messages with telemetry.
+    intervals: [TimeDelta; 4],
+}
+
+impl KnownSender {
+    fn new(endpoint: Endpoint, home: LinkId, now: Timestamp<HostClock>) -> Self {
+        let peers = BTreeMap::from([(endpoint.link, (endpoint.peer, now))]);
+        Self { home, peers, last_telemetry: now, intervals: [TimeDelta::ZERO; 4] }
+    }
+
+    fn record_telemetry(&mut self, now: Timestamp<HostClock>) {
+        let [first, second, third, _] = self.intervals;
+        self.intervals = [now - self.last_telemetry, first, second, third];
+        self.last_telemetry = now;
+    }
+
+    /// The silence after which another peer of a link takes the place of the one that it was heard by.
+    fn handover(&self) -> TimeDelta {
+        let longest = self.intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
+        HANDOVER.max(TimeDelta::from_nanos(longest.as_nanos().saturating_mul(HANDOVER_INTERVALS)))
+    }
 }
 
 impl SenderIdentities {
     /// A sender is a robot from now on: the next of the table.
-    pub(crate) fn add(&mut self, now: Timestamp<HostClock>, sign: SenderSign) {
-        let SenderSign { endpoint, home, address, .. } = sign;
+    pub(crate) fn add(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) {
+        let MessageOrigin { endpoint, home, address, .. } = origin;
         let robot = self.senders.len();
         self.contenders.remove(&(endpoint.link, endpoint.peer, address));
-        let peers = BTreeMap::from([(endpoint.link, (endpoint.peer, now))]);
-        self.senders.push(KnownSender { home, peers, last_telemetry: now });
+        self.senders.push(KnownSender::new(endpoint, home, now));
         self.by_address.entry(address).or_default().push(robot);
         self.by_endpoint.insert((endpoint, address), robot);
     }
@@ -89,10 +113,19 @@ impl SenderIdentities {
         only.filter(|_| robots.next().is_none())
     }
 
+    /// The robot that is heard by an endpoint under an address.
+    pub(crate) fn heard_by(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
+        self.by_endpoint.get(&(endpoint, address)).copied()
+    }
+
+    /// By which peer a robot is heard on a link.
+    pub(crate) fn peer_on(&self, robot: RobotIndex, link: LinkId) -> Option<PeerId> {
+        self.senders.get(robot)?.peers.get(&link).map(|(peer, _)| *peer)
+    }
+
     /// The robot of an endpoint and an address, without any effect.
     pub(crate) fn find(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
-        let same_peer = self.by_endpoint.get(&(endpoint, address)).copied();
-        same_peer.or_else(|| {
+        self.heard_by(endpoint, address).or_else(|| {
             let is_elsewhere = |robot: &RobotIndex| !self.senders[*robot].peers.contains_key(&endpoint.link);
             self.at_home(home, address).find(is_elsewhere)
         })
@@ -103,20 +136,15 @@ impl SenderIdentities {
         self.by_address.contains_key(&address)
     }
 
-    /// Whether a robot with this address is known on a link.
-    pub(crate) fn is_taken(&self, home: LinkId, address: Address) -> bool {
-        self.at_home(home, address).next().is_some()
-    }
-
     /// The robots with an address at home on a link.
-    fn at_home(&self, home: LinkId, address: Address) -> impl Iterator<Item = RobotIndex> {
+    pub(crate) fn at_home(&self, home: LinkId, address: Address) -> impl Iterator<Item = RobotIndex> {
         let robots = self.by_address.get(&address).map_or(&[][..], Vec::as_slice);
         robots.iter().copied().filter(move |robot| self.senders[*robot].home == home)
     }
 
     /// Who sent a message that came in now.
-    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, sign: SenderSign) -> SenderIdentity {
-        let SenderSign { endpoint, home, address, is_new, is_telemetry } = sign;
+    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) -> SenderIdentity {
+        let MessageOrigin { endpoint, home, address, is_new, is_telemetry } = origin;
         if !self.is_known(address) {
             return SenderIdentity::Unknown;
         }
@@ -124,26 +152,27 @@ impl SenderIdentities {
             self.looped_until.insert(address, now + LOOP_MEMORY);
         }
         if let Some(robot) = self.find(endpoint, home, address) {
-            self.move_to(robot, now, sign);
+            self.move_to(robot, now, origin);
             if is_telemetry && is_new {
-                self.senders[robot].last_telemetry = now;
+                self.senders[robot].record_telemetry(now);
             }
             return SenderIdentity::Robot(robot);
         }
         let last_heard = |robot: &RobotIndex| self.senders[*robot].peers.get(&endpoint.link).map(|(_, last)| *last);
         if let Some(robot) = self.at_home(home, address).min_by_key(last_heard) {
+            if !is_new {
+                return SenderIdentity::Robot(robot);
+            }
             let last = last_heard(&robot).unwrap_or(now);
-            if !is_new || now - last >= HANDOVER {
-                if is_new {
-                    self.move_to(robot, now, sign);
-                    self.senders[robot].last_telemetry = now;
-                    self.contenders.remove(&(endpoint.link, endpoint.peer, address));
-                }
+            // A camera or a thermometer may have the ids of a robot: only telemetry takes its place.
+            if is_telemetry && now - last >= self.senders[robot].handover() {
+                self.move_to(robot, now, origin);
+                self.senders[robot].record_telemetry(now);
+                self.contenders.remove(&(endpoint.link, endpoint.peer, address));
                 return SenderIdentity::Robot(robot);
             }
         }
         if !is_telemetry {
-            // A thermometer or a camera may have the ids of a robot.
             return SenderIdentity::Unknown;
         }
         if !is_new {
@@ -156,14 +185,17 @@ impl SenderIdentities {
         }
         let first = *self.contenders.entry(key).or_insert(now);
         let mut known = self.by_address.get(&address).into_iter().flatten();
-        // All who have the address have gone on since, each with telemetry of its own.
-        let is_distinct = known.all(|robot| self.senders[*robot].last_telemetry > first);
+        // Every robot with the address has gone on since, with telemetry of its own, or is off.
+        let is_distinct = known.all(|robot| {
+            let last = self.senders[*robot].last_telemetry;
+            last > first || now - last >= PEER_TIMEOUT
+        });
         if is_distinct && !is_looped { SenderIdentity::Unknown } else { SenderIdentity::Contested }
     }
 
     /// A robot is heard by an endpoint; by another peer of that link it is heard no more.
-    fn move_to(&mut self, robot: RobotIndex, now: Timestamp<HostClock>, sign: SenderSign) {
-        let SenderSign { endpoint, address, .. } = sign;
+    fn move_to(&mut self, robot: RobotIndex, now: Timestamp<HostClock>, origin: MessageOrigin) {
+        let MessageOrigin { endpoint, address, .. } = origin;
         let before = self.senders[robot].peers.insert(endpoint.link, (endpoint.peer, now));
         if before.is_some_and(|(peer, _)| peer == endpoint.peer) {
             return;
@@ -185,9 +217,9 @@ mod tests {
         Timestamp::from_millis(millis)
     }
 
-    fn telemetry(link: u16, peer: u32) -> SenderSign {
+    fn telemetry(link: u16, peer: u32) -> MessageOrigin {
         let endpoint = Endpoint { link: LinkId(link), peer: PeerId(peer) };
-        SenderSign { endpoint, home: LinkId(link), address: ADDRESS, is_new: true, is_telemetry: true }
+        MessageOrigin { endpoint, home: LinkId(link), address: ADDRESS, is_new: true, is_telemetry: true }
     }
 
     fn with_one_robot() -> SenderIdentities {
@@ -207,9 +239,36 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_that_sends_rarely_is_not_taken_for_one_that_reconnected() {
+        let mut identities = with_one_robot();
+        for millis in (500..=2_500).step_by(500) {
+            assert_eq!(identities.identify(at(millis), telemetry(0, 0)), SenderIdentity::Robot(0));
+        }
+        assert_eq!(identities.identify(at(2_950), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identities.identify(at(3_000), telemetry(0, 0)), SenderIdentity::Robot(0));
+        assert_eq!(identities.identify(at(3_450), telemetry(0, 1)), SenderIdentity::Unknown, "both go on");
+    }
+
+    #[test]
+    fn only_telemetry_takes_the_place_of_a_robot_that_is_silent() {
+        let mut identities = with_one_robot();
+        let camera = MessageOrigin { is_telemetry: false, ..telemetry(0, 1) };
+        assert_eq!(identities.identify(at(400), camera), SenderIdentity::Unknown);
+        assert_eq!(identities.identify(at(500), telemetry(0, 0)), SenderIdentity::Robot(0));
+    }
+
+    #[test]
+    fn the_ids_of_a_robot_that_is_off_are_another_robot_on_another_link() {
+        let mut identities = with_one_robot();
+        assert_eq!(identities.identify(at(1_000), telemetry(1, 0)), SenderIdentity::Contested);
+        assert_eq!(identities.identify(at(4_999), telemetry(1, 0)), SenderIdentity::Contested);
+        assert_eq!(identities.identify(at(5_000), telemetry(1, 0)), SenderIdentity::Unknown);
+    }
+
+    #[test]
     fn a_thermometer_with_the_ids_of_a_robot_on_another_link_is_heard() {
         let mut identities = with_one_robot();
-        let thermometer = SenderSign { is_telemetry: false, ..telemetry(2, 0) };
+        let thermometer = MessageOrigin { is_telemetry: false, ..telemetry(2, 0) };
         assert_eq!(identities.identify(at(10), thermometer), SenderIdentity::Unknown);
     }
 
@@ -233,11 +292,11 @@ mod tests {
         for millis in (50..20_000).step_by(50) {
             // Now the one way is quicker, now the other.
             let is_direct_first = millis % 100 == 0;
-            let direct = SenderSign { is_new: is_direct_first, ..telemetry(0, 0) };
-            let detour = SenderSign { is_new: !is_direct_first, ..telemetry(1, 0) };
+            let direct = MessageOrigin { is_new: is_direct_first, ..telemetry(0, 0) };
+            let detour = MessageOrigin { is_new: !is_direct_first, ..telemetry(1, 0) };
             let (first, second) = if is_direct_first { (direct, detour) } else { (detour, direct) };
-            for sign in [first, second] {
-                assert_ne!(identities.identify(at(millis), sign), SenderIdentity::Unknown, "{millis} ms");
+            for origin in [first, second] {
+                assert_ne!(identities.identify(at(millis), origin), SenderIdentity::Unknown, "{millis} ms");
             }
         }
     }

@@ -58,16 +58,6 @@ pub(crate) enum SenderRole {
     Vehicle(RobotId),
 }
 
-impl SenderRole {
-    /// The robot that it speaks for; `None` for the station.
-    pub(crate) const fn robot(self) -> Option<RobotId> {
-        match self {
-            Self::Station => None,
-            Self::Vehicle(robot) => Some(robot),
-        }
-    }
-}
-
 /// The sessions of all links.
 #[derive(Debug)]
 pub(crate) struct Sessions {

@@ -28,7 +28,7 @@ use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::receive_pass::{ReceivePass, ReceivedBatch};
 use crate::robot::Robot;
 use crate::robot_table::{RobotIndex, RobotTable};
-use crate::sessions::Sessions;
+use crate::sessions::{SenderRole, Sessions};
 use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
 use crate::transmitter::Transmitter;
@@ -71,7 +71,7 @@ impl Station {
     ///
     /// # Errors
     /// The filter is unknown, or two links share an id.
-    pub fn new(config: StationConfig, now: Timestamp<HostClock>) -> Result<Self, BuildError> {
+    pub fn new(mut config: StationConfig, now: Timestamp<HostClock>) -> Result<Self, BuildError> {
         let entry = find_filter(&config.robot.filter).ok_or_else(|| BuildError::UnknownFilter {
             name: config.robot.filter.clone(),
             known: FILTERS.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
@@ -82,9 +82,14 @@ impl Station {
                 return Err(BuildError::DuplicateLink { id: link.id });
             }
         }
+        let router = FrameRouter::new(config.router_config());
+        for block in &mut config.robots {
+            // A robot of redundant links is known by the first of them.
+            block.matches.link = block.matches.link.map(|link| router.first_of_group(link));
+        }
         Ok(Self {
             links,
-            router: FrameRouter::new(config.router_config()),
+            router,
             sessions: Sessions::new(&config, now),
             observers: Observers::default(),
             robots: RobotTable::new(entry, &config),
@@ -257,7 +262,15 @@ impl Station {
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
         let vehicles = self.sessions.vehicles(id);
-        let forwarding = ForwardingPass::new(&mut self.router, now, received.endpoint, sharing, vehicles, &self.robots);
+        let forwarding = ForwardingPass::new(
+            &mut self.router,
+            now,
+            received.endpoint,
+            sharing,
+            vehicles,
+            &self.robots,
+            &self.observers,
+        );
         let LinkContext { framers, verifier, decoder, .. } = link;
         let batch = ReceivedBatch::default();
         let mut pass = ReceivePass { now, peer, verifier, forwarding, decoder, batch };
@@ -308,6 +321,12 @@ impl Station {
 
     fn advance_time(&mut self) {
         self.update_presence();
+        for (robot, silence) in self.robots.take_namesake_changes(self.time.now) {
+            self.emit(match silence {
+                Some(silence) => Event::RobotLost { robot, silence },
+                None => Event::RobotDetected { robot },
+            });
+        }
         if self.is_due() {
             self.run_due();
         } else if !self.sessions.are_idle() {
@@ -356,6 +375,8 @@ impl Station {
         while let Some((role, output)) = self.sessions.poll(id) {
             match output {
                 SessionOutput::Send(message) => self.transmitter().send_session_message(id, role, &message),
+                SessionOutput::PeerSeen { peer, .. } | SessionOutput::PeerLost { peer, .. }
+                    if self.robots.is_shared(self.router.first_of_group(id), peer) => {}
                 SessionOutput::PeerSeen { peer, .. } => {
                     self.emit(Event::RobotDetected { robot: RobotId { link: id, address: peer } });
                 }
@@ -366,9 +387,14 @@ impl Station {
                     // The session's own idea of when it came is when it was handled.
                     self.handle_time_exchange(peer, &TimeExchange { sent, answer: received, peer_nanos });
                 }
-                SessionOutput::CommandReceived { by, command } => self.handle_link_command(id, role, by, &command),
-                SessionOutput::IntervalRequested { message_id, interval, .. } => {
-                    let robot = role.robot().and_then(|robot| self.robots.find(robot));
+                SessionOutput::CommandReceived { by, command } => {
+                    self.handle_link_command(received, role, by, &command);
+                }
+                SessionOutput::IntervalRequested { by, message_id, interval } => {
+                    let robot = match role {
+                        SenderRole::Station => self.requesting_robot(received, by),
+                        SenderRole::Vehicle(robot) => self.robots.find(robot),
+                    };
                     self.robots.set_interval(robot, id, message_id, interval);
                 }
                 SessionOutput::ParameterSetRequested { index, value, .. } => {
@@ -406,7 +432,7 @@ impl Station {
 
     /// One estimate per robot that has something new, for the latest instant that was observed: to the robot at once.
     fn publish_to_robots(&mut self) {
-        while let Some(index) = self.robots.pop_news() {
+        while let Some(index) = self.robots.pop_changed() {
             let estimate = self.robots.get(index).estimator.latest_estimate();
             self.request_fixes(estimate.as_ref());
             let Some(estimate) = estimate else {

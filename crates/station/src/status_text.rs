@@ -223,10 +223,14 @@ impl StatusTextQueue {
                 Some((Topic::Restart(index), SEVERITY_WARNING, text))
             }
             Event::ObservationFused { record, robot } => {
-                text_for_record(context.robots.find(*robot).unwrap_or_default(), record)
+                let index = context.robots.find(*robot).unwrap_or_default();
+                let (topic, severity, text) = text_for_record(index, record)?;
+                Some((topic, severity, context.robots.labelled(index, &text)))
             }
             Event::EstimateUpdated { estimate, robot } => {
-                self.text_for_reset(context.robots.find(*robot).unwrap_or_default(), estimate)
+                let index = context.robots.find(*robot).unwrap_or_default();
+                let (topic, severity, text) = self.text_for_reset(index, estimate)?;
+                Some((topic, severity, context.robots.labelled(index, &text)))
             }
             Event::Text { source, severity, text } => {
                 let sender = if *source == context.own_address {

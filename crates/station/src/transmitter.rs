@@ -78,6 +78,12 @@ impl Transmitter<'_> {
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
     }
 
+    /// Sends a message of the station to one peer.
+    pub(crate) fn send_to_peer(&mut self, to: Endpoint, message: &Message, priority: Priority) {
+        let Endpoint { link, peer } = to;
+        self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::Peer(peer) });
+    }
+
     /// Sends what a robot's session as a vehicle says, unless the robot says it itself or the station must not speak for it.
     fn send_as_vehicle(&mut self, link: LinkId, robot: RobotId, message: &Message, priority: Priority) {
         let now = self.now;
@@ -151,13 +157,8 @@ impl Transmitter<'_> {
     /// On a link with several robots a robot gets its own outputs, ground stations get all of them, and no robot gets another's.
     fn send_on_shared_link(&mut self, index: RobotIndex, transmission: Transmission<'_>) {
         let id = transmission.link;
-        let own_endpoint = self.robots.get(index).last_seen.map(|(endpoint, _)| endpoint);
-        if let Some(endpoint) = own_endpoint.filter(|endpoint| endpoint.link == id) {
-            self.transmit(Transmission {
-                to: Recipients::Peer(endpoint.peer),
-                sender: Sender::Station,
-                ..transmission
-            });
+        if let Some(peer) = self.robots.peer_on(index, id) {
+            self.transmit(Transmission { to: Recipients::Peer(peer), sender: Sender::Station, ..transmission });
         }
         let Some(link) = self.links.get(&id) else {
             return;
@@ -253,14 +254,20 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The peers of a link that listen to what others say to everybody; `None` for all of them.
+    /// The peers of a link that broadcasts of an endpoint go to; `None` for all of them.
     ///
-    /// Where several robots share a link, those are its ground stations: what a robot or its camera says twenty times a second would
-    /// otherwise go to every other robot, and a weak robot has no time for it. What a ground station says to everybody goes to all.
+    /// What a robot or its camera broadcasts twenty times a second must not go to every other robot: a weak robot has no time for it. So
+    /// where several robots share the link only its ground stations get it, and on the link of one other robot nobody does whose ground
+    /// station was not heard. What a ground station broadcasts goes to all.
     fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
         let is_ground_station =
             self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
-        if is_ground_station || self.robots.at_home(id, self.router).len() < 2 {
+        let robots = self.robots.at_home(id, self.router);
+        let is_of_other_robot = robots.first().is_some_and(|robot| {
+            let sender = self.robots.only_at(from);
+            sender.is_some_and(|sender| sender != *robot)
+        });
+        if is_ground_station || (robots.len() < 2 && !is_of_other_robot) {
             return None;
         }
         let peers = self.links.get(&id)?.ground_stations();
@@ -273,54 +280,65 @@ impl Transmitter<'_> {
     /// Not every frame of a sender is for this link (answers to others, what is filtered or rate limited), and a robot shares its
     /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
     fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
-        let now = self.now;
-        // Whoever is on the link itself is heard there by some peers without the station.
-        if self.router.are_redundant(frame.from.link, id) {
+        // A sender on the link itself, or on one redundant to it, is heard there by some peers without the station.
+        if self.router.are_redundant(frame.from.link, id) || self.sessions.vehicles(id).is_none() {
             return false;
         }
-        // A sender with a robot's address on a link without robots must not silence the station.
-        let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, self.router).is_empty();
-        let (Some(link), Some(vehicles)) = (self.links.get_mut(&id), self.sessions.vehicles_mut(id)) else {
-            return false;
-        };
         let home = self.router.first_of_group(frame.from.link);
         let announced = self.robots.announced_address(frame.from, home, frame.source);
-        let from = announced.unwrap_or(frame.source);
-        if announced.is_some() && frame.is_signed {
-            // Under its own ids it would be another robot's there.
-            link.health.drops_out += 1;
-            return true;
+        // Under its own ids it would be another robot's there, and signed it cannot be changed.
+        let is_unchangeable = announced.is_some() && frame.is_signed;
+        let bytes = if is_unchangeable { None } else { self.readdress(id, frame, announced.unwrap_or(frame.source)) };
+        match bytes {
+            Some(bytes) => self.send_renumbered(id, frame, bytes),
+            None if announced.is_some() => {
+                if let Some(link) = self.links.get_mut(&id) {
+                    link.health.drops_out += 1;
+                }
+            }
+            None => return false,
         }
+        true
+    }
+
+    /// A frame with the sender `from` and that one's next number on a link; `None` if it cannot be changed. The link's vehicles learn
+    /// what a robot sends itself.
+    fn readdress(&mut self, id: LinkId, frame: &ForwardedFrame, from: Address) -> Option<Vec<u8>> {
+        let now = self.now;
+        // A sender with a robot's address on a link without robots must not silence the station.
+        let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, self.router).is_empty();
+        let is_signed_link = self.links.get(&id)?.verifier.is_signed();
+        let vehicles = self.sessions.vehicles_mut(id)?;
         if is_from_robot && from.component == VEHICLE_COMPONENT {
             vehicles.record_forwarded(now, from.system, frame.message_id);
-            if link.verifier.is_signed() {
+            if is_signed_link {
                 vehicles.record_on_signed_link(now, from.system);
             }
         }
-        let renumbered = if vehicles.is_unmodified(now, from) {
+        let readdressed = if vehicles.is_unmodified(now, from) {
             Err(RenumberError::Signed)
         } else {
             self.egress.readdress(id, &frame.bytes, from)
         };
-        if renumbered == Err(RenumberError::Signed) && is_from_robot {
+        if readdressed == Err(RenumberError::Signed) && is_from_robot {
             if frame.is_signed {
                 vehicles.record_unmodified(now, from);
             }
             // Should the next one be ours, it follows that.
             self.egress.follow_sequence(id, from, frame.sequence);
         }
-        let Ok(bytes) = renumbered else {
-            link.health.drops_out += u64::from(announced.is_some());
-            return announced.is_some();
-        };
-        self.router.record_sent_for(now, frame.from, &bytes);
+        readdressed.ok()
+    }
+
+    /// Sends a renumbered frame among the station's own, because the robot's count is the station's, too, and what is counted first must
+    /// leave first; to all peers of the link, because one that does not get a frame would take it for lost.
+    fn send_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame, bytes: Vec<u8>) {
+        let Some(link) = self.links.get_mut(&id) else { return };
+        self.router.record_sent_for(self.now, frame.from, &bytes);
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
         link.health.forwarded += 1;
-        // Among the station's own, because the robot's count is the station's, too, and what is counted first must leave first. To all
-        // peers of the link, because whoever does not get a frame would take it for lost.
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
-        true
     }
 }
 

@@ -106,7 +106,7 @@ impl DuplicateGuard {
         if self.unsorted.len() >= MAX_WAITING {
             self.sort_and_expire(now);
         }
-        let first = self.endpoint_of(now, way, key).filter(|first| *first != way);
+        let first = self.first_endpoint(now, way, key);
         if first.is_some() {
             return first;
         }
@@ -117,14 +117,14 @@ impl DuplicateGuard {
         None
     }
 
-    /// By which way a key came last within the window.
-    fn endpoint_of(&self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
+    /// By which other way than `way` a key came first within the window.
+    pub(super) fn first_endpoint(&self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
         if self.last_endpoint == Some(way) && self.is_single_endpoint(now) {
             return None;
         }
         let waiting = self.unsorted.iter().rev().find(|(other, _)| *other == key);
         let note = waiting.map(|(_, note)| note).or_else(|| self.seen.get(&key))?;
-        (now - note.arrival < self.window).then_some(note.endpoint)
+        (now - note.arrival < self.window).then_some(note.endpoint).filter(|first| *first != way)
     }
 
     /// Whether all that came within the window came by the way by which the last came: none of it is a repeat.

@@ -179,16 +179,48 @@ impl FrameRouter {
         sender: impl Into<SenderInfo>,
     ) -> RoutingDecision {
         let SenderInfo { check, sharing } = sender.into();
-        if frame.source == self.config.own {
-            let occurrence = if self.sent_frames.contains(frame.raw) {
-                DuplicateStatus::Echo
-            } else {
-                DuplicateStatus::AddressConflict
-            };
+        let is_own_address = frame.source == self.config.own;
+        // The station's component speaks in the systems of robots, too.
+        let may_be_own = is_own_address || frame.source.component == self.config.own.component;
+        let is_echo = may_be_own && self.sent_frames.contains(frame.raw);
+        if is_echo || is_own_address {
+            let occurrence = if is_echo { DuplicateStatus::Echo } else { DuplicateStatus::AddressConflict };
             let to = Vec::new();
             return RoutingDecision { duplicate_status: occurrence, to };
         }
         let occurrence = self.classify_duplicate(now, from, frame);
+        self.decide(now, from, frame, SenderInfo { check, sharing }, occurrence)
+    }
+
+    /// By which other endpoint a frame came first, while that is remembered.
+    #[must_use]
+    pub fn first_endpoint(&self, now: Timestamp<HostClock>, from: Endpoint, frame: &FrameRef<'_>) -> Option<Endpoint> {
+        let by_bytes = self.duplicates.first_endpoint(now, from, frame_key(frame.raw));
+        let group = self.group(from.link).filter(|_| has_timestamp(frame.message_id));
+        by_bytes.or_else(|| self.duplicates.first_endpoint(now, from, content_key(group?, frame)))
+    }
+
+    /// Decides where a frame goes that is new although [`Self::route`] found it to be a copy: only the caller knows that another sender
+    /// with the same address sent the same bytes by [`Self::first_endpoint`].
+    pub fn route_as_new(
+        &mut self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+        sender: impl Into<SenderInfo>,
+    ) -> RoutingDecision {
+        self.decide(now, from, frame, sender.into(), DuplicateStatus::New)
+    }
+
+    fn decide(
+        &mut self,
+        now: Timestamp<HostClock>,
+        from: Endpoint,
+        frame: &FrameRef<'_>,
+        sender: SenderInfo,
+        occurrence: DuplicateStatus,
+    ) -> RoutingDecision {
+        let SenderInfo { check, sharing } = sender;
         // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
         if check == SenderCheck::Verified && occurrence != DuplicateStatus::Loop {
             self.routes.observe(now, frame.source, from);

@@ -82,21 +82,25 @@ pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     }
 }
 
-/// Gives a whole frame that is for a system or a component of it to the same component of another system. Its checksum follows; nothing
-/// else changes.
+/// Changes for whom a whole frame is: the system, and the component if the frame names one. Its checksum follows; nothing else changes.
 ///
 /// # Errors
 /// A frame that names no target, or that cannot be changed, stays as it is.
-pub fn retarget(message_id: u32, frame: &mut [u8], system: SystemId) -> Result<(), RenumberError> {
+pub fn retarget(message_id: u32, frame: &mut [u8], to: Address) -> Result<(), RenumberError> {
     let index = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id);
     let offsets = index.map_err(|_unknown| RenumberError::NoFrame)?;
+    let TargetOffsets { system, component, .. } = OFFSETS[offsets];
     rewrite(frame, |frame, layout| {
-        let target = layout.payload_at + usize::from(OFFSETS[offsets].system);
+        let position = |offset: u8| layout.payload_at + usize::from(offset);
         // What is cut off is zero: a broadcast.
-        if target >= layout.end {
+        if position(system) >= layout.end {
             return Err(RenumberError::NoFrame);
         }
-        frame[target] = system.0;
+        frame[position(system)] = to.system.0;
+        let component = component.map(position).filter(|position| *position < layout.end);
+        if let Some(component) = component.filter(|position| frame[*position] != 0) {
+            frame[component] = to.component.0;
+        }
         Ok(())
     })
 }
@@ -145,13 +149,12 @@ mod tests {
         use crate::dialect::{Encoder, decode};
         use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
         use crate::message::{CommandLong, Message};
-        let command = |system| {
-            let target = Address::new(system, 1);
+        let command = |target| {
             Message::Command(CommandLong { target, command: 400, params: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0] })
         };
         let mut bytes = Vec::new();
-        Encoder::new(WireVersion::V2).encode(Address::new(254, 190), &command(7), &mut bytes);
-        assert_eq!(retarget(76, &mut bytes, SystemId(9)), Ok(()));
+        Encoder::new(WireVersion::V2).encode(Address::new(254, 190), &command(Address::new(7, 1)), &mut bytes);
+        assert_eq!(retarget(76, &mut bytes, Address::new(9, 3)), Ok(()));
         let mut found = Vec::new();
         Framer::new(FramerConfig::default()).push(
             posebridge_telemetry::Timestamp::<posebridge_telemetry::HostClock>::ZERO,
@@ -162,8 +165,12 @@ mod tests {
                 }
             },
         );
-        assert_eq!(found, [command(9)]);
-        assert_eq!(retarget(0, &mut bytes, SystemId(9)), Err(RenumberError::NoFrame), "a heartbeat is for everybody");
+        assert_eq!(found, [command(Address::new(9, 3))]);
+        assert_eq!(
+            retarget(0, &mut bytes, Address::new(9, 3)),
+            Err(RenumberError::NoFrame),
+            "a heartbeat is for everybody"
+        );
     }
 
     #[test]

@@ -1,0 +1,55 @@
+//! What came from senders whose identity is open, until it is known: see [`crate::sender_identity`] and [`crate::observers`].
+//!
+//! Without it a robot with the ids of another would lose its first messages, and one that reconnected those until the old peer counts as
+//! silent.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use posebridge_protocol::message::Message;
+use posebridge_protocol::routing::Endpoint;
+use posebridge_telemetry::Address;
+
+use crate::observation_extractor::UnalignedObservation;
+use crate::receive::{ReceiveInfo, TimeExchange};
+use crate::sender_identity::MAX_CONTENDERS;
+
+/// What is kept of one sender: half a second of one that sends 100 messages a second and answers requests for its time. The oldest go
+/// first.
+const MAX_PER_SENDER: usize = 64;
+
+/// What came from a sender.
+#[derive(Debug)]
+pub(crate) enum ContestedMessage {
+    /// A message, perhaps of a robot.
+    Message(ReceiveInfo, Message),
+    /// A fix of a camera.
+    Fix(ReceiveInfo, UnalignedObservation),
+    /// An answer to a request for the time.
+    TimeExchange(TimeExchange),
+}
+
+/// What came from all such senders, in the order in which it came from each.
+#[derive(Debug, Default)]
+pub(crate) struct ContestedMessages(BTreeMap<(Endpoint, Address), VecDeque<ContestedMessage>>);
+
+impl ContestedMessages {
+    /// Keeps something until its sender is known.
+    pub(crate) fn push(&mut self, endpoint: Endpoint, address: Address, message: ContestedMessage) {
+        if self.0.len() >= MAX_CONTENDERS && !self.0.contains_key(&(endpoint, address)) {
+            self.0.clear();
+        }
+        let messages = self.0.entry((endpoint, address)).or_default();
+        if messages.len() >= MAX_PER_SENDER {
+            messages.pop_front();
+        }
+        messages.push_back(message);
+    }
+
+    /// What came from a sender that is known now, oldest first.
+    pub(crate) fn take(&mut self, endpoint: Endpoint, address: Address) -> VecDeque<ContestedMessage> {
+        if self.0.is_empty() {
+            return VecDeque::new();
+        }
+        self.0.remove(&(endpoint, address)).unwrap_or_default()
+    }
+}
