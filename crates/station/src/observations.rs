@@ -15,9 +15,10 @@ use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedO
 use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
-use crate::robot_table::RobotIndex;
+use crate::robot_index::RobotIndex;
 use crate::sender_identity::{SenderIdentity, SenderSign};
-use crate::station::{SEVERITY_WARNING, Station};
+use crate::severity::SEVERITY_WARNING;
+use crate::station::Station;
 use crate::thermometer_bank::TemperatureReading;
 
 /// MAV_TYPE_GCS.

@@ -10,17 +10,14 @@ use crate::clock_alignment::ClockAlignment;
 use crate::config::{RobotConfig, StationConfig};
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
-use crate::robot::Robot;
+use crate::robot::{PEER_TIMEOUT, Robot};
 use crate::robot_blocks::RobotBlockIndex;
+use crate::robot_index::RobotIndex;
 use crate::sender_identity::{SenderIdentities, SenderIdentity, SenderSign};
-use crate::sessions::PEER_TIMEOUT;
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
 /// Systems that are given to robots whose own is taken; those above are for ground stations.
 const LAST_VEHICLE_SYSTEM: u8 = 250;
-
-/// Which robot of the table.
-pub(crate) type RobotIndex = usize;
 
 /// All robots. There is always a first one: before any is heard it takes what a replay or a person gives.
 pub(crate) struct RobotTable {

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-use crate::robot_table::RobotIndex;
+use crate::robot_index::RobotIndex;
 
 /// Silence after which another peer with the same address takes a robot's place.
 pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);

@@ -19,7 +19,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::Endpoint;
+use super::endpoint::Endpoint;
 use crate::framing::FrameRef;
 
 /// Most keys that are remembered; the oldest go first. A line of 115200 baud carries 8229 of the smallest telemetry frames (21 bytes)
