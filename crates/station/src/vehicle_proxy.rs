@@ -58,7 +58,7 @@ pub(crate) struct VehicleProxies {
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
     /// When a vehicle's own frame left here last while the link has a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
-    /// Of two robots with one address the first.
+    /// Of several robots with one address the one with the lowest id.
     by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have something to send.
     active: BTreeSet<RobotId>,
