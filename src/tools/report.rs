@@ -106,7 +106,7 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         let engine = station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
-            name: if robots.are_several { robot.label() } else { title_of(&config) },
+            name: if robots.are_several { robot.label } else { title_of(&config) },
             errors: own::errors(&robot.value.collector, known.truth.as_ref()),
             reference,
             truth: known.truth,
@@ -135,7 +135,7 @@ fn chosen_robots(
     robots: Vec<RobotEntry<SessionHistory>>,
     notes: &mut Vec<String>,
 ) -> Result<ChosenRobots> {
-    let labels: Vec<String> = robots.iter().map(RobotEntry::label).collect();
+    let labels: Vec<String> = robots.iter().map(|robot| robot.label.clone()).collect();
     let unknown = args.only.iter().find(|wanted| !labels.contains(wanted));
     if let Some(unknown) = unknown {
         bail!("--only {unknown}: no such robot was heard; there are {}", labels.join(", "));
@@ -147,7 +147,7 @@ fn chosen_robots(
     );
     let are_several = robots.len() > 1;
     let mut chosen: Vec<_> =
-        robots.into_iter().filter(|robot| args.only.is_empty() || args.only.contains(&robot.label())).collect();
+        robots.into_iter().filter(|robot| args.only.is_empty() || args.only.contains(&robot.label)).collect();
     if chosen.len() > MOST_RUNS {
         notes.push(format!("{} of {} robots are shown: choose others with --only", MOST_RUNS, chosen.len()));
         chosen.truncate(MOST_RUNS);
