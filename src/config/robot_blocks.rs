@@ -125,7 +125,8 @@ fn overlay(under: &mut toml::Table, over: toml::Table) {
 #[cfg(test)]
 mod tests {
     use crate::config::load::load_text;
-    use posebridge_telemetry::{Address, LinkId};
+    use posebridge_station::{RobotBlock, RobotMatch};
+    use posebridge_telemetry::SystemId;
 
     const FILE: &str = r#"
         [[robot]]
@@ -142,9 +143,10 @@ mod tests {
     #[test]
     fn a_block_takes_from_the_one_without_a_match_what_it_does_not_say() {
         let config = load_text("f.toml", FILE, &[]).unwrap().config.station_config().unwrap();
-        let other = config.robot_for(LinkId(0), Address::new(1, 1));
+        let other = &config.robot;
         assert_eq!((other.name.as_deref(), other.filter_config.geometry.track_width.0), (None, 0.2));
-        let ada = config.robot_for(LinkId(0), Address::new(7, 1));
+        let [RobotBlock { matches, robot: ada }] = config.robots.as_slice() else { panic!("there is one block") };
+        assert_eq!(*matches, RobotMatch { system: Some(SystemId(7)), ..RobotMatch::default() });
         assert_eq!(
             (ada.name.as_deref(), ada.tag, ada.filter_config.geometry.track_width.0),
             (Some("ada"), Some(4), 0.15)

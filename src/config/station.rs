@@ -6,8 +6,10 @@ use anyhow::{Context, Result, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
 use posebridge_sim::Scenario;
-use posebridge_station::{DescriptionPolicy, FixRequestConfig, LinkConfig, RobotBlock, RobotConfig, StationConfig};
-use posebridge_telemetry::{Address, Meters, Point2, RobotId, SystemId, TimeDelta};
+use posebridge_station::{
+    DescriptionPolicy, FixRequestConfig, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig,
+};
+use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -183,10 +185,10 @@ impl Config {
         filter_config(robot, &self.filter, self.world.checked()?)
     }
 
-    /// The robot that is heard so: that of the first block that matches it, else `[robot]`.
+    /// What the configuration says of a station's robot: its block, else `[robot]`, which also stands for a robot that was not heard.
     #[must_use]
-    pub fn robot_file(&self, robot: RobotId) -> &RobotFile {
-        let block = self.robots.iter().find(|block| block.matches.to_match().is_for(robot.link, robot.address));
+    pub fn robot_file(&self, robot: Option<&Robot>) -> &RobotFile {
+        let block = robot.and_then(Robot::block).and_then(|block| self.robots.get(block));
         block.map_or(&self.robot, |block| &block.robot)
     }
 

@@ -35,7 +35,7 @@ impl LearnedCalibration {
         let mut names = RobotNames::default();
         let mut learned = Vec::new();
         for robot in robots {
-            let file = config.robot_file(robot.id());
+            let file = config.robot_file(Some(robot));
             let prior = config.filter_config_of(file)?.calibration;
             names.insert(robot.id(), robot.name().unwrap_or_default());
             let name = if robots.len() > 1 { format!("{run} {}", names.label(robot.id())) } else { run.to_owned() };

@@ -73,9 +73,9 @@ pub struct RobotMatch {
 }
 
 impl RobotMatch {
-    /// Whether it is for a robot that is heard on a link under an address.
+    /// Whether it is for a robot that is heard on a link under an address, that of the robot's own frames.
     #[must_use]
-    pub fn is_for(&self, link: LinkId, address: Address) -> bool {
+    pub(crate) fn is_for(self, link: LinkId, address: Address) -> bool {
         self.link.is_none_or(|wanted| wanted == link)
             && self.system.is_none_or(|wanted| wanted == address.system)
             && self.component.is_none_or(|wanted| wanted == address.component)
@@ -83,11 +83,9 @@ impl RobotMatch {
 }
 
 impl StationConfig {
-    /// What is known about the robot that is heard on a link under an address.
-    #[must_use]
-    pub fn robot_for(&self, link: LinkId, address: Address) -> &RobotConfig {
-        let block = self.robots.iter().find(|block| block.matches.is_for(link, address));
-        block.map_or(&self.robot, |block| &block.robot)
+    /// What is known about the robots of a block, given by its index in `robots`; `None` stands for robots without a block.
+    pub(crate) fn robot_config(&self, block: Option<usize>) -> &RobotConfig {
+        block.map_or(&self.robot, |block| &self.robots[block].robot)
     }
 
     /// What passes between the links.

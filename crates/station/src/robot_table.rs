@@ -153,7 +153,7 @@ impl RobotTable {
 
     /// What is known about the robot that is heard on a link under an address; `config` is the one that the table was made with.
     pub(crate) fn config_for<'a>(&self, config: &'a StationConfig, home: LinkId, address: Address) -> &'a RobotConfig {
-        self.blocks.robot_for(config, home, address)
+        config.robot_config(self.blocks.find(&config.robots, home, address))
     }
 
     /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
@@ -176,7 +176,8 @@ impl RobotTable {
         }
         let vehicle_address = self.free_vehicle_address(address.system, config.own_address);
         let index = self.len();
-        let robot_config = self.config_for(config, sign.home, address);
+        let block = self.blocks.find(&config.robots, sign.home, address);
+        let robot_config = config.robot_config(block);
         // The first robot takes the place of the one that is configured, with what that was given before it was heard.
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
@@ -198,6 +199,7 @@ impl RobotTable {
         self.used_systems.extend([system, vehicle_address.system]);
         let robot = &mut self.robots[index];
         robot.id = id;
+        robot.block = block;
         if let Some(tag) = robot.tag {
             self.by_tag.entry(tag).or_default().push(index);
         }
