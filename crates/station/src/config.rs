@@ -29,8 +29,6 @@ pub struct StationConfig {
     pub brick_message_intervals: Vec<(u32, TimeDelta)>,
     /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
     pub duplicate_window: TimeDelta,
-    /// What is known of thermometers, by their channels; the others are learnt from what they show.
-    pub thermometers: Vec<ThermometerConfig>,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
 }
@@ -50,6 +48,9 @@ pub struct RobotConfig {
     pub tag_in_body: Point2<Body>,
     /// The tag's number, by which fixes name the robot.
     pub tag: Option<u32>,
+    /// What is known of its thermometers, by their channels; the others are learnt from what they show. Bricks that are no robots have
+    /// thermometers, too: those of the block that matches them.
+    pub thermometers: Vec<ThermometerConfig>,
 }
 
 /// The configuration of the robots that match.
@@ -140,7 +141,7 @@ impl Default for FixRequestConfig {
     }
 }
 
-/// What is known of one thermometer, whichever brick it sits on.
+/// What is known of one thermometer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ThermometerConfig {
     /// The channel that it is read by.

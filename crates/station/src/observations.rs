@@ -427,9 +427,12 @@ impl Station {
 
     /// Uses the temperatures that wait: nobody steers by them.
     pub(crate) fn process_temperatures(&mut self) {
-        let outputs = &mut self.outputs;
-        self.thermometers
-            .process(&self.config.robot.filter_config, &self.config.thermometers, |event| outputs.emit(event));
+        let Self { config, robots, outputs, .. } = self;
+        let config_of = |brick: RobotId| match robots.find(brick) {
+            Some(index) => config.robot_config(robots.get(index).block),
+            None => robots.config_for(config, brick.link, brick.address),
+        };
+        self.thermometers.process(config_of, |event| outputs.emit(event));
         if self.thermometers.take_limit_report() {
             self.emit(Event::Text {
                 source: self.config.own_address,

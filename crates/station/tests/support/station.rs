@@ -41,6 +41,7 @@ pub(crate) fn config() -> StationConfig {
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            thermometers: vec![],
         },
         robots: vec![],
         max_robots: 64,
@@ -49,7 +50,6 @@ pub(crate) fn config() -> StationConfig {
         timesync_period: TimeDelta::from_millis(500),
         brick_message_intervals: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::from_millis(50))],
         duplicate_window: TimeDelta::from_millis(15_000),
-        thermometers: vec![],
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
