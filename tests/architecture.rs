@@ -72,9 +72,6 @@ const PARTS: &[(&str, &[&str])] = &[
     ("cli", &["cli.rs", "lib.rs", "main.rs"]),
 ];
 
-/// The crates whose files import each other in no circle.
-const WITHOUT_CIRCLES: &[&str] = &[ROOT, "brick", "dashboard", "fuzz-bodies", "link", "recording", "sim", "telemetry"];
-
 /// The package at the top of the workspace.
 const ROOT: &str = "posebridge";
 
@@ -196,13 +193,15 @@ fn the_parts_of_the_program_import_only_from_those_before_them() {
     assert_none(&violations);
 }
 
+/// In no crate. Methods of one type may stand in several files: `impl Station` in `commands.rs` and `observations.rs` imports from
+/// `station.rs`, and a call of such a method is no import, because no path names its file. So the file that defines a type imports nothing
+/// from those that add methods to it: what both need stands in a third file, such as `operator.rs` or `severity.rs`.
 #[test]
 fn no_files_of_a_crate_import_each_other_in_a_circle() {
     let metadata = workspace();
     let members = members(&metadata);
     let mut violations = Vec::new();
-    for name in WITHOUT_CIRCLES {
-        let package = members.get(name).expect("WITHOUT_CIRCLES names crates of the workspace");
+    for (name, package) in &members {
         let src = package.manifest_path.with_file_name("src");
         let circles = Imports::read(src.as_std_path()).circles();
         violations.extend(circles.iter().map(|circle| format!("{name}: {circle}")));

@@ -9,10 +9,13 @@ mod virtual_bricks;
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use posebridge::config::{Config, LinkSection, load_text};
+use posebridge::station::learned_calibration::LearnedCalibration;
 use posebridge_sim::{Scenario, Steering};
+use posebridge_station::Station;
 use posebridge_telemetry::{Event, Output, TimeDelta, Timestamp};
 use support::{RunningProgram, posebridge, stdout_of};
-use virtual_bricks::{ConnectedBrick, rms_m, run, station};
+use virtual_bricks::{ConnectedBrick, rms_m, run, run_with, station};
 
 const CONFIG: &str = r#"
 [[robot]]
@@ -79,6 +82,25 @@ fn robots_on_terminals_of_their_own_are_robots_of_their_own_links() {
     for robot in ["0/1/1", "1/2/1"] {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
     }
+}
+
+#[test]
+fn a_robot_that_is_given_a_free_system_id_keeps_the_block_of_its_own_ids() {
+    let text = format!("{CONFIG}\n[[robot]]\nmatch = {{ system = 1 }}\nname = \"bob\"");
+    let config = Config {
+        links: vec![LinkSection { listen: true, ..LinkSection::new("udp://127.0.0.1:14550") }],
+        ..load_text("robots.toml", &text, &[]).unwrap().config
+    };
+    let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
+    let mut scenarios = Scenario::default().without_end().side_by_side(2).unwrap();
+    scenarios[1].brick.system = 1;
+    let bricks = (0..).zip(scenarios).map(|(peer, scenario)| ConnectedBrick::new(scenario, 0, peer)).collect();
+    run_with(&mut station, 1, bricks, TimeDelta::from_millis(5_000));
+    let ids: Vec<String> = station.robots().iter().map(|robot| robot.id().address.to_string()).collect();
+    assert_eq!(ids, ["1/1", "2/1"], "the second is given system 2, which the block of ada matches");
+    let learned = LearnedCalibration::of_session(&station, "run", &config).unwrap();
+    let names: Vec<_> = learned.iter().map(|learned| (learned.robot.name.as_str(), learned.run.as_str())).collect();
+    assert_eq!(names, [("bob", "run bob"), ("bob", "run bob 0/2/1")]);
 }
 
 /// Robots on one UDP port, on terminals of their own, and two more on the port with ids that others there have.

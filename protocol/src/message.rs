@@ -5,53 +5,22 @@
 //! [`Message::Compass`], which only bricks with other protocols send.
 
 use posebridge_telemetry::{
-    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
+    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Odom,
+    Pose, Radians, RadiansPerSecond, SensorId, TimeDelta,
 };
 
 mod component;
+mod stamp;
 
 pub use component::{
     AutopilotVersion, ComponentInformation, FloatArray, MessageInterval, NamedValue, ProtocolVersion, TextPart,
 };
+pub use stamp::WireStamp;
 
 use crate::dialect::ids::{COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL};
 
 /// The largest message id: 24 bits, all of them exact in a 32-bit float.
 const LARGEST_ID: f32 = 16_777_215.0;
-
-/// A time stamp as it stood on the wire, before unwrapping and alignment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WireStamp {
-    /// Microseconds in 32 bits; wraps after 71.6 minutes.
-    Micros32(u32),
-    /// Milliseconds in 32 bits; wraps after 49.7 days.
-    Millis32(u32),
-    /// Microseconds in 64 bits.
-    Micros64(u64),
-    /// None: the brick was asked, and looked between question and answer by the clock of whoever asked. Never on a wire.
-    HostInterval {
-        /// When the question left.
-        sent: Timestamp<HostClock>,
-        /// When the last byte of the answer was there.
-        answered: Timestamp<HostClock>,
-    },
-}
-
-impl WireStamp {
-    /// In whole microseconds as it stands there; of an answer the middle between question and answer, by the clock of who asked.
-    #[must_use]
-    pub const fn as_micros(self) -> u64 {
-        match self {
-            Self::Micros32(micros) => micros as u64,
-            Self::Millis32(millis) => millis as u64 * 1_000,
-            Self::Micros64(micros) => micros,
-            Self::HostInterval { sent, answered } => {
-                i64::midpoint(sent.as_nanos(), answered.as_nanos()).unsigned_abs() / 1_000
-            }
-        }
-    }
-}
 
 /// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
 pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";

@@ -89,6 +89,12 @@ fn a_command_in_integers_and_the_second_part_of_a_text() {
     );
 }
 
+/// The sender of a frame, which stands behind the sequence number.
+fn source_of(frame: &[u8]) -> Address {
+    let system_at = if frame[0] == 0xFD { 5 } else { 3 };
+    Address::new(frame[system_at], frame[system_at + 1])
+}
+
 /// The foreign encoder writes the same message under any number: under ours it must be the same bytes, whichever message it is.
 #[test]
 fn a_frame_under_another_number_is_what_its_sender_would_have_written() {
@@ -97,18 +103,19 @@ fn a_frame_under_another_number_is_what_its_sender_would_have_written() {
         // Number 0 in both; to 5 and back.
         let mut encoder = Encoder::new(WireVersion::V2);
         let mut frame = golden[version].clone();
+        let robot = source_of(&frame);
         for _ in 0..6 {
-            encoder.renumber(&mut frame).expect(version);
+            encoder.readdress(&mut frame, robot).expect(version);
         }
         assert_ne!(frame, golden[version], "{version}");
         let number = if version == "heartbeat" { 4 } else { 2 };
         assert_eq!(frame[number], 5, "{version}");
-        Encoder::new(WireVersion::V2).renumber(&mut frame).expect(version);
+        Encoder::new(WireVersion::V2).readdress(&mut frame, robot).expect(version);
         assert_eq!(frame, golden[version], "{version}");
     }
     for (name, bytes) in &golden {
         let mut frame = bytes.clone();
-        let numbered = Encoder::new(WireVersion::V2).renumber(&mut frame);
+        let numbered = Encoder::new(WireVersion::V2).readdress(&mut frame, source_of(bytes));
         if name == "heartbeat_signed" {
             assert_eq!(numbered, Err(RenumberError::Signed));
             assert_eq!(&frame, bytes, "a signed frame is never touched");
@@ -135,21 +142,22 @@ fn a_frame_of_no_dialect_is_numbered_too_and_a_damaged_one_is_not() {
         frame
     };
     let mut encoder = Encoder::new(WireVersion::V2);
+    let robot = Address::new(1, 1);
     let mut frame = of_number(200);
-    assert_eq!(encoder.renumber(&mut frame), Ok(()));
+    assert_eq!(encoder.readdress(&mut frame, robot), Ok(()));
     assert_eq!(frame, of_number(0));
     let mut damaged = of_number(200);
     // No single byte of CRC_EXTRA explains both halves of this sum.
     *damaged.last_mut().expect("it has bytes") ^= 0x5A;
     let before = damaged.clone();
-    assert_eq!(encoder.renumber(&mut damaged), Err(RenumberError::Damaged));
+    assert_eq!(encoder.readdress(&mut damaged, robot), Err(RenumberError::Damaged));
     assert_eq!(damaged, before);
     for cut in 0..before.len() {
         let mut torn = before[..cut].to_vec();
-        assert_eq!(encoder.renumber(&mut torn), Err(RenumberError::NoFrame));
+        assert_eq!(encoder.readdress(&mut torn, robot), Err(RenumberError::NoFrame));
     }
     // A frame that could not be numbered has taken no number.
     let mut next = of_number(9);
-    assert_eq!(encoder.renumber(&mut next), Ok(()));
+    assert_eq!(encoder.readdress(&mut next, robot), Ok(()));
     assert_eq!(next, of_number(1));
 }

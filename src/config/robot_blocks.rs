@@ -3,6 +3,8 @@
 //! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, but for at most one, which is for all
 //! robots that no other block matches. A block takes from that one what it does not say itself.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Result, ensure};
 use posebridge_station::RobotMatch;
 use posebridge_telemetry::{ComponentId, LinkId, SystemId};
@@ -11,6 +13,8 @@ use serde::{Deserialize, Serialize};
 
 use super::robot::RobotFile;
 
+/// What is plugged into a robot, by the protocol of its link.
+const LINK_SECTIONS: [&str; 3] = ["nxt", "ev3", "line"];
 /// Longest name of a robot in a list, in letters: with its ids it fits into two parts of a STATUSTEXT.
 const MAX_NAME_CHARS: usize = 50;
 
@@ -75,18 +79,20 @@ impl RobotMatchSection {
 /// Splits a list `[[robot]]` into the table `robot` and the list `robots`; whether there was one.
 ///
 /// # Errors
-/// An entry is no table, or two have no `match`.
+/// An entry is no table, two have no `match`, or a section for the robot of a link would not be read.
 pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
     let Some(toml::Value::Array(entries)) = file.get("robot") else {
         return Ok(false);
     };
     let mut default = None;
     let mut blocks = Vec::new();
+    let mut by_link = BTreeMap::new();
     for (index, entry) in entries.iter().enumerate() {
         let toml::Value::Table(entry) = entry else {
             return Err(format!("`robot[{index}]` is no table"));
         };
         if entry.contains_key("match") {
+            check_link_sections(index, entry, &mut by_link)?;
             blocks.push(entry.clone());
         } else if default.replace(entry.clone()).is_some() {
             return Err(format!(
@@ -111,6 +117,31 @@ pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
     Ok(true)
 }
 
+/// Refuses what no link would read: what is plugged into a robot is read once for its link, from the first block that names it.
+/// `by_link` has the blocks before, by the links that they name.
+fn check_link_sections(index: usize, block: &toml::Table, by_link: &mut BTreeMap<i64, usize>) -> Result<(), String> {
+    let link = block.get("match").and_then(|matches| matches.get("link")).and_then(toml::Value::as_integer);
+    let first = link.map(|link| (link, *by_link.entry(link).or_insert(index)));
+    for key in LINK_SECTIONS.iter().filter(|key| block.contains_key(**key)) {
+        match first {
+            None => {
+                return Err(format!(
+                    "`robot[{index}].{key}` is read for one link, and `robot[{index}].match` names none: add `link = N` to it, or move \
+                     `{key}` to the block without `match`"
+                ));
+            }
+            Some((link, first)) if first != index => {
+                return Err(format!(
+                    "`robot[{index}].{key}` is never read: link {link} takes what is plugged in from `robot[{first}]`, the first block \
+                     that names it; move `{key}` there"
+                ));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(())
+}
+
 fn overlay(under: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (under.get_mut(&key), value) {
@@ -125,7 +156,8 @@ fn overlay(under: &mut toml::Table, over: toml::Table) {
 #[cfg(test)]
 mod tests {
     use crate::config::load::load_text;
-    use posebridge_telemetry::{Address, LinkId};
+    use posebridge_station::{RobotBlock, RobotMatch};
+    use posebridge_telemetry::SystemId;
 
     const FILE: &str = r#"
         [[robot]]
@@ -142,9 +174,10 @@ mod tests {
     #[test]
     fn a_block_takes_from_the_one_without_a_match_what_it_does_not_say() {
         let config = load_text("f.toml", FILE, &[]).unwrap().config.station_config().unwrap();
-        let other = config.robot_for(LinkId(0), Address::new(1, 1));
+        let other = &config.robot;
         assert_eq!((other.name.as_deref(), other.filter_config.geometry.track_width.0), (None, 0.2));
-        let ada = config.robot_for(LinkId(0), Address::new(7, 1));
+        let [RobotBlock { matches, robot: ada }] = config.robots.as_slice() else { panic!("there is one block") };
+        assert_eq!(*matches, RobotMatch { system: Some(SystemId(7)), ..RobotMatch::default() });
         assert_eq!(
             (ada.name.as_deref(), ada.tag, ada.filter_config.geometry.track_width.0),
             (Some("ada"), Some(4), 0.15)
@@ -173,6 +206,34 @@ mod tests {
     }
 
     #[test]
+    fn the_robot_of_a_link_is_plugged_in_as_its_block_says() {
+        let text = r#"
+            [[link]]
+            url = "serial:///dev/rfcomm0"
+            brick = "nxt"
+            [[link]]
+            url = "serial:///dev/rfcomm1"
+            brick = "nxt"
+            [[robot]]
+            nxt.mailbox = 3
+            [[robot]]
+            match = { link = 1 }
+            nxt.left_motor = "A"
+            [[robot.thermometer]]
+            channel = "temp1"
+        "#;
+        let config = load_text("f.toml", text, &[]).unwrap().config.station_config().unwrap();
+        let nxt = |link: usize| config.links[link].brick.as_ref().unwrap().settings.nxt.clone();
+        assert_ne!(nxt(0).left_motor, nxt(1).left_motor);
+        assert_eq!(
+            (nxt(0).mailbox, nxt(1).mailbox),
+            (3, 3),
+            "what a block does not say is that of the block without a match"
+        );
+        assert_eq!((config.robot.thermometers.len(), config.robots[0].robot.thermometers.len()), (0, 1));
+    }
+
+    #[test]
     fn what_is_printed_is_read_again() {
         let config = load_text("f.toml", FILE, &[]).unwrap().config;
         let printed = toml::to_string(&config).unwrap();
@@ -185,6 +246,11 @@ mod tests {
             ("[[robot]]\nmatch = { sistem = 7 }", "unknown field `sistem`"),
             ("[[robot]]\nmatch = {}\naxle_m = 1", "unknown field `axle_m`"),
             ("[[robot]]\nname = \"a\"\n[[robot]]\nname = \"b\"", "`robot[1]` has no `match`"),
+            ("[[robot]]\nmatch = { system = 7 }\nev3.left_motor = \"A\"", "`robot[0].ev3` is read for one link"),
+            (
+                "[[robot]]\nmatch = { link = 1 }\n[[robot]]\nmatch = { link = 1, system = 7 }\nnxt.mailbox = 2",
+                "`robot[1].nxt` is never read: link 1 takes what is plugged in from `robot[0]`",
+            ),
         ] {
             let error = load_text("f.toml", text, &[]).unwrap_err().to_string();
             assert!(error.contains("`f.toml`") && error.contains(expected), "{error}");

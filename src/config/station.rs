@@ -6,8 +6,10 @@ use anyhow::{Context, Result, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
 use posebridge_sim::Scenario;
-use posebridge_station::{DescriptionPolicy, FixRequestConfig, LinkConfig, RobotBlock, RobotConfig, StationConfig};
-use posebridge_telemetry::{Address, Meters, Point2, RobotId, SystemId, TimeDelta};
+use posebridge_station::{
+    DescriptionPolicy, FixRequestConfig, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig,
+};
+use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -183,11 +185,17 @@ impl Config {
         filter_config(robot, &self.filter, self.world.checked()?)
     }
 
-    /// The robot that is heard so: that of the first block that matches it, else `[robot]`.
+    /// What the configuration says of a station's robot: its block, else `[robot]`, which also stands for a robot that was not heard.
     #[must_use]
-    pub fn robot_file(&self, robot: RobotId) -> &RobotFile {
-        let block = self.robots.iter().find(|block| block.matches.to_match().is_for(robot.link, robot.address));
+    pub fn robot_file(&self, robot: Option<&Robot>) -> &RobotFile {
+        let block = robot.and_then(Robot::block).and_then(|block| self.robots.get(block));
         block.map_or(&self.robot, |block| &block.robot)
+    }
+
+    /// What is plugged into the robot of a link that speaks no MAVLink: as the first block says that names the link, else `[robot]`.
+    fn robot_of_link(&self, link: usize) -> &RobotFile {
+        let names_it = |block: &&RobotBlockSection| block.matches.link.is_some_and(|named| usize::from(named) == link);
+        self.robots.iter().find(names_it).map_or(&self.robot, |block| &block.robot)
     }
 
     fn robot_config(&self, robot: &RobotFile) -> Result<RobotConfig> {
@@ -198,6 +206,7 @@ impl Config {
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,
+            thermometers: thermometer::checked(&robot.thermometers)?,
         })
     }
 
@@ -219,7 +228,7 @@ impl Config {
         self.check_signing()?;
         let rules = rules_of(&self.links)?.into_iter();
         let links = self.links.iter().zip(rules).enumerate().map(|(index, (link, rules))| {
-            let brick = brick_link(link, &self.robot, &self.camera.json);
+            let brick = brick_link(link, self.robot_of_link(index), &self.camera.json);
             let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
             let config = link.to_link_config(index, rules)?;
             Ok(LinkConfig { brick, ..config })
@@ -243,7 +252,6 @@ impl Config {
             timesync_period: TimeDelta::from_millis(i64::from(self.clock.timesync_period_ms)),
             brick_message_intervals: wanted,
             duplicate_window: self.routing.window()?,
-            thermometers: thermometer::checked(&self.robot.thermometers)?,
             links: links.collect::<Result<_>>()?,
         })
     }

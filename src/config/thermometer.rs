@@ -85,7 +85,7 @@ mod tests {
 
     fn thermometers(text: &str) -> anyhow::Result<usize> {
         let loaded = load_text("test", text, &[])?;
-        Ok(loaded.config.station_config()?.thermometers.len())
+        Ok(loaded.config.station_config()?.robot.thermometers.len())
     }
 
     #[test]

@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use posebridge_recording::robot_names::RobotNames;
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Calibration, DriveGeometry};
 
-use super::per_robot::file_part;
+use super::per_robot::file_parts;
 use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, RobotFile};
 
 /// A robot, what was known of it before a run, and what is known after.
@@ -31,11 +32,13 @@ impl LearnedCalibration {
     /// The configuration of a robot makes no sense.
     pub fn of_session(station: &Station, run: &str, config: &Config) -> Result<Vec<Self>> {
         let robots = station.robots();
+        let mut names = RobotNames::default();
         let mut learned = Vec::new();
         for robot in robots {
-            let file = config.robot_file(robot.id());
+            let file = config.robot_file(Some(robot));
             let prior = config.filter_config_of(file)?.calibration;
-            let name = if robots.len() > 1 { format!("{run} {}", robot.label()) } else { run.to_owned() };
+            names.insert(robot.id(), robot.name().unwrap_or_default());
+            let name = if robots.len() > 1 { format!("{run} {}", names.label(robot.id())) } else { run.to_owned() };
             learned.extend(Self::of_robot(robot, &name, file, &prior));
         }
         Ok(learned)
@@ -98,9 +101,9 @@ pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Proven
         return save(path, learned, provenance);
     }
     let stem = path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
-    for learned in learned {
-        let robot = file_part(&learned.run);
-        save(&path.with_file_name(format!("{stem}-{robot}.toml")), learned, provenance)?;
+    let parts = file_parts(learned.iter().map(|learned| learned.run.as_str()));
+    for (learned, part) in learned.iter().zip(parts) {
+        save(&path.with_file_name(format!("{stem}-{part}.toml")), learned, provenance)?;
     }
     Ok(())
 }
@@ -142,6 +145,17 @@ mod tests {
             learned_table(&[learned()]),
             "learned  track_scale          +0.11610 ± 0.00420   before +0.00000 ± 0.10000   robot4\n"
         );
+    }
+
+    #[test]
+    fn each_robot_has_a_file_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let robots = ["a 1", "a-1"].map(|run| LearnedCalibration { run: run.to_owned(), ..learned() });
+        let provenance = Provenance { utc_micros: 0, source: String::new(), filter: "pose".to_owned() };
+        save_all(&folder.path().join("learned.toml"), &robots, &provenance).unwrap();
+        for name in ["learned-a-1.toml", "learned-a-1-2.toml"] {
+            assert!(folder.path().join(name).is_file(), "{name}");
+        }
     }
 
     #[test]

@@ -94,7 +94,7 @@ fn robots_of<'r>(
     let robots = collectors.entries().iter().map(|entry| {
         let simulation = simulations.iter().find(|one| one.robot.is_none() || one.robot == entry.robot);
         RobotOutcome {
-            label: entry.label(),
+            label: entry.label.clone(),
             collector: &entry.value,
             simulation,
             truth: simulation.map(|one| SimulationTruth::from_simulation(&one.simulation)),

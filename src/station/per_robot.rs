@@ -1,10 +1,14 @@
 //! One value for each robot of a session, made when the robot is first heard of.
 
+use std::collections::BTreeSet;
+
+use posebridge_recording::robot_names::RobotNames;
 use posebridge_telemetry::{Event, RobotId};
 
 /// A value for each robot. There is always a first one: before any robot was heard it belongs to none.
 pub struct PerRobot<T> {
     entries: Vec<RobotEntry<T>>,
+    names: RobotNames,
     make: Box<dyn Fn() -> T + Send>,
 }
 
@@ -13,32 +17,34 @@ pub struct PerRobot<T> {
 pub struct RobotEntry<T> {
     /// The robot; `None` if none was heard.
     pub robot: Option<RobotId>,
-    /// Its configured name, if it has one.
-    pub name: Option<String>,
+    /// What people call it: its name, or `link/system/component`; no two robots have the same. Empty if none was heard.
+    pub label: String,
     /// What is kept of it.
     pub value: T,
 }
 
-impl<T> RobotEntry<T> {
-    /// What people call it: its name, or `link/system/component`; empty if none was heard.
-    #[must_use]
-    pub fn label(&self) -> String {
-        let id = self.robot.map_or_else(String::new, |robot| format!("{}/{}", robot.link, robot.address));
-        self.name.clone().unwrap_or(id)
-    }
-}
-
-/// A robot's label as a part of a file's name: a robot may have any name.
-#[must_use]
-pub fn file_part(label: &str) -> String {
-    label.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-")
+/// The labels of robots as parts of file names, in their order. A robot may have any name; no two parts are the same, and none differs
+/// from another by capital letters only, which some file systems do not tell apart.
+pub fn file_parts<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let mut taken = BTreeSet::new();
+    let unique = |label: &str| {
+        let part = label.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+        let mut unique = part.clone();
+        let mut number = 1;
+        while !taken.insert(unique.to_ascii_lowercase()) {
+            number += 1;
+            unique = format!("{part}-{number}");
+        }
+        unique
+    };
+    labels.into_iter().map(unique).collect()
 }
 
 impl<T> PerRobot<T> {
     /// A first value, made as those of further robots are.
     pub fn new(make: impl Fn() -> T + Send + 'static) -> Self {
-        let first = RobotEntry { robot: None, name: None, value: make() };
-        Self { entries: vec![first], make: Box::new(make) }
+        let first = RobotEntry { robot: None, label: String::new(), value: make() };
+        Self { entries: vec![first], names: RobotNames::default(), make: Box::new(make) }
     }
 
     /// The robots, in the order in which they were heard.
@@ -83,13 +89,10 @@ impl<T> PerRobot<T> {
 
     /// The robot that an event is for; a robot's name is kept on the way.
     fn route(&mut self, event: &Event) -> Option<RobotId> {
-        if let Event::RobotNamed { robot, name } = event {
-            // One block may match two robots; in tables their rows need names of their own.
-            let is_taken =
-                self.entries.iter().any(|entry| entry.robot != Some(*robot) && entry.name.as_ref() == Some(name));
-            let entry = self.entry(*robot);
-            entry.name = None;
-            entry.name = Some(if is_taken { format!("{name} {}", entry.label()) } else { name.clone() });
+        if let Event::RobotNamed { robot, .. } = event {
+            self.names.observe(event);
+            let label = self.names.label(*robot);
+            self.entry(*robot).label = label;
         }
         robot_of(event)
     }
@@ -97,11 +100,13 @@ impl<T> PerRobot<T> {
     fn entry(&mut self, robot: RobotId) -> &mut RobotEntry<T> {
         let known = self.entries.iter().position(|entry| entry.robot.is_none_or(|known| known == robot));
         let index = known.unwrap_or_else(|| {
-            self.entries.push(RobotEntry { robot: None, name: None, value: (self.make)() });
+            self.entries.push(RobotEntry { robot: None, label: String::new(), value: (self.make)() });
             self.entries.len() - 1
         });
         let entry = &mut self.entries[index];
-        entry.robot = Some(robot);
+        if entry.robot.replace(robot).is_none() {
+            entry.label = self.names.label(robot);
+        }
         entry
     }
 }
@@ -149,10 +154,16 @@ mod tests {
         push(Event::BrickRestarted { robot: robot(2) });
         push(Event::BrickRestarted { robot: robot(2) });
         push(Event::Link { link: LinkId(0), state: LinkState::Down });
-        let found: Vec<_> = restarts.entries().iter().map(|entry| (entry.label(), entry.value)).collect();
+        let found: Vec<_> = restarts.entries().iter().map(|entry| (entry.label.clone(), entry.value)).collect();
         assert_eq!(
             found,
             [("0/1/1".to_owned(), (1, 2)), ("left".to_owned(), (2, 1)), ("left 0/3/1".to_owned(), (0, 1))]
         );
+    }
+
+    #[test]
+    fn no_two_robots_share_a_file() {
+        let parts = file_parts(["a 1", "a-1", "A-1", "a-1-2", "0/1/1"]);
+        assert_eq!(parts, ["a-1", "a-1-2", "A-1-3", "a-1-2-2", "0-1-1"]);
     }
 }

@@ -197,11 +197,12 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
             heard.restarts
         );
     }
-    let mut filter_config = config.filter_config()?;
+    let robot = config.robot_file(station.robots().first());
+    let mut filter_config = config.filter_config_of(robot)?;
     filter_config.geometry = station.geometry();
     Ok(OwnRecordingRun {
         name,
-        robot: with_described_geometry(&config.robot, &filter_config),
+        robot: with_described_geometry(robot, &filter_config),
         config: filter_config,
         arrivals: heard.arrivals_on_brick_clock(),
         observations: heard.observations,

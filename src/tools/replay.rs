@@ -59,9 +59,14 @@ fn save_calibration(args: &ReplayArgs, replayed: &ReplayResult, utc_micros: u64)
         let names: Vec<_> = replayed.outcomes.iter().map(|o| o.name.as_str()).collect();
         bail!("there is no calibration to save: of {} none learns one", names.join(", "))
     };
-    // Of several runs of one robot the last; of several robots each.
-    let outcomes = replayed.outcomes.iter().filter(|outcome| outcome.name == *filter);
-    let learned: Vec<LearnedCalibration> = outcomes.filter_map(|outcome| outcome.learned.last().cloned()).collect();
+    // Of several runs of one robot the last, also where the filter was asked for twice; of several robots each.
+    let mut outcomes: Vec<&FilterResult> = Vec::new();
+    for outcome in replayed.outcomes.iter().filter(|outcome| outcome.name == *filter) {
+        outcomes.retain(|other| other.robot != outcome.robot);
+        outcomes.push(outcome);
+    }
+    let learned = outcomes.into_iter().filter_map(|outcome| outcome.learned.last().cloned());
+    let learned: Vec<LearnedCalibration> = learned.collect();
     let run = learned.first().map_or("", |learned| learned.run.as_str());
     let provenance =
         Provenance { utc_micros, source: format!("{}, {run}", replayed.recording), filter: filter.clone() };

@@ -21,7 +21,7 @@ use super::replay::recording::{OwnRecording, changed_settings};
 use super::replay::watch::{ReplayLane, Window};
 use super::session::history::SessionHistory;
 use super::session::summary::{RunSummary, ScoreReference, SessionSummary};
-use crate::config::{Config, utc_date};
+use crate::config::{RobotFile, utc_date};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
@@ -96,17 +96,18 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let [ReplayLane { station, .. }, _] = lanes;
     let mut notes = passage.notes;
     let robots = chosen_robots(args, histories.into_entries(), &mut notes).before_start()?;
-    let mut facts = own_facts(&recording, &config);
+    let described = if robots.are_several { &config.robot } else { config.robot_file(station.robots().first()) };
+    let mut facts = own_facts(&recording, described);
     let mut runs = Vec::new();
     for robot in robots.chosen {
         let known = recording.ground_truth(flags.truth.as_deref(), robot.robot).before_start()?;
         let reference = known.truth.as_ref().map_or(ScoreReference::None, |_| ScoreReference::Truth);
-        let file = robot.robot.map_or(&config.robot, |id| config.robot_file(id));
-        let prior = config.filter_config_of(file).before_start()?.calibration;
         let engine = station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+        let file = config.robot_file(engine);
+        let prior = config.filter_config_of(file).before_start()?.calibration;
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
-            name: if robots.are_several { robot.label() } else { title_of(&config) },
+            name: if robots.are_several { robot.label } else { title_of(file) },
             errors: own::errors(&robot.value.collector, known.truth.as_ref()),
             reference,
             truth: known.truth,
@@ -135,7 +136,7 @@ fn chosen_robots(
     robots: Vec<RobotEntry<SessionHistory>>,
     notes: &mut Vec<String>,
 ) -> Result<ChosenRobots> {
-    let labels: Vec<String> = robots.iter().map(RobotEntry::label).collect();
+    let labels: Vec<String> = robots.iter().map(|robot| robot.label.clone()).collect();
     let unknown = args.only.iter().find(|wanted| !labels.contains(wanted));
     if let Some(unknown) = unknown {
         bail!("--only {unknown}: no such robot was heard; there are {}", labels.join(", "));
@@ -147,7 +148,7 @@ fn chosen_robots(
     );
     let are_several = robots.len() > 1;
     let mut chosen: Vec<_> =
-        robots.into_iter().filter(|robot| args.only.is_empty() || args.only.contains(&robot.label())).collect();
+        robots.into_iter().filter(|robot| args.only.is_empty() || args.only.contains(&robot.label)).collect();
     if chosen.len() > MOST_RUNS {
         notes.push(format!("{} of {} robots are shown: choose others with --only", MOST_RUNS, chosen.len()));
         chosen.truncate(MOST_RUNS);
@@ -162,14 +163,14 @@ fn track_of(collector: &EventCollector) -> Option<PoseTrack> {
 }
 
 /// A robot without a name has a path all the same.
-fn title_of(config: &Config) -> String {
-    if config.robot.name.is_empty() { "Path".to_owned() } else { config.robot.name.clone() }
+fn title_of(robot: &RobotFile) -> String {
+    if robot.name.is_empty() { "Path".to_owned() } else { robot.name.clone() }
 }
 
-fn own_facts(recording: &OwnRecording, config: &Config) -> Vec<(String, String)> {
+fn own_facts(recording: &OwnRecording, robot: &RobotFile) -> Vec<(String, String)> {
     let header = &recording.header;
     let fact = |name: &str, value: String| (name.to_owned(), value);
-    let mut facts = vec![fact("robot", config.robot.name.clone())];
+    let mut facts = vec![fact("robot", robot.name.clone())];
     if header.utc_start_micros > 0 {
         facts.push(fact("recorded", utc_date(header.utc_start_micros)));
     }

@@ -31,7 +31,7 @@ impl ConnectedBrick {
     }
 }
 
-/// What a together leaves behind.
+/// What bricks and a station leave behind.
 pub(crate) struct BricksRun {
     pub(crate) bricks: Vec<ConnectedBrick>,
     pub(crate) inputs: Vec<(TimeDelta, Input)>,
@@ -46,9 +46,18 @@ pub(crate) fn station(links: u16) -> Station {
     Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap()
 }
 
-/// Lets bricks drive for so long; every input and event is kept.
-pub(crate) fn run(links: u16, mut bricks: Vec<ConnectedBrick>, duration: TimeDelta) -> BricksRun {
-    let mut station = station(links);
+/// Lets bricks drive for so long with a station of this many links; every input and event is kept.
+pub(crate) fn run(links: u16, bricks: Vec<ConnectedBrick>, duration: TimeDelta) -> BricksRun {
+    run_with(&mut station(links), links, bricks, duration)
+}
+
+/// The same with any station.
+pub(crate) fn run_with(
+    station: &mut Station,
+    links: u16,
+    mut bricks: Vec<ConnectedBrick>,
+    duration: TimeDelta,
+) -> BricksRun {
     let mut run = BricksRun { bricks: Vec::new(), inputs: Vec::new(), events: Vec::new() };
     let mut pending: Vec<Input> =
         (0..links).map(|link| Input::Link { link: LinkId(link), state: LinkState::Up }).collect();

@@ -5,6 +5,7 @@
 //! - [`tlog`] reads and writes the telemetry logs of ground stations.
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
+//! - [`robot_names`] makes the labels of robots in all of these.
 //! - [`dataset`] converts foreign CSV-like recordings to observations, as a TOML descriptor says.
 //!
 //! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and
@@ -15,6 +16,6 @@ pub mod csv;
 pub mod dataset;
 pub mod event_json;
 pub mod foxglove;
-mod robot_names;
+pub mod robot_names;
 pub mod tlog;
 pub mod tum;

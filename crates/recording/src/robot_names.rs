@@ -1,4 +1,4 @@
-//! What people call the robots of a session.
+//! What people call the robots of a session, in tables, files and topics: the one place that makes labels.
 
 use std::collections::BTreeMap;
 
@@ -7,34 +7,46 @@ use posebridge_telemetry::{Event, RobotId};
 /// So many robots go by their names; those beyond go by their ids.
 const MAX_NAMES: usize = 1_024;
 
-/// The names that events gave to robots, no two alike.
+/// The labels of robots, no two alike: a robot's name, else its ids. Where two robots have one name, the ids of the second follow it.
 #[derive(Debug, Default)]
-pub(crate) struct RobotNames {
+pub struct RobotNames {
     names: BTreeMap<RobotId, String>,
 }
 
 impl RobotNames {
     /// Keeps the name that an event gives to a robot.
-    pub(crate) fn observe(&mut self, event: &Event) {
-        let Event::RobotNamed { robot, name } = event else {
-            return;
-        };
+    pub fn observe(&mut self, event: &Event) {
+        if let Event::RobotNamed { robot, name } = event {
+            self.insert(*robot, name);
+        }
+    }
+
+    /// Keeps the name of a robot. An empty one, and one of too many, leave it with its ids.
+    pub fn insert(&mut self, robot: RobotId, name: &str) {
         if name.is_empty() || self.names.len() >= MAX_NAMES {
             return;
         }
+        let mut label = name.to_owned();
         // One block of a configuration may match several robots, and its name is then that of all of them.
-        let is_taken = self.names.iter().any(|(other, taken)| other != robot && taken == name);
-        let name = if is_taken { format!("{name} {}", id_text(*robot)) } else { name.clone() };
-        self.names.insert(*robot, name);
+        while reads_as_id(&label) || self.is_taken(robot, &label) {
+            label = format!("{label} {}", id_text(robot));
+        }
+        self.names.insert(robot, label);
     }
 
-    /// The name of a robot, if an event gave it one.
-    pub(crate) fn get(&self, robot: RobotId) -> Option<&str> {
+    fn is_taken(&self, robot: RobotId, label: &str) -> bool {
+        self.names.iter().any(|(other, taken)| *other != robot && taken == label)
+    }
+
+    /// The name of a robot, if it has one.
+    #[must_use]
+    pub fn get(&self, robot: RobotId) -> Option<&str> {
         self.names.get(&robot).map(String::as_str)
     }
 
-    /// The name of a robot, else its ids.
-    pub(crate) fn label(&self, robot: RobotId) -> String {
+    /// The name of a robot, else its ids as `link/system/component`.
+    #[must_use]
+    pub fn label(&self, robot: RobotId) -> String {
         self.get(robot).map_or_else(|| id_text(robot), str::to_owned)
     }
 }
@@ -42,6 +54,11 @@ impl RobotNames {
 /// Link, system and component: `0/1/1`.
 fn id_text(robot: RobotId) -> String {
     format!("{}/{}", robot.link, robot.address)
+}
+
+/// Whether a name is spelled like the ids of a robot, which may be another robot's.
+fn reads_as_id(name: &str) -> bool {
+    name.split('/').count() == 3 && name.split('/').all(|part| part.parse::<u16>().is_ok())
 }
 
 #[cfg(test)]
@@ -64,5 +81,15 @@ mod tests {
             names.observe(&event);
         }
         assert_eq!([1, 2, 4].map(|system| names.label(id(system))), ["red", "red 3/2/1", "3/4/1"]);
+    }
+
+    #[test]
+    fn a_name_that_is_spelled_like_another_label_is_no_second_one() {
+        let mut names = RobotNames::default();
+        for (system, name) in [(1, "red"), (2, "red 3/4/1"), (3, "3/5/1"), (4, "red")] {
+            names.insert(id(system), name);
+        }
+        let labels = [1, 2, 3, 4, 5].map(|system| names.label(id(system)));
+        assert_eq!(labels, ["red", "red 3/4/1", "3/5/1 3/3/1", "red 3/4/1 3/4/1", "3/5/1"]);
     }
 }

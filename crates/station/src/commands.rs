@@ -14,68 +14,18 @@ use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
     Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
-    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, SimulatorCommand,
+    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch,
 };
 
 use crate::estimator::Estimator;
 use crate::message_requests::{self, RequestContext};
+use crate::operator::{CommandTarget, TargetedCommand};
 use crate::receive::ReceiveInfo;
 use crate::robot::Robot;
-use crate::robot_table::RobotIndex;
+use crate::robot_index::RobotIndex;
 use crate::sessions::SenderRole;
-use crate::station::{SEVERITY_WARNING, Station};
-
-/// MAV_SEVERITY_INFO.
-const SEVERITY_INFO: u8 = 6;
-
-/// What was asked of the station and holds until something else is asked.
-pub(crate) struct OperatorState {
-    /// The tunables that were saved last, or with which the run began.
-    saved_params: Params,
-    /// The link over which the program was asked for something last: there it reports what became of it.
-    requested_on: Option<LinkId>,
-    /// The last command of the program.
-    last_command: Option<TargetedCommand>,
-}
-
-/// A command, and for whom it is.
-#[derive(Clone, Copy, PartialEq)]
-struct TargetedCommand {
-    target: CommandTarget,
-    command: Command,
-}
-
-/// For whom a command is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum CommandTarget {
-    /// For nobody in particular: a pose is that of the first robot, calibration and sensors are those of all robots.
-    Station,
-    /// For this robot alone, where it concerns robots.
-    Robot(RobotIndex),
-}
-
-impl OperatorState {
-    pub(crate) const fn new(params: Params) -> Self {
-        Self { saved_params: params, requested_on: None, last_command: None }
-    }
-
-    /// Whether a held key repeats what it said before.
-    fn is_key_repeat(&mut self, command: TargetedCommand) -> bool {
-        let is_drive = matches!(command.command, Command::Simulator(SimulatorCommand::Drive { .. }));
-        let before = self.last_command.replace(command);
-        is_drive && before == Some(command)
-    }
-}
-
-impl CommandTarget {
-    /// The robot whose pose it is about.
-    const fn posed_robot(self) -> RobotIndex {
-        match self {
-            Self::Station => 0,
-            Self::Robot(index) => index,
-        }
-    }
-}
+use crate::severity::{SEVERITY_INFO, SEVERITY_WARNING};
+use crate::station::Station;
 
 /// What was done, or why it was not: a line for people.
 type Outcome = Result<String, String>;

@@ -29,8 +29,6 @@ pub struct StationConfig {
     pub brick_message_intervals: Vec<(u32, TimeDelta)>,
     /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
     pub duplicate_window: TimeDelta,
-    /// What is known of thermometers, by their channels; the others are learnt from what they show.
-    pub thermometers: Vec<ThermometerConfig>,
     /// The links, by id.
     pub links: Vec<LinkConfig>,
 }
@@ -50,6 +48,9 @@ pub struct RobotConfig {
     pub tag_in_body: Point2<Body>,
     /// The tag's number, by which fixes name the robot.
     pub tag: Option<u32>,
+    /// What is known of its thermometers, by their channels; the others are learnt from what they show. Bricks that are no robots have
+    /// thermometers, too: those of the block that matches them.
+    pub thermometers: Vec<ThermometerConfig>,
 }
 
 /// The configuration of the robots that match.
@@ -73,9 +74,9 @@ pub struct RobotMatch {
 }
 
 impl RobotMatch {
-    /// Whether it is for a robot that is heard on a link under an address.
+    /// Whether it is for a robot that is heard on a link under an address, that of the robot's own frames.
     #[must_use]
-    pub fn is_for(&self, link: LinkId, address: Address) -> bool {
+    pub(crate) fn is_for(self, link: LinkId, address: Address) -> bool {
         self.link.is_none_or(|wanted| wanted == link)
             && self.system.is_none_or(|wanted| wanted == address.system)
             && self.component.is_none_or(|wanted| wanted == address.component)
@@ -83,11 +84,9 @@ impl RobotMatch {
 }
 
 impl StationConfig {
-    /// What is known about the robot that is heard on a link under an address.
-    #[must_use]
-    pub fn robot_for(&self, link: LinkId, address: Address) -> &RobotConfig {
-        let block = self.robots.iter().find(|block| block.matches.is_for(link, address));
-        block.map_or(&self.robot, |block| &block.robot)
+    /// What is known about the robots of a block, given by its index in `robots`; `None` stands for robots without a block.
+    pub(crate) fn robot_config(&self, block: Option<usize>) -> &RobotConfig {
+        block.map_or(&self.robot, |block| &self.robots[block].robot)
     }
 
     /// What passes between the links.
@@ -142,7 +141,7 @@ impl Default for FixRequestConfig {
     }
 }
 
-/// What is known of one thermometer, whichever brick it sits on.
+/// What is known of one thermometer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ThermometerConfig {
     /// The channel that it is read by.

@@ -145,7 +145,9 @@ impl<'a> ForwardingPass<'a> {
         let system = self.vehicles.and_then(|_| target.system())?;
         let Some(robot) = self.robots.renamed(system) else {
             to.retain(|(link, recipients)| match recipients {
-                Recipients::Peer(peer) => !self.robots.is_announced_otherwise(Endpoint { link: *link, peer: *peer }, system),
+                Recipients::Peer(peer) => {
+                    !self.robots.is_announced_otherwise(Endpoint { link: *link, peer: *peer }, system)
+                }
                 Recipients::All | Recipients::AllExcept(_) => true,
             });
             return None;

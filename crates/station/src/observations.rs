@@ -16,9 +16,10 @@ use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedO
 use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
-use crate::robot_table::RobotIndex;
+use crate::robot_index::RobotIndex;
 use crate::sender_identity::{MessageOrigin, SenderIdentity};
-use crate::station::{SEVERITY_WARNING, Station};
+use crate::severity::SEVERITY_WARNING;
+use crate::station::Station;
 use crate::thermometer_bank::TemperatureReading;
 
 /// MAV_TYPE_GCS.
@@ -545,9 +546,12 @@ impl Station {
 
     /// Uses the temperatures that wait: nobody steers by them.
     pub(crate) fn process_temperatures(&mut self) {
-        let outputs = &mut self.outputs;
-        self.thermometers
-            .process(&self.config.robot.filter_config, &self.config.thermometers, |event| outputs.emit(event));
+        let Self { config, robots, outputs, .. } = self;
+        let config_of = |brick: RobotId| match robots.find(brick) {
+            Some(index) => config.robot_config(robots.get(index).block),
+            None => robots.config_for(config, brick.link, brick.address),
+        };
+        self.thermometers.process(config_of, |event| outputs.emit(event));
         if self.thermometers.take_limit_report() {
             self.emit(Event::Text {
                 source: self.config.own_address,

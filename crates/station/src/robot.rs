@@ -4,7 +4,8 @@ use posebridge_estimator::FilterEntry;
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, Timestamp,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, TimeDelta,
+    Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;
@@ -14,11 +15,15 @@ use crate::estimator::Estimator;
 use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
-use crate::sessions::PEER_TIMEOUT;
+
+/// Silence after which a robot, or any other peer, counts as lost. Five missed heartbeats: the usual limit of ground stations.
+pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
 
 /// One robot.
 pub struct Robot {
     pub(crate) id: RobotId,
+    /// Its block in [`StationConfig::robots`](crate::StationConfig::robots).
+    pub(crate) block: Option<usize>,
     name: Option<String>,
     /// The number by which fixes name it.
     pub(crate) tag: Option<u32>,
@@ -43,6 +48,7 @@ impl Robot {
     pub(crate) fn new(entry: &'static FilterEntry, config: &RobotConfig, links: &[LinkConfig]) -> Self {
         Self {
             id: RobotId::default(),
+            block: None,
             name: config.name.clone(),
             tag: config.tag,
             wire_address: Address::default(),
@@ -64,16 +70,17 @@ impl Robot {
         self.id
     }
 
+    /// The index of the block of [`StationConfig::robots`](crate::StationConfig::robots) that it took; `None` if no block is for it. The
+    /// blocks match the address of the robot's own frames, which need not be that of [`Self::id`].
+    #[must_use]
+    pub const fn block(&self) -> Option<usize> {
+        self.block
+    }
+
     /// What people call it; `None` if no block of the configuration gives it a name.
     #[must_use]
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
-    }
-
-    /// What people read: the name, else `link/system/component`.
-    #[must_use]
-    pub fn label(&self) -> String {
-        self.name.clone().unwrap_or_else(|| format!("{}/{}", self.id.link, self.id.address))
     }
 
     /// The address that ground stations see as the vehicle.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Address, LinkId, SystemId};
 
-use crate::config::{RobotBlock, RobotConfig, StationConfig};
+use crate::config::RobotBlock;
 
 /// The blocks of a configuration by the system that they ask for.
 #[derive(Debug)]
@@ -22,23 +22,21 @@ impl RobotBlockIndex {
         Self { by_system }
     }
 
-    /// What is known about the robot that is heard on a link under an address: the same as [`StationConfig::robot_for`] says of the
-    /// configuration that this was made from.
-    pub(crate) fn robot_for<'a>(&self, config: &'a StationConfig, link: LinkId, address: Address) -> &'a RobotConfig {
-        let blocks = &config.robots;
+    /// The first block for the robot that is heard on a link under an address, that of its own frames; `None` if there is none. `blocks`
+    /// are those that this was made from.
+    pub(crate) fn find(&self, blocks: &[RobotBlock], link: LinkId, address: Address) -> Option<usize> {
         let first = |system| {
             let places = self.by_system.get(&system)?;
             places.iter().copied().find(|place| blocks[*place].matches.is_for(link, address))
         };
-        let place = [Some(address.system), None].into_iter().filter_map(first).min();
-        place.map_or(&config.robot, |place| &blocks[place].robot)
+        [Some(address.system), None].into_iter().filter_map(first).min()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::RobotMatch;
+    use crate::config::{RobotConfig, RobotMatch};
     use crate::test_config::station_config;
     use posebridge_telemetry::ComponentId;
 
@@ -61,7 +59,8 @@ mod tests {
             let index = RobotBlockIndex::new(&config.robots);
             for (link, system, component) in (0..64).map(|k| (LinkId(k % 4), (k / 4 % 4) as u8, (k / 16) as u8)) {
                 let address = Address::new(system, component);
-                assert_eq!(index.robot_for(&config, link, address), config.robot_for(link, address));
+                let first = config.robots.iter().position(|block| block.matches.is_for(link, address));
+                assert_eq!(index.find(&config.robots, link, address), first);
             }
         }
     }

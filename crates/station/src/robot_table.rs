@@ -15,17 +15,14 @@ use crate::contested_messages::ContestedMessages;
 use crate::estimator::Estimator;
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
-use crate::robot::Robot;
+use crate::robot::{PEER_TIMEOUT, Robot};
 use crate::robot_blocks::RobotBlockIndex;
+use crate::robot_index::RobotIndex;
 use crate::sender_identity::{MessageOrigin, SenderIdentities, SenderIdentity};
-use crate::sessions::PEER_TIMEOUT;
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
 /// Systems that are given to robots whose own is taken; those above are for ground stations.
 const LAST_VEHICLE_SYSTEM: u8 = 250;
-
-/// Which robot of the table.
-pub(crate) type RobotIndex = usize;
 
 /// All robots. There is always a first one: before any is heard it takes what a replay or a person gives.
 pub(crate) struct RobotTable {
@@ -214,7 +211,7 @@ impl RobotTable {
 
     /// What is known about the robot that is heard on a link under an address; `config` is the one that the table was made with.
     pub(crate) fn config_for<'a>(&self, config: &'a StationConfig, home: LinkId, address: Address) -> &'a RobotConfig {
-        self.blocks.robot_for(config, home, address)
+        config.robot_config(self.blocks.find(&config.robots, home, address))
     }
 
     /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
@@ -240,7 +237,8 @@ impl RobotTable {
             return None;
         };
         let index = self.len();
-        let robot_config = self.config_for(config, origin.home, address);
+        let block = self.blocks.find(&config.robots, origin.home, address);
+        let robot_config = config.robot_config(block);
         // The first robot takes the place of the one that is configured, with what that was given before it was heard.
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
@@ -266,6 +264,7 @@ impl RobotTable {
         self.used_systems.extend([id.address.system, vehicle_address.system]);
         let robot = &mut self.robots[index];
         robot.id = id;
+        robot.block = block;
         if let Some(tag) = robot.tag {
             self.by_tag.entry(tag).or_default().push(index);
         }
@@ -290,9 +289,14 @@ impl RobotTable {
         ids.find(|id| !self.by_id.contains_key(id))
     }
 
-    /// A text about a robot; among several it begins with what people call it.
+    /// A text about a robot; among several it begins with its name, or `link/system/component`.
     pub(crate) fn labelled(&self, index: RobotIndex, text: &str) -> String {
-        if self.len() > 1 { format!("{}: {text}", self.get(index).label()) } else { text.to_owned() }
+        let robot = self.get(index);
+        match robot.name() {
+            _ if self.len() < 2 => text.to_owned(),
+            Some(name) => format!("{name}: {text}"),
+            None => format!("{}/{}: {text}", robot.id.link, robot.id.address),
+        }
     }
 
     /// Whether a robot was refused for the first time, because there are as many as there may be.

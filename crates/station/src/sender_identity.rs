@@ -15,8 +15,8 @@ use std::collections::BTreeMap;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-use crate::robot_table::RobotIndex;
-use crate::sessions::PEER_TIMEOUT;
+use crate::robot::PEER_TIMEOUT;
+use crate::robot_index::RobotIndex;
 
 /// Silence after which another peer with the same address takes the place of the first, at the earliest.
 pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);

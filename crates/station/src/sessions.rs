@@ -15,8 +15,9 @@ use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDe
 use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
 use crate::output_schedule::SETTABLE_OUTPUTS;
 use crate::receive::ReceivedMessage;
-use crate::robot::Robot;
-use crate::robot_table::{RobotIndex, RobotTable};
+use crate::robot::{PEER_TIMEOUT, Robot};
+use crate::robot_index::RobotIndex;
+use crate::robot_table::RobotTable;
 use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
@@ -27,8 +28,6 @@ const NOT_AN_AUTOPILOT: u8 = 8;
 const ACTIVE: u8 = 4;
 /// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// Five missed heartbeats: the usual limit of ground stations.
-pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
 /// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
 const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 

@@ -16,19 +16,21 @@ use posebridge_telemetry::{
 };
 
 use crate::codec_events::CodecEvents;
-use crate::commands::OperatorState;
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
 use crate::forwarding::ForwardingPass;
 use crate::link_context::LinkContext;
 use crate::observers::Observers;
+use crate::operator::OperatorState;
 use crate::output_queue::OutputQueue;
 use crate::peer_framers::FramerInput;
 use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::receive_pass::{ReceivePass, ReceivedBatch};
 use crate::robot::Robot;
-use crate::robot_table::{RobotIndex, RobotTable};
+use crate::robot_index::RobotIndex;
+use crate::robot_table::RobotTable;
 use crate::sessions::{SenderRole, Sessions};
+use crate::severity::SEVERITY_WARNING;
 use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
 use crate::transmitter::Transmitter;
@@ -36,8 +38,6 @@ use crate::vehicle_proxy::CommandResponder;
 
 /// The health of every link is emitted once per second.
 const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// MAV_SEVERITY_WARNING.
-pub(crate) const SEVERITY_WARNING: u8 = 4;
 
 /// The engine of a station: decode, align clocks, estimate, publish, for every robot that is heard.
 ///

@@ -17,16 +17,11 @@ use posebridge_telemetry::{
 };
 
 use crate::link_context::LinkContext;
-use crate::robot_table::{RobotIndex, RobotTable};
+use crate::robot_index::RobotIndex;
+use crate::robot_table::RobotTable;
 use crate::sessions::{SenderRole, Sessions};
-use crate::station::SEVERITY_WARNING;
+use crate::severity::{SEVERITY_ERROR, SEVERITY_INFO, SEVERITY_NOTICE, SEVERITY_WARNING};
 
-/// MAV_SEVERITY_ERROR.
-const SEVERITY_ERROR: u8 = 3;
-/// MAV_SEVERITY_NOTICE.
-const SEVERITY_NOTICE: u8 = 5;
-/// MAV_SEVERITY_INFO.
-const SEVERITY_INFO: u8 = 6;
 /// Time between two texts of one topic. A person reads a line in less.
 const TOPIC_INTERVAL: TimeDelta = TimeDelta::from_millis(5_000);
 /// The same for words of the station or of the robot, of which no two need be alike.

@@ -37,6 +37,7 @@ pub(crate) fn station_config() -> StationConfig {
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            thermometers: Vec::new(),
         },
         robots: Vec::new(),
         max_robots: 8,
@@ -45,7 +46,6 @@ pub(crate) fn station_config() -> StationConfig {
         timesync_period: TimeDelta::from_millis(500),
         brick_message_intervals: Vec::new(),
         duplicate_window: TimeDelta::from_millis(15_000),
-        thermometers: Vec::new(),
         links: vec![link_config(LinkId(0)), link_config(LinkId(1))],
     }
 }

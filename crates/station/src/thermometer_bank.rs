@@ -3,17 +3,21 @@
 //! Gets readings that are aligned already, gives what each thermometer will show in the end. Readings wait here until the robot has its
 //! estimate: nobody steers by a temperature.
 
+use std::collections::BTreeMap;
+
+use posebridge_estimator::Filter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
-use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     BrickClock, Celsius, ChannelName, Event, HostClock, Observation, ObservationKind, RobotId, SensorId, TimeDelta,
     Timestamp,
 };
 
-use crate::config::ThermometerConfig;
+use crate::config::RobotConfig;
 
-/// So many thermometers are followed; who sends more names than that makes them up.
-const MAX_CHANNELS: usize = 16;
+/// So many thermometers of a brick are followed; a brick that sends more names than that makes them up.
+const MAX_CHANNELS_PER_BRICK: usize = 16;
+/// So many are followed in total: four for each of 64 robots, the usual `station.max_robots`. Addresses can be made up as well.
+const MAX_CHANNELS: usize = 256;
 
 /// A reading on its way to its filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,10 +30,11 @@ pub(crate) struct TemperatureReading {
     pub(crate) shown: Celsius,
 }
 
-/// All thermometers, in the order in which they were heard first. Without any it holds and costs nothing.
+/// All thermometers by brick, those of a brick in the order in which they were heard first. Without any it holds and costs nothing.
 #[derive(Default)]
 pub(crate) struct ThermometerBank {
-    channels: Vec<ThermometerChannel>,
+    bricks: BTreeMap<RobotId, Vec<ThermometerChannel>>,
+    channel_count: usize,
     pending: Vec<TemperatureReading>,
     limit_report: LimitReport,
 }
@@ -44,7 +49,6 @@ enum LimitReport {
 }
 
 struct ThermometerChannel {
-    brick: RobotId,
     name: ChannelName,
     thermometer: Thermometer,
 }
@@ -57,18 +61,16 @@ impl ThermometerBank {
 
     /// A brick was restarted: how long its thermometers went on is not known.
     pub(crate) fn restart(&mut self, brick: RobotId) {
-        for channel in &mut self.channels {
-            if channel.brick == brick {
-                channel.thermometer.restart_clock();
-            }
+        for channel in self.bricks.get_mut(&brick).into_iter().flatten() {
+            channel.thermometer.restart_clock();
         }
     }
 
-    /// Uses what waits, oldest first.
-    pub(crate) fn process(&mut self, filter: &FilterConfig, known: &[ThermometerConfig], mut tell: impl FnMut(Event)) {
+    /// Uses what waits, oldest first; `config_of` says what is known about a brick.
+    pub(crate) fn process<'a>(&mut self, config_of: impl Fn(RobotId) -> &'a RobotConfig, mut tell: impl FnMut(Event)) {
         let mut waiting = std::mem::take(&mut self.pending);
         for reading in waiting.drain(..) {
-            if let Some(channel) = self.channel_of(&reading, filter, known) {
+            if let Some(channel) = self.channel_of(&reading, &config_of) {
                 tell(channel.observe(&reading));
             }
         }
@@ -85,33 +87,29 @@ impl ThermometerBank {
         is_due
     }
 
-    fn channel_of(
+    fn channel_of<'a>(
         &mut self,
         reading: &TemperatureReading,
-        filter: &FilterConfig,
-        known: &[ThermometerConfig],
+        config_of: impl Fn(RobotId) -> &'a RobotConfig,
     ) -> Option<&mut ThermometerChannel> {
-        let is_it = |channel: &ThermometerChannel| channel.brick == reading.brick && channel.name == reading.channel;
-        let index = match self.channels.iter().position(is_it) {
-            Some(index) => index,
-            None if self.channels.len() < MAX_CHANNELS => {
-                let told = known.iter().find(|known| known.channel == reading.channel);
-                let settings = told.map_or_else(ThermometerSettings::default, |told| told.settings.clone());
-                self.channels.push(ThermometerChannel {
-                    brick: reading.brick,
-                    name: reading.channel,
-                    thermometer: Thermometer::new(filter, &settings),
-                });
-                self.channels.len() - 1
-            }
-            None => {
+        let known = self.bricks.get(&reading.brick).map_or(&[][..], Vec::as_slice);
+        let index = known.iter().position(|channel| channel.name == reading.channel).unwrap_or(known.len());
+        if index == known.len() {
+            if index >= MAX_CHANNELS_PER_BRICK || self.channel_count >= MAX_CHANNELS {
                 if self.limit_report == LimitReport::None {
                     self.limit_report = LimitReport::Due;
                 }
                 return None;
             }
-        };
-        self.channels.get_mut(index)
+            let config = config_of(reading.brick);
+            let known = config.thermometers.iter().find(|known| known.channel == reading.channel);
+            let settings = known.map_or_else(ThermometerSettings::default, |known| known.settings.clone());
+            let thermometer = Thermometer::new(&config.filter_config, &settings);
+            let channels = self.bricks.entry(reading.brick).or_default();
+            channels.push(ThermometerChannel { name: reading.channel, thermometer });
+            self.channel_count += 1;
+        }
+        self.bricks.get_mut(&reading.brick)?.get_mut(index)
     }
 }
 
@@ -124,7 +122,7 @@ impl ThermometerChannel {
             measurement: ObservationKind::Temperature(reading.shown),
         });
         Event::Temperature {
-            brick: self.brick,
+            brick: reading.brick,
             channel: self.name,
             arrival: reading.arrival,
             stamp: reading.stamp,

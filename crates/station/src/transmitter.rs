@@ -19,7 +19,8 @@ use crate::forwarding::{ForwardedFrame, ForwardingReport};
 use crate::link_context::LinkContext;
 use crate::output_queue::OutputQueue;
 use crate::output_schedule::message_for_output;
-use crate::robot_table::{RobotIndex, RobotTable};
+use crate::robot_index::RobotIndex;
+use crate::robot_table::RobotTable;
 use crate::sessions::{SenderRole, Sessions, session_priority};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 

@@ -4,7 +4,7 @@
 //! robot that speaks no MAVLink sends nothing there, and one that does sends no attitude. So the station speaks as the robot on such a
 //! link, and a listener must not notice that two senders share one address:
 //!
-//! - Frames that are forwarded to the link take the next number of the same count ([`Encoder::renumber`]); payload and checksum seed
+//! - Frames that are forwarded to the link take the next number of the same count ([`Encoder::readdress`]); payload and checksum seed
 //!   stay as they are. Each sender has a count of its own, because not all of its frames are for this link.
 //! - What the robot sends itself is not sent a second time.
 //! - Signed frames must not be changed and leave as they came. While they do, the station does not speak as that robot.
@@ -12,7 +12,7 @@
 //!   there, and its signature must not stand beside frames that the robot sends without one: it does not speak as the robot there,
 //!   either. docs/adr/0010 gives the reasons.
 //!
-//! [`Encoder::renumber`]: posebridge_protocol::dialect::Encoder::renumber
+//! [`Encoder::readdress`]: posebridge_protocol::dialect::Encoder::readdress
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -58,7 +58,7 @@ pub(crate) struct VehicleProxies {
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
     /// When a vehicle's own frame left here last while the link has a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
-    /// Of two robots with one address the first.
+    /// Of several robots with one address the one with the lowest id.
     by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have something to send.
     active: BTreeSet<RobotId>,

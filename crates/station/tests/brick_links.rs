@@ -129,7 +129,7 @@ fn conversation(station: &mut TestStation, millis: i64) {
     let mut answers: Vec<(i64, [u8; 3])> = Vec::new();
     let mut seen = 0;
     for now_ms in 0..millis {
-        if station.pipeline.deadline().is_some_and(|due| due <= at(now_ms)) {
+        if station.engine.deadline().is_some_and(|due| due <= at(now_ms)) {
             station.give(at(now_ms), Input::Tick);
         }
         for (when, output) in &station.outputs[seen..] {
@@ -222,7 +222,7 @@ fn a_lost_link_is_silent_and_begins_anew_when_it_is_back() {
     }
     assert_eq!(questions(&station), 1);
     // Nobody is woken for a brick that is not there.
-    let due = station.pipeline.deadline();
+    let due = station.engine.deadline();
     assert!(due.is_none_or(|due| due > at(500)), "{due:?}");
     station.link(at(600), LINK, LinkState::Up);
     assert_eq!(questions(&station), 2);

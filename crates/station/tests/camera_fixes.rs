@@ -210,8 +210,8 @@ fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
         let expected = Timestamp::from_millis(shows(exposed, BRICK_AHEAD_MS));
         let off_ms = (observation.stamp - expected).as_millis_f64();
         assert!(off_ms.abs() < 2.0, "{name}: {off_ms} ms");
-        let latest = station.pipeline.latest_time().expect("it has observed");
-        let estimate = station.pipeline.estimate_at(latest).expect("it knows");
+        let latest = station.engine.latest_time().expect("it has observed");
+        let estimate = station.engine.estimate_at(latest).expect("it knows");
         let moved_m = estimate.pose.origin().x.0;
         assert!((0.005..0.0125).contains(&moved_m), "{name}: {moved_m}");
     }
@@ -262,8 +262,8 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
         let bytes = frame(TRACKER, &Message::VisionPosition(fix));
         give(&mut station, at(at_ms), TRACKER_LINK, &bytes);
         let (_, verdict, _) = *fixes(&station).last().expect("it was observed");
-        let latest = station.pipeline.latest_time().expect("it has observed");
-        let estimate = station.pipeline.estimate_at(latest).expect("it knows");
+        let latest = station.engine.latest_time().expect("it has observed");
+        let estimate = station.engine.estimate_at(latest).expect("it knows");
         (verdict, estimate.reset_counter, estimate.pose.origin().x.0)
     };
     // The first word of a tracker is no jump, whatever its counter.

@@ -104,7 +104,7 @@ fn across_the_wrap_the_estimate_follows_the_robot() {
     let mut world = World::new(scenario(2_000.0), &config());
     world.run_for(25);
     for truth in world.simulation.truth().iter().rev().take(40) {
-        let estimate = world.station.pipeline.estimate_at(truth.brick_time);
+        let estimate = world.station.engine.estimate_at(truth.brick_time);
         let estimate = estimate.expect("within the history");
         let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
         assert!(error_m < 0.03, "{error_m} at {:?}", truth.sim_time);
@@ -125,16 +125,16 @@ fn across_the_wrap_the_estimate_follows_the_robot() {
 fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
     let mut world = World::new(scenario(100.0), &config());
     world.run_for(10);
-    let before = world.station.pipeline.latest_time();
+    let before = world.station.engine.latest_time();
     world.simulation.restart_brick();
     let restarted_at = world.now();
     world.run_for(8);
     let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
     assert_eq!(world.station.events().filter(is_restart).count(), 1);
-    assert!(world.station.pipeline.latest_time() < before, "a new clock");
+    assert!(world.station.engine.latest_time() < before, "a new clock");
 
     let truth = world.simulation.truth().last().expect("it is logged");
-    let estimate = world.station.pipeline.estimate_at(truth.brick_time);
+    let estimate = world.station.engine.estimate_at(truth.brick_time);
     let estimate = estimate.expect("it was observed");
     let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
     assert!(error_m < 0.03, "{error_m}");

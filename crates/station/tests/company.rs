@@ -180,8 +180,8 @@ fn invented_peers_are_many_and_stay_cheap() {
     let begun = &frame(BRICK, &ticks(5_000, 0, 0))[..12];
     for peer in 0..100_000_u32 {
         let input = Input::Bytes { link: LINK, peer: PeerId(peer), bytes: begun.to_vec() };
-        station.pipeline.handle(at(i64::from(peer) / 20), &input);
-        while station.pipeline.poll().is_some() {}
+        station.engine.handle(at(i64::from(peer) / 20), &input);
+        while station.engine.poll().is_some() {}
     }
     // Twenty in a millisecond: fewer than may wait at a time. Each is given up when its time has come.
     station.pass_until(at(6_000));

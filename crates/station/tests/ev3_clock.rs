@@ -1,4 +1,4 @@
-//! An EV3's clock of 32 bits of microseconds, through the whole pipeline: it stays aligned when it wraps after 71.6 minutes.
+//! An EV3's clock of 32 bits of microseconds, through the whole engine: it stays aligned when it wraps after 71.6 minutes.
 //!
 //! The figures: `cargo test -p posebridge-station --test ev3_clock -- --nocapture`.
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
@@ -78,7 +78,7 @@ impl Scene {
 
     fn run_until(&mut self, until: Timestamp<HostClock>) {
         loop {
-            let next = [self.way.next(), self.station.pipeline.deadline()];
+            let next = [self.way.next(), self.station.engine.deadline()];
             let Some(next) = next.into_iter().flatten().min().filter(|next| *next <= until) else {
                 return;
             };

@@ -130,8 +130,8 @@ fn heading_after_a_quarter(station: &mut TestStation) -> f64 {
         let now = at(1_000 + i64::from(k) * 50);
         station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, counts)));
     }
-    let pipeline = &station.pipeline;
-    let estimate = pipeline.latest_time().and_then(|latest| pipeline.estimate_at(latest));
+    let engine = &station.engine;
+    let estimate = engine.latest_time().and_then(|latest| engine.estimate_at(latest));
     estimate.expect("it was observed").pose.heading.rad()
 }
 
@@ -156,7 +156,7 @@ fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
             (heading_rad - expected_rad).abs() < 1e-6,
             "{policy:?} {source}: {heading_rad} instead of {expected_rad}"
         );
-        let used_m = station.pipeline.geometry().track_width.0;
+        let used_m = station.engine.geometry().track_width.0;
         assert!((used_m - expected_width_m).abs() < 1e-6, "{used_m}");
     }
 }

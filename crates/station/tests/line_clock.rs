@@ -1,4 +1,4 @@
-//! Lines of a board through the whole pipeline: with a clock that wraps or is reset, and without any clock.
+//! Lines of a board through the whole engine: with a clock that wraps or is reset, and without any clock.
 //!
 //! The figures: `cargo test -p posebridge-station --test line_clock -- --nocapture`.
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]

@@ -51,7 +51,7 @@ impl Scene {
         for _ in 0..5 {
             scene.drive();
         }
-        assert_eq!(scene.station.pipeline.robots().len(), 2);
+        assert_eq!(scene.station.engine.robots().len(), 2);
         scene
     }
 

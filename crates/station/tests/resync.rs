@@ -40,7 +40,7 @@ fn sent_ms(number: i64) -> i64 {
 
 /// The engine, told of every piece of bytes at its instant and of every deadline at its own.
 struct Line {
-    pipeline: Station,
+    engine: Station,
     books: Books,
 }
 
@@ -48,16 +48,16 @@ impl Line {
     fn new() -> Self {
         let config = config();
         let books = Books::new(config.robot.filter_config.geometry.left_wheel_radius.0);
-        let pipeline = Station::new(config, Timestamp::ZERO).expect("the configuration is good");
-        let mut line = Self { pipeline, books };
+        let engine = Station::new(config, Timestamp::ZERO).expect("the configuration is good");
+        let mut line = Self { engine, books };
         let (link, state) = (LINK, LinkState::Up);
         line.give(Timestamp::ZERO, &Input::Link { link, state });
         line
     }
 
     fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
-        self.pipeline.handle(now, input);
-        while let Some(output) = self.pipeline.poll() {
+        self.engine.handle(now, input);
+        while let Some(output) = self.engine.poll() {
             if let Output::Event(event) = output {
                 self.books.take(&event);
             }
@@ -65,7 +65,7 @@ impl Line {
     }
 
     fn pass_until(&mut self, until: Timestamp<HostClock>) {
-        while let Some(due) = self.pipeline.deadline().filter(|due| *due <= until) {
+        while let Some(due) = self.engine.deadline().filter(|due| *due <= until) {
             self.give(due, &Input::Tick);
         }
     }

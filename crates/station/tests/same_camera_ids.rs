@@ -119,7 +119,7 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
         }
     }
     assert_eq!(observed, (0..ROBOTS).map(|robot| (robot, SensorId::CAMERA)).collect::<Vec<_>>());
-    for robot in station.pipeline.robots() {
+    for robot in station.engine.robots() {
         let latest = robot.latest_time().expect("it was observed");
         let x_m = robot.estimate_at(latest).expect("it was observed").pose.x.0;
         let expected_m = place_m(u32::from(robot.id().address.system.0) - 1);

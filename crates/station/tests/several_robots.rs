@@ -46,7 +46,7 @@ fn drive(station: &mut TestStation, robots: &mut [Speaker], k: u32) {
 }
 
 fn ids(station: &TestStation) -> Vec<RobotId> {
-    station.pipeline.robots().iter().map(posebridge_station::Robot::id).collect()
+    station.engine.robots().iter().map(posebridge_station::Robot::id).collect()
 }
 
 /// Recipients and contents of what was sent after the first `seen` outputs.
@@ -66,7 +66,7 @@ fn an_id_that_was_given_to_one_robot_is_not_that_of_another() {
     let ids = ids(&station);
     assert_eq!(ids.len(), 4);
     assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), 4, "{ids:?}");
-    for robot in station.pipeline.robots() {
+    for robot in station.engine.robots() {
         assert_eq!(robot.latest_time().map(|time| time.as_micros() % 10_000_000), Some(200_000), "each goes on");
     }
 }
@@ -77,7 +77,7 @@ fn robots_beyond_the_limit_are_reported_once() {
     let (station, _) = station_with(&config, &[BRICK, NEIGHBOUR]);
     let texts =
         station.events().filter(|event| matches!(event, Event::Text { text, .. } if text.contains("max_robots")));
-    assert_eq!((station.pipeline.robots().len(), texts.count()), (1, 1));
+    assert_eq!((station.engine.robots().len(), texts.count()), (1, 1));
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_board_without_wheels_is_no_second_robot() {
         let heading = posebridge_telemetry::Heading::from_rad(0.1);
         board.say(&mut station, at(i64::from(300 + 50 * k)), &Message::Compass { stamp, heading });
     }
-    assert_eq!(station.pipeline.robots().len(), 1);
+    assert_eq!(station.engine.robots().len(), 1);
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn an_estimate_that_comes_back_is_an_echo_under_a_robots_system_too() {
     let is_observed = |(_, output): &(_, Output)| matches!(output, Output::Event(Event::ObservationAligned { .. }));
     assert!(!station.outputs[seen..].iter().any(is_observed));
     assert_eq!(passed_on(&station, seen, &bytes), []);
-    assert_eq!(station.pipeline.robots().len(), 2);
+    assert_eq!(station.engine.robots().len(), 2);
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn a_source_that_is_left_out_is_left_out_of_robots_that_appear_later() {
     station.give(at(300), Input::Command(command));
     let mut neighbour = Speaker::new(NEIGHBOUR, LINK, 1);
     neighbour.say(&mut station, at(310), &ticks(20_000, 0, 0));
-    let robots = station.pipeline.robots().iter();
+    let robots = station.engine.robots().iter();
     let switched_off = robots.map(|robot| robot.switched_off().collect::<Vec<_>>());
     assert_eq!(switched_off.collect::<Vec<_>>(), [[SensorId::WHEELS], [SensorId::WHEELS]]);
 }
@@ -232,7 +232,7 @@ fn a_robot_that_is_off_does_not_keep_another_with_its_ids_from_being_followed_on
     for k in 0..120_u32 {
         moved.say(&mut station, at(i64::from(300 + 50 * k)), &ticks(20_000 + 50 * k, 0, 0));
     }
-    assert_eq!(station.pipeline.robots().len(), 2);
-    let latest = station.pipeline.robots()[1].latest_time().expect("it is followed");
+    assert_eq!(station.engine.robots().len(), 2);
+    let latest = station.engine.robots()[1].latest_time().expect("it is followed");
     assert_eq!(latest.as_micros(), 20_000_000 + 50_000 * 119);
 }

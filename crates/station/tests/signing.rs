@@ -182,8 +182,8 @@ fn what_was_heard_before_a_restart_is_refused_after_it() {
     let mut brick = Brick::with_key(7);
     let before = brick.say(at(100), &HEARTBEAT);
     station.bytes(at(100), &before);
-    assert_eq!(station.pipeline.signing_stream_count(), 1);
-    let memory = station.pipeline.signing_state(LINK, at(900)).unwrap();
+    assert_eq!(station.engine.signing_stream_count(), 1);
+    let memory = station.engine.signing_state(LINK, at(900)).unwrap();
     assert_eq!(memory.written_at, DATE.saturating_add(at(900) - Timestamp::ZERO));
 
     let date = DATE.saturating_add(at(2_000) - Timestamp::ZERO);
@@ -195,7 +195,7 @@ fn what_was_heard_before_a_restart_is_refused_after_it() {
     assert_eq!(refusals(&station), [(BRICK, SignatureError::Replayed)]);
     station.bytes(at(1_000), &brick.say(at(3_000), &HEARTBEAT));
     assert_eq!(refusals(&station).len(), 1);
-    let own = station.pipeline.signing_state(LINK, at(10)).unwrap().last_sent;
+    let own = station.engine.signing_state(LINK, at(10)).unwrap().last_sent;
     assert!(own > memory.last_sent.saturating_add(SigningState::MAX_WRITE_GAP));
 }
 
@@ -208,7 +208,7 @@ fn a_link_without_a_key_signs_nothing_and_believes_everybody() {
     assert_eq!(observed(&station), 1);
     assert!(station.sent().count() > 0);
     assert!(station.sent().all(|(_, bytes)| bytes[2] == 0));
-    assert_eq!(station.pipeline.signing_state(LINK, at(120)), None);
+    assert_eq!(station.engine.signing_state(LINK, at(120)), None);
 }
 
 #[test]

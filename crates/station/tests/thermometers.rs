@@ -14,7 +14,7 @@ use brick::{BRICK, HEARTBEAT, frame, messages, ticks};
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_protocol::message::{Message, WireStamp};
-use posebridge_station::ThermometerConfig;
+use posebridge_station::{RobotBlock, RobotConfig, RobotMatch, ThermometerConfig};
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, Event, FusionOutcome, Input, LinkId, LinkState, Output, ScalarEstimate, SensorId,
     Timestamp,
@@ -179,6 +179,12 @@ fn a_crowd_of_made_up_names_is_bounded_and_told_once() {
         station.bytes(at(100 + i64::from(k)), &frame(BATH, &message));
     }
     assert_eq!(told(&station).len(), 16);
+    // Another brick is followed all the same, and of a crowd of bricks a bounded number.
+    for k in 0..400_u32 {
+        let brick = Address::new(1 + (k % 200) as u8, 30 + (k / 200) as u8);
+        station.bytes(at(200 + i64::from(k)), &frame(brick, &named("temp", 1_000, 20.0)));
+    }
+    assert_eq!(told(&station).len(), 256);
     let texts = station.events().filter(|event| matches!(event, Event::Text { .. }));
     assert_eq!(texts.count(), 1);
 }
@@ -186,7 +192,7 @@ fn a_crowd_of_made_up_names_is_bounded_and_told_once() {
 #[test]
 fn a_thermometer_that_is_known_knows_the_end_from_a_second_reading() {
     let mut config = config();
-    config.thermometers = vec![ThermometerConfig {
+    let thermometers = vec![ThermometerConfig {
         channel: ChannelName::from_bytes(b"temp1"),
         settings: ThermometerSettings {
             model: DynamicModel::first_order(SensorId::THERMOMETER, 20.0).ok(),
@@ -194,6 +200,9 @@ fn a_thermometer_that_is_known_knows_the_end_from_a_second_reading() {
             resolution_k: 0.0,
         },
     }];
+    // The board has a block of its own.
+    let matches = RobotMatch { system: Some(BATH.system), ..RobotMatch::default() };
+    config.robots = vec![RobotBlock { matches, robot: RobotConfig { thermometers, ..config.robot.clone() } }];
     let mut station = TestStation::new(&config);
     for k in 0..2_u32 {
         let message = named("temp1", 1_000 + 2_000 * k, shown_c(2.0 * f64::from(k)));

@@ -19,7 +19,7 @@ pub(crate) fn check(data: &[u8]) {
         payload: &payload[..payload.len().min(255)],
         raw: &[],
     };
-    decode_numbered(data);
+    decode_readdressed(data);
     let Ok(Some(message)) = decode(&frame) else {
         return;
     };
@@ -34,20 +34,21 @@ pub(crate) fn check(data: &[u8]) {
         }
     });
     assert_eq!(seen, 1);
-    assert!(decode_numbered(&bytes), "{message:?}");
+    assert!(decode_readdressed(&bytes), "{message:?}");
 }
 
-/// Whether bytes are a frame that can be given another number; then it is still a frame that says the same, else nothing was changed.
-fn decode_numbered(bytes: &[u8]) -> bool {
-    let mut renumbered = bytes.to_vec();
-    let outcome = Encoder::new(WireVersion::V2).renumber(&mut renumbered);
-    let differs = bytes.iter().zip(&renumbered).filter(|(a, b)| a != b);
-    // The number, and the checksum's two bytes.
-    assert!(differs.count() <= 3 && (outcome.is_ok() || renumbered == bytes));
+/// Whether bytes are a frame that can be given another sender; then it is still a frame that says the same, else nothing was changed.
+fn decode_readdressed(bytes: &[u8]) -> bool {
+    let sender = Address::new(9, 9);
+    let mut readdressed = bytes.to_vec();
+    let outcome = Encoder::new(WireVersion::V2).readdress(&mut readdressed, sender);
+    let differs = bytes.iter().zip(&readdressed).filter(|(a, b)| a != b);
+    // The number, the two bytes of the address, and those of the checksum.
+    assert!(differs.count() <= 5 && (outcome.is_ok() || readdressed == bytes));
     if outcome.is_ok() {
-        let mut back = renumbered.clone();
-        assert_eq!(Encoder::new(WireVersion::V2).renumber(&mut back), Ok(()));
-        assert_eq!(back, renumbered, "number 0 stays number 0");
+        let mut again = readdressed.clone();
+        assert_eq!(Encoder::new(WireVersion::V2).readdress(&mut again, sender), Ok(()));
+        assert_eq!(again, readdressed, "number 0 stays number 0");
     }
     outcome.is_ok()
 }

@@ -6,7 +6,7 @@ use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
-use super::rewrite::{FrameLayout, RenumberError, rewrite};
+use super::rewrite::{RenumberError, rewrite};
 use super::{component, ids, posebridge, poses, sensors, services};
 use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum};
 use crate::message::Message;
@@ -85,18 +85,10 @@ impl Encoder {
         out.len() - start
     }
 
-    /// Gives a whole frame of somebody else the next number of its sender on this link. Its checksum follows; nothing else changes.
+    /// Gives a whole frame of somebody else a sender's address, its own or another, and the next number of that sender on this link. Its
+    /// checksum follows; nothing else changes.
     ///
-    /// The checksum's seed is found from the old checksum, so that messages of no dialect can be numbered as well.
-    ///
-    /// # Errors
-    /// A frame that cannot be numbered stays as it is.
-    pub fn renumber(&mut self, frame: &mut [u8]) -> Result<(), RenumberError> {
-        let layout = FrameLayout::parse(frame).ok_or(RenumberError::NoFrame)?;
-        self.readdress(frame, layout.source)
-    }
-
-    /// The same under another sender's address, whose next number it takes.
+    /// The checksum's seed is found from the old checksum, so that messages of no dialect can be changed as well.
     ///
     /// # Errors
     /// A frame that cannot be changed stays as it is.

@@ -1,7 +1,5 @@
 //! Changes in whole frames of others: their checksum follows.
 
-use posebridge_telemetry::Address;
-
 use crate::framing::{START_BYTE_V1, START_BYTE_V2, checksum, crc_extra_of};
 use crate::signing::FLAG_SIGNED;
 
@@ -53,7 +51,6 @@ pub fn is_signed(frame: &[u8]) -> bool {
 
 /// Where in a frame that is to be changed the parts stand.
 pub(crate) struct FrameLayout {
-    pub(crate) source: Address,
     pub(crate) sequence_at: usize,
     /// Where the sender's system stands; the component follows it.
     pub(crate) system_at: usize,
@@ -66,22 +63,16 @@ pub(crate) struct FrameLayout {
 impl FrameLayout {
     pub(crate) fn parse(frame: &[u8]) -> Option<Self> {
         match *frame {
-            [START_BYTE_V2, len, flags, _, _, system, component, ..] => Some(Self {
-                source: Address::new(system, component),
+            [START_BYTE_V2, len, flags, _, _, _, _, ..] => Some(Self {
                 sequence_at: 4,
                 system_at: 5,
                 payload_at: 10,
                 end: 10 + usize::from(len),
                 is_signed: flags & FLAG_SIGNED != 0,
             }),
-            [START_BYTE_V1, len, _, system, component, ..] => Some(Self {
-                source: Address::new(system, component),
-                sequence_at: 2,
-                system_at: 3,
-                payload_at: 6,
-                end: 6 + usize::from(len),
-                is_signed: false,
-            }),
+            [START_BYTE_V1, len, _, _, _, ..] => {
+                Some(Self { sequence_at: 2, system_at: 3, payload_at: 6, end: 6 + usize::from(len), is_signed: false })
+            }
             _ => None,
         }
     }

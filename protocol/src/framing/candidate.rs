@@ -7,7 +7,7 @@
 use posebridge_telemetry::Address;
 
 use super::checksum::checksum;
-use super::{FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
+use super::{FLAG_SIGNED, FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
 use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue, MessageLayout};
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
@@ -18,8 +18,6 @@ const HEADER_V1: usize = 6;
 const CHECKSUM: usize = 2;
 /// Bytes of the signature: link, 48 bits of time, 48 bits of hash.
 const SIGNATURE: usize = 13;
-/// Incompatibility flag: a signature follows. The only one in use.
-const FLAG_SIGNED: u8 = 0x01;
 
 /// A header that can begin a frame.
 #[derive(Clone, Copy, Debug)]
@@ -92,11 +90,6 @@ pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
     };
     let header = header.filter(|header| header.total == raw.len())?;
     Some(header.frame(raw))
-}
-
-/// Whether a whole frame bears a signature.
-pub(super) const fn is_signed(raw: &[u8]) -> bool {
-    matches!(*raw, [START_BYTE_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
 }
 
 /// Judges `bytes`, which begin with a start byte of the version.

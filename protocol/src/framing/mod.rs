@@ -29,6 +29,8 @@ use posebridge_telemetry::{Address, ReceiveError, TimeDelta};
 pub const START_BYTE_V2: u8 = 0xFD;
 /// Start byte of a MAVLink 1 frame.
 pub const START_BYTE_V1: u8 = 0xFE;
+/// Incompatibility flag of a MAVLink 2 frame: a signature follows. The only one in use.
+pub const FLAG_SIGNED: u8 = 0x01;
 
 /// Which of the two frame layouts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -124,7 +126,7 @@ impl FrameRef<'_> {
     /// Whether it bears a signature, whoever made it.
     #[must_use]
     pub fn is_signed(&self) -> bool {
-        candidate::is_signed(self.raw)
+        matches!(*self.raw, [START_BYTE_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
     }
 }
 

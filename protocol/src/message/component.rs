@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::ChannelName;
 
-use super::WireStamp;
+use super::stamp::WireStamp;
 
 /// AUTOPILOT_VERSION (148), the parts that a component without hardware of its own has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

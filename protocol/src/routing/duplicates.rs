@@ -15,16 +15,20 @@
 //! # Sources
 //! FNV-1a, 64 bits: Fowler, Noll, Vo, Eastlake, "The FNV Non-Cryptographic Hash Algorithm" (IETF, draft-eastlake-fnv).
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::Endpoint;
+use super::endpoint::Endpoint;
 use crate::framing::FrameRef;
 
-/// Most keys that are remembered; the oldest go first. A line of 115200 baud carries 8229 of the smallest telemetry frames (21 bytes)
-/// in 15 s.
-const MAX_KEYS: usize = 16_384;
+/// So many keys are remembered for each endpoint that was heard; the oldest of all go first. A line of 115200 baud carries 8229 of the
+/// smallest telemetry frames (21 bytes) in 15 s.
+const KEYS_PER_ENDPOINT: usize = 8_192;
+/// Fewer endpoints have as many keys as so many.
+const MIN_ENDPOINTS: usize = 2;
+/// More endpoints have no more keys than so many: a sender may invent peers, and a key takes about 80 bytes.
+const MAX_ENDPOINTS: usize = 32;
 /// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
 /// should not grow by it.
 const RESERVED_KEYS: usize = 4_096;
@@ -84,6 +88,8 @@ pub(super) struct DuplicateGuard {
     expiry_order: VecDeque<(Timestamp<HostClock>, FrameKey)>,
     /// Notes that are not sorted in, oldest first.
     unsorted: VecDeque<(FrameKey, SeenFrame)>,
+    /// By which endpoints notes came, at most [`MAX_ENDPOINTS`].
+    endpoints: BTreeSet<Endpoint>,
     /// By which way the last note came, and when one came last by another way than the one before it.
     last_endpoint: Option<Endpoint>,
     last_endpoint_change: Timestamp<HostClock>,
@@ -96,6 +102,7 @@ impl DuplicateGuard {
             seen: BTreeMap::new(),
             expiry_order: VecDeque::with_capacity(RESERVED_KEYS),
             unsorted: VecDeque::with_capacity(MAX_WAITING),
+            endpoints: BTreeSet::new(),
             last_endpoint: None,
             last_endpoint_change: Timestamp::ZERO,
         }
@@ -138,6 +145,9 @@ impl DuplicateGuard {
             self.expire_unsorted(now);
         } else {
             for (key, note) in self.unsorted.drain(..) {
+                if self.endpoints.len() < MAX_ENDPOINTS {
+                    self.endpoints.insert(note.endpoint);
+                }
                 self.seen.insert(key, note);
                 self.expiry_order.push_back((note.arrival, key));
             }
@@ -145,19 +155,26 @@ impl DuplicateGuard {
         self.expire_sorted(now);
     }
 
+    /// Most keys that are remembered.
+    fn max_keys(&self) -> usize {
+        KEYS_PER_ENDPOINT * self.endpoints.len().clamp(MIN_ENDPOINTS, MAX_ENDPOINTS)
+    }
+
     fn expire_unsorted(&mut self, now: Timestamp<HostClock>) {
+        let max_keys = self.max_keys();
         while self
             .unsorted
             .front()
-            .is_some_and(|(_, note)| now - note.arrival >= self.window || self.unsorted.len() > MAX_KEYS)
+            .is_some_and(|(_, note)| now - note.arrival >= self.window || self.unsorted.len() > max_keys)
         {
             self.unsorted.pop_front();
         }
     }
 
     fn expire_sorted(&mut self, now: Timestamp<HostClock>) {
+        let max_keys = self.max_keys();
         while let Some((noted, key)) = self.expiry_order.front().copied() {
-            if now - noted < self.window && self.expiry_order.len() <= MAX_KEYS {
+            if now - noted < self.window && self.expiry_order.len() <= max_keys {
                 break;
             }
             self.expiry_order.pop_front();
@@ -232,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn no_window_knows_nothing_again_and_the_memory_is_bounded() {
+    fn no_window_knows_nothing_again_and_a_waiting_key_is_found() {
         let mut off = DuplicateGuard::new(TimeDelta::ZERO);
         assert_eq!(off.record(at(0), way(0), FrameKey::Frame(1)), None);
         assert_eq!(off.record(at(0), way(1), FrameKey::Frame(1)), None);
@@ -240,9 +257,20 @@ mod tests {
         for key in 0..100_000 {
             guard.record(at(0), way(0), FrameKey::Frame(key));
         }
-        assert!(guard.seen.len() <= MAX_KEYS && guard.expiry_order.len() <= MAX_KEYS);
         assert!(guard.unsorted.len() <= MAX_WAITING);
         assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(0)), None);
         assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(99_999)), Some(way(0)));
+    }
+
+    #[test]
+    fn the_memory_grows_with_the_endpoints_and_is_bounded() {
+        for (links, expected) in [(1, 16_384), (2, 16_384), (4, 32_768), (200, 262_144)] {
+            let mut guard = DuplicateGuard::new(WINDOW);
+            for key in 0..300_000 {
+                guard.record(at(0), way((key % links) as u16), FrameKey::Frame(key));
+            }
+            guard.sort_and_expire(at(0));
+            assert_eq!((guard.seen.len(), guard.expiry_order.len()), (expected, expected), "{links} links");
+        }
     }
 }

@@ -12,12 +12,14 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Address, HostClock, TimeDelta, Timestamp};
 
+use super::endpoint::MAX_PEERS;
+
 /// So much of the rate may leave at once: a quarter of a second is what people who steer notice.
 const BURST: TimeDelta = TimeDelta::from_millis(250);
 /// A MAVLink 2 frame with signature.
 const MAX_FRAME_BYTES: i64 = 280;
 /// Most senders whose intervals are kept.
-const MAX_SENDERS: usize = super::MAX_PEERS;
+const MAX_SENDERS: usize = MAX_PEERS;
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// Limits of one link. The default limits nothing.

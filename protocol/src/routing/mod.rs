@@ -20,6 +20,7 @@
 //! forwarded like broadcasts.
 
 mod duplicates;
+mod endpoint;
 mod limits;
 mod routes;
 mod rules;
@@ -29,8 +30,9 @@ mod timestamped;
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, TimeDelta, Timestamp};
 
+pub use endpoint::{Endpoint, MAX_PEERS};
 pub use limits::{LinkRateLimiter, RateLimits};
 pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRules, message_id_named};
 pub use targets::{MessageTarget, retarget, target_of};
@@ -44,19 +46,8 @@ use crate::framing::FrameRef;
 
 /// A way by which somebody was not heard for this long leads to him no more.
 pub const ROUTE_LIFETIME: TimeDelta = routes::LIFETIME;
-/// Most peers of a link that are told apart, and as many routes and senders: what a UDP port remembers.
-pub const MAX_PEERS: usize = 4_096;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
-
-/// By which way a frame came: a peer of a link. The default is the only peer of the first link.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Endpoint {
-    /// The link.
-    pub link: LinkId,
-    /// Which of its peers.
-    pub peer: PeerId,
-}
 
 /// Whether a frame's sender is who its header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

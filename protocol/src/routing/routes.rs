@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, SystemId, TimeDelta, Timestamp};
 
-use super::Endpoint;
+use super::endpoint::{Endpoint, MAX_PEERS};
 
 /// A way by which somebody was not heard for this long leads to him no more: thirty missed heartbeats.
 pub(super) const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 /// Most routes.
-const MAX_ROUTES: usize = super::MAX_PEERS;
+const MAX_ROUTES: usize = MAX_PEERS;
 
 /// Behind one way no honest neighbourhood is larger than this: as many systems as eight bits name.
 const MANY_ROUTES: usize = 255;

@@ -4,7 +4,7 @@ use mavlink::dialects::common;
 use mavlink_core::Message;
 use posebridge_telemetry::{Address, ComponentId, SystemId};
 
-use super::RateLimits;
+use super::limits::RateLimits;
 use crate::dialect::generated::posebridge;
 
 /// The rules of one link.

@@ -16,17 +16,19 @@ mod output;
 mod parameters;
 mod peers;
 mod period;
+mod sender;
 mod time_requests;
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, ComponentId, PeerId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
 
 pub use self::output::SessionOutput;
 use self::parameters::ParameterServer;
 use self::peers::PeerTable;
 use self::period::{MIN_PERIOD, next_period};
+pub use self::sender::SessionSender;
 use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
@@ -48,15 +50,6 @@ pub struct SessionConfig {
     pub requested_messages: Vec<(u32, TimeDelta)>,
     /// Messages whose interval others may set; a request for any other is answered as unsupported.
     pub offered_messages: Vec<u32>,
-}
-
-/// Who sent a message on the session's link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct SessionSender {
-    /// The address that the message names.
-    pub address: Address,
-    /// By which peer of the link it came; `None` if that says nothing.
-    pub peer: Option<PeerId>,
 }
 
 /// Whether a [`Session`] shows that it is there.

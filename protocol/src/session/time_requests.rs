@@ -8,8 +8,8 @@ use std::collections::{BTreeSet, VecDeque};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{PeerId, TimeDelta, Timestamp};
 
-use super::SessionSender;
 use super::period::{MIN_PERIOD, next_period};
+use super::sender::SessionSender;
 
 /// Requests at the start, and again for each new peer, that come in quick succession: ten exchanges give the hulls of the
 /// clock alignment their first bounds.

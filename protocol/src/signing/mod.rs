@@ -30,6 +30,7 @@ mod signer;
 mod state;
 mod verifier;
 
+pub use crate::framing::FLAG_SIGNED;
 pub use clock::SigningTime;
 pub use key::{Key, KeyError};
 pub use signature::FrameSigner;
@@ -37,7 +38,5 @@ pub use signer::{LinkSigner, SigningConfig};
 pub use state::{ShutdownKind, SignedStreamState, SigningState, StreamId};
 pub use verifier::UnsignedPolicy;
 
-/// Incompatibility flag of a frame that a signature follows.
-pub const FLAG_SIGNED: u8 = 0x01;
 /// RADIO_STATUS: telemetry radios inject it and hold no key.
 pub const RADIO_STATUS: u32 = 109;

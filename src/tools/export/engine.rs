@@ -163,7 +163,7 @@ fn robot_poses(
     let robots = robots.into_iter().map(|robot| {
         let known = wants_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
         let truth = known.transpose()?.and_then(|known| known.truth);
-        Ok(RobotPoses { label: Some(robot.label()), estimates: robot.value, truth })
+        Ok(RobotPoses { label: Some(robot.label), estimates: robot.value, truth })
     });
     robots.collect()
 }

@@ -9,7 +9,7 @@ use super::args::ExportArgs;
 use super::engine::{ExportedRun, RobotPoses};
 use super::output_files::print_written;
 use crate::console::print_line;
-use crate::station::per_robot::file_part;
+use crate::station::per_robot::file_parts;
 
 /// The last digit of a stamp in such a file.
 const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
@@ -24,14 +24,16 @@ pub(super) fn write(args: &ExportArgs, made: &ExportedRun) -> Result<()> {
         write_one(args, "estimate", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.estimated))))?;
         return write_one(args, "truth", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.expected))));
     }
-    for robot in &made.robots {
-        write_robot(args, robot)?;
+    let labels = made.robots.iter().map(|robot| robot.label.as_deref().unwrap_or_default());
+    for (robot, part) in made.robots.iter().zip(file_parts(labels)) {
+        write_robot(args, robot, &part)?;
     }
     Ok(())
 }
 
-fn write_robot(args: &ExportArgs, robot: &RobotPoses) -> Result<()> {
-    let suffix = robot.label.as_ref().map_or_else(String::new, |label| format!("-{}", file_part(label)));
+/// `part` stands for the robot in file names, where there are several.
+fn write_robot(args: &ExportArgs, robot: &RobotPoses, part: &str) -> Result<()> {
+    let suffix = robot.label.as_ref().map_or_else(String::new, |_| format!("-{part}"));
     let (estimate, truth) = trajectories(robot);
     if estimate.is_empty() {
         let place = if robot.truth.is_some() { " where there is truth" } else { "" };

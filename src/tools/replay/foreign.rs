@@ -204,6 +204,7 @@ pub fn replay_run(
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            thermometers: vec![],
         },
         robots: vec![],
         max_robots: 1,
@@ -212,7 +213,6 @@ pub fn replay_run(
         timesync_period: TimeDelta::from_millis(1_000),
         brick_message_intervals: vec![],
         duplicate_window: TimeDelta::ZERO,
-        thermometers: vec![],
         links: vec![],
     };
     let Some(first) = robot_run.run.observations.first() else { bail!("the run is empty") };

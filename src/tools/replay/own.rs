@@ -118,10 +118,10 @@ fn summarize(
         let robots = replay.collectors.into_entries();
         let has_several = robots.len() > 1;
         for (position, robot) in robots.into_iter().enumerate() {
-            let label = has_several.then(|| robot.label());
+            let label = has_several.then_some(robot.label);
             let known = recording.ground_truth(args.session.truth.as_deref(), robot.robot).before_start()?;
             let engine = replay.station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
-            let file = robot.robot.map_or(&replay.config.robot, |id| replay.config.robot_file(id));
+            let file = replay.config.robot_file(engine);
             let mut filter_config = replay.config.filter_config_of(file).before_start()?;
             let prior = filter_config.calibration;
             let collector = robot.value;

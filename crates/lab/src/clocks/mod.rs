@@ -19,6 +19,7 @@ mod cases;
 mod compare;
 mod hulls;
 mod jitter_correction;
+mod method;
 mod timesync;
 
 pub use arrival_time::ArrivalTime;
@@ -26,27 +27,8 @@ pub use cases::{CLOCK_CASES, ClockCase};
 pub use compare::{ClockRow, compare_methods};
 pub use hulls::{OneWayHull, TwoWayHulls};
 pub use jitter_correction::JitterCorrection;
+pub use method::{ClockExchange, ClockMethod};
 pub use timesync::TimeSyncFilter;
-
-/// One answered time request, in seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClockExchange {
-    /// When the request left, host clock.
-    pub sent_s: f64,
-    /// What the answering clock showed, remote clock.
-    pub remote_s: f64,
-    /// When the answer arrived, host clock.
-    pub received_s: f64,
-}
-
-/// A way to find how a remote clock runs against the host's.
-pub trait ClockMethod {
-    /// Learns from an answered request. A one-way method looks only at the stamp and its arrival.
-    fn observe_exchange(&mut self, exchange: &ClockExchange);
-
-    /// Host minus remote at a host instant, s; `None` while it has nothing to say.
-    fn offset_at(&self, host_s: f64) -> Option<f64>;
-}
 
 /// A row of [`METHODS`].
 #[derive(Clone, Copy, Debug)]

@@ -9,6 +9,7 @@ pub mod align;
 pub mod bounds;
 pub mod conversion;
 mod hull;
+mod last_stamp;
 mod maximize;
 mod stamp_tracks;
 pub mod unwrap;

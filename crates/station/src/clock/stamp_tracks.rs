@@ -24,7 +24,7 @@ use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::Endpoint;
-use super::unwrap::LastStamp;
+use super::last_stamp::LastStamp;
 
 /// Most ways that are followed; the one that was silent longest goes first. Nobody joins a robot by more links.
 const MAX_TRACKS: usize = 8;

@@ -12,42 +12,16 @@
 //! of an hour that is about a fifth of all values; after a shorter silence fewer, because the clock must not fall either.
 
 use posebridge_protocol::message::WireStamp;
-use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
+use posebridge_telemetry::{HostClock, Timestamp, clock::Clock};
 
+use super::Endpoint;
+use super::last_stamp::{micros_of, nearest_instant};
 use super::stamp_tracks::{StampPlacement, StampTracks};
-use super::{Endpoint, MAX_SKEW};
-
-/// Period of a 32-bit microsecond counter.
-const PERIOD_MICROS: i64 = 1 << 32;
-/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLER_WINDOW`]): datagrams overtake
-/// each other by milliseconds. Shorter falls are refused by the estimator's history instead.
-const RESTART_BACK_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// So long after a queue was let go a datagram may come that all of it has overtaken, and be as much older as the queue was long.
-const STRAGGLER_WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
-/// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
-/// ([`MAX_SKEW`]): 2000 ppm need eight minutes for a second.
-const RESTART_AHEAD_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// A clock that has run this much less than the host's stood still or began anew: no link holds a message for longer than TCP,
-/// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
-const MAX_DELAY: TimeDelta = TimeDelta::from_millis(924_600);
 
 /// Unwraps the stamps of one remote clock, by whichever ways they come.
 #[derive(Clone, Debug, Default)]
 pub struct Unwrapper {
     tracks: StampTracks,
-}
-
-/// The last stamp of a clock, or of what one way tells of it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct LastStamp {
-    pub(super) remote_micros: i64,
-    pub(super) arrival: Timestamp<HostClock>,
-    /// By how much it came later than the quickest before it. Behind a queue the next may come at once, and be so much younger.
-    queue_delay: TimeDelta,
-    /// How long the last queue was.
-    queue: TimeDelta,
-    /// When its first message came.
-    released: Timestamp<HostClock>,
 }
 
 /// A stamp on the remote clock.
@@ -104,103 +78,9 @@ impl Unwrapper {
     }
 }
 
-/// The instants that a stamp may mean without a restart, in microseconds on the remote clock.
-#[derive(Clone, Copy, Debug)]
-#[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
-pub(super) struct PlausibleRange {
-    earliest_micros: i64,
-    expected_micros: i64,
-    pub(super) latest_micros: i64,
-}
-
-impl LastStamp {
-    /// A stamp of which nothing is known but that it came.
-    pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
-        Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }
-    }
-
-    /// What a stamp that arrives at `arrival` may mean if the clock ran on.
-    pub(super) fn plausible_range(&self, arrival: Timestamp<HostClock>) -> PlausibleRange {
-        let (elapsed, skew) = self.elapsed(arrival);
-        let expected_micros = self.remote_micros + micros(elapsed);
-        let straggling = if arrival - self.released <= STRAGGLER_WINDOW { self.queue } else { TimeDelta::ZERO };
-        PlausibleRange {
-            earliest_micros: (self.remote_micros - micros(RESTART_BACK_THRESHOLD + straggling))
-                .max(expected_micros - micros(skew + MAX_DELAY)),
-            expected_micros,
-            latest_micros: expected_micros + micros(skew + self.queue_delay + RESTART_AHEAD_THRESHOLD),
-        }
-    }
-
-    /// A younger stamp of the same clock.
-    pub(super) fn followed_by(&self, remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
-        let (elapsed, skew) = self.elapsed(arrival);
-        let lag = elapsed - TimeDelta::from_micros(remote_micros - self.remote_micros);
-        // A slow clock lags for ever without being held back: what its rate may explain neither counts nor is kept.
-        let kept = (self.queue_delay - skew).max(TimeDelta::ZERO);
-        let added = if lag > skew { lag } else { lag.min(TimeDelta::ZERO) };
-        let held_back = (kept + added).max(TimeDelta::ZERO).min(MAX_DELAY);
-        let (queue, released) = if held_back >= self.queue || arrival - self.released > STRAGGLER_WINDOW {
-            (held_back, arrival)
-        } else {
-            (self.queue, self.released)
-        };
-        Self { remote_micros, arrival, queue_delay: held_back, queue, released }
-    }
-
-    /// The time on the host since this stamp came, and how much of it the rates of the clocks may make.
-    fn elapsed(&self, arrival: Timestamp<HostClock>) -> (TimeDelta, TimeDelta) {
-        let elapsed = (arrival - self.arrival).max(TimeDelta::ZERO);
-        let skew = TimeDelta::from_secs_f64(elapsed.as_secs_f64() * MAX_SKEW);
-        (elapsed, skew)
-    }
-}
-
-impl PlausibleRange {
-    pub(super) const fn contains(&self, instant_micros: i64) -> bool {
-        self.earliest_micros <= instant_micros && instant_micros <= self.latest_micros
-    }
-
-    /// What the stamp means: its full value if it has 64 bits and that is believable, else the instant next to the expected one.
-    pub(super) fn instant_of(&self, stamp: WireStamp) -> i64 {
-        let whole = micros_of(stamp);
-        match stamp {
-            WireStamp::Micros64(_) if self.contains(whole) => whole,
-            WireStamp::Micros64(_)
-            | WireStamp::Micros32(_)
-            | WireStamp::Millis32(_)
-            // It is no instant of this clock; the engine converts it by what is known of both.
-            | WireStamp::HostInterval { .. } => {
-                nearest_instant(self.expected_micros, whole)
-            }
-        }
-    }
-}
-
-const fn micros(span: TimeDelta) -> i64 {
-    span.as_nanos() / 1_000
-}
-
-/// What a counter shows, in microseconds.
-fn micros_of(stamp: WireStamp) -> i64 {
-    match stamp {
-        WireStamp::Micros32(micros) => i64::from(micros),
-        WireStamp::Millis32(millis) => i64::from(millis) * 1_000,
-        // Beyond i64 nanoseconds there is no instant; damage, which the restart rule then catches.
-        WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => {
-            i64::try_from(stamp.as_micros()).unwrap_or(i64::MAX).min(i64::MAX / 2_000)
-        }
-    }
-}
-
-/// The instant next to `near_micros` at which a counter shows this value modulo its period.
-const fn nearest_instant(near_micros: i64, shown_micros: i64) -> i64 {
-    let ahead = (shown_micros - near_micros).rem_euclid(PERIOD_MICROS);
-    if ahead >= PERIOD_MICROS / 2 { near_micros + ahead - PERIOD_MICROS } else { near_micros + ahead }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::last_stamp::PERIOD_MICROS;
     use super::*;
     use posebridge_telemetry::BrickClock;
 

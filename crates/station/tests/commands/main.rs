@@ -286,7 +286,7 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
 fn what_is_learned_is_frozen_thawed_and_reset() {
     let mut ground = Ground::new(with_calibration);
     let scale = |ground: &Ground| {
-        let learned = ground.station.pipeline.calibration();
+        let learned = ground.station.engine.calibration();
         learned.expect("it learns").radius_scale
     };
     let configured = scale(&ground);
@@ -318,7 +318,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
     assert_eq!(ground.result(1_010, SOURCE, &[camera, 0.0]), ACCEPTED);
     ground.drive(1_050, 5_000);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), FusionOutcome::Unused);
-    let off: Vec<SensorId> = ground.station.pipeline.switched_off().collect();
+    let off: Vec<SensorId> = ground.station.engine.switched_off().collect();
     assert_eq!(off, [SensorId::CAMERA]);
     let blurred = ground.estimate().x_sigma_m();
     assert!(blurred > 1.5 * sharp, "{blurred} {sharp}");
@@ -327,7 +327,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         .station
         .give(at(5_010), Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::On }));
     ground.drive(5_050, 6_000);
-    assert_eq!(ground.station.pipeline.switched_off().count(), 0);
+    assert_eq!(ground.station.engine.switched_off().count(), 0);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), FusionOutcome::Accepted);
     assert!(ground.estimate().x_sigma_m() < blurred / 1.5);
     let texts = ground.texts();

@@ -23,7 +23,7 @@ fn two_robots() -> Ground {
             ground.station.bytes(at(i64::from(millis)), &frame(address, &ticks(millis, 0, 0)));
         }
     }
-    assert_eq!(ground.station.pipeline.robots().len(), 2);
+    assert_eq!(ground.station.engine.robots().len(), 2);
     ground
 }
 
@@ -34,7 +34,7 @@ fn set_pose(x_m: f64) -> Command {
 
 /// Where the robots are, and how many of their sensors are switched off.
 fn positions(ground: &Ground) -> Vec<(f64, usize)> {
-    let robots = ground.station.pipeline.robots().iter().map(|robot| {
+    let robots = ground.station.engine.robots().iter().map(|robot| {
         let estimate = robot.latest_time().and_then(|latest| robot.estimate_at(latest));
         let x_m = estimate.map_or(f64::NAN, |estimate| estimate.pose.x.0);
         ((x_m * 1e3).round() / 1e3, robot.switched_off().count())

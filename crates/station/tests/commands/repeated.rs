@@ -56,7 +56,7 @@ fn a_run_with_requests_is_replayed_bit_for_bit() {
         outputs: vec![],
         ..TestStation::new(&StationConfig { links: vec![], ..config.clone() })
     };
-    replayed.pipeline = Station::new(config, at(0)).expect("the same as before");
+    replayed.engine = Station::new(config, at(0)).expect("the same as before");
     for (now, input) in &live.station.inputs {
         replayed.give(*now, input.clone());
     }

@@ -11,9 +11,9 @@ fn ticks_at_the_deadlines_and_nowhere_else_miss_nothing_and_do_not_spin() {
     let mut station = TestStation::new(&config());
     station.bytes(at(100), &frame(BRICK, &HEARTBEAT));
     let mut count = 0;
-    while let Some(due) = station.pipeline.deadline().filter(|due| *due <= at(20_000)) {
+    while let Some(due) = station.engine.deadline().filter(|due| *due <= at(20_000)) {
         station.give(due, Input::Tick);
-        let next = station.pipeline.deadline().expect("there is always a heartbeat");
+        let next = station.engine.deadline().expect("there is always a heartbeat");
         assert!(next > due, "after {due:?} comes {next:?}");
         count += 1;
     }
@@ -62,7 +62,7 @@ fn what_comes_to_light_behind_a_torn_frame_is_acted_upon_at_once() {
     station.bytes(at(310), &[&torn[..], &frame(BRICK, &HEARTBEAT)].concat());
     station.pass_until(at(360));
     assert!(station.events().any(|event| matches!(event, Event::RobotDetected { .. })));
-    assert!(station.pipeline.deadline().is_some_and(|due| due > at(360)));
+    assert!(station.engine.deadline().is_some_and(|due| due > at(360)));
     let asked = station.sent().any(|(now, bytes)| {
         let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));
         now == at(360) && messages(bytes).iter().any(is_request)

@@ -30,12 +30,12 @@ fn driven(config: &StationConfig) -> World {
     world
 }
 
-/// Gives the same inputs to a fresh pipeline.
+/// Gives the same inputs to a fresh station.
 fn replayed(inputs: &[(Timestamp<HostClock>, Input)]) -> TestStation {
     let mut config = config();
     config.links[0].outputs = all_outputs();
     let mut station = TestStation {
-        pipeline: Station::new(config, Timestamp::ZERO).expect("the configuration is good"),
+        engine: Station::new(config, Timestamp::ZERO).expect("the configuration is good"),
         inputs: vec![],
         outputs: vec![],
     };
@@ -108,7 +108,7 @@ fn a_robot_drives_on_through_a_link_that_is_cut() {
     world.cut_for(3);
     world.run_for(6);
     let truth = world.simulation.truth().last().expect("it is logged");
-    let estimate = world.station.pipeline.estimate_at(truth.brick_time).expect("it was observed");
+    let estimate = world.station.engine.estimate_at(truth.brick_time).expect("it was observed");
     let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
     assert!(error_m < 0.05, "{error_m}");
     assert_eq!(estimate.reset_counter, 0);

@@ -220,7 +220,7 @@ fn the_same_inputs_give_the_same_outputs_with_many_links_too() {
         run.step(now, [true; 2], |index| now % 3 == index as i64);
     }
     let fresh = Redundant::new().station;
-    let mut again = TestStation { pipeline: fresh.pipeline, inputs: vec![], outputs: fresh.outputs };
+    let mut again = TestStation { engine: fresh.engine, inputs: vec![], outputs: fresh.outputs };
     // The first inputs are those that brought the links up.
     for (now, input) in &run.station.inputs[LINKS.len()..] {
         again.give(*now, input.clone());

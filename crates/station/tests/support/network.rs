@@ -1,4 +1,4 @@
-//! Speakers with sequence numbers of their own, and lines with delays between pipelines: several links in virtual time.
+//! Speakers with sequence numbers of their own, and lines with delays between stations: several links in virtual time.
 
 use std::collections::BTreeMap;
 

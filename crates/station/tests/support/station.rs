@@ -1,4 +1,4 @@
-//! A pipeline with its clock, as the tests drive it.
+//! A station with its clock, as the tests drive it.
 
 use posebridge_estimator::{FilterConfig, Params, StartPose};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
@@ -41,6 +41,7 @@ pub(crate) fn config() -> StationConfig {
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            thermometers: vec![],
         },
         robots: vec![],
         max_robots: 64,
@@ -49,7 +50,6 @@ pub(crate) fn config() -> StationConfig {
         timesync_period: TimeDelta::from_millis(500),
         brick_message_intervals: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::from_millis(50))],
         duplicate_window: TimeDelta::from_millis(15_000),
-        thermometers: vec![],
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
 }
@@ -86,9 +86,9 @@ pub(crate) fn stream(kind: OutputKind, interval_ms: i64) -> OutputStream {
     OutputStream { kind, interval: TimeDelta::from_millis(interval_ms), instant: OutputInstant::Observed }
 }
 
-/// A pipeline that remembers what it was given and what it gave, each with the instant.
+/// A station that remembers what it was given and what it gave, each with the instant.
 pub(crate) struct TestStation {
-    pub(crate) pipeline: Station,
+    pub(crate) engine: Station,
     pub(crate) inputs: Vec<(Timestamp<HostClock>, Input)>,
     pub(crate) outputs: Vec<(Timestamp<HostClock>, Output)>,
 }
@@ -97,7 +97,7 @@ impl TestStation {
     /// A station whose link comes up at instant zero.
     pub(crate) fn new(config: &StationConfig) -> Self {
         let mut station = Self {
-            pipeline: Station::new(config.clone(), Timestamp::ZERO).expect("the configuration is good"),
+            engine: Station::new(config.clone(), Timestamp::ZERO).expect("the configuration is good"),
             inputs: vec![],
             outputs: vec![],
         };
@@ -109,8 +109,8 @@ impl TestStation {
 
     /// Gives one input and takes everything that comes of it.
     pub(crate) fn give(&mut self, now: Timestamp<HostClock>, input: Input) {
-        self.pipeline.handle(now, &input);
-        while let Some(output) = self.pipeline.poll() {
+        self.engine.handle(now, &input);
+        while let Some(output) = self.engine.poll() {
             self.outputs.push((now, output));
         }
         self.inputs.push((now, input));
@@ -127,7 +127,7 @@ impl TestStation {
 
     /// Gives ticks at the deadlines until an instant.
     pub(crate) fn pass_until(&mut self, until: Timestamp<HostClock>) {
-        while let Some(due) = self.pipeline.deadline().filter(|due| *due <= until) {
+        while let Some(due) = self.engine.deadline().filter(|due| *due <= until) {
             self.give(due, Input::Tick);
         }
     }

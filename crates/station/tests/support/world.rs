@@ -64,7 +64,7 @@ impl World {
         while let Some(bytes) = take_due(&mut self.to_station, now) {
             self.station.give(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
         }
-        if self.station.pipeline.deadline().is_some_and(|due| due <= now) {
+        if self.station.engine.deadline().is_some_and(|due| due <= now) {
             self.station.give(now, Input::Tick);
         }
         self.send_back();
