@@ -8,7 +8,7 @@
 //!
 //! # What cannot be known
 //! A brick that restarted during a silence shows the time since. If that, modulo the period, lies between what the longest delay
-//! of a link allows and what was expected, it cannot be told from the old clock and is taken for it. After more than a quarter
+//! of a link allows and what was expected, it cannot be distinguished from the old clock and is taken for it. After more than a quarter
 //! of an hour that is about a fifth of all values; after a shorter silence fewer, because the clock must not fall either.
 
 use posebridge_protocol::message::WireStamp;
@@ -19,25 +19,25 @@ use super::{Endpoint, MAX_SKEW};
 
 /// Period of a 32-bit microsecond counter.
 const PERIOD_MICROS: i64 = 1 << 32;
-/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLER_WINDOW`]): datagrams overtake
-/// each other by milliseconds. Shorter falls are refused by the estimator's history instead.
+/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLER_WINDOW`]):
+/// datagrams overtake each other by milliseconds. Shorter falls are refused by the estimator's history instead.
 const RESTART_BACK_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// So long after a queue was let go a datagram may come that all of it has overtaken, and be as much older as the queue was long.
+/// For this long after a queue was released, a datagram may arrive that the whole queue has overtaken; it is older by the queue's delay.
 const STRAGGLER_WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
 /// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
 /// ([`MAX_SKEW`]): 2000 ppm need eight minutes for a second.
 const RESTART_AHEAD_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// A clock that has run this much less than the host's stood still or began anew: no link holds a message for longer than TCP,
+/// A clock that has run this much less than the host's has stopped or restarted: no link holds a message for longer than TCP,
 /// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(924_600);
 
-/// Unwraps the stamps of one remote clock, by whichever ways they come.
+/// Unwraps the stamps of one remote clock, from all its endpoints.
 #[derive(Clone, Debug, Default)]
 pub struct Unwrapper {
     tracks: StampTracks,
 }
 
-/// The last stamp of a clock, or of what one way tells of it.
+/// The last stamp of a clock, or the last from one endpoint.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastStamp {
     pub(super) remote_micros: i64,
@@ -93,7 +93,7 @@ impl Unwrapper {
 
     /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
     pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
-        let last = self.tracks.youngest()?;
+        let last = self.tracks.latest()?;
         Some(Timestamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
     }
 
@@ -114,7 +114,7 @@ pub(super) struct PlausibleRange {
 }
 
 impl LastStamp {
-    /// A stamp of which nothing is known but that it came.
+    /// A stamp with no known instant.
     pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
         Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }
     }
