@@ -1,7 +1,7 @@
-//! A drive of a real robot: where it began, where it ended, and who says so.
+//! A drive of a real robot: its start, its end, and the source of both.
 //!
 //! A recording has no truth. What is known of its ends comes from a camera, whose fixes are then held back from the filters, or from
-//! the path: who drives a closed path ends where it began. Gets observations as they were recorded; the experiments of the lab
+//! the path: a closed path ends where it began. Gets observations as they were recorded; the experiments of the lab
 //! run their filters over the drive.
 //!
 //! # Model
@@ -36,10 +36,10 @@ use crate::end_errors::FilteredDrive;
 pub(crate) use self::observations::{fixes, mid_axle_position, moved, wheels};
 pub use self::start_and_end::DriveError;
 
-/// Who says where a drive ended.
+/// The reference for the end of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEndReference {
-    /// The fixes; no filter that is judged by them is given them.
+    /// The fixes; no filter that is scored by them gets them.
     Fixes,
     /// The start: the path was closed.
     Start,
@@ -63,7 +63,7 @@ pub struct RecordedDrive {
 }
 
 impl RecordedDrive {
-    /// Sorts what was observed and finds the ends; without `judge` the fixes judge if there is one.
+    /// Sorts what was observed and finds the ends; without `judge` the fixes are the reference if there is one.
     ///
     /// # Errors
     /// See [`DriveError`].
@@ -92,13 +92,13 @@ impl RecordedDrive {
         Ok(Self { observations, start, end_reference: judge, end_time: end_stamp, end, end_heading })
     }
 
-    /// What a filter is told of a robot, with this drive's start.
+    /// The configuration of a filter, with this drive's start.
     #[must_use]
     pub fn configure(&self, config: &FilterConfig) -> FilterConfig {
         FilterConfig { start: Some(self.start), ..config.clone() }
     }
 
-    /// Runs a filter over what it `hears` of the drive and holds its belief against the end.
+    /// Runs a filter over the observations that it `accepts`, and compares its estimate with the end.
     pub fn run_filter(&self, filter: &mut dyn Filter, accepts: impl Fn(&ObservationKind) -> bool) -> FilteredDrive {
         let mut way_m = Vec::new();
         let until = self.observations.iter();

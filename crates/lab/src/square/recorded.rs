@@ -2,9 +2,9 @@
 //!
 //! # Model
 //! ```text
-//! row k      an instant t_k at which the wheels were told
-//! gyro       mean of the rates told in (t_(k-1), t_k], each weighted by the time since the rate before it
-//! accel.     mean of those told in (t_(k-1), t_k]
+//! row k      an instant t_k of a wheel reading
+//! gyro       mean of the rates measured in (t_(k-1), t_k], each weighted by the time since the rate before it
+//! accel.     mean of those measured in (t_(k-1), t_k]
 //! image      a fix goes to the nearest row; the wheels carry it over what lies between:
 //!            p + d (cos th, sin th), th + dth with d and dth the wheels' share of that time, th in the middle
 //! ```
@@ -21,7 +21,7 @@ use posebridge_telemetry::{
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_position, moved, wheels};
 
-/// The table of a drive; where its path judges, the last row has the start as its true place.
+/// The table of a drive; where its path is the reference, the last row has the start as its true position.
 #[must_use]
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
     let mut told: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
@@ -70,7 +70,7 @@ fn add_rates(table: &mut SensorTable, readings: &[(Timestamp<BrickClock>, [f64; 
         let ObservationKind::TurnRate(rate) = observation.measurement else {
             continue;
         };
-        // The first rate tells of a time that nobody knows: as good as any other.
+        // The first rate covers a time of unknown length: as good as any other.
         let since_s = before.map_or(1e-3, |before| (observation.stamp - before).as_secs_f64());
         before = Some(observation.stamp);
         let sum = row_index(readings, observation.stamp).and_then(|row| sums.get_mut(row));
