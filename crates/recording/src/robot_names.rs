@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Event, RobotId};
 
-/// So many robots go by their names; those beyond go by their ids.
+/// Most robots that are called by their names; those beyond go by their ids.
 const MAX_NAMES: usize = 1_024;
 
 /// The names that events gave to robots, no two alike.

@@ -173,7 +173,7 @@ impl RobotTable {
         {
             return None;
         }
-        // Only telemetry tells two robots with the same ids apart.
+        // Only telemetry distinguishes two robots with the same ids.
         if !sign.is_telemetry && self.identities.is_known(address) {
             return None;
         }
@@ -191,7 +191,7 @@ impl RobotTable {
             self.robots.truncate(index);
             self.robots.push(robot);
         }
-        // Two robots with the same ids on one link are told apart by the system that the second is given.
+        // Two robots with the same ids on one link are distinguished by the system id that the second is given.
         let system = if self.identities.is_taken(sign.home, address) { vehicle_address.system } else { address.system };
         let id = RobotId { link: sign.home, address: Address { system, ..address } };
         self.identities.add(now, sign);

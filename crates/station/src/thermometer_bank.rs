@@ -1,7 +1,7 @@
 //! The thermometers of all bricks: a filter for each, beside the robot's and not in its place.
 //!
 //! Gets readings that are aligned already, gives what each thermometer will show in the end. Readings wait here until the robot has its
-//! estimate: nobody steers by a temperature.
+//! estimate: temperatures are not used for steering.
 
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
 use posebridge_estimator::{Filter, FilterConfig};
@@ -12,7 +12,7 @@ use posebridge_telemetry::{
 
 use crate::config::ThermometerConfig;
 
-/// So many thermometers are followed; who sends more names than that makes them up.
+/// Most thermometers that are followed; a sender of more names invents them.
 const MAX_CHANNELS: usize = 16;
 
 /// A reading on its way to its filter.

@@ -78,7 +78,7 @@ impl Transmitter<'_> {
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
     }
 
-    /// Sends what a robot's session as a vehicle says, unless the robot says it itself or the station must not speak for it.
+    /// Sends the output of a robot's vehicle session, unless the robot sends it itself or the station must not send for it.
     fn send_as_vehicle(&mut self, link: LinkId, robot: RobotId, message: &Message, priority: Priority) {
         let now = self.now;
         let Some(vehicles) = self.sessions.vehicles(link) else {
@@ -172,7 +172,7 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The station's component in the system of a robot: whoever listens can tell the robots' outputs apart.
+    /// The station's component in the system of a robot, so that receivers can tell the robots' outputs apart.
     fn estimator_sender(&self, index: RobotIndex) -> Sender {
         let system = self.robots.get(index).vehicle_address.system;
         Sender::Estimator(Address { system, component: self.own_address.component })
@@ -253,10 +253,10 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The peers of a link that listen to what others say to everybody; `None` for all of them.
+    /// The peers of a link that receive broadcasts of others; `None` for all of them.
     ///
     /// Where several robots share a link, those are its ground stations: what a robot or its camera says twenty times a second would
-    /// otherwise go to every other robot, and a weak robot has no time for it. What a ground station says to everybody goes to all.
+    /// otherwise go to every other robot, and a weak robot has no time for it. A ground station's broadcast goes to all.
     fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
         let is_ground_station =
             self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
@@ -274,7 +274,7 @@ impl Transmitter<'_> {
     /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
     fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
         let now = self.now;
-        // Whoever is on the link itself is heard there by some peers without the station.
+        // Peers on the same link may receive each other without the station.
         if self.router.are_redundant(frame.from.link, id) {
             return false;
         }
@@ -317,8 +317,8 @@ impl Transmitter<'_> {
         link.health.bytes_out += bytes.len() as u64;
         link.health.frames_out += 1;
         link.health.forwarded += 1;
-        // Among the station's own, because the robot's count is the station's, too, and what is counted first must leave first. To all
-        // peers of the link, because whoever does not get a frame would take it for lost.
+        // Among the station's own, because the robot's count is the station's, too, and what is counted first must leave first.
+        // To all peers of the link, because a peer that misses a frame would count it as lost.
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
         true
     }
