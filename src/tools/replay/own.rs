@@ -16,7 +16,7 @@ use super::replay_watcher::ReplayWatcher;
 use super::result::{FilterResult, ReplayResult};
 use super::smooth::{SmoothError, SmoothedRun};
 use super::watch::{ReplayLane, ReplayPacer, Window};
-use crate::config::Config;
+use crate::config::{Config, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::station::event_collector::EventCollector;
