@@ -35,7 +35,7 @@ use tokio_util::sync::CancellationToken;
 
 /// How fast a brick talks, and for how long.
 #[derive(Clone, Copy)]
-struct Pace {
+struct TelemetryRate {
     /// Between two of its frames. The exchange below keeps it, so that history, clock and caches see it.
     period_micros: u32,
     rounds: usize,
@@ -43,18 +43,18 @@ struct Pace {
 }
 
 /// 100 Hz is what the quickest weak bricks reach (EV3, Arduino-class); 1 kHz shows what a crowd on one link meets.
-const PACES: [Pace; 2] = [
-    Pace { period_micros: 10_000, rounds: 10, exchanges_per_round: 100 },
-    Pace { period_micros: 1_000, rounds: 20, exchanges_per_round: 500 },
+const TELEMETRY_RATES: [TelemetryRate; 2] = [
+    TelemetryRate { period_micros: 10_000, rounds: 10, exchanges_per_round: 100 },
+    TelemetryRate { period_micros: 1_000, rounds: 20, exchanges_per_round: 500 },
 ];
 /// PB_PLANAR_POSE with its envelope.
 const ESTIMATE_BYTES: usize = 64;
 
 fn main() {
-    PACES.into_iter().for_each(measure);
+    TELEMETRY_RATES.into_iter().for_each(measure);
 }
 
-fn measure(pace: Pace) {
+fn measure(pace: TelemetryRate) {
     let stop = CancellationToken::new();
     let many = start_echo(Threads::Many);
     let one = start_echo(Threads::One);
@@ -63,9 +63,9 @@ fn measure(pace: Pace) {
     let mut brick = Brick::new(ground, pace);
     let [mut ours, mut bare, mut bare_one] = [const { Vec::new() }; 3];
     for round in 0..=pace.rounds {
-        let station_round = brick.exchange_with(station, Answer::Estimate);
-        let echo_round = brick.exchange_with(many, Answer::Anything);
-        let one_round = brick.exchange_with(one, Answer::Anything);
+        let station_round = brick.exchange_with(station, ExpectedReply::Estimate);
+        let echo_round = brick.exchange_with(many, ExpectedReply::Anything);
+        let one_round = brick.exchange_with(one, ExpectedReply::Anything);
         // The first round warms caches and fills the filter's history.
         if round > 0 {
             ours.extend(station_round);
@@ -103,7 +103,7 @@ fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration
 
 /// Which datagram ends an exchange.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Answer {
+enum ExpectedReply {
     Estimate,
     Anything,
 }
@@ -132,7 +132,7 @@ impl GroundStation {
 }
 
 struct Brick {
-    pace: Pace,
+    pace: TelemetryRate,
     ground: GroundStation,
     socket: UdpSocket,
     encoder: Encoder,
@@ -141,17 +141,17 @@ struct Brick {
 }
 
 impl Brick {
-    fn new(ground: GroundStation, pace: Pace) -> Self {
+    fn new(ground: GroundStation, pace: TelemetryRate) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
         socket.set_read_timeout(Some(Duration::from_secs(5))).expect("a time limit");
         Self { pace, ground, socket, encoder: Encoder::new(WireVersion::V2), micros: 0, ticks: 0 }
     }
 
-    fn exchange_with(&mut self, peer: SocketAddr, wanted: Answer) -> Vec<Duration> {
+    fn exchange_with(&mut self, peer: SocketAddr, wanted: ExpectedReply) -> Vec<Duration> {
         (0..self.pace.exchanges_per_round).map(|_| self.exchange(peer, wanted)).collect()
     }
 
-    fn exchange(&mut self, peer: SocketAddr, wanted: Answer) -> Duration {
+    fn exchange(&mut self, peer: SocketAddr, wanted: ExpectedReply) -> Duration {
         let round_began = Instant::now();
         self.micros = self.micros.wrapping_add(self.pace.period_micros);
         self.ticks += 1;
@@ -168,7 +168,7 @@ impl Brick {
         let elapsed = loop {
             let (length, from) = self.socket.recv_from(&mut buffer).expect("an answer within five seconds");
             let elapsed = sent.elapsed();
-            if from == peer && (wanted == Answer::Anything || is_estimate(&buffer[..length])) {
+            if from == peer && (wanted == ExpectedReply::Anything || is_estimate(&buffer[..length])) {
                 break elapsed;
             }
         };

@@ -78,7 +78,7 @@ pub enum Command {
     /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
     #[cfg(feature = "lab")]
     Calibrate(CalibrateArgs),
-    /// Find what a sensor's noise is from a rest or a straight run, and how late a camera speaks (docs/lab/identify.md).
+    /// Identify a sensor's noise from a rest or a straight run, and a camera's delay (docs/lab/identify.md).
     #[cfg(feature = "lab")]
     Identify(IdentifyArgs),
     /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/tune.md).

@@ -1,7 +1,8 @@
 //! What the person who runs the program reads: lines on stderr, results on stdout, progress bars.
 //!
-//! A stderr that cannot be written is no reason to stop. While the terminal view has the screen, lines go to its panel of events and not across the screen ([`redirect_stderr`]). They are kept as well,
-//! and written when the screen is given back, so that no message is lost with it.
+//! A stderr that cannot be written is no reason to stop. While the terminal view has the screen, lines go to its panel of events
+//! and not across the screen ([`redirect_stderr`]). They are kept as well, and written when the screen is given back, so that no
+//! message is lost with it.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -10,9 +11,9 @@ use std::sync::{Mutex, PoisonError, TryLockError};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// So many lines wait for the terminal view, which looks twenty times a second; then they are only kept.
+/// Most lines that wait for the terminal view, which looks twenty times a second; then they are only kept.
 const QUEUE_LINES: usize = 256;
-/// So many lines are kept to be written afterwards; of more, the first go and are counted.
+/// Most lines that are kept to be written afterwards; of more, the first go and are counted.
 const MAX_RETAINED_LINES: usize = 200;
 
 /// Where lines go, if not to stderr.
@@ -39,7 +40,7 @@ pub fn print_line(line: &str) {
     if capture(line) == Some(RedirectMode::Replace) {
         return;
     }
-    // There is nobody left to tell.
+    // There is nowhere left to report it.
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
@@ -68,7 +69,7 @@ pub fn redirect_stderr() -> Receiver<String> {
     receiver
 }
 
-/// Writes what was kept, and everything from here on, to stderr. Never waits for who is saying something at this moment: it may be
+/// Writes what was kept, and everything from here on, to stderr. Never waits for a thread that is printing at this moment: it may be
 /// the thread that panics.
 pub fn restore_stderr() {
     let ended = match REDIRECTION.try_lock() {
@@ -103,7 +104,7 @@ fn capture(line: &str) -> Option<RedirectMode> {
     Some(diversion.route)
 }
 
-/// Prints a result on stdout. Somebody who has read enough and closed the pipe is no error.
+/// Prints a result on stdout. A reader that closes the pipe is no error.
 ///
 /// # Errors
 /// It cannot be written, for another reason than a closed pipe.
@@ -115,7 +116,7 @@ pub fn print_result(text: &str) -> std::io::Result<()> {
     }
 }
 
-/// A bar of so many `units` (runs, laps) for long work; it is drawn on stderr if that is a terminal, and nowhere else.
+/// A progress bar with this number of `units` (runs, laps) for long work; it is drawn on stderr if that is a terminal, and nowhere else.
 ///
 /// # Errors
 /// The name of the units cannot stand in a template.

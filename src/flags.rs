@@ -58,10 +58,10 @@ pub struct SessionFlags {
     /// A key of a link that was signed, instead of the file that held it when it was recorded; may be repeated.
     #[arg(long = "key", value_name = "FILE")]
     pub keys: Vec<PathBuf>,
-    /// Count from so many seconds behind the beginning; the filter is given all that came before, too.
+    /// Count from this number of seconds after the beginning; the filter is given all that came before, too.
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
     pub from: Option<f64>,
-    /// End so many seconds behind the beginning; nothing later is given to the filter.
+    /// End this number of seconds after the beginning; nothing later is given to the filter.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub to: Option<f64>,
 }
@@ -81,8 +81,8 @@ pub struct StationLink {
 /// Whether there is a page, and where (docs/dashboard.md).
 #[derive(Args, Clone, Debug, Default)]
 pub struct DashboardFlags {
-    /// Serve the dashboard there, e.g. 0.0.0.0:4680 for other computers, which open one of the addresses that are printed, with their token;
-    /// port 0 takes a free one.
+    /// Serve the dashboard there, e.g. 0.0.0.0:4680 for other computers, which open one of the addresses that are printed, with
+    /// their token; port 0 takes a free one.
     #[arg(long, value_name = "IP:PORT", conflicts_with = "no_dashboard")]
     pub dashboard: Option<SocketAddr>,
     /// Serve no dashboard.
@@ -91,7 +91,7 @@ pub struct DashboardFlags {
     /// Open the dashboard in a browser.
     #[arg(long, conflicts_with = "no_dashboard")]
     pub open: bool,
-    /// Serve the page's files from this folder instead of from the program: for whoever edits them.
+    /// Serve the page's files from this folder instead of from the program: for editing them.
     #[arg(long, value_name = "DIR", conflicts_with = "no_dashboard")]
     pub ui_dir: Option<PathBuf>,
 }

@@ -18,7 +18,7 @@ use posebridge_telemetry::{
 
 use crate::station::event_collector::EventCollector;
 
-/// The brick still talks for this long after its path has ended.
+/// The brick still sends for this long after its path has ended.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
 /// A scenario that does not end by itself is ended here.
 const MAX_DURATION: TimeDelta = TimeDelta::from_millis(3_600_000);
@@ -54,7 +54,7 @@ pub struct LinkTotals {
 
 /// What a virtual run leaves behind.
 ///
-/// How far the robot's own belief was off is in [`Simulation::truth`], how old each estimate was when the brick had it in
+/// The error of the robot's own odometry is in [`Simulation::truth`], how old each estimate was when the brick had it in
 /// [`Simulation::received_estimates`], how far the station's estimate was off follows from [`Self::collector`] and the truth.
 pub struct VirtualRun {
     /// The simulation with its truth.
@@ -105,12 +105,12 @@ pub fn run_over_link(
     run_on(scenario, config, link)
 }
 
-/// What somebody sees who looks on at a run, in the order in which it happens.
+/// What an observer of a run receives, in the order in which it happens.
 #[derive(Clone, Copy, Debug)]
 pub enum RunEvent<'a> {
     /// The station is given this.
     Input(&'a Input),
-    /// The station tells this.
+    /// The station emits this.
     Event(&'a Event),
 }
 
@@ -127,7 +127,7 @@ pub struct RunScript<'a> {
     pub observer: &'a mut RunObserver<'a>,
 }
 
-/// Runs a scenario as [`run`] does, while somebody gives commands.
+/// Runs a scenario as [`run`] does, with commands of a person.
 ///
 /// # Errors
 /// The station cannot be built.

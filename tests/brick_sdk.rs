@@ -40,7 +40,7 @@ struct Robot {
 }
 
 /// What the robot believes: millimetres, milliradians, flags.
-type Belief = [i64; 4];
+type OnboardEstimate = [i64; 4];
 
 impl Robot {
     fn start(mut command: Command) -> Self {
@@ -51,7 +51,7 @@ impl Robot {
     }
 
     /// One pass of the program at `time_s`; takes what came, returns what it sends.
-    fn step(&mut self, time_s: f64, bytes: &[u8]) -> (Vec<u8>, Belief) {
+    fn step(&mut self, time_s: f64, bytes: &[u8]) -> (Vec<u8>, OnboardEstimate) {
         let now_us = (CLOCK_START_US + 1e6 * CLOCK_RATE * time_s) as u64 as u32;
         let count = |speed_m_per_s: f64| (speed_m_per_s * time_s / RADIUS_M / TAU * TICKS_PER_TURN).floor() as i64;
         let left = count(SPEED_M_PER_S - 0.5 * TRACK_M * TURN_RAD_PER_S);
@@ -79,20 +79,20 @@ impl Robot {
 }
 
 /// What came of a drive.
-struct Drive {
+struct DriveResult {
     estimate: Estimate,
-    belief: Belief,
+    onboard_estimate: OnboardEstimate,
     alignments: usize,
 }
 
 /// Drives a robot for twelve seconds against the station.
-fn drive(command: Command) -> Drive {
+fn drive(command: Command) -> DriveResult {
     let mut config = Config::default();
     config.robot.start =
         Some(RobotStart { x_m: 0.0, y_m: 0.0, heading_deg: 0.0, position_sigma_m: 0.001, heading_sigma_deg: 0.1 });
     let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
     let mut robot = Robot::start(command);
-    let (mut to_robot, mut estimate, mut belief) = (Vec::new(), None, Belief::default());
+    let (mut to_robot, mut estimate, mut onboard_estimate) = (Vec::new(), None, OnboardEstimate::default());
     let mut alignments = 0;
     let link = LinkId(0);
     let up = Input::Link { link, state: LinkState::Up };
@@ -100,7 +100,7 @@ fn drive(command: Command) -> Drive {
     for step in 0..STEPS {
         let at = TimeDelta::from_millis(step * STEP_MS);
         let (bytes, believed) = robot.step(at.as_secs_f64(), &to_robot);
-        belief = believed;
+        onboard_estimate = believed;
         to_robot.clear();
         let peer = PeerId::default();
         let input = Input::Bytes { link, peer, bytes };
@@ -117,7 +117,7 @@ fn drive(command: Command) -> Drive {
         }
     }
     robot.end();
-    Drive { estimate: estimate.unwrap(), belief, alignments }
+    DriveResult { estimate: estimate.unwrap(), onboard_estimate, alignments }
 }
 
 /// Where the robot is at a step.
@@ -138,7 +138,7 @@ fn check(name: &str, command: Command) -> String {
     assert!(drive.alignments > 20, "{name}: TIMESYNC was not answered");
     // What the robot has came with the step before: it is one step old.
     let [x, y, heading] = truth(STEPS - 2);
-    let [x_mm, y_mm, heading_mrad, flags] = drive.belief;
+    let [x_mm, y_mm, heading_mrad, flags] = drive.onboard_estimate;
     let believed_off_m = (1e-3 * x_mm as f64 - x).hypot(1e-3 * y_mm as f64 - y);
     assert!(believed_off_m < 0.008, "{name}: {believed_off_m} m");
     assert!((1e-3 * heading_mrad as f64 - heading).abs() < 0.02, "{name}");

@@ -48,9 +48,9 @@ const SECONDS_LATE: &str = "0.15";
 const DEADLINE: Duration = Duration::from_secs(20);
 
 /// The script; killed when dropped.
-struct Script(Child);
+struct CameraScript(Child);
 
-impl Drop for Script {
+impl Drop for CameraScript {
     fn drop(&mut self) {
         // Already gone is as good.
         drop(self.0.kill());
@@ -58,14 +58,14 @@ impl Drop for Script {
     }
 }
 
-fn script(station: &str, images: &str) -> Script {
+fn script(station: &str, images: &str) -> CameraScript {
     let mut python = Command::new("python3");
     python
         .arg(root().join("examples/camera_fixes.py"))
         .args([station, images, SECONDS_LATE])
         .stdin(Stdio::null())
         .stdout(Stdio::null());
-    Script(python.spawn().expect("there is a Python"))
+    CameraScript(python.spawn().expect("there is a Python"))
 }
 
 /// The address behind `what` in a line of several.
@@ -131,7 +131,7 @@ impl Sender {
     }
 
     /// Over TCP in pieces of five bytes.
-    fn say(&mut self, line: &str) {
+    fn send(&mut self, line: &str) {
         match self {
             Self::Udp(socket) => {
                 socket.send(line.as_bytes()).expect("the station is there");
@@ -145,7 +145,7 @@ impl Sender {
     }
 
     /// Reads until a line has this key, and returns it.
-    fn hear(&mut self, key: &str) -> Value {
+    fn receive(&mut self, key: &str) -> Value {
         loop {
             let mut chunk = [0; 2_048];
             let bytes = match self {
@@ -180,12 +180,12 @@ fn over_udp_and_tcp_a_bad_line_is_answered_and_the_time_is_asked() {
         let mut station = RunningProgram::start(posebridge(folder.path()).args(["run", "--config", "station.toml"]));
         let address = station.listening_address("");
         let mut camera = Sender::to(scheme, &address);
-        camera.say("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": 2}\n");
-        camera.say("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": \"two\"}\n");
-        let complaint = camera.hear("error");
+        camera.send("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": 2}\n");
+        camera.send("{\"camera\": \"c\", \"x_m\": 1, \"y_m\": \"two\"}\n");
+        let complaint = camera.receive("error");
         assert_eq!(complaint["key"], "y_m", "{scheme}");
         assert_eq!(complaint["line"], 2, "{scheme}");
-        assert!(camera.hear("time_request")["time_request"].is_i64());
+        assert!(camera.receive("time_request")["time_request"].is_i64());
         station.interrupt();
     }
 }

@@ -195,9 +195,9 @@ const MATCHED: [&str; 7] = ["ACTION", "KERNEL", "SUBSYSTEM", "ATTR", "ATTRS", "E
 const ASSIGNED: [&str; 8] = ["MODE", "GROUP", "TAG", "ENV", "SYMLINK", "GOTO", "LABEL", "OWNER"];
 
 /// One part of a rule: key, what stands in its braces, operator, value.
-type Part<'a> = (&'a str, Option<&'a str>, &'a str, &'a str);
+type RulePart<'a> = (&'a str, Option<&'a str>, &'a str, &'a str);
 
-fn part(text: &str) -> Result<Part<'_>, String> {
+fn part(text: &str) -> Result<RulePart<'_>, String> {
     let operator_at = text.find(['=', '!', '+', '-', ':']).ok_or("no operator")?;
     let (name, rest) = text.split_at(operator_at);
     let value_at = rest.find('"').ok_or("no quote")?;
@@ -224,7 +224,7 @@ fn part(text: &str) -> Result<Part<'_>, String> {
     }
 }
 
-fn rules(text: &str) -> Vec<Vec<Part<'_>>> {
+fn rules(text: &str) -> Vec<Vec<RulePart<'_>>> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
     lines
@@ -285,12 +285,12 @@ fn udev_finds_no_fault_in_the_rules() {
 fn every_board_of_the_rules_is_kept_from_modem_manager() {
     let text = read("udev/70-posebridge.rules");
     let rules = rules(&text);
-    let vendors = |rule: &[Part<'_>], of: &str| -> Vec<String> {
+    let vendors = |rule: &[RulePart<'_>], of: &str| -> Vec<String> {
         let found = rule.iter().find(|(key, braces, ..)| *key == of && *braces == Some("idVendor"));
         let ids = found.map_or("", |(.., value)| value);
         ids.split('|').filter(|id| !id.is_empty()).map(str::to_owned).collect()
     };
-    let sets = |rule: &[Part<'_>], variable: &str| {
+    let sets = |rule: &[RulePart<'_>], variable: &str| {
         rule.iter().any(|(key, braces, operator, _)| (*key, *braces, *operator) == ("ENV", Some(variable), "="))
     };
     let ignored: BTreeSet<String> =

@@ -1,4 +1,4 @@
-//! Five hundred peers on one UDP port, of which one is silent and one has gone mad, through the engine with a scanner for each.
+//! Five hundred peers on one UDP port, of which one is silent and one has gone mad, through the engine with a framer for each.
 //!
 //! With real sockets in real time: the mad one sends as fast as a thread can. The robots speak in rounds and wait for the end of
 //! each, so that it is never they who are too fast. `crates/link/tests/flood.rs` has the same for the link alone, and
@@ -146,7 +146,7 @@ impl TestStation {
         station
     }
 
-    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
+    fn handle(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.station.handle(now, input);
         while let Some(output) = self.station.poll() {
             match output {
@@ -176,7 +176,7 @@ impl TestStation {
             },
             () = self.timer.sleep_until(due) => (self.timer.now(), Input::Tick),
         };
-        self.give(now, &input);
+        self.handle(now, &input);
         self.good.fetch_add(u64::from(is_good), Ordering::Relaxed);
     }
 

@@ -18,7 +18,7 @@ mod terminal;
 use std::io::Write as _;
 use std::path::Path;
 
-use damage::{Books, KINDS, Kind, Speaker};
+use damage::{DAMAGE_KINDS, DamageKind, DamagedBrick, ObservationLedger};
 use posebridge::config::load_text;
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
 use posebridge_station::Station;
@@ -35,7 +35,7 @@ const STEP: TimeDelta = TimeDelta::from_millis(1);
 /// An engine that is told what a port tells, with books that are held against what it observes.
 struct TestStation {
     station: Station,
-    books: Books,
+    ledger: ObservationLedger,
     now: Timestamp<HostClock>,
     /// Chunks that the kernel has made of the bytes.
     chunks: usize,
@@ -47,18 +47,18 @@ impl TestStation {
         let config = load_text("test", &text, &[]).expect("a configuration");
         let config = config.config.station_config().expect("a configuration");
         Self {
-            books: Books::new(config.robot.filter_config.geometry.left_wheel_radius.0),
+            ledger: ObservationLedger::new(config.robot.filter_config.geometry.left_wheel_radius.0),
             station: Station::new(config, Timestamp::ZERO).expect("a configuration"),
             now: Timestamp::ZERO,
             chunks: 0,
         }
     }
 
-    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
+    fn handle(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.station.handle(now, input);
         while let Some(output) = self.station.poll() {
             if let Output::Event(event) = output {
-                self.books.take(&event);
+                self.ledger.on_event(&event);
             }
         }
     }
@@ -66,7 +66,7 @@ impl TestStation {
     fn pass(&mut self, span: TimeDelta) {
         self.now = self.now + span;
         while let Some(due) = self.station.deadline().filter(|due| *due <= self.now) {
-            self.give(due, &Input::Tick);
+            self.handle(due, &Input::Tick);
         }
     }
 
@@ -81,14 +81,14 @@ impl TestStation {
             self.chunks += 1;
             self.pass(STEP);
             let link = LINK;
-            self.give(self.now, &Input::Bytes { link, peer, bytes });
+            self.handle(self.now, &Input::Bytes { link, peer, bytes });
         }
         heard
     }
 }
 
 /// Sends damaged telemetry over a terminal of its own.
-async fn drive(kind: &Kind) -> TestStation {
+async fn drive(kind: &DamageKind) -> TestStation {
     let mut terminal = PseudoTerminal::open();
     let mut station = TestStation::new(terminal.device());
     let config =
@@ -97,11 +97,11 @@ async fn drive(kind: &Kind) -> TestStation {
     // What was sent before is thrown away by a port that opens.
     assert!(matches!(port.next_event().await, LinkEvent::Up { .. }));
     let (link, state) = (LINK, LinkState::Up);
-    station.give(Timestamp::ZERO, &Input::Link { link, state });
+    station.handle(Timestamp::ZERO, &Input::Link { link, state });
 
-    let mut speaker = Speaker::new(kind);
+    let mut brick = DamagedBrick::new(kind);
     let sent: Vec<u8> =
-        (0..FRAMES).flat_map(|number| speaker.say(number, 1_000 + number / PER_MILLI, &mut station.books)).collect();
+        (0..FRAMES).flat_map(|number| brick.send(number, 1_000 + number / PER_MILLI, &mut station.ledger)).collect();
     let (bytes, expected) = (sent.clone(), sent.len());
     let writer = std::thread::spawn(move || {
         terminal.wire.write_all(&bytes).expect("it is read");
@@ -116,9 +116,9 @@ async fn drive(kind: &Kind) -> TestStation {
 
 #[tokio::test(flavor = "current_thread")]
 async fn over_a_terminal_what_is_observed_is_what_was_sent_whole() {
-    for kind in &KINDS {
+    for kind in &DAMAGE_KINDS {
         let station = drive(kind).await;
-        station.books.check(kind.name, FRAMES);
+        station.ledger.check(kind.name, FRAMES);
         println!("{:31} in {} chunks", kind.name, station.chunks);
         assert!(station.chunks > 20, "else nothing was cut");
     }

@@ -42,7 +42,7 @@ fn has_estimate(message: &serde_json::Value) -> bool {
 }
 
 /// Whether a line of the log holds this.
-fn says(message: &serde_json::Value, what: &str) -> bool {
+fn log_contains(message: &serde_json::Value, what: &str) -> bool {
     let lines = message["log"].as_array().into_iter().flatten();
     let texts = lines.filter_map(|line| line["text"].as_str());
     texts.into_iter().any(|text| text.contains(what))
@@ -119,14 +119,10 @@ fn a_command_is_done_told_and_recorded() {
     assert!(why.contains("`value` is 7.0, must be a number from 0.5 to 0.999999"), "{why}");
     let profile = r#"{"command":"link-profile","profile":"../../etc"}"#;
     assert_eq!(post(address, profile).status, 400);
-    let says = |message: &serde_json::Value, what: &str| {
-        let lines = message["log"].as_array().into_iter().flatten();
-        lines.into_iter().any(|line| line["text"].as_str().is_some_and(|text| text.contains(what)))
-    };
     // A second of estimates behind the first.
     reader.wait_for(|message| message["now_s"].as_f64().is_some_and(|now_s| now_s > 3.0));
     reader.send(r#"{"command":"stop-recording"}"#);
-    reader.wait_for(|message| says(message, "recorded recording.mcap"));
+    reader.wait_for(|message| log_contains(message, "recorded recording.mcap"));
     let rows: Vec<RecordingRow> = typed(address, "/v1/recordings");
     assert_eq!((rows.len(), rows[0].is_current), (1, false));
     let sent = get(address, "/v1/recordings/recording.mcap").body;
@@ -167,9 +163,9 @@ fn a_session_with_every_command_of_the_page_replays_bit_for_bit() {
             reader.wait_for(has_estimate);
         }
         assert_eq!(post(address, command).status, 202, "{command}");
-        reader.wait_for(|message| says(message, told));
+        reader.wait_for(|message| log_contains(message, told));
     }
-    reader.wait_for(|message| says(message, " is up"));
+    reader.wait_for(|message| log_contains(message, " is up"));
     reader.wait_for(has_estimate);
     // Whoever comes now is told what holds.
     let hello = StreamReader::open(address).next();

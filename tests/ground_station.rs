@@ -32,28 +32,28 @@ const PATIENCE: Duration = Duration::from_secs(30);
 const MOST_DATAGRAMS: usize = 6_000;
 
 /// A ground station: it knows the wire, and nothing of the program.
-struct Peer {
+struct GroundStation {
     socket: UdpSocket,
     station: Option<SocketAddr>,
-    scanner: Framer,
-    voice: Encoder,
+    framer: Framer,
+    encoder: Encoder,
     /// Of each sender the last number, frames, and those that are missing.
     senders: BTreeMap<Address, (u8, u32, u32)>,
-    said: Vec<(Address, Message)>,
+    messages: Vec<(Address, Message)>,
     damaged: u32,
 }
 
-impl Peer {
+impl GroundStation {
     fn new() -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
         socket.set_read_timeout(Some(PATIENCE)).expect("it can wait");
         Self {
             socket,
             station: None,
-            scanner: Framer::new(FramerConfig { transport: TransportKind::Datagram, ..FramerConfig::default() }),
-            voice: Encoder::new(WireVersion::V2),
+            framer: Framer::new(FramerConfig { transport: TransportKind::Datagram, ..FramerConfig::default() }),
+            encoder: Encoder::new(WireVersion::V2),
             senders: BTreeMap::new(),
-            said: Vec::new(),
+            messages: Vec::new(),
             damaged: 0,
         }
     }
@@ -62,9 +62,9 @@ impl Peer {
         self.socket.local_addr().expect("it is bound")
     }
 
-    fn say(&mut self, message: &Message) {
+    fn send(&mut self, message: &Message) {
         let mut bytes = Vec::new();
-        self.voice.encode(GCS, message, &mut bytes);
+        self.encoder.encode(GCS, message, &mut bytes);
         let station = self.station.expect("it was heard or named");
         self.socket.send_to(&bytes, station).expect("it is sent");
     }
@@ -72,15 +72,15 @@ impl Peer {
     fn command(&mut self, target: Address, command: u16, first: u32) {
         let mut params = [0.0; 7];
         params[0] = first as f32;
-        self.say(&Message::Command(CommandLong { target, command, params }));
+        self.send(&Message::Command(CommandLong { target, command, params }));
     }
 
     /// Takes one datagram.
-    fn hear(&mut self) {
+    fn receive(&mut self) {
         let mut buffer = [0; 2_048];
         let (length, from) = self.socket.recv_from(&mut buffer).expect("it arrives");
         self.station = Some(from);
-        let (senders, said, damaged) = (&mut self.senders, &mut self.said, &mut self.damaged);
+        let (senders, said, damaged) = (&mut self.senders, &mut self.messages, &mut self.damaged);
         let mut sink = |scanned: FramerOutput<'_>| match scanned {
             FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame) => {
                 let sender = senders.entry(frame.source);
@@ -97,20 +97,20 @@ impl Peer {
             }
             FramerOutput::Error(_) => *damaged += 1,
         };
-        self.scanner.push(Timestamp::ZERO, &buffer[..length], &mut sink);
+        self.framer.push(Timestamp::ZERO, &buffer[..length], &mut sink);
     }
 
     /// Listens until somebody says what is waited for, from now on.
     fn wait_for(&mut self, what: &str, is_it: impl Fn(Address, &Message) -> bool) -> Message {
-        let mut seen = self.said.len();
+        let mut seen = self.messages.len();
         for _ in 0..MOST_DATAGRAMS {
-            self.hear();
-            for (from, message) in &self.said[seen..] {
+            self.receive();
+            for (from, message) in &self.messages[seen..] {
                 if is_it(*from, message) {
                     return message.clone();
                 }
             }
-            seen = self.said.len();
+            seen = self.messages.len();
         }
         panic!("{what} does not come; heard: {:?}", self.senders);
     }
@@ -130,13 +130,13 @@ impl Peer {
 
     /// How many heartbeats somebody has said so far.
     fn beats_of(&self, who: Address) -> usize {
-        let beats = self.said.iter();
+        let beats = self.messages.iter();
         beats.filter(|(from, said)| *from == who && matches!(said, Message::Heartbeat(_))).count()
     }
 }
 
 /// Who is there, with what they say of themselves.
-fn sees_both(peer: &mut Peer) {
+fn expect_heartbeats_of_both(peer: &mut GroundStation) {
     for (who, vehicle_type, autopilot) in [(ROBOT, 10, 0), (ESTIMATOR, 18, 8)] {
         let beat =
             peer.wait_for("a heartbeat", |from, message| from == who && matches!(message, Message::Heartbeat(_)));
@@ -146,7 +146,7 @@ fn sees_both(peer: &mut Peer) {
 }
 
 /// The estimate, each message from whom ground stations take it.
-fn sees_the_estimate(peer: &mut Peer) {
+fn expect_estimate(peer: &mut GroundStation) {
     peer.wait_for("ATTITUDE of the robot", |from, message| {
         from == ROBOT && matches!(message, Message::Attitude { .. })
     });
@@ -165,7 +165,7 @@ fn sees_the_estimate(peer: &mut Peer) {
 }
 
 /// Commands and requests; `vehicle` is what becomes of those that the robot itself must answer if it can.
-fn asks(peer: &mut Peer, vehicle: u8) {
+fn request_parameters(peer: &mut GroundStation, vehicle: u8) {
     for who in [ROBOT, ESTIMATOR] {
         peer.command(who, NO_COMMAND, 0);
         assert_eq!(peer.answer(who, NO_COMMAND), UNSUPPORTED, "{who}");
@@ -187,11 +187,11 @@ fn asks(peer: &mut Peer, vehicle: u8) {
 }
 
 /// The robot's attitude is slowed down, and the NIS, of which nothing came, is asked for.
-fn sets_intervals(peer: &mut Peer) {
+fn sets_intervals(peer: &mut GroundStation) {
     let is_nis = |message: &Message| matches!(message, Message::NamedValue(_));
-    assert!(peer.said.iter().all(|(_, message)| !is_nis(message)));
+    assert!(peer.messages.iter().all(|(_, message)| !is_nis(message)));
     for (target, message_id, millis) in [(ROBOT, ids::ATTITUDE, 400), (ESTIMATOR, ids::NAMED_VALUE_FLOAT, 50)] {
-        peer.say(&Message::SetMessageInterval(SetMessageInterval {
+        peer.send(&Message::SetMessageInterval(SetMessageInterval {
             target,
             message_id,
             interval: Some(TimeDelta::from_millis(millis)),
@@ -206,19 +206,19 @@ fn sets_intervals(peer: &mut Peer) {
         .wait_for("MESSAGE_INTERVAL", |from, message| from == ROBOT && matches!(message, Message::MessageInterval(_)));
     let expected = MessageInterval { message_id: 30, interval_micros: 400_000 };
     assert_eq!(told, Message::MessageInterval(expected));
-    let seen = peer.said.len();
+    let seen = peer.messages.len();
     let beats = peer.beats_of(ESTIMATOR);
     while peer.beats_of(ESTIMATOR) < beats + 3 {
-        peer.hear();
+        peer.receive();
     }
-    let attitudes = peer.said[seen..]
+    let attitudes = peer.messages[seen..]
         .iter()
         .filter(|(from, message)| *from == ROBOT && matches!(message, Message::Attitude { .. }));
     // Between two and three seconds at 2.5 Hz; at 10 Hz it would be 20 and more.
     assert!((4..=9).contains(&attitudes.count()));
 }
 
-fn has_lost_nothing(peer: &Peer) {
+fn has_lost_nothing(peer: &GroundStation) {
     assert_eq!(peer.damaged, 0);
     // The camera's answers to the station's time requests are not for a ground station; that must not look like a loss either.
     for who in [ROBOT, ESTIMATOR, CAMERA] {
@@ -234,16 +234,16 @@ fn has_lost_nothing(peer: &Peer) {
 #[test]
 fn a_brick_that_speaks_mavlink_and_its_estimator_are_seen_without_a_loss() {
     let folder = tempfile::tempdir().unwrap();
-    let mut peer = Peer::new();
+    let mut peer = GroundStation::new();
     let gcs = format!("udp://{}", peer.address());
     let mut run = posebridge(folder.path());
     run.args(["run", "--link", "sim://square", "--gcs", &gcs, "--no-record"]);
     let _station = RunningProgram::start(&mut run);
-    sees_both(&mut peer);
-    sees_the_estimate(&mut peer);
+    expect_heartbeats_of_both(&mut peer);
+    expect_estimate(&mut peer);
     // The brick's own telemetry is passed on as well.
     peer.wait_for("PB_WHEEL_TICKS", |from, message| from == ROBOT && matches!(message, Message::WheelTicks(_)));
-    asks(&mut peer, UNSUPPORTED);
+    request_parameters(&mut peer, UNSUPPORTED);
     sets_intervals(&mut peer);
     has_lost_nothing(&peer);
 }
@@ -259,13 +259,13 @@ fn a_brick_that_speaks_no_mavlink_is_a_vehicle_all_the_same() {
     run.args(["--link", &camera, "--robot", "robot.toml"]);
     run.args(["--gcs", "udp://:0", "--no-record"]);
     let mut station = RunningProgram::start(&mut run);
-    let mut peer = Peer::new();
+    let mut peer = GroundStation::new();
     let address = station.listening_address("");
     peer.station = Some(address.parse().expect("an address"));
-    peer.say(&Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 }));
-    sees_both(&mut peer);
-    sees_the_estimate(&mut peer);
-    asks(&mut peer, ACCEPTED);
+    peer.send(&Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 }));
+    expect_heartbeats_of_both(&mut peer);
+    expect_estimate(&mut peer);
+    request_parameters(&mut peer, ACCEPTED);
     sets_intervals(&mut peer);
     has_lost_nothing(&peer);
 }

@@ -125,7 +125,7 @@ fn hand_in_hand() -> Simulation {
     let link = config.links.first().unwrap().id;
     let mut station = Station::new(config, Timestamp::ZERO).unwrap();
     let mut simulation = Simulation::new(scenario);
-    let mut give = |now, input: &Input, simulation: &mut Simulation| {
+    let mut handle = |now, input: &Input, simulation: &mut Simulation| {
         station.handle(now, input);
         while let Some(output) = station.poll() {
             if let Output::Transmit { bytes, .. } = output {
@@ -135,17 +135,17 @@ fn hand_in_hand() -> Simulation {
         station.deadline()
     };
     let state = LinkState::Up;
-    let mut deadline = give(Timestamp::ZERO, &Input::Link { link, state }, &mut simulation);
+    let mut deadline = handle(Timestamp::ZERO, &Input::Link { link, state }, &mut simulation);
     let mut ends_at = None;
     while ends_at.is_none_or(|end| simulation.elapsed() < end) {
         simulation.step();
         let now = Timestamp::ZERO + simulation.elapsed();
         while let Some(bytes) = simulation.poll() {
             let peer = PeerId::default();
-            deadline = give(now, &Input::Bytes { link, peer, bytes }, &mut simulation);
+            deadline = handle(now, &Input::Bytes { link, peer, bytes }, &mut simulation);
         }
         if deadline.is_some_and(|deadline| deadline <= now) {
-            deadline = give(now, &Input::Tick, &mut simulation);
+            deadline = handle(now, &Input::Tick, &mut simulation);
         }
         if simulation.is_finished() && ends_at.is_none() {
             // The brick talks on for as long as it does in a virtual run.

@@ -39,7 +39,7 @@ fn init(folder: &Path, args: &[&str]) {
 }
 
 /// The lap's report must hold every source, and the estimate must be good.
-fn judge(folder: &Path, robot: &str, printed: &str) {
+fn check_report(folder: &Path, robot: &str, printed: &str) {
     for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
         assert!(printed.contains(source), "{robot}: {printed}");
     }
@@ -82,7 +82,7 @@ fn called(name: &str, kind: &str) {
     run.args(["--until-silent", "2", "--out", "run"]);
     let printed = stdout_of(&mut run);
     brick.output();
-    judge(folder, name, &printed);
+    check_report(folder, name, &printed);
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn a_hub_that_calls_drives_a_lap_with_its_file() {
     let link = format!("tcp://{}", station.listening_address(""));
     let sim = ["sim", "small.toml", "--link", &link, "--truth", "truth.csv"];
     stdout_of(posebridge(folder).args(sim));
-    judge(folder, "pybricks-spike", &station.output());
+    check_report(folder, "pybricks-spike", &station.output());
 }
 
 #[test]

@@ -145,13 +145,13 @@ fn a_hundred_kills_at_random_leave_a_hundred_recordings_up_to_a_second_before() 
 
 /// Reads what the station says until its clock shows at least `secs`; returns what it shows.
 fn wait_for_time(station: &mut TcpStream, secs: f64) -> f64 {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut buffer = [0; 1024];
     loop {
         let read = station.read(&mut buffer).expect("the station speaks");
         assert!(read > 0, "the station has hung up");
         let mut shown_s = 0.0_f64;
-        scanner.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
+        framer.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
             if let FramerOutput::Frame(frame) = scanned
                 && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
             {

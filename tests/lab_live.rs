@@ -143,9 +143,9 @@ fn measured(stamp: Timestamp<posebridge_telemetry::BrickClock>, pose: Pose<Arena
 }
 
 /// What the experiment tells its filters, as the configuration of a station.
-fn told(told: &FilterPrior) -> Config {
+fn config_with(prior: &FilterPrior) -> Config {
     let mut config = Config::default();
-    let (noise, known) = (&mut config.robot.noise, &told.noise);
+    let (noise, known) = (&mut config.robot.noise, &prior.noise);
     noise.wheel_travel_m_per_sqrt_m = known.wheel_travel_m_per_sqrt_m;
     noise.travel_m_per_sqrt_m = known.travel_m_per_sqrt_m;
     noise.turn_rad_per_sqrt_rad = known.turn_rad_per_sqrt_rad;
@@ -156,9 +156,9 @@ fn told(told: &FilterPrior) -> Config {
     noise.gyro_bias_rad_per_s = known.gyro_bias_rad_per_s;
     noise.gyro_bias_walk_rad_per_s_sqrt_s = known.gyro_bias_walk_rad_per_s_sqrt_s;
     // The tape is exact.
-    noise.fix_position_m = told.start_position_sigma_m;
-    noise.fix_heading_rad = told.start_heading_sigma_rad;
-    let (calibration, known) = (&mut config.robot.calibration, &told.calibration);
+    noise.fix_position_m = prior.start_position_sigma_m;
+    noise.fix_heading_rad = prior.start_heading_sigma_rad;
+    let (calibration, known) = (&mut config.robot.calibration, &prior.calibration);
     calibration.radius_scale = known.radius_scale.into();
     calibration.radius_difference = known.radius_difference.into();
     calibration.track_scale = known.track_scale.into();
@@ -182,7 +182,7 @@ fn rounds(folder: &Path, count: u32) -> Vec<String> {
         observations.extend(arrived(&drive));
         observations.push(measured(drive.time_at(last), drive.truth[last]));
         let name = format!("round-{run}.mcap");
-        record_with(&told(&drive.prior), &folder.join(&name), &observations);
+        record_with(&config_with(&drive.prior), &folder.join(&name), &observations);
         name
     });
     names.collect()
@@ -349,8 +349,8 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     let (_brick, url) = listening_brick(folder, SMALL_SQUARE);
     let live = ["lab", "nxt-square", "--link", &url, "--duration", "6", "--out", "out", "--json"];
     let mut station = RunningProgram::start(posebridge(folder).args(live));
-    let told = station.wait_for("recording `out/live.mcap`");
-    assert!(told.contains("drive the square") && told.contains("6 s"), "{told}");
+    let printed = station.wait_for("recording `out/live.mcap`");
+    assert!(printed.contains("drive the square") && printed.contains("6 s"), "{printed}");
     station.wait_for("heard link 0 1/1");
     let text = station.output();
     let found: Value = serde_json::from_str(&text).unwrap();
@@ -398,8 +398,8 @@ fn a_live_car_that_calls_the_station_is_foretold_until_somebody_says_stop() {
     std::fs::write(folder.join("car.toml"), robot + streams).unwrap();
     let live = ["lab", "wall", "--listen", "tcp://127.0.0.1:0", "--out", "out", "--json"];
     let mut station = RunningProgram::start(posebridge(folder).args(live));
-    let told = station.wait_for("recording `out/live.mcap`");
-    assert!(told.contains("at the wall") && told.contains("Ctrl-C"), "{told}");
+    let printed = station.wait_for("recording `out/live.mcap`");
+    assert!(printed.contains("at the wall") && printed.contains("Ctrl-C"), "{printed}");
     let url = format!("tcp://{}", station.listening_address(""));
     let mut car = RunningProgram::start(posebridge(folder).args(["play", "car.toml", "--link", &url]));
     let played = car.output();

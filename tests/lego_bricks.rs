@@ -36,23 +36,23 @@ gyro_port = 2
 "#;
 
 /// How brick and station find each other: the arguments of each.
-struct Meeting<'a> {
+struct LinkArguments<'a> {
     brick: &'a [&'a str],
     station: &'a [&'a str],
 }
 
 /// Drives the square with a brick that speaks so; gives what the station printed.
-fn driven(folder: &Path, kind: &str, meeting: &Meeting<'_>) -> String {
+fn driven(folder: &Path, kind: &str, arguments: &LinkArguments<'_>) -> String {
     std::fs::write(folder.join("small.toml"), SQUARE).unwrap();
     std::fs::write(folder.join("robot.toml"), ROBOT).unwrap();
     let mut sim = posebridge(folder);
     sim.args(["sim", "small.toml", "--brick", kind]);
-    sim.args(meeting.brick).args(["--truth", "truth.csv"]);
+    sim.args(arguments.brick).args(["--truth", "truth.csv"]);
     sim.args(["--camera-listen", "tcp://127.0.0.1:0"]);
     let mut brick = RunningProgram::start(&mut sim);
     let camera = format!("tcp://{}", brick.listening_address("camera "));
     let mut run = posebridge(folder);
-    run.arg("run").args(meeting.station);
+    run.arg("run").args(arguments.station);
     run.args(["--brick", kind, "--robot", "robot.toml"]);
     run.args(["--link", &camera]);
     run.args(["--until-silent", "2", "--out", "run"]);
@@ -66,8 +66,9 @@ fn the_table_and_the_picture_are_those_of_any_brick() {
     for kind in ["nxt", "nxt-push", "ev3"] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        let meeting = Meeting { brick: &["--listen", "pty:brick.tty"], station: &["--link", "serial:brick.tty"] };
-        let printed = driven(folder, kind, &meeting);
+        let arguments =
+            LinkArguments { brick: &["--listen", "pty:brick.tty"], station: &["--link", "serial:brick.tty"] };
+        let printed = driven(folder, kind, &arguments);
         println!("{kind}\n{printed}");
         for source in ["wheels (0)", "gyro (1)", "camera (3)"] {
             assert!(printed.contains(source), "{kind}: {printed}");
@@ -94,11 +95,11 @@ fn an_ev3_in_the_network_is_found_by_its_announcement_and_opened() {
     let announced = beside.local_addr().unwrap();
     drop(beside);
     let door = format!("tcp://127.0.0.1:{}", four_digit_port());
-    let meeting = Meeting {
+    let arguments = LinkArguments {
         brick: &["--listen", &door, "--announce", &format!("udp://{announced}")],
         station: &["--listen", &format!("ev3://{announced}?serial=0016530b0e03")],
     };
-    let printed = driven(folder, "ev3", &meeting);
+    let printed = driven(folder, "ev3", &arguments);
     assert!(printed.contains("wheels (0)"), "{printed}");
     let off_m = error_to_truth_m(folder);
     println!("by WiFi: off by {:.1} mm", 1e3 * off_m);

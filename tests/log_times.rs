@@ -65,7 +65,7 @@ fn write(folder: &Path, name: &str, records: &Records) {
 }
 
 /// Exit code and talk.
-fn said(folder: &Path, args: &[&str]) -> (Option<i32>, String) {
+fn exit_code_and_stderr(folder: &Path, args: &[&str]) -> (Option<i32>, String) {
     let output = posebridge(folder).args(args).output().unwrap();
     let text = String::from_utf8(output.stderr).unwrap();
     (output.status.code(), text)
@@ -80,7 +80,7 @@ fn inspect(folder: &Path, name: &str) -> Value {
 fn estimates(folder: &Path, records: &Records) -> (Vec<(f64, f64, f64)>, String) {
     write(folder, "log.tlog", records);
     let args = ["export", "log.tlog", "--format", "tum"];
-    let (code, said) = said(folder, &args);
+    let (code, said) = exit_code_and_stderr(folder, &args);
     assert_eq!(code, Some(0), "{said}");
     (trajectory(&folder.join("estimate.tum")), said)
 }
@@ -144,7 +144,7 @@ fn times_that_never_make_sense_are_refused_with_the_byte() {
         *micros = u64::MAX;
     }
     write(folder.path(), "log.tlog", &records);
-    let (code, said) = said(folder.path(), &["replay", "log.tlog"]);
+    let (code, said) = exit_code_and_stderr(folder.path(), &["replay", "log.tlog"]);
     assert_eq!(code, Some(2), "{said}");
     assert!(said.contains("`log.tlog`") && said.contains("byte 0"), "{said}");
 }
@@ -156,7 +156,7 @@ fn a_log_that_is_written_anew_has_sound_times_behind_a_damaged_one() {
     damaged[500].0 += 1_000_000_000 * SECOND;
     write(folder.path(), "log.tlog", &damaged);
     let args = ["export", "log.tlog", "--format", "tlog", "--out", "out"];
-    let (code, said) = said(folder.path(), &args);
+    let (code, said) = exit_code_and_stderr(folder.path(), &args);
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains("1 times that are damaged"), "{said}");
     let written = std::fs::read(folder.path().join("out/log.tlog")).unwrap();
@@ -194,7 +194,7 @@ fn a_packed_log_that_was_cut_is_read_as_far_as_it_goes() {
         &["import", "cut.tlog.gz", "--out", "cut.mcap"],
         &["export", "cut.tlog.gz", "--format", "tlog", "--out", "out"],
     ] {
-        let (code, said) = said(folder, args);
+        let (code, said) = exit_code_and_stderr(folder, args);
         assert_eq!(code, Some(0), "{args:?}: {said}");
         assert!(said.contains("end in the middle"), "{args:?}: {said}");
     }
@@ -214,7 +214,7 @@ fn an_export_that_fails_leaves_nothing_behind() {
     std::fs::write(folder.join("bad.tlog.gz"), &packed).unwrap();
     for format in ["mcap", "tlog"] {
         let args = ["export", "bad.tlog.gz", "--format", format, "--out", "out"];
-        let (code, said) = said(folder, &args);
+        let (code, said) = exit_code_and_stderr(folder, &args);
         assert_eq!(code, Some(1), "{said}");
         let left = std::fs::read_dir(folder.join("out")).unwrap().count();
         assert_eq!(left, 0, "{format}");
@@ -222,7 +222,7 @@ fn an_export_that_fails_leaves_nothing_behind() {
     // What is there already is not touched.
     std::fs::write(folder.join("out/drive.tlog"), "mine").unwrap();
     let args = ["export", "drive.tlog", "--format", "tlog", "--out", "out"];
-    let (code, said) = said(folder, &args);
+    let (code, said) = exit_code_and_stderr(folder, &args);
     assert!(code != Some(0) && said.contains("is there already"), "{said}");
     let kept = std::fs::read(folder.join("out/drive.tlog")).unwrap();
     assert_eq!(kept, b"mine");
@@ -241,7 +241,7 @@ fn a_file_with_nothing_in_it_is_refused_and_so_is_an_empty_part() {
             &["export", name, "--format", "tlog", "--out", "out"],
             &["import", name, "--out", "a.mcap"],
         ] {
-            let (code, said) = said(folder, args);
+            let (code, said) = exit_code_and_stderr(folder, args);
             assert!(code != Some(0), "{args:?}");
             assert!(said.contains("holds no MAVLink frame"), "{args:?}: {said}");
         }
@@ -252,7 +252,7 @@ fn a_file_with_nothing_in_it_is_refused_and_so_is_an_empty_part() {
         &["replay", "drive.tlog", "--from", "1000"],
         &["report", "drive.mcap", "--from", "1000"],
     ] {
-        let (code, said) = said(folder, args);
+        let (code, said) = exit_code_and_stderr(folder, args);
         assert_eq!(code, Some(1), "{args:?}: {said}");
         assert!(said.contains("nothing lies between --from and --to"), "{said}");
     }

@@ -64,7 +64,7 @@ outputs = [{ message = "planar_pose" }]
 struct Gcs {
     socket: UdpSocket,
     encoder: Encoder,
-    scanner: Framer,
+    framer: Framer,
     waiting: Vec<Message>,
     heard: u32,
 }
@@ -77,15 +77,15 @@ impl Gcs {
         let mut gcs = Self {
             socket,
             encoder: Encoder::new(WireVersion::V2),
-            scanner: Framer::new(FramerConfig::default()),
+            framer: Framer::new(FramerConfig::default()),
             waiting: Vec::new(),
             heard: 0,
         };
-        gcs.say(&HEARTBEAT);
+        gcs.send(&HEARTBEAT);
         gcs
     }
 
-    fn say(&mut self, message: &Message) {
+    fn send(&mut self, message: &Message) {
         let mut bytes = Vec::new();
         self.encoder.encode(GCS, message, &mut bytes);
         self.socket.send(&bytes).expect("it is sent");
@@ -103,10 +103,10 @@ impl Gcs {
             let length = self.socket.recv(&mut buffer).expect("it arrives");
             self.heard += 1;
             if self.heard.is_multiple_of(HEARD_PER_HEARTBEAT) {
-                self.say(&HEARTBEAT);
+                self.send(&HEARTBEAT);
             }
             let waiting = &mut self.waiting;
-            self.scanner.push(Timestamp::ZERO, &buffer[..length], &mut |scanned| {
+            self.framer.push(Timestamp::ZERO, &buffer[..length], &mut |scanned| {
                 if let FramerOutput::Frame(frame) = scanned
                     && frame.source == STATION
                 {
@@ -131,14 +131,14 @@ impl Gcs {
     }
 
     fn set(&mut self, name: &str, value: f32) -> f32 {
-        self.say(&Message::ParamSet { target: STATION, name: name.to_owned(), value });
+        self.send(&Message::ParamSet { target: STATION, name: name.to_owned(), value });
         self.value(name)
     }
 
     fn command(&mut self, command: u16, first: &[f32]) -> u8 {
         let mut params = [0.0; 7];
         params[..first.len()].copy_from_slice(first);
-        self.say(&Message::Command(CommandLong { target: STATION, command, params }));
+        self.send(&Message::Command(CommandLong { target: STATION, command, params }));
         self.wait_for(|message| match message {
             Message::CommandAck(ack) if ack.command == command => Some(ack.result),
             _ => None,
@@ -178,7 +178,7 @@ fn replayed_events(folder: &Path, recording: &str) -> String {
 }
 
 fn fetch_all(gcs: &mut Gcs) {
-    gcs.say(&Message::ParamRequestList { target: ALL_OF_SYSTEM_1 });
+    gcs.send(&Message::ParamRequestList { target: ALL_OF_SYSTEM_1 });
     for (expected, row) in PARAMS.iter().enumerate() {
         let (name, value, count, index) = gcs.wait_for(|message| match message {
             Message::ParamValue { name, value, count, index } => Some((name.clone(), *value, *count, *index)),
@@ -262,7 +262,7 @@ fn a_ground_station_tunes_a_running_station_and_the_replay_does_the_same() {
 
     // The next run begins with what was saved.
     let (station, mut gcs) = start(folder, "first/parameters.toml", "second");
-    gcs.say(&Message::ParamRequestRead { target: STATION, name: "slip_nis".to_owned(), index: -1 });
+    gcs.send(&Message::ParamRequestRead { target: STATION, name: "slip_nis".to_owned(), index: -1 });
     assert_eq!(gcs.value("slip_nis"), 20.0);
     station.interrupt();
 }

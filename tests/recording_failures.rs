@@ -30,7 +30,7 @@ const NO_LOG: &str = "there is no telemetry log";
 struct Station {
     running: RunningProgram,
     link: TcpStream,
-    scanner: Framer,
+    framer: Framer,
 }
 
 impl Station {
@@ -44,7 +44,7 @@ impl Station {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("tcp://{}", listener.local_addr().unwrap());
         let running = RunningProgram::start(command.args(["run", "--link", &url]).args(flags));
-        Self { running, link: listener.accept().unwrap().0, scanner: Framer::new(FramerConfig::default()) }
+        Self { running, link: listener.accept().unwrap().0, framer: Framer::new(FramerConfig::default()) }
     }
 
     /// Its clock as its next request for the time shows it, s. It is sent `noise` while it is awaited.
@@ -55,7 +55,7 @@ impl Station {
             let read = self.link.read(&mut buffer).unwrap();
             assert!(read > 0, "the station has hung up");
             let mut shown_s = None;
-            self.scanner.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
+            self.framer.push(Timestamp::ZERO, &buffer[..read], &mut |scanned| {
                 if let FramerOutput::Frame(frame) = scanned
                     && let Ok(Some(Message::TimeSync(request))) = decode(&frame)
                 {

@@ -59,7 +59,7 @@ const REFUSED: [(&str, &[&str]); 34] = [
 const LIVE: &[&str] = &["--duration 3", "--config c.toml"];
 
 /// Exit code and talk.
-fn said(folder: &Path, command: &str) -> (Option<i32>, String) {
+fn exit_code_and_stderr(folder: &Path, command: &str) -> (Option<i32>, String) {
     let args = command.split(' ');
     let output = posebridge(folder).args(args).output().unwrap();
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
@@ -71,7 +71,7 @@ fn flags_that_do_not_go_together_are_refused() {
     for (command, flags) in REFUSED {
         for flag in flags {
             let command = format!("{command} {flag}");
-            let (code, said) = said(folder.path(), &command);
+            let (code, said) = exit_code_and_stderr(folder.path(), &command);
             assert_eq!(code, Some(2), "{command}: {said}");
             let name = flag.split(' ').next().unwrap();
             let is_told = ["cannot be used with", "were not provided", "belong", "changes", "choose"];

@@ -54,7 +54,7 @@ impl Brick {
     /// Waits until the station speaks, says its part, waits for the answer to its last word, and is torn off in the middle of
     /// the next. `remainder` is what the plugging before has not got rid of.
     fn talk(&mut self, mut terminal: PseudoTerminal, remainder: &[u8]) -> SentBytes {
-        hear(&mut terminal, |_| true);
+        read_until(&mut terminal, |_| true);
         let mut whole = remainder.to_vec();
         whole.extend(self.frame(&HEARTBEAT));
         for _ in 0..MESSAGES {
@@ -63,7 +63,7 @@ impl Brick {
         let request_nanos = 1_000 + self.message_count;
         whole.extend(self.frame(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None })));
         terminal.wire.write_all(&whole).expect("it is plugged in");
-        hear(
+        read_until(
             &mut terminal,
             |message| matches!(message, Message::TimeSync(sync) if sync.request_nanos == request_nanos && sync.answer_nanos != 0),
         );
@@ -87,17 +87,17 @@ const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// Reads what the station says until a message of it is wanted.
-fn hear(terminal: &mut PseudoTerminal, is_wanted: impl Fn(&Message) -> bool) {
-    let mut scanner = Framer::new(FramerConfig::default());
+fn read_until(terminal: &mut PseudoTerminal, is_wanted: impl Fn(&Message) -> bool) {
+    let mut framer = Framer::new(FramerConfig::default());
     let mut buffer = [0; 4_096];
-    let mut is_heard = false;
-    while !is_heard {
+    let mut is_received = false;
+    while !is_received {
         let read = terminal.wire.read(&mut buffer).expect("the station speaks");
-        scanner.push(Timestamp::ZERO, &buffer[..read], &mut |found| {
+        framer.push(Timestamp::ZERO, &buffer[..read], &mut |found| {
             if let FramerOutput::Frame(frame) = found
                 && let Ok(Some(message)) = decode(&frame)
             {
-                is_heard |= is_wanted(&message);
+                is_received |= is_wanted(&message);
             }
         });
     }

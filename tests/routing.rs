@@ -40,9 +40,9 @@ outputs = []
 "#;
 
 /// A participant's sequence numbers.
-struct Voice(Address, Encoder);
+struct FrameSource(Address, Encoder);
 
-impl Voice {
+impl FrameSource {
     fn new(address: Address) -> Self {
         Self(address, Encoder::new(WireVersion::V2))
     }
@@ -103,7 +103,8 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
     let camera = socket(&station.listening_address(""));
     let mut gcs = TcpStream::connect(station.listening_address("")).unwrap();
     gcs.set_read_timeout(Some(PATIENCE)).unwrap();
-    let (mut brick_says, mut camera_says, mut gcs_says) = (Voice::new(BRICK), Voice::new(CAMERA), Voice::new(GCS));
+    let (mut brick_says, mut camera_says, mut gcs_says) =
+        (FrameSource::new(BRICK), FrameSource::new(CAMERA), FrameSource::new(GCS));
 
     brick.send(&brick_says.frame(&HEARTBEAT)).unwrap();
     station.wait_for("heard link 0 1/1");
@@ -147,7 +148,7 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
 }
 
 /// A second of wheel ticks at 20 Hz.
-fn telemetry(brick: &mut Voice) -> Vec<Vec<u8>> {
+fn telemetry(brick: &mut FrameSource) -> Vec<Vec<u8>> {
     let ticks = (0..20_u32).map(|k| {
         brick.frame(&Message::WheelTicks(WheelTicks {
             stamp: WireStamp::Micros32(5_000_000 + k * 50_000),

@@ -19,7 +19,7 @@ const PAGES: [&str; 2] = ["README.md", "docs/install.md"];
 const WIDTH: usize = 80;
 
 /// A block that shows something.
-struct Shown {
+struct OutputBlock {
     /// What stands between `shows` and the end of the comment.
     what: String,
     /// Its lines, and where the first of them stands in the page.
@@ -27,7 +27,7 @@ struct Shown {
     begin: usize,
 }
 
-fn shown_in(page: &str) -> Vec<Shown> {
+fn shown_in(page: &str) -> Vec<OutputBlock> {
     let lines: Vec<&str> = page.lines().collect();
     let mut found = Vec::new();
     for (at, line) in lines.iter().enumerate() {
@@ -37,7 +37,7 @@ fn shown_in(page: &str) -> Vec<Shown> {
         assert!(lines[at + 1].starts_with("```"), "{line} needs a block behind it");
         let begin = at + 2;
         let end = lines[begin..].iter().position(|line| *line == "```").unwrap();
-        found.push(Shown {
+        found.push(OutputBlock {
             what: what.trim_end_matches("-->").trim().to_owned(),
             lines: lines[begin..begin + end].iter().map(ToString::to_string).collect(),
             begin,

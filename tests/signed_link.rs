@@ -66,7 +66,7 @@ struct Brick {
     link: TcpStream,
     signing: LinkSigner,
     encoder: Encoder,
-    scanner: Framer,
+    framer: Framer,
 }
 
 impl Brick {
@@ -79,10 +79,10 @@ impl Brick {
             unsigned: UnsignedPolicy::Accept,
             state: SigningState { written_at: ahead, clock: ahead, ..SigningState::default() },
         });
-        Self { link, signing, encoder: Encoder::new(WireVersion::V2), scanner: Framer::new(FramerConfig::default()) }
+        Self { link, signing, encoder: Encoder::new(WireVersion::V2), framer: Framer::new(FramerConfig::default()) }
     }
 
-    fn say(&mut self, message: &Message) -> Vec<u8> {
+    fn send(&mut self, message: &Message) -> Vec<u8> {
         let seal = self.signing.next_signer(Timestamp::ZERO).unwrap();
         let mut bytes = Vec::new();
         self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
@@ -92,13 +92,13 @@ impl Brick {
 
     /// Asks for the time and waits for the answer.
     fn ping(&mut self, request_nanos: i64) {
-        self.say(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None }));
+        self.send(&Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, target: None }));
         let mut is_answered = false;
         while !is_answered {
             let mut chunk = [0; 4_096];
             let read = self.link.read(&mut chunk).unwrap();
             assert!(read > 0, "the station has gone");
-            self.scanner.push(Timestamp::ZERO, &chunk[..read], &mut |found| {
+            self.framer.push(Timestamp::ZERO, &chunk[..read], &mut |found| {
                 if let FramerOutput::Frame(frame) = found
                     && let Ok(Some(Message::TimeSync(sync))) = decode(&frame)
                 {
@@ -121,9 +121,9 @@ fn ticks(step: u32) -> Message {
 fn drive(folder: &Path, key: &Key) -> Vec<u8> {
     let (station, link) = station(folder, "run");
     let mut brick = Brick::new(link, key);
-    let first = brick.say(&HEARTBEAT);
+    let first = brick.send(&HEARTBEAT);
     for step in 0..10 {
-        brick.say(&ticks(step));
+        brick.send(&ticks(step));
     }
     brick.ping(77);
     brick.link.write_all(&first).unwrap();
@@ -196,7 +196,7 @@ fn after_a_kill_old_frames_are_refused_and_a_date_that_fell_is_told() {
     let (folder, key) = folder_with_key();
     let (first_station, link) = station(folder.path(), "first");
     let mut brick = Brick::new(link, &key);
-    let old = brick.say(&HEARTBEAT);
+    let old = brick.send(&HEARTBEAT);
     brick.ping(1);
     // The stream was written down when it was heard first, and not only with the next half second.
     let state = folder.path().join("a.key.link0.state");
@@ -263,7 +263,7 @@ fn a_listener_that_anybody_can_reach_is_warned_of_however_its_link_is_written() 
     ] {
         let said = said(flag, url);
         assert!(said.contains("listening on"), "{flag} {url}: {said}");
-        let is_warned = said.contains("can speak as the robot");
+        let is_warned = said.contains("can send as the robot");
         assert_eq!(is_warned, is_open, "{flag} {url}: {said}");
     }
 }

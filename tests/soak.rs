@@ -63,8 +63,8 @@ fn a_day_of_datagrams_that_overtake_each_other_and_come_twice_leaks_nothing_eith
 }
 
 fn soak(profile: &LinkProfile) {
-    let hours: f64 = wished("POSEBRIDGE_SOAK_HOURS").unwrap_or(SHORT_HOURS);
-    let seed = wished("POSEBRIDGE_SOAK_SEED").unwrap_or(SHORT_SEED);
+    let hours: f64 = from_environment("POSEBRIDGE_SOAK_HOURS").unwrap_or(SHORT_HOURS);
+    let seed = from_environment("POSEBRIDGE_SOAK_SEED").unwrap_or(SHORT_SEED);
     let end = Timestamp::from_secs_f64(hours * 3_600.0);
     let mut soak = Soak::new(profile, seed);
     soak.run_until(Timestamp::ZERO + SETTLED);
@@ -88,7 +88,7 @@ fn soak(profile: &LinkProfile) {
 }
 
 /// What the caller wishes otherwise.
-fn wished<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<T> {
+fn from_environment<T: std::str::FromStr<Err: std::fmt::Debug>>(variable: &str) -> Option<T> {
     let text = std::env::var(variable).ok()?;
     Some(text.parse().expect("a number"))
 }
@@ -107,7 +107,7 @@ struct Soak {
     /// Live bytes of station and collector.
     kept_bytes: i64,
     totals: StationTotals,
-    outages: Outages,
+    outages: OutageCounts,
     /// Seconds at which the two accounts were equal and not.
     equal: u64,
     unequal: u64,
@@ -128,7 +128,7 @@ struct StationTotals {
 
 /// How the outages went.
 #[derive(Default)]
-struct Outages {
+struct OutageCounts {
     begun: u64,
     recovered: u64,
     /// The next one came before anything else.
@@ -164,12 +164,12 @@ impl Soak {
             collector,
             kept_bytes: made.bytes_current,
             totals: StationTotals::default(),
-            outages: Outages::default(),
+            outages: OutageCounts::default(),
             equal: 0,
             unequal: 0,
             unequal_in_a_row: 0,
         };
-        soak.tell(Timestamp::ZERO, LinkState::Up);
+        soak.set_link_state(Timestamp::ZERO, LinkState::Up);
         soak
     }
 
@@ -185,7 +185,7 @@ impl Soak {
             }
             let is_due = |due: Timestamp<HostClock>| due <= self.now;
             if self.station.deadline().is_some_and(is_due) {
-                self.give(self.now, &Input::Tick);
+                self.handle(self.now, &Input::Tick);
                 self.pass_to(self.now);
             }
         }
@@ -194,14 +194,14 @@ impl Soak {
     fn pass_to(&mut self, now: Timestamp<HostClock>) {
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
             while let Some(event) = self.link.poll(at) {
-                self.take(event);
+                self.on_link_event(event);
             }
         }
         self.to_station.apply_log(&self.link.take_log(LinkEnd::Station));
         self.to_brick.apply_log(&self.link.take_log(LinkEnd::Brick));
     }
 
-    fn take(&mut self, event: ImpairedLinkEvent) {
+    fn on_link_event(&mut self, event: ImpairedLinkEvent) {
         match event {
             ImpairedLinkEvent::Arrived { end: LinkEnd::Brick, delivery } => self.simulation.receive(&delivery.bytes),
             ImpairedLinkEvent::Arrived { end: LinkEnd::Station, delivery } => {
@@ -209,25 +209,25 @@ impl Soak {
                     self.outages.recovered += 1;
                 }
                 let (link, peer, bytes) = (self.id, PeerId::default(), delivery.bytes);
-                self.give(delivery.at, &Input::Bytes { link, peer, bytes });
+                self.handle(delivery.at, &Input::Bytes { link, peer, bytes });
             }
             ImpairedLinkEvent::Down { at } => {
                 self.outages.begun += 1;
                 if std::mem::replace(&mut self.outages.is_pending, true) {
                     self.outages.cut_short += 1;
                 }
-                self.tell(at, LinkState::Down);
+                self.set_link_state(at, LinkState::Down);
             }
-            ImpairedLinkEvent::Up { at } => self.tell(at, LinkState::Up),
+            ImpairedLinkEvent::Up { at } => self.set_link_state(at, LinkState::Up),
         }
     }
 
-    fn tell(&mut self, at: Timestamp<HostClock>, state: LinkState) {
+    fn set_link_state(&mut self, at: Timestamp<HostClock>, state: LinkState) {
         let link = self.id;
-        self.give(at, &Input::Link { link, state });
+        self.handle(at, &Input::Link { link, state });
     }
 
-    fn give(&mut self, at: Timestamp<HostClock>, input: &Input) {
+    fn handle(&mut self, at: Timestamp<HostClock>, input: &Input) {
         let change = measure(|| {
             self.station.handle(at, input);
             while let Some(output) = self.station.poll() {
@@ -239,7 +239,7 @@ impl Soak {
                     }),
                     Output::Event(event) => {
                         self.collector.on_event(&event);
-                        opt_out(|| self.hear(at, &event));
+                        opt_out(|| self.on_event(at, &event));
                     }
                     Output::Request(request) => panic!("nobody asked for {request:?}"),
                 }
@@ -248,8 +248,8 @@ impl Soak {
         self.kept_bytes += change.bytes_current;
     }
 
-    fn hear(&mut self, at: Timestamp<HostClock>, event: &Event) {
-        self.totals.take(at, event);
+    fn on_event(&mut self, at: Timestamp<HostClock>, event: &Event) {
+        self.totals.on_event(at, event);
         if matches!(event, Event::Health { .. }) {
             // What has arrived in this very millisecond is not in the log's account yet.
             self.to_station.apply_log(&self.link.take_log(LinkEnd::Station));
@@ -306,7 +306,7 @@ impl Soak {
         assert!(came <= heard + 1, "{came} {heard}");
         let formed = heard.saturating_sub(came);
         assert!(formed as f64 <= max_unseen(self.now.as_secs_f64() / 3_600.0));
-        let Outages { begun, recovered, cut_short, is_pending } = self.outages;
+        let OutageCounts { begun, recovered, cut_short, is_pending } = self.outages;
         assert!(begun > 0);
         assert_eq!(recovered + cut_short + u64::from(is_pending), begun);
         assert!(cut_short * 10 < begun, "{cut_short} of {begun}");
@@ -317,7 +317,7 @@ impl Soak {
 }
 
 impl StationTotals {
-    fn take(&mut self, at: Timestamp<HostClock>, event: &Event) {
+    fn on_event(&mut self, at: Timestamp<HostClock>, event: &Event) {
         match event {
             Event::Health { health, sources, .. } => {
                 self.health = *health;

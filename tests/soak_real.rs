@@ -66,12 +66,12 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
     // What a long run has found out is not thrown away if it fails.
     folder.disable_cleanup(is_long);
     println!("in {}", folder.path().display());
-    let mut scene = Scene::set(folder.path(), length_s);
-    let watched = scene.watch(length_s);
+    let mut setup = SoakSetup::set(folder.path(), length_s);
+    let watched = setup.watch(length_s);
     println!("{watched:?}");
     // A torn frame whose checksum fits by chance is not to be expected of a quarter of a minute.
     let unseen = if is_long { max_unseen(length_s / 3_600.0) } else { 0.0 };
-    let outages = scene.end(unseen);
+    let outages = setup.end(unseen);
     println!("{outages} outages");
     if is_long {
         assert!(outages > 0);
@@ -85,7 +85,7 @@ fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() 
 }
 
 /// Two bricks, two relays, one station.
-struct Scene {
+struct SoakSetup {
     bricks: [RunningProgram; 2],
     relays: [RunningProgram; 2],
     station: RunningProgram,
@@ -93,14 +93,14 @@ struct Scene {
 
 /// What was seen of the station.
 #[derive(Clone, Copy, Debug, Default)]
-struct Watched {
+struct ProcessUsage {
     lines: usize,
     settled_kib: u64,
     highest_kib: u64,
     cpu_share: f64,
 }
 
-impl Scene {
+impl SoakSetup {
     /// Sets it up for a run of so many seconds; in a long one the relays record what they hand over.
     fn set(folder: &Path, length_s: f64) -> Self {
         std::fs::write(folder.join("datagrams.toml"), HARSH_DATAGRAMS).expect("it can be written");
@@ -133,8 +133,8 @@ impl Scene {
     }
 
     /// Watches the station until the time is over and everybody is heard.
-    fn watch(&mut self, length_s: f64) -> Watched {
-        let mut watched = Watched::default();
+    fn watch(&mut self, length_s: f64) -> ProcessUsage {
+        let mut watched = ProcessUsage::default();
         let mut silent = BTreeSet::new();
         loop {
             let line = self.station.wait_for("\n");
@@ -194,7 +194,7 @@ impl Scene {
     }
 }
 
-impl Watched {
+impl ProcessUsage {
     fn record(&mut self, process: u32, time_s: f64) {
         let kib = memory_kib(process);
         self.lines += 1;

@@ -85,10 +85,10 @@ fn scan_chunks(stream: &[u8]) -> usize {
 }
 
 fn scan(stream: &[u8], chunk: usize) -> usize {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut frames = 0;
     for part in stream.chunks(chunk) {
-        scanner.push(Timestamp::ZERO, part, &mut |found| {
+        framer.push(Timestamp::ZERO, part, &mut |found| {
             if let FramerOutput::Frame(frame) = found {
                 black_box(frame);
                 frames += 1;
@@ -99,9 +99,9 @@ fn scan(stream: &[u8], chunk: usize) -> usize {
 }
 
 fn scan_and_decode(stream: &[u8]) -> usize {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut messages = 0;
-    scanner.push(Timestamp::ZERO, stream, &mut |found| {
+    framer.push(Timestamp::ZERO, stream, &mut |found| {
         if let FramerOutput::Frame(frame) = found
             && let Ok(Some(message)) = decode(&frame)
         {

@@ -3,7 +3,7 @@
 //! One verifier serves one link. All peers of a link share its key and its signing streams; each peer has sequence numbers of its own,
 //! because two robots behind one socket may have the same address.
 //!
-//! A frame whose signature is rejected changes no sequence number: nobody knows who sent it. The same holds for a frame that may come
+//! A frame whose signature is rejected changes no sequence number: its sender is unknown. The same holds for a frame that may come
 //! unsigned on a link with a key.
 
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use crate::signing::{FrameSigner, LinkSigner, SigningConfig, SigningState};
 /// Most senders that [`FrameVerifier::source_health`] lists; those with the most frames. A class of robots has a few hundred.
 const MAX_SENDERS: usize = 1_024;
 /// Most peers whose sequence numbers outlive a loss of the link, those with the highest ids: a link with one peer always calls it 0,
-/// and a link with several gives a new id to whoever returns.
+/// and a link with several gives a returning peer a new id.
 const MAX_SUSPENDED: usize = 16;
 
 /// What is known about the sender of a frame that may be used.
@@ -141,7 +141,7 @@ impl FrameVerifier {
     }
 }
 
-/// Of more senders than anybody has, those with the most frames stay: the others were invented, or are damage.
+/// Beyond the limit of senders, those with the most frames stay: the others were invented, or are damage.
 fn retain_most_active(sources: &mut BTreeMap<Address, SourceHealth>) {
     if sources.len() <= MAX_SENDERS {
         return;
@@ -184,7 +184,7 @@ mod tests {
         frames
     }
 
-    /// What the verifier says of each frame of a peer.
+    /// The verifier's result for each frame of a peer.
     fn verify(verifier: &mut FrameVerifier, peer: PeerId, frames: &[Vec<u8>]) -> Vec<Result<u32, SignatureError>> {
         let mut verdicts = Vec::new();
         let mut framer = Framer::new(FramerConfig::default());
@@ -205,7 +205,7 @@ mod tests {
         assert_eq!(verify(&mut verifier, PeerId(1), &frames[5..6]), [Ok(0)], "another robot with the same address");
         assert_eq!(verify(&mut verifier, PEER, &frames[3..4]), [Ok(2)]);
         verifier.handle_link_loss();
-        // Without timestamps nobody knows whether the next frame is of the same sender.
+        // Without timestamps it is unknown whether the next frame is of the same sender.
         assert_eq!(verify(&mut verifier, PEER, &frames[6..7]), [Ok(0)]);
         let health = SourceHealth { source: ROBOT, frames: 4, lost: 2 };
         assert_eq!(verifier.source_health(), [health]);

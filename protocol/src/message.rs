@@ -170,7 +170,7 @@ pub enum Message {
         /// The new value.
         value: f32,
     },
-    /// PARAM_SET (23) of a type that has no place in 32 bits, or that there is not: whoever asked hears what stands.
+    /// PARAM_SET (23) of a type that does not fit into 32 bits or does not exist. The sender gets the present value.
     ParamSetUnsupported {
         /// Whose parameter.
         target: Address,
@@ -199,7 +199,7 @@ impl Message {
         if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
     }
 
-    /// The instant of its sender's clock of which a measurement or an estimate speaks; `None` for the conversation, in which an
+    /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for the conversation, in which an
     /// answer holds two clocks.
     #[must_use]
     pub const fn stamp(&self) -> Option<WireStamp> {
@@ -245,7 +245,7 @@ impl Message {
     }
 }
 
-/// What a participant says about itself once per second.
+/// A participant's description of itself, sent once per second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// MAV_TYPE, e.g. 10 ground rover, 18 onboard controller, 30 camera, 6 ground station.
@@ -265,7 +265,7 @@ pub struct TimeSync {
     pub answer_nanos: i64,
     /// Clock of the asking side when it asked, ns; echoed in the answer.
     pub request_nanos: i64,
-    /// Whom it is for; `None` on the wire is 0/0, everybody.
+    /// Whom it is for; `None` on the wire is 0/0, a broadcast.
     pub target: Option<Address>,
 }
 
@@ -489,7 +489,7 @@ pub struct FusionHealth {
     pub refused: u16,
 }
 
-/// What a robot says about its own build, so that any host can configure itself.
+/// A robot's description of its own build, so that any host can configure itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotDescription {
     /// At most 16 bytes.
@@ -517,7 +517,7 @@ pub struct VisionFix {
     pub x: Meters,
     /// Position in the arena.
     pub y: Meters,
-    /// Heading in the arena; NaN on the wire when the observer cannot tell.
+    /// Heading in the arena; NaN on the wire when the observer does not know it.
     pub heading: Option<Heading>,
     /// Variances of x, y, heading and the covariance of x and y, if the observer knows them: xx, xy, yy, heading.
     pub covariance: Option<[f64; 4]>,

@@ -23,14 +23,14 @@ pub const ADDRESS: Address = Address::new(1, 1);
 const GROUND_ROVER: u8 = 10;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
-/// What the player says of itself.
+/// The player's heartbeat.
 const HEARTBEAT: Heartbeat =
     Heartbeat { vehicle_type: GROUND_ROVER, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 /// As often as the simulated brick describes itself: a station that comes later must know the geometry.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 /// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// Nobody is lost while a recording plays.
+/// No peer is lost while a recording plays.
 const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// The channel of a recorded thermometer. A named value keeps the digits that SCALED_PRESSURE would round.
 const THERMOMETER: &[u8] = b"temp";
@@ -42,7 +42,7 @@ pub struct RecordedRobot {
     start: Timestamp<BrickClock>,
     geometry: DriveGeometry,
     session: Session<BrickClock>,
-    scanner: Framer,
+    framer: Framer,
     encoder: Encoder,
     bytes: Vec<u8>,
     now: Timestamp<BrickClock>,
@@ -86,7 +86,7 @@ impl RecordedRobot {
             start,
             geometry,
             session: Session::new(config, start),
-            scanner: Framer::new(FramerConfig::default()),
+            framer: Framer::new(FramerConfig::default()),
             encoder: Encoder::new(WireVersion::V2),
             bytes: Vec::new(),
             now: start,
@@ -96,7 +96,7 @@ impl RecordedRobot {
         }
     }
 
-    /// Tells who is there, for a station that answers only those whom it has heard, or that has just come.
+    /// Sends the heartbeat, for a station that replies only to known senders, or that has just connected.
     pub fn send_heartbeat_now(&mut self) {
         self.last_description = self.now;
         self.encode(&Message::Heartbeat(HEARTBEAT));
@@ -117,9 +117,9 @@ impl RecordedRobot {
     /// Bytes from the station.
     pub fn receive(&mut self, bytes: &[u8]) {
         let mut heard = Vec::new();
-        // The scanner only measures silence with its clock: any clock will do.
+        // The framer only measures silence with its clock: any clock will do.
         let now = Timestamp::<HostClock>::from_nanos(self.now.as_nanos());
-        self.scanner.push(now, bytes, &mut |scanned| {
+        self.framer.push(now, bytes, &mut |scanned| {
             if let FramerOutput::Frame(frame) = scanned
                 && let Ok(Some(message)) = decode(&frame)
             {

@@ -20,14 +20,14 @@ use posebridge_telemetry::{Address, HostClock, LinkId, TimeDelta, Timestamp};
 use crate::dialect;
 use crate::framing::{FrameRef, SequenceCounter, WireVersion};
 
-/// A silence of everybody that is told of: four heartbeats come in it, mostly from several senders.
+/// Least silence of all senders that is reported: four heartbeats come in it, mostly from several senders.
 pub const MIN_GAP: TimeDelta = TimeDelta::from_millis(1_000);
-/// So many gaps are kept; the others are counted.
+/// Most gaps that are kept; the others are counted.
 const MAX_KEPT_GAPS: usize = 100;
-/// So many senders are followed; the frames of others are counted as those of a crowd. A flood of made-up addresses must not fill
+/// Most senders that are followed; the frames of others are counted as those of a crowd. A flood of made-up addresses must not fill
 /// the memory, and no fleet on one link is larger.
 const MAX_SOURCES: usize = 4_096;
-/// Every so many frames of a sender one is asked for its stamp: to decode all of them would take longer than everything else.
+/// Number of frames of a sender from which one stamp is read: to decode all of them would take longer than everything else.
 const STAMP_SAMPLE_PERIOD: u64 = 16;
 /// A stamp that falls by more is that of a clock that began anew, and not of a message that was overtaken.
 const RESTART_THRESHOLD_S: f64 = 1.0;
@@ -86,7 +86,7 @@ fn min_present(one: Option<Timestamp<HostClock>>, other: Option<Timestamp<HostCl
     [one, other].into_iter().flatten().min()
 }
 
-/// What the stamps of one sender tell of its clock, by the message that was met first among those that have one.
+/// What the stamps of one sender show of its clock, by the message that was met first among those that have one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SenderClockStatistics {
     /// The message.
@@ -154,10 +154,10 @@ struct LinkLossCounter {
     numbers: [SequenceCounter; MAX_LOG_LINKS],
 }
 
-/// How many links a log can tell apart: two bits. A sender counts for each link for itself.
+/// How many links a log can distinguish: two bits. A sender counts for each link for itself.
 pub const MAX_LOG_LINKS: usize = 4;
 
-/// A time in which nobody said anything.
+/// A time without frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrafficGap {
     /// When the last frame before it came.
@@ -187,8 +187,8 @@ impl TrafficStatistics {
         Self::default()
     }
 
-    /// Counts a frame of a log that may tell its links apart by a number, but may also mean nothing by it. The losses are then those
-    /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not told apart tangle several.
+    /// Counts a frame of a log that may distinguish its links by a number, but may also mean nothing by it. The losses are then those
+    /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not distinguished mix several.
     pub fn record_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Timestamp<HostClock>) {
         if let Some(source) = self.count_frame(LinkId(0), frame, Some(at)) {
             source.follow_by_link(number, frame.sequence);
@@ -255,7 +255,7 @@ impl TrafficStatistics {
         }
     }
 
-    /// Frames with a signature, whoever made it.
+    /// Frames with a signature, valid or not.
     #[must_use]
     pub const fn signed(&self) -> u64 {
         self.signed

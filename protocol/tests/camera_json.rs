@@ -62,7 +62,7 @@ fn fix_text(fix: &VisionFix) -> String {
     format!("{stamp} {:.6} {:.6} {heading} {sigmas} {}", fix.x.0, fix.y.0, fix.reset_counter)
 }
 
-fn heard_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
+fn decode_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
     let mut codec = codec(TransportKind::Stream);
     let mut heard = Vec::new();
     for part in bytes.chunks(chunk) {
@@ -72,7 +72,7 @@ fn heard_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
     heard
 }
 
-fn heard_of(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
+fn decode_from(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
     let mut heard = Vec::new();
     codec.push_from_peer(now, PeerId(peer), text.as_bytes(), &mut |item| {
         heard.extend(short(item));
@@ -89,7 +89,7 @@ fn meanings() -> Vec<String> {
 
 #[test]
 fn what_python_writes_is_understood_in_every_chunk_size() {
-    let heard = heard_in_chunks(GOLDEN.as_bytes(), GOLDEN.len());
+    let heard = decode_in_chunks(GOLDEN.as_bytes(), GOLDEN.len());
     let (notes, said): (Vec<_>, Vec<_>) = heard.iter().cloned().partition(|text| text.starts_with("note: "));
     assert_eq!(said, meanings());
     assert_eq!(
@@ -102,7 +102,7 @@ fn what_python_writes_is_understood_in_every_chunk_size() {
         ]
     );
     for chunk in 1..=GOLDEN.len() {
-        assert_eq!(heard_in_chunks(GOLDEN.as_bytes(), chunk), heard, "{chunk}");
+        assert_eq!(decode_in_chunks(GOLDEN.as_bytes(), chunk), heard, "{chunk}");
     }
 }
 
@@ -112,7 +112,7 @@ fn a_datagram_ends_its_last_line_and_a_stream_does_not() {
     let two = format!("{line}\r\n{line}");
     for (framing, count) in [(TransportKind::Datagram, 2), (TransportKind::Stream, 1)] {
         let mut codec = codec(framing);
-        let heard = heard_of(&mut *codec, Timestamp::ZERO, 0, &two);
+        let heard = decode_from(&mut *codec, Timestamp::ZERO, 0, &two);
         let fixes = heard.iter().filter(|text| text.starts_with("1/100"));
         assert_eq!(fixes.count(), count, "{framing:?}");
     }
@@ -122,10 +122,10 @@ fn a_datagram_ends_its_last_line_and_a_stream_does_not() {
 fn senders_of_one_link_do_not_mix_their_lines() {
     let mut codec = codec(TransportKind::Stream);
     let now = Timestamp::ZERO;
-    assert!(heard_of(&mut *codec, now, 1, "{\"camera\": \"a\", \"x_m\": 1, ").is_empty());
-    let other = heard_of(&mut *codec, now, 2, "{\"camera\": \"b\", \"x_m\": 5, \"y_m\": 5}\n");
+    assert!(decode_from(&mut *codec, now, 1, "{\"camera\": \"a\", \"x_m\": 1, ").is_empty());
+    let other = decode_from(&mut *codec, now, 2, "{\"camera\": \"b\", \"x_m\": 5, \"y_m\": 5}\n");
     assert!(other[1].starts_with("1/100: "), "{other:?}");
-    let rest = heard_of(&mut *codec, now, 1, "\"y_m\": 2}\n");
+    let rest = decode_from(&mut *codec, now, 1, "\"y_m\": 2}\n");
     assert!(rest[1].starts_with("1/101: "), "{rest:?}");
 }
 
@@ -135,7 +135,7 @@ fn a_lost_byte_costs_one_line_or_two_where_it_was_the_end_of_one() {
     let lines: Vec<String> = (1..=3).map(line).collect();
     let whole = lines.concat().into_bytes();
     let fixes = |bytes: &[u8]| {
-        let heard = heard_in_chunks(bytes, bytes.len());
+        let heard = decode_in_chunks(bytes, bytes.len());
         let is_fix = |text: &String| text.starts_with("1/100: ");
         heard.into_iter().filter(is_fix).collect::<Vec<_>>()
     };
@@ -158,15 +158,15 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
     let mut codec = codec(TransportKind::Datagram);
     let at = Timestamp::from_millis;
     let good = "{\"x_m\": 1, \"y_m\": 2}\n";
-    heard_of(&mut *codec, at(0), 7, good);
-    let bad = heard_of(&mut *codec, at(10), 7, "{\"x_m\": 1}\n");
+    decode_from(&mut *codec, at(0), 7, good);
+    let bad = decode_from(&mut *codec, at(10), 7, "{\"x_m\": 1}\n");
     assert_eq!(bad[0], "no sense");
     assert!(bad[1].contains("`y_m` is missing"), "{bad:?}");
     for k in 0..5 {
-        heard_of(&mut *codec, at(20 + k), 7, "{\"x_m\": NaN, \"y_m\": 0}\n");
+        decode_from(&mut *codec, at(20 + k), 7, "{\"x_m\": NaN, \"y_m\": 0}\n");
     }
-    heard_of(&mut *codec, at(30), 8, "nonsense\n");
-    heard_of(&mut *codec, at(1_010), 7, "{\"x_m\": 1, \"y_m\": 2, \"sigma_m\": -1}\n");
+    decode_from(&mut *codec, at(30), 8, "nonsense\n");
+    decode_from(&mut *codec, at(1_010), 7, "{\"x_m\": 1, \"y_m\": 2, \"sigma_m\": -1}\n");
     let mut answers = Vec::new();
     while let Some((to, bytes)) = codec.poll_addressed() {
         let Recipients::Peer(PeerId(peer)) = to else {
@@ -198,13 +198,13 @@ fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
     ] {
         let mut codec = codec(TransportKind::Datagram);
         let line = format!("{{\"x_m\": 1, \"y_m\": 2, {rest}}}\n");
-        let heard = heard_of(&mut *codec, Timestamp::ZERO, 7, &line);
+        let heard = decode_from(&mut *codec, Timestamp::ZERO, 7, &line);
         assert_eq!(heard[0], "no sense", "{line}");
         assert!(heard[1].contains(said), "{line}: {heard:?}");
     }
     let mut codec = codec(TransportKind::Datagram);
     let far = "{\"x_m\": 1, \"y_m\": 2, \"heading_deg\": -2e6, \"sigma_m\": 1e-6, \"sigma_heading_rad\": 1e-6}\n";
-    let heard = heard_of(&mut *codec, Timestamp::ZERO, 7, far);
+    let heard = decode_from(&mut *codec, Timestamp::ZERO, 7, far);
     assert!(!heard.contains(&"no sense".to_owned()), "{heard:?}");
 }
 
@@ -213,14 +213,14 @@ fn a_line_without_end_fills_no_memory_and_costs_only_itself() {
     let mut codec = codec(TransportKind::Stream);
     let mut heard = Vec::new();
     for _ in 0..100 {
-        heard.extend(heard_of(&mut *codec, Timestamp::ZERO, 0, &"[".repeat(1_000)));
+        heard.extend(decode_from(&mut *codec, Timestamp::ZERO, 0, &"[".repeat(1_000)));
     }
     assert_eq!(heard, Vec::<String>::new());
-    let rest = heard_of(&mut *codec, Timestamp::ZERO, 0, "\n{\"x_m\": 1, \"y_m\": 2}\n");
+    let rest = decode_from(&mut *codec, Timestamp::ZERO, 0, "\n{\"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(rest[0], "garbage: 100000");
     assert!(rest.last().unwrap().starts_with("1/100: "), "{rest:?}");
     // Deep nesting that fits a line is refused by its depth and not by the stack.
-    let deep = heard_of(&mut *codec, Timestamp::ZERO, 0, &format!("{}\n", "[".repeat(1_000)));
+    let deep = decode_from(&mut *codec, Timestamp::ZERO, 0, &format!("{}\n", "[".repeat(1_000)));
     assert_eq!(deep, ["garbage: 1000"]);
 }
 
@@ -229,10 +229,10 @@ fn seven_cameras_are_one_too_many() {
     let mut codec = codec(TransportKind::Datagram);
     for k in 0..6 {
         let line = format!("{{\"camera\": \"c{k}\", \"x_m\": 0, \"y_m\": 0}}");
-        let heard = heard_of(&mut *codec, Timestamp::ZERO, k, &line);
+        let heard = decode_from(&mut *codec, Timestamp::ZERO, k, &line);
         assert_eq!(heard.len(), 2, "{heard:?}");
     }
-    let heard = heard_of(&mut *codec, Timestamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
+    let heard = decode_from(&mut *codec, Timestamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
     assert!(heard.contains(&"no sense".to_owned()), "{heard:?}");
     assert!(heard.iter().any(|text| text.contains("more than 6")), "{heard:?}");
     assert_eq!(codec.source_health().len(), 6);
@@ -242,9 +242,9 @@ fn seven_cameras_are_one_too_many() {
 fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() {
     let mut codec = codec(TransportKind::Datagram);
     let now = Timestamp::from_millis(5_000);
-    let failed = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}");
+    let failed = decode_from(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}");
     assert_eq!(failed[1..], ["no sense"]);
-    let plain = heard_of(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 1}");
+    let plain = decode_from(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 1}");
     // 60 ms, give or take 40.
     assert_eq!(plain, ["1/100: 4900000..4980000 us 0.000000 0.000000 - - 0"]);
 }
@@ -253,7 +253,7 @@ fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() 
 fn questions_are_said_in_json_and_only_to_who_takes_them() {
     let mut codec = codec(TransportKind::Datagram);
     let hello = "{\"camera\": \"a\", \"x_m\": 0, \"y_m\": 0}\n{\"camera\": \"b\", \"takes_requests\": true}";
-    heard_of(&mut *codec, Timestamp::ZERO, 0, hello);
+    decode_from(&mut *codec, Timestamp::ZERO, 0, hello);
     let mut said = |message: &Message| {
         let mut bytes = Vec::new();
         let length = codec.encode(Timestamp::ZERO, STATION, message, &mut bytes);
@@ -262,25 +262,25 @@ fn questions_are_said_in_json_and_only_to_who_takes_them() {
     };
     let request = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 123_456_789_012, target: None });
     assert_eq!(said(&request), "{\"time_request\":123456789012}\n");
-    let ask = |target, what: u32| {
+    let request = |target, what: u32| {
         let mut params = [0.0; 7];
         params[0] = what as f32;
         Message::Command(CommandLong { target, command: ids::COMMAND_REQUEST_MESSAGE, params })
     };
     let fix = ids::VISION_POSITION_ESTIMATE;
-    assert_eq!(said(&ask(FIRST, fix)), "");
-    assert_eq!(said(&ask(SECOND, fix)), "{\"camera\":\"b\",\"fix_request\":1}\n");
-    assert_eq!(said(&ask(SECOND, ids::ATTITUDE)), "");
-    assert_eq!(said(&ask(Address::new(2, 101), fix)), "");
+    assert_eq!(said(&request(FIRST, fix)), "");
+    assert_eq!(said(&request(SECOND, fix)), "{\"camera\":\"b\",\"fix_request\":1}\n");
+    assert_eq!(said(&request(SECOND, ids::ATTITUDE)), "");
+    assert_eq!(said(&request(Address::new(2, 101), fix)), "");
 }
 
 #[test]
 fn a_link_that_comes_back_keeps_the_names_and_forgets_half_a_line() {
     let mut codec = codec(TransportKind::Stream);
     let now = Timestamp::ZERO;
-    heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ");
+    decode_from(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ");
     codec.on_link_up(now + TimeDelta::from_millis(1));
-    let heard = heard_of(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
+    let heard = decode_from(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(heard.len(), 1, "{heard:?}");
     assert!(heard[0].starts_with("1/100: "));
 }

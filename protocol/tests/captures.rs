@@ -26,7 +26,7 @@ const TLOG_STAMP: usize = 8;
 
 /// What a scan of a file gave.
 #[derive(Debug, Default)]
-struct Census {
+struct ScanTotals {
     by_id: BTreeMap<u32, u64>,
     by_source: BTreeMap<String, u64>,
     missing: BTreeMap<String, u64>,
@@ -36,10 +36,10 @@ struct Census {
 }
 
 /// Scans pieces of bytes, each by itself when `transport` is datagrams.
-fn census<'a>(transport: TransportKind, pieces: impl Iterator<Item = &'a [u8]>) -> Census {
-    let mut scanner = Framer::new(FramerConfig { accept_v1: true, transport, ..FramerConfig::default() });
+fn census<'a>(transport: TransportKind, pieces: impl Iterator<Item = &'a [u8]>) -> ScanTotals {
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, transport, ..FramerConfig::default() });
     let mut sequences = SequenceTracker::new();
-    let mut census = Census::default();
+    let mut census = ScanTotals::default();
     let mut take = |found: FramerOutput<'_>| {
         let frame = match found {
             FramerOutput::Frame(frame) => {
@@ -61,13 +61,13 @@ fn census<'a>(transport: TransportKind, pieces: impl Iterator<Item = &'a [u8]>) 
         *census.by_source.entry(source).or_default() += 1;
     };
     for piece in pieces {
-        scanner.push(Timestamp::ZERO, piece, &mut take);
+        framer.push(Timestamp::ZERO, piece, &mut take);
     }
-    if let Some(deadline) = scanner.deadline() {
-        scanner.tick(deadline, &mut take);
+    if let Some(deadline) = framer.deadline() {
+        framer.tick(deadline, &mut take);
     }
-    scanner.finish(&mut take);
-    census.garbage = scanner.counters().garbage_bytes;
+    framer.finish(&mut take);
+    census.garbage = framer.counters().garbage_bytes;
     census
 }
 
@@ -108,18 +108,18 @@ fn times_between_the_frames_are_only_garbage() {
 }
 
 #[derive(Debug)]
-struct Expected {
+struct ExpectedCounts {
     file: String,
     text: serde_json::Value,
 }
 
-impl Expected {
+impl ExpectedCounts {
     fn counts(&self, key: &str) -> BTreeMap<String, u64> {
         serde_json::from_value(self.text[key].clone()).expect("counts")
     }
 }
 
-fn collection(folder: &Path) -> Vec<Expected> {
+fn collection(folder: &Path) -> Vec<ExpectedCounts> {
     let mut expected = Vec::new();
     for entry in std::fs::read_dir(folder).expect("the mavlink folder") {
         let path = entry.expect("an entry").path();
@@ -127,7 +127,7 @@ fn collection(folder: &Path) -> Vec<Expected> {
             let text = std::fs::read_to_string(&path).expect("expected counts");
             let text: serde_json::Value = serde_json::from_str(&text).expect("JSON");
             let file = text["file"].as_str().expect("a name").to_owned();
-            expected.push(Expected { file, text });
+            expected.push(ExpectedCounts { file, text });
         }
     }
     expected
@@ -160,7 +160,7 @@ fn the_collection_counts_as_foreign_decoders_count() {
     assert!(read >= 6, "only {read} files of the collection were read");
 }
 
-fn compare(expected: &Expected, bytes: &[u8]) {
+fn compare(expected: &ExpectedCounts, bytes: &[u8]) {
     let file = &expected.file;
     let has_times = Path::new(file).extension() == Some(OsStr::new("tlog"));
     let seen = if has_times {
@@ -192,7 +192,7 @@ fn compare(expected: &Expected, bytes: &[u8]) {
 /// Senders that do not count by one have absurd losses by plain summing; those are only required to be capped.
 const ABSURD: u64 = 1_000;
 
-fn compare_losses(expected: &Expected, seen: &Census) {
+fn compare_losses(expected: &ExpectedCounts, seen: &ScanTotals) {
     for (source, missing) in expected.counts("seq_missing_by_source") {
         let ours = seen.missing[&source];
         if missing < ABSURD {

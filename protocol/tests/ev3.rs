@@ -9,7 +9,7 @@ mod ev3_double;
 mod ev3_talk;
 
 use ev3_double::{Ev3Double, FailureMode, PluggedSensor, curve};
-use ev3_talk::{Ev3Session, ReplyCorruption, TURN_AROUND, TalkEvent, codec, item, without_gyro};
+use ev3_talk::{Ev3Session, RecordedEvent, ReplyCorruption, TURN_AROUND, codec, item, without_gyro};
 use posebridge_protocol::bricks::DEFAULT_BRICK_ADDRESS;
 use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, SensorPort,
@@ -46,9 +46,13 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
     });
     let stamp = WireStamp::Micros32(1_000_000);
     let expected = [
-        TalkEvent::ClockReply { sent: Timestamp::from_millis(40), peer_nanos: 1_000_000_000 },
-        TalkEvent::Message(Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(360), right: EncoderTicks(-1) })),
-        TalkEvent::Message(Message::Inertial(Inertial {
+        RecordedEvent::ClockReply { sent: Timestamp::from_millis(40), peer_nanos: 1_000_000_000 },
+        RecordedEvent::Message(Message::WheelTicks(WheelTicks {
+            stamp,
+            left: EncoderTicks(360),
+            right: EncoderTicks(-1),
+        })),
+        RecordedEvent::Message(Message::Inertial(Inertial {
             stamp,
             turn_rate: Some(RadiansPerSecond(std::f64::consts::FRAC_PI_2)),
             turn: None,
@@ -81,7 +85,7 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
 }
 
 /// Everything that a codec hears when the answers of a live talk come in such chunks.
-fn heard_in_chunks(chunk: usize) -> Vec<TalkEvent> {
+fn decode_in_chunks(chunk: usize) -> Vec<RecordedEvent> {
     let mailbox = [
         0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
         b'!', 0x00,
@@ -107,21 +111,24 @@ fn heard_in_chunks(chunk: usize) -> Vec<TalkEvent> {
 
 #[test]
 fn chunking_does_not_change_what_is_heard() {
-    let sound = |items: Vec<TalkEvent>| {
-        let is_defect = |item: &TalkEvent| matches!(item, TalkEvent::Error(_));
+    let sound = |items: Vec<RecordedEvent>| {
+        let is_defect = |item: &RecordedEvent| matches!(item, RecordedEvent::Error(_));
         let (defects, sound): (Vec<_>, Vec<_>) = items.into_iter().partition(is_defect);
         let garbage = defects.iter().map(|item| match item {
-            TalkEvent::Error(ReceiveError::UnframedBytes { bytes }) => *bytes,
-            TalkEvent::Message(_) | TalkEvent::ClockReply { .. } | TalkEvent::StatusText(_) | TalkEvent::Error(_) => {
+            RecordedEvent::Error(ReceiveError::UnframedBytes { bytes }) => *bytes,
+            RecordedEvent::Message(_)
+            | RecordedEvent::ClockReply { .. }
+            | RecordedEvent::StatusText(_)
+            | RecordedEvent::Error(_) => {
                 panic!("{item:?}")
             }
         });
         (sound, garbage.sum::<u32>())
     };
-    let whole = sound(heard_in_chunks(1_000));
+    let whole = sound(decode_in_chunks(1_000));
     assert_eq!(whole.1, 12);
     for chunk in 1..60 {
-        assert_eq!(sound(heard_in_chunks(chunk)), whole, "chunk size {chunk}");
+        assert_eq!(sound(decode_in_chunks(chunk)), whole, "chunk size {chunk}");
     }
 }
 
@@ -180,10 +187,10 @@ fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
     assert_eq!(talk.source().lost, 0);
     assert_eq!(talk.codec.counters().stalls, 2);
     let lost =
-        talk.events.iter().filter(|(_, item)| matches!(item, TalkEvent::Error(ReceiveError::SequenceGap { .. })));
+        talk.events.iter().filter(|(_, item)| matches!(item, RecordedEvent::Error(ReceiveError::SequenceGap { .. })));
     assert_eq!(lost.count(), 2);
     let round_trips = talk.events.iter().filter_map(|(now, item)| {
-        if let TalkEvent::ClockReply { sent, .. } = item { Some((*now - *sent).as_millis_f64()) } else { None }
+        if let RecordedEvent::ClockReply { sent, .. } = item { Some((*now - *sent).as_millis_f64()) } else { None }
     });
     // That of a late answer would be 2 s.
     let longest_ms = round_trips.fold(0.0, f64::max);
@@ -233,7 +240,7 @@ fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
         assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
         assert!(talk.ticks().count() > 800);
         let turned = |talk: &Ev3Session| {
-            let is_turn = |item: &&(_, TalkEvent)| matches!(item.1, TalkEvent::Message(Message::Inertial(_)));
+            let is_turn = |item: &&(_, RecordedEvent)| matches!(item.1, RecordedEvent::Message(Message::Inertial(_)));
             talk.events.iter().filter(is_turn).count()
         };
         assert_eq!(turned(&talk), 0);
@@ -274,7 +281,7 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
     // PluggedSensor in, it is found at the next try.
     talk.brick.sensors[1] = Some(plugged(32, [12.0, 0.0]));
     talk.run_for(340.0);
-    let is_turn = |item: &&(_, TalkEvent)| matches!(item.1, TalkEvent::Message(Message::Inertial(_)));
+    let is_turn = |item: &&(_, RecordedEvent)| matches!(item.1, RecordedEvent::Message(Message::Inertial(_)));
     assert!(talk.events.iter().any(|item| is_turn(&item)));
 }
 
@@ -328,7 +335,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     let heard: Vec<_> = talk.events.iter().map(|(_, item)| item).collect();
     let stamps: Vec<_> = talk.ticks().map(|(_, ticks)| ticks.stamp).collect();
     let turns = heard.iter().filter_map(|item| {
-        if let TalkEvent::Message(Message::Inertial(inertial)) = item {
+        if let RecordedEvent::Message(Message::Inertial(inertial)) = item {
             Some((inertial.turn_rate, inertial.turn))
         } else {
             None
@@ -342,7 +349,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     let ranges: Vec<_> = heard
         .iter()
         .filter_map(|item| {
-            if let TalkEvent::Message(Message::DistanceSensor { stamp, range, .. }) = item {
+            if let RecordedEvent::Message(Message::DistanceSensor { stamp, range, .. }) = item {
                 Some((*stamp, *range))
             } else {
                 None

@@ -89,7 +89,7 @@ fn push(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, bytes: &[u8]) -> 
 }
 
 /// What a codec hears of some bytes that come at once.
-fn heard(settings: TextLineSettings, bytes: &str) -> Vec<String> {
+fn decode(settings: TextLineSettings, bytes: &str) -> Vec<String> {
     push(&mut *codec(settings), Timestamp::from_millis(1_000), bytes.as_bytes())
 }
 
@@ -99,16 +99,16 @@ fn every_layout_is_read_in_si_units() {
     let wheels = [("L", "left_ticks"), ("R", "right_ticks")];
     let with_blanks = pairs(&wheels, Separator::Blank, Separator::Blank);
     assert_eq!(
-        heard(pairs(&robot, Separator::Pipe, Separator::Colon), "t:123|l:45|r:46|g:0.5\n"),
+        decode(pairs(&robot, Separator::Pipe, Separator::Colon), "t:123|l:45|r:46|g:0.5\n"),
         ["123 ms: wheels 45 46", "123 ms: turn 0.500000"]
     );
     assert_eq!(
-        heard(pairs(&robot, Separator::Comma, Separator::Equals), "r = 46, g=-.5 ,t=123,l=45\r\n"),
+        decode(pairs(&robot, Separator::Comma, Separator::Equals), "r = 46, g=-.5 ,t=123,l=45\r\n"),
         ["123 ms: wheels 45 46", "123 ms: turn -0.500000"]
     );
-    assert_eq!(heard(with_blanks, "L 1  R\t-2\r"), ["time", "960000..1000000 us: wheels 1 -2"]);
+    assert_eq!(decode(with_blanks, "L 1  R\t-2\r"), ["time", "960000..1000000 us: wheels 1 -2"]);
     assert_eq!(
-        heard(pairs(&wheels, Separator::Blank, Separator::Colon), "L:1 R:2\n"),
+        decode(pairs(&wheels, Separator::Blank, Separator::Colon), "L:1 R:2\n"),
         ["time", "960000..1000000 us: wheels 1 2"]
     );
     let csv = columns(&[
@@ -121,7 +121,7 @@ fn every_layout_is_read_in_si_units() {
         "temperature_c",
     ]);
     assert_eq!(
-        heard(csv, "4294967295, x, 7.00, +8, 90, 12.5, 21.37\n"),
+        decode(csv, "4294967295, x, 7.00, +8, 90, 12.5, 21.37\n"),
         [
             "4294967295 us: wheels -7 8",
             "4294967295 us: turn -1.570796",
@@ -134,9 +134,9 @@ fn every_layout_is_read_in_si_units() {
 #[test]
 fn a_distance_is_metres_and_none_where_nothing_is_in_sight() {
     let wheels_and_distance = columns(&["time_us", "left_ticks", "right_ticks", "distance_cm"]);
-    assert_eq!(heard(wheels_and_distance, "5,7,8,0\n"), ["5 us: wheels 7 8"]);
+    assert_eq!(decode(wheels_and_distance, "5,7,8,0\n"), ["5 us: wheels 7 8"]);
     for (name, said, range) in [("distance_mm", "1250", "1.2500"), ("distance_m", "1.25", "1.2500")] {
-        assert_eq!(heard(columns(&["time_ms", name]), &format!("9,{said}\n")), [format!("9 ms: range {range}")]);
+        assert_eq!(decode(columns(&["time_ms", name]), &format!("9,{said}\n")), [format!("9 ms: range {range}")]);
     }
 }
 
@@ -148,12 +148,12 @@ fn the_checksum_is_that_of_nmea() {
     names[1] = "time_ms";
     names[9] = "distance_m";
     let mut settings = columns(&names);
-    assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
+    assert_eq!(decode(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
     settings.checksum = ChecksumPolicy::Required;
-    assert_eq!(heard(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
-    let wrong = heard(settings.clone(), &sentence.replace("*47", "*48"));
+    assert_eq!(decode(settings.clone(), sentence), ["123519 ms: range 545.4000"]);
+    let wrong = decode(settings.clone(), &sentence.replace("*47", "*48"));
     assert_eq!(wrong[0], "Checksum { message_id: 0, found: 72, expected: 71 }");
-    let none = heard(settings, &sentence.replace("*47", ""));
+    let none = decode(settings, &sentence.replace("*47", ""));
     assert!(none[1].contains("no checksum"), "{none:?}");
 }
 
@@ -189,11 +189,11 @@ fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_tol
     let notes: Vec<_> = told.iter().filter(|item| item.starts_with("note")).collect();
     assert_eq!(notes, ["note: the board's `v` is not used"]);
     for (line, why) in [("l:1|l:2|r:3", "`left_ticks` twice"), ("l:1", "no `right_ticks`")] {
-        let told = heard(settings.clone(), &format!("{line}\n"));
+        let told = decode(settings.clone(), &format!("{line}\n"));
         assert!(told[1].contains(why), "{line}: {told:?}");
         assert!(told[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"), "{told:?}");
     }
-    let long = heard(columns(&["left_ticks", "right_ticks"]), &format!("{}\n", "9".repeat(300)));
+    let long = decode(columns(&["left_ticks", "right_ticks"]), &format!("{}\n", "9".repeat(300)));
     assert_eq!(long[0], "UnframedBytes { bytes: 300 }");
     assert!(long[1].contains("longer than 256"), "{long:?}");
 }

@@ -37,7 +37,7 @@ fn list() -> Message {
 }
 
 /// Indices of the values that are sent until an instant, each with its instant in milliseconds.
-fn told_until(session: &mut Owner, end: Timestamp<BrickClock>) -> Vec<(i64, u16)> {
+fn values_sent_until(session: &mut Owner, end: Timestamp<BrickClock>) -> Vec<(i64, u16)> {
     let mut told = Vec::new();
     while let Some(due) = session.deadline().filter(|due| *due <= end) {
         session.tick(due);
@@ -59,24 +59,24 @@ fn answer(session: &mut Owner, message: &Message) -> Vec<SessionOutput<BrickCloc
 fn who_asks_while_a_list_goes_out_gets_it_whole_and_nobody_makes_it_faster() {
     let mut session = owner(&NAMES);
     session.handle(at(0), GCS, &list());
-    assert_eq!(told_until(&mut session, at(25)), [(0, 0), (20, 1)]);
+    assert_eq!(values_sent_until(&mut session, at(25)), [(0, 0), (20, 1)]);
     session.handle(at(25), Address::new(254, 190), &list());
-    assert_eq!(told_until(&mut session, at(1_000)), [(40, 2), (60, 0), (80, 1)]);
+    assert_eq!(values_sent_until(&mut session, at(1_000)), [(40, 2), (60, 0), (80, 1)]);
     // A list that has just ended does not begin again at once.
     let mut session = owner(&NAMES[..1]);
     session.handle(at(0), GCS, &list());
-    assert_eq!(told_until(&mut session, at(5)), [(0, 0)]);
+    assert_eq!(values_sent_until(&mut session, at(5)), [(0, 0)]);
     session.handle(at(5), GCS, &list());
-    assert_eq!(told_until(&mut session, at(1_000)), [(20, 0)]);
+    assert_eq!(values_sent_until(&mut session, at(1_000)), [(20, 0)]);
 }
 
 #[test]
 fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
     let mut session = owner(&NAMES);
     session.handle(at(3_600_000), GCS, &list());
-    assert_eq!(told_until(&mut session, at(3_600_010)), [(3_600_000, 0)], "before");
+    assert_eq!(values_sent_until(&mut session, at(3_600_010)), [(3_600_000, 0)], "before");
     session.tick(at(5));
-    let told = told_until(&mut session, at(1_000));
+    let told = values_sent_until(&mut session, at(1_000));
     let indices: Vec<u16> = told.iter().map(|(_, index)| *index).collect();
     assert_eq!(indices, [1, 2], "{told:?}");
 }
@@ -114,5 +114,5 @@ fn a_participant_without_parameters_says_nothing_about_them() {
     ] {
         assert_eq!(answer(&mut session, &message), []);
     }
-    assert_eq!(told_until(&mut session, at(10_000)), []);
+    assert_eq!(values_sent_until(&mut session, at(10_000)), []);
 }

@@ -4,8 +4,8 @@
 
 #[path = "support/conversation.rs"]
 mod conversation;
-#[path = "support/found.rs"]
-mod found;
+#[path = "support/framer_output.rs"]
+mod framer_output;
 #[path = "support/mix.rs"]
 mod mix;
 
@@ -23,7 +23,7 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
 use conversation::conversation;
-use found::{Found, frames, scan};
+use framer_output::{OwnedFramerOutput, frames, scan};
 use mix::four_message_mix;
 
 fn any_config() -> impl Strategy<Value = FramerConfig> {
@@ -345,8 +345,8 @@ proptest! {
         let whole: usize = found
             .iter()
             .map(|item| match item {
-                Found::Frame(raw) | Found::Unknown(raw) => raw.len(),
-                Found::Defect(_) => 0,
+                OwnedFramerOutput::Frame(raw) | OwnedFramerOutput::UnknownFrame(raw) => raw.len(),
+                OwnedFramerOutput::Error(_) => 0,
             })
             .sum();
         prop_assert_eq!(whole + counters.garbage_bytes as usize, bytes.len());
@@ -447,14 +447,14 @@ proptest! {
         for frame in &mix {
             let end = start + frame.len();
             if damaged[start..end] == frame[..] {
-                intact.push(Found::Frame(frame.clone()));
+                intact.push(OwnedFramerOutput::Frame(frame.clone()));
             }
             start = end;
         }
         let (found, _) = scan(FramerConfig::default(), &damaged, chunk);
-        let whole: Vec<Found> = frames(&found)
+        let whole: Vec<OwnedFramerOutput> = frames(&found)
             .into_iter()
-            .filter(|item| matches!(item, Found::Frame(_)))
+            .filter(|item| matches!(item, OwnedFramerOutput::Frame(_)))
             .collect();
         prop_assert_eq!(whole, intact);
     }

@@ -19,15 +19,15 @@ const FRAMES: usize = 100_000;
 const CHUNK: usize = 4_096;
 
 /// A damaged stream and the frames in it that were left whole.
-struct Damaged {
+struct DamagedStream {
     bytes: Vec<u8>,
     intact: Vec<Vec<u8>>,
 }
 
 /// Damages one frame in place and returns whether it was left whole; may append noise to the stream before it.
-type Damage = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> bool;
+type DamageFn = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> bool;
 
-fn damaged(seed: u64, damage: Damage) -> Damaged {
+fn damaged(seed: u64, damage: DamageFn) -> DamagedStream {
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut bytes = Vec::new();
     let mut intact = Vec::new();
@@ -38,7 +38,7 @@ fn damaged(seed: u64, damage: Damage) -> Damaged {
             intact.push(frame);
         }
     }
-    Damaged { bytes, intact }
+    DamagedStream { bytes, intact }
 }
 
 fn one_byte_lost(rng: &mut Pcg64, _stream: &mut Vec<u8>, frame: &mut Vec<u8>) -> bool {
@@ -77,8 +77,8 @@ fn noise_before(rng: &mut Pcg64, stream: &mut Vec<u8>, _frame: &mut Vec<u8>) -> 
 }
 
 /// Scans the stream; returns how many intact frames came out and how many frames did that were none.
-fn deliver(stream: &Damaged) -> (usize, usize) {
-    let mut scanner = Framer::new(FramerConfig::default());
+fn deliver(stream: &DamagedStream) -> (usize, usize) {
+    let mut framer = Framer::new(FramerConfig::default());
     let mut intact = stream.intact.iter();
     let (mut delivered, mut invented) = (0, 0);
     let mut take = |found: FramerOutput<'_>| {
@@ -92,9 +92,9 @@ fn deliver(stream: &Damaged) -> (usize, usize) {
         }
     };
     for chunk in stream.bytes.chunks(CHUNK) {
-        scanner.push(Timestamp::ZERO, chunk, &mut take);
+        framer.push(Timestamp::ZERO, chunk, &mut take);
     }
-    scanner.tick(Timestamp::ZERO + TimeDelta::from_millis(50), &mut take);
+    framer.tick(Timestamp::ZERO + TimeDelta::from_millis(50), &mut take);
     (delivered, invented)
 }
 
@@ -112,7 +112,7 @@ fn deliver_by_crate(bytes: &[u8]) -> usize {
 
 #[test]
 fn every_intact_frame_survives_the_damage_around_it() {
-    let kinds: [(&str, u64, Damage); 4] = [
+    let kinds: [(&str, u64, DamageFn); 4] = [
         ("one byte lost in 2 % of frames", 1, one_byte_lost),
         ("bit flips, 2e-4 per byte", 2, bits_flipped),
         ("frame tail lost in 2 %", 3, tail_lost),

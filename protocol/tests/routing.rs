@@ -17,14 +17,14 @@ const ROBOT: Address = Address::new(1, 1);
 const CAMERA: Address = Address::new(2, 100);
 const GCS: Address = Address::new(255, 190);
 
-const BRICK_LINK: Endpoint = way(0, 0);
-const CAMERA_LINK: Endpoint = way(1, 0);
-const GCS_LINK: Endpoint = way(2, 5);
+const BRICK_LINK: Endpoint = endpoint(0, 0);
+const CAMERA_LINK: Endpoint = endpoint(1, 0);
+const GCS_LINK: Endpoint = endpoint(2, 5);
 
 const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
-const fn way(link: u16, peer: u32) -> Endpoint {
+const fn endpoint(link: u16, peer: u32) -> Endpoint {
     Endpoint { link: LinkId(link), peer: PeerId(peer) }
 }
 
@@ -33,9 +33,9 @@ fn at(millis: i64) -> Timestamp<HostClock> {
 }
 
 fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let (mut look, mut seen) = (Some(look), None);
-    scanner.push(Timestamp::ZERO, bytes, &mut |scanned| {
+    framer.push(Timestamp::ZERO, bytes, &mut |scanned| {
         if let FramerOutput::Frame(frame) = scanned {
             seen = look.take().map(|look| look(&frame));
         }
@@ -63,20 +63,20 @@ impl Bench {
     }
 
     /// Somebody says something new.
-    fn say(&mut self, now: i64, from: Endpoint, source: Address, message: &Message) -> RoutingDecision {
+    fn send(&mut self, now: i64, from: Endpoint, source: Address, message: &Message) -> RoutingDecision {
         self.sequence = self.sequence.wrapping_add(1);
         let bytes = framed(self.sequence, source, message);
-        self.hear(now, from, &bytes)
+        self.receive(now, from, &bytes)
     }
 
-    fn hear(&mut self, now: i64, from: Endpoint, bytes: &[u8]) -> RoutingDecision {
+    fn receive(&mut self, now: i64, from: Endpoint, bytes: &[u8]) -> RoutingDecision {
         with_frame(bytes, |frame| self.router.route(at(now), from, frame, SenderCheck::Verified))
     }
 
     /// Everybody has said that he is there.
     fn introduced(mut self) -> Self {
         for (way, source) in [(BRICK_LINK, ROBOT), (CAMERA_LINK, CAMERA), (GCS_LINK, GCS)] {
-            self.say(0, way, source, &HEARTBEAT);
+            self.send(0, way, source, &HEARTBEAT);
         }
         self
     }
@@ -130,7 +130,7 @@ fn the_targets_of_every_message_are_found_in_the_frames_of_a_foreign_encoder() {
 #[test]
 fn a_broadcast_goes_to_all_others_and_to_the_other_peers_of_its_link() {
     let mut bench = Bench::new(Default::default()).introduced();
-    let routed = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
+    let routed = bench.send(10, GCS_LINK, GCS, &HEARTBEAT);
     assert_eq!(
         routed.to,
         [(LinkId(0), Recipients::All), (LinkId(1), Recipients::All), (LinkId(2), Recipients::AllExcept(GCS_LINK.peer)),]
@@ -140,10 +140,10 @@ fn a_broadcast_goes_to_all_others_and_to_the_other_peers_of_its_link() {
 #[test]
 fn a_command_goes_where_its_target_was_heard_and_the_answer_where_the_asker_was() {
     let mut bench = Bench::new(Default::default()).introduced();
-    let routed = bench.say(10, GCS_LINK, GCS, &command_to(ROBOT));
+    let routed = bench.send(10, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)]);
     let ack = Message::CommandAck(CommandAck { command: 400, result: 0, target: Some(GCS) });
-    let routed = bench.say(20, BRICK_LINK, ROBOT, &ack);
+    let routed = bench.send(20, BRICK_LINK, ROBOT, &ack);
     assert_eq!(routed.to, [to(GCS_LINK)]);
 }
 
@@ -162,7 +162,7 @@ fn known_destinations_only() {
         (GCS, vec![]),
     ] {
         let mut bench = Bench::new(Default::default()).introduced();
-        let routed = bench.say(10, GCS_LINK, GCS, &command_to(target));
+        let routed = bench.send(10, GCS_LINK, GCS, &command_to(target));
         assert_eq!(routed.to, expected, "{target}");
     }
 }
@@ -171,31 +171,31 @@ fn known_destinations_only() {
 fn a_route_is_forgotten_with_its_link_and_after_a_silence() {
     let mut bench = Bench::new(Default::default()).introduced();
     bench.router.forget_link(LinkId(0));
-    assert_eq!(bench.say(10, GCS_LINK, GCS, &command_to(ROBOT)).to, []);
-    let routed = bench.say(30_000, GCS_LINK, GCS, &command_to(CAMERA));
+    assert_eq!(bench.send(10, GCS_LINK, GCS, &command_to(ROBOT)).to, []);
+    let routed = bench.send(30_000, GCS_LINK, GCS, &command_to(CAMERA));
     assert_eq!(routed.to, [to(CAMERA_LINK)]);
-    assert_eq!(bench.say(30_001, GCS_LINK, GCS, &command_to(CAMERA)).to, []);
+    assert_eq!(bench.send(30_001, GCS_LINK, GCS, &command_to(CAMERA)).to, []);
 }
 
 #[test]
 fn the_station_s_own_words_go_nowhere_and_teach_nothing() {
     let mut bench = Bench::new(Default::default()).introduced();
-    assert_eq!(bench.say(10, CAMERA_LINK, STATION, &HEARTBEAT).to, []);
-    assert_eq!(bench.say(20, GCS_LINK, GCS, &command_to(STATION)).to, []);
+    assert_eq!(bench.send(10, CAMERA_LINK, STATION, &HEARTBEAT).to, []);
+    assert_eq!(bench.send(20, GCS_LINK, GCS, &command_to(STATION)).to, []);
 }
 
 #[test]
 fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
     let mut bench = Bench::new(Default::default()).introduced();
     let bytes = framed(77, ROBOT, &HEARTBEAT);
-    assert_eq!(bench.hear(10, BRICK_LINK, &bytes).duplicate_status, DuplicateStatus::New);
-    let back = bench.hear(30, GCS_LINK, &bytes);
+    assert_eq!(bench.receive(10, BRICK_LINK, &bytes).duplicate_status, DuplicateStatus::New);
+    let back = bench.receive(30, GCS_LINK, &bytes);
     assert_eq!(back.duplicate_status, DuplicateStatus::Loop);
     assert_eq!(back.to, []);
-    let routed = bench.say(40, CAMERA_LINK, CAMERA, &command_to(ROBOT));
+    let routed = bench.send(40, CAMERA_LINK, CAMERA, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)], "the detour is no route");
     // A sender that never counts says the same bytes again.
-    let again = bench.hear(50, BRICK_LINK, &bytes);
+    let again = bench.receive(50, BRICK_LINK, &bytes);
     assert_eq!((again.duplicate_status, again.to.len()), (DuplicateStatus::New, 3));
 }
 
@@ -203,12 +203,12 @@ fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
 fn redundant_links_are_one_way_to_one_robot() {
     let redundant = LinkRules { group: Some(3), ..LinkRules::default() };
     let mut bench = Bench::new([redundant.clone(), redundant, LinkRules::default()]);
-    bench.say(0, GCS_LINK, GCS, &HEARTBEAT);
+    bench.send(0, GCS_LINK, GCS, &HEARTBEAT);
     let bytes = framed(9, ROBOT, &HEARTBEAT);
-    let first = bench.hear(10, BRICK_LINK, &bytes);
+    let first = bench.receive(10, BRICK_LINK, &bytes);
     assert_eq!(first.to, [(LinkId(0), Recipients::AllExcept(PeerId(0))), (LinkId(2), Recipients::All)]);
-    assert_eq!(bench.hear(20, CAMERA_LINK, &bytes).duplicate_status, DuplicateStatus::Duplicate);
-    let routed = bench.say(30, GCS_LINK, GCS, &command_to(ROBOT));
+    assert_eq!(bench.receive(20, CAMERA_LINK, &bytes).duplicate_status, DuplicateStatus::Duplicate);
+    let routed = bench.send(30, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK), to(CAMERA_LINK)]);
     assert_eq!(bench.router.first_of_group(LinkId(1)), LinkId(0));
     assert_eq!(bench.router.first_of_group(LinkId(2)), LinkId(2));
@@ -221,12 +221,12 @@ fn a_link_takes_all_or_only_what_is_meant_for_it_or_no_part() {
     let mut bench =
         Bench::new([rules(ForwardPolicy::Targeted), rules(ForwardPolicy::Disabled), rules(ForwardPolicy::All)])
             .introduced();
-    let broadcast = bench.say(10, GCS_LINK, GCS, &HEARTBEAT);
+    let broadcast = bench.send(10, GCS_LINK, GCS, &HEARTBEAT);
     assert_eq!(broadcast.to, [(LinkId(2), Recipients::AllExcept(GCS_LINK.peer))]);
-    let targeted = bench.say(20, GCS_LINK, GCS, &command_to(ROBOT));
+    let targeted = bench.send(20, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(targeted.to, [to(BRICK_LINK)]);
-    assert_eq!(bench.say(30, GCS_LINK, GCS, &command_to(CAMERA)).to, []);
-    assert_eq!(bench.say(40, CAMERA_LINK, CAMERA, &HEARTBEAT).to, []);
+    assert_eq!(bench.send(30, GCS_LINK, GCS, &command_to(CAMERA)).to, []);
+    assert_eq!(bench.send(40, CAMERA_LINK, CAMERA, &HEARTBEAT).to, []);
 }
 
 #[test]

@@ -72,10 +72,10 @@ fn link(clock: u64) -> LinkSigner {
 
 /// What the first frame that is found in the bytes is to a function.
 fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let mut look = Some(look);
     let mut result = None;
-    scanner.push(Timestamp::ZERO, bytes, &mut |found| {
+    framer.push(Timestamp::ZERO, bytes, &mut |found| {
         if let FramerOutput::Frame(frame) = found {
             result = look.take().map(|look| look(&frame));
         }
@@ -83,7 +83,7 @@ fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
     result.expect("a whole frame")
 }
 
-fn judge(link: &mut LinkSigner, now: Timestamp<HostClock>, bytes: &[u8]) -> Result<(), SignatureError> {
+fn verify(link: &mut LinkSigner, now: Timestamp<HostClock>, bytes: &[u8]) -> Result<(), SignatureError> {
     with_frame(bytes, |frame| link.verify(now, frame))
 }
 
@@ -108,7 +108,7 @@ fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
             continue;
         };
         let mut receiver = LinkSigner::new(config(key, case.timestamp));
-        assert_eq!(judge(&mut receiver, Timestamp::ZERO, &case.frame), Ok(()), "{}", case.name);
+        assert_eq!(verify(&mut receiver, Timestamp::ZERO, &case.frame), Ok(()), "{}", case.name);
         // A sender's first stamp is 1, because it has used 0 before.
         let Some(before) = case.timestamp.checked_sub(1) else {
             continue;
@@ -144,7 +144,7 @@ fn a_frame_is_refused_for_its_own_reason() {
     };
     let mut link = LinkSigner::new(config(&keys[0], 123_456_789));
     let mut check = |name, expected| {
-        assert_eq!(judge(&mut link, Timestamp::ZERO, frame(name)), expected, "{name}");
+        assert_eq!(verify(&mut link, Timestamp::ZERO, frame(name)), expected, "{name}");
     };
     check("heartbeat_other_key", Err(SignatureError::Invalid));
     check("heartbeat_unsigned", Err(SignatureError::Unsigned));
@@ -164,7 +164,7 @@ fn where_unsigned_frames_are_accepted_a_wrong_signature_is_still_refused() {
         let expected = if case.key == Some(1) { Err(SignatureError::Invalid) } else { Ok(()) };
         // Streams of their own: another test is about the order.
         let mut link = link.clone();
-        assert_eq!(judge(&mut link, Timestamp::ZERO, &case.frame), expected, "{}", case.name);
+        assert_eq!(verify(&mut link, Timestamp::ZERO, &case.frame), expected, "{}", case.name);
     }
     assert!(link.next_signer(Timestamp::ZERO).is_some());
 }
@@ -176,14 +176,14 @@ fn a_new_stream_may_be_a_minute_behind_and_not_a_unit_more() {
     let seconds = 500_000;
     let edge = NOW + seconds - minute;
     for (timestamp, expected) in [(edge, Ok(())), (edge - 1, Err(SignatureError::Stale))] {
-        assert_eq!(judge(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)), expected);
+        assert_eq!(verify(&mut link(NOW), later, &signed(ROBOT, 0, timestamp)), expected);
     }
     // An old acquaintance may be as far behind as it likes.
     let mut link = link(NOW);
-    judge(&mut link, Timestamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
+    verify(&mut link, Timestamp::ZERO, &signed(ROBOT, 0, NOW)).unwrap();
     let much_later = Timestamp::from_millis(3_600_000);
-    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)), Ok(()));
-    assert_eq!(judge(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)), Err(SignatureError::Stale));
+    assert_eq!(verify(&mut link, much_later, &signed(ROBOT, 0, NOW + 1)), Ok(()));
+    assert_eq!(verify(&mut link, much_later, &signed(ROBOT, 1, NOW + 1)), Err(SignatureError::Stale));
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn mavlink_1_is_never_sent_where_frames_are_signed() {
 fn a_peer_that_is_ahead_sets_our_time_forward() {
     let mut station = link(0);
     let now = Timestamp::from_millis(1_000);
-    judge(&mut station, now, &signed(ROBOT, 0, NOW)).unwrap();
+    verify(&mut station, now, &signed(ROBOT, 0, NOW)).unwrap();
     let memory = station.state(now);
     assert_eq!(memory.clock.units(), NOW);
     assert_eq!(memory.written_at.units(), 100_000);
@@ -236,7 +236,7 @@ fn a_peer_that_is_ahead_sets_our_time_forward() {
     let mut station = link(0);
     let mut forged = signed(ROBOT, 0, NOW);
     *forged.last_mut().unwrap() ^= 1;
-    assert_eq!(judge(&mut station, now, &forged), Err(SignatureError::Invalid));
+    assert_eq!(verify(&mut station, now, &forged), Err(SignatureError::Invalid));
     assert_eq!(station.state(now).clock.units(), 100_000);
 }
 
@@ -246,16 +246,16 @@ fn the_number_of_streams_is_bounded_and_what_made_room_cannot_come_again() {
     let sender = |k: u64| Address::new((k / 200) as u8, (k % 200) as u8);
     for k in 0..1_025 {
         let frame = signed(sender(k), 0, NOW + k);
-        assert_eq!(judge(&mut link, Timestamp::ZERO, &frame), Ok(()), "{k}");
+        assert_eq!(verify(&mut link, Timestamp::ZERO, &frame), Ok(()), "{k}");
     }
     let memory = link.state(Timestamp::ZERO);
     assert_eq!(memory.streams.len(), 1_024);
     assert_eq!(memory.min_timestamp.map(SigningTime::units), Some(NOW));
     assert_eq!(link.streams_seen(), 1_025);
     let again = signed(sender(0), 0, NOW);
-    assert_eq!(judge(&mut link, Timestamp::ZERO, &again), Err(SignatureError::Stale));
+    assert_eq!(verify(&mut link, Timestamp::ZERO, &again), Err(SignatureError::Stale));
     let goes_on = signed(sender(0), 0, NOW + 2_000);
-    assert_eq!(judge(&mut link, Timestamp::ZERO, &goes_on), Ok(()));
+    assert_eq!(verify(&mut link, Timestamp::ZERO, &goes_on), Ok(()));
 }
 
 #[test]
@@ -264,10 +264,10 @@ fn every_chunk_size_gives_the_same_verdicts() {
     let bytes: Vec<u8> = cases.iter().flat_map(|case| case.frame.clone()).collect();
     let verdicts = |chunk: usize| {
         let mut link = LinkSigner::new(config(&keys[0], 123_456_789));
-        let mut scanner = Framer::new(FramerConfig::default());
+        let mut framer = Framer::new(FramerConfig::default());
         let mut verdicts = Vec::new();
         for part in bytes.chunks(chunk) {
-            scanner.push(Timestamp::ZERO, part, &mut |found| {
+            framer.push(Timestamp::ZERO, part, &mut |found| {
                 if let FramerOutput::Frame(frame) = found {
                     verdicts.push((frame.source, link.verify(Timestamp::ZERO, &frame)));
                 }
@@ -284,7 +284,7 @@ fn every_chunk_size_gives_the_same_verdicts() {
 
 /// What happens to a station in the next test.
 #[derive(Clone, Debug)]
-enum Happening {
+enum SigningEvent {
     /// This much time passes.
     Wait(i64),
     /// A sender sends a new frame, and it arrives.
@@ -297,13 +297,13 @@ enum Happening {
     Restart,
 }
 
-fn happening() -> impl Strategy<Value = Happening> {
+fn happening() -> impl Strategy<Value = SigningEvent> {
     prop_oneof![
-        3 => (0..2_000_i64).prop_map(Happening::Wait),
-        6 => (0..3_u8).prop_map(Happening::Send),
-        6 => any::<prop::sample::Index>().prop_map(Happening::Replay),
-        1 => Just(Happening::Write),
-        1 => Just(Happening::Restart),
+        3 => (0..2_000_i64).prop_map(SigningEvent::Wait),
+        6 => (0..3_u8).prop_map(SigningEvent::Send),
+        6 => any::<prop::sample::Index>().prop_map(SigningEvent::Replay),
+        1 => Just(SigningEvent::Write),
+        1 => Just(SigningEvent::Restart),
     ]
 }
 
@@ -323,9 +323,9 @@ impl Station {
         Self { link: LinkSigner::new(memory), started_ms: now_ms, written, written_ms: now_ms, met: 0 }
     }
 
-    fn hear(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), SignatureError> {
+    fn receive(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), SignatureError> {
         let now = Timestamp::from_millis(now_ms - self.started_ms);
-        let verdict = judge(&mut self.link, now, frame);
+        let verdict = verify(&mut self.link, now, frame);
         if self.link.streams_seen() > self.met || now_ms - self.written_ms >= 1_000 {
             self.write(now_ms);
         }
@@ -361,28 +361,28 @@ proptest! {
         let mut senders = [0_u64; 3];
         for happening in happenings {
             match happening {
-                Happening::Wait(millis) => {
+                SigningEvent::Wait(millis) => {
                     now_ms += millis;
                     // The shell writes each second whether anything is heard or not.
                     if now_ms - station.written_ms >= 1_000 {
                         station.write(now_ms);
                     }
                 }
-                Happening::Send(k) => {
+                SigningEvent::Send(k) => {
                     let last = &mut senders[usize::from(k)];
                     *last = utc(now_ms).units().max(*last + 1);
                     let frame = signed(Address::new(k, 1), 0, *last);
                     // Whatever the verdict: from now on it is old.
-                    let _verdict = station.hear(now_ms, &frame);
+                    let _verdict = station.receive(now_ms, &frame);
                     sent.push(frame);
                 }
-                Happening::Replay(_) if sent.is_empty() => {}
-                Happening::Replay(index) => {
+                SigningEvent::Replay(_) if sent.is_empty() => {}
+                SigningEvent::Replay(index) => {
                     let frame = index.get(&sent).clone();
-                    prop_assert!(station.hear(now_ms, &frame).is_err());
+                    prop_assert!(station.receive(now_ms, &frame).is_err());
                 }
-                Happening::Write => station.write(now_ms),
-                Happening::Restart => station = station.restart(now_ms),
+                SigningEvent::Write => station.write(now_ms),
+                SigningEvent::Restart => station = station.restart(now_ms),
             }
         }
     }
@@ -393,7 +393,7 @@ proptest! {
     ) {
         let whole = signed(ROBOT, 9, timestamp);
         let signature_at = whole.len() - 13;
-        // Start, length and flags decide where the signature is looked for; the scanner's tests are about those.
+        // Start, length and flags decide where the signature is looked for; the framer's tests are about those.
         let places: Vec<usize> = (3..signature_at - 2).chain(signature_at..whole.len()).collect();
         let mut changed = whole.clone();
         changed[*at.get(&places)] ^= change;
@@ -404,20 +404,20 @@ proptest! {
             changed[signature_at - 2..signature_at].copy_from_slice(&sum.to_le_bytes());
             let mut link = link(timestamp);
             let before = link.state(Timestamp::ZERO);
-            prop_assert_eq!(judge(&mut link, Timestamp::ZERO, &changed), Err(SignatureError::Invalid));
+            prop_assert_eq!(verify(&mut link, Timestamp::ZERO, &changed), Err(SignatureError::Invalid));
             prop_assert_eq!(link.state(Timestamp::ZERO), before);
-            prop_assert_eq!(judge(&mut link, Timestamp::ZERO, &whole), Ok(()));
+            prop_assert_eq!(verify(&mut link, Timestamp::ZERO, &whole), Ok(()));
         }
     }
 
     #[test]
     fn no_bytes_make_it_stumble(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         let mut link = link(NOW);
-        let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+        let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
         let mut believed = 0;
         let mut start = vec![0xFD_u8, 9, 1, 0];
         start.extend(bytes);
-        scanner.push(Timestamp::ZERO, &start, &mut |found| {
+        framer.push(Timestamp::ZERO, &start, &mut |found| {
             if let FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame) = found
                 && frame.message_id != RADIO_STATUS
             {

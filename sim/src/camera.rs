@@ -1,4 +1,4 @@
-//! The overhead camera: sees the tag on the robot, takes its time, and tells the station in its own clock.
+//! The overhead camera: sees the tag on the robot, takes its time, and sends it to the station in its own clock.
 //!
 //! It streams, or it waits to be asked for each fix; or it is only the eye of another program, which then has its images (the corners of
 //! the tag, in pixels) and says itself where the robot was.
@@ -37,7 +37,7 @@ pub struct CameraFix {
     pub time: Timestamp<CameraClock>,
     /// Where the tag was said to be.
     pub position: Point2<Arena>,
-    /// Where the body was said to point; `None` when the camera cannot tell.
+    /// Where the body was said to point; `None` when the camera does not know it.
     pub heading: Option<Heading>,
     /// Where the tag really was, and where the body really pointed.
     pub true_tag: Pose<Arena>,
@@ -55,21 +55,21 @@ pub(crate) struct Camera {
     /// Time between images; `None` while a station has stopped them.
     interval: Option<TimeDelta>,
     next_exposure: TimeDelta,
-    /// Somebody wants a fix of what there is to see now.
+    /// Requests a fix of the present scene.
     is_requested: bool,
     /// Seen but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: TimeDelta,
     history: HistoryPolicy,
     log: Vec<CameraFix>,
-    /// What it sees goes there and no fix is sent, once somebody looks through it.
+    /// Images go there, and no fix is sent, once a reader is connected.
     images: Option<VecDeque<String>>,
     image_count: u64,
     /// A hand before the lens: it sees nothing.
     is_covered: bool,
 }
 
-/// So many images wait for whoever looks; older ones are of no use to anybody.
+/// Most images that wait to be read; older ones are of no use.
 const MAX_IMAGES: usize = 64;
 
 impl Camera {
@@ -150,7 +150,7 @@ impl Camera {
         self.is_covered = matches!(to, SensorSwitch::Off);
     }
 
-    /// From here on what it sees is told so much later. What was seen before is told as it would have been.
+    /// Sets the delay of images from here on. Earlier images keep their delay.
     pub(crate) fn set_delay(&mut self, delay: TimeDelta) {
         self.settings.latency_ms = delay.as_millis_f64();
     }

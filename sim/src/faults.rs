@@ -12,7 +12,7 @@ use crate::time_step::STEP;
 use crate::wheels::PerWheel;
 
 /// A quick hand: so short that a camera of 10 images per second sees the robot in the air once at most. A turn of more than 36 degrees is
-/// then faster than the gyros of the bundled scenarios can tell (360 degrees per second), as it would be in a hand.
+/// then faster than the gyros of the bundled scenarios can measure (360 degrees per second), as it would be in a hand.
 const CARRIED_STEPS: u32 = 100;
 
 /// Where a robot is put down, relative to where it stood. A plain turn, because a half turn may go either way round.

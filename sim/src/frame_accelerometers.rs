@@ -1,6 +1,6 @@
 //! Accelerometers on a robot's frame, for a drive of [`montecarlo`](crate::montecarlo).
 //!
-//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot tell how far apart these are. Here they are
+//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot measure how far apart these are. Here they are
 //! screwed to the frame at the two ends of the nominal axle, so a turn is felt by a lever that a ruler has measured.
 //!
 //! # Model

@@ -25,7 +25,7 @@ impl Sink for SdkFrameSink<'_> {
     }
 }
 
-/// Somebody wants a message at an interval.
+/// Handles a request for a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct IntervalRequest {
     /// The message.
@@ -42,7 +42,7 @@ pub(crate) struct MavlinkNode<C: Clock> {
     encoder: Encoder,
     /// Whole frames.
     outgoing: Vec<Vec<u8>>,
-    /// Messages that are sent once when somebody asks.
+    /// Messages that are sent once on request.
     offered_messages: Vec<u32>,
     is_fix_requested: bool,
 }

@@ -53,7 +53,7 @@ impl Default for MotorBench {
     }
 }
 
-/// What the encoder said.
+/// The encoder's reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderReading {
     /// When, in seconds.

@@ -1,6 +1,6 @@
 //! The ideal path: straight pieces and arcs in the arena, grouped into legs that are driven without a stop.
 //!
-//! Both the follower (with a believed pose) and the truth log (with the true one) ask it for distances; it knows neither.
+//! Both the follower (with an estimated pose) and the truth log (with the true one) ask it for distances; it knows neither.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -76,11 +76,11 @@ impl Segment {
 
 /// A part of the path that is driven without a stop.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Leg {
+pub(crate) struct PathLeg {
     segments: Vec<Segment>,
 }
 
-impl Leg {
+impl PathLeg {
     /// Its length in metres.
     pub(crate) fn length_m(&self) -> f64 {
         self.segments.iter().map(|s| s.length_m).sum()
@@ -123,7 +123,7 @@ impl Leg {
 /// The whole path, all laps.
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
-    legs: Vec<Leg>,
+    legs: Vec<PathLeg>,
     /// The pieces of one lap; all laps lie on them.
     lap: Vec<Segment>,
     /// How many legs make a lap; a path without a stop has a single leg for all of its laps.
@@ -157,10 +157,10 @@ impl Path {
     }
 
     /// Legs with a stop between them; the first `lap_legs` of them make a lap.
-    fn from_legs(legs: Vec<Leg>, lap_legs: usize) -> Self {
+    fn from_legs(legs: Vec<PathLeg>, lap_legs: usize) -> Self {
         let lap = legs.iter().take(lap_legs).flat_map(|leg| leg.segments.iter().copied()).collect();
-        let first = legs.first().map(Leg::start).unwrap_or_default();
-        let last = legs.last().map(Leg::end).unwrap_or_default();
+        let first = legs.first().map(PathLeg::start).unwrap_or_default();
+        let last = legs.last().map(PathLeg::end).unwrap_or_default();
         Self { legs, lap, lap_legs, is_closed: first.origin().distance(last.origin()).0 < CLOSED_M }
     }
 
@@ -170,18 +170,18 @@ impl Path {
         for curvature in curvatures_per_m {
             pen.push_circle(*curvature);
         }
-        let leg = Leg { segments: pen.segments.repeat(laps) };
+        let leg = PathLeg { segments: pen.segments.repeat(laps) };
         Self { legs: vec![leg], lap: pen.segments, lap_legs: 1, is_closed: true }
     }
 
     /// All legs in the order of driving.
-    pub(crate) fn legs(&self) -> &[Leg] {
+    pub(crate) fn legs(&self) -> &[PathLeg] {
         &self.legs
     }
 
     /// Where the path begins and points.
     pub(crate) fn start(&self) -> Pose<Arena> {
-        self.legs.first().map_or_else(Pose::default, Leg::start)
+        self.legs.first().map_or_else(Pose::default, PathLeg::start)
     }
 
     /// Whether it ends where it began.
@@ -191,7 +191,7 @@ impl Path {
 
     /// The length of all laps, in metres.
     pub(crate) fn length_m(&self) -> f64 {
-        self.legs.iter().map(Leg::length_m).sum()
+        self.legs.iter().map(PathLeg::length_m).sum()
     }
 
     /// The length of one lap, in metres.
@@ -262,7 +262,7 @@ impl PathBuilder {
     }
 }
 
-fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
+fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<PathLeg> {
     let mut at = start;
     let corner = Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
     (0..4)
@@ -270,7 +270,7 @@ fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
             let mut pen = PathBuilder::new(at);
             pen.push_segment(side_m, 0.0);
             at = at * corner;
-            Leg { segments: pen.segments }
+            PathLeg { segments: pen.segments }
         })
         .collect()
 }
@@ -278,7 +278,7 @@ fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<Leg> {
 fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
     let points: Vec<Point2<Arena>> =
         points_m.iter().map(|[x, y]| start * Point2::<Body>::new(Meters(*x), Meters(*y))).collect();
-    let lap: Vec<Leg> = points.windows(2).map(|w| straight(w[0], w[1])).collect();
+    let lap: Vec<PathLeg> = points.windows(2).map(|w| straight(w[0], w[1])).collect();
     let way_back = match points.as_slice() {
         [first, .., last] if laps > 1 && first.distance(*last).0 >= CLOSED_M => Some(straight(*last, *first)),
         _ => None,
@@ -301,11 +301,11 @@ fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
     waypoints(start, &points_m, 1)
 }
 
-fn straight(from: Point2<Arena>, to: Point2<Arena>) -> Leg {
+fn straight(from: Point2<Arena>, to: Point2<Arena>) -> PathLeg {
     let heading = Heading::from_rad(wrap_rad((to.y - from.y).0.atan2((to.x - from.x).0)));
     let mut pen = PathBuilder::new(Pose::new(from.x, from.y, heading));
     pen.push_segment(from.distance(to).0, 0.0);
-    Leg { segments: pen.segments }
+    PathLeg { segments: pen.segments }
 }
 
 #[cfg(test)]

@@ -366,7 +366,7 @@ mod tests {
     /// What both wheels turn in a step, in radians.
     const TURNING: PerWheel<f64> = PerWheel { left: 0.001, right: 0.001 };
 
-    /// The sizes of all events; `step` makes one step and tells the size of what began in it, or zero.
+    /// The sizes of all events; `step` makes one step and returns the size of what began in it, or zero.
     fn events_of(errors: ErrorSettings, mut step: impl FnMut(&mut WheelSlip) -> f64) -> Vec<f64> {
         let steps = (f64::from(MINUTES) * 60.0 / STEP_S).round() as u32;
         let mut sizes_deg = vec![];

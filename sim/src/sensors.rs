@@ -158,7 +158,7 @@ impl Gyro {
         self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
     }
 
-    /// What it says about a mean turn rate in radians per second.
+    /// Its reading for a mean turn rate in radians per second.
     fn read(&mut self, turn_rad_per_s: f64, interval_s: f64) -> f64 {
         let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
         self.bias_deg_per_s += walk * self.stream.normal();

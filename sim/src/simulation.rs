@@ -43,9 +43,9 @@ pub struct TruthSample {
     pub forward_speed: MetersPerSecond,
     /// About the vertical, slip left out.
     pub turn_rate: RadiansPerSecond,
-    /// Where the brick's own dead reckoning, begun at the start pose, believed the robot to be.
+    /// The pose by the brick's own dead reckoning, begun at the start pose.
     pub odometry: Pose<Arena>,
-    /// Where the brick believed the robot to be: the last estimate that it used, carried forward by its own odometry. A brick that
+    /// The brick's own estimate of the pose: the last estimate that it used, carried forward by its own odometry. A brick that
     /// steers by odometry alone uses none.
     pub onboard_estimate: Pose<Arena>,
     /// Distance of the true position from the nearest place of the ideal path, in metres.
@@ -61,14 +61,14 @@ pub struct ReceivedEstimate {
     pub sim_time: TimeDelta,
     /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
     pub arrival: Timestamp<BrickClock>,
-    /// The instant of the brick's clock of which it speaks.
+    /// Its timestamp on the brick's clock.
     pub estimate_time: Timestamp<BrickClock>,
     /// Where it says the robot was, or will be, at that instant.
     pub pose: Pose<Arena>,
 }
 
 impl ReceivedEstimate {
-    /// How old it was when it arrived, in brick time; negative if it speaks of an instant yet to come.
+    /// How old it was when it arrived, in brick time; negative if its stamp lies in the future.
     #[must_use]
     pub fn age(&self) -> TimeDelta {
         self.arrival - self.estimate_time
@@ -89,7 +89,7 @@ pub struct Simulation {
     /// What the motors run on until the brick says something else.
     duty: PerWheel<f64>,
     camera: Option<Camera>,
-    scanner: Framer,
+    framer: Framer,
     /// Finds messages on the camera's own link.
     camera_scanner: Framer,
     outgoing: VecDeque<Vec<u8>>,
@@ -125,7 +125,7 @@ impl Simulation {
             brick,
             duty: PerWheel::default(),
             camera,
-            scanner: Framer::new(FramerConfig::default()),
+            framer: Framer::new(FramerConfig::default()),
             camera_scanner: Framer::new(FramerConfig::default()),
             outgoing: VecDeque::new(),
             camera_outgoing: VecDeque::new(),
@@ -202,7 +202,7 @@ impl Simulation {
     /// One call is one write of the station where that matters, as it does for an NXT behind a socket.
     pub fn receive(&mut self, bytes: &[u8]) {
         if self.shares_link() {
-            let messages = decode_messages(&mut self.scanner, self.world, bytes);
+            let messages = decode_messages(&mut self.framer, self.world, bytes);
             for (from, message) in messages {
                 let now = self.brick_clock.reading(self.world);
                 if let Some((instant, pose)) = self.brick.handle(now, from, &message) {
@@ -228,8 +228,7 @@ impl Simulation {
         self.collect_output();
     }
 
-    /// Tells the brick that from here on somebody else is at the other end of its link: what was begun is forgotten, and what comes first may
-    /// say anew in which form they speak.
+    /// The brick has a new peer at the other end of its link: what was begun is forgotten, and the first bytes decide the protocol again.
     pub fn reopen_link(&mut self) {
         self.brick.reopen();
     }
@@ -247,7 +246,7 @@ impl Simulation {
     /// What brick and camera have found in the bytes that came: their counterpart to the station's link health. The firmware of a LEGO
     /// brick counts nothing.
     pub const fn receive_counters(&self) -> &FramerCounters {
-        self.scanner.counters()
+        self.framer.counters()
     }
 
     /// World time since the beginning.
@@ -372,13 +371,13 @@ impl Simulation {
     }
 }
 
-/// The messages that a scanner finds complete when these bytes have come.
-fn decode_messages(scanner: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(Address, Message)> {
+/// The messages that a framer finds complete when these bytes have come.
+fn decode_messages(framer: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(Address, Message)> {
     let now = Timestamp::<HostClock>::from_nanos(world.as_nanos());
     let mut messages = Vec::new();
     let mut sink = |scanned: FramerOutput<'_>| messages.extend(decode_message(&scanned));
-    scanner.tick(now, &mut sink);
-    scanner.push(now, bytes, &mut sink);
+    framer.tick(now, &mut sink);
+    framer.push(now, bytes, &mut sink);
     messages
 }
 
@@ -387,7 +386,7 @@ fn decode_message(scanned: &FramerOutput<'_>) -> Option<(Address, Message)> {
     match scanned {
         FramerOutput::Frame(frame) => match dialect::decode(frame) {
             Ok(Some(message)) => Some((frame.source, message)),
-            // A brick has nobody to complain to about a payload that makes no sense.
+            // A brick has no way to report an invalid payload.
             Ok(None) | Err(_) => None,
         },
         FramerOutput::UnknownFrame(_) | FramerOutput::Error(_) => None,

@@ -237,7 +237,7 @@ fn check_subset(
 
 /// What became of a byte that arrived.
 #[derive(Debug, PartialEq, Eq)]
-struct Arrival {
+struct ByteArrivals {
     /// Once, or twice with a copy.
     instants: Vec<Timestamp<HostClock>>,
     as_what: u8,
@@ -293,7 +293,7 @@ impl ImpairedRun {
     }
 
     /// When each byte arrives, each time that it does, and as what.
-    fn arrivals(&self) -> BTreeMap<(u64, usize), Arrival> {
+    fn arrivals(&self) -> BTreeMap<(u64, usize), ByteArrivals> {
         let mut arrivals = BTreeMap::new();
         for entry in &self.log {
             let (ByteOutcome::Delivered { at } | ByteOutcome::Duplicated { at }) = entry.outcome else {
@@ -302,7 +302,7 @@ impl ImpairedRun {
             for place in entry.bytes.clone() {
                 let as_what = self.damaged(entry.unit, place);
                 let key = (entry.unit, place);
-                let arrival = arrivals.entry(key).or_insert_with(|| Arrival { instants: Vec::new(), as_what });
+                let arrival = arrivals.entry(key).or_insert_with(|| ByteArrivals { instants: Vec::new(), as_what });
                 arrival.instants.push(at);
             }
         }

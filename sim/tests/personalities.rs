@@ -40,9 +40,9 @@ fn listen(simulation: &mut Simulation, millis: usize) -> (Vec<Vec<u8>>, Vec<u8>)
 
 /// The messages in these bytes; nothing may be left over.
 fn messages(bytes: &[u8]) -> Vec<(Address, Message)> {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, bytes, &mut |scanned| match scanned {
+    framer.push(Timestamp::ZERO, bytes, &mut |scanned| match scanned {
         FramerOutput::Frame(frame) => {
             found.push((frame.source, dialect::decode(&frame).unwrap().unwrap()));
         }

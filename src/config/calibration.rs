@@ -32,9 +32,9 @@ impl From<UncertainValue> for CalibrationEntry {
 
 /// Beyond this no entry makes sense: neither the value, on either side of zero, nor its sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Largest(f64);
+struct MaxMagnitude(f64);
 
-impl Largest {
+impl MaxMagnitude {
     /// A relative error of half: what is further off is a wrong geometry, not a calibration.
     const RATIO: Self = Self(0.5);
     /// 57 degrees per second at rest: no gyro.
@@ -84,17 +84,17 @@ macro_rules! calibration_table {
         }
 
         impl RobotCalibration {
-            /// In the vocabulary's type; `power_up_bias` is the sigma of a gyro's bias of which nothing else is known, in rad/s.
+            /// In the vocabulary's type; `power_up_bias` is the sigma of a gyro's bias when nothing else is known about it, in rad/s.
             ///
             /// # Errors
             /// A value or a sigma is not finite or out of its range; the message names its key.
             pub fn checked(&self, power_up_bias: f64) -> Result<Calibration> {
                 let gyro_bias_rad_per_s = match self.gyro_bias_rad_per_s {
-                    Some(entry) => Largest::TURN_RATE.check("gyro_bias_rad_per_s", entry)?,
+                    Some(entry) => MaxMagnitude::TURN_RATE.check("gyro_bias_rad_per_s", entry)?,
                     None => UncertainValue { value: 0.0, sigma: power_up_bias },
                 };
                 Ok(Calibration {
-                    $($key: Largest::$largest.check(stringify!($key), self.$key)?,)+
+                    $($key: MaxMagnitude::$largest.check(stringify!($key), self.$key)?,)+
                     gyro_bias_rad_per_s,
                 })
             }

@@ -7,7 +7,7 @@ use posebridge_dashboard::ListenAddress;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where the dashboard listens unless configured: loopback, at a port that IANA has given to nobody.
+/// Where the dashboard listens unless configured: loopback, at a port that IANA has not assigned.
 const DEFAULT_LISTEN: &str = "127.0.0.1:4680";
 
 /// The dashboard.
@@ -16,8 +16,8 @@ const DEFAULT_LISTEN: &str = "127.0.0.1:4680";
 pub struct DashboardSection {
     /// Whether there is one.
     pub enabled: bool,
-    /// IP address and port. At the default the next free port is taken if this one is in use; another one is taken as it is. Whoever
-    /// comes from another computer needs the token that is printed at the start.
+    /// IP address and port. At the default the next free port is taken if this one is in use; another one is taken as it is. A
+    /// browser on another computer needs the token that is printed at the start.
     pub listen: String,
     /// Whether the token is needed on this computer as well, because it has several users.
     pub always_token: bool,

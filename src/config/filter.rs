@@ -38,13 +38,13 @@ impl FilterSection {
             .ok_or_else(|| anyhow!("`filter.name` is `{}`; there are: {}", self.name, names_of_filters()))
     }
 
-    /// Why it would never tell a pose, where that is so; with what to do about it.
+    /// Why it would never give a pose, where that is so; with what to do about it.
     #[must_use]
     pub fn warning(&self, robot: &RobotFile) -> Option<String> {
         let name = &self.name;
         match find_filter(name)?.initialization {
             Initialization::Start if robot.start.is_none() => Some(format!(
-                "the filter `{name}` uses no fixes and is not told where the robot starts, so it knows no pose: give `[robot.start]` with x_m, \
+                "the filter `{name}` uses no fixes and has no configured start, so it never gets a pose: give `[robot.start]` with x_m, \
                  y_m, heading_deg, position_sigma_m and heading_sigma_deg, or take another filter, such as `pose`"
             )),
             Initialization::NotApplicable => {

@@ -40,7 +40,7 @@ pub struct LinkSection {
     /// What is sent there; without it planar_pose, or on a link for ground stations what they draw.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outputs: Option<Vec<OutputSection>>,
-    /// How its frames are signed; without it anybody who reaches the link is believed.
+    /// How its frames are signed; without it frames of any sender that reaches the link are accepted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub signing: Option<SigningSection>,
     /// Links with the same name lead to one robot, and one may stand in for another.
@@ -49,7 +49,7 @@ pub struct LinkSection {
     /// What of the others' frames is passed on to it.
     #[serde(default)]
     pub forward: ForwardChoice,
-    /// What is believed and passed on of what comes from it.
+    /// Which of its frames are accepted and forwarded.
     #[serde(default)]
     pub filter_in: FrameFilterSection,
     /// What of the others' frames may leave on it.
@@ -90,7 +90,7 @@ impl LinkSection {
     /// A link for ground stations. TCP waits for their calls, and so does UDP at an address of this computer.
     ///
     /// # Errors
-    /// It is no URL of a link, or opens what no ground station speaks through.
+    /// It is no URL of a link, or its transport is not usable by a ground station.
     pub fn for_ground_stations(url: &str) -> Result<Self> {
         let LinkTarget::Url(parsed) = LinkTarget::parse(url)? else {
             bail!("`{url}` is a simulated brick; a ground station is reached by udp:// or tcp://");

@@ -56,7 +56,7 @@ pub enum ConfigError {
 pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigError> {
     let Some(path) = path else {
         let loaded = load_text("config/default.toml (embedded)", DEFAULT_TOML, settings)?;
-        // What stands there is the default: nobody has chosen it.
+        // What stands there is the default: it is a default.
         return Ok(Loaded { file: toml::Table::new(), ..loaded });
     };
     let name = path.display().to_string();
@@ -79,7 +79,7 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
     Ok(Loaded { config: apply_overrides(&config, settings)?, file, settings: settings.to_vec() })
 }
 
-/// A configuration with some keys set. They are judged together: a section that has no default may be made of several.
+/// A configuration with some keys set. They are checked together: a section that has no default may be made of several.
 ///
 /// # Errors
 /// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if that is not known.

@@ -9,14 +9,14 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// Which standard deviations make sense.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Least {
+enum LowerBound {
     /// The model may be exact.
     Zero,
     /// A sensor that is used alone cannot be exact: its update would divide by nothing.
     AboveZero,
 }
 
-impl Least {
+impl LowerBound {
     fn check(self, key: &str, value: f64) -> Result<()> {
         let (is_good, wanted) = match self {
             Self::Zero => (value >= 0.0, "zero or more"),
@@ -49,7 +49,7 @@ macro_rules! noise_table {
             /// # Errors
             /// A standard deviation is negative, not finite, or zero where it must not be; the message names its key.
             pub fn checked(&self) -> Result<SensorNoise> {
-                $(Least::$least.check(stringify!($key), self.$key)?;)+
+                $(LowerBound::$least.check(stringify!($key), self.$key)?;)+
                 Ok(SensorNoise { $($key: self.$key,)+ })
             }
         }

@@ -1,4 +1,4 @@
-//! The printout that tells where each value comes from.
+//! The printout of where each value comes from.
 
 use std::fmt::Write as _;
 

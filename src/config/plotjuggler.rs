@@ -39,7 +39,7 @@ impl PlotJugglerSection {
         })?;
         ensure!(
             address.port() != 0,
-            "`plotjuggler.address` is `{address}`: nobody listens at port 0; PlotJuggler's UDP server shows its port, 9870 at first"
+            "`plotjuggler.address` is `{address}`: port 0 has no listener; PlotJuggler's UDP server shows its port, 9870 at first"
         );
         Ok(address)
     }
@@ -59,6 +59,6 @@ mod tests {
         let error = checked("localhost:9870").unwrap_err().to_string();
         assert!(error.starts_with("`plotjuggler.address` is `localhost:9870`; give"), "{error}");
         let error = checked("127.0.0.1:0").unwrap_err().to_string();
-        assert!(error.contains("nobody listens at port 0"), "{error}");
+        assert!(error.contains("port 0 has no listener"), "{error}");
     }
 }

@@ -25,7 +25,7 @@ pub struct RobotFile {
     pub track_width_m: f64,
     /// Encoder counts per turn of a wheel.
     pub ticks_per_turn: f64,
-    /// Believe the robot's own description, when it sends one, more than this file.
+    /// Let the robot's own description, when it sends one, override this file.
     pub adopt_description: bool,
     /// Noise of motion and sensors.
     pub noise: RobotNoise,

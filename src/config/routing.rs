@@ -36,7 +36,7 @@ pub enum ForwardChoice {
     /// Everything that concerns it.
     #[default]
     All,
-    /// Only what names somebody who was heard there.
+    /// Only frames whose target was received from there.
     Targeted,
     /// Nothing, nor anything from it to other links.
     None,

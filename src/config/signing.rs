@@ -21,10 +21,10 @@ pub struct SigningSection {
     /// Message ids that are accepted without a signature; radios inject RADIO_STATUS (109).
     #[serde(default = "default_accept_unsigned")]
     pub accept_unsigned: Vec<u32>,
-    /// Refuse everything else that has no signature. With false only wrong signatures are refused, and nobody is kept out.
+    /// Refuse everything else that has no signature. With false only wrong signatures are refused, and any sender is let in.
     #[serde(default = "default_required")]
     pub required: bool,
-    /// With which stamps a recorded session began: the station writes it into its recordings, nobody else writes it.
+    /// With which stamps a recorded session began: only the station writes it, into its recordings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub begun: Option<MemoryRecord>,
 }
@@ -44,7 +44,7 @@ pub struct MemoryRecord {
     /// Streams that are not listed must be later than this.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floor: Option<u64>,
-    /// The last that was believed of every stream.
+    /// The last accepted timestamp of every stream.
     #[serde(default)]
     pub streams: Vec<StreamRecord>,
 }

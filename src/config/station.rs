@@ -89,7 +89,7 @@ pub struct CameraConfig {
     pub ask_above_deg: Option<f64>,
     /// Not sooner after the last request.
     pub ask_interval_ms: u32,
-    /// How cameras that speak JSON are heard.
+    /// Settings for cameras that send JSON.
     pub json: FixSection,
 }
 
@@ -112,7 +112,7 @@ impl CameraConfig {
         for (key, limit) in [("ask_above_m", self.ask_above_m), ("ask_above_deg", self.ask_above_deg)] {
             ensure!(
                 limit.is_none_or(|limit| limit.is_finite() && limit > 0.0),
-                "`camera.{key}` is {}, must be more than zero; leave it out to ask nobody",
+                "`camera.{key}` is {}, must be more than zero; leave it out to request no fixes",
                 limit.unwrap_or_default()
             );
         }

@@ -21,7 +21,7 @@ pub struct TemplateLink {
 
 /// A header with the lines up to the next one; the lines before the first have no header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct Block<'a> {
+struct TomlSection<'a> {
     /// Comments right above the header.
     above: Vec<&'a str>,
     /// `[robot.noise]`, with the comment behind it.
@@ -67,17 +67,17 @@ fn head_of(robot: BundledRobot, file: &str) -> String {
 
 /// The blocks of the robot's file that the default does not have, of those whose names begin so.
 fn further_blocks<'a, 'b>(
-    own: &'b [Block<'a>],
-    default: &'b [Block<'a>],
+    own: &'b [TomlSection<'a>],
+    default: &'b [TomlSection<'a>],
     family: &'b str,
-) -> impl Iterator<Item = &'b Block<'a>> {
+) -> impl Iterator<Item = &'b TomlSection<'a>> {
     own.iter().filter(move |block| {
         family_of(block.header) == family && default.iter().all(|other| name_of(other.header) != name_of(block.header))
     })
 }
 
 /// A block of the default with what the robot's file says there.
-fn merged(block: &Block<'_>, own: Option<&Block<'_>>, link: &TemplateLink) -> Vec<String> {
+fn merged(block: &TomlSection<'_>, own: Option<&TomlSection<'_>>, link: &TemplateLink) -> Vec<String> {
     let mut lines: Vec<String> = block.above.iter().map(ToString::to_string).collect();
     let mut known: Vec<&str> = Vec::new();
     let mut replaced: &[&str] = &[];
@@ -142,7 +142,7 @@ fn others(lines: &[&str], known: &[&str]) -> Vec<String> {
     kept
 }
 
-fn whole(block: &Block<'_>) -> Vec<String> {
+fn whole(block: &TomlSection<'_>) -> Vec<String> {
     let above = block.above.iter();
     let lines = above.chain([&block.header]).chain(&block.lines);
     lines.map(ToString::to_string).collect()
@@ -161,9 +161,9 @@ fn push_part<T: AsRef<str>>(text: &mut String, lines: &[T]) {
 }
 
 /// What stands before the first header and is not right above it, and the blocks.
-fn blocks_of(text: &str) -> (Vec<&str>, Vec<Block<'_>>) {
+fn blocks_of(text: &str) -> (Vec<&str>, Vec<TomlSection<'_>>) {
     let mut preamble = Vec::new();
-    let mut blocks: Vec<Block<'_>> = Vec::new();
+    let mut blocks: Vec<TomlSection<'_>> = Vec::new();
     for line in text.lines() {
         let lines = match blocks.last_mut() {
             Some(block) => &mut block.lines,
@@ -173,7 +173,7 @@ fn blocks_of(text: &str) -> (Vec<&str>, Vec<Block<'_>>) {
             let is_comment = |line: &&str| line.starts_with('#');
             let above = lines.iter().rev().take_while(|line| is_comment(line)).count();
             let above = lines.split_off(lines.len() - above);
-            blocks.push(Block { above, header: line, lines: Vec::new() });
+            blocks.push(TomlSection { above, header: line, lines: Vec::new() });
         } else {
             lines.push(line);
         }

@@ -34,8 +34,8 @@ pub struct RunArgs {
     /// Seed of the simulated brick, instead of its scenario's.
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Start so many simulated bricks instead of one, side by side, each with wheels and a seed of its own; they call the station on one
-    /// UDP port.
+    /// Start this number of simulated bricks instead of one, side by side, each with wheels and a seed of its own; they call the
+    /// station on one UDP port.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=250))]
     pub robots: Option<u8>,
     /// End when the simulated brick has driven its path so often; without it the brick drives on until Ctrl-C.

@@ -1,4 +1,4 @@
-//! The thread that writes saved configurations: whoever steers by the station waits for no disk.
+//! The thread that writes saved configurations: the station loop never waits for the disk.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -15,7 +15,7 @@ use crate::console::print_line;
 
 /// The name of the saved configuration.
 const SAVED: &str = "parameters.toml";
-/// So many wait for the disk; each is a person's wish.
+/// Most configurations that wait for the disk; each is a person's request.
 const QUEUE_CAPACITY: usize = 4;
 
 /// A running saver.
@@ -26,7 +26,7 @@ pub(super) struct ConfigSaver {
 }
 
 impl ConfigSaver {
-    /// Starts the thread. What this run saves goes into one file of the folder; one of somebody else is never touched.
+    /// Starts the thread. What this run saves goes into one file of the folder; a file of another program is never touched.
     ///
     /// # Errors
     /// The system has no thread left.
@@ -59,7 +59,7 @@ impl ConfigSaver {
         }
     }
 
-    /// Waits until all is written; results that nobody has received yet are printed.
+    /// Waits until all is written; results that were not received yet are printed.
     pub(super) fn finish(mut self) {
         drop(self.jobs);
         self.reports.close();
@@ -99,7 +99,7 @@ fn save(folder: &Path, saved: &mut Option<PathBuf>, config: &Config) -> Result<S
         "# The configuration of a run with the parameters that were saved in it: posebridge run --config {SAVED}\n\n{}",
         toml::to_string(config).context("writing the configuration")?
     );
-    // In one step: whoever looks finds the old file or the new one.
+    // Atomic: a reader finds the old file or the new one.
     let beside = path.with_extension("toml.new");
     std::fs::write(&beside, text)
         .and_then(|()| std::fs::rename(&beside, &path))

@@ -1,7 +1,7 @@
-//! The dashboard's place in the station: what it is told, what it may ask for, and where it is printed.
+//! The dashboard's place in the station: what it receives, what it may request, and where its address is printed.
 //!
-//! The shard tells it through [`DashboardHandle`], which never waits; commands come back through the same. The server itself, with a thread and a
-//! runtime of its own, is in `crates/dashboard`.
+//! The station loop sends to it through [`DashboardHandle`], which never blocks; commands come back through the same. The server
+//! itself, with a thread and a runtime of its own, is in `crates/dashboard`.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -56,7 +56,7 @@ pub struct ReservedListener {
 /// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
 ///
 /// # Errors
-/// It cannot listen where it was told to, or its files are not there. That all ports behind the default are taken is no error: a robot
+/// It cannot listen on its address, or its files are missing. That all ports behind the default are taken is no error: a robot
 /// may wait.
 pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<ReservedListener>> {
     let Some(listen) = listen_config(flags, config)? else {
@@ -76,7 +76,7 @@ pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<Reserve
     }
 }
 
-/// Starts the dashboard, if an address was taken for it or somebody in this process wants to hear the same, and says where it is.
+/// Starts the dashboard, if it has an address or another view in this process needs its messages, and prints its address.
 ///
 /// # Errors
 /// The system has no random bytes or no thread for it.
@@ -188,7 +188,7 @@ fn facts_of(config: &Config, simulated: Option<&SimulatedBrickInfo<'_>>) -> Resu
     })
 }
 
-/// What the page tells of a simulated brick.
+/// What the page shows of a simulated brick.
 #[must_use]
 pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
     // One lap of the first: the others are driven on the same path, and the other robots beside it.
@@ -203,7 +203,7 @@ pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
             Steering::Odometry => "odometry".to_owned(),
             Steering::Estimate => "estimate".to_owned(),
         },
-        // Where nobody has asked for another one, the brick is at a cable.
+        // The default is a cable.
         link_profile: None,
     }
 }
@@ -223,7 +223,7 @@ fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
 }
 
 impl DashboardHandle {
-    /// Tells what an input has led to; drops it if the dashboard is behind.
+    /// Sends the outputs of an input; drops it if the dashboard is behind.
     pub fn publish_events(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         self.feed.publish(EventBatch {
             now,
@@ -233,7 +233,7 @@ impl DashboardHandle {
         });
     }
 
-    /// Tells what stands, and how the simulated brick was set since the run began.
+    /// Sends the present state, and how the simulated brick was set since the run began.
     pub fn publish_status(&self, now: Timestamp<HostClock>, standing: StationStatus, orders: SimulatorOverrides) {
         let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
             steering: orders.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
@@ -244,7 +244,7 @@ impl DashboardHandle {
     }
 }
 
-/// The next command that somebody gives on the page; without a dashboard, or when it is gone, never.
+/// The next command from the page; without a dashboard, or when it is gone, never.
 pub async fn next_command(outlet: &mut Option<DashboardHandle>) -> Input {
     if let Some(outlet) = outlet
         && let Some(command) = outlet.commands.recv().await

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, anyhow};
 
-/// So many are kept word by word; who asks for a recording on a full disk again and again makes no more of them.
+/// Most errors kept in full; repeated requests for a recording on a full disk add no more.
 const MAX_ERRORS: usize = 8;
 
 /// What has failed so far.
@@ -31,7 +31,7 @@ impl DeferredErrors {
     /// Nothing has failed.
     ///
     /// # Errors
-    /// Something has; the message tells of all of it.
+    /// Something has; the message counts all of them.
     pub fn into_result(mut self) -> Result<()> {
         if self.errors.len() <= 1 {
             return self.errors.pop().map_or(Ok(()), Err);

@@ -1,4 +1,4 @@
-//! How far off odometry and estimate are at this moment, where a simulated brick tells the truth.
+//! How far off odometry and estimate are at this moment, where a simulated brick sends the truth.
 
 use std::collections::VecDeque;
 
@@ -9,7 +9,7 @@ use posebridge_telemetry::{Estimate, RobotId, TimeDelta};
 use super::event_collector::MAX_INTERPOLATION_GAP;
 use super::simulator::truth_tap::TruthTap;
 
-/// So much truth is kept: an estimate is younger, or it is none that anybody steers by.
+/// So much truth is kept: an estimate to steer by is newer.
 const TRUTH_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
 
 /// How far off odometry and estimate are, in metres.
@@ -41,7 +41,7 @@ pub struct ErrorToTruth {
     estimates: VecDeque<TimedPose>,
 }
 
-/// So many estimates are kept at most: 2 s of a brick that is as fast as any.
+/// Most estimates that are kept: 2 s of a brick that is as fast as any.
 const MAX_ESTIMATES: usize = 1_024;
 
 impl ErrorToTruth {

@@ -11,7 +11,7 @@ use posebridge_telemetry::{
 
 use super::link_report::LinkReport;
 
-/// So many estimates are kept; from then on every second one is, and so on: a run of days must not fill the memory.
+/// Most estimates that are kept; from then on every second one is, and so on: a run of days must not fill the memory.
 const MAX_ESTIMATES: usize = 50_000;
 /// The same for a live run, whose memory must not grow after its first minute: still more than a picture has columns.
 const MAX_ESTIMATES_LIVE: usize = 2_048;

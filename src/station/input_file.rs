@@ -47,7 +47,7 @@ pub struct InputFile {
 }
 
 impl InputFile {
-    /// Opens a file and finds out what it is: by its first bytes, and where they do not tell by its name.
+    /// Opens a file and finds out what it is: by its first bytes, and where they are ambiguous by its name.
     ///
     /// # Errors
     /// It cannot be read.
@@ -66,7 +66,7 @@ impl InputFile {
         Ok(Self { kind, name, size, is_truncated: false, is_compressed: is_packed, reader })
     }
 
-    /// The first bytes, of which none is taken away.
+    /// The first bytes; they stay in the stream.
     ///
     /// # Errors
     /// It cannot be read.

@@ -15,7 +15,7 @@ use super::recording_parts::part_path;
 /// A recording lies in memory while it is worked on: how much of it is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryLimit {
-    /// So many bytes at most, of all parts together.
+    /// Most bytes of all parts together.
     pub max_bytes: u64,
     /// What becomes of parts that do not fit.
     pub on_excess: ExcessPolicy,
@@ -31,7 +31,7 @@ pub enum ExcessPolicy {
 }
 
 impl Default for MemoryLimit {
-    /// As much as a computer on which somebody waits for a result may have to spare.
+    /// As much as an interactive computer may have to spare.
     fn default() -> Self {
         Self { max_bytes: 4 << 30, on_excess: ExcessPolicy::Reject }
     }
@@ -63,7 +63,7 @@ pub fn own_bytes(path: &Path, mut file: InputFile, room: MemoryLimit) -> Result<
 /// lack, in words. As it is if nothing continues it.
 ///
 /// # Errors
-/// A part that continues it cannot be read. A `first` that is no recording comes back as it is: whoever opens it says so.
+/// A part that continues it cannot be read. A `first` that is no recording comes back as it is: opening it reports the error.
 fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     let mut room = RemainingMemory::new(room, first.len() as u64);
     let Ok(reader) = RecordingReader::open(&first) else {

@@ -1,12 +1,12 @@
 //! `--link URL` and `--listen URL`: the links of a run, in the order in which they stand on the command line.
 //!
-//! `--brick` speaks of the first of them, and reports number them, so their order must not depend on who calls whom. A derived
+//! `--brick` speaks of the first of them, and reports number them, so their order must not depend on which end connects. A derived
 //! parser keeps the order within one flag only.
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use posebridge_link::ConnectRole;
 
-/// The flags, their roles, and what the help says of them.
+/// The flags, their roles, and their help texts.
 const FLAGS: [(&str, ConnectRole, &str); 2] = [
     ("link", ConnectRole::Dial, "Call this link; may be repeated, replaces the links of the configuration"),
     ("listen", ConnectRole::Listen, "Wait for a call on this link; may be repeated"),

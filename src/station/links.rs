@@ -55,7 +55,7 @@ pub(super) struct SimulatedSession<'a> {
 /// How often a simulated brick drives its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LapLimit {
-    /// Again and again, until somebody ends the run.
+    /// Repeats until the run is ended.
     Endless,
     /// As often as its scenario says.
     OfScenario,
@@ -73,9 +73,9 @@ impl LapLimit {
     }
 }
 
-/// Tells everybody to stop and waits for the simulated bricks, if there are any.
+/// Stops all tasks and waits for the simulated bricks, if there are any.
 pub(super) fn stop_bricks(link: Option<EmbeddedLink>, stop: &CancellationToken) -> Result<Vec<FinishedSimulation>> {
-    // Whoever is stopped is finished as well.
+    // A stopped task is finished as well.
     let is_complete = link.as_ref().is_some_and(|link| link.embedded.finished.is_cancelled());
     stop.cancel();
     let Some(EmbeddedLink { mut embedded, name, link }) = link else {

@@ -21,7 +21,7 @@ const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// The bar's resolution.
 const BAR_STEPS: u64 = 1_000;
 
-/// So many robots have a line in the block, so that it fits into a small terminal.
+/// Most robots with a line in the block, so that it fits into a small terminal.
 const MAX_ROBOT_LINES: usize = 8;
 
 /// What the block shows of one robot.
@@ -183,7 +183,7 @@ impl LiveView {
         self.bar.set_message(self.block() + &off);
     }
 
-    /// A line now and then, for who reads no block.
+    /// A line from time to time, where the block is not shown.
     fn write_plainly(&mut self) {
         let period = if self.error_to_truth.is_empty() { PLAIN_PERIOD } else { ERROR_PERIOD };
         if self.now - self.last_written < period {

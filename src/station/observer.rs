@@ -17,7 +17,7 @@ use super::event_collector::EventCollector;
 use super::live_status::LiveView;
 use super::per_robot::PerRobot;
 
-/// What so many inputs have led to waits for the terminal before it is dropped and counted: forty seconds of a brick that is read 100
+/// Most batches that wait for the terminal before further ones are dropped and counted: forty seconds of a brick that is read 100
 /// times a second.
 const QUEUE_CAPACITY: usize = 4_096;
 /// The status block is drawn this often.

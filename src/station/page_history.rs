@@ -17,12 +17,12 @@ use super::signing;
 use super::status::station_status;
 use crate::config::{Config, Overlay, config_with_overlay};
 
-/// What stands is told so often, as live.
+/// How often the state is sent, as in a live session.
 const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
 /// MAVLink's warning: what is missing makes the replay another one than the live run.
 const WARNING: u8 = 4;
-/// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick, are replayed
-/// by `posebridge replay`, or from a later part on.
+/// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick,
+/// are replayed by `posebridge replay`, or from a later part on.
 const MEMORY_LIMIT: MemoryLimit = MemoryLimit { max_bytes: 256 << 20, on_excess: ExcessPolicy::Skip };
 
 /// Runs a recording through the engine and gathers what it shows. What is missing, damaged or cut off stands first in its log.

@@ -1,4 +1,4 @@
-//! One value for each robot of a session, made when the robot is first heard of.
+//! One value for each robot of a session, made at the robot's first event.
 
 use std::collections::BTreeSet;
 

@@ -1,7 +1,7 @@
 //! The thread that owns the recording's files.
 //!
-//! Nobody waits for it: what does not fit into its queue is dropped and counted, what came out of the station first and the inputs
-//! last. The recording itself says what it lacks.
+//! No other thread waits for it: what does not fit into its queue is dropped and counted, outputs of the station first and inputs
+//! last. The recording states what it lacks.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,9 +19,9 @@ pub use super::recording_parts::RecordingTotals;
 use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
 use crate::config::RecordingLimits;
 
-/// So many items wait for the disk: several seconds of a busy link.
+/// Most items that wait for the disk: several seconds of a busy link.
 const QUEUE_CAPACITY: usize = 8_192;
-/// With so many waiting only inputs are still taken.
+/// From this number of waiting items on, only inputs are accepted.
 const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
 
 /// What goes to the thread.
@@ -31,7 +31,7 @@ enum RecorderItem {
     Calibration(Timestamp<HostClock>, RobotId, Box<Calibration>),
     Line(Timestamp<HostClock>, u8, String),
     Truth(Vec<TruthSample>),
-    /// The last one: so many inputs the session has had.
+    /// The last item: the number of inputs of the session.
     End(u64),
 }
 
@@ -68,8 +68,8 @@ impl Recorder {
         Self::spawn(path, 0, move || Ok(parts))
     }
 
-    /// Starts the thread in the midst of a session, after so many inputs; the thread creates the file, so that nobody waits for the
-    /// disk. That it could not is what the next [`Self::record`] tells.
+    /// Starts the thread in the middle of a session, after this number of inputs. The thread creates the file, so that the caller
+    /// does not wait for the disk. If it could not, the next [`Self::record`] reports it.
     ///
     /// The recording lacks what came before and says so in its header: replaying it is not replaying the session.
     ///

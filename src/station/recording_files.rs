@@ -8,7 +8,7 @@ use posebridge_recording::container::{FORMAT, RecordingHeader};
 
 use crate::config::Config;
 
-/// So many names are tried before a file that is not there yet is given up.
+/// Most names that are tried before giving up.
 const MAX_NAMES: u32 = 10_000;
 
 /// The name of a run's first recording in its folder; those that follow have a number before the dot.

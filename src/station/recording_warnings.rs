@@ -2,7 +2,7 @@
 
 use posebridge_recording::container::{PartHeader, ReadError, RecordingEnd};
 
-/// So many damaged places are named.
+/// Most damaged places that are listed.
 const MAX_NOTES: usize = 50;
 
 /// The first of them in words, the others as a number.

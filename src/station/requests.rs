@@ -40,7 +40,7 @@ pub struct RequestHandler {
     config: Config,
     /// As a recording needs it.
     recorded_config: Config,
-    /// What writes saved configurations, once somebody has asked for it.
+    /// The writer of saved configurations, from the first request on.
     saver: Option<ConfigSaver>,
     /// Which recording is being written, if any.
     current: Option<PathBuf>,
@@ -64,7 +64,7 @@ pub struct ReachableBrick {
     pub commands: CommandSender,
 }
 
-/// How the simulated brick was set last; nothing as long as nobody has.
+/// How the simulated brick was set last; `None` before that.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SimulatorOverrides {
     /// By what it steers.
@@ -270,7 +270,7 @@ impl RequestHandler {
             return Err(anyhow!("nothing is being recorded"));
         };
         let message = done_message("recorded", &path);
-        // The disk may be behind: nobody who steers by us waits for it.
+        // The disk may be behind: the station loop does not wait for it.
         self.ended_recordings.push((path, recorder.stop()));
         Ok(message)
     }

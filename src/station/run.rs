@@ -1,8 +1,9 @@
 //! `posebridge run`: the station.
 //!
 //! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
-//! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again; with `--laps` the
-//! run ends with the last of them. With `--tui` a terminal view has the screen meanwhile. In the end stand tables and two pictures, with a simulated brick also who was how far off.
+//! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again;
+//! with `--laps` the run ends with the last of them. With `--tui` a terminal view has the screen meanwhile. In the end stand
+//! tables and two pictures, with a simulated brick also who was how far off.
 
 use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
@@ -52,7 +53,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
 pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let mut config = configuration(args).before_start()?;
     config.record.enabled = true;
-    // Whoever evaluates a recording wants it to end.
+    // A recording that is evaluated must end.
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
     let session = run_in_runtime(session(args, &config, file_name, laps))?;
     let robots = session.collectors.entries();

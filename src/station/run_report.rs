@@ -17,7 +17,7 @@ use super::link_report;
 pub struct SimulationTruth {
     /// Where the robot was.
     pub track: PoseTrack,
-    /// Where the brick alone believed it was.
+    /// The path by the brick's own odometry.
     pub odometry: PoseTrack,
     /// Where it should have been.
     pub path: Vec<Point2<Arena>>,

@@ -125,7 +125,7 @@ pub(super) async fn session(
     })
 }
 
-/// Runs the station loop until its run is over, or somebody ends it.
+/// Runs the station loop until its run is over, or it is stopped.
 async fn wait_for_end(
     station_loop: &mut StationLoop,
     ending: &StopConditions,
@@ -162,7 +162,7 @@ fn simulated_bricks(embedded: Option<&EmbeddedLink>) -> Vec<ReachableBrick> {
     bricks.map(|brick| ReachableBrick { robot: brick.robot, commands: brick.controls.commands.clone() }).collect()
 }
 
-/// Who hears where the simulated robots are, from the very start.
+/// The receivers of the simulated robots' truth, from the very start.
 fn take_truth_taps(embedded: Option<&mut EmbeddedLink>) -> Vec<TruthTap> {
     let bricks = embedded.map_or(&mut [][..], |link| &mut link.embedded.bricks);
     bricks.iter_mut().filter_map(|brick| brick.truth.take()).collect()

@@ -31,7 +31,7 @@ const USUAL_EVENTS: usize = 4;
 /// When a station loop ends.
 #[derive(Clone, Debug)]
 pub struct StopConditions {
-    /// Somebody asked for it, or the simulated brick has finished.
+    /// It was requested, or the simulated brick has finished.
     pub stop: CancellationToken,
     /// How much of its drive the simulated brick has done, if there is one; at 1 it pulls its plug.
     pub progress: Option<watch::Receiver<f64>>,
@@ -139,7 +139,7 @@ impl StationLoop {
         keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
     }
 
-    /// Tells the station what its links have counted.
+    /// Passes the counters of the links to the station.
     fn report_counters(&mut self, now: Timestamp<HostClock>) {
         let counts: Vec<_> = self.links.iter().map(|port| (port.id(), port.port_counts())).collect();
         for (link, counts) in counts {
@@ -174,7 +174,7 @@ impl StationLoop {
         }
     }
 
-    /// Tells the dashboard what stands.
+    /// Sends the present state to the dashboard.
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
             let standing = station_status(&self.station, self.recorder.as_ref());
@@ -306,7 +306,7 @@ fn warning(text: String) -> Input {
     Input::Report { severity, text }
 }
 
-/// Whether an input about a link's state tells anything new: a port tells each new reason of one loss.
+/// Whether an input about a link's state is new: a link reports each new reason of one loss.
 fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, LinkState>) -> bool {
     if let Input::Link { state, .. } = input {
         return states.insert(link, *state) != Some(*state);

@@ -1,7 +1,7 @@
 //! The thread that writes a telemetry log beside the recording: what came and what was sent, as ground stations keep it.
 //!
-//! It hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped and counted,
-//! because the recording is whole without it. The frames are found here and not in the station loop.
+//! It hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped
+//! and counted, because the recording is whole without it. The frames are found here and not in the station loop.
 //!
 //! It is one file, however long the run, because its readers know no parts. Once a second it is looked at as a recording is: one that was
 //! taken away, and one on a disk without room, ends with a reason.
@@ -21,7 +21,7 @@ use super::batch_channel::{BatchReceiver, BatchSender, channel};
 use super::traffic_log::TrafficLog;
 use super::watched_file::WatchedFile;
 
-/// So many chunks and frames wait for the disk before they are dropped.
+/// Most chunks and frames that wait for the disk; further ones are dropped.
 const QUEUE_CAPACITY: usize = 16_384;
 /// What was written reaches the system at least this often; then file and disk are looked at.
 const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -120,7 +120,7 @@ impl TlogRecorder {
     }
 }
 
-/// Writes until nobody can send any more, and says how many frames there are.
+/// Writes until all senders are gone, and returns the number of frames.
 fn write(
     mut log: TrafficLog<BufWriter<File>>,
     mut traffic: BatchReceiver<Traffic>,
@@ -153,7 +153,7 @@ fn write(
         }
     }
     let (_, frames) = log.finish().with_context(|| file.name())?;
-    // What nobody can find was not written.
+    // A deleted file counts as not written.
     file.file_size()?;
     Ok(frames)
 }

@@ -14,7 +14,7 @@ use posebridge_telemetry::{HostClock, LinkId, PeerId, Priority, Timestamp};
 /// What one peer of a link has sent, up to the middle of a frame.
 struct TrafficStream {
     last_seen: Timestamp<HostClock>,
-    scanner: Framer,
+    framer: Framer,
 }
 
 /// Writes frames with their times.
@@ -60,11 +60,11 @@ impl<W: Write> TrafficLog<W> {
         let heard = self
             .peers
             .entry(key)
-            .or_insert_with(|| TrafficStream { last_seen: now, scanner: Framer::with_all_dialects(*config) });
+            .or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::with_all_dialects(*config) });
         heard.last_seen = now;
         let (writer, frames) = (&mut self.writer, &mut self.frames);
         let mut written = Ok(());
-        heard.scanner.push(now, bytes, &mut |found| {
+        heard.framer.push(now, bytes, &mut |found| {
             let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
                 return;
             };

@@ -66,7 +66,7 @@ impl Viewers {
 
     fn view(&self, frames: FrameTap, simulator: Option<SimulatorFacts>) -> Result<TerminalView> {
         let dashboard = self.dashboard.as_ref();
-        let dashboard = dashboard.context("nobody gives the view anything to show")?;
+        let dashboard = dashboard.context("the view has no source of messages")?;
         // Not the whole address: a token is printed once.
         let page = dashboard.address();
         let greeting =

@@ -46,7 +46,7 @@ impl WatchedFile {
     /// How large it is.
     ///
     /// # Errors
-    /// Somebody has deleted or moved it: what is written goes nowhere.
+    /// It was deleted or moved: what is written goes nowhere.
     pub fn file_size(&self) -> Result<u64> {
         let found = std::fs::metadata(&self.path).ok();
         match found.filter(|found| (found.dev(), found.ino()) == self.identity) {

@@ -102,7 +102,7 @@ impl DataSet {
     }
 }
 
-/// The places that a recording tells.
+/// The places that a recording contains.
 fn world_of(run: &dataset::DatasetRun) -> ArenaMap {
     ArenaMap {
         landmarks: run.landmarks.iter().copied().collect(),

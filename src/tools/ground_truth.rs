@@ -1,4 +1,4 @@
-//! What is known of a robot's recorded run besides what the engine makes of it: where the robot was, and where it believed to be.
+//! What is known of a robot's recorded run besides what the engine makes of it: where the robot was, and where its own odometry placed it.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use posebridge_telemetry::RobotId;
 use super::truth_file;
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 
-/// Where the robot was, and where it believed to be, as far as the recording or a file beside it tells.
+/// Where the robot was, and where its own odometry placed it, as far as the recording or a file beside it contains them.
 #[derive(Debug, Default)]
 pub struct GroundTruth {
     /// The truth of a simulated run.
@@ -20,7 +20,7 @@ pub struct GroundTruth {
 }
 
 impl GroundTruth {
-    /// What a file tells; nothing if there is none.
+    /// The truth in a file; nothing if there is none.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -28,7 +28,7 @@ impl GroundTruth {
         Ok(Self { truth: truth.map(truth_file::open).transpose()?, odometry: None })
     }
 
-    /// What a file tells, else what the recording of this name and these bytes tells of one robot; nothing if it tells nothing of that one.
+    /// The truth in a file, else that of one robot in the recording of this name and these bytes; empty if it contains none of that robot.
     ///
     /// `None` is the robot whose samples name none; where all name one, the robot with the lowest id. `Some` is that robot, and where no
     /// sample names a robot, the only simulated one: programs that served one robot wrote no more. Then it answers for any robot, and a
@@ -89,23 +89,23 @@ mod tests {
         (0..).zip(robots).map(sample).collect()
     }
 
-    fn taken(robot: Option<RobotId>, robots: &[Option<RobotId>]) -> Vec<f64> {
+    fn positions_of(robot: Option<RobotId>, robots: &[Option<RobotId>]) -> Vec<f64> {
         samples_of(robot, samples(robots)).iter().map(|sample| sample.pose.x.0).collect()
     }
 
     #[test]
     fn the_truth_is_that_of_one_robot() {
         let two = [Some(id(2)), Some(id(1)), Some(id(2))];
-        assert_eq!(taken(None, &two), [1.0]);
-        assert_eq!(taken(Some(id(2)), &two), [0.0, 2.0]);
-        assert_eq!(taken(Some(id(3)), &two), [] as [f64; 0]);
+        assert_eq!(positions_of(None, &two), [1.0]);
+        assert_eq!(positions_of(Some(id(2)), &two), [0.0, 2.0]);
+        assert_eq!(positions_of(Some(id(3)), &two), [] as [f64; 0]);
     }
 
     #[test]
     fn samples_that_name_no_robot_answer_for_any_robot_unless_others_name_one() {
-        assert_eq!(taken(Some(id(2)), &[None, None]), [0.0, 1.0]);
+        assert_eq!(positions_of(Some(id(2)), &[None, None]), [0.0, 1.0]);
         let mixed = [Some(id(1)), None];
-        assert_eq!(taken(None, &mixed), [1.0]);
-        assert_eq!(taken(Some(id(2)), &mixed), [] as [f64; 0]);
+        assert_eq!(positions_of(None, &mixed), [1.0]);
+        assert_eq!(positions_of(Some(id(2)), &mixed), [] as [f64; 0]);
     }
 }

@@ -60,7 +60,7 @@ fn write(folder: &Path, pages: &[ManPage]) -> Result<()> {
 /// # Errors
 /// A page cannot be made, which would be a fault of ours.
 pub fn pages(program: Command) -> Result<Vec<ManPage>> {
-    // `posebridge help` shows what the pages say.
+    // `posebridge help` shows the same text.
     let mut program = program.disable_help_subcommand(true);
     program.build();
     let mut pages = Vec::new();

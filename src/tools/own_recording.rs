@@ -1,4 +1,4 @@
-//! A recording of ours as calibrations and experiments want it: what its station made of the bytes, and of which robot.
+//! A recording of ours as calibrations and experiments want it: what its station made of the bytes, for one robot.
 
 use std::path::Path;
 
@@ -18,8 +18,8 @@ use crate::station::clock_alignment::ClockAlignment;
 use crate::station::recording_warnings::missing_start;
 use crate::station::signing;
 
-/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the station
-/// judges a brick's clock (`clock::unwrap`).
+/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the
+/// station checks a brick's clock (`clock::unwrap`).
 const RESTART_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Everything that was observed in one session.
@@ -56,7 +56,7 @@ impl ThermometerReadings {
     /// Its readings in the order of arrival, by the clock of its brick.
     ///
     /// # Errors
-    /// The brick was restarted: its clock has begun anew, and no one knows when by the old one.
+    /// The brick was restarted: its clock has restarted, at an unknown time of the old one.
     pub fn readings(&self) -> Result<&[Observation]> {
         ensure!(
             !self.is_restarted,
@@ -129,7 +129,7 @@ impl SessionObservations {
         let is_it = |one: &&mut ThermometerReadings| one.brick == brick && one.channel == channel;
         match self.thermometers.iter_mut().find(is_it) {
             Some(known) => {
-                // The station tells of a restart of its robot alone.
+                // The station reports only a restart of its robot.
                 if known.latest - reading.stamp > RESTART_THRESHOLD {
                     known.is_restarted = true;
                 }
@@ -158,7 +158,7 @@ impl SessionObservations {
     }
 }
 
-/// Whether a path names a recording of ours and not a descriptor of somebody else's.
+/// Whether a path names a recording of ours and not a descriptor of foreign data.
 #[must_use]
 pub fn is_own(path: &Path) -> bool {
     path.extension().is_none_or(|extension| extension != "toml")

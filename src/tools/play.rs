@@ -1,7 +1,7 @@
 //! `posebridge play`: a recording of a real robot out of a link, as a brick would send it.
 //!
 //! Observations leave at the instants at which they arrived, in real time or faster, stamped by the recording's own clock. The
-//! player describes the robot, answers requests for its time and tells of itself once per second. Truth and withheld fixes stay
+//! player describes the robot, answers requests for its time and sends its heartbeat once per second. Truth and withheld fixes stay
 //! here.
 
 use std::collections::BTreeMap;
@@ -41,7 +41,7 @@ pub struct PlayArgs {
 
 /// The player looks after its session at least this often.
 const SESSION_PERIOD: TimeDelta = TimeDelta::from_millis(20);
-/// While it waits the player tells that it is there once per second, as a heartbeat does.
+/// While it waits, the player sends a heartbeat once per second.
 const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// What was sent last must reach the station before the link closes.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(300);
@@ -131,7 +131,7 @@ impl Player {
         TimeDelta::from_secs_f64(span.as_secs_f64() / self.speed)
     }
 
-    /// Until a byte comes. A station that was called must notice that somebody is there.
+    /// Until a byte comes. A station that was connected to must notice the peer.
     async fn wait_for_station(&mut self, brick: &mut RecordedRobot) {
         loop {
             let next = self.timer.now() + ANNOUNCE_PERIOD;

@@ -1,10 +1,9 @@
 //! `posebridge relay`: two real links, and between them a link as bad as one likes.
 //!
 //! What one end sends is offered to the model of a link ([`posebridge_sim::impairment`]) and handed to the other end when it has
-//! arrived there. A datagram is one unit, and so is whatever one read of a stream brings; frames are looked for only to tell at the
-//! end how many of each sender arrived whole. An outage
-//! of the model is silence; the real links stay open. It never sends back what an end has sent, so the peers of one end do not
-//! hear each other.
+//! arrived there. A datagram is one unit, and so is whatever one read of a stream brings; frames are decoded only to report at
+//! the end how many of each sender arrived complete. An outage of the model is silence; the real links stay open. It never sends
+//! back what an end has sent, so the peers of one end do not receive each other's frames.
 
 mod ends;
 mod outbox;
@@ -284,7 +283,7 @@ impl Relay {
         !self.brick.outbox.is_empty(&self.brick.port) || !self.station.outbox.is_empty(&self.station.port)
     }
 
-    /// Whether a file has been played and nothing of it is left. What goes to the end of the file waits for nobody.
+    /// Whether a file has been played and nothing of it is left. A file that is appended to has no backlog.
     fn is_played(&self) -> bool {
         let mut is_played = false;
         for (from, to, end) in

@@ -139,7 +139,7 @@ fn chosen_robots(
     let labels: Vec<String> = robots.iter().map(|robot| robot.label.clone()).collect();
     let unknown = args.only.iter().find(|wanted| !labels.contains(wanted));
     if let Some(unknown) = unknown {
-        bail!("--only {unknown}: no such robot was heard; there are {}", labels.join(", "));
+        bail!("--only {unknown}: the session has no such robot; it has {}", labels.join(", "));
     }
     ensure!(
         args.only.len() <= MOST_RUNS,
@@ -156,7 +156,7 @@ fn chosen_robots(
     Ok(ChosenRobots { chosen, are_several })
 }
 
-/// Where a filter believed the robot; `None` if it never knew.
+/// A filter's estimates of the robot; `None` if it never knew.
 fn track_of(collector: &EventCollector) -> Option<PoseTrack> {
     let track = collector.track();
     (!track.samples().is_empty()).then_some(track)

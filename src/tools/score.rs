@@ -4,7 +4,7 @@
 //! by then: the filter's own history interpolates the motion inside an encoder interval.
 //!
 //! A camera that stamps its fixes late stamps the withheld ones late, too. An estimator that learns the delay is scored at the
-//! stamp less the delay that it believes in at that moment; what it would have got at the stamp itself is kept beside it.
+//! stamp less the delay that it estimates at that moment; what it would have got at the stamp itself is kept beside it.
 
 use posebridge_recording::dataset::{DatasetRun, TruthPose, WithheldFix};
 use posebridge_report::PoseError;
@@ -27,7 +27,7 @@ struct ErrorReference {
 
 /// What is scored.
 pub trait EstimateSource {
-    /// The belief for an instant.
+    /// The estimate for an instant.
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
     /// What it has learned so far.
     fn calibration(&self) -> Option<Calibration>;
@@ -61,14 +61,14 @@ pub struct Scorer {
     pub pairs: Vec<PosePair>,
 }
 
-/// What was believed of one instant, and what it is held against.
+/// The estimate for one instant, and the reference that it is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
     /// The instant of the reference.
     pub time: Timestamp<BrickClock>,
     /// The truth, or the withheld fix; heading 0 where it has none.
     pub expected: Pose<Arena>,
-    /// The same point of the robot as it was believed.
+    /// The same point of the robot by the estimate.
     pub estimated: Pose<Arena>,
 }
 
@@ -137,7 +137,7 @@ impl Scorer {
         }
     }
 
-    /// Scores what has been observed: a delay that is believed to be negative must not ask for what lies ahead.
+    /// Scores what has been observed: a delay that is estimated as negative must not ask for the future.
     fn score_until(&mut self, until: Timestamp<BrickClock>, belief: &impl EstimateSource) {
         let delay = self.learned_delay(belief);
         let true_at = |reference: &ErrorReference| reference.time - delay.unwrap_or(TimeDelta::ZERO);
@@ -190,7 +190,7 @@ fn reference_from_withheld(withheld: &WithheldFix) -> ErrorReference {
     }
 }
 
-/// The error of the observed point, and of the heading where the reference has one. Only real truth can judge a covariance: a
+/// The error of the observed point, and of the heading where the reference has one. A covariance can only be tested against real truth: a
 /// withheld fix has an error of its own.
 fn error(estimate: &Estimate, reference: &ErrorReference) -> Option<(PoseError, PosePair)> {
     if !estimate.validity.position {
@@ -226,7 +226,7 @@ mod tests {
 
     use super::*;
 
-    /// Drives along x at 1 m/s and knows it, but believes that the camera is late by so much.
+    /// Drives along x at 1 m/s and knows it, but estimates this delay of the camera.
     struct Driver {
         delay: TimeDelta,
         /// The latest instant that it was asked for.

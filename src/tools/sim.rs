@@ -33,7 +33,7 @@ pub enum SteerBy {
     Estimate,
 }
 
-/// What the simulated brick speaks.
+/// The protocol of the simulated brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BrickKind {
     /// MAVLink 2, on one link with the camera.
@@ -67,7 +67,7 @@ pub struct SimArgs {
     /// The link to the station.
     #[command(flatten)]
     pub link: StationLink,
-    /// What the brick speaks, instead of what the scenario says (docs/simulated-bricks.md).
+    /// The brick's protocol, instead of the scenario's (docs/simulated-bricks.md).
     #[arg(long, value_enum, value_name = "KIND")]
     pub brick: Option<BrickKind>,
     /// The camera's link, where it has one of its own.
@@ -77,7 +77,7 @@ pub struct SimArgs {
     /// simulated camera sends no fixes (docs/protocols/camera-json.md).
     #[arg(long, value_name = "URL")]
     pub images_listen: Option<String>,
-    /// Tell this UDP address once per second that there is an EV3, as one on a network does, e.g. udp://127.0.0.1:3015; it has to listen
+    /// Announce an EV3 to this UDP address once per second, as one on a network does, e.g. udp://127.0.0.1:3015; it has to listen
     /// on a TCP port of four digits.
     #[arg(long, value_name = "URL", requires = "listen")]
     pub announce: Option<String>,
@@ -87,19 +87,19 @@ pub struct SimArgs {
     /// Laps, instead of the scenario's.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub laps: Option<u32>,
-    /// By what to steer, instead of what the scenario says.
+    /// The pose to steer by, instead of the scenario's choice.
     #[arg(long, value_enum)]
     pub steer: Option<SteerBy>,
     /// Write the truth to this CSV file at the end; it never goes over the link.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// Simulate so many robots, side by side, each with wheels, a seed and a MAVLink system of its own. In the URL of --listen and in the
-    /// name of --truth write {} for the system, e.g. pty:brick-{}.tty; a --link may be one port for all.
+    /// Simulate this number of robots, side by side, each with wheels, a seed and a MAVLink system of its own. In the URL of
+    /// --listen and in the name of --truth write {} for the system, e.g. pty:brick-{}.tty; a --link may be one port for all.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=250))]
     pub robots: Option<u8>,
 }
 
-/// Runs the brick until its path ends or somebody stops it.
+/// Runs the brick until its path ends or it is stopped.
 ///
 /// # Errors
 /// The scenario or the link makes no sense, or the truth cannot be written.
@@ -180,7 +180,7 @@ fn for_system(text: &str, system: u8) -> String {
 fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
     let has_camera_link = args.camera.camera_listen.is_some() || args.camera.camera_link.is_some();
     if has_camera_link && personality.shares_link_with_camera() {
-        bail!("the camera speaks on the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only");
+        bail!("the camera shares the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only");
     }
     if args.announce.is_some() && personality != Personality::Ev3 {
         bail!("--announce is for --brick ev3; other bricks do not announce themselves");

@@ -43,7 +43,7 @@ pub fn first_records(mut file: InputFile, mut wants_more: impl FnMut(TlogRecord<
     Ok(())
 }
 
-/// What the checksum says of a record's frame.
+/// The checksum status of a record's frame.
 fn classify(raw: &[u8]) -> FrameCheck<()> {
     match verify(raw) {
         VerifiedFrame::Frame(_) => FrameCheck::Valid(()),

@@ -32,7 +32,7 @@ const ITEM_WORDS: &[&str] = &["struct", "enum", "union", "fn", "const", "static"
 struct Module {
     file: PathBuf,
     items: BTreeSet<String>,
-    uses: Vec<Use>,
+    uses: Vec<UseLeaf>,
     /// Paths in the code, outside of `use`.
     paths: Vec<ModulePath>,
 }
@@ -47,7 +47,7 @@ enum Level {
 }
 
 /// One leaf of a `use`.
-struct Use {
+struct UseLeaf {
     path: ModulePath,
     /// As what the module knows it; `*` brings everything.
     name: String,
@@ -351,7 +351,7 @@ fn read_use(module: &mut Module, tokens: &[TokenTree], before: &[String], kind: 
         path.pop();
     }
     let name = alias.or_else(|| path.last().cloned()).unwrap_or_default();
-    module.uses.push(Use { path, name, kind });
+    module.uses.push(UseLeaf { path, name, kind });
 }
 
 /// Every Rust file below a folder, except files that hold nothing but unit tests.

@@ -21,7 +21,7 @@ impl ConnectedBrick {
         Self { simulation: Simulation::new(scenario), link: LinkId(link), peer: PeerId(peer) }
     }
 
-    fn hears(&self, link: LinkId, to: Recipients) -> bool {
+    fn receives(&self, link: LinkId, to: Recipients) -> bool {
         self.link == link
             && match to {
                 Recipients::All => true,
@@ -74,7 +74,7 @@ pub(crate) fn run_with(
                 match output {
                     Output::Event(event) => run.events.push(event),
                     Output::Transmit { link, to, bytes, .. } => {
-                        let listeners = bricks.iter_mut().filter(|brick| brick.hears(link, to));
+                        let listeners = bricks.iter_mut().filter(|brick| brick.receives(link, to));
                         listeners.for_each(|brick| brick.simulation.receive(&bytes));
                     }
                     Output::Request(_) => {}

@@ -58,7 +58,7 @@ pub struct Inertial {
     pub time_us: u32,
     /// Turn since power-up in microradians, counter-clockwise positive, bias included; wraps.
     pub turn_urad: i32,
-    /// Mean turn rate in units of 0.5 mrad/s, counter-clockwise positive, bias included; saturated by whoever fills it.
+    /// Mean turn rate in units of 0.5 mrad/s, counter-clockwise positive, bias included; saturated by the sender.
     pub turn_rate: i16,
     /// Forward acceleration at the left wheel in mm/s².
     pub accel_left: i16,

@@ -60,10 +60,10 @@ impl Receiver {
     /// What has come in whole; `None` means that more bytes are needed.
     pub fn poll(&mut self) -> Option<Received> {
         while self.count > 0 {
-            match judge(self.bytes.get(..self.count).unwrap_or_default()) {
-                Judgement::Open => return None,
-                Judgement::Refuted => self.drop_front(1),
-                Judgement::Frame { length, received } => {
+            match match_window(self.bytes.get(..self.count).unwrap_or_default()) {
+                WindowMatch::Open => return None,
+                WindowMatch::NoFrame => self.drop_front(1),
+                WindowMatch::Frame { length, received } => {
                     self.drop_front(length);
                     return Some(received);
                 }
@@ -80,16 +80,16 @@ impl Receiver {
 }
 
 /// What the window's oldest byte begins.
-enum Judgement {
+enum WindowMatch {
     /// Perhaps a frame: more bytes are needed.
     Open,
     /// Nothing that is for us.
-    Refuted,
+    NoFrame,
     /// A frame of this length.
     Frame { length: usize, received: Received },
 }
 
-fn judge(window: &[u8]) -> Judgement {
+fn match_window(window: &[u8]) -> WindowMatch {
     let is_plausible = |place: usize, check: fn(u8) -> bool| match window.get(place) {
         Some(byte) => check(*byte),
         None => true,
@@ -98,30 +98,30 @@ fn judge(window: &[u8]) -> Judgement {
         && is_plausible(1, |length| (1..=PLANAR_POSE.length).contains(&length))
         && is_plausible(2, |flags| flags & !HARMLESS_FLAGS == 0);
     if !starts {
-        return Judgement::Refuted;
+        return WindowMatch::NoFrame;
     }
     let Some((header, rest)) = window.split_first_chunk::<HEADER>() else {
-        return Judgement::Open;
+        return WindowMatch::Open;
     };
     let [_, length, _, _, _, system, component, id0, id1, id2] = *header;
     let Some(kind) = kind_of(u32::from_le_bytes([id0, id1, id2, 0])) else {
-        return Judgement::Refuted;
+        return WindowMatch::NoFrame;
     };
     if length > kind.length {
-        return Judgement::Refuted;
+        return WindowMatch::NoFrame;
     }
     let length = usize::from(length);
     let (Some(payload), Some(&[low, high])) = (rest.get(..length), rest.get(length..length + 2)) else {
-        return Judgement::Open;
+        return WindowMatch::Open;
     };
     let summed = window.get(1..HEADER + length).unwrap_or_default();
     if checksum(summed, kind.crc_extra) != u16::from_le_bytes([low, high]) {
-        return Judgement::Refuted;
+        return WindowMatch::NoFrame;
     }
     let read = if kind == PLANAR_POSE { pose(payload) } else { time_request(payload, [system, component]) };
     match read {
-        Some(received) => Judgement::Frame { length: HEADER + length + CHECKSUM, received },
-        None => Judgement::Refuted,
+        Some(received) => WindowMatch::Frame { length: HEADER + length + CHECKSUM, received },
+        None => WindowMatch::NoFrame,
     }
 }
 
@@ -133,26 +133,26 @@ fn kind_of(id: u32) -> Option<Kind> {
 struct Fields<'a>(core::slice::Iter<'a, u8>);
 
 impl Fields<'_> {
-    fn take<const N: usize>(&mut self) -> [u8; N] {
+    fn next_bytes<const N: usize>(&mut self) -> [u8; N] {
         core::array::from_fn(|_| self.0.next().copied().unwrap_or(0))
     }
 
     fn float(&mut self) -> f32 {
-        f32::from_le_bytes(self.take())
+        f32::from_le_bytes(self.next_bytes())
     }
 }
 
 /// The estimate, unless a number in it is none.
 fn pose(payload: &[u8]) -> Option<Received> {
     let mut fields = Fields(payload.iter());
-    let time_us = u32::from_le_bytes(fields.take());
+    let time_us = u32::from_le_bytes(fields.next_bytes());
     let floats: [f32; 11] = core::array::from_fn(|_| fields.float());
     if !floats.iter().all(|number| number.is_finite()) {
         return None;
     }
     let [x_m, y_m, heading_rad, forward_speed_m_per_s, turn_rate_rad_per_s, covariance @ ..] = floats;
-    let fix_age_ms = u16::from_le_bytes(fields.take());
-    let [reset_counter, flags] = fields.take();
+    let fix_age_ms = u16::from_le_bytes(fields.next_bytes());
+    let [reset_counter, flags] = fields.next_bytes();
     Some(Received::Pose(PlanarPose {
         time_us,
         x_m,
@@ -170,7 +170,7 @@ fn pose(payload: &[u8]) -> Option<Received> {
 /// The question, unless it is somebody's answer.
 fn time_request(payload: &[u8], from: [u8; 2]) -> Option<Received> {
     let mut fields = Fields(payload.iter());
-    let tc1: [u8; 8] = fields.take();
-    let request = TimeRequest { ts1: fields.take(), target: fields.take(), from };
+    let tc1: [u8; 8] = fields.next_bytes();
+    let request = TimeRequest { ts1: fields.next_bytes(), target: fields.next_bytes(), from };
     (tc1 == [0; 8]).then_some(Received::TimeRequest(request))
 }

@@ -19,7 +19,7 @@ pub(crate) type HostClockSource = dyn Fn() -> Timestamp<HostClock> + Send + Sync
 /// How many ports are tried to find a free one.
 pub(crate) const MAX_PORT_ATTEMPTS: u16 = 20;
 
-/// Who needs the token.
+/// When a request needs the token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TokenPolicy {
     /// Clients on other addresses than loopback.
@@ -40,7 +40,7 @@ pub struct StationInfo {
     pub parameters: Vec<ParameterRow>,
     /// The simulated brick, if the station has one of its own.
     pub simulator: Option<SimulatorFacts>,
-    /// Who needs the token.
+    /// When a request needs the token.
     pub token: TokenPolicy,
 }
 

@@ -103,7 +103,7 @@ fn what_the_station_cannot_do_is_refused_by_its_field() {
         ),
         (
             r#"{"command":"switch-source","sensor":200,"on":false}"#,
-            "`switch-source`: the field `sensor` is 200, must be the number of a sensor, as /v1/sources tells them",
+            "`switch-source`: the field `sensor` is 200, must be the number of a sensor, as listed by /v1/sources",
         ),
     ] {
         let answer = post(address, command);

@@ -7,8 +7,8 @@
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
-#[path = "../tests/support/bare.rs"]
-mod bare;
+#[path = "../tests/support/filter_without_history.rs"]
+mod filter_without_history;
 #[path = "../tests/support/robot.rs"]
 mod robot;
 #[path = "../tests/support/speed/mod.rs"]
@@ -19,11 +19,11 @@ mod steady;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use bare::{Bare, learning};
 use criterion::{Criterion, Throughput};
+use filter_without_history::{FilterWithoutHistory, learning};
 use posebridge_estimator::{Filter, find_filter};
 use posebridge_telemetry::FusionOutcome;
-use speed::{AGREEMENT, Input, STEPS, WAYS, recorded};
+use speed::{AGREEMENT, IMPLEMENTATIONS, Input, STEPS, recorded};
 use steady::{LATE_STEPS, fix, gyro, wheels};
 
 /// Rounds of the comparison; odd, so that there is a middle.
@@ -52,10 +52,10 @@ fn main() {
 
 /// What is compared must be the same thing.
 fn assert_agreement(inputs: &[Input]) {
-    let floor = (WAYS[0].run)(inputs);
-    for way in &WAYS {
-        let distance = (way.run)(inputs).distance(&floor);
-        assert!(distance < AGREEMENT, "{}: {distance:e}", way.name);
+    let floor = (IMPLEMENTATIONS[0].run)(inputs);
+    for implementation in &IMPLEMENTATIONS {
+        let distance = (implementation.run)(inputs).distance(&floor);
+        assert!(distance < AGREEMENT, "{}: {distance:e}", implementation.name);
     }
 }
 
@@ -67,9 +67,9 @@ fn run_criterion(inputs: &[Input]) {
         .configure_from_args();
     let mut group = criterion.benchmark_group("five states");
     group.throughput(Throughput::Elements(STEPS as u64));
-    for way in &WAYS {
-        group.bench_function(way.name, |bencher| {
-            bencher.iter(|| (way.run)(black_box(inputs)));
+    for implementation in &IMPLEMENTATIONS {
+        group.bench_function(implementation.name, |bencher| {
+            bencher.iter(|| (implementation.run)(black_box(inputs)));
         });
     }
     group.finish();
@@ -78,12 +78,12 @@ fn run_criterion(inputs: &[Input]) {
 
 /// The rounds of all rows, and what follows from them.
 fn compare(inputs: &[Input], rounds: usize) {
-    let mut ways: [Vec<f64>; WAYS.len()] = std::array::from_fn(|_| Vec::with_capacity(rounds));
+    let mut timings: [Vec<f64>; IMPLEMENTATIONS.len()] = std::array::from_fn(|_| Vec::with_capacity(rounds));
     let mut step_ns = Vec::with_capacity(rounds);
     let mut fix_at_5_hz_us = Vec::new();
     let mut fix_at_20_hz_us = Vec::new();
     let mut state_ns = Vec::with_capacity(rounds);
-    let mut bare = Bare::new(&learning());
+    let mut bare = FilterWithoutHistory::new(&learning());
     for _ in 0..WARM_UP {
         bare.drive_on();
     }
@@ -91,9 +91,9 @@ fn compare(inputs: &[Input], rounds: usize) {
     let mut at_5_hz = Flagship::new(Camera::Every(4));
     let mut at_20_hz = Flagship::new(Camera::Every(1));
     for _ in 0..rounds {
-        for (way, samples) in WAYS.iter().zip(&mut ways) {
+        for (implementation, samples) in IMPLEMENTATIONS.iter().zip(&mut timings) {
             let elapsed = time(|| {
-                black_box((way.run)(black_box(inputs)));
+                black_box((implementation.run)(black_box(inputs)));
             });
             samples.push(nanos(elapsed) / STEPS as f64);
         }
@@ -104,9 +104,9 @@ fn compare(inputs: &[Input], rounds: usize) {
         at_20_hz.time_fixes(&mut fix_at_20_hz_us);
     }
     println!("\nmedians of {rounds} rounds of {STEPS} steps, all rows in turn; ratios within a round");
-    let floor = &ways[0];
-    for (way, samples) in WAYS.iter().zip(&ways) {
-        print_row(way.name, samples, floor);
+    let floor = &timings[0];
+    for (implementation, samples) in IMPLEMENTATIONS.iter().zip(&timings) {
+        print_row(implementation.name, samples, floor);
     }
     print_row("pose: its state, gyro + wheels", &state_ns, floor);
     print_row("pose: observe(gyro) + observe(wheels)", &step_ns, floor);
@@ -117,7 +117,7 @@ fn compare(inputs: &[Input], rounds: usize) {
         println!("{name:42} {:8.2} us/fix", median(samples));
     }
     println!();
-    println!("library / floor: {:.2} (bar {LIBRARY_BAR:.1})", ratio(&ways[1], floor));
+    println!("library / floor: {:.2} (bar {LIBRARY_BAR:.1})", ratio(&timings[1], floor));
     println!(
         "pose state / floor: {:.1} (bar {STATE_BAR:.1}); with history and records: {:.1}",
         ratio(&state_ns, floor),

@@ -1,4 +1,4 @@
-//! The contract of every filter: what it is built from, what it is told, what it answers.
+//! The contract of every filter: its configuration, its inputs, and its estimates.
 
 use std::sync::Arc;
 
@@ -33,10 +33,10 @@ pub trait Filter: Send {
     /// The brick's clock starts anew: what was observed is forgotten, the pose is kept with more doubt.
     fn restart_clock(&mut self);
 
-    /// The latest instant of which an observation spoke.
+    /// The latest stamp of an observation.
     fn latest_time(&self) -> Option<Timestamp<BrickClock>>;
 
-    /// The belief for an instant: past ones as far as the history reaches, later ones by prediction. `None` before the first
+    /// The estimate for an instant: past ones as far as the history reaches, later ones by prediction. `None` before the first
     /// observation and for instants older than the history.
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
 
@@ -45,7 +45,7 @@ pub trait Filter: Send {
         None
     }
 
-    /// The belief of a filter that follows one quantity instead of a pose, for an instant; `None` for the others.
+    /// The estimate of a filter that follows one quantity instead of a pose, for an instant; `None` for the others.
     fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
         let _ = stamp;
         None

@@ -1,5 +1,5 @@
-//! What every filter asks of an observation before it looks at its own state: are these numbers, is it of this time, does it
-//! tell of motion.
+//! What every filter asks of an observation before it looks at its own state: whether its values are numbers, whether its time is
+//! current, and whether it observes motion.
 
 use std::cmp::Reverse;
 
@@ -15,7 +15,7 @@ use crate::motion::{InsertOutcome, MotionReading};
 const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// Larger numbers than this are damage: no arena, wheel or rate of ours comes near, and their squares must stay finite.
 const MAX_MAGNITUDE: f64 = 1e9;
-/// Nobody measures better than a nanometre or a nanoradian: a smaller claim is damage, and would divide by next to nothing.
+/// No sensor is better than a nanometre or a nanoradian: a smaller claim is damage, and would divide by next to nothing.
 const MIN_VARIANCE: f64 = 1e-18;
 /// A tag further from mid-axle than this is not on the robot, m.
 const MAX_LEVER_M: f64 = 1e3;
@@ -43,7 +43,7 @@ pub(crate) fn reject_invalid(
 }
 
 /// The observations of a whole run whose numbers can be borne, in the order of time; of one instant the better source of motion
-/// comes first, so that what can be told of it does not depend on the order of arrival.
+/// comes first, so that the estimate does not depend on the order of arrival.
 pub(crate) fn valid_in_time_order(observations: &[Observation]) -> Vec<&Observation> {
     let mut latest = None;
     let mut sound = Vec::with_capacity(observations.len());
@@ -148,7 +148,7 @@ pub(crate) fn record_without_prediction(
     }
 }
 
-/// A record of no kind, for what is not told to anybody.
+/// A record of no kind, for an input that is not reported.
 pub(crate) const fn blank_record(sensor: SensorId, stamp: Timestamp<BrickClock>) -> FusionRecord {
     FusionRecord {
         sensor,

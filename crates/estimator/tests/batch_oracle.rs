@@ -116,7 +116,7 @@ fn winding_config() -> FilterConfig {
 
 /// The dense problem. Unknowns: start (3), constants (5), one bias per window, then (distance, turn) error of each part of a step
 /// in units of its sigmas.
-struct Dense<'a> {
+struct DenseProblem<'a> {
     data: &'a Data,
     /// The noise is that of the travel as these constants have it.
     frozen: [f64; 3],
@@ -131,7 +131,7 @@ const STEPS_PER_WINDOW: usize = 8;
 const WINDOWS: usize = (READINGS - 1) / STEPS_PER_WINDOW;
 const ERRORS: usize = BIAS + WINDOWS;
 
-impl<'a> Dense<'a> {
+impl<'a> DenseProblem<'a> {
     fn new(data: &'a Data, frozen: [f64; 3]) -> Self {
         let mut stops: Vec<i64> = (0..READINGS as i64).map(|k| k * STEP_MS).collect();
         stops.extend(data.fixes.iter().map(|fix| fix.0));
@@ -292,7 +292,7 @@ fn a_dense_solution_with_numerical_derivatives_agrees() {
     assert_eq!((smoothed.fixes_rejected, smoothed.gyro_windows), (0, WINDOWS));
     let own = &smoothed.calibration;
     let frozen = [own.radius_scale, own.radius_difference, own.track_scale];
-    let dense = Dense::new(&data, frozen.map(|known| known.value));
+    let dense = DenseProblem::new(&data, frozen.map(|known| known.value));
     let unknowns = dense.solve();
     let cost = dense.residuals(&unknowns).norm_squared();
     assert!((smoothed.cost / cost - 1.0).abs() < 1e-4);

@@ -19,8 +19,8 @@ mod drive;
 mod grid;
 #[path = "support/robot.rs"]
 mod robot;
-#[path = "support/senses.rs"]
-mod senses;
+#[path = "support/simulated_sensors.rs"]
+mod simulated_sensors;
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ use grid::{KIT, config_with, drive_on_grid};
 use posebridge_estimator::{FilterConfig, find_filter};
 use posebridge_telemetry::{Estimate, SensorId, UncertainValue};
 use robot::config;
-use senses::{Senses, add, furnished, step_between};
+use simulated_sensors::{SimulatedSensors, add, furnished, step_between};
 
 const HEADER: &str = "t_s,x_m,y_m,heading_rad,forward_m_per_s,turn_rad_per_s,x_sigma_m,y_sigma_m,heading_sigma_rad,reset_counter,radius_scale,track_scale,gyro_bias_rad_per_s";
 
@@ -147,7 +147,7 @@ fn every_sensor_and_every_state_are_followed_as_before() {
     config.calibration.beacon_offset_m = unknown(0.3);
     config.calibration.beacon_scale = unknown(0.02);
     let (mut drive, _) = drive_on_grid(1, KIT, Some(CAMERA), 20_260_105);
-    let mut senses = Senses::new(&config, 20_260_105);
+    let mut senses = SimulatedSensors::new(&config, 20_260_105);
     let poses = drive.poses.clone();
     add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| senses.landmarks(truth));
     add(&mut drive, SensorId::BEACONS, 7, |_, truth| {

@@ -41,7 +41,7 @@ fn filter(sigma_k: f64, model: DynamicModel) -> DynamicFilter {
     DynamicFilter::with_model(&configured(sigma_k), model)
 }
 
-fn give(filter: &mut DynamicFilter, sensor: SensorId, at_s: f64, celsius: f64) -> FusionRecord {
+fn observe(filter: &mut DynamicFilter, sensor: SensorId, at_s: f64, celsius: f64) -> FusionRecord {
     filter.observe(&Observation {
         sensor,
         stamp: Timestamp::from_secs_f64(at_s),
@@ -61,7 +61,7 @@ type Sample = (SensorId, f64, f64);
 fn play(sigma_k: f64, model: &DynamicModel, samples: &[Sample]) -> ScalarEstimate {
     let mut filter = filter(sigma_k, model.clone());
     for &(sensor, at_s, value) in samples {
-        assert_eq!(give(&mut filter, sensor, at_s, value).outcome, FusionOutcome::Accepted);
+        assert_eq!(observe(&mut filter, sensor, at_s, value).outcome, FusionOutcome::Accepted);
     }
     now(&filter)
 }
@@ -152,7 +152,7 @@ fn the_worked_example_gives_three_degrees_after_two_samples() {
 fn the_first_sample_starts_it_by_the_papers_rule() {
     let model = DynamicModel::empty().with_lags(ONE, 2.0, &[100.0]).unwrap();
     let mut filter = filter(SIGMA_K, model);
-    let record = give(&mut filter, ONE, 5.0, 42.0);
+    let record = observe(&mut filter, ONE, 5.0, 42.0);
     assert_eq!(record.innovation[0], 0.0, "it predicts itself");
     let found = now(&filter);
     assert_eq!(found.value, 21.0);
@@ -219,7 +219,7 @@ fn three_ways(model: &DynamicModel, samples: &[Sample], prior_sigmas: f64) -> ([
     let start = samples[0].2 / model.row_of(samples[0].0).unwrap()[0];
     let mut filter = filter(SIGMA_K, model.clone()).with_prior_sigma(prior_sigmas * SIGMA_K);
     for &(sensor, at_s, value) in samples {
-        give(&mut filter, sensor, at_s, value);
+        observe(&mut filter, sensor, at_s, value);
     }
     let found = now(&filter);
     let system = stacked(model, samples);
@@ -298,7 +298,7 @@ fn it_is_within_two_percent_of_the_step_long_before_the_sensor() {
             let at_s = f64::from(k);
             let noise = 0.1 * normals.sample::<f64, _>(StandardNormal);
             let shown = 3.0 + 18.0 * (-at_s / tau_s).exp();
-            give(&mut filter, ONE, at_s, shown + noise);
+            observe(&mut filter, ONE, at_s, shown + noise);
             raw.push((at_s, shown));
             predicted.push((at_s, now(&filter).value));
         }
@@ -321,7 +321,7 @@ fn a_walking_quantity_is_followed_only_if_it_is_said_to_walk() {
         for k in 0..2_000 {
             let at_s = f64::from(k);
             let shown = 0.01 * (at_s - 20.0 * (1.0 - (-at_s / 20.0).exp()));
-            give(&mut filter, ONE, at_s, shown);
+            observe(&mut filter, ONE, at_s, shown);
         }
         let found = now(&filter);
         ((found.value - 19.99).abs(), found.sigma)
@@ -350,7 +350,7 @@ fn a_quantity_that_walks_as_told_is_known_as_well_as_sigma_says() {
             let mut filter = DynamicFilter::with_model(&configured, model.clone());
             let (mut u, mut y, mut slope) = (15.0, 15.0, 0.0);
             for k in 0..1_500 {
-                give(&mut filter, ONE, f64::from(k), y + 0.1 * normal());
+                observe(&mut filter, ONE, f64::from(k), y + 0.1 * normal());
                 let found = now(&filter);
                 if k > 200 {
                     squares += ((found.value - u) / found.sigma).powi(2);
@@ -422,7 +422,7 @@ fn real_thermometers_are_predicted_by_two_lags_and_not_by_one() {
             let predicted: Vec<_> = samples
                 .iter()
                 .map(|&(at_s, value)| {
-                    give(&mut filter, ONE, at_s, value);
+                    observe(&mut filter, ONE, at_s, value);
                     (at_s, now(&filter).value)
                 })
                 .collect();

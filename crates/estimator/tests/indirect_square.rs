@@ -62,7 +62,7 @@ fn commands() -> Vec<(f64, f64)> {
     steps
 }
 
-struct World {
+struct SimulatedRobot {
     normals: Pcg64,
     truth: (f64, f64, f64),
     wheels_rad: [f64; 2],
@@ -73,7 +73,7 @@ struct World {
     speeds: (f64, f64),
 }
 
-impl World {
+impl SimulatedRobot {
     fn new(seed: u64) -> Self {
         let mut world = Self {
             normals: Pcg64::seed_from_u64(seed),
@@ -108,11 +108,11 @@ impl World {
             self.wheels_rad[i] += travel_m / (RADIUS_M * (1.0 + m + side * 0.5 * dr));
         }
         let slipped_rad = (slips_m[1] - slips_m[0]) / TRACK_M + 0.004 * dth.abs().sqrt() * self.normal();
-        let ends = (speed + 0.5 * (slips_m[0] + slips_m[1]) / STEP_S, turn + slipped_rad / STEP_S);
-        let accelerations = ((ends.0 - self.speeds.0) / STEP_S, (ends.1 - self.speeds.1) / STEP_S);
-        let true_m = 0.5 * (self.speeds.0 + ends.0) * STEP_S;
-        let true_rad = 0.5 * (self.speeds.1 + ends.1) * STEP_S;
-        self.speeds = ends;
+        let new_speeds = (speed + 0.5 * (slips_m[0] + slips_m[1]) / STEP_S, turn + slipped_rad / STEP_S);
+        let accelerations = ((new_speeds.0 - self.speeds.0) / STEP_S, (new_speeds.1 - self.speeds.1) / STEP_S);
+        let true_m = 0.5 * (self.speeds.0 + new_speeds.0) * STEP_S;
+        let true_rad = 0.5 * (self.speeds.1 + new_speeds.1) * STEP_S;
+        self.speeds = new_speeds;
         let middle = self.truth.2 + 0.5 * true_rad;
         self.truth.0 += true_m * middle.cos();
         self.truth.1 += true_m * middle.sin();
@@ -152,7 +152,7 @@ impl World {
 }
 
 fn drive(sensors: Sensors, seed: u64) -> Drive {
-    let mut world = World::new(seed);
+    let mut world = SimulatedRobot::new(seed);
     let mut observations = vec![];
     for (index, (speed, turn)) in commands().into_iter().enumerate() {
         let before_rad = world.truth.2;
@@ -211,13 +211,13 @@ fn end_error(filter: &dyn Filter, drive: &Drive) -> [f64; 3] {
 const SEEDS: u64 = 100;
 
 /// Root mean squares of the end errors in x and y, medians of their lengths, and the mean NEES per degree of freedom.
-struct Ends {
+struct EndErrors {
     rms_m: [f64; 2],
     lengths_m: Vec<f64>,
     anees: f64,
 }
 
-impl Ends {
+impl EndErrors {
     fn median_m(&self) -> f64 {
         let mut sorted = self.lengths_m.clone();
         sorted.sort_by(f64::total_cmp);
@@ -225,7 +225,7 @@ impl Ends {
     }
 }
 
-fn ends(name: &str, sensors: Sensors, seeds: u64) -> Ends {
+fn end_errors(name: &str, sensors: Sensors, seeds: u64) -> EndErrors {
     let config = square_config();
     let (mut squares, mut lengths_m, mut nees) = ([0.0; 2], vec![], 0.0);
     for seed in 0..seeds {
@@ -240,22 +240,23 @@ fn ends(name: &str, sensors: Sensors, seeds: u64) -> Ends {
         let error = nalgebra::Vector3::from(error);
         nees += (error.transpose() * p.try_inverse().unwrap() * error)[0] / 3.0;
     }
-    let ends = Ends { rms_m: squares.map(|sum| f64::sqrt(sum / seeds as f64)), lengths_m, anees: nees / seeds as f64 };
+    let end_errors =
+        EndErrors { rms_m: squares.map(|sum| f64::sqrt(sum / seeds as f64)), lengths_m, anees: nees / seeds as f64 };
     println!(
         "{name}: x {:.3} m, y {:.3} m rms, median {:.3} m, NEES/3 {:.2}",
-        ends.rms_m[0],
-        ends.rms_m[1],
-        ends.median_m(),
-        ends.anees
+        end_errors.rms_m[0],
+        end_errors.rms_m[1],
+        end_errors.median_m(),
+        end_errors.anees
     );
-    ends
+    end_errors
 }
 
 #[test]
 fn on_the_square_accelerometers_bring_the_end_closer_than_the_wheels_alone() {
-    let wheels = ends("odometry", WHEELS_ONLY, SEEDS);
+    let wheels = end_errors("odometry", WHEELS_ONLY, SEEDS);
     for name in ["indirect", "indirect-feedback"] {
-        let fused = ends(name, ACCELEROMETERS, SEEDS);
+        let fused = end_errors(name, ACCELEROMETERS, SEEDS);
         // The paper's own end errors.
         assert!(fused.rms_m[0] <= 0.235, "{name}");
         assert!(fused.rms_m[1] <= 0.32, "{name}");
@@ -272,10 +273,10 @@ fn on_the_square_accelerometers_bring_the_end_closer_than_the_wheels_alone() {
 fn a_gyro_brings_it_closer_still_fixes_closest_and_feedback_knows_how_close() {
     let seeds = 30;
     for (name, anees) in [("indirect", 1.3..10.0), ("indirect-feedback", 0.5..1.4)] {
-        let accelerometers = ends(name, ACCELEROMETERS, seeds);
-        let gyro = ends(name, ACCELEROMETERS_AND_GYRO, seeds);
+        let accelerometers = end_errors(name, ACCELEROMETERS, seeds);
+        let gyro = end_errors(name, ACCELEROMETERS_AND_GYRO, seeds);
         let with_fixes = Sensors { fixes_every: Some(20), ..ACCELEROMETERS_AND_GYRO };
-        let fixed = ends(name, with_fixes, seeds);
+        let fixed = end_errors(name, with_fixes, seeds);
         assert!(gyro.median_m() < accelerometers.median_m(), "{name}");
         assert!(fixed.median_m() < 0.02, "{name}");
         assert!(anees.contains(&gyro.anees), "{name}: {}", gyro.anees);
@@ -350,7 +351,7 @@ fn every_comparison_is_told_with_its_innovation() {
 #[test]
 fn the_track_width_is_learned_from_the_accelerometers_and_the_gyro_bias_at_rest() {
     let drive = drive(ACCELEROMETERS_AND_GYRO, 4);
-    let truth = World::new(4);
+    let truth = SimulatedRobot::new(4);
     for name in ["indirect", "indirect-feedback"] {
         let filter = played(name, &square_config(), &drive);
         let learned = filter.calibration().unwrap();

@@ -68,7 +68,7 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
 }
 
 /// What a camera sees without noise that looks at a robot here.
-fn seen_from(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
+fn fix_without_noise(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
     let tag = point::<Body>(told.x.0 + state.mean[TAG_FORWARD], told.y.0 + state.mean[TAG_LEFT]);
     Fix {
         position: arena_from_body(shown) * tag,
@@ -94,7 +94,7 @@ fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_
         for (tag, moved) in TAGS.into_iter().flat_map(|tag| MOVED.map(|moved| (tag, moved))) {
             let at = circumstances(Se2::exp(moved));
             let shown = state.pose.compose(at.moved_since.inverse());
-            let seen = seen_from(&state, point(tag.0, tag.1), shown);
+            let seen = fix_without_noise(&state, point(tag.0, tag.1), shown);
             let noise = fix::fix_noise(&seen, &QUIET, [1.0, 1.0], &at);
             check("position", &state, |state| fix::position(state, &seen, &noise, &at));
             check("pose", &state, |state| fix::pose(state, &seen, shown.heading_rad, &noise, &at));
@@ -125,7 +125,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
             let moved = |delay: TimeDelta| state.motion_since(ms(0) - delay, &track, &config);
             let [forward_m, _, turn_rad] = moved(delay + h).compose(moved(delay - h).inverse()).log();
             let twice_h_s = 2.0 * h.as_secs_f64();
-            let seen = seen_from(&state, point(0.3, -0.2), state.pose.compose(moved(delay).inverse()));
+            let seen = fix_without_noise(&state, point(0.3, -0.2), state.pose.compose(moved(delay).inverse()));
             let measured = |delay: TimeDelta| {
                 let at = fix::FixContext {
                     forward_m_per_s: forward_m / twice_h_s,
@@ -205,7 +205,7 @@ fn wall_about(pose: Se2, [from, to]: [(f64, f64); 2]) -> Wall {
 }
 
 /// The way ahead to a wall by a search: the body's own axis is walked until the wall is on the other side.
-fn way_to(pose: Se2, wall: &Wall) -> f64 {
+fn distance_to(pose: Se2, wall: &Wall) -> f64 {
     let side_of = |range_m: f64| {
         let at = arena_from_body(pose) * point::<Body>(range_m, 0.0);
         let along = (wall.to.x.0 - wall.from.x.0, wall.to.y.0 - wall.from.y.0);
@@ -228,13 +228,14 @@ fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
     for state in odd_states::<RANGE_STATES>() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];
-            let range_m = way_to(state.pose, &walls[0]);
+            let range_m = distance_to(state.pose, &walls[0]);
             check("wall", &state, |state| wall::measurement(state, &walls, range_m, 0.01).expect("it is ahead"));
         }
         // Of all of them, and one behind the robot, the nearest ahead.
         let mut walls = WALLS.map(|ends| wall_about(state.pose, ends)).to_vec();
         walls.push(wall_about(state.pose, [(-0.1, -1.0), (-0.1, 1.0)]));
-        let nearest_m = walls[..WALLS.len()].iter().map(|wall| way_to(state.pose, wall)).fold(f64::INFINITY, f64::min);
+        let nearest_m =
+            walls[..WALLS.len()].iter().map(|wall| distance_to(state.pose, wall)).fold(f64::INFINITY, f64::min);
         check("nearest wall", &state, |state| {
             wall::measurement(state, &walls, nearest_m, 0.01).expect("they are ahead")
         });

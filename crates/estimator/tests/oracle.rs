@@ -48,9 +48,9 @@ impl ObservationModel<f64, U4, U2> for Linear {
 }
 
 /// Draws systems and observations.
-struct Draw(Pcg64);
+struct RandomSystems(Pcg64);
 
-impl Draw {
+impl RandomSystems {
     fn normal(&mut self) -> f64 {
         self.0.sample(StandardNormal)
     }
@@ -74,12 +74,12 @@ impl Draw {
 
 /// The library's belief.
 #[derive(Clone, Copy)]
-struct Own {
+struct LibraryFilter {
     mean: Vector4<f64>,
     covariance: Matrix4<f64>,
 }
 
-impl Own {
+impl LibraryFilter {
     fn predict(&mut self, system: &Linear) {
         self.mean = system.f * self.mean;
         self.covariance = system.f * self.covariance * system.ft + system.q;
@@ -94,8 +94,8 @@ impl Own {
 
 #[test]
 fn scalar_updates_agree_with_a_foreign_filter_over_hundreds_of_random_steps() {
-    let mut draw = Draw(Pcg64::seed_from_u64(0x0a_c1e5));
-    let start = Own { mean: Vector4::new(1.0, -0.5, 0.2, 2.0), covariance: Matrix4::identity() * 0.7 };
+    let mut draw = RandomSystems(Pcg64::seed_from_u64(0x0a_c1e5));
+    let start = LibraryFilter { mean: Vector4::new(1.0, -0.5, 0.2, 2.0), covariance: Matrix4::identity() * 0.7 };
     let (mut scalar, mut whitened) = (start, start);
     let mut foreign = StateAndCovariance::new(start.mean, start.covariance);
     for step in 0..STEPS {

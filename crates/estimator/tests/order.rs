@@ -5,8 +5,8 @@
 mod drive;
 #[path = "support/robot.rs"]
 mod robot;
-#[path = "support/senses.rs"]
-mod senses;
+#[path = "support/simulated_sensors.rs"]
+mod simulated_sensors;
 #[path = "support/unknown.rs"]
 mod unknown;
 
@@ -21,7 +21,7 @@ use posebridge_telemetry::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use robot::config;
-use senses::{Senses, add, furnished, step_between};
+use simulated_sensors::{SimulatedSensors, add, furnished, step_between};
 use unknown::all_unknown;
 
 /// The history of 3 s: every delay is shorter by a millisecond at least.
@@ -234,7 +234,7 @@ fn an_observation_older_than_the_history_is_refused_and_changes_nothing() {
 /// Twenty seconds with every sensor there is, round a corner, some of them at the same instants.
 fn with_everything(config: &FilterConfig, seed: u64) -> Vec<Observation> {
     let mut drive = drive(&scenario(), seed);
-    let mut senses = Senses::new(config, seed);
+    let mut senses = SimulatedSensors::new(config, seed);
     let poses = drive.poses.clone();
     let errors = [(0.2, 0.01), (0.0, 0.0), (-0.1, 0.02), (0.3, -0.01)];
     add(&mut drive, SensorId::LANDMARKS, 5, |_, truth| senses.landmarks(truth));

@@ -20,14 +20,14 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
 /// What is believed of the last second and of the next, each in digits that tell any two numbers apart, and what was learned.
-struct Belief {
+struct FilterReadout {
     estimates: Vec<Option<String>>,
     learned: String,
 }
 
-fn belief<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Belief {
+fn readout<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> FilterReadout {
     let instants = (-10..=10).map(|k| about.stamp + TimeDelta::from_millis(k * 100));
-    Belief {
+    FilterReadout {
         estimates: instants.map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}"))).collect(),
         learned: format!("{:?}", filter.calibration()),
     }
@@ -35,7 +35,7 @@ fn belief<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Belief
 
 /// Holds two beliefs against each other. What is told of an instant may be forgotten, because even an observation that is not used
 /// moves the end of the history, and the first of all gives the filter its first instant.
-fn assert_unchanged(before: &Belief, after: &Belief, what: &str) {
+fn assert_unchanged(before: &FilterReadout, after: &FilterReadout, what: &str) {
     assert_eq!(before.learned, after.learned, "{what}");
     for (before, after) in before.estimates.iter().zip(&after.estimates) {
         if before.is_some() && after.is_some() {
@@ -93,24 +93,24 @@ fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId,
     for (step_ms, sensor, seen) in steps {
         millis += step_ms;
         let observation = of(millis, *sensor, seen.0);
-        let before = belief(&filter, &observation);
+        let before = readout(&filter, &observation);
         let record = filter.observe(&observation);
         assert!(record.nis >= 0.0 && record.nis.is_finite(), "{record:?}");
         assert!(record.log_likelihood.is_finite(), "{record:?}");
         assert!(!record.outcome.reason().is_empty());
-        let after = belief(&filter, &observation);
+        let after = readout(&filter, &observation);
         if leaves_all_as_it_was(record.outcome) {
             let what = format!("{:?}: {observation:?}", record.outcome);
             assert_unchanged(&before, &after, &what);
         }
         let again = filter.observe(&observation).outcome;
         assert!(leaves_all_as_it_was(again), "{again:?} twice: {observation:?}");
-        let twice = belief(&filter, &observation);
+        let twice = readout(&filter, &observation);
         assert_unchanged(&after, &twice, &format!("twice: {observation:?}"));
         for damaged in damages(&observation) {
             let verdict = filter.observe(&damaged).outcome;
             assert!(matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld), "{verdict:?}: {damaged:?}");
-            let still = belief(&filter, &observation);
+            let still = readout(&filter, &observation);
             assert_unchanged(&after, &still, &format!("{damaged:?}"));
         }
         assert_state_sound(&filter);

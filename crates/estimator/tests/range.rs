@@ -29,7 +29,7 @@ fn configured(process_sigma: f64) -> FilterConfig {
     config
 }
 
-fn give(filter: &mut RangeFilter, at_s: f64, observed: ObservationKind) -> FusionRecord {
+fn observe(filter: &mut RangeFilter, at_s: f64, observed: ObservationKind) -> FusionRecord {
     filter.observe(&Observation {
         sensor: SensorId::RANGE,
         stamp: Timestamp::from_secs_f64(at_s),
@@ -41,11 +41,11 @@ fn give(filter: &mut RangeFilter, at_s: f64, observed: ObservationKind) -> Fusio
 fn command(filter: &mut RangeFilter, at_s: f64, forward_m_per_s: f64) -> FusionRecord {
     let observed =
         ObservationKind::BodyVelocity { forward: MetersPerSecond(forward_m_per_s), turn: RadiansPerSecond(0.0) };
-    give(filter, at_s, observed)
+    observe(filter, at_s, observed)
 }
 
 fn range(filter: &mut RangeFilter, at_s: f64, range_m: f64) -> FusionRecord {
-    give(filter, at_s, ObservationKind::WallRange(Meters(range_m)))
+    observe(filter, at_s, ObservationKind::WallRange(Meters(range_m)))
 }
 
 fn at(filter: &RangeFilter, at_s: f64) -> ScalarEstimate {

@@ -21,10 +21,10 @@ mod placed;
 mod robot;
 #[path = "support/score.rs"]
 mod score;
-#[path = "support/senses.rs"]
-mod senses;
 #[path = "robustness/sights.rs"]
 mod sights;
+#[path = "support/simulated_sensors.rs"]
+mod simulated_sensors;
 #[path = "robustness/slowly.rs"]
 mod slowly;
 

@@ -3,13 +3,13 @@
 #[path = "support/speed/mod.rs"]
 mod speed;
 
-use speed::{AGREEMENT, STEPS, WAYS, recorded};
+use speed::{AGREEMENT, IMPLEMENTATIONS, STEPS, recorded};
 
 #[test]
 fn every_way_to_write_the_filter_ends_at_the_same_belief() {
     let inputs = recorded();
     assert_eq!(inputs.len(), STEPS);
-    let [floor, others @ ..] = &WAYS;
+    let [floor, others @ ..] = &IMPLEMENTATIONS;
     let expected = (floor.run)(&inputs);
     for way in others {
         let distance = (way.run)(&inputs).distance(&expected);
@@ -20,7 +20,7 @@ fn every_way_to_write_the_filter_ends_at_the_same_belief() {
 #[test]
 fn the_filter_follows_the_drive_that_it_is_given() {
     let inputs = recorded();
-    let belief = (WAYS[0].run)(&inputs);
+    let belief = (IMPLEMENTATIONS[0].run)(&inputs);
     let last = inputs[STEPS - 1].observed;
     for (row, observed) in [(3, last[0]), (2, last[2]), (4, last[3])] {
         let error = belief.mean[row] - observed;

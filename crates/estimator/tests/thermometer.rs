@@ -27,7 +27,7 @@ const BEFORE_C: f64 = 20.0;
 
 /// A sensor and a bath.
 #[derive(Clone, Debug)]
-struct Dip {
+struct ImmersionTest {
     lags_s: Vec<f64>,
     shares: Vec<f64>,
     step_k: f64,
@@ -35,7 +35,7 @@ struct Dip {
     seed: u64,
 }
 
-impl Dip {
+impl ImmersionTest {
     fn end_c(&self) -> f64 {
         BEFORE_C + self.step_k
     }
@@ -77,14 +77,14 @@ fn observation(at_s: f64, shown_c: f64) -> Observation {
     }
 }
 
-fn give(thermometer: &mut Thermometer, at_s: f64, shown_c: f64) -> (FusionOutcome, ScalarEstimate) {
+fn observe(thermometer: &mut Thermometer, at_s: f64, shown_c: f64) -> (FusionOutcome, ScalarEstimate) {
     let record = thermometer.observe(&observation(at_s, shown_c));
     let settled = thermometer.final_value().expect("it was read");
     (record.outcome, settled)
 }
 
 /// Sensors of one and of two lags, slow and quick, into warm and cold baths.
-fn dips(count: u64) -> impl Iterator<Item = Dip> {
+fn immersion_tests(count: u64) -> impl Iterator<Item = ImmersionTest> {
     (0..count).map(|seed| {
         let mut random = Pcg64::seed_from_u64(1_000 + seed);
         let slow_s = 4.0 * 15.0_f64.powf(random.random::<f64>());
@@ -92,24 +92,24 @@ fn dips(count: u64) -> impl Iterator<Item = Dip> {
         let sign = if seed % 4 < 2 { 1.0 } else { -1.0 };
         let (lags_s, shares) =
             if seed % 2 == 0 { (vec![slow_s], vec![1.0]) } else { (vec![slow_s, slow_s / 4.0], vec![0.7, 0.3]) };
-        Dip { lags_s, shares, step_k: sign * step_k, sigma_k: 0.05, seed }
+        ImmersionTest { lags_s, shares, step_k: sign * step_k, sigma_k: 0.05, seed }
     })
 }
 
 /// Half, one and two of the slowest time constants after the dip: how often the bound held the end, and the median error as a share of
 /// the step.
-fn held_and_median(dips: impl Iterator<Item = Dip>) -> [(f64, f64); 3] {
+fn held_and_median(immersion_tests: impl Iterator<Item = ImmersionTest>) -> [(f64, f64); 3] {
     let after = [0.5, 1.0, 2.0];
     let mut found: [Vec<(bool, f64)>; 3] = Default::default();
-    for dip in dips {
-        let mut thermometer = with_noise(dip.sigma_k);
+    for test in immersion_tests {
+        let mut thermometer = with_noise(test.sigma_k);
         let mut next = 0;
-        for (at_s, shown_c) in dip.readings(REST_S + 2.1 * dip.slowest_s()) {
-            let (_, settled) = give(&mut thermometer, at_s, shown_c);
-            if next < after.len() && at_s >= REST_S + after[next] * dip.slowest_s() {
-                let error_k = (settled.value - dip.end_c()).abs();
+        for (at_s, shown_c) in test.readings(REST_S + 2.1 * test.slowest_s()) {
+            let (_, settled) = observe(&mut thermometer, at_s, shown_c);
+            if next < after.len() && at_s >= REST_S + after[next] * test.slowest_s() {
+                let error_k = (settled.value - test.end_c()).abs();
                 let is_held = error_k <= settled.bound_95();
-                found[next].push((is_held, error_k / dip.step_k.abs()));
+                found[next].push((is_held, error_k / test.step_k.abs()));
                 next += 1;
             }
         }
@@ -127,7 +127,7 @@ fn held_and_median(dips: impl Iterator<Item = Dip>) -> [(f64, f64); 3] {
 
 #[test]
 fn the_bound_holds_what_it_promises_half_one_and_two_time_constants_after_the_dip() {
-    let found = held_and_median(dips(200));
+    let found = held_and_median(immersion_tests(200));
     // 95 % and three standard deviations of 200 draws.
     assert!(found.iter().all(|(share, _)| *share >= 0.90), "{found:?}");
     // The sensor itself is then off by 26 to 37 and by 10 to 14 %.
@@ -136,10 +136,10 @@ fn the_bound_holds_what_it_promises_half_one_and_two_time_constants_after_the_di
 
 #[test]
 fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_and_not_in_95_percent() {
-    let others = dips(120).map(|dip| {
-        let slow_s = dip.slowest_s();
-        let ratio = [3.0, 6.0, 10.0][dip.seed as usize % 3];
-        Dip { lags_s: vec![slow_s, slow_s / ratio], shares: vec![0.65, 0.35], ..dip }
+    let others = immersion_tests(120).map(|test| {
+        let slow_s = test.slowest_s();
+        let ratio = [3.0, 6.0, 10.0][test.seed as usize % 3];
+        ImmersionTest { lags_s: vec![slow_s, slow_s / ratio], shares: vec![0.65, 0.35], ..test }
     });
     let found = held_and_median(others);
     assert!(found.iter().all(|(share, _)| *share >= 0.5), "{found:?}");
@@ -150,16 +150,16 @@ fn the_bound_of_a_sensor_with_quite_other_lags_holds_in_most_cases_and_not_in_95
 #[test]
 fn the_end_is_known_long_before_the_sensor_shows_it() {
     let mut gained = Vec::new();
-    for dip in dips(40) {
-        let mut thermometer = with_noise(dip.sigma_k);
-        let near_k = 0.05 * dip.step_k.abs();
+    for test in immersion_tests(40) {
+        let mut thermometer = with_noise(test.sigma_k);
+        let near_k = 0.05 * test.step_k.abs();
         let (mut known_s, mut shown_s) = (0.0, 0.0);
-        for (at_s, shown_c) in dip.readings(REST_S + 6.0 * dip.slowest_s()) {
-            let (_, settled) = give(&mut thermometer, at_s, shown_c);
-            if (settled.value - dip.end_c()).abs() > near_k {
+        for (at_s, shown_c) in test.readings(REST_S + 6.0 * test.slowest_s()) {
+            let (_, settled) = observe(&mut thermometer, at_s, shown_c);
+            if (settled.value - test.end_c()).abs() > near_k {
                 known_s = at_s;
             }
-            if (shown_c - dip.end_c()).abs() > near_k {
+            if (shown_c - test.end_c()).abs() > near_k {
                 shown_s = at_s;
             }
         }
@@ -179,7 +179,7 @@ fn at_rest_it_predicts_what_it_shows() {
     let mut random = Pcg64::seed_from_u64(5);
     for k in 0..4_000 {
         let noise_k = 0.05 * random.sample::<f64, _>(StandardNormal);
-        let (verdict, settled) = give(&mut thermometer, PERIOD_S * f64::from(k), 21.3 + noise_k);
+        let (verdict, settled) = observe(&mut thermometer, PERIOD_S * f64::from(k), 21.3 + noise_k);
         assert_ne!(verdict, FusionOutcome::PoseReset, "{k}");
         // Sooner it might as well be a slow sensor that has only begun.
         if k > 80 {
@@ -192,17 +192,17 @@ fn at_rest_it_predicts_what_it_shows() {
 
 #[test]
 fn every_new_bath_is_found_and_a_damaged_reading_is_not_one() {
-    let dip = Dip { lags_s: vec![8.0], shares: vec![1.0], step_k: 30.0, sigma_k: 0.05, seed: 3 };
+    let test = ImmersionTest { lags_s: vec![8.0], shares: vec![1.0], step_k: 30.0, sigma_k: 0.05, seed: 3 };
     let mut thermometer = with_noise(0.05);
     let mut breaks = Vec::new();
-    let first = dip.readings(100.0);
+    let first = test.readings(100.0);
     let offset_s = first.len() as f64 * PERIOD_S;
     // Back into the first bath: the same curve, upside down.
     let back = first.iter().map(|(at_s, shown_c)| (at_s + offset_s, 70.0 - shown_c));
     for (index, (at_s, shown_c)) in first.iter().copied().chain(back).enumerate() {
         let is_damaged = index % 97 == 50;
         let shown_c = if is_damaged { shown_c - 25.0 } else { shown_c };
-        let (verdict, _) = give(&mut thermometer, at_s, shown_c);
+        let (verdict, _) = observe(&mut thermometer, at_s, shown_c);
         assert!(!is_damaged || verdict == FusionOutcome::Gated, "{at_s}: {verdict:?}");
         if verdict == FusionOutcome::PoseReset {
             breaks.push(at_s);
@@ -225,8 +225,8 @@ fn more_noise_than_was_told_widens_the_bound() {
     for k in 0..2_000 {
         let noise = random.sample::<f64, _>(StandardNormal);
         let at_s = PERIOD_S * f64::from(k);
-        bounds[0] = give(&mut quiet, at_s, 20.0 + 0.05 * noise).1.bound_95();
-        let (verdict, settled) = give(&mut loud, at_s, 20.0 + 0.15 * noise);
+        bounds[0] = observe(&mut quiet, at_s, 20.0 + 0.05 * noise).1.bound_95();
+        let (verdict, settled) = observe(&mut loud, at_s, 20.0 + 0.15 * noise);
         breaks += u32::from(verdict == FusionOutcome::PoseReset);
         bounds[1] = settled.bound_95();
     }
@@ -242,11 +242,11 @@ fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
     let mut paper = DynamicFilter::with_model(&config, model.clone());
     let mut live =
         Thermometer::new(&config, &ThermometerSettings { model: Some(model), ..ThermometerSettings::default() });
-    let dip = Dip { lags_s: vec![22.0, 5.3], shares: vec![0.7, 0.3], step_k: 28.7, sigma_k: 0.05, seed: 9 };
-    let readings = dip.readings(60.0);
+    let test = ImmersionTest { lags_s: vec![22.0, 5.3], shares: vec![0.7, 0.3], step_k: 28.7, sigma_k: 0.05, seed: 9 };
+    let readings = test.readings(60.0);
     let mut has_begun = false;
     for &(at_s, shown_c) in &readings {
-        let (verdict, settled) = give(&mut live, at_s, shown_c);
+        let (verdict, settled) = observe(&mut live, at_s, shown_c);
         if verdict == FusionOutcome::PoseReset {
             paper.restart_clock();
             has_begun = true;
@@ -260,18 +260,18 @@ fn with_known_dynamics_it_is_the_filter_of_the_paper_between_two_breaks() {
     }
     assert!(has_begun);
     let settled = live.final_value().unwrap();
-    assert!((settled.value - dip.end_c()).abs() <= settled.bound_95(), "{settled:?}");
+    assert!((settled.value - test.end_c()).abs() <= settled.bound_95(), "{settled:?}");
     assert!(settled.bound_95() < 0.5, "{settled:?}");
 }
 
 #[test]
 fn a_restart_of_the_clock_forgets_the_approach() {
     let mut thermometer = with_noise(0.05);
-    give(&mut thermometer, 100.0, 20.0);
-    give(&mut thermometer, 101.0, 25.0);
+    observe(&mut thermometer, 100.0, 20.0);
+    observe(&mut thermometer, 101.0, 25.0);
     thermometer.restart_clock();
     assert!(thermometer.final_value().is_none());
-    let (verdict, settled) = give(&mut thermometer, 0.5, 30.0);
+    let (verdict, settled) = observe(&mut thermometer, 0.5, 30.0);
     assert_eq!(verdict, FusionOutcome::Accepted);
     assert!((settled.value - 30.0).abs() < 1e-9, "{settled:?}");
 }

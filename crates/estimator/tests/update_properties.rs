@@ -47,16 +47,16 @@ fn scalars() -> impl Strategy<Value = ScalarMeasurement<2>> {
 
 /// One step of a filter's life.
 #[derive(Clone, Debug)]
-enum Step {
+enum FilterStep {
     Predict(f64, [f64; 2]),
     Use(ScalarMeasurement<2>, f64),
 }
 
-fn steps() -> impl Strategy<Value = Step> {
+fn steps() -> impl Strategy<Value = FilterStep> {
     prop_oneof![
-        1 => (0.001..1.0_f64, vectors::<2>()).prop_map(|(dt, input)| Step::Predict(dt, input)),
+        1 => (0.001..1.0_f64, vectors::<2>()).prop_map(|(dt, input)| FilterStep::Predict(dt, input)),
         3 => (scalars(), prop_oneof![Just(f64::INFINITY), Just(10.83)])
-            .prop_map(|(scalar, gate)| Step::Use(scalar, gate)),
+            .prop_map(|(scalar, gate)| FilterStep::Use(scalar, gate)),
     ]
 }
 
@@ -96,12 +96,12 @@ proptest! {
         let mut covariance = start;
         for step in steps {
             match step {
-                Step::Predict(interval_s, [forward_m_per_s2, turn_rad_per_s2]) => {
+                FilterStep::Predict(interval_s, [forward_m_per_s2, turn_rad_per_s2]) => {
                     let motion = planar_speeds::PredictionStep { interval_s, variances: [1e-6; 5] };
                     let input = Acceleration { forward_m_per_s2, turn_rad_per_s2 };
                     motion.predict(&mut mean, &mut covariance, input);
                 }
-                Step::Use(scalar, gate) => {
+                FilterStep::Use(scalar, gate) => {
                     let trace = covariance.trace();
                     let outcome = use_scalar(&mut mean, &mut covariance, &scalar, gate);
                     prop_assert_ne!(outcome.outcome, UpdateOutcome::Indefinite);

@@ -1,6 +1,6 @@
 //! Where an estimate ends: errors in x and y at the end of a course, over many runs.
 //!
-//! A course that closes on itself is judged by its end point alone; that is what the source papers give.
+//! A closed course is scored by its end point alone; that is what the source papers give.
 
 use posebridge_estimator::Filter;
 use posebridge_telemetry::{Arena, Observation, Pose};
@@ -11,7 +11,7 @@ use posebridge_report::metrics::anees::anees;
 /// The share of runs that a 95 % figure leaves below it.
 const HIGH_QUANTILE: f64 = 0.95;
 
-/// An estimate over a course: its end, and the way that it believed in.
+/// An estimate over a course: its end error, and its estimated path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilteredDrive {
     /// Estimated minus true at the end; `None` if there was no estimate.

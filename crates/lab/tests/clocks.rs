@@ -14,11 +14,11 @@ fn row<'a>(rows: &'a [ClockRow], case: &str, method: &str) -> &'a ClockRow {
 }
 
 /// Mean error and worst error, ms, each with how far it may lie from the other program's.
-type Expected = ((f64, f64), (f64, f64));
+type ExpectedErrors = ((f64, f64), (f64, f64));
 
 /// What the other program says of the three cases that it has. Wide are the bands of what a few long stalls make: the filter without a
 /// gate follows those below 200 ms, and a lag above 500 ms pulls the one-way minimum by what it is longer.
-const EXPECTED: &[(&str, [Expected; 3])] = &[
+const EXPECTED: &[(&str, [ExpectedErrors; 3])] = &[
     ("arrival", [((29.0, 4.0), (520.0, 60.0)), ((29.0, 4.0), (520.0, 60.0)), ((29.0, 4.0), (520.0, 60.0))]),
     ("timesync-60ms", [((-0.3, 0.7), (2.3, 1.5)), ((-0.2, 1.5), (7.4, 4.0)), ((-7.1, 0.7), (8.7, 1.5))]),
     ("timesync-no-gate", [((-3.0, 4.5), (21.0, 12.0)), ((-3.0, 4.5), (21.0, 12.0)), ((-10.5, 4.5), (29.0, 12.0))]),

@@ -102,7 +102,7 @@ pub enum OpenError {
     UnknownHost {
         /// The host.
         host: String,
-        /// What the resolver said.
+        /// The resolver's error.
         source: io::Error,
     },
     /// The peer refuses or cannot be reached.
@@ -110,7 +110,7 @@ pub enum OpenError {
     Unreachable {
         /// Host and port.
         peer: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// The attempt took longer than [`crate::transports::OPEN_DEADLINE_SECS`].
@@ -134,7 +134,7 @@ pub enum OpenError {
     Io {
         /// The path or the address.
         what: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }

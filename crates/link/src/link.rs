@@ -360,7 +360,7 @@ impl Link {
                 *deadline = None;
                 let reason = timeout_error(&self.config.url).to_string();
                 self.report_down(reason, TimeDelta::ZERO);
-                // Nothing is told if the attempt before was overdue too; the attempt itself wakes us then.
+                // Nothing is reported if the attempt before was overdue too; the attempt itself wakes us then.
                 if self.pending_event.is_some() { Poll::Ready(Ok(())) } else { Poll::Pending }
             }
         }

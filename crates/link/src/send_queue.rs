@@ -121,7 +121,7 @@ impl<D: PartialEq> SendQueue<D> {
         self.partial.as_ref().map_or(0, |begun| begun.unwritten().len())
     }
 
-    /// Adds a frame of which nothing has been written and returns the number of frames dropped for it, which includes the frame
+    /// Adds an unstarted frame and returns the number of frames dropped for it, which includes the frame
     /// itself if there is no space for its priority.
     pub(crate) fn push(&mut self, to: D, priority: Priority, frame: &[u8]) -> u64 {
         self.offered_count += 1;

@@ -223,7 +223,7 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
             counters.drops_out += self.queue.push((), out.priority, frame);
             return self.record_write(0);
         }
-        // Nobody has to be woken: what is left over is written by the next `poll`, which leaves its own waker.
+        // No task has to be woken: what is left over is written by the next `poll`, which leaves its own waker.
         let mut cx = Context::from_waker(Waker::noop());
         let mut taken = 0;
         match self.poll_write(&mut cx, frame) {

@@ -111,15 +111,13 @@ impl Transport {
     #[must_use]
     pub const fn summary(self) -> &'static str {
         match self {
-            Self::Serial => {
-                "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal made by somebody else"
-            }
+            Self::Serial => "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal of another program",
             Self::Bluetooth => {
                 "a paired Bluetooth device by its address; needs a program built with `--features bluetooth`"
             }
             Self::Pty => "a pseudo-terminal that we make: others open the path like a serial port",
             Self::Tcp => "a TCP client, or a server for many clients where the link listens",
-            Self::Udp => "UDP: without a host it listens and answers whom it hears, with a host it sends there first",
+            Self::Udp => "UDP: without a host it listens and replies to its peers, with a host it sends there first",
             Self::Ev3 => {
                 "an EV3 by WiFi: listens for one that announces itself, or dials one by address and serial number"
             }

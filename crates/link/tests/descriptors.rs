@@ -33,7 +33,7 @@ fn client(address: SocketAddr) -> TcpStream {
     client
 }
 
-async fn heard(port: &mut Link) -> Vec<u8> {
+async fn received_bytes(port: &mut Link) -> Vec<u8> {
     match port.next_event().await {
         LinkEvent::Bytes { bytes, .. } => bytes,
         event => panic!("{event:?} instead of bytes"),
@@ -64,13 +64,13 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
     let (mut server, address) = listening("tcp://127.0.0.1:0", timer).await;
     let mut first = client(address);
     first.write_all(b"first").expect("loopback");
-    assert_eq!(heard(&mut server).await, b"first");
+    assert_eq!(received_bytes(&mut server).await, b"first");
     // The system greets it, and we cannot take it.
     let mut second = client(address);
     second.write_all(b"second").expect("loopback");
     without_descriptors(async {
         first.write_all(b"still").expect("loopback");
-        assert_eq!(heard(&mut server).await, b"still");
+        assert_eq!(received_bytes(&mut server).await, b"still");
         assert!(is_quiet(&mut server).await);
         assert!(server.is_up());
         assert_eq!(server.port_counts().peers, 1);
@@ -80,7 +80,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
         assert_eq!(&hello, b"hello");
     })
     .await;
-    assert_eq!(heard(&mut server).await, b"second");
+    assert_eq!(received_bytes(&mut server).await, b"second");
     assert_eq!(server.port_counts().peers, 2);
     assert_eq!(server.counters().reconnects, 0);
 
@@ -102,7 +102,7 @@ async fn flood(loud: &UdpSocket, address: SocketAddr, station: &mut Link) {
         loud.send_to(&number.to_be_bytes(), address).expect("loopback");
         if number % 100 == 99 {
             for _ in 0..100 {
-                heard(station).await;
+                received_bytes(station).await;
             }
         }
     }

@@ -54,14 +54,14 @@ fn rave(to: SocketAddr, stop: &AtomicBool, sent: &AtomicU64) {
 }
 
 /// Each robot sends once per round; the next round begins when all of this one were heard.
-fn speak(robots: &[UdpSocket], to: SocketAddr, stop: &AtomicBool, heard: &AtomicU64) {
+fn speak(robots: &[UdpSocket], to: SocketAddr, stop: &AtomicBool, received: &AtomicU64) {
     for round in 0..ROUNDS {
         for (number, robot) in (0..ROBOTS).zip(robots) {
             let sent = robot.send_to(&datagram(number, round), to);
             sent.expect("loopback");
         }
         let wanted = u64::from(ROBOTS) * u64::from(round + 1);
-        while heard.load(Ordering::Relaxed) < wanted && !stop.load(Ordering::Relaxed) {
+        while received.load(Ordering::Relaxed) < wanted && !stop.load(Ordering::Relaxed) {
             std::thread::yield_now();
         }
     }
@@ -69,7 +69,7 @@ fn speak(robots: &[UdpSocket], to: SocketAddr, stop: &AtomicBool, heard: &Atomic
 
 /// What the station has heard of the robots.
 #[derive(Default)]
-struct Heard {
+struct ReceivedRounds {
     rounds: BTreeMap<u32, Vec<u32>>,
     peers: BTreeMap<u32, PeerId>,
     garbage: u64,
@@ -77,8 +77,8 @@ struct Heard {
     good: Arc<AtomicU64>,
 }
 
-impl Heard {
-    fn take(&mut self, peer: PeerId, bytes: &[u8]) {
+impl ReceivedRounds {
+    fn push(&mut self, peer: PeerId, bytes: &[u8]) {
         std::hint::black_box(work(bytes));
         if bytes[0] != MARK {
             self.garbage += 1;
@@ -96,7 +96,7 @@ impl Heard {
         let all = async {
             while !is_enough(self) {
                 if let LinkEvent::Bytes { peer, bytes, .. } = station.next_event().await {
-                    self.take(peer, &bytes);
+                    self.push(peer, &bytes);
                 }
             }
         };
@@ -123,17 +123,17 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
         let (stop, raved) = (Arc::clone(&stop), Arc::clone(&raved));
         move || rave(address, &stop, &raved)
     });
-    let mut heard = Heard::default();
-    heard.listen(&mut station, |heard| heard.garbage >= HEAD_START).await;
+    let mut received = ReceivedRounds::default();
+    received.listen(&mut station, |received| received.garbage >= HEAD_START).await;
     let begun = timer.now();
     let raved_before = raved.load(Ordering::Relaxed);
-    let good = Arc::clone(&heard.good);
+    let good = Arc::clone(&received.good);
     let senders = std::thread::spawn({
         let (stop, good) = (Arc::clone(&stop), Arc::clone(&good));
         move || speak(&robots, address, &stop, &good)
     });
     let all = u64::from(ROBOTS * ROUNDS);
-    heard.listen(&mut station, |_| good.load(Ordering::Relaxed) >= all).await;
+    received.listen(&mut station, |_| good.load(Ordering::Relaxed) >= all).await;
     let secs = (timer.now() - begun).as_secs_f64();
     let raved = raved.load(Ordering::Relaxed) - raved_before;
     stop.store(true, Ordering::Relaxed);
@@ -145,14 +145,14 @@ async fn of_five_hundred_peers_a_mad_one_costs_nobody_a_datagram() {
         good.load(Ordering::Relaxed),
         good.load(Ordering::Relaxed) as f64 / secs,
         raved as f64 / secs,
-        heard.garbage
+        received.garbage
     );
     let expected: Vec<u32> = (0..ROUNDS).collect();
     for robot in 0..ROBOTS {
-        let rounds = heard.rounds.get(&robot);
+        let rounds = received.rounds.get(&robot);
         assert_eq!(rounds, Some(&expected), "robot {robot} lost something");
     }
-    let mut peers: Vec<_> = heard.peers.values().collect();
+    let mut peers: Vec<_> = received.peers.values().collect();
     peers.sort_unstable();
     peers.dedup();
     assert_eq!(peers.len(), ROBOTS as usize, "each is a peer of its own");

@@ -61,7 +61,7 @@ struct Scanner {
 }
 
 impl Scanner {
-    fn take(&mut self, bytes: &[u8]) -> Vec<u32> {
+    fn push(&mut self, bytes: &[u8]) -> Vec<u32> {
         self.bytes.extend_from_slice(bytes);
         let mut numbers = Vec::new();
         while self.bytes.len() >= FRAME_BYTES {
@@ -89,7 +89,7 @@ fn processor_time() -> TimeDelta {
 
 /// Time and processor time while the link was down.
 #[derive(Default)]
-struct Away {
+struct OutageCost {
     wall: TimeDelta,
     processor: TimeDelta,
     latest: TimeDelta,
@@ -115,8 +115,8 @@ impl Bench {
         let (mut heard, mut answered) = (Vec::new(), Vec::new());
         while heard.len() < 3 || answered.len() < 3 {
             tokio::select! {
-                event = self.station.next_event() => heard.extend(here.take(&bytes_of(event))),
-                event = brick.next_event() => answered.extend(there.take(&bytes_of(event))),
+                event = self.station.next_event() => heard.extend(here.push(&bytes_of(event))),
+                event = brick.next_event() => answered.extend(there.push(&bytes_of(event))),
             }
         }
         assert_eq!((&heard, here.garbage), (&wanted, 0));
@@ -128,7 +128,7 @@ impl Bench {
     async fn lose(&mut self, scanner: &mut Scanner) -> (Timestamp<HostClock>, TimeDelta) {
         loop {
             match self.station.next_event().await {
-                LinkEvent::Bytes { bytes, .. } => self.heard.extend(scanner.take(&bytes)),
+                LinkEvent::Bytes { bytes, .. } => self.heard.extend(scanner.push(&bytes)),
                 LinkEvent::Down { at, retry_in, .. } => return (at, retry_in),
                 LinkEvent::Up { .. } | LinkEvent::Finished { .. } => panic!("it was up"),
             }
@@ -152,7 +152,7 @@ async fn a_hundred_replugs_leave_no_busy_loop_and_no_torn_frame() {
     let station = port(LinkUrl::serial(&path).expect("a path"), ConnectRole::Dial, timer);
     let mut bench = Bench { station, timer, sent: 0, heard: Vec::new() };
     assert!(matches!(bench.station.next_event().await, LinkEvent::Up { .. }));
-    let mut away = Away::default();
+    let mut away = OutageCost::default();
     for replug in 1..=REPLUGS {
         bench.talk(&mut brick).await;
         // The cable goes in the middle of a frame, in both directions.

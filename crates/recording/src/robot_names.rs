@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Event, RobotId};
 
-/// So many robots go by their names; those beyond go by their ids.
+/// Most robots that are called by their names; those beyond go by their ids.
 const MAX_NAMES: usize = 1_024;
 
 /// The labels of robots, no two alike: a robot's name, else its ids. Where two robots have one name, the ids of the second follow it.

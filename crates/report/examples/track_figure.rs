@@ -3,14 +3,14 @@
 
 #![expect(clippy::print_stdout, reason = "the picture is this program's output")]
 
-#[path = "../tests/scene/mod.rs"]
-mod scene;
+#[path = "../tests/sample_run/mod.rs"]
+mod sample_run;
 
 use posebridge_report::FIGURES;
 
 fn main() {
     let wanted = std::env::args().nth(1);
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let layers = scene.layers("square, two laps, camera at 2 Hz, out for 12.5 s (made-up run)");
     let name = wanted.as_deref().unwrap_or("track");
     if let Some(figure) = FIGURES.iter().find(|figure| figure.name == name) {

@@ -1,6 +1,6 @@
 //! Every figure of the table, over every shape of run: whole documents, finite numbers, nothing hidden.
 
-mod scene;
+mod sample_run;
 
 use posebridge_report::{FIGURES, FixMark, PoseTrack, RunLayers, TimedPose};
 use posebridge_telemetry::{Arena, Estimate, FusionOutcome, Heading, Meters, Point2, Pose, TimeDelta, Timestamp};
@@ -18,7 +18,7 @@ fn names_are_unique_and_every_figure_says_what_it_shows() {
 
 #[test]
 fn every_figure_draws_a_whole_run_the_same_way_twice() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     for figure in FIGURES {
         let svg = (figure.render)(&scene.layers(TITLE));
         check_document(&svg).unwrap();
@@ -31,7 +31,7 @@ fn every_figure_draws_a_whole_run_the_same_way_twice() {
 
 #[test]
 fn every_figure_does_with_any_layer_missing() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let whole = scene.layers(TITLE);
     let views = [
         RunLayers::default(),
@@ -54,7 +54,7 @@ fn every_figure_does_with_any_layer_missing() {
 
 #[test]
 fn a_smoothed_path_is_a_layer_of_its_own() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let without = scene.layers(TITLE);
     let with = RunLayers { smoothed: Some(&scene.odometry), ..without };
     for (figure, label) in [("track", "smoothed path"), ("error", "smoothed path's error")] {
@@ -69,7 +69,7 @@ fn a_smoothed_path_is_a_layer_of_its_own() {
 
 #[test]
 fn one_point_makes_a_picture() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let truth = track_of(&scene.truth.samples()[..1]);
     let layers = RunLayers {
         truth: Some(&truth),
@@ -84,7 +84,7 @@ fn one_point_makes_a_picture() {
 
 #[test]
 fn values_that_are_not_finite_are_counted_and_never_drawn() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let mut estimates = scene.estimates.clone();
     estimates[0].pose.x = Meters(f64::NAN);
     for row in &mut estimates[600].covariance {
@@ -101,7 +101,7 @@ fn values_that_are_not_finite_are_counted_and_never_drawn() {
 
 #[test]
 fn huge_values_do_not_hide_the_rest() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let mut samples = scene.odometry.samples().to_vec();
     samples[100].pose.x = Meters(1e300);
     samples[101].pose.y = Meters(-f64::MAX);
@@ -116,7 +116,7 @@ fn huge_values_do_not_hide_the_rest() {
 
 #[test]
 fn used_and_refused_fixes_differ_in_mark_and_a_refused_one_does_not_stretch_the_map() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let fix =
         |x_m, verdict| FixMark { time: Timestamp::ZERO, position: Point2::new(Meters(x_m), Meters(0.0)), verdict };
     let near = [fix(1.0, FusionOutcome::Accepted)];
@@ -154,7 +154,7 @@ proptest! {
     ) {
         let samples: Vec<TimedPose> = poses.iter().map(|&(millis, x, y)| timed(millis, x, y)).collect();
         let track = track_of(&samples);
-        let template = scene::two_laps(1).estimates[0];
+        let template = sample_run::two_laps(1).estimates[0];
         let estimates: Vec<Estimate> = samples
             .iter()
             .map(|sample| {

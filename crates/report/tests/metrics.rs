@@ -1,7 +1,7 @@
 //! The table of metrics, and the way from estimates and tracks to numbers.
 
 mod records;
-mod scene;
+mod sample_run;
 
 use posebridge_report::metrics::{deviations_from_path, errors_of_estimates, errors_of_track};
 use posebridge_report::{METRICS, MetricInputs, summarise, tally_sources};
@@ -27,7 +27,7 @@ fn no_metric_invents_a_value() {
 
 #[test]
 fn every_metric_has_a_finite_value_on_a_whole_run() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let layers = scene.layers("a whole run");
     let errors = errors_of_estimates(layers.estimates, &scene.truth);
     let positions: Vec<_> = scene.truth.samples().iter().map(|s| s.pose.origin()).collect();
@@ -45,7 +45,7 @@ fn every_metric_has_a_finite_value_on_a_whole_run() {
 
 #[test]
 fn the_estimate_of_the_scene_is_as_good_as_it_claims_and_its_odometry_is_not() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let estimate = summarise(&errors_of_estimates(&scene.estimates, &scene.truth));
     let odometry = summarise(&errors_of_track(&scene.odometry, &scene.truth));
     assert_eq!(estimate.samples, scene.estimates.len());
@@ -57,7 +57,7 @@ fn the_estimate_of_the_scene_is_as_good_as_it_claims_and_its_odometry_is_not() {
 
 #[test]
 fn an_estimate_without_a_valid_position_is_not_judged_and_one_without_a_heading_in_part() {
-    let scene = scene::two_laps(7);
+    let scene = sample_run::two_laps(7);
     let mut estimates = scene.estimates[..2].to_vec();
     estimates[0].validity.position = false;
     estimates[1].validity.heading = false;

@@ -61,24 +61,24 @@ fn main() {
 }
 
 fn cpu_per_observation_us(count: u32, seconds: i64) -> f64 {
-    let mut room = Room::new(count);
-    room.run(WARM_UP_S);
-    let before = room.observations;
+    let mut load = StationLoad::new(count);
+    load.run(WARM_UP_S);
+    let before = load.observations;
     let started_ns = thread_cpu_ns();
-    room.run(seconds);
+    load.run(seconds);
     let spent_ns = thread_cpu_ns() - started_ns;
-    assert_eq!(room.station.robots().len(), count as usize, "each is a robot");
-    spent_ns as f64 * 1e-3 / (room.observations - before) as f64
+    assert_eq!(load.station.robots().len(), count as usize, "each is a robot");
+    spent_ns as f64 * 1e-3 / (load.observations - before) as f64
 }
 
 /// What the station holds for a robot after its history is full.
 fn heap_per_robot_kib(count: u32) -> f64 {
     let held = |count| {
-        let mut room = None;
+        let mut load = None;
         let measured = allocation_counter::measure(|| {
-            let mut driven = Room::new(count);
-            driven.run(WARM_UP_S + 5);
-            room = Some(driven);
+            let mut running = StationLoad::new(count);
+            running.run(WARM_UP_S + 5);
+            load = Some(running);
         });
         measured.bytes_current as f64
     };
@@ -92,7 +92,7 @@ fn thread_cpu_ns() -> u64 {
 }
 
 /// A station and all who speak to it.
-struct Room {
+struct StationLoad {
     station: Station,
     robots: u32,
     encoders: Vec<Encoder>,
@@ -102,12 +102,12 @@ struct Room {
     requests: Vec<i64>,
 }
 
-impl Room {
+impl StationLoad {
     fn new(robots: u32) -> Self {
         let mut config = config();
         config.max_robots = robots as usize;
         config.brick_message_intervals.clear();
-        let mut room = Self {
+        let mut load = Self {
             station: Station::new(config, Timestamp::ZERO).expect("the configuration is good"),
             robots,
             encoders: (0..robots).map(|_| Encoder::new(WireVersion::V2)).collect(),
@@ -115,8 +115,8 @@ impl Room {
             observations: 0,
             requests: Vec::new(),
         };
-        room.give(Timestamp::ZERO, &Input::Link { link: LINK, state: LinkState::Up });
-        room
+        load.handle(Timestamp::ZERO, &Input::Link { link: LINK, state: LinkState::Up });
+        load
     }
 
     fn run(&mut self, seconds: i64) {
@@ -124,7 +124,7 @@ impl Room {
             self.step += 1;
             let now = at(self.step * PERIOD_MS);
             while let Some(due) = self.station.deadline().filter(|due| *due <= now) {
-                self.give(due, &Input::Tick);
+                self.handle(due, &Input::Tick);
             }
             let requests = std::mem::take(&mut self.requests);
             for robot in 0..self.robots {
@@ -134,7 +134,7 @@ impl Room {
                     for from in [robot_address(robot), camera_address(robot)] {
                         let answer_nanos = now.as_nanos() - 1_000_000 + ahead_nanos(robot);
                         let request_nanos = *request_nanos;
-                        self.say(
+                        self.send(
                             now,
                             robot,
                             from,
@@ -142,23 +142,23 @@ impl Room {
                         );
                     }
                 }
-                self.say_telemetry(now, robot);
+                self.send_telemetry(now, robot);
             }
         }
     }
 
-    fn say_telemetry(&mut self, now: Timestamp<HostClock>, robot: u32) {
+    fn send_telemetry(&mut self, now: Timestamp<HostClock>, robot: u32) {
         let shown_micros = ((now.as_nanos() + ahead_nanos(robot)) / 1_000) as u64;
         let counts = EncoderTicks(self.step * 4);
         let stamp = WireStamp::Micros64(shown_micros);
         let wheels = Message::WheelTicks(WheelTicks { stamp, left: counts, right: counts });
-        self.say(now, robot, robot_address(robot), &wheels);
+        self.send(now, robot, robot_address(robot), &wheels);
         if (self.step + i64::from(robot)) % FIX_EVERY != 0 {
             return;
         }
         for from in [robot_address(robot), camera_address(robot)] {
             let beat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
-            self.say(now, robot, from, &Message::Heartbeat(beat));
+            self.send(now, robot, from, &Message::Heartbeat(beat));
         }
         let fix = VisionFix {
             stamp,
@@ -169,16 +169,16 @@ impl Room {
             reset_counter: 0,
             tag: None,
         };
-        self.say(now, robot, camera_address(robot), &Message::VisionPosition(fix));
+        self.send(now, robot, camera_address(robot), &Message::VisionPosition(fix));
     }
 
-    fn say(&mut self, now: Timestamp<HostClock>, robot: u32, from: Address, message: &Message) {
+    fn send(&mut self, now: Timestamp<HostClock>, robot: u32, from: Address, message: &Message) {
         let mut bytes = Vec::with_capacity(64);
         self.encoders[robot as usize].encode(from, message, &mut bytes);
-        self.give(now, &Input::Bytes { link: LINK, peer: PeerId(robot), bytes });
+        self.handle(now, &Input::Bytes { link: LINK, peer: PeerId(robot), bytes });
     }
 
-    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
+    fn handle(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.station.handle(now, input);
         let is_tick = matches!(input, Input::Tick);
         while let Some(output) = self.station.poll() {

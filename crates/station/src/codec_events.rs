@@ -1,7 +1,6 @@
 //! What a codec has found in one input, in its order.
 //!
-//! The messages of a robot that speaks no MAVLink are messages like others. No router sees them: nobody but the station understands
-//! its protocol.
+//! The messages of a robot without MAVLink are treated like others. No router sees them: only the station understands its protocol.
 
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::Message;
@@ -26,7 +25,7 @@ impl CodecEvents {
             CodecEvent::Message { from, message } => OwnedCodecEvent::Message(from, message),
             CodecEvent::ClockReply { from, sent, peer_nanos } => OwnedCodecEvent::ClockReply { from, sent, peer_nanos },
             CodecEvent::StatusText { from, severity, text } => OwnedCodecEvent::StatusText { from, severity, text },
-            // MAVLink frames inside another protocol that mean nothing here; nobody is there to forward them to.
+            // MAVLink frames inside another protocol that mean nothing here; there is no peer to forward them to.
             CodecEvent::ForwardFrame(_) => return,
             CodecEvent::Error(error) => OwnedCodecEvent::Error(error),
         });

@@ -3,8 +3,9 @@
 //! A command of the program is an input of its own. What comes over a link stands in the link's bytes, and those are the input: it is
 //! carried out here when the bytes are handled and never becomes a second input, so that a replay does it once and at the same place.
 //!
-//! Everything that was asked leaves an [`Event::Text`]; who asked over a link and was refused hears why. Values of tunables come over
-//! links as 32-bit floats and are taken as the shortest decimal number that has these bits: 0.999 there is 0.999 in the configuration.
+//! Everything that was asked leaves an [`Event::Text`]; the sender of a request over a link gets the reason of a refusal. Values
+//! of tunables come over links as 32-bit floats and are taken as the shortest decimal number that has these bits: 0.999 there is
+//! 0.999 in the configuration.
 //!
 //! # Sources
 //! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/parameters.md.
@@ -28,7 +29,7 @@ use crate::severity::{SEVERITY_INFO, SEVERITY_WARNING};
 use crate::station::Station;
 
 /// What was done, or why it was not: a line for people.
-type Outcome = Result<String, String>;
+type CommandOutcome = Result<String, String>;
 
 impl Station {
     /// A command of a person or a program for the station.
@@ -66,7 +67,7 @@ impl Station {
         }
     }
 
-    /// Somebody on a link wants a tunable to have another value.
+    /// A peer sets a tunable.
     pub(crate) fn handle_parameter_set(&mut self, link: LinkId, index: usize, value: f32) {
         let Some(row) = PARAMS.get(index) else {
             return;
@@ -76,7 +77,7 @@ impl Station {
         let command = Command::SetParameter { name, value: shortest_decimal(value) };
         let outcome = self.execute(TargetedCommand { target: CommandTarget::Station, command });
         if (row.read)(&self.config.robot.filter_config.params).to_bits() == before.to_bits() {
-            // A change was told; that nothing has changed is an answer, too.
+            // A change was reported; that nothing has changed is an answer, too.
             self.announce_parameter(index);
         }
         self.report_outcome(&outcome);
@@ -85,7 +86,7 @@ impl Station {
         }
     }
 
-    /// Somebody on a link sets a tunable by a type that cannot be read: without an answer he would ask until he gives up.
+    /// A peer sets a tunable with an unreadable type: without a reply it would repeat the request until it gives up.
     pub(crate) fn handle_unsupported_type(&mut self, link: LinkId, index: usize, kind: u8) {
         let Some(row) = PARAMS.get(index) else {
             return;
@@ -97,7 +98,7 @@ impl Station {
         self.report_own_text(SEVERITY_WARNING, why);
     }
 
-    /// Somebody on a link asks for a tunable that there is not.
+    /// A peer requests an unknown tunable.
     pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
         let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
         self.send_text_answer(link, SEVERITY_WARNING, &why);
@@ -128,7 +129,7 @@ impl Station {
         };
         let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
             Some(answer) => answer,
-            None => message_requests::Answer::of(self.execute_link_command(id, role, requester, command)),
+            None => message_requests::RequestReply::of(self.execute_link_command(id, role, requester, command)),
         };
         if answer.is_left_to_others(command) {
             return;
@@ -200,8 +201,8 @@ impl Station {
         }
     }
 
-    /// Carries a command out; what is said of one robot begins with its name.
-    fn execute(&mut self, TargetedCommand { target, command }: TargetedCommand) -> Outcome {
+    /// Carries a command out; a message about one robot begins with its name.
+    fn execute(&mut self, TargetedCommand { target, command }: TargetedCommand) -> CommandOutcome {
         let said = self.carry_out(target, command);
         match target {
             CommandTarget::Robot(index) if command.is_for_robots() => {
@@ -212,7 +213,7 @@ impl Station {
         }
     }
 
-    fn carry_out(&mut self, target: CommandTarget, command: Command) -> Outcome {
+    fn carry_out(&mut self, target: CommandTarget, command: Command) -> CommandOutcome {
         match command {
             Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
                 self.set_pose(target.posed_robot(), &StartPose { pose, position_sigma_m, heading_sigma_rad })
@@ -256,7 +257,7 @@ impl Station {
         }
     }
 
-    fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> Outcome {
+    fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> CommandOutcome {
         self.robots.mark_changed(index);
         if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
@@ -266,7 +267,7 @@ impl Station {
         Ok(format!("pose set to x {:.3} m, y {:.3} m, {:.1} deg", pose.x.0, pose.y.0, pose.heading.rad().to_degrees()))
     }
 
-    fn reset_pose(&mut self, index: RobotIndex) -> Outcome {
+    fn reset_pose(&mut self, index: RobotIndex) -> CommandOutcome {
         if let Some(start) = self.robots.get(index).estimator.start() {
             return self.set_pose(index, &start);
         }
@@ -279,7 +280,7 @@ impl Station {
         Ok("pose forgotten: the next fix decides".to_owned())
     }
 
-    fn set_parameter(&mut self, name: ParameterName, value: f64) -> Outcome {
+    fn set_parameter(&mut self, name: ParameterName, value: f64) -> CommandOutcome {
         let row = PARAMS.iter().find(|row| row.key == name.as_str());
         let row = row.ok_or_else(|| format!("no parameter `{name}`"))?;
         if !row.range.contains(&value) {
@@ -294,7 +295,7 @@ impl Station {
         Ok(format!("{name} set to {value} (was {before})"))
     }
 
-    fn store_parameters(&mut self, storage: ParameterStorage) -> Outcome {
+    fn store_parameters(&mut self, storage: ParameterStorage) -> CommandOutcome {
         let params = match storage {
             ParameterStorage::Save => {
                 self.operator.saved_params = self.config.robot.filter_config.params;
@@ -312,7 +313,7 @@ impl Station {
         })
     }
 
-    /// Gives the filter other tunables and tells those that changed.
+    /// Sets tunables of the filter and reports those that changed.
     fn apply_params(&mut self, params: Params) -> Result<(), String> {
         // Thermometers have filters of their own, which begin with the tunables of the station.
         self.command_robots(CommandTarget::Station, "is tuned only by its start", |estimator| {
@@ -327,7 +328,7 @@ impl Station {
         Ok(())
     }
 
-    /// Reports the value of a tunable on every link where somebody has asked for tunables.
+    /// Reports the value of a tunable on every link where a peer has requested tunables.
     fn announce_parameter(&mut self, index: usize) {
         let Some(row) = PARAMS.get(index) else {
             return;
@@ -388,7 +389,7 @@ impl Station {
         self.outputs.push(Output::Request(request));
     }
 
-    /// A line to whoever asked over a link; ground stations read it anyway, as they do all that the station reports.
+    /// A status text to the sender of a request over a link; ground stations read it anyway, as they do all that the station reports.
     fn send_text_answer(&mut self, link: LinkId, severity: u8, text: &str) {
         if !self.links.contains_key(&link) || self.sessions.vehicles(link).is_some() {
             return;
@@ -405,7 +406,7 @@ impl Station {
         }
     }
 
-    fn report_outcome(&mut self, outcome: &Outcome) {
+    fn report_outcome(&mut self, outcome: &CommandOutcome) {
         match outcome {
             Ok(done) => self.report_own_text(SEVERITY_INFO, done.clone()),
             Err(why) => self.report_own_text(SEVERITY_WARNING, why.clone()),
@@ -418,7 +419,7 @@ impl Station {
     }
 }
 
-/// The number that somebody typed who sends these bits: the shortest decimal that has them.
+/// The typed number behind these bits: the shortest decimal that has them.
 fn shortest_decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }

@@ -135,7 +135,7 @@ pub struct FixRequestConfig {
 }
 
 impl Default for FixRequestConfig {
-    /// Nobody is asked.
+    /// No camera is asked.
     fn default() -> Self {
         Self { above_m: None, above_rad: None, interval: TimeDelta::from_millis(250) }
     }
@@ -150,7 +150,7 @@ pub struct ThermometerConfig {
     pub settings: ThermometerSettings,
 }
 
-/// Whether a robot's own description is believed.
+/// Whether a robot's own description is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescriptionPolicy {
     /// The configured geometry stands.
@@ -171,13 +171,13 @@ pub struct LinkConfig {
     pub framing: TransportKind,
     /// MAVLink 1 is accepted only when asked for.
     pub accepted_versions: AcceptedVersions,
-    /// What the station speaks there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
+    /// The MAVLink version that the station sends there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
     pub send_version: WireVersion,
     /// What is sent there.
     pub outputs: Vec<OutputStream>,
-    /// As whom the station speaks there.
+    /// The components as which the station sends there.
     pub announced_as: AnnouncedAs,
-    /// How its frames are signed; `None` believes everybody and signs nothing.
+    /// How its frames are signed; `None` accepts all senders and signs nothing.
     pub signing: Option<SigningConfig>,
     /// What passes between it and the other links.
     pub rules: LinkRules,
@@ -188,7 +188,7 @@ pub struct LinkConfig {
 pub struct BrickLink {
     /// Its protocol, a row of [`BRICK_PROTOCOLS`](posebridge_protocol::bricks::BRICK_PROTOCOLS).
     pub protocol: &'static BrickProtocol,
-    /// What its codec must be told.
+    /// The settings of its codec.
     pub settings: CodecSettings,
 }
 
@@ -198,13 +198,13 @@ impl PartialEq for BrickLink {
     }
 }
 
-/// As whom the station speaks on a link.
+/// The components as which the station sends on a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AnnouncedAs {
     /// As itself.
     #[default]
     Station,
-    /// As the robot, too: ground stations show a vehicle only if component 1 of its system speaks. For links on which the robot is not
+    /// As the robot, too: ground stations show a vehicle only if component 1 of its system sends. For links on which the robot is not
     /// heard itself.
     StationAndVehicle,
 }

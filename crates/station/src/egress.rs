@@ -78,7 +78,7 @@ impl Egress {
         let length = match &mut link.codec {
             Some(codec) => codec.encode(now, sender, message, &mut bytes),
             None if link.verifier.is_signed() => {
-                // Without a signing time nothing leaves: an unsigned frame would tell the peers that signatures do not matter.
+                // Without a signing time nothing leaves: an unsigned frame would show the peers that signatures do not matter.
                 let signer = link.verifier.next_signer(now);
                 signer.map_or(0, |signer| egress.encoder.encode_signed(sender, message, &signer, &mut bytes))
             }
@@ -96,7 +96,7 @@ impl Egress {
         Some(bytes)
     }
 
-    /// Whether a frame of somebody else may leave on a link; it is limited and paid for once, however many peers it goes to.
+    /// Whether a forwarded frame may leave on a link; it is limited and paid for once, however many peers it goes to.
     pub(crate) fn admit_forwarded(
         &mut self,
         now: Timestamp<HostClock>,

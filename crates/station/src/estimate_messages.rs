@@ -16,7 +16,7 @@ pub(crate) enum PredictionStatus {
     Ahead,
 }
 
-/// What a message says besides the estimate itself.
+/// What a message contains besides the estimate itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PublishContext {
     /// Whether the estimate was predicted ahead.
@@ -73,7 +73,7 @@ fn planar_pose(estimate: &Estimate, prediction: PredictionStatus) -> PlanarPose 
     }
 }
 
-/// To a brick the pose is one in the arena, which it must tell from a drifting one. To a ground station, which knows the arena's
+/// To a brick the pose is one in the arena, which it must distinguish from a drifting one. To a ground station, which knows the arena's
 /// place on the globe no better, it is one on a floor whose heading is arbitrary: MAV_FRAME_LOCAL_FRD.
 fn odometry(estimate: &Estimate, host: Timestamp<HostClock>, voices: AnnouncedAs) -> Odometry {
     let Pose { x, y, heading, .. } = estimate.pose;

@@ -52,7 +52,7 @@ struct LinkOutputs {
 impl EstimatePublisher {
     pub(crate) fn new(links: &[LinkConfig]) -> Self {
         let outputs = links.iter().map(|link| {
-            // Whoever speaks no MAVLink shows no vehicle.
+            // A link without MAVLink shows no vehicle.
             let announced_as = if link.brick.is_none() { link.announced_as } else { AnnouncedAs::Station };
             (link.id, LinkOutputs { schedule: OutputSchedule::new(&link.outputs), announced_as })
         });
@@ -128,7 +128,7 @@ impl EstimatePublisher {
         due.map(message).collect()
     }
 
-    /// Somebody on a link asks for another interval; `None` stops the message, zero restores what is configured.
+    /// A peer requests another interval; `None` stops the message, zero restores what is configured.
     pub(crate) fn set_interval(&mut self, link: LinkId, message_id: u32, interval: Option<TimeDelta>) {
         if let Some(outputs) = self.links.get_mut(&link) {
             outputs.schedule.set_interval(message_id, interval);

@@ -5,9 +5,10 @@
 //! ask  if  max(sigma_x, sigma_y) > above_m  or  sigma_heading > above_rad  or  the pose is not known
 //!          and the last request is at least `interval` old
 //! ```
-//! The question is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the codec of cameras
-//! that speak JSON says it in its own words. Asked is who has said in a heartbeat that it is a camera. One that refuses the command is
-//! not asked again until it is restarted; one that does not react rests for a while, so that a slow link is not filled with questions.
+//! The question is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the codec of
+//! JSON cameras encodes it in its own form. Asked is who has said in a heartbeat that it is a camera. One that refuses the
+//! command is not asked again until it is restarted; one that does not react rests for a while, so that a slow link is not filled
+//! with questions.
 //!
 //! # Sources
 //! MAVLink common.xml: MAV_CMD_REQUEST_MESSAGE, MAV_RESULT; minimal.xml: MAV_TYPE_CAMERA. docs/protocols/camera-json.md.
@@ -27,12 +28,12 @@ const NOT_REFUSED: [u8; 3] = [0, 1, 5];
 /// So many cameras are remembered; those that come later are not asked. The last sensor's number is shared from the eighth camera on
 /// ([`SensorId::camera`](posebridge_telemetry::SensorId::camera)).
 pub(crate) const MAX_CAMERAS: usize = 64;
-/// So many requests in a row without a fix, and a camera rests.
+/// Number of requests in a row without a fix after which a camera rests.
 const MAX_UNANSWERED: u32 = 4;
 /// For so long.
 const PAUSE: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// Who can be asked, and when somebody was asked last.
+/// The cameras that can be asked, and the instant of the last request.
 #[derive(Debug, Default)]
 pub(crate) struct FixRequests {
     cameras: BTreeMap<(LinkId, Address), Camera>,
@@ -111,7 +112,7 @@ impl FixRequests {
         }
     }
 
-    /// Whoever began anew may know more than before.
+    /// A restarted camera may support the request.
     pub(crate) fn reset_camera(&mut self, who: (LinkId, Address)) {
         if let Some(camera) = self.cameras.get_mut(&who) {
             *camera = Camera::default();

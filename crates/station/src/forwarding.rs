@@ -84,7 +84,7 @@ impl<'a> ForwardingPass<'a> {
         self.report
     }
 
-    /// Takes a frame: whether it has come before, or `None` if it must not be believed.
+    /// Takes a frame: whether it has come before, or `None` if it must not be used.
     pub(crate) fn route(&mut self, frame: &FrameRef<'_>, check: SenderCheck) -> Option<DuplicateStatus> {
         if !self.router.admits(self.from.link, frame) {
             self.report.filtered += 1;

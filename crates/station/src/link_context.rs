@@ -100,7 +100,7 @@ impl LinkContext {
         [self.framers.deadline(), self.codec_deadline()].into_iter().flatten().min()
     }
 
-    /// When the codec must be woken; never while there is nobody to talk to.
+    /// When the codec must be woken; never while there is no peer.
     pub(crate) fn codec_deadline(&self) -> Option<Timestamp<HostClock>> {
         let codec = self.codec.as_ref()?;
         (self.state == LinkState::Up).then(|| codec.deadline())?

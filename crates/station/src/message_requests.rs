@@ -1,6 +1,6 @@
-//! Commands about messages: what the station sends once because somebody asks, and how often it sends the rest.
+//! Commands about messages: what the station sends once on request, and how often it sends the rest.
 //!
-//! Both answer alike, the station's own component and, on a link for ground stations, the robot as which it speaks there.
+//! Both answer alike: the station's own component and, on a link for ground stations, the robot for which it sends there.
 //!
 //! Sources: MAVLink guide, "Command Protocol"; common.xml, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_GET_MESSAGE_INTERVAL.
 
@@ -37,17 +37,17 @@ const NO_SUCH_MESSAGE: i32 = 0;
 
 /// What becomes of a request, and what is sent behind the answer.
 #[derive(Debug)]
-pub(crate) struct Answer {
+pub(crate) struct RequestReply {
     pub(crate) result: CommandResult,
     pub(crate) messages: Vec<Message>,
 }
 
-impl Answer {
+impl RequestReply {
     pub(crate) const fn of(result: CommandResult) -> Self {
         Self { result, messages: Vec::new() }
     }
 
-    /// A question to all components is for whoever can answer it: when the station cannot, another one may be meant.
+    /// Any component that can may answer a request to all components: when the station cannot, another one may be meant.
     pub(crate) fn is_left_to_others(&self, command: &CommandLong) -> bool {
         let is_question = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
         let is_for_all = command.target.component == ComponentId(0);
@@ -68,29 +68,29 @@ pub(crate) struct RequestContext<'a> {
     pub(crate) requester: Option<RobotIndex>,
 }
 
-/// The answer to a command about messages; `None` if it is about something else. `heartbeat` is the present one of the role: whoever
-/// does not show that it is there does not say so when asked, either.
+/// The answer to a command about messages; `None` if it is about something else. `heartbeat` is the present one of the role. A
+/// role that sends no heartbeats does not send one on request either.
 pub(crate) fn answer(
     context: &RequestContext<'_>,
     command: &CommandLong,
     heartbeat: Option<Heartbeat>,
-) -> Option<Answer> {
+) -> Option<RequestReply> {
     match command.command {
         COMMAND_REQUEST_MESSAGE => Some(context.requested_message(command, heartbeat)),
         COMMAND_GET_MESSAGE_INTERVAL => Some(match command.named_message() {
             Some(message_id) => context.interval(message_id),
-            None => Answer::of(CommandResult::Denied),
+            None => RequestReply::of(CommandResult::Denied),
         }),
         // It names no message, or an interval that is none.
-        COMMAND_SET_MESSAGE_INTERVAL => Some(Answer::of(CommandResult::Denied)),
+        COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(CommandResult::Denied)),
         _ => None,
     }
 }
 
 impl RequestContext<'_> {
-    fn requested_message(&self, command: &CommandLong, heartbeat: Option<Heartbeat>) -> Answer {
+    fn requested_message(&self, command: &CommandLong, heartbeat: Option<Heartbeat>) -> RequestReply {
         let Some(message_id) = command.named_message() else {
-            return Answer::of(CommandResult::Denied);
+            return RequestReply::of(CommandResult::Denied);
         };
         let messages = match message_id {
             ids::HEARTBEAT => heartbeat.map(Message::Heartbeat).into_iter().collect(),
@@ -104,7 +104,7 @@ impl RequestContext<'_> {
                 let [_, about, ..] = command.params;
                 // The id stands in the second parameter, and the answer has room for 16 bits of it.
                 if !(0.0..=f32::from(u16::MAX)).contains(&about) {
-                    return Answer::of(CommandResult::Denied);
+                    return RequestReply::of(CommandResult::Denied);
                 }
                 return self.interval(about as u32);
             }
@@ -113,14 +113,14 @@ impl RequestContext<'_> {
                     Some(robot) => robot.publisher.current(self.link, kind, robot.estimate_source(self.now)),
                     None => Vec::new(),
                 },
-                None => return Answer::of(CommandResult::Unsupported),
+                None => return RequestReply::of(CommandResult::Unsupported),
             },
         };
         if messages.is_empty() {
             // There was none yet; it may be asked for again.
-            return Answer::of(CommandResult::TemporarilyRejected);
+            return RequestReply::of(CommandResult::TemporarilyRejected);
         }
-        Answer { result: CommandResult::Accepted, messages }
+        RequestReply { result: CommandResult::Accepted, messages }
     }
 
     /// The robot that the answer is about: the one as which the station answers, or the one that asks, or the only one.
@@ -134,9 +134,9 @@ impl RequestContext<'_> {
         }
     }
 
-    fn interval(&self, message_id: u32) -> Answer {
+    fn interval(&self, message_id: u32) -> RequestReply {
         let Ok(on_wire) = u16::try_from(message_id) else {
-            return Answer::of(CommandResult::Denied);
+            return RequestReply::of(CommandResult::Denied);
         };
         let kind = output_for_message(message_id);
         // Nobody in particular is answered for the first robot: it has the intervals that were asked for all of them.
@@ -144,7 +144,7 @@ impl RequestContext<'_> {
         let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
         let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);
         let reply = Message::MessageInterval(MessageInterval { message_id: on_wire, interval_micros });
-        Answer { result: CommandResult::Accepted, messages: vec![reply] }
+        RequestReply { result: CommandResult::Accepted, messages: vec![reply] }
     }
 
     fn capabilities(&self) -> u64 {
@@ -181,7 +181,7 @@ impl RequestContext<'_> {
     }
 }
 
-/// Our version as AUTOPILOT_VERSION tells it; a number that does not fit reads as 0.
+/// Our version for AUTOPILOT_VERSION; a number that does not fit reads as 0.
 fn firmware_version() -> [u8; 4] {
     let number = |text: &str| text.parse().unwrap_or(0);
     let kind = if env!("CARGO_PKG_VERSION_PRE").is_empty() { FIRMWARE_RELEASE } else { FIRMWARE_DEVELOPMENT };

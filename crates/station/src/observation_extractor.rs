@@ -1,4 +1,4 @@
-//! From messages to observations: what a message says about the robot, and by which clock it is stamped.
+//! From messages to observations: the observation in a message, and the clock of its stamp.
 
 use posebridge_protocol::message::{
     Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
@@ -16,14 +16,14 @@ pub(crate) enum ClockSource {
     Observer,
 }
 
-/// What a message says, before its stamp is aligned.
+/// The observation in a message, before its stamp is aligned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct UnalignedObservation {
     pub(crate) sensor: SensorId,
     pub(crate) stamp: WireStamp,
     pub(crate) clock_source: ClockSource,
     pub(crate) observed: ObservationKind,
-    /// The gyro's turn since power-up, where the sender tells it: a lost frame then costs nothing.
+    /// The gyro's turn since power-up, where the sender reports it: a lost frame then costs nothing.
     pub(crate) gyro_turn: Option<Radians>,
     /// The number of the tag that a fix is of.
     pub(crate) tag: Option<u32>,
@@ -53,7 +53,7 @@ impl ObservationExtractor {
         Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body }
     }
 
-    /// What a message says about the robot: none, one or two readings.
+    /// The observation of the robot in a message: none, one or two readings.
     pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
         match message {
             Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],

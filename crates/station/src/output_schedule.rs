@@ -111,7 +111,7 @@ impl OutputSchedule {
         });
     }
 
-    /// The interval of an output as MESSAGE_INTERVAL tells it, in microseconds: -1 if it is not sent. Of one that is sent as it comes
+    /// The interval of an output for MESSAGE_INTERVAL, in microseconds: -1 if it is not sent. Of one that is sent as it comes
     /// the time between the last two; 1 before there were two.
     pub(crate) fn interval_micros(&self, kind: OutputKind) -> i32 {
         let Some(stream) = self.streams.iter().find(|stream| stream.kind == kind) else {
@@ -190,7 +190,7 @@ impl OutputSchedule {
 }
 
 impl OutputKind {
-    /// Whether it tells of the estimate, and not of an observation.
+    /// Whether it contains the estimate, and not an observation.
     const fn is_estimate_output(self) -> bool {
         match self {
             Self::PlanarPose | Self::Odometry | Self::LocalPosition | Self::Attitude | Self::EstimatorStatus => true,

@@ -109,7 +109,7 @@ impl PeerFramers {
         due.map(|(_, id)| *id).collect()
     }
 
-    /// When [`Self::timed_out`] has somebody next.
+    /// When [`Self::timed_out`] next returns a peer.
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         self.deadlines.first().map(|(due, _)| *due)
     }

@@ -20,7 +20,7 @@ pub(crate) struct FusionCounts {
     pub(crate) rejected: u16,
 }
 
-/// What an output says of a record; `None` if it does not speak of records. `host` is when the observation was made.
+/// What an output says of a record; `None` if it does not depend on records. `host` is when the observation was made.
 pub(crate) fn message(
     kind: OutputKind,
     record: &FusionRecord,

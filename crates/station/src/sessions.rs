@@ -1,6 +1,6 @@
 //! The conversations beside the telemetry: heartbeats, time requests, parameters and commands, link by link.
 //!
-//! On every link the station speaks as itself; on a link for ground stations it speaks as each robot, too.
+//! On every link the station has a session as itself; on a link for ground stations it has one for each robot, too.
 
 use std::collections::BTreeMap;
 
@@ -31,8 +31,8 @@ const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
 const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 
-/// Commands that are taken also when they are for all components: what people ask of the station, and questions about messages,
-/// which whoever can may answer.
+/// Commands that are taken also when they are for all components: commands of people, and requests for messages, which any
+/// component that can may answer.
 const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
     let [storage, start, stop, pose, reset, calibration, source] = SUPPORTED_COMMANDS;
     [
@@ -136,7 +136,7 @@ impl Sessions {
             };
             link.station.set_heartbeat_mode(station_mode);
             for robot in robots.heard() {
-                // On a link where it is heard itself it needs nobody to speak for it.
+                // A robot that is received on a link itself needs no session of the station there.
                 if vehicles.address(robot.id).is_none()
                     && !router.are_redundant(*id, robot.id.link)
                     && let Some(responder) = responder(robot)
@@ -224,7 +224,7 @@ impl Sessions {
         }
     }
 
-    /// Lets the session that speaks in a role on a link do something.
+    /// Calls a function with the session of a role on a link.
     pub(crate) fn with_session<T>(
         &mut self,
         id: LinkId,
@@ -245,7 +245,7 @@ impl Sessions {
         }
     }
 
-    /// The messages that report a parameter's value, on every link where somebody has asked for parameters.
+    /// The messages that report a parameter's value, on every link where a peer has requested parameters.
     pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(LinkId, Message)> {
         let reports =
             self.links.iter_mut().filter_map(|(id, link)| Some((*id, link.station.report_parameter(index, value)?)));
@@ -256,7 +256,7 @@ impl Sessions {
 fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostClock>) -> Session<HostClock> {
     let mut session_config = station_session_config(config);
     if link.brick.is_some() {
-        // Whoever speaks no MAVLink cannot be asked for its messages.
+        // A link without MAVLink cannot be asked for messages.
         session_config.requested_messages.clear();
     }
     let mut session = Session::new(session_config, now);
@@ -326,26 +326,26 @@ mod tests {
     const LINK: LinkId = LinkId(0);
     const SENDER: Address = Address::new(7, 1);
 
-    struct Scene {
+    struct SessionsSetup {
         sessions: Sessions,
         now: Timestamp<HostClock>,
     }
 
-    impl Scene {
+    impl SessionsSetup {
         /// The sessions of a station that has sent its first heartbeat and its first time request, at instant zero.
         fn new() -> Self {
             let now = Timestamp::ZERO;
-            let mut scene = Self { sessions: Sessions::new(&station_config(), now), now };
-            scene.sessions.tick(now, LINK);
-            scene.take_outputs();
-            scene
+            let mut setup = Self { sessions: Sessions::new(&station_config(), now), now };
+            setup.sessions.tick(now, LINK);
+            setup.take_outputs();
+            setup
         }
 
         fn take_outputs(&mut self) -> Vec<SessionOutput<HostClock>> {
             std::iter::from_fn(|| self.sessions.poll(LINK)).map(|(_, output)| output).collect()
         }
 
-        fn hear(&mut self, peer: u32, duplicate_status: DuplicateStatus, message: &Message) -> usize {
+        fn receive(&mut self, peer: u32, duplicate_status: DuplicateStatus, message: &Message) -> usize {
             self.now = self.now + TimeDelta::from_millis(1);
             let endpoint = Endpoint { link: LINK, peer: PeerId(peer) };
             let received = ReceivedMessage { source: SENDER, duplicate_status, message: message.clone() };
@@ -356,20 +356,20 @@ mod tests {
 
     #[test]
     fn a_copy_of_a_command_is_not_carried_out_again() {
-        let mut scene = Scene::new();
+        let mut setup = SessionsSetup::new();
         let [_, _, _, _, reset, ..] = SUPPORTED_COMMANDS;
         let target = station_config().own_address;
         let command = Message::Command(CommandLong { target, command: reset, params: [0.0; 7] });
         let statuses = [DuplicateStatus::New, DuplicateStatus::Duplicate, DuplicateStatus::Loop, DuplicateStatus::Echo];
-        assert_eq!(statuses.map(|status| scene.hear(0, status, &command)), [1, 0, 0, 0]);
+        assert_eq!(statuses.map(|status| setup.receive(0, status, &command)), [1, 0, 0, 0]);
     }
 
     #[test]
     fn each_peer_with_an_address_answers_a_time_request_once_and_a_copy_does_not() {
-        let mut scene = Scene::new();
+        let mut setup = SessionsSetup::new();
         let answer = Message::TimeSync(TimeSync { answer_nanos: 5, request_nanos: 0, target: None });
         let new = DuplicateStatus::New;
-        assert_eq!([0, 0, 1, 1].map(|peer| scene.hear(peer, new, &answer)), [1, 0, 1, 0]);
-        assert_eq!(scene.hear(2, DuplicateStatus::Duplicate, &answer), 0);
+        assert_eq!([0, 0, 1, 1].map(|peer| setup.receive(peer, new, &answer)), [1, 0, 1, 0]);
+        assert_eq!(setup.receive(2, DuplicateStatus::Duplicate, &answer), 0);
     }
 }

@@ -4,10 +4,11 @@ use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
 /// Wheels that have not slipped for longer than this begin anew: ten of the gyro's usual windows of 0.2 s.
 const SLIP_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
-/// So many windows in a row are no accident. One alone is chance once in a thousand, or play that is crossed where a wheel turns back.
+/// Number of windows in a row that are no coincidence. One alone is chance once in a thousand, or play that is crossed where a
+/// wheel turns back.
 const MIN_CONSECUTIVE: u32 = 3;
 
-/// Counts the observations of motion that told of slip.
+/// Counts the observations of motion with slip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SlipWatch {
     last: Option<Timestamp<BrickClock>>,
@@ -15,7 +16,7 @@ pub(crate) struct SlipWatch {
 }
 
 impl SlipWatch {
-    /// Takes an observation that told of slip; whether people should hear of it.
+    /// Records an observation with slip, and returns whether people should be warned.
     pub(crate) fn observe(&mut self, stamp: Timestamp<BrickClock>) -> bool {
         let last = self.last.replace(stamp);
         // A brick that was restarted begins with an earlier stamp.

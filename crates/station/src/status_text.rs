@@ -1,6 +1,6 @@
 //! Events in words, as STATUSTEXT on links for ground stations.
 //!
-//! A text is said as soon as its input is done with. Of one topic it is said at most every few seconds, and tells how many were left
+//! A text is said as soon as its input is done with. A topic is reported at most every few seconds, with the number that was left
 //! out: a screen full of the same line hides the other one.
 //!
 //! # Sources
@@ -24,10 +24,10 @@ use crate::severity::{SEVERITY_ERROR, SEVERITY_INFO, SEVERITY_NOTICE, SEVERITY_W
 
 /// Time between two texts of one topic. A person reads a line in less.
 const TOPIC_INTERVAL: TimeDelta = TimeDelta::from_millis(5_000);
-/// The same for words of the station or of the robot, of which no two need be alike.
+/// The same for texts of the station or of the robot, which may all differ.
 const TEXT_INTERVAL: TimeDelta = TimeDelta::from_millis(500);
-/// So many reports of the program are told in [`QUIET`]: each answers somebody who asked for it, and the line that it was asked comes just
-/// before. Two hands on buttons ask for less.
+/// Most reports of the program in [`QUIET`]: each answers a request, and the line about the request comes just before. Two hands
+/// on buttons ask for less.
 const MAX_REPORTS: u32 = 8;
 /// Bytes of a part.
 const PART_BYTES: usize = 50;
@@ -67,7 +67,7 @@ impl Topic {
     }
 }
 
-/// Since when a topic is counted, how often it was told since then, and how often it was not.
+/// Since when a topic is counted, how often it was sent since then, and how often it was held back.
 #[derive(Clone, Copy, Debug)]
 struct TopicRateLimit {
     since: Timestamp<HostClock>,
@@ -83,7 +83,7 @@ pub(crate) struct PendingText {
     pub(crate) text: String,
 }
 
-/// What is to be told, and what was.
+/// The texts to send, and what was sent.
 #[derive(Debug, Default)]
 pub(crate) struct StatusTextQueue {
     rate_limits: BTreeMap<Topic, TopicRateLimit>,
@@ -142,7 +142,7 @@ fn utf8_prefix(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
 }
 
-/// As much of the words as is told, in ASCII, so that they can be cut at any byte.
+/// The part of the text that is sent, in ASCII, so that they can be cut at any byte.
 fn printable(words: &str) -> String {
     let shown = |letter: char| match letter {
         ' '..='~' => letter,
@@ -231,7 +231,7 @@ impl StatusTextQueue {
                 let sender = if *source == context.own_address {
                     SenderRole::Station
                 } else {
-                    // A robot that speaks MAVLink says it itself.
+                    // A robot that speaks MAVLink sends it itself.
                     let mut robots = context.robots.all().iter().filter(|robot| robot.id.address == *source);
                     let has_codec = |id: RobotId| context.links.get(&id.link).is_some_and(|link| link.codec.is_some());
                     SenderRole::Vehicle(robots.find(|robot| has_codec(robot.id))?.id)
@@ -265,7 +265,7 @@ impl StatusTextQueue {
     }
 }
 
-/// Whoever reads it notices by the link of their own whether that is up.
+/// A ground station sees the state of its own link itself.
 fn text_for_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Option<(Topic, u8, String)> {
     if !context.links.contains_key(&id) || context.sessions.vehicles(id).is_some() {
         return None;
@@ -276,7 +276,7 @@ fn text_for_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Opt
     })
 }
 
-/// Fixes that are not used; of other observations nobody wants to read.
+/// Fixes that are not used; other observations are not worth a text.
 fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u8, String)> {
     if record.kind != "fix" {
         return None;
@@ -303,7 +303,7 @@ mod tests {
         PendingText { sender: SenderRole::Station, severity: SEVERITY_INFO, text: words.to_owned() }
     }
 
-    fn said(announcer: &mut StatusTextQueue, words: &str) -> Vec<(String, u16, u8)> {
+    fn parts_of(announcer: &mut StatusTextQueue, words: &str) -> Vec<(String, u16, u8)> {
         let parts = announcer.split_text(SEVERITY_INFO, words).into_iter();
         let said = parts.filter_map(|message| {
             if let Message::StatusText { text, part, .. } = message {
@@ -319,14 +319,14 @@ mod tests {
     fn a_long_text_comes_in_parts_of_which_the_last_can_be_told() {
         let mut announcer = StatusTextQueue::default();
         let a = |count| "a".repeat(count);
-        assert_eq!(said(&mut announcer, "brief"), [("brief".to_owned(), 0, 0)]);
-        assert_eq!(said(&mut announcer, &a(50)), [(a(50), 0, 0)]);
-        assert_eq!(said(&mut announcer, &a(51)), [(a(50), 1, 0), (a(1), 1, 1)]);
-        assert_eq!(said(&mut announcer, &a(100)), [(a(50), 2, 0), (a(50), 2, 1), (String::new(), 2, 2)]);
-        assert_eq!(said(&mut announcer, &a(1_000)).len(), 5);
+        assert_eq!(parts_of(&mut announcer, "brief"), [("brief".to_owned(), 0, 0)]);
+        assert_eq!(parts_of(&mut announcer, &a(50)), [(a(50), 0, 0)]);
+        assert_eq!(parts_of(&mut announcer, &a(51)), [(a(50), 1, 0), (a(1), 1, 1)]);
+        assert_eq!(parts_of(&mut announcer, &a(100)), [(a(50), 2, 0), (a(50), 2, 1), (String::new(), 2, 2)]);
+        assert_eq!(parts_of(&mut announcer, &a(1_000)).len(), 5);
         announcer.last_text_id = u16::MAX;
-        assert_eq!(said(&mut announcer, &a(60))[0].1, 1, "0 means a single part");
-        assert_eq!(said(&mut announcer, "5 \u{b0}C")[0].0, "5 ?C");
+        assert_eq!(parts_of(&mut announcer, &a(60))[0].1, 1, "0 means a single part");
+        assert_eq!(parts_of(&mut announcer, "5 \u{b0}C")[0].0, "5 ?C");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The thermometers of all bricks: a filter for each, beside the robot's and not in its place.
 //!
 //! Gets readings that are aligned already, gives what each thermometer will show in the end. Readings wait here until the robot has its
-//! estimate: nobody steers by a temperature.
+//! estimate: temperatures are not used for steering.
 
 use std::collections::BTreeMap;
 

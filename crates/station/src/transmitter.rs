@@ -174,7 +174,7 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The station's component in the system of a robot: whoever listens can tell the robots' outputs apart.
+    /// The station's component in the system of a robot, so that receivers can tell the robots' outputs apart.
     fn estimator_sender(&self, index: RobotIndex) -> Sender {
         let system = self.robots.get(index).vehicle_address.system;
         Sender::Estimator(Address { system, component: self.own_address.component })

@@ -1,13 +1,13 @@
 //! The robots as vehicles on a link for ground stations.
 //!
 //! A ground station shows a vehicle if component 1 of a system sends HEARTBEAT, and takes the attitude from that component alone. A
-//! robot that speaks no MAVLink sends nothing there, and one that does sends no attitude. So the station speaks as the robot on such a
-//! link, and a listener must not notice that two senders share one address:
+//! robot that speaks no MAVLink sends nothing there, and one that does sends no attitude. So the station sends as the robot on
+//! such a link, and a listener must not notice that two senders share one address:
 //!
 //! - Frames that are forwarded to the link take the next number of the same count ([`Encoder::readdress`]); payload and checksum seed
 //!   stay as they are. Each sender has a count of its own, because not all of its frames are for this link.
 //! - What the robot sends itself is not sent a second time.
-//! - Signed frames must not be changed and leave as they came. While they do, the station does not speak as that robot.
+//! - Signed frames must not be changed and leave as they came. While they do, the station does not send as that robot.
 //! - On a link with a key, unsigned frames of others are numbered like everywhere, and stay unsigned. The station's own are signed
 //!   there, and its signature must not stand beside frames that the robot sends without one: it does not speak as the robot there,
 //!   either. docs/adr/0010 gives the reasons.
@@ -54,7 +54,7 @@ pub(crate) struct VehicleProxies {
     vehicles: BTreeMap<RobotId, VehicleProxy>,
     /// When vehicles' own frames of the messages that the station might send left here last.
     last_forwarded: BTreeMap<(SystemId, u32), Timestamp<HostClock>>,
-    /// When a frame of somebody that must not be changed left here last.
+    /// When a forwarded frame that must not be changed last left here.
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
     /// When a vehicle's own frame left here last while the link has a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
@@ -175,7 +175,7 @@ impl VehicleProxies {
 
     /// A vehicle's own frame leaves on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
-        // Nobody asks for the others; so the map stays small whatever comes.
+        // The others are never requested; so the map stays small whatever comes.
         if message_id == ids::HEARTBEAT || output_for_message(message_id).is_some() {
             self.last_forwarded.insert((from, message_id), now);
         }

@@ -20,7 +20,7 @@ const BESIDE: LinkId = LinkId(4);
 
 /// A minute of a brick whose clock runs so much faster than the host's, in per cent, and that answers each request at once: how
 /// often it was told that its clock makes no sense.
-fn told_of_a_clock_off_by(percent: i64) -> usize {
+fn clock_warnings_at_rate_error(percent: i64) -> usize {
     let mut station = TestStation::new(&config());
     station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
     let mut seen = 0;
@@ -48,9 +48,9 @@ fn told_of_a_clock_off_by(percent: i64) -> usize {
 
 #[test]
 fn a_clock_that_cannot_be_aligned_is_told_of() {
-    assert_eq!(told_of_a_clock_off_by(0), 0);
-    assert_eq!(told_of_a_clock_off_by(1), 0);
-    assert!(told_of_a_clock_off_by(3) > 3);
+    assert_eq!(clock_warnings_at_rate_error(0), 0);
+    assert_eq!(clock_warnings_at_rate_error(1), 0);
+    assert!(clock_warnings_at_rate_error(3) > 3);
 }
 
 /// Twenty seconds of a brick that answers on one link while another one talks, whose inputs are stamped so much later than those
@@ -86,7 +86,7 @@ fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
         seen = station.outputs.len();
         let beside =
             Input::Bytes { link: BESIDE, peer: PeerId::default(), bytes: frame(Address::new(7, 7), &HEARTBEAT) };
-        station.give(now + TimeDelta::from_millis(ahead_ms), beside);
+        station.handle(now + TimeDelta::from_millis(ahead_ms), beside);
     }
     let is_exchange = |event: &&Event| matches!(event, Event::BrickClockAligned { .. });
     let is_loss = |event: &&Event| matches!(event, Event::RobotLost { .. });
@@ -125,7 +125,7 @@ fn an_observation_keeps_the_instant_at_which_its_bytes_came() {
     config.links.push(link(BESIDE, vec![]));
     let mut station = TestStation::new(&config);
     let beside = Input::Bytes { link: BESIDE, peer: PeerId::default(), bytes: frame(Address::new(7, 7), &HEARTBEAT) };
-    station.give(at(140), beside);
+    station.handle(at(140), beside);
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
     let arrivals = station.events().filter_map(|event| match event {
         Event::ObservationAligned { arrival, .. } => Some(*arrival),

@@ -30,7 +30,7 @@ const PERIOD: TimeDelta = TimeDelta::from_millis(50);
 
 /// Asks, and takes three bytes for an answer.
 #[derive(Debug, Default)]
-struct Asking {
+struct PollingCodec {
     asked: Option<Timestamp<HostClock>>,
     due: Option<Timestamp<HostClock>>,
     heard: Vec<u8>,
@@ -38,10 +38,10 @@ struct Asking {
     wants: Option<Vec<u8>>,
 }
 
-impl BrickCodec for Asking {
+impl BrickCodec for PollingCodec {
     fn on_link_up(&mut self, now: Timestamp<HostClock>) {
         *self = Self { due: Some(now), ..Self::default() };
-        self.ask(now);
+        self.request(now);
     }
 
     fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
@@ -83,7 +83,7 @@ impl BrickCodec for Asking {
     }
 
     fn tick(&mut self, now: Timestamp<HostClock>, _sink: &mut dyn FnMut(CodecEvent<'_>)) {
-        self.ask(now);
+        self.request(now);
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
@@ -107,17 +107,17 @@ impl BrickCodec for Asking {
     }
 }
 
-impl Asking {
-    fn ask(&mut self, now: Timestamp<HostClock>) {
+impl PollingCodec {
+    fn request(&mut self, now: Timestamp<HostClock>) {
         self.asked = Some(now);
         self.due = Some(now + PERIOD);
         self.wants = Some(vec![ASK]);
     }
 }
 
-fn asking() -> StationConfig {
+fn polling_config() -> StationConfig {
     static PROTOCOL: BrickProtocol =
-        BrickProtocol { name: "asking", summary: "asks by one byte", open: |_| Box::<Asking>::default() };
+        BrickProtocol { name: "asking", summary: "asks by one byte", open: |_| Box::<PollingCodec>::default() };
     let mut config = config();
     config.links[0].brick = Some(BrickLink { protocol: &PROTOCOL, settings: CodecSettings::default() });
     config
@@ -130,7 +130,7 @@ fn conversation(station: &mut TestStation, millis: i64) {
     let mut seen = 0;
     for now_ms in 0..millis {
         if station.engine.deadline().is_some_and(|due| due <= at(now_ms)) {
-            station.give(at(now_ms), Input::Tick);
+            station.handle(at(now_ms), Input::Tick);
         }
         for (when, output) in &station.outputs[seen..] {
             if let Output::Transmit { bytes, .. } = output
@@ -152,7 +152,7 @@ fn conversation(station: &mut TestStation, millis: i64) {
 
 #[test]
 fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answer() {
-    let mut station = TestStation::new(&asking());
+    let mut station = TestStation::new(&polling_config());
     conversation(&mut station, 1_400);
     let observed: Vec<_> = station
         .events()
@@ -195,7 +195,7 @@ fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answe
 
 #[test]
 fn questions_are_commands_estimates_leave_by_the_codec_and_nothing_else_does() {
-    let mut station = TestStation::new(&asking());
+    let mut station = TestStation::new(&polling_config());
     conversation(&mut station, 1_400);
     let sent = station.outputs.iter().filter_map(|(_, output)| match output {
         Output::Transmit { priority, bytes, .. } => Some((*priority, bytes.as_slice())),
@@ -213,12 +213,12 @@ fn questions_are_commands_estimates_leave_by_the_codec_and_nothing_else_does() {
 
 #[test]
 fn a_lost_link_is_silent_and_begins_anew_when_it_is_back() {
-    let mut station = TestStation::new(&asking());
+    let mut station = TestStation::new(&polling_config());
     let questions = |station: &TestStation| station.sent().filter(|(_, bytes)| *bytes == [ASK]).count();
     assert_eq!(questions(&station), 1);
     station.link(at(10), LINK, LinkState::Down);
     for millis in [60, 110, 500] {
-        station.give(at(millis), Input::Tick);
+        station.handle(at(millis), Input::Tick);
     }
     assert_eq!(questions(&station), 1);
     // Nobody is woken for a brick that is not there.
@@ -230,7 +230,7 @@ fn a_lost_link_is_silent_and_begins_anew_when_it_is_back() {
 
 #[test]
 fn the_frames_of_others_are_not_passed_on_to_it() {
-    let mut config = asking();
+    let mut config = polling_config();
     let other = LinkId(8);
     config.links.push(link(other, vec![]));
     let mut station = TestStation::new(&config);
@@ -239,8 +239,8 @@ fn the_frames_of_others_are_not_passed_on_to_it() {
     Encoder::new(WireVersion::V2).encode(Address::new(1, 100), &heartbeat, &mut bytes);
     let peer = PeerId::default();
     let link = other;
-    station.give(at(5), Input::Bytes { link, peer, bytes });
-    station.give(at(6), Input::Tick);
+    station.handle(at(5), Input::Bytes { link, peer, bytes });
+    station.handle(at(6), Input::Tick);
     let sent: Vec<_> = station
         .outputs
         .iter()
@@ -251,7 +251,7 @@ fn the_frames_of_others_are_not_passed_on_to_it() {
 
 #[test]
 fn a_refusal_is_told_to_people_and_counted() {
-    let mut station = TestStation::new(&asking());
+    let mut station = TestStation::new(&polling_config());
     station.bytes(at(5), &[REFUSAL]);
     assert!(station.events().any(|event| matches!(
         event,

@@ -47,14 +47,14 @@ fn three_links() -> StationConfig {
     config
 }
 
-fn give(station: &mut TestStation, now: Timestamp<HostClock>, link: LinkId, bytes: &[u8]) {
+fn push_bytes(station: &mut TestStation, now: Timestamp<HostClock>, link: LinkId, bytes: &[u8]) {
     let peer = PeerId::default();
     let bytes = bytes.to_vec();
-    station.give(now, Input::Bytes { link, peer, bytes });
+    station.handle(now, Input::Bytes { link, peer, bytes });
 }
 
 /// What the clock of a participant shows, in milliseconds.
-fn shows(now: Timestamp<HostClock>, ahead_ms: i64) -> i64 {
+fn clock_reading_ms(now: Timestamp<HostClock>, ahead_ms: i64) -> i64 {
     now.as_micros() / 1_000 + ahead_ms
 }
 
@@ -73,10 +73,10 @@ fn tenth(station: &mut TestStation, k: i64) {
     for (link, request, sent) in requests {
         let answered = sent + TimeDelta::from_millis(1);
         let bytes = answer(link, request, answered);
-        give(station, answered + TimeDelta::from_millis(1), link, &bytes);
+        push_bytes(station, answered + TimeDelta::from_millis(1), link, &bytes);
     }
-    let wheels = ticks(shows(now, BRICK_AHEAD_MS) as u32, 0, 0);
-    give(station, now + TimeDelta::from_millis(3), LINK, &frame(BRICK, &wheels));
+    let wheels = ticks(clock_reading_ms(now, BRICK_AHEAD_MS) as u32, 0, 0);
+    push_bytes(station, now + TimeDelta::from_millis(3), LINK, &frame(BRICK, &wheels));
 }
 
 /// The number of a time request.
@@ -109,7 +109,7 @@ fn answer(link: LinkId, request: i64, now: Timestamp<HostClock>) -> Vec<u8> {
 /// A station that has talked with everybody for a second and knows the robot.
 fn station_of(config: &StationConfig) -> TestStation {
     let mut station = TestStation::new(config);
-    give(&mut station, at(1), LINK, &frame(BRICK, &HEARTBEAT));
+    push_bytes(&mut station, at(1), LINK, &frame(BRICK, &HEARTBEAT));
     for k in 1..=12 {
         tenth(&mut station, k);
     }
@@ -136,9 +136,9 @@ fn fixes(station: &TestStation) -> Vec<(Observation, FusionOutcome, Timestamp<Ho
     found
 }
 
-fn seen(exposed: Timestamp<HostClock>, reset_counter: u8) -> VisionFix {
+fn vision_fix(exposed: Timestamp<HostClock>, reset_counter: u8) -> VisionFix {
     VisionFix {
-        stamp: WireStamp::Micros64((shows(exposed, TRACKER_AHEAD_MS) * 1_000) as u64),
+        stamp: WireStamp::Micros64((clock_reading_ms(exposed, TRACKER_AHEAD_MS) * 1_000) as u64),
         x: Meters(PLACE_M[0]),
         y: Meters(PLACE_M[1]),
         heading: Some(Heading::from_rad(0.01)),
@@ -149,7 +149,7 @@ fn seen(exposed: Timestamp<HostClock>, reset_counter: u8) -> VisionFix {
 }
 
 fn odometry(exposed: Timestamp<HostClock>) -> Message {
-    let fix = seen(exposed, 0);
+    let fix = vision_fix(exposed, 0);
     Message::Odometry(Odometry {
         stamp: fix.stamp,
         pose: OdometryPose::Arena(Pose::new(fix.x, fix.y, Heading::from_rad(0.01))),
@@ -174,26 +174,26 @@ fn json_fix(camera: &str, exposed: Timestamp<HostClock>) -> Vec<u8> {
 #[test]
 fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
     let exposed = at(1_150);
-    let without_sigma = VisionFix { covariance: None, ..seen(exposed, 0) };
+    let without_sigma = VisionFix { covariance: None, ..vision_fix(exposed, 0) };
     for (name, link, bytes) in [
-        ("VISION_POSITION_ESTIMATE", TRACKER_LINK, frame(TRACKER, &Message::VisionPosition(seen(exposed, 0)))),
+        ("VISION_POSITION_ESTIMATE", TRACKER_LINK, frame(TRACKER, &Message::VisionPosition(vision_fix(exposed, 0)))),
         (
             "VISION_POSITION_ESTIMATE without covariance",
             TRACKER_LINK,
             frame(TRACKER, &Message::VisionPosition(without_sigma)),
         ),
-        ("ATT_POS_MOCAP", TRACKER_LINK, frame(TRACKER, &Message::MocapPosition(seen(exposed, 0)))),
+        ("ATT_POS_MOCAP", TRACKER_LINK, frame(TRACKER, &Message::MocapPosition(vision_fix(exposed, 0)))),
         ("ODOMETRY", TRACKER_LINK, frame(TRACKER, &odometry(exposed))),
         (
             "another component on the robot's link",
             LINK,
             // Its clock was never heard there: it is aligned from scratch below.
-            frame(Address::new(1, 191), &Message::VisionPosition(seen(exposed, 0))),
+            frame(Address::new(1, 191), &Message::VisionPosition(vision_fix(exposed, 0))),
         ),
         ("JSON", JSON_LINK, json_fix("camera", exposed)),
     ] {
         let mut station = station_of(&three_links());
-        give(&mut station, at(1_300), link, &bytes);
+        push_bytes(&mut station, at(1_300), link, &bytes);
         let found = fixes(&station);
         if link == LINK {
             assert_eq!(found.len(), 0, "{name}: its clock is not known yet");
@@ -207,7 +207,7 @@ fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
             panic!("{name}: {found:?}");
         };
         assert_eq!((verdict, arrival), (FusionOutcome::Accepted, at(1_300)), "{name}");
-        let expected = Timestamp::from_millis(shows(exposed, BRICK_AHEAD_MS));
+        let expected = Timestamp::from_millis(clock_reading_ms(exposed, BRICK_AHEAD_MS));
         let off_ms = (observation.stamp - expected).as_millis_f64();
         assert!(off_ms.abs() < 2.0, "{name}: {off_ms} ms");
         let latest = station.engine.latest_time().expect("it has observed");
@@ -221,12 +221,12 @@ fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
 fn a_fix_without_a_time_counts_at_its_arrival_less_the_declared_delay() {
     let mut station = station_of(&three_links());
     let line = b"{\"camera\": \"plain\", \"x_m\": 0.01, \"y_m\": 0}\n";
-    give(&mut station, at(1_300), JSON_LINK, line);
+    push_bytes(&mut station, at(1_300), JSON_LINK, line);
     let [(observation, FusionOutcome::Accepted, _)] = fixes(&station)[..] else {
         panic!("{:?}", fixes(&station));
     };
     // 60 ms, give or take 40.
-    let expected = Timestamp::from_millis(shows(at(1_240), BRICK_AHEAD_MS));
+    let expected = Timestamp::from_millis(clock_reading_ms(at(1_240), BRICK_AHEAD_MS));
     let off_ms = (observation.stamp - expected).as_millis_f64();
     assert!(off_ms.abs() < 2.0, "{off_ms}");
     let sigma_ms = observation.stamp_sigma.as_millis_f64();
@@ -237,12 +237,12 @@ fn a_fix_without_a_time_counts_at_its_arrival_less_the_declared_delay() {
 fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
     let mut station = station_of(&three_links());
     let exposed = at(1_250);
-    let tracked = frame(TRACKER, &Message::VisionPosition(seen(exposed, 0)));
-    give(&mut station, at(1_300), TRACKER_LINK, &tracked);
-    give(&mut station, at(1_301), JSON_LINK, &json_fix("camera", exposed));
+    let tracked = frame(TRACKER, &Message::VisionPosition(vision_fix(exposed, 0)));
+    push_bytes(&mut station, at(1_300), TRACKER_LINK, &tracked);
+    push_bytes(&mut station, at(1_301), JSON_LINK, &json_fix("camera", exposed));
     let line = b"{\"camera\": \"plain\", \"x_m\": 0.01, \"y_m\": 0}\n";
-    give(&mut station, at(1_302), JSON_LINK, line);
-    give(&mut station, at(1_303), TRACKER_LINK, &tracked);
+    push_bytes(&mut station, at(1_302), JSON_LINK, line);
+    push_bytes(&mut station, at(1_303), TRACKER_LINK, &tracked);
     let found: Vec<(SensorId, FusionOutcome)> =
         fixes(&station).iter().map(|(observation, verdict, _)| (observation.sensor, *verdict)).collect();
     let names: Vec<&str> = found.iter().map(|(sensor, _)| sensor.name()).collect();
@@ -258,9 +258,9 @@ fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
 fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset() {
     let mut station = station_of(&three_links());
     let mut told = |at_ms: i64, x_m: f64, reset_counter: u8| {
-        let fix = VisionFix { x: Meters(x_m), ..seen(at(at_ms - 50), reset_counter) };
+        let fix = VisionFix { x: Meters(x_m), ..vision_fix(at(at_ms - 50), reset_counter) };
         let bytes = frame(TRACKER, &Message::VisionPosition(fix));
-        give(&mut station, at(at_ms), TRACKER_LINK, &bytes);
+        push_bytes(&mut station, at(at_ms), TRACKER_LINK, &bytes);
         let (_, verdict, _) = *fixes(&station).last().expect("it was observed");
         let latest = station.engine.latest_time().expect("it has observed");
         let estimate = station.engine.estimate_at(latest).expect("it knows");
@@ -279,11 +279,11 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
 #[test]
 fn a_camera_whose_time_falls_begins_anew_and_is_used_again_when_its_clock_is_known() {
     let mut station = station_of(&three_links());
-    give(&mut station, at(1_290), JSON_LINK, &json_fix("camera", at(1_250)));
+    push_bytes(&mut station, at(1_290), JSON_LINK, &json_fix("camera", at(1_250)));
     assert_eq!(fixes(&station).len(), 1);
     // Switched off and on: its clock began at zero 5 s later than before, so to speak.
     let line = b"{\"exposed_s\": 0.5, \"x_m\": 0.01, \"y_m\": 0}\n";
-    give(&mut station, at(1_295), JSON_LINK, line);
+    push_bytes(&mut station, at(1_295), JSON_LINK, line);
     assert_eq!(fixes(&station).len(), 1);
     let is_told = |event: &Event| matches!(event, Event::ReceiveError { defect: ReceiveError::ClockNotAligned { source }, .. } if *source == TRACKER);
     assert!(station.events().any(is_told));
@@ -297,7 +297,7 @@ fn a_payload_that_is_refused_is_counted_each_time_and_explained_once() {
         other => panic!("{other:?}"),
     });
     for k in 0..3 {
-        give(&mut station, at(1_300 + k), TRACKER_LINK, &frame(TRACKER, &failed));
+        push_bytes(&mut station, at(1_300 + k), TRACKER_LINK, &frame(TRACKER, &failed));
     }
     let count = |wanted: &dyn Fn(&Event) -> bool| station.events().filter(|event| wanted(event)).count();
     let is_refused =
@@ -309,7 +309,7 @@ fn a_payload_that_is_refused_is_counted_each_time_and_explained_once() {
 }
 
 /// Who was asked for a fix, with the instant.
-fn asked(station: &TestStation) -> Vec<(LinkId, i64)> {
+fn fix_requests(station: &TestStation) -> Vec<(LinkId, i64)> {
     let outputs = station.outputs.iter();
     let asked = outputs.filter_map(|(now, output)| {
         let Output::Transmit { link, bytes, .. } = output else {
@@ -334,7 +334,7 @@ fn camera_heartbeat() -> Vec<u8> {
     frame(TRACKER, &Message::Heartbeat(heartbeat))
 }
 
-fn asking(above_m: f64) -> StationConfig {
+fn requesting_config(above_m: f64) -> StationConfig {
     StationConfig {
         fix_requests: FixRequestConfig {
             above_m: Some(above_m),
@@ -348,31 +348,31 @@ fn asking(above_m: f64) -> StationConfig {
 #[test]
 fn only_cameras_that_answer_are_asked_and_those_that_refuse_not_again() {
     // The start's sigma is 10 mm.
-    let mut station = station_of(&asking(0.009));
-    assert_eq!(asked(&station), []);
-    give(&mut station, at(1_210), TRACKER_LINK, &camera_heartbeat());
+    let mut station = station_of(&requesting_config(0.009));
+    assert_eq!(fix_requests(&station), []);
+    push_bytes(&mut station, at(1_210), TRACKER_LINK, &camera_heartbeat());
     let hello = b"{\"camera\": \"a\", \"takes_requests\": true}\n{\"camera\": \"b\", \"x_m\": 9, \"y_m\": 9}\n";
-    give(&mut station, at(1_211), JSON_LINK, hello);
+    push_bytes(&mut station, at(1_211), JSON_LINK, hello);
     tenth(&mut station, 13);
-    assert_eq!(asked(&station), [(TRACKER_LINK, 1_303), (JSON_LINK, 1_303)]);
+    assert_eq!(fix_requests(&station), [(TRACKER_LINK, 1_303), (JSON_LINK, 1_303)]);
     let refusal = CommandAck { command: 512, result: 3, target: None };
-    give(&mut station, at(1_320), TRACKER_LINK, &frame(TRACKER, &Message::CommandAck(refusal)));
+    push_bytes(&mut station, at(1_320), TRACKER_LINK, &frame(TRACKER, &Message::CommandAck(refusal)));
     for k in 14..=30 {
         tenth(&mut station, k);
     }
     // Every 250 ms at the soonest, which with telemetry each 100 ms is each 300; it never reacts and rests after four.
-    let later = asked(&station)[2..].to_vec();
+    let later = fix_requests(&station)[2..].to_vec();
     assert_eq!(later, [(JSON_LINK, 1_603), (JSON_LINK, 1_903), (JSON_LINK, 2_203)]);
 }
 
 #[test]
 fn nobody_is_asked_while_the_station_is_sure_enough() {
-    let mut station = station_of(&asking(0.009));
-    give(&mut station, at(1_210), TRACKER_LINK, &camera_heartbeat());
-    let fix = frame(TRACKER, &Message::VisionPosition(seen(at(1_200), 0)));
-    give(&mut station, at(1_220), TRACKER_LINK, &fix);
+    let mut station = station_of(&requesting_config(0.009));
+    push_bytes(&mut station, at(1_210), TRACKER_LINK, &camera_heartbeat());
+    let fix = frame(TRACKER, &Message::VisionPosition(vision_fix(at(1_200), 0)));
+    push_bytes(&mut station, at(1_220), TRACKER_LINK, &fix);
     for k in 13..=20 {
         tenth(&mut station, k);
     }
-    assert_eq!(asked(&station), []);
+    assert_eq!(fix_requests(&station), []);
 }

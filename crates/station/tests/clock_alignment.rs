@@ -28,7 +28,7 @@ fn host(seconds: f64) -> Timestamp<HostClock> {
 /// What became of an alignment.
 #[derive(Clone, Copy, Debug, Default)]
 #[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
-struct Outcome {
+struct AlignmentErrors {
     /// Worst error from the scored instant on, s.
     worst_s: f64,
     /// By how much the error left the bounds at any time, s; negative: never.
@@ -42,16 +42,16 @@ struct Outcome {
 }
 
 /// A clock that is aligned, watched at all times.
-struct Watched<'a> {
+struct AlignmentMonitor<'a> {
     aligner: ClockAligner<BrickClock>,
     truth: &'a RemoteTime,
     scored_from_s: f64,
     last_host: Option<Timestamp<HostClock>>,
     last_remote: Option<Timestamp<BrickClock>>,
-    outcome: Outcome,
+    outcome: AlignmentErrors,
 }
 
-impl<'a> Watched<'a> {
+impl<'a> AlignmentMonitor<'a> {
     fn new(truth: &'a RemoteTime, scored_from_s: f64) -> Self {
         Self {
             aligner: ClockAligner::default(),
@@ -59,7 +59,7 @@ impl<'a> Watched<'a> {
             scored_from_s,
             last_host: None,
             last_remote: None,
-            outcome: Outcome { outside_s: f64::NEG_INFINITY, ..Outcome::default() },
+            outcome: AlignmentErrors { outside_s: f64::NEG_INFINITY, ..AlignmentErrors::default() },
         }
     }
 
@@ -118,8 +118,8 @@ impl<'a> Watched<'a> {
     }
 }
 
-fn followed(path: &Path, truth: &RemoteTime, (from_s, to_s): (f64, f64)) -> Outcome {
-    let mut watched = Watched::new(truth, from_s);
+fn followed(path: &Path, truth: &RemoteTime, (from_s, to_s): (f64, f64)) -> AlignmentErrors {
+    let mut watched = AlignmentMonitor::new(truth, from_s);
     for trip in path.round_trips(to_s) {
         watched.exchange(&trip);
     }
@@ -127,8 +127,8 @@ fn followed(path: &Path, truth: &RemoteTime, (from_s, to_s): (f64, f64)) -> Outc
 }
 
 /// The worst of all seeds.
-fn worst_of(outcomes: impl Iterator<Item = Outcome>) -> Outcome {
-    let mut all = Outcome { outside_s: f64::NEG_INFINITY, first_s: Some(0.0), ..Outcome::default() };
+fn worst_of(outcomes: impl Iterator<Item = AlignmentErrors>) -> AlignmentErrors {
+    let mut all = AlignmentErrors { outside_s: f64::NEG_INFINITY, first_s: Some(0.0), ..AlignmentErrors::default() };
     for one in outcomes {
         all.worst_s = all.worst_s.max(one.worst_s);
         all.outside_s = all.outside_s.max(one.outside_s);
@@ -140,8 +140,8 @@ fn worst_of(outcomes: impl Iterator<Item = Outcome>) -> Outcome {
 }
 
 /// Prints the figures and holds what every case promises: bounds that hold, order, an early start.
-fn promised(name: &str, outcome: Outcome) {
-    let Outcome { worst_s, outside_s, first_s, backwards_s, uncertainty_s } = outcome;
+fn promised(name: &str, outcome: AlignmentErrors) {
+    let AlignmentErrors { worst_s, outside_s, first_s, backwards_s, uncertainty_s } = outcome;
     println!(
         "{name}: worst {:.3} ms, bound at the end {:.3} ms, first after {:.2} s, outside its bounds by {:.3} ms",
         worst_s * 1e3,
@@ -169,7 +169,7 @@ fn a_steady_clock_behind_a_bluetooth_link_is_known_to_a_tenth_of_a_millisecond()
 fn a_resonator_that_is_one_per_cent_off_is_aligned_throughout() {
     for skew_ppm in [9_000.0, -9_000.0, 10_000.0, -10_000.0] {
         let truth = RemoteTime::new(1_234.5, 180.0, |_| skew_ppm * 1e-6);
-        let mut watched = Watched::new(&truth, 100.0);
+        let mut watched = AlignmentMonitor::new(&truth, 100.0);
         for (k, trip) in bluetooth(4).round_trips(180.0).iter().enumerate() {
             watched.exchange(trip);
             let aligned = watched.aligner.host_at(watched.brick(trip.answered_s));
@@ -252,13 +252,13 @@ fn on_a_quick_link_the_bounds_are_narrow_and_hold_while_the_clock_drifts() {
 fn a_restarted_clock_is_known_again_within_three_seconds() {
     for seed in SEEDS {
         let before = RemoteTime::new(700.0, 60.0, |_| 300e-6);
-        let mut watched = Watched::new(&before, 0.0);
+        let mut watched = AlignmentMonitor::new(&before, 0.0);
         for trip in bluetooth(seed).round_trips(60.0) {
             watched.exchange(&trip);
         }
         // Switched off and on: it counts from zero at host instant 62 s.
         let after = RemoteTime::new(-62.0, 120.0, |_| 300e-6);
-        let mut anew = Watched::new(&after, 100.0);
+        let mut anew = AlignmentMonitor::new(&after, 100.0);
         anew.aligner = watched.aligner;
         let mut restarts = 0;
         let late = bluetooth(seed + 100).round_trips(120.0);
@@ -270,7 +270,7 @@ fn a_restarted_clock_is_known_again_within_three_seconds() {
             anew.look(trip);
         }
         let first_s = anew.outcome.first_s.map(|first_s| first_s - 63.0);
-        promised("restart", Outcome { first_s, ..anew.outcome });
+        promised("restart", AlignmentErrors { first_s, ..anew.outcome });
         assert_eq!(restarts, 1);
     }
 }
@@ -279,7 +279,7 @@ fn a_restarted_clock_is_known_again_within_three_seconds() {
 fn counters_of_32_bits_keep_the_alignment_when_they_wrap() {
     // Microseconds wrap at 4295 s; 130 s before that is the start.
     let truth = RemoteTime::new(4_165.0, 180.0, |_| -400e-6);
-    let mut watched = Watched::new(&truth, 100.0);
+    let mut watched = AlignmentMonitor::new(&truth, 100.0);
     for trip in bluetooth(3).round_trips(180.0) {
         let register = (truth.at(trip.answered_s) * 1e6) as u64 % (1 << 32);
         watched.aligner.observe_exchange(
@@ -300,7 +300,7 @@ fn counters_of_32_bits_keep_the_alignment_when_they_wrap() {
 #[test]
 fn the_bounds_hold_while_answers_stay_away_and_telemetry_goes_on() {
     let truth = RemoteTime::new(50.0, 240.0, |_| 120e-6);
-    let mut watched = Watched::new(&truth, 100.0);
+    let mut watched = AlignmentMonitor::new(&truth, 100.0);
     for trip in bluetooth(5).round_trips(170.0) {
         if trip.sent_s < 100.0 {
             watched.exchange(&trip);
@@ -317,7 +317,7 @@ fn the_bounds_hold_while_answers_stay_away_and_telemetry_goes_on() {
 #[test]
 fn a_clock_that_never_answers_is_known_within_its_assumption() {
     let truth = RemoteTime::new(50.0, 180.0, |_| 120e-6);
-    let mut watched = Watched::new(&truth, 100.0);
+    let mut watched = AlignmentMonitor::new(&truth, 100.0);
     for trip in bluetooth(6).round_trips(180.0) {
         let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
         watched.aligner.observe_arrival(Endpoint::default(), stamp, host(trip.received_s));
@@ -348,13 +348,13 @@ fn an_answer_from_before_its_request_bounds_nothing() {
 fn a_clock_that_steps_without_falling_is_known_again_after_three_answers() {
     let truth = RemoteTime::new(50.0, 60.0, |_| 0.0);
     let stepped = RemoteTime::new(50.5, 60.0, |_| 0.0);
-    let mut watched = Watched::new(&truth, 0.0);
+    let mut watched = AlignmentMonitor::new(&truth, 0.0);
     let trips = bluetooth(7).round_trips(60.0);
     let (before, after) = trips.split_at(300);
     for trip in before {
         watched.exchange(trip);
     }
-    let mut anew = Watched::new(&stepped, 0.0);
+    let mut anew = AlignmentMonitor::new(&stepped, 0.0);
     anew.aligner = watched.aligner;
     for (k, trip) in after.iter().enumerate() {
         let nanos = (stepped.at(trip.answered_s) * 1e9) as i64;

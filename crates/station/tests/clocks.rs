@@ -9,8 +9,8 @@
 mod brick;
 #[path = "support/station.rs"]
 mod station;
-#[path = "support/world.rs"]
-mod world;
+#[path = "support/station_simulation.rs"]
+mod station_simulation;
 
 use std::ops::RangeInclusive;
 
@@ -22,7 +22,7 @@ use posebridge_telemetry::{
     ReceiveError, SensorId, TimeDelta, Timestamp,
 };
 use station::{STATION, TestStation, at, config};
-use world::World;
+use station_simulation::StationSimulation;
 
 /// A robot whose clock runs wrong by so much and whose 32-bit register wraps eight seconds after the beginning.
 fn scenario(skew_ppm: f64) -> Scenario {
@@ -35,19 +35,19 @@ fn scenario(skew_ppm: f64) -> Scenario {
 
 /// How far the stamp of each fix, on the brick's clock, is from the instant at which the camera exposed it, with the station's own
 /// idea of that error (one standard deviation), from five seconds after the beginning.
-fn alignment_errors(world: &World) -> Vec<(TimeDelta, TimeDelta)> {
-    let settings = world.simulation.scenario().brick;
+fn alignment_errors(setup: &StationSimulation) -> Vec<(TimeDelta, TimeDelta)> {
+    let settings = setup.simulation.scenario().brick;
     let rate = 1.0 + settings.clock_skew_ppm * 1e-6;
     let start = Timestamp::<BrickClock>::from_micros(settings.clock_start_micros as i64);
     let mut errors = vec![];
-    for event in world.station.events() {
+    for event in setup.station.events() {
         let Event::ObservationAligned { observation, .. } = event else {
             continue;
         };
         let ObservationKind::Fix(seen) = observation.measurement else {
             continue;
         };
-        let sent = world.simulation.camera_fixes().iter();
+        let sent = setup.simulation.camera_fixes().iter();
         let taken = sent
             .filter(|fix| f64::from(fix.position.x.0 as f32) == seen.position.x.0)
             .find(|fix| f64::from(fix.position.y.0 as f32) == seen.position.y.0);
@@ -68,9 +68,9 @@ fn worst_ms(errors: &[(TimeDelta, TimeDelta)]) -> f64 {
 #[test]
 fn fixes_stay_aligned_with_a_clock_that_is_2000_ppm_off_and_wraps() {
     for skew_ppm in [2_000.0, -2_000.0] {
-        let mut world = World::new(scenario(skew_ppm), &config());
-        world.run_for(25);
-        let errors = alignment_errors(&world);
+        let mut setup = StationSimulation::new(scenario(skew_ppm), &config());
+        setup.run_for(25);
+        let errors = alignment_errors(&setup);
         assert!(errors.len() > 150, "{} fixes", errors.len());
         let worst_ms = worst_ms(&errors);
         println!("{skew_ppm} ppm: worst {worst_ms:.2} ms");
@@ -81,18 +81,18 @@ fn fixes_stay_aligned_with_a_clock_that_is_2000_ppm_off_and_wraps() {
             assert!(error.as_millis_f64().abs() < bound_ms, "{error:?} {sigma:?}");
         }
         let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
-        assert_eq!(world.station.events().filter(is_restart).count(), 0);
+        assert_eq!(setup.station.events().filter(is_restart).count(), 0);
     }
 }
 
 #[test]
 fn fixes_are_aligned_at_once_when_a_link_comes_back_after_the_wrap() {
-    let mut world = World::new(scenario(-2_000.0), &config());
-    world.run_for(6);
-    let before = alignment_errors(&world).len();
-    world.cut_for(4);
-    world.run_for(2);
-    let errors = alignment_errors(&world);
+    let mut setup = StationSimulation::new(scenario(-2_000.0), &config());
+    setup.run_for(6);
+    let before = alignment_errors(&setup).len();
+    setup.cut_for(4);
+    setup.run_for(2);
+    let errors = alignment_errors(&setup);
     assert!(errors.len() > before + 15, "{}", errors.len());
     let worst_ms = worst_ms(&errors[before..]);
     println!("after the cut: worst {worst_ms:.2} ms");
@@ -101,15 +101,15 @@ fn fixes_are_aligned_at_once_when_a_link_comes_back_after_the_wrap() {
 
 #[test]
 fn across_the_wrap_the_estimate_follows_the_robot() {
-    let mut world = World::new(scenario(2_000.0), &config());
-    world.run_for(25);
-    for truth in world.simulation.truth().iter().rev().take(40) {
-        let estimate = world.station.engine.estimate_at(truth.brick_time);
+    let mut setup = StationSimulation::new(scenario(2_000.0), &config());
+    setup.run_for(25);
+    for truth in setup.simulation.truth().iter().rev().take(40) {
+        let estimate = setup.station.engine.estimate_at(truth.brick_time);
         let estimate = estimate.expect("within the history");
         let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
         assert!(error_m < 0.03, "{error_m} at {:?}", truth.sim_time);
     }
-    let verdicts: Vec<FusionOutcome> = world
+    let verdicts: Vec<FusionOutcome> = setup
         .station
         .events()
         .filter_map(|event| match event {
@@ -123,25 +123,25 @@ fn across_the_wrap_the_estimate_follows_the_robot() {
 
 #[test]
 fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
-    let mut world = World::new(scenario(100.0), &config());
-    world.run_for(10);
-    let before = world.station.engine.latest_time();
-    world.simulation.restart_brick();
-    let restarted_at = world.now();
-    world.run_for(8);
+    let mut setup = StationSimulation::new(scenario(100.0), &config());
+    setup.run_for(10);
+    let before = setup.station.engine.latest_time();
+    setup.simulation.restart_brick();
+    let restarted_at = setup.now();
+    setup.run_for(8);
     let is_restart = |event: &&Event| matches!(event, Event::BrickRestarted { .. });
-    assert_eq!(world.station.events().filter(is_restart).count(), 1);
-    assert!(world.station.engine.latest_time() < before, "a new clock");
+    assert_eq!(setup.station.events().filter(is_restart).count(), 1);
+    assert!(setup.station.engine.latest_time() < before, "a new clock");
 
-    let truth = world.simulation.truth().last().expect("it is logged");
-    let estimate = world.station.engine.estimate_at(truth.brick_time);
+    let truth = setup.simulation.truth().last().expect("it is logged");
+    let estimate = setup.station.engine.estimate_at(truth.brick_time);
     let estimate = estimate.expect("it was observed");
     let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
     assert!(error_m < 0.03, "{error_m}");
     assert_eq!(estimate.reset_counter, 0, "no jump");
     assert!(!estimate.is_dead_reckoning, "fixes are used again");
 
-    let asked = world.station.sent().filter(|(now, bytes)| {
+    let asked = setup.station.sent().filter(|(now, bytes)| {
         let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));
         *now > restarted_at && messages(bytes).iter().any(is_request)
     });
@@ -159,7 +159,7 @@ fn when(station: &TestStation, is_it: impl Fn(&Event) -> bool) -> Vec<Timestamp<
 }
 
 /// When the station asked for the time.
-fn asked_for_time(station: &TestStation) -> Vec<Timestamp<HostClock>> {
+fn time_request_times(station: &TestStation) -> Vec<Timestamp<HostClock>> {
     let is_request = |message: &Message| matches!(message, Message::TimeSync(sync) if sync.answer_nanos == 0);
     let requests = station.sent().filter(|(_, bytes)| messages(bytes).iter().any(is_request));
     requests.map(|(now, _)| now).collect()
@@ -202,22 +202,22 @@ fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a
     for seed in 1..=5 {
         let scenario = Scenario { seed, ..scenario(1_000.0) };
         let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
-        let mut world = World::new(scenario, &config());
-        world.run_for(12);
-        let asked = asked_for_time(&world.station)[0];
-        let first = first_usable(&world.station, asked);
-        world.simulation.restart_brick();
-        let restarted = world.now();
-        world.run_for(6);
-        let again = first_usable(&world.station, restarted);
+        let mut setup = StationSimulation::new(scenario, &config());
+        setup.run_for(12);
+        let asked = time_request_times(&setup.station)[0];
+        let first = first_usable(&setup.station, asked);
+        setup.simulation.restart_brick();
+        let restarted = setup.now();
+        setup.run_for(6);
+        let again = first_usable(&setup.station, restarted);
         println!("seed {seed}: first {first:?}, after a restart {again:?}");
         assert!(first <= TimeDelta::from_millis(3_000) && again <= TimeDelta::from_millis(3_000));
 
         let zero_ms = -restarted.as_secs_f64() * 1e3 * 1.001;
         let during = Timestamp::ZERO..=restarted;
-        let at_first = worst_outside_ms(&world.station, &during, start_ms, 1_000.0);
-        let during = restarted + TimeDelta::from_millis(1)..=world.now();
-        let anew = worst_outside_ms(&world.station, &during, zero_ms, 1_000.0);
+        let at_first = worst_outside_ms(&setup.station, &during, start_ms, 1_000.0);
+        let during = restarted + TimeDelta::from_millis(1)..=setup.now();
+        let anew = worst_outside_ms(&setup.station, &during, zero_ms, 1_000.0);
         assert!(at_first <= 0.0 && anew <= 0.0, "{at_first} {anew}");
     }
 }
@@ -311,9 +311,9 @@ fn a_camera_that_was_restarted_is_asked_for_its_time_at_once() {
     station.pass_until(at(5_000));
     // It shows its uptime from the start, 495 s less than before.
     station.bytes(at(5_010), &fix(at(5_000), -4_000));
-    let before = asked_for_time(&station).len();
+    let before = time_request_times(&station).len();
     station.pass_until(at(6_000));
-    let quick = asked_for_time(&station).len() - before;
+    let quick = time_request_times(&station).len() - before;
     assert!(quick >= 9, "{quick} requests in a second");
     let is_unaligned = |event: &Event| {
         let unaligned = ReceiveError::ClockNotAligned { source: CAMERA };

@@ -16,7 +16,7 @@ mod station;
 use std::collections::BTreeMap;
 
 use brick::{BRICK, HEARTBEAT, frame, ticks};
-use network::Speaker;
+use network::RemotePeer;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::{CommandLong, Message};
@@ -53,17 +53,17 @@ fn by_a_new_connection(before: Timestamp<HostClock>, told: u32) -> TestStation {
     let mut config = config();
     config.links[0].rules.limits.bytes_per_s = Some(2_500);
     let mut station = TestStation::new(&config);
-    Speaker::new(BRICK, LINK, 0).say(&mut station, before, &HEARTBEAT);
+    RemotePeer::new(BRICK, LINK, 0).send(&mut station, before, &HEARTBEAT);
     let counts = LinkCounts { peers: told, ..LinkCounts::default() };
-    station.give(at(59_000), Input::Port { link: LINK, counts });
-    let mut again = Speaker::new(BRICK, LINK, 1);
+    station.handle(at(59_000), Input::Port { link: LINK, counts });
+    let mut again = RemotePeer::new(BRICK, LINK, 1);
     for k in 0..200_u32 {
         let now = at(60_000 + i64::from(k) * 50);
-        let (_, passed) = again.say(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
+        let (_, passed) = again.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
         assert_eq!(passed, [], "message {k}");
         // Others on the same link would be told as much again.
         for _ in 0..3 {
-            assert_eq!(again.say(&mut station, now, &HEARTBEAT).1, []);
+            assert_eq!(again.send(&mut station, now, &HEARTBEAT).1, []);
         }
     }
     station
@@ -84,9 +84,9 @@ fn two_who_speak_on_one_link_hear_each_other() {
     for told in [0, 1, 2] {
         let mut station = TestStation::new(&config());
         let counts = LinkCounts { peers: told, ..LinkCounts::default() };
-        station.give(at(5), Input::Port { link: LINK, counts });
-        Speaker::new(BRICK, LINK, 0).say(&mut station, at(10), &HEARTBEAT);
-        let (_, passed) = Speaker::new(GCS, LINK, 1).say(&mut station, at(20), &HEARTBEAT);
+        station.handle(at(5), Input::Port { link: LINK, counts });
+        RemotePeer::new(BRICK, LINK, 0).send(&mut station, at(10), &HEARTBEAT);
+        let (_, passed) = RemotePeer::new(GCS, LINK, 1).send(&mut station, at(20), &HEARTBEAT);
         let to_the_other = (LINK, Recipients::AllExcept(PeerId(1)), Priority::Forwarded);
         assert_eq!(passed, [to_the_other], "{told}");
     }
@@ -101,14 +101,14 @@ fn a_limit_is_asked_once_for_a_frame_and_not_once_for_each_who_gets_it() {
     let mut station = TestStation::new(&config);
     // The robot has reconnected: it was heard by two peers of its link.
     for peer in 0..2 {
-        Speaker::new(BRICK, LINK, peer).say(&mut station, at(10), &HEARTBEAT);
+        RemotePeer::new(BRICK, LINK, peer).send(&mut station, at(10), &HEARTBEAT);
     }
-    let mut gcs = Speaker::new(GCS, GCS_LINK, 0);
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
     let set = Message::ParamSet { target: BRICK, name: "GAIN".to_owned(), value: 1.0 };
     let to_both = [0, 1].map(|peer| (LINK, Recipients::Peer(PeerId(peer)), Priority::Forwarded));
-    assert_eq!(gcs.say(&mut station, at(100), &set).1, to_both);
-    assert_eq!(gcs.say(&mut station, at(299), &set).1, []);
-    assert_eq!(gcs.say(&mut station, at(300), &set).1, to_both);
+    assert_eq!(gcs.send(&mut station, at(100), &set).1, to_both);
+    assert_eq!(gcs.send(&mut station, at(299), &set).1, []);
+    assert_eq!(gcs.send(&mut station, at(300), &set).1, to_both);
     assert_eq!(health(&mut station, LINK).0.rate_limited, 1);
 }
 
@@ -150,16 +150,16 @@ fn a_link_that_comes_up_again_has_reconnected_even_if_nothing_was_received() {
 #[test]
 fn health_tells_of_those_who_were_heard_most_when_somebody_invents_senders() {
     let mut station = TestStation::new(&config());
-    let mut brick = Speaker::new(BRICK, LINK, 0);
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
     for k in 0..10_u32 {
-        brick.say(&mut station, at(i64::from(k)), &ticks(5_000 + k, 0, 0));
+        brick.send(&mut station, at(i64::from(k)), &ticks(5_000 + k, 0, 0));
     }
     // Every address that sixteen bits can name, and then as many peers have gone.
     for system in 0..=255 {
         let frames: Vec<u8> =
             (0..=255).flat_map(|component| frame(Address::new(system, component), &HEARTBEAT)).collect();
         let input = Input::Bytes { link: LINK, peer: PeerId(1 + u32::from(system)), bytes: frames };
-        station.give(at(100), input);
+        station.handle(at(100), input);
     }
     let told = |station: &mut TestStation| {
         let (_, sources) = health(station, LINK);
@@ -194,13 +194,13 @@ fn a_command_reaches_the_robot_beside_a_flood_of_invented_senders() {
     let mut config = config();
     config.links.push(link(GCS_LINK, vec![]));
     let mut station = TestStation::new(&config);
-    Speaker::new(BRICK, LINK, 0).say(&mut station, at(10), &HEARTBEAT);
+    RemotePeer::new(BRICK, LINK, 0).send(&mut station, at(10), &HEARTBEAT);
     for number in 0..6_000_u32 {
         let source = Address::new(2 + (number / 250) as u8, (number % 250) as u8);
-        Speaker::new(source, LINK, 1).say(&mut station, at(20), &HEARTBEAT);
+        RemotePeer::new(source, LINK, 1).send(&mut station, at(20), &HEARTBEAT);
     }
     let command = Message::Command(CommandLong { target: BRICK, command: 400, params: [1.0; 7] });
-    let (_, passed) = Speaker::new(GCS, GCS_LINK, 0).say(&mut station, at(30), &command);
+    let (_, passed) = RemotePeer::new(GCS, GCS_LINK, 0).send(&mut station, at(30), &command);
     let to_brick = (LINK, Recipients::Peer(PeerId(0)), Priority::Command);
     assert_eq!(passed, [to_brick]);
 }

@@ -16,7 +16,7 @@ mod station;
 use std::collections::{BTreeMap, BTreeSet};
 
 use brick::{BRICK, HEARTBEAT, ticks};
-use network::Speaker;
+use network::RemotePeer;
 use posebridge_protocol::dialect::{Encoder, PayloadError, decode, ids};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind, WireVersion};
 use posebridge_protocol::message::{CommandLong, Message, OdometryPose, SetMessageInterval, WireStamp};
@@ -50,34 +50,34 @@ fn two_links() -> StationConfig {
 
 /// What a ground station hears.
 #[derive(Default)]
-struct Heard {
-    said: Vec<(Timestamp<HostClock>, Address, Message)>,
+struct ReceivedFrames {
+    messages: Vec<(Timestamp<HostClock>, Address, Message)>,
     /// Frames and missing ones of each sender.
     senders: BTreeMap<Address, (u8, u32, u32)>,
     unknown: u32,
     signed: u32,
 }
 
-impl Heard {
+impl ReceivedFrames {
     fn on(station: &TestStation, id: LinkId) -> Self {
-        let mut heard = Self::default();
+        let mut received = Self::default();
         for (now, output) in &station.outputs {
             match output {
                 Output::Transmit { link, to, bytes, .. } if *link == id => {
                     assert_eq!(*to, Recipients::All, "or the others would miss it");
-                    heard.take(*now, bytes);
+                    received.push(*now, bytes);
                 }
                 _ => {}
             }
         }
-        heard
+        received
     }
 
-    fn take(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) {
         self.signed += u32::from(bytes[2] & 1);
-        let mut scanner = Framer::new(FramerConfig { transport: TransportKind::Datagram, ..FramerConfig::default() });
+        let mut framer = Framer::new(FramerConfig { transport: TransportKind::Datagram, ..FramerConfig::default() });
         let mut found = 0;
-        scanner.push(Timestamp::ZERO, bytes, &mut |scanned| {
+        framer.push(Timestamp::ZERO, bytes, &mut |scanned| {
             found += 1;
             let frame = match scanned {
                 FramerOutput::Frame(frame) => frame,
@@ -97,21 +97,21 @@ impl Heard {
                 Err(PayloadError::SenderFailed { .. }) => None,
                 other => other.expect("the station makes sense"),
             };
-            self.said.extend(message.map(|said| (now, frame.source, said)));
+            self.messages.extend(message.map(|said| (now, frame.source, said)));
         });
         assert_eq!(found, 1, "one frame at a time");
     }
 
     /// When somebody said something of a kind, in milliseconds.
     fn times(&self, who: Address, is_it: impl Fn(&Message) -> bool) -> Vec<i64> {
-        let said = self.said.iter();
+        let said = self.messages.iter();
         let said = said.filter(|(_, from, message)| *from == who && is_it(message));
         said.map(|(now, _, _)| now.as_micros() / 1_000).collect()
     }
 
     /// The lines for people.
     fn texts(&self) -> Vec<&str> {
-        let said = self.said.iter();
+        let said = self.messages.iter();
         let texts = said.filter_map(|(_, _, message)| match message {
             Message::StatusText { text, .. } => Some(text.as_str()),
             _ => None,
@@ -141,43 +141,43 @@ fn unknown(sequence: u8) -> Vec<u8> {
 }
 
 /// A brick that drives from `from_ms` on for as long, at 20 Hz, with a heartbeat and an unknown message each second.
-fn drive(station: &mut TestStation, brick: &mut Speaker, from_ms: u32, millis: u32) {
+fn drive(station: &mut TestStation, brick: &mut RemotePeer, from_ms: u32, millis: u32) {
     for now_ms in (from_ms..from_ms + millis).step_by(50) {
         let now = at(i64::from(now_ms));
         station.pass_until(now);
         if now_ms % 1_000 == 0 {
-            brick.say(station, now, &HEARTBEAT);
+            brick.send(station, now, &HEARTBEAT);
             let sequence = brick.frame(&HEARTBEAT)[4];
-            brick.give(station, now, &unknown(sequence));
+            brick.send_bytes(station, now, &unknown(sequence));
         }
         let count = i64::from(now_ms / 50);
-        brick.say(station, now, &ticks(now_ms, count, count));
+        brick.send(station, now, &ticks(now_ms, count, count));
     }
 }
 
 #[test]
 fn the_brick_and_we_share_one_count_without_a_gap() {
     let mut station = TestStation::new(&two_links());
-    let mut brick = Speaker::new(BRICK, LINK, 0);
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
     // Its count does not begin at 0, and it is known for the robot only by its telemetry.
     for _ in 0..70 {
         brick.frame(&HEARTBEAT);
     }
     drive(&mut station, &mut brick, 0, 20_000);
-    let heard = Heard::on(&station, GCS_LINK);
-    println!("{:?}", heard.senders);
+    let received = ReceivedFrames::on(&station, GCS_LINK);
+    println!("{:?}", received.senders);
     for who in [BRICK, STATION] {
-        assert_eq!(heard.lost(who), 0, "{who}");
+        assert_eq!(received.lost(who), 0, "{who}");
     }
-    assert!(heard.times(BRICK, is_attitude).len() > 150);
-    assert_eq!(heard.times(STATION, is_attitude), Vec::<i64>::new());
-    assert_eq!(heard.unknown, 20, "none was dropped");
+    assert!(received.times(BRICK, is_attitude).len() > 150);
+    assert_eq!(received.times(STATION, is_attitude), Vec::<i64>::new());
+    assert_eq!(received.unknown, 20, "none was dropped");
     let wheels = |message: &Message| matches!(message, Message::WheelTicks(_));
-    assert_eq!(heard.times(BRICK, wheels).len(), 400);
+    assert_eq!(received.times(BRICK, wheels).len(), 400);
     // The brick's heartbeat is its own; ours would double it.
-    assert_eq!(heard.times(BRICK, is_beat).len(), 20);
-    assert!(heard.times(STATION, is_beat).len() >= 18);
-    let floor = heard.said.iter().filter(
+    assert_eq!(received.times(BRICK, is_beat).len(), 20);
+    assert!(received.times(STATION, is_beat).len() >= 18);
+    let floor = received.messages.iter().filter(
         |(_, _, message)| matches!(message, Message::Odometry(said) if matches!(said.pose, OdometryPose::Odom(_))),
     );
     assert!(floor.count() > 150);
@@ -188,25 +188,25 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
     let mut config = two_links();
     config.robot_system = Some(BRICK.system);
     let mut station = TestStation::new(&config);
-    let mut brick = Speaker::new(Address::new(1, 25), LINK, 0);
+    let mut brick = RemotePeer::new(Address::new(1, 25), LINK, 0);
     station.pass_until(at(3_000));
     drive(&mut station, &mut brick, 3_000, 4_000);
     station.pass_until(at(20_000));
     drive(&mut station, &mut brick, 20_000, 3_000);
-    let heard = Heard::on(&station, GCS_LINK);
+    let received = ReceivedFrames::on(&station, GCS_LINK);
     // Last heard at 6.95 s, lost 5 s later.
     for who in [BRICK, STATION] {
-        let beats = heard.times(who, is_beat);
+        let beats = received.times(who, is_beat);
         println!("{who} {beats:?}");
         assert!(beats.iter().all(|at| (3_000..12_000).contains(at) || *at >= 20_000));
         assert!(beats.iter().any(|at| *at < 5_100) && beats.iter().any(|at| *at >= 20_000));
-        assert_eq!(heard.lost(who), 0, "{who}");
+        assert_eq!(received.lost(who), 0, "{who}");
     }
-    let texts = heard.texts();
+    let texts = received.texts();
     assert!(texts.contains(&"robot 1/25 is lost: silent for 5.0 s"), "{texts:?}");
     assert!(texts.contains(&"robot 1/25 is heard again"), "{texts:?}");
     // On the robot's own link the station is there all the time: somebody may wait for it.
-    assert!(Heard::on(&station, LINK).times(STATION, is_beat).len() >= 22);
+    assert!(ReceivedFrames::on(&station, LINK).times(STATION, is_beat).len() >= 22);
 }
 
 #[test]
@@ -219,14 +219,14 @@ fn what_became_of_a_request_is_told_whatever_was_said_just_before() {
         (Command::Parameters(ParameterStorage::Save), "saved parameters.toml in run"),
     ];
     for (command, result) in results {
-        station.give(at(2_001), Input::Command(command));
-        station.give(at(2_001), report(result));
+        station.handle(at(2_001), Input::Command(command));
+        station.handle(at(2_001), report(result));
     }
     for _ in 0..100 {
-        station.give(at(2_002), report("again"));
+        station.handle(at(2_002), report("again"));
     }
-    let heard = Heard::on(&station, GCS_LINK);
-    let texts = heard.texts();
+    let received = ReceivedFrames::on(&station, GCS_LINK);
+    let texts = received.texts();
     for (_, result) in results {
         assert!(texts.contains(&result), "{result}: {texts:?}");
     }
@@ -242,29 +242,29 @@ fn a_range_is_said_once_by_the_robot_or_for_it() {
     // Of component 1 the frames themselves are the vehicle's; of another component nobody would look for them.
     for address in [BRICK, Address::new(1, 25)] {
         let mut station = TestStation::new(&two_links());
-        let mut brick = Speaker::new(address, LINK, 0);
+        let mut brick = RemotePeer::new(address, LINK, 0);
         drive(&mut station, &mut brick, 0, 1_000);
-        let before = Heard::on(&station, GCS_LINK).times(BRICK, is_range).len();
+        let before = ReceivedFrames::on(&station, GCS_LINK).times(BRICK, is_range).len();
         assert_eq!(before, 0);
         for step in 0..10_u32 {
             let millis = 1_000 + step * 100;
-            brick.say(&mut station, at(i64::from(millis)), &range(millis));
+            brick.send(&mut station, at(i64::from(millis)), &range(millis));
         }
-        let heard = Heard::on(&station, GCS_LINK);
-        let theirs = heard.times(address, is_range).len();
-        let as_vehicle = heard.times(BRICK, is_range).len();
+        let received = ReceivedFrames::on(&station, GCS_LINK);
+        let theirs = received.times(address, is_range).len();
+        let as_vehicle = received.times(BRICK, is_range).len();
         assert!(theirs >= 10, "{address}: what the robot says is passed on");
         // The very first may leave twice: that the robot says it is known once it has been passed on.
         assert!((10..=11).contains(&as_vehicle), "{address}: {as_vehicle}");
-        assert_eq!(heard.lost(BRICK), 0, "{address}");
+        assert_eq!(received.lost(BRICK), 0, "{address}");
     }
 }
 
 #[test]
 fn commands_about_what_we_say_for_the_robot_are_ours_and_all_others_its_own() {
     let mut station = TestStation::new(&two_links());
-    let mut brick = Speaker::new(BRICK, LINK, 0);
-    let mut gcs = Speaker::new(GCS, GCS_LINK, 0);
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
     drive(&mut station, &mut brick, 0, 2_000);
     let interval = |message_id| {
         Message::SetMessageInterval(SetMessageInterval {
@@ -274,18 +274,18 @@ fn commands_about_what_we_say_for_the_robot_are_ours_and_all_others_its_own() {
         })
     };
     let to_brick = |passed: &[(LinkId, Recipients, Priority)]| passed.iter().any(|(link, _, _)| *link == LINK);
-    let (_, passed) = gcs.say(&mut station, at(2_000), &interval(ids::ATTITUDE));
+    let (_, passed) = gcs.send(&mut station, at(2_000), &interval(ids::ATTITUDE));
     assert!(!to_brick(&passed), "the brick would refuse it");
-    let (_, passed) = gcs.say(&mut station, at(2_001), &interval(ids::PB_WHEEL_TICKS));
+    let (_, passed) = gcs.send(&mut station, at(2_001), &interval(ids::PB_WHEEL_TICKS));
     assert!(to_brick(&passed));
     let any = Message::Command(CommandLong { target: BRICK, command: 400, params: [0.0; 7] });
-    let (_, passed) = gcs.say(&mut station, at(2_002), &any);
+    let (_, passed) = gcs.send(&mut station, at(2_002), &any);
     assert!(to_brick(&passed));
-    let heard = Heard::on(&station, GCS_LINK);
-    let acks = heard.times(BRICK, |message| matches!(message, Message::CommandAck(_)));
+    let received = ReceivedFrames::on(&station, GCS_LINK);
+    let acks = received.times(BRICK, |message| matches!(message, Message::CommandAck(_)));
     assert_eq!(acks, [2_000], "one answer, to what was ours");
     drive(&mut station, &mut brick, 2_050, 3_000);
-    let attitudes = Heard::on(&station, GCS_LINK).times(BRICK, is_attitude);
+    let attitudes = ReceivedFrames::on(&station, GCS_LINK).times(BRICK, is_attitude);
     assert_eq!(attitudes.iter().filter(|at| **at > 2_000).count(), 6);
 }
 
@@ -295,7 +295,7 @@ fn a_ring_brings_nothing_round_twice() {
     let mut config = two_links();
     config.links.push(link(LinkId(7), vec![]));
     let mut station = TestStation::new(&config);
-    let mut brick = Speaker::new(BRICK, LINK, 0);
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
     drive(&mut station, &mut brick, 0, 2_000);
     let sent: Vec<Vec<u8>> = station
         .outputs
@@ -307,9 +307,9 @@ fn a_ring_brings_nothing_round_twice() {
         .collect();
     assert!(sent.len() > 50);
     let seen = station.outputs.len();
-    let stranger = Speaker::new(BRICK, LinkId(7), 0);
+    let stranger = RemotePeer::new(BRICK, LinkId(7), 0);
     for bytes in &sent {
-        stranger.give(&mut station, at(2_010), bytes);
+        stranger.send_bytes(&mut station, at(2_010), bytes);
     }
     let again = station.outputs[seen..].iter().filter(|(_, output)| match output {
         Output::Transmit { bytes, .. } => sent.contains(bytes) && bytes[6] == 1,
@@ -337,31 +337,31 @@ fn nobody_loses_frames_by_what_was_for_the_station_alone() {
         let has_key = key.is_some();
         config.links[1].signing = key;
         let mut station = TestStation::new(&config);
-        let mut brick = Speaker::new(BRICK, LINK, 0);
-        let mut camera = Speaker::new(CAMERA, LINK, 0);
+        let mut brick = RemotePeer::new(BRICK, LINK, 0);
+        let mut camera = RemotePeer::new(CAMERA, LINK, 0);
         let for_us = Message::Command(CommandLong { target: STATION, command: 400, params: [0.0; 7] });
         for second in 0..8 {
             drive(&mut station, &mut brick, 1_000 * second, 1_000);
             let now = at(i64::from(1_000 * second) + 970);
-            let (_, passed) = brick.say(&mut station, now, &for_us);
+            let (_, passed) = brick.send(&mut station, now, &for_us);
             assert!(passed.is_empty());
-            camera.say(&mut station, now, &for_us);
-            camera.say(&mut station, now, &HEARTBEAT);
+            camera.send(&mut station, now, &for_us);
+            camera.send(&mut station, now, &HEARTBEAT);
         }
-        let heard = Heard::on(&station, GCS_LINK);
-        println!("{:?}", heard.senders);
+        let received = ReceivedFrames::on(&station, GCS_LINK);
+        println!("{:?}", received.senders);
         for (who, frames) in [(BRICK, 160), (STATION, 50), (CAMERA, 8)] {
-            let (_, found, lost) = heard.senders[&who];
+            let (_, found, lost) = received.senders[&who];
             assert_eq!(lost, 0, "{who}");
             assert!(found >= frames, "{who}: {found}");
         }
         // Beside frames that the robot does not sign nobody signs as the robot.
-        let attitudes = |who| heard.times(who, is_attitude).len();
+        let attitudes = |who| received.times(who, is_attitude).len();
         let (of_brick, of_station) = (attitudes(BRICK), attitudes(STATION));
         assert_eq!(of_brick > 50, !has_key, "{of_brick}");
         assert_eq!(of_station > 50, has_key, "{of_station}");
-        let ours = heard.senders[&STATION].1;
-        assert_eq!(heard.signed, if has_key { ours } else { 0 });
+        let ours = received.senders[&STATION].1;
+        assert_eq!(received.signed, if has_key { ours } else { 0 });
     }
 }
 
@@ -377,14 +377,14 @@ fn signed_frames_are_never_touched_and_silence_us() {
     let mut station = TestStation::new(&two_links());
     let mut signing = LinkSigner::new(a_key());
     let mut encoder = Encoder::new(WireVersion::V2);
-    let voice = Speaker::new(BRICK, LINK, 0);
+    let voice = RemotePeer::new(BRICK, LINK, 0);
     let mut said = Vec::new();
     for step in 0..60_u32 {
         let now = at(i64::from(step * 50));
         station.pass_until(now);
         let message = if step % 20 == 0 { HEARTBEAT } else { ticks(step * 50, 0, 0) };
         let bytes = sign(&mut signing, &mut encoder, now, &message);
-        voice.give(&mut station, now, &bytes);
+        voice.send_bytes(&mut station, now, &bytes);
         said.push(bytes);
     }
     let passed: Vec<Vec<u8>> = station

@@ -87,7 +87,7 @@ fn the_same_address_on_another_link_is_another_robot() {
         link: LinkId(4),
         bytes: frame(BRICK, &ticks(70_000, 0, 0)),
     };
-    station.give(at(110), input);
+    station.handle(at(110), input);
     assert_eq!(observers(&station), [robot(BRICK)]);
 }
 

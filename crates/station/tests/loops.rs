@@ -14,7 +14,7 @@ mod network;
 mod station;
 
 use brick::{BRICK, HEARTBEAT, messages, ticks};
-use network::{OnTheirWay, Speaker, passed_on};
+use network::{BytesInTransit, RemotePeer, passed_on};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Message, SetMessageInterval, TimeSync};
 use posebridge_telemetry::{Address, Event, LinkId, Output, ReceiveError, TimeDelta};
@@ -37,17 +37,17 @@ fn a_frame_that_waited_in_a_full_queue_on_its_way_round_goes_no_further() {
     let longest_wait = TimeDelta::from_secs_f64(65_536.0 / 5_760.0);
     for wait in [TimeDelta::from_millis(1_500), longest_wait] {
         let mut station = station_in_a_loop();
-        let mut brick = Speaker::new(BRICK, LINK, 0);
-        let far = Speaker::new(BRICK, FAR, 0);
-        let mut on_their_way = OnTheirWay::default();
+        let mut brick = RemotePeer::new(BRICK, LINK, 0);
+        let far = RemotePeer::new(BRICK, FAR, 0);
+        let mut in_transit = BytesInTransit::default();
         for k in 0..800_u32 {
             let now = at(i64::from(k) * 50);
-            let (frame, passed) = brick.say(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
+            let (frame, passed) = brick.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
             assert_eq!(passed.len(), 2, "out by both links");
-            on_their_way.send(now + wait, (), frame);
-            while let Some(((), back)) = on_their_way.take_due(now) {
+            in_transit.send(now + wait, (), frame);
+            while let Some(((), back)) = in_transit.take_due(now) {
                 let seen = station.outputs.len();
-                far.give(&mut station, now, &back);
+                far.send_bytes(&mut station, now, &back);
                 assert_eq!(passed_on(&station, seen, &back), [], "after {wait:?}");
             }
         }
@@ -57,7 +57,7 @@ fn a_frame_that_waited_in_a_full_queue_on_its_way_round_goes_no_further() {
 }
 
 /// The messages that the station sent on a link after the first `seen` outputs.
-fn said(station: &TestStation, seen: usize, on: LinkId) -> Vec<Message> {
+fn sent_messages(station: &TestStation, seen: usize, on: LinkId) -> Vec<Message> {
     let outputs = station.outputs[seen..].iter();
     let sent = outputs.filter_map(|(_, output)| match output {
         Output::Transmit { link, bytes, .. } if *link == on => Some(messages(bytes)),
@@ -70,22 +70,22 @@ fn said(station: &TestStation, seen: usize, on: LinkId) -> Vec<Message> {
 fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_first() {
     const GCS: Address = Address::new(254, 190);
     let mut station = station_in_a_loop();
-    let mut near = Speaker::new(GCS, NEAR, 0);
+    let mut near = RemotePeer::new(GCS, NEAR, 0);
     let frame = near.frame(&Message::SetMessageInterval(SetMessageInterval {
         target: STATION,
         message_id: ids::ODOMETRY,
         interval: Some(TimeDelta::from_millis(50)),
     }));
     let seen = station.outputs.len();
-    near.give(&mut station, at(100), &frame);
-    Speaker::new(GCS, FAR, 0).give(&mut station, at(140), &frame);
-    let mut brick = Speaker::new(BRICK, LINK, 0);
+    near.send_bytes(&mut station, at(100), &frame);
+    RemotePeer::new(GCS, FAR, 0).send_bytes(&mut station, at(140), &frame);
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
     for k in 0..20_u32 {
         let now = at(200 + i64::from(k) * 50);
-        brick.say(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
+        brick.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
     }
     let counts = [NEAR, FAR].map(|link| {
-        let said = said(&station, seen, link);
+        let said = sent_messages(&station, seen, link);
         let acks = said.iter().filter(|m| matches!(m, Message::CommandAck(_)));
         let stream = said.iter().filter(|m| matches!(m, Message::Odometry(_)));
         (acks.count(), stream.count())
@@ -96,13 +96,13 @@ fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_fi
 #[test]
 fn an_answer_is_taken_where_the_question_left_even_if_it_was_quicker_round_the_loop() {
     let mut station = station_in_a_loop();
-    let mut brick = Speaker::new(BRICK, LINK, 0);
-    brick.say(&mut station, at(0), &ticks(5_000, 0, 0));
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
+    brick.send(&mut station, at(0), &ticks(5_000, 0, 0));
     let mut seen = 0;
     for k in 1..40_i64 {
         let now = at(k * 100);
         station.pass_until(now);
-        for message in said(&station, seen, LINK) {
+        for message in sent_messages(&station, seen, LINK) {
             let Message::TimeSync(sync) = message else {
                 continue;
             };
@@ -111,8 +111,8 @@ fn an_answer_is_taken_where_the_question_left_even_if_it_was_quicker_round_the_l
                 request_nanos: sync.request_nanos,
                 target: Some(STATION),
             }));
-            Speaker::new(BRICK, NEAR, 0).give(&mut station, now, &answer);
-            brick.give(&mut station, now, &answer);
+            RemotePeer::new(BRICK, NEAR, 0).send_bytes(&mut station, now, &answer);
+            brick.send_bytes(&mut station, now, &answer);
         }
         seen = station.outputs.len();
     }
@@ -124,19 +124,19 @@ fn an_answer_is_taken_where_the_question_left_even_if_it_was_quicker_round_the_l
 fn a_robot_is_seen_on_its_own_link_and_not_where_its_heartbeats_come_round() {
     for round_first in [false, true] {
         let mut station = station_in_a_loop();
-        let mut brick = Speaker::new(BRICK, LINK, 0);
-        let near = Speaker::new(BRICK, NEAR, 0);
-        brick.say(&mut station, at(0), &ticks(5_000, 0, 0));
+        let mut brick = RemotePeer::new(BRICK, LINK, 0);
+        let near = RemotePeer::new(BRICK, NEAR, 0);
+        brick.send(&mut station, at(0), &ticks(5_000, 0, 0));
         for k in 1..10_i64 {
             let now = at(k * 1_000);
             station.pass_until(now);
             let frame = brick.frame(&HEARTBEAT);
             if round_first {
-                near.give(&mut station, now, &frame);
+                near.send_bytes(&mut station, now, &frame);
             }
-            brick.give(&mut station, now, &frame);
+            brick.send_bytes(&mut station, now, &frame);
             if !round_first {
-                near.give(&mut station, now, &frame);
+                near.send_bytes(&mut station, now, &frame);
             }
         }
         let mut seen = Vec::new();
@@ -159,9 +159,9 @@ fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
     station.pass_until(at(3_000));
     let echoes: Vec<Vec<u8>> = station.sent().map(|(_, bytes)| bytes.to_vec()).collect();
     assert!(echoes.len() > 9, "{}", echoes.len());
-    let far = Speaker::new(STATION, FAR, 0);
+    let far = RemotePeer::new(STATION, FAR, 0);
     for frame in &echoes {
-        far.give(&mut station, at(3_000), frame);
+        far.send_bytes(&mut station, at(3_000), frame);
     }
     let namesakes = |station: &TestStation| {
         let is_one = |event: &&Event| {
@@ -171,10 +171,10 @@ fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
         station.events().filter(is_one).count()
     };
     assert_eq!(namesakes(&station), 0);
-    let mut other = Speaker::new(STATION, FAR, 0);
+    let mut other = RemotePeer::new(STATION, FAR, 0);
     let seen = station.outputs.len();
     for k in 0..5 {
-        let (_, passed) = other.say(&mut station, at(3_100 + k), &HEARTBEAT);
+        let (_, passed) = other.send(&mut station, at(3_100 + k), &HEARTBEAT);
         assert_eq!(passed, []);
     }
     assert_eq!(namesakes(&station), 5);

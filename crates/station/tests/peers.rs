@@ -1,4 +1,4 @@
-//! Five hundred peers on one link, of which one is silent and one sends garbage: each has a scanner of its own.
+//! Five hundred peers on one link, of which one is silent and one sends garbage: each has a framer of its own.
 //!
 //! In virtual time. The same with real sockets, and a link between, is a test of the program.
 #![expect(
@@ -54,7 +54,7 @@ fn encoder_of(robot: u32) -> Encoder {
 }
 
 /// The bytes of a robot's round: a heartbeat and its wheels, which no other robot has turned so far.
-fn said(encoder: &mut Encoder, robot: u32, round: u32) -> Vec<u8> {
+fn round_of(encoder: &mut Encoder, robot: u32, round: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     let left = i64::from(robot) * 1_000 + i64::from(round);
     encoder.encode(address(robot), &HEARTBEAT, &mut bytes);
@@ -68,7 +68,7 @@ fn station_in_a_crowd(framing: TransportKind) -> TestStation {
     let mut config = config();
     config.links[0].framing = framing;
     let mut station = TestStation::new(&config);
-    give(&mut station, at(900), SILENT, BEGUN.to_vec());
+    push_bytes(&mut station, at(900), SILENT, BEGUN.to_vec());
     let mut rng = Pcg64::seed_from_u64(5);
     let mut encoders: Vec<Encoder> = (0..ROBOTS).map(encoder_of).collect();
     for round in 0..ROUNDS {
@@ -76,29 +76,29 @@ fn station_in_a_crowd(framing: TransportKind) -> TestStation {
         station.pass_until(begin);
         let mut second_parts = Vec::new();
         for (robot, encoder) in (0..ROBOTS).zip(&mut encoders) {
-            let mut first = said(encoder, robot, round);
+            let mut first = round_of(encoder, robot, round);
             let cut = match framing {
                 TransportKind::Datagram => first.len(),
                 TransportKind::Stream => rng.random_range(1..first.len()),
             };
             second_parts.push((robot, first.split_off(cut)));
-            give(&mut station, begin, PeerId(robot), first);
+            push_bytes(&mut station, begin, PeerId(robot), first);
             let garbage: Vec<u8> = (0..GARBAGE).map(|_| rng.random()).collect();
-            give(&mut station, begin, MAD, garbage);
+            push_bytes(&mut station, begin, MAD, garbage);
         }
         let then = begin + TimeDelta::from_millis(10);
         station.pass_until(then);
         for (robot, second) in second_parts.into_iter().filter(|part| !part.1.is_empty()) {
-            give(&mut station, then, PeerId(robot), second);
+            push_bytes(&mut station, then, PeerId(robot), second);
         }
     }
     station.pass_until(at(5_000));
     station
 }
 
-fn give(station: &mut TestStation, now: Timestamp<HostClock>, peer: PeerId, bytes: Vec<u8>) {
+fn push_bytes(station: &mut TestStation, now: Timestamp<HostClock>, peer: PeerId, bytes: Vec<u8>) {
     let link = LINK;
-    station.give(now, Input::Bytes { link, peer, bytes });
+    station.handle(now, Input::Bytes { link, peer, bytes });
 }
 
 fn health(station: &TestStation) -> (LinkHealth, &[SourceHealth]) {

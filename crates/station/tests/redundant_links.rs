@@ -14,7 +14,7 @@ mod network;
 mod station;
 
 use brick::{BRICK, HEARTBEAT, ticks};
-use network::{OnTheirWay, Speaker};
+use network::{BytesInTransit, RemotePeer};
 use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::{Message, TimeSync};
 use posebridge_telemetry::{Event, HostClock, LinkId, Output, TimeDelta, Timestamp};
@@ -29,26 +29,26 @@ const AHEAD_MS: i64 = 60_000;
 
 /// Whether the brick answers time requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Answers {
+enum TimeReplies {
     Yes,
     No,
 }
 
 /// A brick that says everything on a quick link and on a slow one, and answers time requests on each.
-struct Run {
+struct RedundantBrick {
     station: TestStation,
-    speakers: [Speaker; 2],
-    on_their_way: OnTheirWay<usize>,
+    remotes: [RemotePeer; 2],
+    in_transit: BytesInTransit<usize>,
     seen: usize,
-    answers: Answers,
+    answers: TimeReplies,
     is_up: [bool; 2],
     /// Until when each link holds back what is sent on it, ms of host time.
     held_until_ms: [i64; 2],
     ahead_ms: i64,
 }
 
-impl Run {
-    fn new(answers: Answers) -> Self {
+impl RedundantBrick {
+    fn new(answers: TimeReplies) -> Self {
         let mut config = config();
         config.links = LINKS
             .map(|id| {
@@ -59,8 +59,8 @@ impl Run {
             .to_vec();
         Self {
             station: TestStation::new(&config),
-            speakers: LINKS.map(|id| Speaker::new(BRICK, id, 0)),
-            on_their_way: OnTheirWay::default(),
+            remotes: LINKS.map(|id| RemotePeer::new(BRICK, id, 0)),
+            in_transit: BytesInTransit::default(),
             seen: 0,
             answers,
             is_up: [true; 2],
@@ -70,10 +70,10 @@ impl Run {
     }
 
     fn send(&mut self, now: i64, index: usize, message: &Message) {
-        let frame = self.speakers[index].frame(message);
+        let frame = self.remotes[index].frame(message);
         if self.is_up[index] {
             let arrival = (now + DELAYS_MS[index]).max(self.held_until_ms[index]);
-            self.on_their_way.send(at(arrival), index, frame);
+            self.in_transit.send(at(arrival), index, frame);
         }
     }
 
@@ -86,15 +86,15 @@ impl Run {
                 if index == 1 || now / PERIOD_MS % 10 != 0 {
                     self.send(now, index, &ticks(brick_ms, turned, turned));
                 } else {
-                    self.speakers[index].frame(&HEARTBEAT);
+                    self.remotes[index].frame(&HEARTBEAT);
                 }
                 if now % 1_000 == 0 {
                     self.send(now, index, &HEARTBEAT);
                 }
             }
         }
-        while let Some((index, bytes)) = self.on_their_way.take_due(at(now)) {
-            self.speakers[index].give(&mut self.station, at(now), &bytes);
+        while let Some((index, bytes)) = self.in_transit.take_due(at(now)) {
+            self.remotes[index].send_bytes(&mut self.station, at(now), &bytes);
         }
         self.station.pass_until(at(now));
         self.answer(now);
@@ -116,7 +116,7 @@ impl Run {
             })
             .collect();
         self.seen = self.station.outputs.len();
-        if self.answers == Answers::No {
+        if self.answers == TimeReplies::No {
             return;
         }
         for (index, request_nanos) in requests {
@@ -153,8 +153,8 @@ fn restarts(station: &TestStation) -> Vec<Timestamp<HostClock>> {
 
 #[test]
 fn what_a_link_held_back_for_seconds_is_late_and_no_restart() {
-    for answers in [Answers::Yes, Answers::No] {
-        let mut run = Run::new(answers);
+    for answers in [TimeReplies::Yes, TimeReplies::No] {
+        let mut run = RedundantBrick::new(answers);
         for now in 0..20_000_i64 {
             if now % 6_000 == 2_000 {
                 run.held_until_ms[1] = now + 4_000;
@@ -172,11 +172,11 @@ fn what_a_link_held_back_for_seconds_is_late_and_no_restart() {
 
 #[test]
 fn a_restart_is_seen_once_and_soon_whatever_a_slow_link_still_brings_of_the_time_before() {
-    for answers in [Answers::Yes, Answers::No] {
+    for answers in [TimeReplies::Yes, TimeReplies::No] {
         for held_ms in [0, 500, 5_000] {
             for quick_is_up in [true, false] {
                 let case = format!("{answers:?}, {held_ms} ms, {quick_is_up}");
-                let mut run = Run::new(answers);
+                let mut run = RedundantBrick::new(answers);
                 for now in 0..20_000_i64 {
                     match now {
                         8_000 => run.is_up[0] = quick_is_up,
@@ -211,13 +211,13 @@ fn a_link_that_was_never_heard_before_may_bring_old_news() {
         }
         config
     });
-    let mut speakers = LINKS.map(|id| Speaker::new(BRICK, id, 0));
+    let mut remotes = LINKS.map(|id| RemotePeer::new(BRICK, id, 0));
     for k in 0..200_u32 {
         let now = at(i64::from(k) * PERIOD_MS);
-        speakers[0].say(&mut station, now, &ticks(60_000 + k * 50, 0, 0));
+        remotes[0].send(&mut station, now, &ticks(60_000 + k * 50, 0, 0));
         if k >= 100 {
             // Four seconds late, and not a copy: the other link has lost them.
-            speakers[1].say(&mut station, now, &ticks(60_025 + (k - 80) * 50, 0, 0));
+            remotes[1].send(&mut station, now, &ticks(60_025 + (k - 80) * 50, 0, 0));
         }
     }
     assert_eq!(restarts(&station), []);
@@ -228,17 +228,17 @@ fn a_brick_that_restarts_behind_a_new_connection_is_noticed_within_three_seconds
     let mut config = config();
     config.links[0].framing = TransportKind::Datagram;
     let mut station = TestStation::new(&config);
-    let mut before = Speaker::new(BRICK, LINK, 0);
-    let mut after = Speaker::new(BRICK, LINK, 1);
+    let mut before = RemotePeer::new(BRICK, LINK, 0);
+    let mut after = RemotePeer::new(BRICK, LINK, 1);
     for k in 0..200_u32 {
         let now = at(i64::from(k) * PERIOD_MS);
-        before.say(&mut station, now, &ticks(60_000 + k * 50, 0, 0));
+        before.send(&mut station, now, &ticks(60_000 + k * 50, 0, 0));
     }
     // Up again after a tenth of a second, and it comes from another port.
     let up = at(10_050);
     for k in 0..200_u32 {
         let now = up + TimeDelta::from_millis(i64::from(k) * PERIOD_MS);
-        after.say(&mut station, now, &ticks(100 + k * 50, 0, 0));
+        after.send(&mut station, now, &ticks(100 + k * 50, 0, 0));
     }
     let seen = restarts(&station);
     assert!(matches!(seen[..], [one] if one <= up + TimeDelta::from_millis(3_000)), "{seen:?}");
@@ -246,13 +246,13 @@ fn a_brick_that_restarts_behind_a_new_connection_is_noticed_within_three_seconds
 
 #[test]
 fn a_stamp_from_the_future_by_a_link_that_then_dies_does_not_keep_the_other_one_out() {
-    let mut run = Run::new(Answers::No);
+    let mut run = RedundantBrick::new(TimeReplies::No);
     for now in 0..20_000_i64 {
         if now == 10_003 {
-            let damaged = run.speakers[0].frame(&ticks(100_000, 0, 0));
-            run.speakers[0].give(&mut run.station, at(now), &damaged);
+            let damaged = run.remotes[0].frame(&ticks(100_000, 0, 0));
+            run.remotes[0].send_bytes(&mut run.station, at(now), &damaged);
             run.is_up[0] = false;
-            run.on_their_way.lose(|index| *index == 0);
+            run.in_transit.lose(|index| *index == 0);
         }
         run.step(now);
     }
@@ -269,15 +269,15 @@ fn a_copy_by_a_redundant_link_is_not_used_because_a_detour_was_quicker_still() {
     config.links[0].rules.group = Some(0);
     config.links[1].rules.group = Some(0);
     let mut station = TestStation::new(&config);
-    let mut speakers = LINKS.map(|id| Speaker::new(BRICK, id, 0));
+    let mut remotes = LINKS.map(|id| RemotePeer::new(BRICK, id, 0));
     // The links' counters differ, or their frames would be the same bytes.
-    speakers[1].frame(&HEARTBEAT);
-    speakers[0].say(&mut station, at(50), &ticks(4_950, 0, 0));
-    let frames = [0, 1].map(|index| speakers[index].frame(&ticks(5_000, 7, 7)));
-    let detour = Speaker::new(BRICK, LINK, 5);
-    detour.give(&mut station, at(100), &frames[1]);
-    speakers[0].give(&mut station, at(110), &frames[0]);
-    speakers[1].give(&mut station, at(120), &frames[1]);
+    remotes[1].frame(&HEARTBEAT);
+    remotes[0].send(&mut station, at(50), &ticks(4_950, 0, 0));
+    let frames = [0, 1].map(|index| remotes[index].frame(&ticks(5_000, 7, 7)));
+    let detour = RemotePeer::new(BRICK, LINK, 5);
+    detour.send_bytes(&mut station, at(100), &frames[1]);
+    remotes[0].send_bytes(&mut station, at(110), &frames[0]);
+    remotes[1].send_bytes(&mut station, at(120), &frames[1]);
     let is_observation = |event: &&Event| matches!(event, Event::ObservationAligned { .. });
     assert_eq!(station.events().filter(is_observation).count(), 2);
 }

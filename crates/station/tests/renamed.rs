@@ -15,7 +15,7 @@ mod network;
 mod station;
 
 use brick::{BRICK, HEARTBEAT, ticks};
-use network::{Speaker, passed_on};
+use network::{RemotePeer, passed_on};
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, checksum};
 use posebridge_protocol::message::{Message, TextPart};
@@ -29,14 +29,14 @@ const GCS: Address = Address::new(254, 190);
 const SECOND: Address = Address::new(2, 1);
 const SIGNED: u8 = 1;
 
-struct Scene {
+struct TwoRobotSetup {
     station: TestStation,
-    robots: [Speaker; 2],
-    gcs: Speaker,
+    robots: [RemotePeer; 2],
+    gcs: RemotePeer,
     now_ms: u32,
 }
 
-impl Scene {
+impl TwoRobotSetup {
     /// Both robots are known.
     fn new() -> Self {
         let mut config = config();
@@ -44,29 +44,29 @@ impl Scene {
             announced_as: AnnouncedAs::StationAndVehicle,
             ..link(GCS_LINK, vec![stream(OutputKind::Attitude, 0)])
         });
-        let robots = [0, 1].map(|peer| Speaker::new(BRICK, LINK, peer));
-        let gcs = Speaker::new(GCS, GCS_LINK, 0);
-        let mut scene = Self { station: TestStation::new(&config), robots, gcs, now_ms: 100 };
-        scene.gcs.say(&mut scene.station, at(50), &HEARTBEAT);
+        let robots = [0, 1].map(|peer| RemotePeer::new(BRICK, LINK, peer));
+        let gcs = RemotePeer::new(GCS, GCS_LINK, 0);
+        let mut setup = Self { station: TestStation::new(&config), robots, gcs, now_ms: 100 };
+        setup.gcs.send(&mut setup.station, at(50), &HEARTBEAT);
         for _ in 0..5 {
-            scene.drive();
+            setup.drive();
         }
-        assert_eq!(scene.station.engine.robots().len(), 2);
-        scene
+        assert_eq!(setup.station.engine.robots().len(), 2);
+        setup
     }
 
     /// Both robots tell their wheels, one after the other.
     fn drive(&mut self) {
         for robot in 0..2 {
             let counts = i64::from(1_000 * robot as u32 + self.now_ms);
-            self.say(robot, &ticks(self.now_ms, counts, counts));
+            self.send(robot, &ticks(self.now_ms, counts, counts));
         }
         self.now_ms += 50;
     }
 
-    fn say(&mut self, robot: usize, message: &Message) {
+    fn send(&mut self, robot: usize, message: &Message) {
         let now = at(i64::from(self.now_ms) + 10 * robot as i64);
-        self.robots[robot].say(&mut self.station, now, message);
+        self.robots[robot].send(&mut self.station, now, message);
     }
 
     /// The frames that were sent on a link since `seen` outputs: recipients, sender, message and target.
@@ -101,13 +101,13 @@ impl Scene {
 
 #[test]
 fn every_frame_of_the_second_robot_bears_the_system_that_is_announced() {
-    let mut scene = Scene::new();
-    let seen = scene.station.outputs.len();
+    let mut setup = TwoRobotSetup::new();
+    let seen = setup.station.outputs.len();
     let text = |words: &str| Message::StatusText { severity: 4, text: words.to_owned(), part: TextPart::default() };
-    scene.say(0, &text("first"));
-    scene.say(1, &text("second"));
-    scene.drive();
-    let frames = scene.frames_since(seen, GCS_LINK);
+    setup.send(0, &text("first"));
+    setup.send(1, &text("second"));
+    setup.drive();
+    let frames = setup.frames_since(seen, GCS_LINK);
     let sent = |wanted: Message| {
         frames.iter().filter(|(_, _, message)| *message == wanted).map(|(_, from, _)| *from).collect::<Vec<_>>()
     };
@@ -119,32 +119,32 @@ fn every_frame_of_the_second_robot_bears_the_system_that_is_announced() {
 
 #[test]
 fn what_is_said_to_one_of_two_robots_with_the_same_ids_reaches_that_one_under_its_own_ids() {
-    let mut scene = Scene::new();
+    let mut setup = TwoRobotSetup::new();
     for (target, peer) in [(BRICK, 0), (SECOND, 1)] {
-        let seen = scene.station.outputs.len();
-        scene.gcs.say(&mut scene.station, at(400), &Message::ParamRequestList { target });
+        let seen = setup.station.outputs.len();
+        setup.gcs.send(&mut setup.station, at(400), &Message::ParamRequestList { target });
         let expected = (Recipients::Peer(PeerId(peer)), GCS, Message::ParamRequestList { target: BRICK });
-        let frames = scene.frames_since(seen, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
+        let frames = setup.frames_since(seen, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
         assert_eq!(frames.collect::<Vec<_>>(), [expected], "{target}");
     }
 }
 
 #[test]
 fn a_signed_frame_that_would_have_to_be_changed_is_dropped_and_counted() {
-    let mut scene = Scene::new();
-    let before = scene.drops();
-    let seen = scene.station.outputs.len();
-    let mut bytes = scene.robots[1].frame(&HEARTBEAT);
+    let mut setup = TwoRobotSetup::new();
+    let before = setup.drops();
+    let seen = setup.station.outputs.len();
+    let mut bytes = setup.robots[1].frame(&HEARTBEAT);
     let end = bytes.len() - 2;
     bytes[2] |= SIGNED;
     // 50 is HEARTBEAT's CRC_EXTRA in minimal.xml.
     let sum = checksum(&bytes[1..end], 50);
     bytes[end..].copy_from_slice(&sum.to_le_bytes());
     bytes.extend([7; 13]);
-    scene.now_ms += 2_000;
-    let now = at(i64::from(scene.now_ms));
-    scene.robots[1].give(&mut scene.station, now, &bytes);
+    setup.now_ms += 2_000;
+    let now = at(i64::from(setup.now_ms));
+    setup.robots[1].send_bytes(&mut setup.station, now, &bytes);
     // Ground stations would take it for another robot's, and other robots have no use for it.
-    assert_eq!(passed_on(&scene.station, seen, &bytes), []);
-    assert_eq!(scene.drops(), before + 1);
+    assert_eq!(passed_on(&setup.station, seen, &bytes), []);
+    assert_eq!(setup.drops(), before + 1);
 }

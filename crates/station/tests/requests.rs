@@ -26,11 +26,11 @@ const DENIED: u8 = 2;
 const UNSUPPORTED: u8 = 3;
 
 /// Asks about a message; gives the results of the answers, and how much more was said.
-fn ask(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> (Vec<u8>, usize) {
+fn request(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> (Vec<u8>, usize) {
     let mut seven = [0.0; 7];
     seven[..2].copy_from_slice(&params);
     let params = seven;
-    let said = ground.say(100, &Message::Command(CommandLong { target, command, params }));
+    let said = ground.send(100, &Message::Command(CommandLong { target, command, params }));
     let results: Vec<u8> = said
         .iter()
         .filter_map(|message| match message {
@@ -49,11 +49,11 @@ fn a_question_to_all_components_is_answered_with_what_the_station_has() {
         [(COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION), (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY)]
     {
         for target in [STATION, ALL_OF_OURS] {
-            let answer = ask(&mut ground, target, command, [about as f32, 0.0]);
+            let answer = request(&mut ground, target, command, [about as f32, 0.0]);
             assert_eq!(answer, (vec![ACCEPTED], 1), "{command} to {target}");
         }
         // A whole class would answer.
-        let answer = ask(&mut ground, EVERYBODY, command, [about as f32, 0.0]);
+        let answer = request(&mut ground, EVERYBODY, command, [about as f32, 0.0]);
         assert_eq!(answer, (vec![], 0), "{command}");
     }
     // GPS_RAW_INT, or a message that is none: another component may have it.
@@ -62,9 +62,9 @@ fn a_question_to_all_components_is_answered_with_what_the_station_has() {
         (COMMAND_REQUEST_MESSAGE, -1.0, DENIED),
         (COMMAND_GET_MESSAGE_INTERVAL, -1.0, DENIED),
     ] {
-        let answer = ask(&mut ground, STATION, command, [about, 0.0]);
+        let answer = request(&mut ground, STATION, command, [about, 0.0]);
         assert_eq!(answer, (vec![alone], 0), "{command} {about}");
-        let answer = ask(&mut ground, ALL_OF_OURS, command, [about, 0.0]);
+        let answer = request(&mut ground, ALL_OF_OURS, command, [about, 0.0]);
         assert_eq!(answer, (vec![], 0), "{command} {about}");
     }
 }
@@ -75,10 +75,10 @@ fn an_interval_that_is_none_is_denied_and_changes_nothing() {
     let mut set = |micros: f32| {
         let pose = ids::PB_PLANAR_POSE as f32;
         let command = COMMAND_SET_MESSAGE_INTERVAL;
-        let (results, _) = ask(&mut ground, STATION, command, [pose, micros]);
+        let (results, _) = request(&mut ground, STATION, command, [pose, micros]);
         let seen = ground.station.outputs.len();
-        ask(&mut ground, STATION, COMMAND_GET_MESSAGE_INTERVAL, [pose, 0.0]);
-        let told = ground.heard_since(seen, GCS_LINK);
+        request(&mut ground, STATION, COMMAND_GET_MESSAGE_INTERVAL, [pose, 0.0]);
+        let told = ground.received_since(seen, GCS_LINK);
         let told = told.iter().find_map(|message| match message {
             Message::MessageInterval(told) => Some(told.interval_micros),
             _ => None,

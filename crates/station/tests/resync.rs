@@ -1,6 +1,6 @@
 //! Damage on the way in, through the whole engine: bytes in pieces and in virtual time, observations out.
 //!
-//! The scanner has the same four kinds of damage in a test of its own. Here it is about what comes of them: every observation that
+//! The framer has the same four kinds of damage in a test of its own. Here it is about what comes of them: every observation that
 //! reaches the estimator is one that was sent, in its order, with its values and its stamp, and none of an intact frame is missing.
 #![expect(
     clippy::expect_used,
@@ -15,7 +15,7 @@ mod damage;
 #[path = "support/station.rs"]
 mod station;
 
-use damage::{BRICK, Books, Condition, KINDS, Kind, Speaker, message};
+use damage::{BRICK, Condition, DAMAGE_KINDS, DamageKind, DamagedBrick, ObservationLedger, message};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_station::Station;
@@ -31,7 +31,7 @@ const PERIOD_MS: i64 = 5;
 /// Now and then the brick pauses for longer than a frame is waited for.
 const PAUSE_EVERY: i64 = 101;
 const PAUSE_MS: i64 = 80;
-/// Silence after which the scanner of a stream gives up a frame.
+/// Silence after which the framer of a stream gives up a frame.
 const GAP: TimeDelta = TimeDelta::from_millis(50);
 /// When the brick sends its message of this number, by the clock that it shares with the host.
 fn sent_ms(number: i64) -> i64 {
@@ -39,69 +39,69 @@ fn sent_ms(number: i64) -> i64 {
 }
 
 /// The engine, told of every piece of bytes at its instant and of every deadline at its own.
-struct Line {
+struct StationUnderTest {
     engine: Station,
-    books: Books,
+    ledger: ObservationLedger,
 }
 
-impl Line {
+impl StationUnderTest {
     fn new() -> Self {
         let config = config();
-        let books = Books::new(config.robot.filter_config.geometry.left_wheel_radius.0);
+        let ledger = ObservationLedger::new(config.robot.filter_config.geometry.left_wheel_radius.0);
         let engine = Station::new(config, Timestamp::ZERO).expect("the configuration is good");
-        let mut line = Self { engine, books };
+        let mut under_test = Self { engine, ledger };
         let (link, state) = (LINK, LinkState::Up);
-        line.give(Timestamp::ZERO, &Input::Link { link, state });
-        line
+        under_test.handle(Timestamp::ZERO, &Input::Link { link, state });
+        under_test
     }
 
-    fn give(&mut self, now: Timestamp<HostClock>, input: &Input) {
+    fn handle(&mut self, now: Timestamp<HostClock>, input: &Input) {
         self.engine.handle(now, input);
         while let Some(output) = self.engine.poll() {
             if let Output::Event(event) = output {
-                self.books.take(&event);
+                self.ledger.on_event(&event);
             }
         }
     }
 
     fn pass_until(&mut self, until: Timestamp<HostClock>) {
         while let Some(due) = self.engine.deadline().filter(|due| *due <= until) {
-            self.give(due, &Input::Tick);
+            self.handle(due, &Input::Tick);
         }
     }
 
     fn bytes(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) {
         self.pass_until(now);
         let input = Input::Bytes { link: LINK, peer: PeerId::default(), bytes: bytes.to_vec() };
-        self.give(now, &input);
+        self.handle(now, &input);
     }
 }
 
 /// Drives `FRAMES` frames through the engine, each in three pieces, and returns the books after two seconds of silence.
-fn drive(kind: &Kind) -> Books {
+fn drive(kind: &DamageKind) -> ObservationLedger {
     let mut rng = Pcg64::seed_from_u64(7);
-    let mut speaker = Speaker::new(kind);
-    let mut line = Line::new();
+    let mut brick = DamagedBrick::new(kind);
+    let mut under_test = StationUnderTest::new();
     for number in 0..FRAMES {
-        let bytes = speaker.say(number, sent_ms(number), &mut line.books);
+        let bytes = brick.send(number, sent_ms(number), &mut under_test.ledger);
         let mut cuts = [0, 0].map(|_| rng.random_range(0..=bytes.len()));
         cuts.sort_unstable();
         let pieces = [&bytes[..cuts[0]], &bytes[cuts[0]..cuts[1]], &bytes[cuts[1]..]];
         for (millis, piece) in (sent_ms(number)..).zip(pieces) {
-            line.bytes(Timestamp::from_millis(millis), piece);
+            under_test.bytes(Timestamp::from_millis(millis), piece);
         }
     }
-    line.pass_until(Timestamp::from_millis(sent_ms(FRAMES) + 2_000));
-    line.books
+    under_test.pass_until(Timestamp::from_millis(sent_ms(FRAMES) + 2_000));
+    under_test.ledger
 }
 
 #[test]
 fn what_is_observed_is_what_was_sent_whole_whatever_is_done_to_the_rest() {
-    for kind in &KINDS {
-        let books = drive(kind);
-        books.check(kind.name, FRAMES);
+    for kind in &DAMAGE_KINDS {
+        let ledger = drive(kind);
+        ledger.check(kind.name, FRAMES);
         // What is torn before a pause is given up at its deadline and not when the next bytes come.
-        assert!(books.health.timeouts > 0 || !kind.tears, "{}", kind.name);
+        assert!(ledger.health.timeouts > 0 || !kind.tears, "{}", kind.name);
     }
 }
 
@@ -156,26 +156,26 @@ fn a_heartbeat_behind_a_torn_frame_is_late_by_one_gap_at_most() {
 /// On a line that is never silent for a gap, a torn header is found out when as many bytes have come as it promises.
 #[test]
 fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_taken_and_none_is_lost() {
-    let mut line = Line::new();
+    let mut under_test = StationUnderTest::new();
     let torn = &frame_of(3)[..12];
-    line.bytes(Timestamp::from_millis(sent_ms(0)), torn);
+    under_test.bytes(Timestamp::from_millis(sent_ms(0)), torn);
     let mut encoder = Encoder::new(WireVersion::V2);
     let mut hidden = 0;
     let mut bytes_behind = 0;
     for number in (0..400).filter(|number| number % 4 == 1) {
-        let (message, said) = message(number, sent_ms(number));
+        let (message, expected) = message(number, sent_ms(number));
         let mut frame = Vec::new();
         encoder.encode(BRICK, &message, &mut frame);
-        line.books.sent(said, Condition::Whole);
-        line.bytes(Timestamp::from_millis(sent_ms(number)), &frame);
+        under_test.ledger.sent(expected, Condition::Whole);
+        under_test.bytes(Timestamp::from_millis(sent_ms(number)), &frame);
         bytes_behind += frame.len();
-        if line.books.owed.is_empty() {
+        if under_test.ledger.pending.is_empty() {
             continue;
         }
         hidden += 1;
         assert!(bytes_behind < 245 - 12, "hidden for too long");
     }
-    assert!(line.books.owed.is_empty());
+    assert!(under_test.ledger.pending.is_empty());
     println!("{hidden} frames came together with the one that ended the promise");
     assert!(hidden > 0, "else this test is about nothing");
 }

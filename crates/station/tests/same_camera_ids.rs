@@ -40,8 +40,8 @@ fn place_m(robot: u32) -> f64 {
     1e-3 * f64::from(robot)
 }
 
-fn say(station: &mut TestStation, now: Timestamp<HostClock>, robot: u32, from: Address, message: &Message) {
-    station.give(now, Input::Bytes { link: LINK, peer: PeerId(robot), bytes: frame(from, message) });
+fn send(station: &mut TestStation, now: Timestamp<HostClock>, robot: u32, from: Address, message: &Message) {
+    station.handle(now, Input::Bytes { link: LINK, peer: PeerId(robot), bytes: frame(from, message) });
 }
 
 /// Robots and cameras answer the time requests of the last tenth of a second; the robots, which stand, tell their wheels.
@@ -66,13 +66,13 @@ fn tenth(station: &mut TestStation, k: i64) {
                 let answered = sent + TimeDelta::from_millis(1);
                 let answer_nanos = answered.as_nanos() + ahead_ms * 1_000_000;
                 let sync = Message::TimeSync(TimeSync { answer_nanos, request_nanos, target: None });
-                say(station, answered + TimeDelta::from_millis(1), robot, from, &sync);
+                send(station, answered + TimeDelta::from_millis(1), robot, from, &sync);
             }
         }
     }
     for robot in 0..ROBOTS {
         let shown = now.as_micros() / 1_000 + robot_ahead_ms(robot);
-        say(station, now + TimeDelta::from_millis(3), robot, robot_address(robot), &ticks(shown as u32, 0, 0));
+        send(station, now + TimeDelta::from_millis(3), robot, robot_address(robot), &ticks(shown as u32, 0, 0));
     }
 }
 
@@ -81,7 +81,7 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
     let mut station = TestStation::new(&config());
     for robot in 0..ROBOTS {
         for from in [robot_address(robot), CAMERA] {
-            say(&mut station, at(1), robot, from, &HEARTBEAT);
+            send(&mut station, at(1), robot, from, &HEARTBEAT);
         }
     }
     for k in 1..=15 {
@@ -100,7 +100,7 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
             reset_counter: 0,
             tag: None,
         };
-        say(&mut station, at(1_510), robot, CAMERA, &Message::VisionPosition(fix));
+        send(&mut station, at(1_510), robot, CAMERA, &Message::VisionPosition(fix));
     }
     let mut observed = Vec::new();
     for (_, output) in &station.outputs[before..] {
@@ -133,12 +133,12 @@ fn what_a_robot_says_to_everybody_goes_to_the_ground_station_and_to_no_other_rob
     let ground_station = PeerId(ROBOTS);
     let gcs_heartbeat = Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 });
     for robot in 0..ROBOTS {
-        say(&mut station, at(1), robot, robot_address(robot), &HEARTBEAT);
-        say(&mut station, at(2), robot, robot_address(robot), &ticks(1_000, 0, 0));
+        send(&mut station, at(1), robot, robot_address(robot), &HEARTBEAT);
+        send(&mut station, at(2), robot, robot_address(robot), &ticks(1_000, 0, 0));
     }
     let heard_by = |station: &mut TestStation, from: u32, address, message: &Message, now| {
         let before = station.outputs.len();
-        say(station, now, from, address, message);
+        send(station, now, from, address, message);
         let bytes = frame(address, message);
         let sent = station.outputs[before..].iter().filter_map(|(_, output)| match output {
             // The sequence number is that of the first frame in both.

@@ -16,7 +16,7 @@ mod station;
 use std::collections::BTreeSet;
 
 use brick::{BRICK, HEARTBEAT, messages, ticks};
-use network::{Speaker, passed_on};
+use network::{RemotePeer, passed_on};
 use posebridge_protocol::dialect::ids::{self, COMMAND_REQUEST_MESSAGE};
 use posebridge_protocol::message::{CommandLong, Message, SetMessageInterval, WireStamp};
 use posebridge_station::{OutputKind, StationConfig};
@@ -27,10 +27,10 @@ const NEIGHBOUR: Address = Address::new(2, 1);
 const OTHER_LINK: LinkId = LinkId(5);
 
 /// A station whose robots have sent telemetry five times, each by a peer of its own.
-fn station_with(config: &StationConfig, addresses: &[Address]) -> (TestStation, Vec<Speaker>) {
+fn station_with(config: &StationConfig, addresses: &[Address]) -> (TestStation, Vec<RemotePeer>) {
     let mut station = TestStation::new(config);
-    let mut robots: Vec<Speaker> =
-        (0..).zip(addresses).map(|(peer, address)| Speaker::new(*address, LINK, peer)).collect();
+    let mut robots: Vec<RemotePeer> =
+        (0..).zip(addresses).map(|(peer, address)| RemotePeer::new(*address, LINK, peer)).collect();
     for k in 0..5 {
         drive(&mut station, &mut robots, k);
     }
@@ -38,10 +38,10 @@ fn station_with(config: &StationConfig, addresses: &[Address]) -> (TestStation, 
 }
 
 /// Every robot sends its wheels' counts, one after the other, with numbers and a clock of its own.
-fn drive(station: &mut TestStation, robots: &mut [Speaker], k: u32) {
+fn drive(station: &mut TestStation, robots: &mut [RemotePeer], k: u32) {
     for (robot, index) in robots.iter_mut().zip(0_u32..) {
         let counts = i64::from(1_000 * index + 4 * k);
-        robot.say(station, at(i64::from(50 * k + 5 * index)), &ticks(10_000 * index + 50 * k, counts, counts));
+        robot.send(station, at(i64::from(50 * k + 5 * index)), &ticks(10_000 * index + 50 * k, counts, counts));
     }
 }
 
@@ -103,11 +103,11 @@ fn of_two_robots_with_the_same_ids_the_one_that_falls_silent_is_lost() {
 #[test]
 fn a_board_without_wheels_is_no_second_robot() {
     let (mut station, _) = station_with(&config(), &[BRICK]);
-    let mut board = Speaker::new(Address::new(1, 2), LINK, 7);
+    let mut board = RemotePeer::new(Address::new(1, 2), LINK, 7);
     for k in 0..5_u32 {
         let stamp = WireStamp::Micros32(50_000 * k);
         let heading = posebridge_telemetry::Heading::from_rad(0.1);
-        board.say(&mut station, at(i64::from(300 + 50 * k)), &Message::Compass { stamp, heading });
+        board.send(&mut station, at(i64::from(300 + 50 * k)), &Message::Compass { stamp, heading });
     }
     assert_eq!(station.engine.robots().len(), 1);
 }
@@ -118,7 +118,7 @@ fn frames_of_robots_with_the_same_ids_that_are_equal_to_the_byte_are_all_used() 
     let seen = station.outputs.len();
     let bytes = robots[0].frame(&ticks(5_000, 9, 9));
     for (peer, millis) in [(0, 400), (1, 410)] {
-        station.give(at(millis), Input::Bytes { link: LINK, peer: PeerId(peer), bytes: bytes.clone() });
+        station.handle(at(millis), Input::Bytes { link: LINK, peer: PeerId(peer), bytes: bytes.clone() });
     }
     let used = station.outputs[seen..].iter().filter_map(|(_, output)| match output {
         Output::Event(Event::ObservationAligned { robot, .. }) => Some(*robot),
@@ -146,7 +146,7 @@ fn a_robot_that_requests_a_message_gets_its_own_and_nobody_else_gets_it() {
         Message::Command(CommandLong { target: STATION, command: COMMAND_REQUEST_MESSAGE, params })
     };
     let seen = station.outputs.len();
-    robots[1].say(&mut station, at(400), &request(ids::PB_PLANAR_POSE));
+    robots[1].send(&mut station, at(400), &request(ids::PB_PLANAR_POSE));
     let poses = sent_since(&station, seen).into_iter().filter_map(|(_, to, message)| match message {
         Message::PlanarPose(pose) => Some((to, pose.stamp)),
         _ => None,
@@ -156,7 +156,7 @@ fn a_robot_that_requests_a_message_gets_its_own_and_nobody_else_gets_it() {
     assert!(matches!(stamp, WireStamp::Micros32(10_200_000)), "by the clock of the robot that asks: {stamp:?}");
     // Nobody could tell whose pose it is.
     let seen = station.outputs.len();
-    Speaker::new(Address::new(254, 190), LINK, 9).say(&mut station, at(500), &request(ids::PB_PLANAR_POSE));
+    RemotePeer::new(Address::new(254, 190), LINK, 9).send(&mut station, at(500), &request(ids::PB_PLANAR_POSE));
     assert!(!sent_since(&station, seen).iter().any(|(_, _, message)| matches!(message, Message::PlanarPose(_))));
 }
 
@@ -164,7 +164,7 @@ fn a_robot_that_requests_a_message_gets_its_own_and_nobody_else_gets_it() {
 fn a_robot_changes_the_interval_of_its_own_messages_alone() {
     let (mut station, mut robots) = station_with(&config(), &[BRICK, NEIGHBOUR]);
     let never = SetMessageInterval { target: STATION, message_id: ids::PB_PLANAR_POSE, interval: None };
-    robots[1].say(&mut station, at(240), &Message::SetMessageInterval(never));
+    robots[1].send(&mut station, at(240), &Message::SetMessageInterval(never));
     let seen = station.outputs.len();
     drive(&mut station, &mut robots, 5);
     let poses =
@@ -188,7 +188,7 @@ fn an_estimate_that_comes_back_is_an_echo_under_a_robots_system_too() {
     });
     let seen = station.outputs.len();
     let bytes = under_its_system.expect("the second robot's odometry is sent there");
-    station.give(at(300), Input::Bytes { link: OTHER_LINK, peer: PeerId(0), bytes: bytes.clone() });
+    station.handle(at(300), Input::Bytes { link: OTHER_LINK, peer: PeerId(0), bytes: bytes.clone() });
     let is_observed = |(_, output): &(_, Output)| matches!(output, Output::Event(Event::ObservationAligned { .. }));
     assert!(!station.outputs[seen..].iter().any(is_observed));
     assert_eq!(passed_on(&station, seen, &bytes), []);
@@ -200,13 +200,13 @@ fn what_a_robot_broadcasts_does_not_go_to_the_link_of_another_robot() {
     let mut config = config();
     config.links.push(link(OTHER_LINK, vec![]));
     let (mut station, mut robots) = station_with(&config, &[BRICK]);
-    let mut neighbour = Speaker::new(NEIGHBOUR, OTHER_LINK, 0);
-    let (_, forwarded) = neighbour.say(&mut station, at(300), &HEARTBEAT);
+    let mut neighbour = RemotePeer::new(NEIGHBOUR, OTHER_LINK, 0);
+    let (_, forwarded) = neighbour.send(&mut station, at(300), &HEARTBEAT);
     assert_eq!(forwarded.len(), 1, "nobody knows yet that it is a robot");
-    neighbour.say(&mut station, at(310), &ticks(20_000, 0, 0));
-    let (_, forwarded) = neighbour.say(&mut station, at(360), &ticks(20_050, 0, 0));
+    neighbour.send(&mut station, at(310), &ticks(20_000, 0, 0));
+    let (_, forwarded) = neighbour.send(&mut station, at(360), &ticks(20_050, 0, 0));
     assert_eq!(forwarded, []);
-    let (_, forwarded) = robots[0].say(&mut station, at(370), &ticks(320, 0, 0));
+    let (_, forwarded) = robots[0].send(&mut station, at(370), &ticks(320, 0, 0));
     assert_eq!(forwarded, []);
 }
 
@@ -215,9 +215,9 @@ fn a_source_that_is_left_out_is_left_out_of_robots_that_appear_later() {
     use posebridge_telemetry::{Command, SensorId, SensorSwitch};
     let (mut station, _) = station_with(&config(), &[BRICK]);
     let command = Command::SwitchSource { sensor: SensorId::WHEELS, to: SensorSwitch::Off };
-    station.give(at(300), Input::Command(command));
-    let mut neighbour = Speaker::new(NEIGHBOUR, LINK, 1);
-    neighbour.say(&mut station, at(310), &ticks(20_000, 0, 0));
+    station.handle(at(300), Input::Command(command));
+    let mut neighbour = RemotePeer::new(NEIGHBOUR, LINK, 1);
+    neighbour.send(&mut station, at(310), &ticks(20_000, 0, 0));
     let robots = station.engine.robots().iter();
     let switched_off = robots.map(|robot| robot.switched_off().collect::<Vec<_>>());
     assert_eq!(switched_off.collect::<Vec<_>>(), [[SensorId::WHEELS], [SensorId::WHEELS]]);
@@ -228,9 +228,9 @@ fn a_robot_that_is_off_does_not_keep_another_with_its_ids_from_being_followed_on
     let mut config = config();
     config.links.push(link(OTHER_LINK, vec![]));
     let (mut station, _) = station_with(&config, &[BRICK]);
-    let mut moved = Speaker::new(BRICK, OTHER_LINK, 0);
+    let mut moved = RemotePeer::new(BRICK, OTHER_LINK, 0);
     for k in 0..120_u32 {
-        moved.say(&mut station, at(i64::from(300 + 50 * k)), &ticks(20_000 + 50 * k, 0, 0));
+        moved.send(&mut station, at(i64::from(300 + 50 * k)), &ticks(20_000 + 50 * k, 0, 0));
     }
     assert_eq!(station.engine.robots().len(), 2);
     let latest = station.engine.robots()[1].latest_time().expect("it is followed");

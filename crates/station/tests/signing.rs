@@ -59,7 +59,7 @@ impl Brick {
         Self { signing: LinkSigner::new(signing(key, 0)), encoder: Encoder::new(WireVersion::V2) }
     }
 
-    fn say(&mut self, now: Timestamp<HostClock>, message: &Message) -> Vec<u8> {
+    fn send(&mut self, now: Timestamp<HostClock>, message: &Message) -> Vec<u8> {
         let seal = self.signing.next_signer(now).expect("it has a time");
         let mut bytes = Vec::new();
         self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
@@ -82,19 +82,19 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     let mut station = TestStation::new(&config());
     let mut brick = Brick::with_key(7);
     let mut stranger = Brick::with_key(8);
-    let first = brick.say(at(100), &ticks(5_000, 0, 0));
+    let first = brick.send(at(100), &ticks(5_000, 0, 0));
     station.bytes(at(100), &first);
-    station.bytes(at(150), &brick.say(at(150), &ticks(5_050, 4, 4)));
+    station.bytes(at(150), &brick.send(at(150), &ticks(5_050, 4, 4)));
     assert_eq!(observed(&station), 2);
     assert_eq!(refusals(&station), []);
 
     station.bytes(at(160), &frame(BRICK, &ticks(5_060, 900, 0)));
-    station.bytes(at(170), &stranger.say(at(170), &ticks(5_070, 900, 0)));
+    station.bytes(at(170), &stranger.send(at(170), &ticks(5_070, 900, 0)));
     station.bytes(at(180), &first);
     let past = Timestamp::from_millis(-61_000);
     let mut late = Brick::with_key(7);
     late.signing = LinkSigner::new(SigningConfig { link_id: 9, state: SigningState::default(), ..signing(7, 9) });
-    station.bytes(at(190), &late.say(past, &ticks(5_080, 900, 0)));
+    station.bytes(at(190), &late.send(past, &ticks(5_080, 900, 0)));
     assert_eq!(
         refusals(&station).iter().map(|(_, why)| *why).collect::<Vec<_>>(),
         [SignatureError::Unsigned, SignatureError::Invalid, SignatureError::Replayed, SignatureError::Stale]
@@ -102,7 +102,7 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     assert!(refusals(&station).iter().all(|(source, _)| *source == BRICK));
     assert_eq!(observed(&station), 2);
 
-    station.bytes(at(200), &brick.say(at(200), &ticks(5_100, 8, 8)));
+    station.bytes(at(200), &brick.send(at(200), &ticks(5_100, 8, 8)));
     assert_eq!(observed(&station), 3);
     station.pass_until(at(1_000));
     let (health, sources) = health(&station, LINK);
@@ -117,10 +117,10 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
 fn a_stranger_is_no_robot() {
     let mut station = TestStation::new(&config());
     station.bytes(at(100), &frame(BRICK, &HEARTBEAT));
-    station.bytes(at(100), &Brick::with_key(8).say(at(100), &HEARTBEAT));
+    station.bytes(at(100), &Brick::with_key(8).send(at(100), &HEARTBEAT));
     let is_seen = |event: &Event| matches!(event, Event::RobotDetected { .. });
     assert!(!station.events().any(is_seen));
-    station.bytes(at(110), &Brick::with_key(7).say(at(110), &HEARTBEAT));
+    station.bytes(at(110), &Brick::with_key(7).send(at(110), &HEARTBEAT));
     assert!(station.events().any(is_seen));
 }
 
@@ -130,7 +130,7 @@ fn what_the_station_says_is_signed_with_rising_stamps() {
     let mut brick = Brick::with_key(7);
     for k in 0..20_u32 {
         let now = at(100 + i64::from(k) * 50);
-        station.bytes(now, &brick.say(now, &ticks(5_000 + k * 50, 0, 0)));
+        station.bytes(now, &brick.send(now, &ticks(5_000 + k * 50, 0, 0)));
     }
     let sent: Vec<(Timestamp<HostClock>, Vec<u8>)> = station.sent().map(|(now, bytes)| (now, bytes.to_vec())).collect();
     assert!(sent.len() > 20);
@@ -161,7 +161,7 @@ fn the_same_inputs_give_the_same_bytes_and_events() {
         let mut brick = Brick::with_key(7);
         for k in 0..10_u32 {
             let now = at(100 + i64::from(k) * 50);
-            let bytes = brick.say(now, &ticks(5_000 + k * 50, 0, 0));
+            let bytes = brick.send(now, &ticks(5_000 + k * 50, 0, 0));
             station.bytes(now, &bytes);
             station.bytes(now, &bytes[..9]);
             station.bytes(now, &bytes[9..]);
@@ -180,7 +180,7 @@ fn the_same_inputs_give_the_same_bytes_and_events() {
 fn what_was_heard_before_a_restart_is_refused_after_it() {
     let mut station = TestStation::new(&config());
     let mut brick = Brick::with_key(7);
-    let before = brick.say(at(100), &HEARTBEAT);
+    let before = brick.send(at(100), &HEARTBEAT);
     station.bytes(at(100), &before);
     assert_eq!(station.engine.signing_stream_count(), 1);
     let memory = station.engine.signing_state(LINK, at(900)).unwrap();
@@ -193,7 +193,7 @@ fn what_was_heard_before_a_restart_is_refused_after_it() {
     let mut station = TestStation::new(&config);
     station.bytes(at(10), &before);
     assert_eq!(refusals(&station), [(BRICK, SignatureError::Replayed)]);
-    station.bytes(at(1_000), &brick.say(at(3_000), &HEARTBEAT));
+    station.bytes(at(1_000), &brick.send(at(3_000), &HEARTBEAT));
     assert_eq!(refusals(&station).len(), 1);
     let own = station.engine.signing_state(LINK, at(10)).unwrap().last_sent;
     assert!(own > memory.last_sent.saturating_add(SigningState::MAX_WRITE_GAP));
@@ -202,7 +202,7 @@ fn what_was_heard_before_a_restart_is_refused_after_it() {
 #[test]
 fn a_link_without_a_key_signs_nothing_and_believes_everybody() {
     let mut station = TestStation::new(&station::config());
-    station.bytes(at(100), &Brick::with_key(8).say(at(100), &HEARTBEAT));
+    station.bytes(at(100), &Brick::with_key(8).send(at(100), &HEARTBEAT));
     station.bytes(at(110), &frame(BRICK, &ticks(5_000, 0, 0)));
     assert_eq!(refusals(&station), []);
     assert_eq!(observed(&station), 1);
@@ -219,7 +219,7 @@ fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from
     config.links[0].signing.as_mut().unwrap().unsigned = heartbeats;
     let mut station = TestStation::new(&config);
     let mut brick = Brick::with_key(7);
-    station.bytes(at(10), &brick.say(at(10), &HEARTBEAT));
+    station.bytes(at(10), &brick.send(at(10), &HEARTBEAT));
     for number in 0..5_000_u16 {
         let [system, component] = (number + 0x0200).to_be_bytes();
         let unsigned = frame(Address::new(system, component), &HEARTBEAT);
@@ -233,14 +233,14 @@ fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from
         forger.encode(BRICK, &HEARTBEAT, &mut unsigned);
     }
     station.bytes(at(30), &unsigned);
-    station.bytes(at(40), &brick.say(at(40), &ticks(5_000, 0, 0)));
+    station.bytes(at(40), &brick.send(at(40), &ticks(5_000, 0, 0)));
     assert_eq!(refusals(&station), []);
     let mut reached = |target: Address| {
         let command = Message::Command(CommandLong { target, command: 400, params: [1.0; 7] });
         let seen = station.outputs.len();
         let input =
             Input::Bytes { link: GCS_LINK, peer: PeerId::default(), bytes: frame(Address::new(254, 190), &command) };
-        station.give(at(50), input);
+        station.handle(at(50), input);
         let sent = station.outputs[seen..].iter();
         let links = sent.filter_map(|(_, output)| match output {
             Output::Transmit { link, priority: Priority::Command, .. } => Some(*link),

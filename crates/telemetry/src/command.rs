@@ -158,7 +158,7 @@ pub enum Request {
     StopRecording,
     /// Carry out a command to a simulated brick, if the program has one.
     Simulator {
-        /// The robot that the brick drives; `None` if nobody said which.
+        /// The robot that the brick drives; `None` if none was named.
         robot: Option<RobotId>,
         /// The command.
         command: SimulatorCommand,

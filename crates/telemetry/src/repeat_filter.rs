@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     /// What a terminal shows of these lines, each with its time in milliseconds.
-    fn shown(lines: &[(i64, &str)]) -> Vec<String> {
+    fn printed_lines(lines: &[(i64, &str)]) -> Vec<String> {
         let mut repeats = RepeatFilter::default();
         let mut shown = Vec::new();
         for (now_ms, line) in lines {
@@ -89,14 +89,14 @@ mod tests {
     fn a_flood_of_one_line_is_two_lines_a_second_at_most() {
         let flood: Vec<_> = (0..100).map(|index| (index * 20, "same")).collect();
         let expected = ["same", "same (50 times more)", "same (49 times more)"];
-        assert_eq!(shown(&flood), expected);
+        assert_eq!(printed_lines(&flood), expected);
     }
 
     #[test]
     fn other_lines_and_slow_ones_are_shown_as_they_come() {
         let slow = [(0, "a"), (1_000, "a"), (2_000, "a")];
-        assert_eq!(shown(&slow), ["a", "a", "a"]);
+        assert_eq!(printed_lines(&slow), ["a", "a", "a"]);
         let mixed = [(0, "a"), (10, "a"), (20, "b"), (30, "a"), (40, "b")];
-        assert_eq!(shown(&mixed), ["a", "a (once more)", "b", "a", "b"]);
+        assert_eq!(printed_lines(&mixed), ["a", "a (once more)", "b", "a", "b"]);
     }
 }

@@ -43,8 +43,8 @@ fn assert_answer(answer: &[u8]) {
             answers += 1;
         }
     };
-    let mut scanner = Framer::new(FramerConfig::default());
-    scanner.push(Timestamp::ZERO, answer, &mut take);
-    scanner.finish(&mut take);
+    let mut framer = Framer::new(FramerConfig::default());
+    framer.push(Timestamp::ZERO, answer, &mut take);
+    framer.finish(&mut take);
     assert_eq!(answers, 1);
 }

@@ -23,7 +23,7 @@ pub(crate) fn check(data: &[u8]) {
 
 /// The verified frames, and how many bytes were handed out or counted.
 fn scan(config: FramerConfig, bytes: &[u8], chunk: usize) -> (Vec<Vec<u8>>, u64) {
-    let mut scanner = Framer::new(config);
+    let mut framer = Framer::new(config);
     let mut frames = Vec::new();
     let mut accounted = 0;
     let mut take = |found: FramerOutput<'_>| match found {
@@ -35,13 +35,13 @@ fn scan(config: FramerConfig, bytes: &[u8], chunk: usize) -> (Vec<Vec<u8>>, u64)
         FramerOutput::Error(_) => {}
     };
     for part in bytes.chunks(chunk) {
-        scanner.push(Timestamp::ZERO, part, &mut take);
+        framer.push(Timestamp::ZERO, part, &mut take);
     }
-    if let Some(deadline) = scanner.deadline() {
-        scanner.tick(deadline, &mut take);
+    if let Some(deadline) = framer.deadline() {
+        framer.tick(deadline, &mut take);
     }
-    assert!(scanner.deadline().is_none());
-    scanner.finish(&mut take);
-    accounted += scanner.counters().garbage_bytes;
+    assert!(framer.deadline().is_none());
+    framer.finish(&mut take);
+    accounted += framer.counters().garbage_bytes;
     (frames, accounted)
 }

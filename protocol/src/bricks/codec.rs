@@ -14,18 +14,18 @@ use crate::message::Message;
 /// The address of a brick whose protocol knows none: system 1, component 1, as an autopilot's.
 pub const DEFAULT_BRICK_ADDRESS: Address = Address::new(1, 1);
 
-/// What a codec must be told of a brick; each takes its own part.
+/// What a codec must know of a brick; each takes its own part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CodecSettings {
     /// How MAVLink is cut out of the bytes.
-    pub scanner: FramerConfig,
+    pub framer: FramerConfig,
     /// A LEGO NXT: its motors, sensors and framing.
     pub nxt: NxtSettings,
     /// What is plugged into an EV3, and how it is reached.
     pub ev3: Ev3Settings,
     /// How the lines of a board that prints are laid out.
     pub line: TextLineSettings,
-    /// How cameras that speak JSON are heard.
+    /// Settings for cameras that send JSON.
     pub fixes: CameraJsonSettings,
 }
 
@@ -50,7 +50,7 @@ pub enum CodecEvent<'a> {
     },
     /// Something that people should read, such as why a brick refuses what it is asked.
     StatusText {
-        /// Of whom it speaks.
+        /// The sender that it is about.
         from: Address,
         /// MAVLink severity, 0 emergency to 7 debug.
         severity: u8,

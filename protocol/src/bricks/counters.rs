@@ -5,23 +5,24 @@
 //!
 //! # Model
 //! ```text
-//! dt           since the last sample that was believed                        v: speed before, w: speed after
+//! dt           since the last sample that was accepted                        v: speed before, w: speed after
 //! reached      |change| <= fastest dt + margin                                of both wheels
 //! zeroed       both stand nearer to zero than before, 0 reaches them in dt, and no third motor has kept its count
 //! explained    change within hull(0, v dt), widened by a dt'^2 / 2 + 3 + |v| dt / 4,  dt' <= 0.1 s
 //!
 //! a sample that is reached, and not zeroed or else explained                  motion
-//! any other                                                                   doubted, and the next one tells:
+//! any other                                                                   rejected for now; the next one decides:
 //!    only the one before reaches it                                             the doubted one was damaged; motion
-//!    only the doubted one reaches it                                            the counters began anew: at zero if zeroed, else where it stands
-//!    both, and zeroed                                                           the less surprising of motion and a beginning at zero:
-//!                                                                               distance of the change from hull(0, v dt, w dt)
+//!    only the doubted one reaches it                                            the counters began anew: at zero if zeroed, else
+//!    where it stands both, and zeroed                                                           the less surprising of motion
+//!    and a beginning at zero: distance of the change from hull(0, v dt, w dt)
 //! ```
 //! What the wheels have turned since the counters were set to zero is motion.
 //!
 //! # What cannot be known
-//! Wheels that turn back against their speed in a silence, far, and to near where they began, look as if they had been set to zero; and counters
-//! that are set to zero while few counts stand in them look like motion: three to eight counts at 30 ms, 1 to 4 mm with wheels of 56 mm.
+//! Wheels that turn back against their speed in a silence, far, and to near where they began, look as if they had been set to
+//! zero; and counters that are set to zero while few counts stand in them look like motion: three to eight counts at 30 ms, 1 to
+//! 4 mm with wheels of 56 mm.
 //!
 //! # Sources
 //! That a program's start resets all motors: documentation of nxt-python, "start_program". Sharpest change of speed: the EV3's large
@@ -270,7 +271,7 @@ mod tests {
             self.0.push(since, MotorCounts { wheels, third })
         }
 
-        fn take(&mut self, wheels: [i32; 2]) -> CounterUpdate {
+        fn push(&mut self, wheels: [i32; 2]) -> CounterUpdate {
             self.after(CYCLE, wheels)
         }
 
@@ -278,21 +279,21 @@ mod tests {
         fn moving(per_cycle: i32, to: i32) -> Self {
             let mut bench = Self::new();
             for step in (0..10).rev() {
-                bench.take([to - step * per_cycle; 2]);
+                bench.push([to - step * per_cycle; 2]);
             }
             bench
         }
     }
 
     /// What becomes of counts that are read each cycle.
-    fn taken(samples: &[[i32; 2]]) -> Vec<CounterUpdate> {
+    fn updates_of(samples: &[[i32; 2]]) -> Vec<CounterUpdate> {
         let mut bench = Bench::new();
-        samples.iter().map(|counts| bench.take(*counts)).collect()
+        samples.iter().map(|counts| bench.push(*counts)).collect()
     }
 
     #[test]
     fn a_program_that_sets_the_counters_to_zero_is_no_motion() {
-        let taken = taken(&[[5_000, 4_000], [5_010, 4_010], [0, 0], [0, 0], [9, 8]]);
+        let taken = updates_of(&[[5_000, 4_000], [5_010, 4_010], [0, 0], [0, 0], [9, 8]]);
         let expected = [
             CounterUpdate::Total([5_000, 4_000]),
             CounterUpdate::Total([5_010, 4_010]),
@@ -306,7 +307,7 @@ mod tests {
     #[test]
     fn a_few_counts_that_fall_to_zero_are_no_motion_either() {
         for before in [[20, 9], [17, 7]] {
-            let taken = taken(&[before, [20, 9], [0, 0], [0, 0], [0, 0]]);
+            let taken = updates_of(&[before, [20, 9], [0, 0], [0, 0], [0, 0]]);
             assert_eq!(taken[2], CounterUpdate::Rejected);
             assert_eq!(taken[3..], [CounterUpdate::Rebased([20, 9]), CounterUpdate::Total([20, 9])]);
         }
@@ -316,7 +317,7 @@ mod tests {
     fn wheels_that_roll_back_through_zero_at_once_are_motion() {
         let samples: Vec<_> = (-6..=6).map(|k: i32| [-k * 20, -k * 20]).collect();
         let expected: Vec<_> = samples.iter().map(|counts| CounterUpdate::Total(counts.map(i64::from))).collect();
-        assert_eq!(taken(&samples), expected);
+        assert_eq!(updates_of(&samples), expected);
     }
 
     #[test]
@@ -333,7 +334,7 @@ mod tests {
     #[test]
     fn a_damaged_count_costs_one_sample_and_moves_nothing() {
         for bit in 6..32 {
-            let taken = taken(&[[100, 90], [110, 100], [0x78 ^ (1 << bit), 110], [130, 120]]);
+            let taken = updates_of(&[[100, 90], [110, 100], [0x78 ^ (1 << bit), 110], [130, 120]]);
             assert_eq!(taken[2], CounterUpdate::Rejected, "bit {bit}");
             assert_eq!(taken[3], CounterUpdate::Total([130, 120]), "bit {bit}");
         }
@@ -341,16 +342,16 @@ mod tests {
 
     #[test]
     fn a_leap_is_damage_once_and_a_new_base_twice() {
-        let taken = taken(&[[0, 0], [70_000, 3], [5, 5], [9_000, 9_000], [9_010, 9_011]]);
+        let taken = updates_of(&[[0, 0], [70_000, 3], [5, 5], [9_000, 9_000], [9_010, 9_011]]);
         assert_eq!(taken[1..3], [CounterUpdate::Rejected, CounterUpdate::Total([5, 5])]);
         assert_eq!(taken[3..], [CounterUpdate::Rejected, CounterUpdate::Rebased([15, 16])]);
     }
 
     #[test]
     fn motion_since_the_zero_counts_and_the_wrap_of_the_counter_is_none() {
-        let reset = taken(&[[9_000, 9_000], [30, 28], [45, 42]]);
+        let reset = updates_of(&[[9_000, 9_000], [30, 28], [45, 42]]);
         assert_eq!(reset[1..], [CounterUpdate::Rejected, CounterUpdate::Rebased([9_045, 9_042])]);
-        let wrapped = taken(&[[i32::MAX - 4, -3], [i32::MIN + 5, 7]]);
+        let wrapped = updates_of(&[[i32::MAX - 4, -3], [i32::MIN + 5, 7]]);
         let expected = CounterUpdate::Total([i64::from(i32::MAX) + 6, 7]);
         assert_eq!(wrapped[1], expected);
     }
@@ -358,7 +359,7 @@ mod tests {
     #[test]
     fn after_a_restart_the_counters_began_at_zero_however_far_they_are() {
         let mut bench = Bench::new();
-        bench.take([30, 30]);
+        bench.push([30, 30]);
         bench.0.brick_restarted();
         let after = bench.after(TimeDelta::from_millis(9_000), [34, 35]);
         assert_eq!(after, CounterUpdate::Rebased([64, 65]));
@@ -372,7 +373,7 @@ mod tests {
                 let mut bench = Bench::moving(0, 1_750);
                 assert_eq!(bench.after(silence, [left, left]), CounterUpdate::Rejected);
                 let total = 1_750 + i64::from(left);
-                assert_eq!(bench.take([left, left]), CounterUpdate::Rebased([total; 2]));
+                assert_eq!(bench.push([left, left]), CounterUpdate::Rebased([total; 2]));
             }
         }
     }
@@ -393,7 +394,7 @@ mod tests {
         let mut bench = Bench::moving(15, 1_000);
         let doubted = bench.after(TimeDelta::from_millis(2_000), [600; 2]);
         assert_eq!(doubted, CounterUpdate::Rejected);
-        assert_eq!(bench.take([615; 2]), CounterUpdate::Rebased([1_615; 2]));
+        assert_eq!(bench.push([615; 2]), CounterUpdate::Rebased([1_615; 2]));
     }
 
     #[test]
@@ -402,14 +403,14 @@ mod tests {
         for (next, expected) in [(380, CounterUpdate::Total([380; 2])), (420, CounterUpdate::Rebased([900 + 420; 2]))] {
             let mut bench = Bench::moving(0, 900);
             assert_eq!(bench.after(silence, [400; 2]), CounterUpdate::Rejected);
-            assert_eq!(bench.take([next; 2]), expected);
+            assert_eq!(bench.push([next; 2]), expected);
         }
     }
 
     #[test]
     fn a_long_stall_at_full_speed_is_motion() {
         let mut bench = Bench::new();
-        bench.take([0, 0]);
+        bench.push([0, 0]);
         let after = bench.after(TimeDelta::from_millis(2_000), [2_100, -2_100]);
         assert_eq!(after, CounterUpdate::Total([2_100, -2_100]));
     }

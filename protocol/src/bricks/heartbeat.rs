@@ -19,7 +19,7 @@ const CAMERA: u8 = 30;
 /// MAV_AUTOPILOT_INVALID: not an autopilot.
 const NOT_AN_AUTOPILOT: u8 = 8;
 
-/// Whose sign of life it is, and when the last one was told.
+/// The sender of the heartbeat, and when the last one was emitted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeartbeatSource {
     vehicle_type: u8,

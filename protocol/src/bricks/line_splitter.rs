@@ -11,7 +11,7 @@ const MAX_QUOTED: usize = 80;
 pub(super) enum SplitItem<'a> {
     /// A line.
     Line(&'a [u8]),
-    /// So many bytes without a line end.
+    /// Number of bytes without a line end.
     TooLong(u32),
 }
 

@@ -11,7 +11,7 @@ use crate::message::Message;
 #[derive(Debug)]
 struct MavlinkCodec {
     config: FramerConfig,
-    scanner: Framer,
+    framer: Framer,
     /// What was counted before the link came up last.
     previous_counters: FramerCounters,
     sequences: SequenceTracker,
@@ -20,8 +20,8 @@ struct MavlinkCodec {
 
 pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     Box::new(MavlinkCodec {
-        config: settings.scanner,
-        scanner: Framer::new(settings.scanner),
+        config: settings.framer,
+        framer: Framer::new(settings.framer),
         previous_counters: FramerCounters::default(),
         sequences: SequenceTracker::new(),
         encoder: Encoder::new(WireVersion::V2),
@@ -30,30 +30,30 @@ pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
 
 impl BrickCodec for MavlinkCodec {
     fn on_link_up(&mut self, _now: Timestamp<HostClock>) {
-        let before = *self.scanner.counters();
-        self.scanner = Framer::new(self.config);
+        let before = *self.framer.counters();
+        self.framer = Framer::new(self.config);
         self.previous_counters = self.previous_counters.merged(&before);
         self.sequences.handle_link_loss();
     }
 
     fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let sequences = &mut self.sequences;
-        self.scanner.push(now, bytes, &mut |found| {
+        self.framer.push(now, bytes, &mut |found| {
             handle_frame(now, sequences, found, sink);
         });
     }
 
     fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.scanner.deadline()
+        self.framer.deadline()
     }
 
     fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let sequences = &mut self.sequences;
-        self.scanner.tick(now, &mut |found| handle_frame(now, sequences, found, sink));
+        self.framer.tick(now, &mut |found| handle_frame(now, sequences, found, sink));
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
-        // It speaks by itself.
+        // It sends unasked.
         None
     }
 
@@ -62,7 +62,7 @@ impl BrickCodec for MavlinkCodec {
     }
 
     fn counters(&self) -> FramerCounters {
-        self.previous_counters.merged(self.scanner.counters())
+        self.previous_counters.merged(self.framer.counters())
     }
 
     fn source_health(&self) -> Vec<SourceHealth> {
@@ -78,7 +78,7 @@ fn handle_frame(
 ) {
     match found {
         FramerOutput::Error(defect) => sink(CodecEvent::Error(defect)),
-        // Unverified: its sequence number is not believed either.
+        // Unverified: its sequence number is not used either.
         FramerOutput::UnknownFrame(frame) => sink(CodecEvent::ForwardFrame(frame)),
         FramerOutput::Frame(frame) => {
             let missing = sequences.record(&frame, now);

@@ -57,9 +57,9 @@ pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
 
 /// Frames of MAVLink 1 and of MAVLink 2 whose checksum matches.
 fn mavlink(bytes: &[u8]) -> (UnitCounts, UnitCounts) {
-    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let (mut v1, mut v2) = (UnitCounts::default(), UnitCounts::default());
-    scanner.push(Timestamp::ZERO, bytes, &mut |found| {
+    framer.push(Timestamp::ZERO, bytes, &mut |found| {
         if let FramerOutput::Frame(frame) = found {
             match frame.version {
                 WireVersion::V1 => v1.add(frame.raw.len()),

@@ -18,7 +18,7 @@ const EV3_MAX_BYTES: usize = 1024;
 const MAX_SKIPPED: usize = EV3_MAX_BYTES + LENGTH_BYTES;
 /// Bytes of the length in front of each telegram.
 const LENGTH_BYTES: usize = 2;
-/// Telegrams in a row that are believed when they did not begin with the bytes.
+/// Telegrams in a row that are needed when they do not start at the first byte.
 const MIN_TELEGRAMS: usize = 3;
 
 /// Whether bytes without their length are a telegram that a brick of this kind sends.

@@ -11,7 +11,7 @@ use mavlink_core::{MavlinkVersion, Message};
 use super::foreign::FOREIGN_MESSAGES;
 use super::generated::posebridge;
 
-/// Ids are looked up by pages of so many: those of the standard dialects lie on four, ours on one.
+/// Number of ids in a lookup page: those of the standard dialects lie on four, ours on one.
 const PAGE: usize = 256;
 /// Ids have 24 bits.
 const PAGES: usize = 1 << 16;
@@ -34,7 +34,7 @@ pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| 
     MessageCatalogue::build(supported_messages().chain(foreign))
 });
 
-/// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` when nobody knows it.
+/// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` for an unknown id.
 #[must_use]
 pub fn message_name(id: u32) -> Option<&'static str> {
     let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());

@@ -36,7 +36,7 @@ pub const SUPPORTED_COMMANDS: [u16; 7] = [
     ids::COMMAND_SOURCE,
 ];
 
-/// Largest yaw that somebody means, degrees: a whole turn either way. What is far beyond is damage, and where in a turn it lies is an
+/// Largest meaningful yaw, degrees: a whole turn either way. What is far beyond is damage, and where in a turn it lies is an
 /// accident of rounding.
 const MAX_YAW_DEG: f32 = 360.0;
 
@@ -72,7 +72,7 @@ pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
     match command.command {
         ids::COMMAND_PREFLIGHT_STORAGE => decode_storage(command),
         ids::COMMAND_LOGGING_START => {
-            // The only format that MAVLink names is another one; whoever asks for the first gets ours.
+            // The only format that MAVLink names is another one; a request for the first format gets ours.
             integer_parameter(command, 1, "0").and_then(|format| match format {
                 0 => Ok(Command::StartRecording),
                 _ => Err(parameter_error(command, 1, "0")),
@@ -129,7 +129,7 @@ fn decode_set_pose(command: &CommandLong) -> Result<Command, CommandError> {
     }
     let [position_sigma_m, yaw_sigma_deg] = [4, 5].map(|index| bounded_parameter(command, index));
     for (index, value) in [(4, position_sigma_m), (5, yaw_sigma_deg)] {
-        // Fields that are left out are zero: nobody is that sure.
+        // Fields that are left out are zero: no source is that certain.
         if !(value.is_finite() && value > 0.0) {
             return Err(parameter_error(command, index, "a sigma above 0"));
         }

@@ -14,8 +14,8 @@ use crate::signing::{FLAG_SIGNED, FrameSigner};
 
 /// Writes frames for one link.
 ///
-/// Receivers compute losses per (system, component) and link, so an encoder belongs to one link and counts for each
-/// address that speaks on it.
+/// Receivers compute losses per (system, component) and link, so an encoder belongs to one link and counts for each address that
+/// sends on it.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     version: WireVersion,
@@ -101,7 +101,7 @@ impl Encoder {
         })
     }
 
-    /// Takes note that a frame of somebody else leaves under the number that it came with: his next one here is the next after that.
+    /// Records that a forwarded frame leaves under the number that it came with: the next one of its sender here is the next after that.
     pub fn note_forwarded(&mut self, from: Address, sequence: u8) {
         self.sequences.insert(from, sequence.wrapping_add(1));
     }

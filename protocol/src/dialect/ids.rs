@@ -61,7 +61,7 @@ messages! {
 
 /// MAV_CMD_GET_MESSAGE_INTERVAL: parameter 1 is the message.
 pub const COMMAND_GET_MESSAGE_INTERVAL: u16 = 510;
-/// MAV_CMD_REQUEST_MESSAGE: parameter 1 is the message, parameter 2 tells it apart from others of its kind.
+/// MAV_CMD_REQUEST_MESSAGE: parameter 1 is the message, parameter 2 distinguishes it from others of its kind.
 pub const COMMAND_REQUEST_MESSAGE: u16 = 512;
 /// MAV_CMD_SET_MESSAGE_INTERVAL, the command that [`crate::message::Message::SetMessageInterval`] is.
 pub const COMMAND_SET_MESSAGE_INTERVAL: u16 = 511;

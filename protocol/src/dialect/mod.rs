@@ -80,7 +80,7 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
     }
 }
 
-/// The instant of its sender's clock of which a verified frame speaks; `None` if it speaks of none or makes no sense.
+/// The timestamp in a verified frame, on its sender's clock; `None` if it has none or it is invalid.
 #[must_use]
 pub fn timestamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
     match frame.message_id {
@@ -88,7 +88,7 @@ pub fn timestamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
         ids::HEARTBEAT | ids::TIMESYNC | ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | ids::STATUSTEXT => {
             None
         }
-        // Neither need what is said most often.
+        // The most frequent messages need neither.
         ids::PB_WHEEL_TICKS => Some(posebridge::ticks_of(frame.payload).ok().flatten()?.stamp),
         ids::PB_INERTIAL => Some(posebridge::inertial_of(frame.payload).ok()?.stamp),
         _ => decode(frame).ok().flatten()?.stamp(),

@@ -214,7 +214,7 @@ pub(super) fn text_to<const N: usize>(text: &str) -> [u8; N] {
     bytes
 }
 
-/// The address, or `None` for 0/0, which means everybody.
+/// The address, or `None` for 0/0, which is a broadcast.
 pub(super) fn specific_address(address: Address) -> Option<Address> {
     (address != Address::new(0, 0)).then_some(address)
 }

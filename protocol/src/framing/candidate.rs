@@ -1,8 +1,8 @@
-//! Judges what begins at a start byte, by its header alone.
+//! Classifies what begins at a start byte, by its header alone.
 //!
 //! Early judgement is what keeps a torn or invented header from holding back the frames behind it: flags that no
 //! protocol version has and lengths that the claimed message cannot have are refused before their bytes have come.
-//! Checksums are the scanner's business.
+//! Checksums are the framer's business.
 
 use posebridge_telemetry::Address;
 
@@ -78,7 +78,7 @@ pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
     }
 }
 
-/// The frame that these bytes are, by its header alone; `None` if their number is not what it says. For bytes that [`verify`] has
+/// The frame that these bytes are, by its header alone; `None` if their number differs from it. For bytes that [`verify`] has
 /// seen, which need not be summed up again.
 #[must_use]
 #[inline]
@@ -92,7 +92,7 @@ pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
     Some(header.frame(raw))
 }
 
-/// Judges `bytes`, which begin with a start byte of the version.
+/// Classifies `bytes`, which begin with a start byte of the version.
 #[inline]
 pub(super) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
     match bytes {
@@ -122,7 +122,7 @@ fn classify_v1(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
         return FrameCandidate::Incomplete;
     };
     // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
-    // sends them when it is told to speak version 1.
+    // sends them when it is set to version 1.
     with_layout(header, catalogue, |shape| {
         let lengths = [shape.max_len_v1, shape.max_len_v2];
         lengths.map(usize::from).contains(&header.payload_len)

@@ -1,19 +1,19 @@
-//! The scanner: one per link and direction, fed with chunks and time.
+//! The framer: finds MAVLink frames in the bytes of one link and direction, which arrive in chunks with their times.
 //!
 //! # Model
 //! ```text
-//!            settled          cursor            end of what has come
-//!  ...frames...|...undecided...|...not yet looked at...|
+//!            decided          cursor            end of the received bytes
+//!  ...frames...|...undecided...|...not yet examined...|
 //! ```
-//! Everything before `settled` was handed out or counted as garbage. Between `settled` and `cursor` lie claims of unknown
-//! frames ([`super::tentative`]). The scan stops at a start byte whose frame is not whole yet; those bytes wait in `tail`.
-//! When nothing waits, the scan runs on the caller's slice and copies nothing.
+//! Everything before `decided` was emitted as frames or counted as garbage. Between `decided` and `cursor` lie claims of unknown
+//! frames ([`super::unknown_spans`]). The search stops at a start byte whose frame is not complete yet; these bytes stay in `pending`.
+//! When nothing is pending, the search runs on the caller's slice and copies nothing.
 //!
 //! A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
 //!
-//! A frame may stop in its middle for longer than the gap, where a link stalls between two reads. If whole frames hide behind its
-//! beginning, the beginning was torn and is given up; a frame that stops behind them is kept. If none do, it costs nothing to keep it:
-//! it is `overdue`, and what comes next, in however many pieces, completes it or brings frames behind it to light and so gives it up.
+//! A link that stalls between two reads may interrupt a frame for longer than the gap. When the gap has passed and complete frames
+//! follow the incomplete one, that one is dropped; an incomplete frame after them is kept. When no complete frame follows, it is kept,
+//! too, and marked as overdue: the next bytes, in any number of chunks, complete it, or they contain frames and it is dropped then.
 
 use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 
@@ -23,7 +23,7 @@ use super::unknown_spans::{UnknownSpan, UnknownSpans};
 use super::{FramerConfig, FramerCounters, FramerOutput, START_BYTE_V1, START_BYTE_V2, TransportKind};
 use crate::dialect::catalogue::{CATALOGUE, FULL_CATALOGUE, MessageCatalogue};
 
-/// Who is told what was found.
+/// Receives the output.
 type FramerSink<'s> = dyn FnMut(FramerOutput<'_>) + 's;
 
 /// Finds the frames in the bytes of one link.
@@ -53,20 +53,20 @@ pub struct Framer {
     pending: Vec<u8>,
     progress: ScanProgress,
     last_byte: Timestamp<HostClock>,
-    /// The gap has passed over what waits, and nothing hides behind it.
+    /// The gap has passed while bytes were pending, and no complete frame follows them.
     is_overdue: bool,
-    /// Over the candidates that begin before this offset of `tail` the gap has passed once: they may still be completed, but are given
-    /// up when whole frames hide behind them.
+    /// The gap has passed once for candidates before this offset of `pending`: they may still be completed, but are dropped when
+    /// complete frames follow them.
     doubtful_end: usize,
     counters: FramerCounters,
 }
 
-/// How far the bytes in `tail` were looked at.
+/// How far the bytes in `pending` were examined.
 #[derive(Clone, Debug, Default)]
 struct ScanProgress {
     cursor: usize,
     decided: usize,
-    /// Where the last frame ends that was handed out of the buffer.
+    /// Where the last emitted frame ends.
     frames_end: usize,
     unknown_spans: UnknownSpans,
 }
@@ -90,7 +90,7 @@ impl WaitPolicy {
 }
 
 impl Framer {
-    /// A scanner that has heard nothing.
+    /// A framer without any bytes.
     #[must_use]
     pub fn new(config: FramerConfig) -> Self {
         Self {
@@ -105,16 +105,16 @@ impl Framer {
         }
     }
 
-    /// One that verifies the messages of foreign dialects as well: for looking at recordings. A live link passes them on unverified,
-    /// because its peers may speak a newer version of theirs.
+    /// A framer that verifies the messages of foreign dialects as well, for recordings. A live link forwards them unverified, because
+    /// its peers may use a newer version of their dialect.
     #[must_use]
     pub fn with_all_dialects(config: FramerConfig) -> Self {
         Self { catalogue: &FULL_CATALOGUE, ..Self::new(config) }
     }
 
-    /// Takes one chunk, which arrived at `now`, and hands out what became certain by it, in the order of the bytes.
+    /// Takes one chunk, which arrived at `now`, and emits what it completes, in the order of the bytes.
     ///
-    /// A late continuation is still welcome: if it completes the waiting frame, the gap is forgiven.
+    /// A late chunk may still complete the pending frame; then the gap does not count.
     pub fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut FramerSink<'_>) {
         if bytes.is_empty() {
             return;
@@ -124,14 +124,14 @@ impl Framer {
         }
         self.last_byte = now;
         if self.pending.is_empty() {
-            let patience = self.wait_policy(bytes);
-            self.run(bytes, patience, sink);
+            let wait_policy = self.wait_policy(bytes);
+            self.run(bytes, wait_policy, sink);
             self.keep_pending(&bytes[self.progress.decided..]);
         } else {
             let mut joined = std::mem::take(&mut self.pending);
             joined.extend_from_slice(bytes);
-            let patience = self.wait_policy(&joined);
-            self.run(&joined, patience, sink);
+            let wait_policy = self.wait_policy(&joined);
+            self.run(&joined, wait_policy, sink);
             joined.drain(..self.progress.decided);
             self.pending = joined;
         }
@@ -139,15 +139,15 @@ impl Framer {
         self.drop_decided();
     }
 
-    /// When [`Framer::tick`] has something to do if nothing more has come; `None` when nothing waits for the gap.
+    /// When [`Framer::tick`] must be called if no more bytes come; `None` when nothing waits for the gap.
     #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waits = !self.pending.is_empty() && !self.is_overdue;
         waits.then(|| self.last_byte + self.config.gap)
     }
 
-    /// The gap has passed since [`Framer::deadline`] was set: hands out what hides behind a torn frame, or notes that a frame has
-    /// stopped in its middle; does nothing before.
+    /// Handles the end of the gap: emits the complete frames that follow an incomplete one, or reports that a frame is interrupted.
+    /// Does nothing before [`Framer::deadline`].
     pub fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut FramerSink<'_>) {
         if self.deadline().is_none_or(|deadline| now < deadline) {
             return;
@@ -158,10 +158,10 @@ impl Framer {
             return;
         }
         if let Some(end) = hidden {
-            let mut tail = std::mem::take(&mut self.pending);
-            self.run(&tail, WaitPolicy::WaitFrom(end), sink);
-            tail.drain(..self.progress.decided);
-            self.pending = tail;
+            let mut buffer = std::mem::take(&mut self.pending);
+            self.run(&buffer, WaitPolicy::WaitFrom(end), sink);
+            buffer.drain(..self.progress.decided);
+            self.pending = buffer;
             self.drop_decided();
             self.is_overdue = true;
             return;
@@ -174,17 +174,17 @@ impl Framer {
         }
     }
 
-    /// Nothing more will come: gives up what waits, so that every byte is in a frame or counted.
+    /// Ends the stream: drops the pending bytes, so that every byte is in a frame or counted.
     pub fn finish(&mut self, sink: &mut FramerSink<'_>) {
-        let tail = std::mem::take(&mut self.pending);
-        self.run(&tail, WaitPolicy::GiveUp, sink);
+        let buffer = std::mem::take(&mut self.pending);
+        self.run(&buffer, WaitPolicy::GiveUp, sink);
         self.progress = ScanProgress::default();
         self.is_overdue = false;
         self.doubtful_end = 0;
     }
 
-    /// The line broke: hands out the whole frames that hide behind a torn one. What is left was neither sent badly nor stalled, so it is
-    /// dropped without a word.
+    /// Handles a loss of the link: emits the complete frames that follow an incomplete one. The remaining bytes were neither damaged
+    /// nor late, so they are dropped without an error.
     pub fn handle_link_loss(&mut self, sink: &mut FramerSink<'_>) {
         if self.end_of_hidden_frames(&self.pending, WaitPolicy::GiveUp).is_some() {
             self.finish(sink);
@@ -195,7 +195,7 @@ impl Framer {
         self.doubtful_end = 0;
     }
 
-    /// What this scanner has counted.
+    /// The counters since the start.
     #[must_use]
     pub const fn counters(&self) -> &FramerCounters {
         &self.counters
@@ -206,22 +206,22 @@ impl Framer {
     }
 
     fn drop_decided(&mut self) {
-        let gone = self.progress.decided;
-        self.progress.unknown_spans.shift(gone);
-        self.progress.cursor -= gone;
+        let decided = self.progress.decided;
+        self.progress.unknown_spans.shift(decided);
+        self.progress.cursor -= decided;
         self.progress.decided = 0;
         self.progress.frames_end = 0;
-        self.doubtful_end = self.doubtful_end.saturating_sub(gone);
+        self.doubtful_end = self.doubtful_end.saturating_sub(decided);
     }
 
-    /// Which candidates need not be waited for in `buffer`, of which the last bytes have just come.
+    /// Which candidates in `buffer` need no wait, now that its last bytes have come.
     fn wait_policy(&self, buffer: &[u8]) -> WaitPolicy {
         match self.config.transport {
             TransportKind::Datagram => WaitPolicy::GiveUp,
             TransportKind::Stream => {
-                let without_doubted = WaitPolicy::WaitFrom(self.doubtful_end);
-                if self.doubtful_end > 0 && self.end_of_hidden_frames(buffer, without_doubted).is_some() {
-                    without_doubted
+                let skip_doubtful = WaitPolicy::WaitFrom(self.doubtful_end);
+                if self.doubtful_end > 0 && self.end_of_hidden_frames(buffer, skip_doubtful).is_some() {
+                    skip_doubtful
                 } else {
                     WaitPolicy::WaitFrom(0)
                 }
@@ -229,8 +229,8 @@ impl Framer {
         }
     }
 
-    /// Where the last of the frames ends that a run over `buffer` would bring to light; `None` if it would bring none.
-    fn end_of_hidden_frames(&self, buffer: &[u8], patience: WaitPolicy) -> Option<usize> {
+    /// Where the last frame ends that a pass over `buffer` would emit; `None` if it would emit none.
+    fn end_of_hidden_frames(&self, buffer: &[u8], wait_policy: WaitPolicy) -> Option<usize> {
         let mut progress = self.progress.clone();
         ScanPass {
             buffer,
@@ -241,11 +241,11 @@ impl Framer {
             sink: &mut |_| {},
             has_stalled: true,
         }
-        .run(patience);
+        .run(wait_policy);
         (progress.frames_end > 0).then_some(progress.frames_end)
     }
 
-    fn run(&mut self, buffer: &[u8], patience: WaitPolicy, sink: &mut FramerSink<'_>) {
+    fn run(&mut self, buffer: &[u8], wait_policy: WaitPolicy, sink: &mut FramerSink<'_>) {
         ScanPass {
             buffer,
             accept_v1: self.config.accept_v1,
@@ -255,11 +255,11 @@ impl Framer {
             sink,
             has_stalled: self.is_overdue,
         }
-        .run(patience);
+        .run(wait_policy);
     }
 }
 
-/// One run over a buffer.
+/// One pass over a buffer.
 struct ScanPass<'p, 'b, 's> {
     buffer: &'b [u8],
     accept_v1: bool,
@@ -271,7 +271,7 @@ struct ScanPass<'p, 'b, 's> {
 }
 
 impl ScanPass<'_, '_, '_> {
-    fn run(&mut self, patience: WaitPolicy) {
+    fn run(&mut self, wait_policy: WaitPolicy) {
         while self.find_start() {
             let at = self.progress.cursor;
             let rest = &self.buffer[at..];
@@ -280,10 +280,10 @@ impl ScanPass<'_, '_, '_> {
                     self.verify(&header, crc_extra);
                 }
                 FrameCandidate::Supported { .. } | FrameCandidate::Incomplete => {
-                    if !patience.has_expired_at(at) {
+                    if !wait_policy.has_expired_at(at) {
                         break;
                     }
-                    self.give_up();
+                    self.skip_incomplete();
                 }
                 FrameCandidate::Unknown { header } => {
                     let end = at + header.total;
@@ -297,7 +297,7 @@ impl ScanPass<'_, '_, '_> {
                 }
             }
         }
-        match patience {
+        match wait_policy {
             WaitPolicy::GiveUp => self.decide_all(),
             WaitPolicy::WaitFrom(_) => self.advance_decided(),
         }
@@ -307,7 +307,7 @@ impl ScanPass<'_, '_, '_> {
     #[inline]
     fn find_start(&mut self) -> bool {
         let rest = &self.buffer[self.progress.cursor..];
-        // Most frames stand back to back: look before searching.
+        // Most frames follow each other directly: check this byte before searching.
         if rest.first() == Some(&START_BYTE_V2) {
             return true;
         }
@@ -344,7 +344,7 @@ impl ScanPass<'_, '_, '_> {
         }
     }
 
-    fn give_up(&mut self) {
+    fn skip_incomplete(&mut self) {
         if !self.has_stalled {
             self.has_stalled = true;
             self.counters.stalls += 1;
@@ -361,21 +361,21 @@ impl ScanPass<'_, '_, '_> {
             self.progress.unknown_spans.clear();
             return;
         }
-        for claim in self.progress.unknown_spans.chain_to(end) {
-            self.discard_to(claim.start);
-            self.emit_unknown(claim);
+        for span in self.progress.unknown_spans.chain_to(end) {
+            self.discard_to(span.start);
+            self.emit_unknown(span);
         }
         self.discard_to(end);
         self.progress.unknown_spans.clear();
     }
 
-    fn emit_unknown(&mut self, claim: UnknownSpan) {
-        let raw = &self.buffer[claim.start..claim.end];
+    fn emit_unknown(&mut self, span: UnknownSpan) {
+        let raw = &self.buffer[span.start..span.end];
         if let FrameCandidate::Unknown { header } = classify(raw, self.catalogue) {
             self.counters.unknown_ids += 1;
             (self.sink)(FramerOutput::UnknownFrame(header.frame(raw)));
-            self.progress.decided = claim.end;
-            self.progress.frames_end = claim.end;
+            self.progress.decided = span.end;
+            self.progress.frames_end = span.end;
         }
     }
 
@@ -384,15 +384,15 @@ impl ScanPass<'_, '_, '_> {
     }
 
     fn advance_decided(&mut self) {
-        let claims = &mut self.progress.unknown_spans;
-        if !claims.is_empty() {
-            claims.prune(self.progress.cursor);
+        let spans = &mut self.progress.unknown_spans;
+        if !spans.is_empty() {
+            spans.prune(self.progress.cursor);
         }
-        let undecided = claims.first_start().unwrap_or(self.progress.cursor);
+        let undecided = spans.first_start().unwrap_or(self.progress.cursor);
         self.discard_to(undecided);
     }
 
-    /// Counts everything from `settled` to `end` as garbage.
+    /// Counts everything from `decided` to `end` as garbage.
     fn discard_to(&mut self, end: usize) {
         let skipped = end - self.progress.decided;
         if skipped > 0 {

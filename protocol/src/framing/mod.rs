@@ -66,14 +66,14 @@ pub struct FramerConfig {
 
 impl Default for FramerConfig {
     /// MAVLink 2 from a stream, with a gap of 50 ms: longer than the pauses of a Bluetooth serial link inside a frame,
-    /// shorter than the period of the slowest telemetry that anybody steers by.
+    /// shorter than the period of the slowest telemetry that is used for steering.
     fn default() -> Self {
         Self { accept_v1: false, gap: TimeDelta::from_millis(50), transport: TransportKind::Stream }
     }
 }
 
-/// Counts of one scanner since it was made. Every byte ends up in exactly one of: a frame, an unknown frame, garbage, or
-/// the scanner's waiting tail.
+/// Counts of one framer since it was made. Every byte ends up in exactly one of: a frame, an unknown frame, garbage, or
+/// the framer's pending bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FramerCounters {
     /// Frames whose checksum matched.
@@ -91,7 +91,7 @@ pub struct FramerCounters {
 }
 
 impl FramerCounters {
-    /// What two scanners have counted together.
+    /// The sum of two framers' counts.
     #[must_use]
     pub const fn merged(self, other: &Self) -> Self {
         Self {
@@ -105,7 +105,7 @@ impl FramerCounters {
     }
 }
 
-/// One frame, borrowed from the scanner's input.
+/// One frame, borrowed from the framer's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameRef<'a> {
     /// The layout in which it came.
@@ -123,20 +123,20 @@ pub struct FrameRef<'a> {
 }
 
 impl FrameRef<'_> {
-    /// Whether it bears a signature, whoever made it.
+    /// Whether it has a signature, valid or not.
     #[must_use]
     pub fn is_signed(&self) -> bool {
         matches!(*self.raw, [START_BYTE_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
     }
 }
 
-/// What a scanner finds.
+/// The output of a framer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FramerOutput<'a> {
     /// A frame whose checksum matched.
     Frame(FrameRef<'a>),
     /// A frame that is whole by its length but whose id is in no dialect, so that its checksum cannot be verified. Forward
-    /// it untouched; do not believe it.
+    /// it untouched; do not trust it.
     UnknownFrame(FrameRef<'a>),
     /// Something damaged was skipped.
     Error(ReceiveError),

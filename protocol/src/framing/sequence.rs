@@ -2,7 +2,7 @@
 //!
 //! Every (system, component) counts for itself. What is missing is what the sender has sent between two frames that came, less
 //! what came between them, as RFC 3550 defines the cumulative loss of RTP. A frame that comes late is taken off again; one that
-//! comes twice counts once. An 8-bit number tells a distance only modulo 256, so that silences need more than the number:
+//! comes twice counts once. An 8-bit number gives a distance only modulo 256, so that silences need more than the number:
 //!
 //! ```text
 //! n = a + 256 k     a = advance of the number modulo 256     k such that n is nearest to pace x (time between the two frames)
@@ -13,7 +13,7 @@
 //!
 //! # Assumptions
 //! The sender counts by one and keeps about its pace through a silence; see [`pace`]. A sender that was restarted begins anew: its
-//! clock shows it, and what was lost about that instant is not counted, because nobody knows.
+//! clock shows it, and what was lost about that instant is not counted, because it is unknown.
 //!
 //! # Sources
 //! Cumulative number of packets lost: RFC 3550, section 6.4.1 and appendix A.3.
@@ -38,14 +38,14 @@ pub struct SequenceTracker {
 }
 
 impl SequenceTracker {
-    /// A tracker that has heard nobody.
+    /// A tracker without any frames.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
     /// Takes note of a frame that arrived at `arrival` and returns how many more frames of its sender are known to be missing.
-    /// That can be more than those just before it: only a message with a stamp tells how long a silence was.
+    /// That can be more than those just before it: only a message with a stamp shows how long a silence was.
     pub fn record(&mut self, frame: &FrameRef<'_>, arrival: Timestamp<HostClock>) -> u32 {
         let sender = self.senders.entry(frame.source).or_default();
         match dialect::timestamp_of(frame) {
@@ -64,7 +64,7 @@ impl SequenceTracker {
         u8::try_from(sender.take_new_losses()).unwrap_or(u8::MAX)
     }
 
-    /// The link was away. A sender with stamps is followed across it; of the others nobody knows whether they are the same, and
+    /// The link was away. A sender with stamps is followed across it; for the others it is unknown whether they are the same, and
     /// their next frame follows nothing.
     pub fn handle_link_loss(&mut self) {
         for sender in self.senders.values_mut() {

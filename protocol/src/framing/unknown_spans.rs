@@ -1,14 +1,14 @@
 //! Frames with an unknown id, until their surroundings decide about them.
 //!
-//! Their checksum cannot be verified, so they never stop the scan: the search for verified frames goes on inside them. A
-//! claim is believed when a verified frame (or another believed claim, or the end of all bytes) begins exactly where it
-//! ends and no verified frame has begun inside it.
+//! Their checksum cannot be verified, so they never stop the scan: the search for verified frames goes on inside them. A claim is
+//! accepted when a verified frame (or another accepted claim, or the end of all bytes) begins exactly where it ends and no
+//! verified frame has begun inside it.
 
 /// More claims than this at once are not kept: enough for a second of unknown telemetry at 50 Hz between two heartbeats,
 /// and a bound on the memory (64 frames of at most 280 bytes).
 const MAX_SPANS: usize = 64;
 
-/// A claim: bytes `start..end` of the scanner's buffer may be an unknown frame.
+/// A claim: bytes `start..end` of the framer's buffer may be an unknown frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct UnknownSpan {
     pub(super) start: usize,

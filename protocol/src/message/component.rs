@@ -66,9 +66,9 @@ pub struct FloatArray {
     pub stamp: WireStamp,
     /// At most ten bytes on the wire.
     pub name: ChannelName,
-    /// Tells arrays of one sender apart.
+    /// Distinguishes arrays of one sender.
     pub id: u16,
-    /// At most 58 numbers; zeros at the end are not told from none.
+    /// At most 58 numbers; zeros at the end are not distinguished from none.
     pub values: Vec<f32>,
 }
 

@@ -32,7 +32,7 @@ const MAX_ENDPOINTS: usize = 32;
 /// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
 /// should not grow by it.
 const RESERVED_KEYS: usize = 4_096;
-/// So many keys may wait to be sorted in.
+/// Most keys that may wait to be sorted in.
 const MAX_WAITING: usize = 64;
 /// FNV-1a: offset basis for 64 bits.
 const FNV_BASIS: u64 = 0xCBF2_9CE4_8422_2325;
@@ -51,7 +51,7 @@ pub(super) fn frame_key(frame: &[u8]) -> FrameKey {
     FrameKey::Frame(hash(FNV_BASIS, frame))
 }
 
-/// The key of what a frame says, within a group of redundant links.
+/// The key of a frame's content, within a group of redundant links.
 pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> FrameKey {
     let [id0, id1, id2, _] = frame.message_id.to_le_bytes();
     let [group0, group1] = group.to_le_bytes();
@@ -77,9 +77,9 @@ struct SeenFrame {
 
 /// Frames of the last while.
 ///
-/// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until nobody waits for an answer
-/// ([`Self::sort_and_expire`]), and as long as frames come by a single way, of which none can be a repeat; what is not sorted in yet is known all
-/// the same.
+/// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until no reply is due
+/// ([`Self::sort_and_expire`]), and as long as frames come from a single endpoint, where none can be a repeat; what is not sorted
+/// in yet is known all the same.
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: TimeDelta,
@@ -196,7 +196,7 @@ mod tests {
         Timestamp::from_millis(millis)
     }
 
-    fn way(link: u16) -> Endpoint {
+    fn endpoint(link: u16) -> Endpoint {
         Endpoint { link: LinkId(link), peer: PeerId(0) }
     }
 
@@ -212,14 +212,14 @@ mod tests {
     fn another_way_within_the_window_is_a_repeat_and_the_same_way_is_not() {
         let mut guard = DuplicateGuard::new(WINDOW);
         let key = FrameKey::Frame(7);
-        assert_eq!(guard.record(at(0), way(0), key), None);
-        assert_eq!(guard.record(at(10), way(1), key), Some(way(0)));
-        assert_eq!(guard.record(at(20), way(1), key), Some(way(0)));
-        assert_eq!(guard.record(at(500), way(0), key), None, "said again");
-        assert_eq!(guard.record(at(1_499), way(1), key), Some(way(0)));
-        assert_eq!(guard.record(at(1_500), way(1), key), None, "forgotten");
-        assert_eq!(guard.record(at(1_501), way(0), key), Some(way(1)));
-        assert_eq!(guard.record(at(1_502), way(0), FrameKey::Content(7)), None);
+        assert_eq!(guard.record(at(0), endpoint(0), key), None);
+        assert_eq!(guard.record(at(10), endpoint(1), key), Some(endpoint(0)));
+        assert_eq!(guard.record(at(20), endpoint(1), key), Some(endpoint(0)));
+        assert_eq!(guard.record(at(500), endpoint(0), key), None, "said again");
+        assert_eq!(guard.record(at(1_499), endpoint(1), key), Some(endpoint(0)));
+        assert_eq!(guard.record(at(1_500), endpoint(1), key), None, "forgotten");
+        assert_eq!(guard.record(at(1_501), endpoint(0), key), Some(endpoint(1)));
+        assert_eq!(guard.record(at(1_502), endpoint(0), FrameKey::Content(7)), None);
     }
 
     #[test]
@@ -227,7 +227,7 @@ mod tests {
         // Two ways that bring much of the same, at times one alone for longer than the window.
         let brought = (0..40_000_u64).map(|i| {
             let is_alone = (i / 5_000).is_multiple_of(2);
-            let way = way(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
+            let way = endpoint(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
             (at(i as i64), way, FrameKey::Frame(i * 31 % 997))
         });
         let run = |settles_every: usize| -> Vec<Option<Endpoint>> {
@@ -251,15 +251,15 @@ mod tests {
     #[test]
     fn no_window_knows_nothing_again_and_a_waiting_key_is_found() {
         let mut off = DuplicateGuard::new(TimeDelta::ZERO);
-        assert_eq!(off.record(at(0), way(0), FrameKey::Frame(1)), None);
-        assert_eq!(off.record(at(0), way(1), FrameKey::Frame(1)), None);
+        assert_eq!(off.record(at(0), endpoint(0), FrameKey::Frame(1)), None);
+        assert_eq!(off.record(at(0), endpoint(1), FrameKey::Frame(1)), None);
         let mut guard = DuplicateGuard::new(WINDOW);
         for key in 0..100_000 {
-            guard.record(at(0), way(0), FrameKey::Frame(key));
+            guard.record(at(0), endpoint(0), FrameKey::Frame(key));
         }
         assert!(guard.unsorted.len() <= MAX_WAITING);
-        assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(0)), None);
-        assert_eq!(guard.record(at(0), way(1), FrameKey::Frame(99_999)), Some(way(0)));
+        assert_eq!(guard.record(at(0), endpoint(1), FrameKey::Frame(0)), None);
+        assert_eq!(guard.record(at(0), endpoint(1), FrameKey::Frame(99_999)), Some(endpoint(0)));
     }
 
     #[test]
@@ -267,7 +267,7 @@ mod tests {
         for (links, expected) in [(1, 16_384), (2, 16_384), (4, 32_768), (200, 262_144)] {
             let mut guard = DuplicateGuard::new(WINDOW);
             for key in 0..300_000 {
-                guard.record(at(0), way((key % links) as u16), FrameKey::Frame(key));
+                guard.record(at(0), endpoint((key % links) as u16), FrameKey::Frame(key));
             }
             guard.sort_and_expire(at(0));
             assert_eq!((guard.seen.len(), guard.expiry_order.len()), (expected, expected), "{links} links");

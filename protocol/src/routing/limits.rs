@@ -61,7 +61,7 @@ impl LinkRateLimiter {
         }
         if interval.is_some() {
             if self.last_sent.len() >= MAX_SENDERS {
-                // Nobody has so many: somebody invents addresses. Beginning anew costs one message of each.
+                // More than any real network has: a sender invents addresses. Beginning anew costs one message of each.
                 self.last_sent.clear();
             }
             self.last_sent.insert(key, now);

@@ -1,8 +1,8 @@
 //! Whom a frame is passed on to: a station between several links is also a router.
 //!
 //! Gets the frames that [`crate::framing`] finds, with the way by which each came, and says to which links and peers it goes
-//! on. It is a value: it sends nothing, reads no clock and changes no byte. What is believed and fused is not decided here,
-//! except that a frame that came before by another way is told from one that is new ([`DuplicateStatus`]).
+//! on. It is a value: it sends nothing, reads no clock and changes no byte. Which frames are used is not decided here, except
+//! that a frame that came before from another endpoint is distinguished from a new one ([`DuplicateStatus`]).
 //!
 //! # Model
 //! ```text
@@ -44,7 +44,7 @@ use self::sent_frames::SentFrameLog;
 use crate::dialect::ids;
 use crate::framing::FrameRef;
 
-/// A way by which somebody was not heard for this long leads to him no more.
+/// A route expires after this long without a frame.
 pub const ROUTE_LIFETIME: TimeDelta = routes::LIFETIME;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
@@ -54,12 +54,12 @@ const COMMAND_CANCEL: u32 = 80;
 pub enum SenderCheck {
     /// He is: the checksum holds, and on a link with a key the signature.
     Verified,
-    /// Nobody can tell: the message is in no dialect, so that its checksum cannot be verified, or it may come without the signature
+    /// Unknown: the message is in no dialect, so that its checksum cannot be verified, or it may come without the signature
     /// that its link asks for. Passed on, but nothing is learnt from it.
     Unverifiable,
 }
 
-/// Whether somebody else is at the other end of a link.
+/// Whether a link has peers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkSharing {
     /// Only the peer itself: nothing goes back there.
@@ -96,7 +96,7 @@ pub enum DuplicateStatus {
     Loop,
     /// The station has said it itself: a link echoes, or it went round a loop. It goes nowhere and says nothing.
     Echo,
-    /// It bears the station's address, but the station has not said it: somebody else has the same one. It goes nowhere.
+    /// It bears the station's address, but the station has not said it: another sender has the same one. It goes nowhere.
     AddressConflict,
 }
 
@@ -130,7 +130,7 @@ pub struct FrameRouter {
 }
 
 impl FrameRouter {
-    /// A router that has heard nobody.
+    /// A router without any frames.
     #[must_use]
     pub fn new(config: RouterConfig) -> Self {
         Self {
@@ -146,14 +146,14 @@ impl FrameRouter {
         self.sent_frames.record(frame);
     }
 
-    /// The station says this frame in the name of somebody who is heard by `way`: when it comes back by another way, it is a copy.
+    /// The station sends this frame in the name of a sender that is received from `way`: when it comes back from another endpoint, it is a duplicate.
     ///
     /// His own frames stay his own, even one with the same bytes, as long as they come by that way.
     pub fn record_sent_for(&mut self, now: Timestamp<HostClock>, way: Endpoint, frame: &[u8]) {
         self.duplicates.record(now, way, frame_key(frame));
     }
 
-    /// Whether a link's inward filter lets a frame in: one that it does not is neither believed nor passed on.
+    /// Whether a link's inward filter lets a frame in: one that it does not is neither used nor forwarded.
     #[must_use]
     pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
         self.config.links.get(&link).is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
@@ -161,7 +161,7 @@ impl FrameRouter {
 
     /// Takes note of a frame that was let in at `now` and decides where it goes.
     ///
-    /// What bears the station's own address goes nowhere and teaches nothing, whoever has said it.
+    /// A frame with the station's own address goes nowhere and adds no route, whoever sent it.
     pub fn route(
         &mut self,
         now: Timestamp<HostClock>,
@@ -226,7 +226,7 @@ impl FrameRouter {
         RoutingDecision { duplicate_status: occurrence, to }
     }
 
-    /// Where a frame goes that is for somebody of whom only the caller knows by which endpoint he is heard: there, if the rules let it.
+    /// Where a frame goes whose target's endpoint only the caller knows: there, if the rules let it.
     #[must_use]
     pub fn destinations_at(
         &self,
@@ -240,7 +240,7 @@ impl FrameRouter {
         may_go.then_some((recipient.link, Recipients::Peer(recipient.peer))).into_iter().collect()
     }
 
-    /// Does what nobody waits for; best called when an input's answers have left.
+    /// Does the work that no reply waits for; best called when an input's answers have left.
     pub fn run_deferred_work(&mut self, now: Timestamp<HostClock>) {
         self.duplicates.sort_and_expire(now);
     }
@@ -267,8 +267,8 @@ impl FrameRouter {
         self.config.links.get(&link)?.group
     }
 
-    /// Takes note of a frame and says whether it came by another way before. By the bytes and by what they say that may be two
-    /// ways; what a redundant link has brought is no news, even if a detour was quicker still.
+    /// Takes note of a frame and says whether it came by another way before. Equal bytes and equal content may have come from two
+    /// endpoints; what a redundant link has brought is no news, even if a detour was quicker still.
     fn classify_duplicate(
         &mut self,
         now: Timestamp<HostClock>,
@@ -364,7 +364,7 @@ impl FrameRouter {
     }
 }
 
-/// What a frame of somebody else is worth on a slow link: commands to one and their answers are never dropped.
+/// The priority of a forwarded frame on a slow link: commands to one and their answers are never dropped.
 #[must_use]
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
     let is_command =

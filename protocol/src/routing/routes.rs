@@ -6,7 +6,7 @@ use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, Syst
 
 use super::endpoint::{Endpoint, MAX_PEERS};
 
-/// A way by which somebody was not heard for this long leads to him no more: thirty missed heartbeats.
+/// A route expires after this long without a frame: thirty missed heartbeats.
 pub(super) const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 /// Most routes.
 const MAX_ROUTES: usize = MAX_PEERS;
@@ -19,7 +19,7 @@ const MANY_ROUTES: usize = 255;
 pub(super) struct RouteTable(BTreeMap<(Address, Endpoint), Timestamp<HostClock>>);
 
 impl RouteTable {
-    /// Somebody was heard.
+    /// Records a received frame.
     pub(super) fn observe(&mut self, now: Timestamp<HostClock>, source: Address, way: Endpoint) {
         if self.0.len() >= MAX_ROUTES && !self.0.contains_key(&(source, way)) {
             self.evict_routes(now);
@@ -38,7 +38,7 @@ impl RouteTable {
         self.endpoints_in_range(now, component(0), component(u8::MAX))
     }
 
-    /// Nobody is heard on this link any more.
+    /// Removes all routes of a link.
     pub(super) fn forget_link(&mut self, link: LinkId) {
         self.0.retain(|(_, way), _| way.link != link);
     }
@@ -53,8 +53,9 @@ impl RouteTable {
             .collect()
     }
 
-    /// Whoever invents senders makes room for them: of the way with the most routes the older half goes, at once, so that a flood
-    /// costs no search per frame. If no way has many, the flood comes by invented ways, and the link with the most loses as much.
+    /// A sender that invents addresses displaces its own entries: of the way with the most routes the older half goes, at once,
+    /// so that a flood costs no search per frame. If no way has many, the flood comes by invented ways, and the link with the
+    /// most loses as much.
     fn evict_routes(&mut self, now: Timestamp<HostClock>) {
         self.0.retain(|_, heard| now - *heard <= LIFETIME);
         if self.0.len() < MAX_ROUTES {
@@ -94,7 +95,7 @@ mod tests {
         Timestamp::from_millis(millis)
     }
 
-    fn way(link: u16, peer: u32) -> Endpoint {
+    fn endpoint(link: u16, peer: u32) -> Endpoint {
         Endpoint { link: LinkId(link), peer: PeerId(peer) }
     }
 
@@ -102,26 +103,26 @@ mod tests {
     fn who_falls_silent_is_forgotten_way_by_way() {
         let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.observe(at(0), robot, way(0, 0));
-        routes.observe(at(20_000), robot, way(1, 0));
+        routes.observe(at(0), robot, endpoint(0, 0));
+        routes.observe(at(20_000), robot, endpoint(1, 0));
         let ways = |now| routes.to_component(at(now), robot).into_iter();
-        assert!(ways(30_000).eq([way(0, 0), way(1, 0)]));
-        assert!(ways(30_001).eq([way(1, 0)]));
+        assert!(ways(30_000).eq([endpoint(0, 0), endpoint(1, 0)]));
+        assert!(ways(30_001).eq([endpoint(1, 0)]));
         assert_eq!(ways(50_001).count(), 0);
     }
 
     #[test]
     fn a_system_is_where_any_of_its_components_is_and_nowhere_else() {
         let mut routes = RouteTable::default();
-        routes.observe(at(0), Address::new(1, 0), way(0, 0));
-        routes.observe(at(0), Address::new(1, 255), way(1, 7));
-        routes.observe(at(0), Address::new(2, 1), way(2, 0));
-        routes.observe(at(0), Address::new(0, 255), way(3, 0));
+        routes.observe(at(0), Address::new(1, 0), endpoint(0, 0));
+        routes.observe(at(0), Address::new(1, 255), endpoint(1, 7));
+        routes.observe(at(0), Address::new(2, 1), endpoint(2, 0));
+        routes.observe(at(0), Address::new(0, 255), endpoint(3, 0));
         let ways = routes.to_system(at(0), SystemId(1));
-        assert!(ways.into_iter().eq([way(0, 0), way(1, 7)]));
+        assert!(ways.into_iter().eq([endpoint(0, 0), endpoint(1, 7)]));
         routes.forget_link(LinkId(0));
         let ways = routes.to_system(at(0), SystemId(1));
-        assert!(ways.into_iter().eq([way(1, 7)]));
+        assert!(ways.into_iter().eq([endpoint(1, 7)]));
     }
 
     fn sender(number: u32) -> Address {
@@ -132,13 +133,13 @@ mod tests {
     fn who_invents_senders_pushes_out_his_own() {
         let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.observe(at(0), robot, way(0, 0));
-        routes.observe(at(0), robot, way(1, 0));
+        routes.observe(at(0), robot, endpoint(0, 0));
+        routes.observe(at(0), robot, endpoint(1, 0));
         for number in 0..60_000 {
-            routes.observe(at(1), sender(number + 512), way(1, 7));
+            routes.observe(at(1), sender(number + 512), endpoint(1, 7));
             assert!(routes.0.len() <= MAX_ROUTES);
         }
-        assert!(routes.to_component(at(2), robot).into_iter().eq([way(0, 0), way(1, 0)]));
+        assert!(routes.to_component(at(2), robot).into_iter().eq([endpoint(0, 0), endpoint(1, 0)]));
         assert!(routes.0.len() > MAX_ROUTES / 4);
         assert_eq!(routes.to_component(at(2), sender(60_511)).len(), 1);
     }
@@ -147,9 +148,9 @@ mod tests {
     fn who_invents_ways_as_well_pushes_nobody_out_on_another_link() {
         let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
-        routes.observe(at(0), robot, way(0, 0));
+        routes.observe(at(0), robot, endpoint(0, 0));
         for number in 0..60_000 {
-            routes.observe(at(1), sender(number + 512), way(1, number));
+            routes.observe(at(1), sender(number + 512), endpoint(1, number));
             assert!(routes.0.len() <= MAX_ROUTES);
         }
         assert_eq!(routes.to_component(at(2), robot).len(), 1);

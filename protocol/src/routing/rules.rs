@@ -14,7 +14,7 @@ pub struct LinkRules {
     pub group: Option<u16>,
     /// What of the others' frames is passed on to it.
     pub forward: ForwardPolicy,
-    /// What is believed and passed on of what comes from it.
+    /// Which of its frames are used and forwarded.
     pub inward: FrameFilter,
     /// What of the others' frames may leave on it.
     pub outward: FrameFilter,

@@ -1,12 +1,13 @@
-//! What the station said itself of late, so that an echo is told from a namesake.
+//! The frames that the station sent recently, to distinguish an echo from an address conflict.
 //!
-//! A link may echo, and a ring of stations brings every broadcast back: that is no news. But a frame under our address that we never
-//! sent comes from somebody who has the same address, by default another station. Neither hears the other then, and both must know.
+//! A link may echo, and a ring of stations brings every broadcast back: that is no news. But a frame under our address that we
+//! never sent comes from a sender with the same address, by default another station. Neither receives the other then, and both
+//! must be warned.
 //!
 //! # Model
 //! ```text
 //! mark   checksum (16 bits), sequence number, lowest byte of the message id
-//! echo   a frame from our own address whose mark is among those of what we said last, on any link
+//! echo   a frame from our own address whose mark is among those of our last frames, on any link
 //! ```
 //! A namesake's frame is taken for an echo once in 2^32 / 8192 = 524288 times.
 
@@ -14,7 +15,7 @@ use std::collections::VecDeque;
 
 use crate::framing::{START_BYTE_V1, START_BYTE_V2};
 
-/// So much of what was said is remembered. At a hundred frames per second on each of four links it is 20 s: longer than a frame is on
+/// Number of sent frames that are remembered. At a hundred frames per second on each of four links it is 20 s: longer than a frame is on
 /// its way round a loop.
 const MAX_SENT_FRAMES: usize = 8_192;
 /// Bytes of a frame besides payload and signature: the header with its start byte, and the checksum.
@@ -22,7 +23,7 @@ const BESIDE_PAYLOAD_V1: usize = 8;
 /// The same of a MAVLink 2 frame.
 const BESIDE_PAYLOAD_V2: usize = 12;
 
-/// The marks of what the station said last.
+/// The marks of the station's last frames.
 #[derive(Clone, Debug)]
 pub(super) struct SentFrameLog(VecDeque<u32>);
 

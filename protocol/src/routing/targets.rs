@@ -25,7 +25,7 @@ const MAX_PAYLOAD: usize = 255;
 /// Whom a message is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MessageTarget {
-    /// Everybody: it names no target, target 0, or its definition is not known.
+    /// Broadcast: it names no target, target 0, or its definition is not known.
     Broadcast,
     /// All components of a system.
     System(SystemId),
@@ -34,7 +34,7 @@ pub enum MessageTarget {
 }
 
 impl MessageTarget {
-    /// The system that it is for; `None` if it is for everybody.
+    /// The system that it is for; `None` for a broadcast.
     #[must_use]
     pub const fn system(self) -> Option<SystemId> {
         match self {

@@ -1,4 +1,4 @@
-//! Which messages tell when they were measured, so that two of them with the same content are one.
+//! Which messages contain their time of measurement, so that two of them with the same content are one.
 //!
 //! A sender counts its frames on each link for itself, so the copies of one message on two links differ in sequence number and
 //! checksum. Their payloads are equal. For a message with the sender's time in it that is enough to know the copy again. For

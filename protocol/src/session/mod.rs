@@ -38,7 +38,7 @@ use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message,
 pub struct SessionConfig {
     /// Who we are on this link.
     pub own: Address,
-    /// What we say of ourselves.
+    /// Our own heartbeat.
     pub heartbeat: Heartbeat,
     /// Time between our heartbeats; the convention is one second.
     pub heartbeat_period: TimeDelta,
@@ -58,7 +58,7 @@ pub enum HeartbeatMode {
     /// It sends heartbeats.
     #[default]
     Active,
-    /// It sends none, because what it speaks for is not there: others must see that. It answers all the same.
+    /// It sends none, because the component behind it is not there: others must see that. It answers all the same.
     Suppressed,
 }
 
@@ -80,7 +80,7 @@ pub struct Session<C: Clock> {
 }
 
 impl<C: Clock> Session<C> {
-    /// A session that has heard nobody; its first heartbeat is due at `now`.
+    /// A session without any peer; its first heartbeat is due at `now`.
     #[must_use]
     pub fn new(config: SessionConfig, now: Timestamp<C>) -> Self {
         Self {
@@ -102,8 +102,8 @@ impl<C: Clock> Session<C> {
         self.parameters.offer(named);
     }
 
-    /// This value of an offered parameter stands now, whether anything changed or not. What is to be sent to all on this link, if
-    /// anybody there has ever asked.
+    /// This value of an offered parameter stands now, whether anything changed or not. The messages for all peers of this link,
+    /// if one of them has ever requested them.
     pub fn report_parameter(&mut self, index: usize, value: f32) -> Option<Message> {
         self.parameters.set_value(index, value)
     }
@@ -172,7 +172,7 @@ impl<C: Clock> Session<C> {
         self.heartbeat_mode = presence;
     }
 
-    /// What is said in a heartbeat; `None` while they are withheld.
+    /// The content of a heartbeat; `None` while they are withheld.
     #[must_use]
     pub fn active_heartbeat(&self) -> Option<Heartbeat> {
         (self.heartbeat_mode == HeartbeatMode::Active).then_some(self.config.heartbeat)
@@ -246,7 +246,7 @@ impl<C: Clock> Session<C> {
         self.time_requests.restart_quick(now);
     }
 
-    /// Tells who has sent a command what became of it.
+    /// Acknowledges a command to its sender.
     pub fn acknowledge_command(&mut self, to: Address, command: u16, result: CommandResult) {
         self.send(Message::CommandAck(CommandAck { command, result: result as u8, target: Some(to) }));
     }

@@ -14,7 +14,7 @@ pub enum SessionOutput<C: Clock> {
     PeerSeen {
         /// Who it is.
         peer: Address,
-        /// What it says of itself.
+        /// Its heartbeat.
         heartbeat: Heartbeat,
     },
     /// A peer has fallen silent.
@@ -35,7 +35,7 @@ pub enum SessionOutput<C: Clock> {
         /// The peer's clock in between, in nanoseconds.
         peer_nanos: i64,
     },
-    /// Somebody asks us to send a message at an interval; it was told that we will.
+    /// A request to send a message at an interval; our acknowledgement is sent.
     IntervalRequested {
         /// Who asks.
         by: Address,
@@ -44,15 +44,16 @@ pub enum SessionOutput<C: Clock> {
         /// The interval; `None` stops the message, zero asks for our default.
         interval: Option<TimeDelta>,
     },
-    /// Somebody commands us alone, or all of our system something that we serve. Whoever owns the session says with
-    /// [`Session::acknowledge_command`](super::Session::acknowledge_command) what became of it; [`CommandResult::Unsupported`](crate::message::CommandResult::Unsupported) if nobody takes it.
+    /// A command to us alone, or one to all of our system that we serve. The owner of the session reports with
+    /// [`Session::acknowledge_command`](super::Session::acknowledge_command) its result;
+    /// [`CommandResult::Unsupported`](crate::message::CommandResult::Unsupported) if no component accepts it.
     CommandReceived {
         /// Who commands.
         by: Address,
         /// The command, known to us or not; COMMAND_INT comes in this form, too.
         command: CommandLong,
     },
-    /// Somebody wants one of our parameters to have another value; what stands afterwards must be told with
+    /// A request to set one of our parameters; the resulting value must be reported with
     /// [`Session::report_parameter`](super::Session::report_parameter).
     ParameterSetRequested {
         /// Who asks.
@@ -62,7 +63,8 @@ pub enum SessionOutput<C: Clock> {
         /// The value, any bits.
         value: f32,
     },
-    /// Somebody wants one of our parameters to have a value of a type that cannot be read; what stands must be told as after a wish.
+    /// A request to set one of our parameters with an unreadable type; the value must be reported as after a
+    /// set request.
     ParameterUnsupported {
         /// Who asks.
         by: Address,
@@ -71,7 +73,7 @@ pub enum SessionOutput<C: Clock> {
         /// MAV_PARAM_TYPE of the value.
         kind: u8,
     },
-    /// Somebody asks us alone for a parameter that we do not have; nothing is answered.
+    /// A request to us alone for a parameter that we do not have; nothing is answered.
     ParameterUnknown {
         /// Who asks.
         by: Address,

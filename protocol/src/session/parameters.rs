@@ -46,7 +46,7 @@ pub(super) struct ParameterServer<C: Clock> {
     listing: Option<ParameterListing<C>>,
     /// Before it no other value of a list goes out, not even of the next list.
     next_allowed: Option<Timestamp<C>>,
-    /// Somebody on this link has asked for some of them.
+    /// A peer on this link has requested some of them.
     was_requested: bool,
 }
 
@@ -107,7 +107,7 @@ impl<C: Clock> ParameterServer<C> {
         }
     }
 
-    /// This value stands from now on; what to tell those who listen.
+    /// This value stands from now on; the messages to send.
     pub(super) fn set_value(&mut self, index: usize, value: f32) -> Option<Message> {
         self.offered.get_mut(index)?.value = value;
         self.was_requested.then(|| self.value(index))?
@@ -173,7 +173,7 @@ fn is_for(own: Address, target: Address) -> bool {
     target.system == own.system && (target.component == own.component || target.component == ComponentId(0))
 }
 
-/// Nobody answers for a parameter that he does not have; but who meant us alone should know why nothing comes.
+/// A component does not answer for a parameter that it does not have; but who meant us alone should know why nothing comes.
 fn unknown_parameter<C: Clock>(
     own: Address,
     by: Address,

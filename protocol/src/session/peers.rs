@@ -45,7 +45,7 @@ struct SessionPeer<C: Clock> {
     request_progress: Option<RequestProgress<C>>,
 }
 
-/// Everybody whose heartbeat was heard lately.
+/// All peers with a recent heartbeat.
 #[derive(Debug)]
 pub(super) struct PeerTable<C: Clock> {
     timeout: TimeDelta,

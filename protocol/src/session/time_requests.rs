@@ -1,6 +1,6 @@
 //! Time requests of this participant, and the replies to them.
 //!
-//! Requests go to everybody; every peer replies once. A reply counts only if it echoes the timestamp of a recent
+//! Requests are broadcast; every peer replies once. A reply counts only if it echoes the timestamp of a recent
 //! request: late, duplicate and forged replies would corrupt the clock alignment.
 
 use std::collections::{BTreeSet, VecDeque};

@@ -40,7 +40,7 @@ impl Key {
         Self(bytes)
     }
 
-    /// Eight hexadecimal digits that tell keys apart and give none away: the first four bytes of a SHA-256 over a fixed
+    /// Eight hexadecimal digits that distinguish keys and reveal none: the first four bytes of a SHA-256 over a fixed
     /// text and the key.
     #[must_use]
     pub fn name(&self) -> String {

@@ -1,4 +1,4 @@
-//! Message signing of MAVLink 2: who holds the key may speak, and what was said once cannot be said again.
+//! Message signing of MAVLink 2: only a holder of the key may send, and a frame cannot be replayed.
 //!
 //! Gets verified frames from [`crate::framing`] and says whether their signatures hold; gives the frames of
 //! [`crate::dialect::Encoder`] their signatures. One [`LinkSigner`] per link. It reads no clock and no file: the time is
@@ -18,7 +18,7 @@
 //! its timestamp is not later than its stream's last      Replayed
 //! its stream is new and it is over a minute behind us    Stale
 //! ```
-//! in this order, so that only whoever holds the key can change what is remembered.
+//! in this order, so that only a holder of the key can change the remembered state.
 //!
 //! # Sources
 //! MAVLink guide, "Message Signing": signature, timestamp handling, accepting signed and unsigned packets.

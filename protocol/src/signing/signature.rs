@@ -30,7 +30,7 @@ impl FrameSigner<'_> {
     }
 }
 
-/// A frame's signature, not yet believed.
+/// A frame's signature, not yet verified.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signature<'a> {
     pub(super) link_id: u8,

@@ -22,10 +22,10 @@ pub struct SigningConfig {
     pub state: SigningState,
 }
 
-/// Signs what leaves on one link and judges what comes there.
+/// Signs the frames that leave on one link and verifies those that arrive there.
 ///
-/// The time of signatures is the calendar's at the start and goes on with the host clock. A believed frame that is ahead
-/// sets it forward, so that a station without a right date learns it from its peers.
+/// The time of signatures is the calendar's at the start and goes on with the host clock. A verified frame that is ahead sets it
+/// forward, so that a station without a right date learns it from its peers.
 #[derive(Clone, Debug)]
 pub struct LinkSigner {
     key: Key,
@@ -61,10 +61,10 @@ impl LinkSigner {
         Some(FrameSigner { key: &self.key, link_id: self.link_id, timestamp: self.last_sent })
     }
 
-    /// Judges a frame that came at `now`.
+    /// Verifies a frame that came at `now`.
     ///
     /// # Errors
-    /// Why it must not be believed; it has changed nothing.
+    /// Why it must be rejected; it has changed nothing.
     pub fn verify(&mut self, now: Timestamp<HostClock>, frame: &FrameRef<'_>) -> Result<(), SignatureError> {
         let clock = self.clock(now);
         let date = self.date(now);
@@ -76,8 +76,8 @@ impl LinkSigner {
         Ok(())
     }
 
-    /// Whether the sender of a frame that is believed is vouched for. Nobody vouches for a frame without a signature that came in
-    /// only because of its message id: everybody can send it, in anybody's name.
+    /// Whether the sender of an accepted frame is authenticated. A frame without a signature that came in only because of its
+    /// message id is not authenticated: anyone can send it, under any address.
     #[must_use]
     pub fn is_authenticated(&self, frame: &FrameRef<'_>) -> bool {
         self.verifier.accepts_unsigned() || Signature::parse(frame).is_some()

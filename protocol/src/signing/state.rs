@@ -21,7 +21,7 @@ pub struct StreamId {
     pub link_id: u8,
 }
 
-/// The last that was believed of a stream.
+/// The last accepted timestamp of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignedStreamState {
     /// Its timestamp, by the sender's clock.
@@ -48,10 +48,10 @@ pub struct SigningState {
     pub clock: SigningTime,
     /// The last timestamp that we have signed with.
     pub last_sent: SigningTime,
-    /// Streams that are not listed and speak of this time or an earlier one are refused: a stream that made room for others
+    /// Streams that are not listed are refused if their timestamp is this or an earlier one: a stream that made room for others
     /// was that far.
     pub min_timestamp: Option<SigningTime>,
-    /// The last that was believed of every stream.
+    /// The last accepted timestamp of every stream.
     pub streams: BTreeMap<StreamId, SignedStreamState>,
 }
 
@@ -64,9 +64,9 @@ impl SigningState {
 
     /// What a session begins with that finds this memory when its computer's date is `utc`.
     ///
-    /// After [`ShutdownKind::Interrupted`] our own timestamps begin so far ahead that none is used twice. What a stream has said between the
-    /// writing and the cut cannot be known; its stamps cannot have gone on by much more than the time since it was last
-    /// heard, so that much is refused.
+    /// After [`ShutdownKind::Interrupted`] our own timestamps begin so far ahead that none is used twice. What a stream has said
+    /// between the writing and the cut cannot be known; its stamps cannot have gone on by much more than the time since it was
+    /// last heard, so that much is refused.
     #[must_use]
     pub fn resume(mut self, utc: SigningTime, ending: ShutdownKind) -> Self {
         if ending == ShutdownKind::Interrupted {

@@ -1,4 +1,4 @@
-//! Which frames of a link are believed.
+//! Which frames of a link are accepted.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ const MAX_LAG: TimeDelta = TimeDelta::from_millis(60_000);
 /// What becomes of frames without a signature.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UnsignedPolicy {
-    /// They are believed. Those that have a signature must still have a right one.
+    /// They are accepted. Those that have a signature must still have a right one.
     Accept,
     /// They are refused, except these message ids.
     RejectExcept(BTreeSet<u32>),
@@ -42,7 +42,7 @@ impl SignatureVerifier {
         Self { unsigned, streams, floor, met: 0 }
     }
 
-    /// The timestamp of a frame that is to be believed, `None` if it comes without; takes note of it. `clock` is the time of
+    /// The timestamp of a frame to accept, `None` if it comes without; takes note of it. `clock` is the time of
     /// signatures, `date` the computer's.
     pub(super) fn verify(
         &mut self,
@@ -86,7 +86,7 @@ impl SignatureVerifier {
             let oldest = self.streams.iter().min_by_key(|(_, last)| last.timestamp);
             if let Some((oldest, last)) = oldest.map(|(oldest, last)| (*oldest, last.timestamp)) {
                 self.streams.remove(&oldest);
-                // Nothing of it can come again: whoever is not in the table must be later.
+                // Its frames cannot be replayed: a stream that is not in the table must be later.
                 self.floor = self.floor.max(Some(last));
             }
         }

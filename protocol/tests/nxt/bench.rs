@@ -18,14 +18,14 @@ pub(crate) enum RecordedEvent {
 }
 
 /// What happens to the bytes of the n-th reply.
-pub(crate) type Damage = Box<dyn FnMut(usize, Vec<u8>) -> Vec<u8>>;
+pub(crate) type DamageFn = Box<dyn FnMut(usize, Vec<u8>) -> Vec<u8>>;
 
 pub(crate) struct Bench {
     pub(crate) codec: Box<dyn BrickCodec>,
     pub(crate) brick: SimulatedNxt,
     pub(crate) now_micros: i64,
     pub(crate) events: Vec<(i64, RecordedEvent)>,
-    pub(crate) damage: Damage,
+    pub(crate) damage: DamageFn,
     /// Bytes of each chunk in which a reply arrives.
     pub(crate) chunk: usize,
     /// Whether anything arrives, either way.
@@ -153,7 +153,7 @@ impl Bench {
 }
 
 /// When the question left and when the answer was there, milliseconds.
-pub(crate) fn asked_millis(stamp: WireStamp) -> (f64, f64) {
+pub(crate) fn request_and_reply_ms(stamp: WireStamp) -> (f64, f64) {
     let WireStamp::HostInterval { sent, answered } = stamp else {
         panic!("{stamp:?} is no answer");
     };

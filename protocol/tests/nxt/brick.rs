@@ -88,11 +88,11 @@ impl SimulatedNxt {
                 return;
             }
             let telegram: Vec<u8> = self.inbox.drain(..2 + length).skip(2).collect();
-            self.take(now_micros, &telegram);
+            self.handle_telegram(now_micros, &telegram);
         }
     }
 
-    fn take(&mut self, now_micros: i64, telegram: &[u8]) {
+    fn handle_telegram(&mut self, now_micros: i64, telegram: &[u8]) {
         self.requests.push(telegram.to_vec());
         self.replies.retain(|(at, _)| *at > now_micros || *at == i64::MAX);
         // It looks at what it is asked in the middle of the turn-around.

@@ -4,7 +4,7 @@ use posebridge_protocol::bricks::nxt::{NxtSensor, NxtSettings};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::Timestamp;
 
-use crate::bench::{Bench, asked_millis};
+use crate::bench::{Bench, request_and_reply_ms};
 use crate::session::{assert_true, moving_brick};
 
 const SECOND: i64 = 1_000_000;
@@ -35,7 +35,7 @@ fn run(damaged: usize, chunk: usize, damage: fn(Vec<u8>, usize) -> Vec<u8>, at: 
 fn assert_goes_on(bench: &Bench, what: &str) {
     assert!(bench.lost() <= 1, "{what}: {} requests lost", bench.lost());
     let last = bench.messages().filter_map(|message| match message {
-        Message::WheelTicks(ticks) => Some(asked_millis(ticks.stamp).1),
+        Message::WheelTicks(ticks) => Some(request_and_reply_ms(ticks.stamp).1),
         _ => None,
     });
     let last = last.last().unwrap_or_default();

@@ -91,14 +91,14 @@ fn codec() -> Box<dyn BrickCodec> {
 }
 
 /// What the codec asked and heard; of the clock, when the question left and what was answered, nanoseconds.
-struct Played {
+struct TranscriptRun {
     asked: Vec<Vec<u8>>,
     messages: Vec<Message>,
     times: Vec<(i64, i64)>,
 }
 
 /// Plays the transcript with answers cut into chunks.
-fn play(chunk: usize) -> Played {
+fn play(chunk: usize) -> TranscriptRun {
     let mut codec = codec();
     let (mut asked, mut messages, mut times) = (Vec::new(), Vec::new(), Vec::new());
     codec.on_link_up(Timestamp::ZERO);
@@ -116,12 +116,12 @@ fn play(chunk: usize) -> Played {
             });
         }
     }
-    Played { asked, messages, times }
+    TranscriptRun { asked, messages, times }
 }
 
 #[test]
 fn every_question_is_these_bytes_in_this_order() {
-    let Played { asked, .. } = play(usize::MAX);
+    let TranscriptRun { asked, .. } = play(usize::MAX);
     let expected: Vec<&[u8]> = transcript().into_iter().flat_map(|(asked, _)| asked).collect();
     assert_eq!(asked, expected);
 }
@@ -129,7 +129,7 @@ fn every_question_is_these_bytes_in_this_order() {
 #[test]
 fn every_answer_means_this_in_chunks_of_every_size() {
     for chunk in 1..=120 {
-        let Played { asked, messages, times } = play(chunk);
+        let TranscriptRun { asked, messages, times } = play(chunk);
         assert_eq!(asked.len(), 18, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);

@@ -6,7 +6,7 @@ use posebridge_protocol::bricks::nxt::{
 use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
 use posebridge_telemetry::{Address, Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Timestamp};
 
-use crate::bench::{Bench, RecordedEvent, asked_millis};
+use crate::bench::{Bench, RecordedEvent, request_and_reply_ms};
 use crate::brick::{IoMapLimit, SimulatedNxt};
 
 pub(crate) const SECOND: i64 = 1_000_000;
@@ -26,7 +26,7 @@ pub(crate) fn assert_true(bench: &Bench) {
         let Message::WheelTicks(ticks) = message else {
             continue;
         };
-        let (sent, answered) = asked_millis(ticks.stamp);
+        let (sent, answered) = request_and_reply_ms(ticks.stamp);
         let (left, right) = (ticks.left.0, ticks.right.0);
         let least = (sent / 2.0 - 1.0, answered / 2.0 + 1.0);
         assert!((least.0..=least.1).contains(&(left as f64)), "{ticks:?}");

@@ -203,7 +203,7 @@ fn only_true_fresh_and_first_answers_count() {
     assert!(station.receive(Address::new(7, 7), &stale).is_empty(), "stale");
 }
 
-fn wanted_intervals() -> SessionConfig {
+fn with_requested_intervals() -> SessionConfig {
     SessionConfig {
         requested_messages: vec![(42_100, TimeDelta::from_millis(20)), (42_101, TimeDelta::from_millis(50))],
         ..quiet()
@@ -229,7 +229,7 @@ fn ack(result: u8) -> Message {
 
 #[test]
 fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
-    let mut station = Station::new(wanted_intervals());
+    let mut station = Station::new(with_requested_intervals());
     station.receive(ROBOT, &Message::Heartbeat(ROVER));
     assert_eq!(requested_ids(&station.run_until(at(1_500))), [(0, 42_100), (1_000, 42_100)]);
     station.receive(ROBOT, &ack(1));
@@ -244,7 +244,7 @@ fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
 #[test]
 fn a_deaf_robot_is_asked_five_times() {
     let mut station =
-        Station::new(SessionConfig { peer_timeout: TimeDelta::from_millis(60_000), ..wanted_intervals() });
+        Station::new(SessionConfig { peer_timeout: TimeDelta::from_millis(60_000), ..with_requested_intervals() });
     station.receive(ROBOT, &Message::Heartbeat(ROVER));
     let asked = requested_ids(&station.run_until(at(30_000)));
     let first = (0..5).map(|attempt| (attempt * 1_000, 42_100));
@@ -254,7 +254,7 @@ fn a_deaf_robot_is_asked_five_times() {
 
 #[test]
 fn cameras_and_ground_stations_are_not_asked() {
-    let mut station = Station::new(wanted_intervals());
+    let mut station = Station::new(with_requested_intervals());
     station.receive(CAMERA, &Message::Heartbeat(ONBOARD));
     let ground = Heartbeat { vehicle_type: 6, ..ROVER };
     station.receive(Address::new(255, 190), &Message::Heartbeat(ground));

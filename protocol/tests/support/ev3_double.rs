@@ -107,7 +107,7 @@ impl Ev3Double {
                     store(memory, variable(&mut code), count.to_le_bytes());
                 }
                 0x99 => {
-                    assert_eq!(take(&mut code), 0x1D, "READY_SI");
+                    assert_eq!(next_byte(&mut code), 0x1D, "READY_SI");
                     let values = self.select(&mut code);
                     self.is_waiting = values.is_none() && self.failure == FailureMode::NoReply;
                     let values = values?;
@@ -142,23 +142,23 @@ impl Ev3Double {
     }
 }
 
-fn take(code: &mut &[u8]) -> u8 {
+fn next_byte(code: &mut &[u8]) -> u8 {
     let (first, rest) = code.split_first().expect("bytecodes go on");
     *code = rest;
     *first
 }
 
 fn constant(code: &mut &[u8]) -> i32 {
-    match take(code) {
+    match next_byte(code) {
         short @ 0x00..=0x1F => i32::from(short),
         negative @ 0x20..=0x3F => i32::from(negative) - 0x40,
-        0x81 => i32::from(take(code) as i8),
+        0x81 => i32::from(next_byte(code) as i8),
         other => panic!("constant {other:02x}"),
     }
 }
 
 fn variable(code: &mut &[u8]) -> usize {
-    match take(code) {
+    match next_byte(code) {
         short @ 0x60..=0x7F => usize::from(short - 0x60),
         other => panic!("global variable {other:02x}"),
     }
@@ -199,7 +199,7 @@ impl DelayLine {
         self.in_flight.front().map(|(arrival, _)| *arrival)
     }
 
-    pub(crate) fn take(&mut self) -> Option<Vec<u8>> {
+    pub(crate) fn pop(&mut self) -> Option<Vec<u8>> {
         self.in_flight.pop_front().map(|(_, bytes)| bytes)
     }
 

@@ -11,22 +11,22 @@ pub(crate) const TURN_AROUND: TimeDelta = TimeDelta::from_millis(30);
 
 /// What was heard, owned.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum TalkEvent {
+pub(crate) enum RecordedEvent {
     Message(Message),
     ClockReply { sent: Timestamp<HostClock>, peer_nanos: i64 },
     StatusText(String),
     Error(ReceiveError),
 }
 
-pub(crate) fn item(heard: CodecEvent<'_>) -> TalkEvent {
+pub(crate) fn item(heard: CodecEvent<'_>) -> RecordedEvent {
     match heard {
         CodecEvent::Message { from, message } => {
             assert_eq!(from, DEFAULT_BRICK_ADDRESS);
-            TalkEvent::Message(message)
+            RecordedEvent::Message(message)
         }
-        CodecEvent::ClockReply { sent, peer_nanos, .. } => TalkEvent::ClockReply { sent, peer_nanos },
-        CodecEvent::StatusText { text, .. } => TalkEvent::StatusText(text),
-        CodecEvent::Error(defect) => TalkEvent::Error(defect),
+        CodecEvent::ClockReply { sent, peer_nanos, .. } => RecordedEvent::ClockReply { sent, peer_nanos },
+        CodecEvent::StatusText { text, .. } => RecordedEvent::StatusText(text),
+        CodecEvent::Error(defect) => RecordedEvent::Error(defect),
         CodecEvent::ForwardFrame(frame) => panic!("an EV3 sends no {frame:?}"),
     }
 }
@@ -44,7 +44,7 @@ pub(crate) fn without_gyro() -> Ev3Settings {
 pub(crate) type ReplyCorruption = Box<dyn Fn(Vec<u8>) -> Vec<u8>>;
 
 /// What happens to the bytes of an answer on their way, by its number.
-pub(crate) type Damage<'a> = &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>;
+pub(crate) type ReplyDamage<'a> = &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>;
 
 /// Station and brick in virtual time.
 pub(crate) struct Ev3Session {
@@ -53,7 +53,7 @@ pub(crate) struct Ev3Session {
     pub(crate) delay_line: DelayLine,
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) replies: usize,
-    pub(crate) events: Vec<(Timestamp<HostClock>, TalkEvent)>,
+    pub(crate) events: Vec<(Timestamp<HostClock>, RecordedEvent)>,
 }
 
 impl Ev3Session {
@@ -77,7 +77,7 @@ impl Ev3Session {
         }
     }
 
-    pub(crate) fn run_until(&mut self, until: Timestamp<HostClock>, damage: Damage<'_>) {
+    pub(crate) fn run_until(&mut self, until: Timestamp<HostClock>, damage: ReplyDamage<'_>) {
         loop {
             let next = [self.delay_line.next(), self.codec.deadline()];
             let Some(next) = next.into_iter().flatten().min().filter(|next| *next <= until) else {
@@ -89,7 +89,7 @@ impl Ev3Session {
             let (now, heard) = (self.now, &mut self.events);
             let mut sink = |found: CodecEvent<'_>| heard.push((now, item(found)));
             if self.delay_line.next() == Some(next) {
-                let bytes = self.delay_line.take().expect("it is there");
+                let bytes = self.delay_line.pop().expect("it is there");
                 let bytes = damage(self.replies, bytes);
                 self.replies += 1;
                 self.codec.push(now, &bytes, &mut sink);
@@ -107,15 +107,14 @@ impl Ev3Session {
 
     pub(crate) fn ticks(&self) -> impl Iterator<Item = (Timestamp<HostClock>, &WheelTicks)> {
         self.events.iter().filter_map(|(now, item)| {
-            if let TalkEvent::Message(Message::WheelTicks(ticks)) = item { Some((*now, ticks)) } else { None }
+            if let RecordedEvent::Message(Message::WheelTicks(ticks)) = item { Some((*now, ticks)) } else { None }
         })
     }
 
     pub(crate) fn notes(&self) -> Vec<&str> {
-        let notes = self
-            .events
-            .iter()
-            .filter_map(|(_, item)| if let TalkEvent::StatusText(text) = item { Some(text.as_str()) } else { None });
+        let notes = self.events.iter().filter_map(|(_, item)| {
+            if let RecordedEvent::StatusText(text) = item { Some(text.as_str()) } else { None }
+        });
         notes.collect()
     }
 

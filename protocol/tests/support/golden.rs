@@ -26,15 +26,15 @@ fn from_hex(hex: &str) -> Vec<u8> {
 
 /// Scans the bytes, which must be exactly one verified frame, and looks at it.
 pub(crate) fn with_frame<T>(bytes: &[u8], look: impl Fn(&FrameRef<'_>) -> T) -> T {
-    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let mut seen = Vec::new();
-    scanner.push(Timestamp::ZERO, bytes, &mut |found| {
+    framer.push(Timestamp::ZERO, bytes, &mut |found| {
         if let FramerOutput::Frame(frame) = found {
             seen.push(look(&frame));
         }
     });
-    assert_eq!(scanner.counters().frames, 1);
-    assert_eq!(scanner.counters().garbage_bytes, 0);
+    assert_eq!(framer.counters().frames, 1);
+    assert_eq!(framer.counters().garbage_bytes, 0);
     seen.pop().expect("one frame")
 }
 

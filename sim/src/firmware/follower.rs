@@ -11,7 +11,7 @@
 use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, TimeDelta, Timestamp};
 
 use super::speed_control::PERIOD_S;
-use crate::path::{Leg, Path};
+use crate::path::{Path, PathLeg};
 use crate::scenario::{DriveEnd, DriveSettings};
 
 /// Gain on the heading error, 1/m.
@@ -70,7 +70,7 @@ pub(crate) struct Follower {
     /// Laps that are done, where the drive has no end.
     laps_done: u64,
     command: Twist,
-    /// What a person wants, and until when. Without anybody who says more the robot stands, until it is sent back to its path.
+    /// What a person wants, and until when. Without further commands the robot stands, until it is sent back to its path.
     manual_command: Option<(Twist, Timestamp<BrickClock>)>,
 }
 
@@ -92,7 +92,7 @@ impl Follower {
         }
     }
 
-    /// What to do for the next control period, given where the brick believes to be.
+    /// What to do for the next control period, given the brick's own estimate.
     pub(crate) fn command(&mut self, now: Timestamp<BrickClock>, believed: Pose<Arena>) -> Twist {
         let wanted = match self.manual_command {
             Some((twist, until)) if now < until => twist,
@@ -119,7 +119,7 @@ impl Follower {
         self.manual_command = Some((wanted, until));
     }
 
-    /// The person lets go: on from where the lap in hand is next to where the brick believes to be.
+    /// The person lets go: on from the point of the present lap next to the brick's own estimate.
     pub(crate) fn rejoin(&mut self, believed: Pose<Arena>) {
         self.manual_command = None;
         let in_hand = self.program.iter().skip(self.next).find_map(leg_of);
@@ -133,7 +133,7 @@ impl Follower {
         let laps = if self.path.legs().len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
         self.next = place.unwrap_or(self.next);
         self.begun = None;
-        self.completed_m = self.path.legs().iter().take(leg).map(Leg::length_m).sum();
+        self.completed_m = self.path.legs().iter().take(leg).map(PathLeg::length_m).sum();
         self.along_m = along_m + laps * lap_m;
     }
 
@@ -156,7 +156,7 @@ impl Follower {
         self.laps_done
     }
 
-    /// The brick's clock was restarted: a rest in hand begins anew, nobody drives by hand, and the motors stand.
+    /// The brick's clock was restarted: a rest in hand begins anew, manual driving ends, and the motors stand.
     pub(crate) fn clock_restarted(&mut self) {
         self.begun = None;
         self.command = Twist::default();
@@ -240,7 +240,7 @@ impl Follower {
         self.begun = None;
         self.along_m = 0.0;
         if self.settings.end == DriveEnd::Never && self.next >= self.program.len() {
-            // The first rest is for who listens at the beginning.
+            // The first rest is for receivers that listen at the beginning.
             self.next = FIRST_LEG;
             self.completed_m = 0.0;
             self.laps_done += 1;
@@ -270,7 +270,7 @@ fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
         program.extend([Manoeuvre::Drive { leg: index }, pause]);
         let next = legs.get(index + 1).or(legs.first().filter(|_| path.is_closed()));
         let turns = legs.len() > 1;
-        if let Some(heading) = next.filter(|_| turns).map(|leg: &Leg| leg.start().heading) {
+        if let Some(heading) = next.filter(|_| turns).map(|leg: &PathLeg| leg.start().heading) {
             program.extend([Manoeuvre::Turn(heading), pause]);
         }
     }
@@ -330,7 +330,7 @@ mod tests {
         let mut follower = straight(0.5);
         let mut last = Twist::default();
         for step in 0..1_000 {
-            // A believed pose that jumps about.
+            // An estimated pose that jumps about.
             let y_m = if step % 7 == 0 { 0.2 } else { -0.1 };
             let pose = Pose::new(Meters(0.0), Meters(y_m), Heading::default());
             let twist = follower.command(Timestamp::from_millis(step * 10), pose);

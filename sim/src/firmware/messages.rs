@@ -76,7 +76,7 @@ impl BrickMessenger {
         }
     }
 
-    /// Takes a message from the link. If it is a usable estimate, returns what it says.
+    /// Takes a message from the link. Returns the content of a usable estimate.
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<BrickClock>,

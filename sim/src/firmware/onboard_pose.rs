@@ -28,7 +28,7 @@ pub(crate) struct OnboardPose {
 }
 
 impl OnboardPose {
-    /// The belief of a robot that was put down at `start`.
+    /// The estimate of a robot that was put down at `start`.
     pub(crate) fn new(steering: Steering, start: Pose<Arena>) -> Self {
         Self {
             steering,
@@ -72,13 +72,13 @@ impl OnboardPose {
         self.last_estimate = None;
     }
 
-    /// Where the brick believes to be.
+    /// The brick's own estimate.
     pub(crate) fn pose(&self) -> Pose<Arena> {
         let odom = self.history.back().map_or_else(Pose::default, |(_, pose)| *pose);
         self.arena_from_odom * odom
     }
 
-    /// What that belief rests on.
+    /// What that estimate rests on.
     pub(crate) fn steering(&self, now: Timestamp<BrickClock>) -> Steering {
         match self.last_estimate {
             Some(stamp) if now - stamp <= MAX_ESTIMATE_AGE => Steering::Estimate,
@@ -86,7 +86,7 @@ impl OnboardPose {
         }
     }
 
-    /// The clock fell to zero: stamps of before mean nothing, the belief itself stays.
+    /// The clock fell to zero: earlier stamps are invalid, the estimate itself stays.
     pub(crate) fn clock_restarted(&mut self) {
         let newest = self.history.back().map(|(_, pose)| *pose);
         self.history.clear();

@@ -60,7 +60,7 @@ impl Program {
         self.duty
     }
 
-    /// One pass while no program runs: the odometry goes on, nobody steers.
+    /// One pass while no program runs: the odometry goes on without steering.
     pub(crate) fn observe_odometry(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         if self.is_due(now) {
             self.update_odometry(now, counts);
@@ -97,13 +97,13 @@ impl Program {
         self.duty = PerWheel::default();
     }
 
-    /// Where dead reckoning alone believes to be, if it began at `start`.
+    /// The pose by dead reckoning alone, if it began at `start`.
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
         let moved = self.dead_reckoning.pose();
         start * Transform2::new(moved.x, moved.y, moved.heading)
     }
 
-    /// Where the program believes the robot to be.
+    /// The program's own estimate of the pose.
     pub(crate) fn estimated_pose(&self) -> Pose<Arena> {
         self.belief.pose()
     }

@@ -11,7 +11,7 @@ const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 /// No message comes more often than the world moves.
 const SHORTEST: TimeDelta = TimeDelta::from_millis(1);
 
-/// What the brick has to tell.
+/// What the brick has to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Topic {
     /// The wheels.

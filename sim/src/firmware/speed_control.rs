@@ -81,7 +81,7 @@ mod tests {
         for step in 0..300 {
             let count = (motor.angle_rad() / TICK_RAD).floor() as i64;
             let duty = control.duty(7.0, count);
-            // A tenth weaker than the brick believes.
+            // A tenth weaker than the brick assumes.
             (0..10).for_each(|_| motor.step(0.9 * robot.battery_v * duty));
             if step == 99 {
                 at_one_second = motor.angle_rad();

@@ -102,7 +102,7 @@ pub struct Counters {
     pub repeated: u64,
     /// Bytes of their copies.
     pub bytes_repeated: u64,
-    /// Log entries that were forgotten because nobody took them.
+    /// Log entries that were dropped because they were not read.
     pub log_forgotten: u64,
 }
 

@@ -1,6 +1,6 @@
 //! Checks of single numbers of a profile while they are read, so that the error carries the line and the key.
 //!
-//! The bounds keep arithmetic finite and memory bounded; they do not judge a link.
+//! The bounds keep arithmetic finite and memory bounded; they do not assess a link.
 
 use serde::de::{Deserialize, Deserializer, Error};
 

@@ -9,7 +9,7 @@
 use super::draws::failures_before_success;
 use crate::random::RandomStream;
 
-/// Independent events at a rate, told by the gaps between them.
+/// Independent events at a rate, drawn as the gaps between them.
 #[derive(Clone, Debug)]
 pub(super) struct ErrorGaps {
     probability: f64,

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::byte_log::{ByteOutcome, LogEntry};
 
-/// Frames and units of which all is known are kept while they are among the newest so many: a copy may still arrive.
+/// Number of newest frames and units that are kept although all is known about them: a copy may still arrive.
 const MAX_RETAINED: usize = 2_048;
 /// Half the numbers of 8 bits.
 const HALF_CIRCLE: u64 = 128;
@@ -27,14 +27,14 @@ pub struct FrameCounts {
     pub sent: u64,
     /// Frames that arrived whole.
     pub whole: u64,
-    /// Frames of which something is missing or changed.
+    /// Frames with missing or changed bytes.
     pub lost: u64,
     /// Copies that arrived whole.
     pub repeated: u64,
-    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit number does not tell them
-    /// from newer ones.
+    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit number does not
+    /// distinguish them from newer ones.
     pub undatable: u64,
-    /// Frames that are missing between the first and the newest that arrived whole: those of which a receiver can know.
+    /// Frames that are missing between the first and the newest that arrived whole: those that a receiver can notice.
     pub missing_between: u64,
 }
 
@@ -93,7 +93,7 @@ enum RangeOutcomeKind {
 /// Follows the frames of one direction.
 #[derive(Debug)]
 pub struct FrameLedger {
-    scanner: Framer,
+    framer: Framer,
     /// Bytes offered.
     offered: u64,
     /// Bytes that belong to a frame or to none.
@@ -115,7 +115,7 @@ impl FrameLedger {
     #[must_use]
     pub fn new() -> Self {
         Self {
-            scanner: Framer::new(FramerConfig::default()),
+            framer: Framer::new(FramerConfig::default()),
             offered: 0,
             scanned: 0,
             units: VecDeque::new(),
@@ -131,7 +131,7 @@ impl FrameLedger {
         self.units.push_back(UnitOffset { number, start });
         self.offered += bytes.len() as u64;
         let (scanned, frames, accounts) = (&mut self.scanned, &mut self.frames, &mut self.accounts);
-        self.scanner.push(now, bytes, &mut |found| match found {
+        self.framer.push(now, bytes, &mut |found| match found {
             FramerOutput::Frame(frame) => {
                 let place = *scanned..*scanned + frame.raw.len() as u64;
                 *scanned = place.end;
@@ -152,7 +152,7 @@ impl FrameLedger {
         });
     }
 
-    /// Takes the direction's log, which must be told of without a hole.
+    /// Applies the direction's log, which must be complete.
     pub fn apply_log(&mut self, log: &[LogEntry]) {
         for entry in log {
             let kind = match entry.outcome {
@@ -187,7 +187,7 @@ impl FrameLedger {
         })
     }
 
-    /// Applies what waits and speaks of bytes whose frames are known.
+    /// Applies the pending entries about bytes whose frames are known.
     fn apply_pending(&mut self) {
         let mut waiting = std::mem::take(&mut self.waiting);
         waiting.retain(|verdict| {
@@ -235,7 +235,7 @@ impl FrameLedger {
 }
 
 impl FrameInTransit {
-    /// So many of its bytes have arrived or are lost.
+    /// Counts bytes of the unit that have arrived or are lost.
     fn count_bytes(&mut self, bytes: u64, account: &mut SenderAccount) {
         self.undecided_bytes = self.undecided_bytes.saturating_sub(bytes);
         if self.undecided_bytes > 0 {
@@ -252,7 +252,7 @@ impl FrameInTransit {
         account.latest_intact = account.latest_intact.max(self.number);
     }
 
-    /// So many bytes of a copy have arrived.
+    /// Counts bytes of a copy that have arrived.
     const fn count_duplicate(&mut self, bytes: u64, account: &mut SenderAccount) {
         self.duplicated_bytes += bytes;
         if !self.is_damaged && self.duplicated_bytes == self.byte_range.end - self.byte_range.start {

@@ -20,7 +20,7 @@ pub enum LinkEnd {
 }
 
 impl LinkEnd {
-    /// The end that hears this one.
+    /// The end that receives from this one.
     #[must_use]
     pub const fn other(self) -> Self {
         match self {

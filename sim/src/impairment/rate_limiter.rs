@@ -1,4 +1,4 @@
-//! The line: bytes leave one after the other, and only so many may wait.
+//! The line: bytes leave one after the other, and the number that may wait is limited.
 //!
 //! # Model
 //! ```text

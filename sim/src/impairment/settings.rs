@@ -41,7 +41,7 @@ pub struct DirectionProfile {
     /// Probability that a datagram arrives twice.
     #[serde(deserialize_with = "checks::probability")]
     pub duplicate: f64,
-    /// What arrives is handed over only every so many milliseconds, a stream's bytes together; without it at once.
+    /// Arrived data is delivered only at this interval in milliseconds, a stream's bytes together; without it at once.
     #[serde(deserialize_with = "checks::slot_millis")]
     pub slot_ms: Option<f64>,
     /// A stream is handed over in pieces.

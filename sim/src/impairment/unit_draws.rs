@@ -55,7 +55,7 @@ impl UnitDraws {
         }
     }
 
-    /// Draws for the next unit, of so many bytes.
+    /// Draws for the next unit, which has this number of bytes.
     pub(super) fn draw(&mut self, bytes: usize) -> UnitDraw {
         let is_datagram = self.kind == LinkKind::Datagram;
         let trials = if is_datagram { 1 } else { bytes };

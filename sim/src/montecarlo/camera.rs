@@ -26,7 +26,7 @@ pub(super) struct CameraSensor {
 pub(super) struct PendingFix {
     /// The step of its stamp.
     pub(super) taken_step: usize,
-    /// What it says.
+    /// Its fix.
     pub(super) observed: ObservationKind,
     due_step: usize,
 }

@@ -22,13 +22,13 @@ pub struct Drive {
     pub truth: Vec<Pose<Arena>>,
     /// What the wheels really did over each step: one fewer than there are poses.
     pub wheel_turns: Vec<WheelTurn>,
-    /// What the sensors said, in the order of arrival.
+    /// The sensors' observations, in the order of arrival.
     pub arrivals: Vec<Arrival>,
     /// The error counts from this step on, 1 or later.
     pub scored_from: usize,
     /// The robot's true geometry.
     pub true_geometry: DriveGeometry,
-    /// What a filter is told.
+    /// The configuration of the filters.
     pub prior: FilterPrior,
 }
 
@@ -104,7 +104,7 @@ fn simulate_drive(scenario: &Scenario, run: u32) -> Drive {
     let mut gyro = GyroSensor::new(scenario.gyro, step_s, seed);
     let mut accelerometers = scenario.accelerometer.map(|settings| Accelerometers::new(settings, step_s, seed));
     let mut camera = scenario.camera.map(|camera| CameraSensor::new(camera, step_s, seed));
-    // The counters are zeroed at the start, and the filter hears of it: motion may begin with the first step.
+    // The counters are zeroed at the start, and the filter gets that reading: motion may begin with the first step.
     log.push(0, 0, SensorId::WHEELS, robot.wheel_angles());
     for (index, command) in plan.commands.iter().enumerate() {
         let step = index + 1;
@@ -179,8 +179,8 @@ fn filter_prior(scenario: &Scenario, start: PlanarPose, true_geometry: DriveGeom
     }
 }
 
-// A robot's file gives the noise of a camera and of accelerometers whether or not there is one, so a filter is never told of a
-// sensor without noise. These are the values of the scenarios that have them.
+// A robot's file gives the noise of a camera and of accelerometers whether or not there is one, so a filter is never configured
+// with a sensor without noise. These are the values of the scenarios that have them.
 const DEFAULT_FIX_SIGMA_M: f64 = 0.005;
 const DEFAULT_FIX_SIGMA_DEG: f64 = 1.0;
 const DEFAULT_ACCELEROMETER_SIGMA_M_PER_S2: f64 = 0.05;

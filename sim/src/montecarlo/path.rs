@@ -99,7 +99,7 @@ impl LapPlanner {
     }
 }
 
-/// An amount in parts of about `per_step`, rising and falling over `ramp_steps` at both ends and so many steps longer for it.
+/// An amount in parts of about `per_step`, rising and falling over `ramp_steps` at both ends, which makes it longer by as many steps.
 fn ramped(amount: f64, per_step: f64, ramp_steps: u32) -> Vec<f64> {
     let ramp = ramp_steps as usize;
     let total = ((amount / per_step).round() as usize).max(1) + ramp;

@@ -46,7 +46,7 @@ pub(super) struct Robot {
     slip: RandomStream,
 }
 
-/// The rotation of both wheels over one step, as encoders without counts would tell it: free of rounding, blind to slip.
+/// The rotation of both wheels over one step, as encoders without counts would measure it: free of rounding, blind to slip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelTurn {
     /// Of the left wheel, forward positive.
@@ -121,7 +121,7 @@ impl Robot {
         self.pose.heading_rad = wrap_rad(self.pose.heading_rad + moved.turn_rad);
     }
 
-    /// What the encoders say: rotation since the start, floored to whole counts.
+    /// The encoders' reading: rotation since the start, floored to whole counts.
     pub(super) fn wheel_angles(&self) -> ObservationKind {
         let tick_rad = self.geometry.tick.0;
         let floored = |angle_rad: f64| Radians((angle_rad / tick_rad).floor() * tick_rad);
@@ -185,7 +185,7 @@ impl GyroSensor {
         }
     }
 
-    /// What it says of a step with this true turn.
+    /// Its reading for a step with this true turn.
     pub(super) fn observe(&mut self, turn_rad: f64) -> ObservationKind {
         let rate_deg_per_s =
             turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();

@@ -17,7 +17,7 @@ pub(super) const MAX_STEPS: f64 = 100_000.0;
 /// Most runs of a scenario.
 pub const MAX_RUNS: u32 = 100_000;
 
-/// One experiment: a path, a robot drawn anew in each run, its sensors, and what a filter is told.
+/// One experiment: a path, a robot drawn anew in each run, its sensors, and the configuration of the filters.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
@@ -48,7 +48,7 @@ pub struct Scenario {
     pub kicks: Option<Kicks>,
     /// Accelerometers at both wheels; none without it.
     pub accelerometer: Option<Accelerometer>,
-    /// What a filter is told.
+    /// The configuration of the filters.
     pub told: PriorSettings,
 }
 
@@ -112,7 +112,7 @@ pub struct Gyro {
     pub bias_walk_deg_per_s_sqrt_s: f64,
 }
 
-/// What a camera tells.
+/// What a camera measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CameraSees {
@@ -126,24 +126,24 @@ pub enum CameraSees {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
-    /// What it tells.
+    /// What it measures.
     pub sees: CameraSees,
-    /// One image every so many steps.
+    /// Number of steps from one image to the next.
     #[serde(deserialize_with = "count")]
     pub every_steps: u32,
-    /// A fix arrives so many steps after its stamp,
+    /// Number of steps from a fix's stamp to its arrival,
     #[serde(deserialize_with = "delay")]
     pub delay_steps: u32,
-    /// more or less so many, each equally likely.
+    /// more or less this number, each equally likely.
     #[serde(deserialize_with = "delay")]
     pub delay_spread_steps: u32,
-    /// What a filter is told of the noise of x and of y, in metres.
+    /// The configured noise of x and of y, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub position_sigma_m: f64,
-    /// What a filter is told of the noise of the heading, in degrees.
+    /// The configured noise of the heading, in degrees.
     #[serde(deserialize_with = "checks::positive")]
     pub heading_sigma_deg: f64,
-    /// The true noise is so many times what a filter is told.
+    /// The true noise as a multiple of the noise that filters are configured with.
     #[serde(deserialize_with = "checks::non_negative")]
     pub true_noise_factor: f64,
     /// Fixes that are far off; none without it.
@@ -176,7 +176,7 @@ pub struct Blackout {
     pub to_s: f64,
 }
 
-/// Kicks: the robot is turned while it drives straight, and its wheels do not tell.
+/// Kicks: the robot is turned while it drives straight, and its wheels do not measure it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Kicks {
@@ -189,7 +189,7 @@ pub struct Kicks {
     /// The strongest, in degrees, either way.
     #[serde(deserialize_with = "checks::non_negative")]
     pub most_deg: f64,
-    /// Over so many steps each.
+    /// Number of steps of each.
     #[serde(deserialize_with = "count")]
     pub spread_steps: u32,
 }
@@ -198,12 +198,12 @@ pub struct Kicks {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accelerometer {
-    /// White noise of one observation, in metres per second squared; above zero, because a filter is told it.
+    /// White noise of one observation, in metres per second squared; above zero, because filters are configured with it.
     #[serde(deserialize_with = "checks::positive")]
     pub sigma_m_per_s2: f64,
 }
 
-/// Which geometry a filter is told.
+/// The geometry that filters are configured with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PriorGeometry {
@@ -213,7 +213,7 @@ pub enum PriorGeometry {
     True,
 }
 
-/// What a filter is told besides the noise of the sensors.
+/// The configuration of the filters besides the noise of the sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorSettings {
@@ -234,13 +234,13 @@ pub struct PriorSettings {
     /// Noise of the heading, in radians per square root of a radian of turn.
     #[serde(deserialize_with = "checks::non_negative")]
     pub turn_rad_per_sqrt_rad: f64,
-    /// Standard deviation of the start's x and y, in metres; the start told is the true one.
+    /// Standard deviation of the start's x and y, in metres; the configured start is the true one.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_position_sigma_m: f64,
     /// Standard deviation of the start's heading, in radians.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_heading_sigma_rad: f64,
-    /// The start's heading told is off by up to this, either way, each equally likely, in degrees.
+    /// The configured heading of the start is off by up to this, either way, each equally likely, in degrees.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_heading_off_deg: f64,
 }

@@ -3,8 +3,9 @@
 //! ```text
 //! 0 u32 tick_ms    4 f32 x_m    8 f32 y_m    12 f32 heading_rad    16 f32 sigma_m    20 u8 flags    21 u8 reset_counter    22 u16 sequence
 //! ```
-//! Little-endian, 24 bytes. `tick_ms` is the brick's own clock; flag bit 0 says that the position is valid, bit 1 that the heading is. An NXT
-//! mailbox adds a zero byte at the end, which may be there or not. NXT: inbox 0; EV3: the mailbox called [`EV3_MAILBOX`].
+//! Little-endian, 24 bytes. `tick_ms` is the brick's own clock; flag bit 0 says that the position is valid, bit 1 that the
+//! heading is. An NXT mailbox adds a zero byte at the end, which may be there or not. NXT: inbox 0; EV3: the mailbox called
+//! [`EV3_MAILBOX`].
 
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{Arena, Heading, Meters, Pose};
@@ -18,7 +19,7 @@ const LENGTH: usize = 24;
 /// Position and heading are valid.
 const USABLE: u8 = 0b11;
 
-/// What a message says, if it is a usable estimate.
+/// The content of a message, if it is a usable estimate.
 pub(super) fn estimate_from(message: &[u8]) -> Option<(WireStamp, Pose<Arena>)> {
     let payload = message.get(..LENGTH)?;
     let is_whole = matches!(message.get(LENGTH..), Some([] | [0]));

@@ -1,8 +1,8 @@
-//! What a simulated brick speaks: MAVLink, or what LEGO's bricks speak as they come out of the box.
+//! The protocol of a simulated brick: MAVLink, or what LEGO's bricks speak as they come out of the box.
 //!
-//! A [`Brick`] is the program that drives and the [`BrickEmulation`] around it. The voices of the LEGO bricks are emulations of their firmware, which
-//! also decides whether the program runs at all, and what the motors do when it does not. They are written from the makers' documents and
-//! know nothing of the station's codecs: nobody marks their own exam.
+//! A [`Brick`] is the program that drives and the [`BrickEmulation`] around it. The voices of the LEGO bricks are emulations of
+//! their firmware, which also decides whether the program runs at all, and what the motors do when it does not. They are written
+//! from the makers' documents and know nothing of the station's codecs: a codec must not be tested against itself.
 
 mod estimate;
 mod ev3;
@@ -27,7 +27,7 @@ use crate::wheels::PerWheel;
 
 pub use self::ev3::beacon as ev3_beacon;
 
-/// How a brick speaks.
+/// The protocol of a brick.
 #[derive(Debug)]
 enum BrickEmulation {
     Mavlink(Box<BrickMessenger>),
@@ -111,7 +111,7 @@ impl Brick {
         self.duty
     }
 
-    /// Takes a MAVLink message, where that is spoken. If it is a usable estimate, returns the instant and the pose of which it speaks.
+    /// Handles a MAVLink message, where the brick speaks MAVLink. Returns the instant and the pose of a usable estimate.
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -134,7 +134,7 @@ impl Brick {
         }
     }
 
-    /// Somebody else is at the other end of the link.
+    /// The link has a new peer.
     pub(crate) fn reopen(&mut self) {
         match &mut self.emulation {
             BrickEmulation::Mavlink(_) => {}
@@ -181,7 +181,7 @@ impl Brick {
         }
     }
 
-    /// The program, for who changes what it does.
+    /// The program, to change what it does.
     pub(crate) const fn program_mut(&mut self) -> &mut Program {
         &mut self.program
     }
@@ -191,12 +191,12 @@ impl Brick {
         self.senses.step_gyro_bias(rad_per_s);
     }
 
-    /// Where dead reckoning alone believes to be, if it began at `start`.
+    /// The pose by dead reckoning alone, if it began at `start`.
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
         self.program.odometry(start)
     }
 
-    /// Where the program believes the robot to be.
+    /// The program's own estimate of the pose.
     pub(crate) fn estimated_pose(&self) -> Pose<Arena> {
         self.program.estimated_pose()
     }

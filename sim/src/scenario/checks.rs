@@ -1,6 +1,6 @@
 //! Checks of single numbers while they are read, so that the error carries the line and the key.
 //!
-//! The bounds are wide: they keep the physics finite, they do not judge a design.
+//! The bounds are wide: they keep the physics finite, they do not assess a design.
 
 use serde::de::{Deserialize, Deserializer, Error};
 

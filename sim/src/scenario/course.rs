@@ -116,7 +116,7 @@ pub struct DriveSettings {
     /// How often the path is driven, if its end is the drive's.
     #[serde(deserialize_with = "checks::laps")]
     pub laps: u32,
-    /// Whether the drive ends. No scenario says so: whoever lets it run decides.
+    /// Whether the drive ends. No scenario sets this: the caller decides.
     #[serde(skip)]
     pub end: DriveEnd,
     /// Speed on legs and circles, in metres per second.

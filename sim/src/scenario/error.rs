@@ -25,7 +25,7 @@ pub enum ScenarioError {
         line: usize,
         /// The file, as the scenario names it.
         file: PathBuf,
-        /// What the reader said.
+        /// The parser's error.
         source: io::Error,
     },
     /// A line in the file of way-points does not fit.
@@ -38,7 +38,7 @@ pub enum ScenarioError {
         /// What is wrong and what to do.
         reason: String,
     },
-    /// There are not so many MAVLink systems for vehicles.
+    /// There are not enough MAVLink systems for the vehicles.
     #[error("{count} robots from system {first} on are too many: at most {most}")]
     TooManyRobots {
         /// How many were asked for.

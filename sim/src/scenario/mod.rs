@@ -55,7 +55,7 @@ pub struct Scenario {
     pub start: StartPose,
     /// How the path is driven.
     pub drive: DriveSettings,
-    /// The robot as its brick believes it to be.
+    /// The robot as its brick is configured.
     pub robot: RobotSettings,
     /// How the real robot differs from that.
     pub errors: ErrorSettings,
@@ -119,7 +119,7 @@ impl Scenario {
         self
     }
 
-    /// The same scenario with a brick that speaks something else.
+    /// The same scenario with a brick of another protocol.
     #[must_use]
     pub const fn with_personality(mut self, personality: Personality) -> Self {
         self.brick.personality = personality;
@@ -140,7 +140,7 @@ impl Scenario {
         self
     }
 
-    /// The drive as the brick believes it to be.
+    /// The drive as the brick is configured.
     #[must_use]
     pub fn drive_geometry(&self) -> DriveGeometry {
         DriveGeometry {

@@ -1,15 +1,15 @@
-//! What a simulated brick speaks, what runs on it and what is plugged into it.
+//! The protocol of a simulated brick, its program and its plugged sensors.
 
 use serde::Deserialize;
 
-/// What a brick speaks on its link.
+/// The protocol of a brick's link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Personality {
     /// MAVLink 2, together with the camera on one link.
     #[default]
     Mavlink,
-    /// The telegrams of an unmodified LEGO NXT, which answers and never speaks first. The camera has a link of its own.
+    /// The telegrams of an unmodified LEGO NXT, which answers and never sends first. The camera has a link of its own.
     Nxt,
     /// A LEGO NXT whose program pushes a compact MAVLink frame in each telegram. The camera has a link of its own.
     NxtPush,
@@ -18,7 +18,7 @@ pub enum Personality {
 }
 
 impl Personality {
-    /// Whether brick and camera speak the same language on one link.
+    /// Whether brick and camera use the same protocol on one link.
     #[must_use]
     pub const fn shares_link_with_camera(self) -> bool {
         matches!(self, Self::Mavlink)
@@ -30,7 +30,7 @@ impl Personality {
             Self::Mavlink => 0.0,
             // LEGO's own figure for the Bluetooth chip of the NXT, which the RWTH Aachen toolbox waits for.
             Self::Nxt | Self::NxtPush => 30.0,
-            // No trustworthy figure is published; ours, from the 20 to 60 ms that people tell.
+            // No trustworthy figure is published; ours, from the 20 to 60 ms that people report.
             Self::Ev3 => 20.0,
         }
     }

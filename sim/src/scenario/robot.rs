@@ -1,4 +1,4 @@
-//! The robot as its brick believes it to be, how the real one differs, and the brick itself.
+//! The robot as its brick is configured, how the real one differs, and the brick itself.
 
 use posebridge_telemetry::{Address, SystemId, TimeDelta};
 use serde::Deserialize;
@@ -8,7 +8,7 @@ use super::personality::{BrickProgram, Personality, PortSensor};
 use crate::clock::ClockSettings;
 use crate::motor::MotorConstants;
 
-/// The robot as its brick believes it to be. Defaults: a LEGO NXT on 56 mm wheels.
+/// The robot as its brick is configured. Defaults: a LEGO NXT on 56 mm wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotSettings {
@@ -85,7 +85,7 @@ impl MotorSettings {
     }
 }
 
-/// How the real robot differs from what its brick believes. Each relative error is a fixed part plus a sigma times a draw.
+/// How the real robot differs from its brick's configuration. Each relative error is a fixed part plus a sigma times a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ErrorSettings {
@@ -139,7 +139,7 @@ impl Default for ErrorSettings {
 }
 
 impl ErrorSettings {
-    /// No difference at all: what the encoders say is what happens.
+    /// No difference at all: the encoders' readings are exact.
     #[must_use]
     pub const fn none() -> Self {
         Self {
@@ -175,7 +175,7 @@ pub enum MissingSensor {
     /// It answers with a value that is no number.
     #[default]
     Answered,
-    /// It waits for the sensor, and answers nothing until it is told something else.
+    /// It waits for the sensor, and answers nothing until the next command.
     Awaited,
 }
 
@@ -200,11 +200,11 @@ pub struct BrickSettings {
     /// The clock's resolution, in microseconds.
     #[serde(deserialize_with = "checks::tick_micros")]
     pub clock_tick_micros: u32,
-    /// What it speaks on its link.
+    /// The protocol of its link.
     pub personality: Personality,
     /// What runs on it from the beginning.
     pub program: BrickProgram,
-    /// The program is stopped and started again whenever so many seconds have passed: a LEGO brick then zeroes its counters. Without it never.
+    /// Interval in seconds after which the program is stopped and started again: a LEGO brick then zeroes its counters. Without it never.
     #[serde(deserialize_with = "checks::optional_seconds")]
     pub program_restart_s: Option<f64>,
     /// What an EV3 does that is to set up a sensor that is not there.

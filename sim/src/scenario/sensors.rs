@@ -77,7 +77,7 @@ pub enum CameraImages {
     /// At its rate.
     #[default]
     Steady,
-    /// When somebody asks for a fix (MAV_CMD_REQUEST_MESSAGE), and at intervals that are asked for.
+    /// On request (MAV_CMD_REQUEST_MESSAGE), and at requested intervals.
     OnRequest,
 }
 
@@ -110,7 +110,7 @@ pub struct CameraSettings {
     /// Standard deviation of the heading, in degrees.
     #[serde(deserialize_with = "checks::non_negative")]
     pub heading_sigma_deg: f64,
-    /// Whether it can tell the heading at all.
+    /// Whether it measures the heading at all.
     pub sees_heading: bool,
     /// Whether a fix carries these standard deviations as its covariance.
     pub reports_covariance: bool,

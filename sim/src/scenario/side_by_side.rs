@@ -26,7 +26,7 @@ impl Scenario {
     /// The first is the scenario itself.
     ///
     /// # Errors
-    /// [`ScenarioError::TooManyRobots`] if there are not so many systems for vehicles.
+    /// [`ScenarioError::TooManyRobots`] if there are not enough systems for vehicles.
     pub fn side_by_side(&self, count: u8) -> Result<Vec<Self>, ScenarioError> {
         let systems = checks::LAST_VEHICLE_SYSTEM - self.brick.system + 1;
         if count > systems {

@@ -66,7 +66,7 @@ impl ThermometerSettings {
 const SCALED_PRESSURE: &str = "scaled_pressure";
 /// Bytes of NAMED_VALUE_FLOAT.name (common.xml).
 const LONGEST_NAME: usize = 10;
-/// So many lags are enough for any sensor.
+/// Most lags; enough for any sensor.
 const MOST_LAGS: usize = 4;
 
 fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {

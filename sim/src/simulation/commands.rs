@@ -12,12 +12,12 @@ use crate::scenario::Steering;
 pub enum CommandExecutor {
     /// The world has done it.
     Simulation,
-    /// Whoever owns the brick's link: a profile, or a cable that is pulled.
+    /// The owner of the brick's link: a profile, or a cable that is pulled.
     Link,
 }
 
 impl Simulation {
-    /// Does what a person asks for, from the next step on. Numbers are taken as they are: [`SimulatorCommand::validate`] judges them.
+    /// Does what a person asks for, from the next step on. Numbers are taken as they are: [`SimulatorCommand::validate`] checks them.
     ///
     /// The same commands before the same steps give the same bytes.
     pub fn execute(&mut self, command: &SimulatorCommand) -> CommandExecutor {

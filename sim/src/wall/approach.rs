@@ -11,7 +11,7 @@ pub trait DistanceEstimator {
     fn on_reading(&mut self, reading: RangeReading);
     /// Takes the PWM that holds from an instant on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
-    /// What it believes of an instant not before the last one that it was told of; `None` before it knows anything.
+    /// Its estimate for an instant not before its last input; `None` before it knows anything.
     fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate>;
 }
 
@@ -35,7 +35,7 @@ pub struct ApproachSample {
     pub distance_m: f64,
     /// The true speed towards the wall, in m/s.
     pub towards_m_per_s: f64,
-    /// What was believed.
+    /// The estimate.
     pub estimate: Option<RangeEstimate>,
     /// The PWM from then on.
     pub pwm: f64,
@@ -46,7 +46,7 @@ pub struct ApproachSample {
 pub struct Approach {
     /// Every turn of the loop; the last is the one at which the car stood, if it did.
     pub samples: Vec<ApproachSample>,
-    /// What the sensor said.
+    /// The sensor's reading.
     pub readings: Vec<RangeReading>,
     /// True distance and time at which the car first stood after it had driven; `None` if it did not.
     pub stop: Option<StopPoint>,
@@ -61,16 +61,16 @@ pub struct StopPoint {
     pub distance_m: f64,
 }
 
-/// Drives up to the wall by what the estimator believes.
+/// Drives up to the wall by the estimator's output.
 pub fn approach(scene: &WallScene, task: &ApproachTask, estimator: &mut dyn DistanceEstimator) -> Approach {
     drive(scene, task, &mut OnboardLoop(estimator))
 }
 
 /// What the loop asks at each turn.
 pub(super) trait ControlLoop {
-    /// Told the reading of this turn, if there is one, gives what is believed now.
+    /// Takes the reading of this turn, if there is one, and returns the present estimate.
     fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate>;
-    /// Told the PWM from this turn on.
+    /// Takes the PWM from this turn on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
 }
 
@@ -133,11 +133,11 @@ mod tests {
     use super::*;
     use crate::wall::DEFAULT_SCENE;
 
-    /// Believes the last reading.
+    /// Holds the last reading.
     #[derive(Default)]
-    struct Last(Option<f64>);
+    struct LastReadingEstimator(Option<f64>);
 
-    impl DistanceEstimator for Last {
+    impl DistanceEstimator for LastReadingEstimator {
         fn on_reading(&mut self, reading: RangeReading) {
             self.0 = Some(reading.range_m);
         }
@@ -154,13 +154,13 @@ mod tests {
     #[test]
     fn a_weak_controller_stops_near_the_target_and_a_strong_one_on_stale_readings_beyond() {
         let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
-        let weak = approach(&scene, &task(20.0), &mut Last::default());
+        let weak = approach(&scene, &task(20.0), &mut LastReadingEstimator::default());
         let weak_m = weak.stop.unwrap().distance_m;
         assert!((0.27..0.36).contains(&weak_m), "{weak_m}");
-        let strong = approach(&scene, &task(400.0), &mut Last::default());
+        let strong = approach(&scene, &task(400.0), &mut LastReadingEstimator::default());
         assert!(strong.stop.unwrap().distance_m < 0.2);
         assert!(strong.samples.iter().all(|moment| moment.pwm.abs() <= 80.0));
-        assert_eq!(weak, approach(&scene, &task(20.0), &mut Last::default()));
+        assert_eq!(weak, approach(&scene, &task(20.0), &mut LastReadingEstimator::default()));
     }
 
     #[test]
@@ -168,7 +168,7 @@ mod tests {
         let mut scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
         scene.ranger.miss_probability = 1.0;
         scene.approach.longest_s = 1.0;
-        let left = approach(&scene, &task(20.0), &mut Last::default());
+        let left = approach(&scene, &task(20.0), &mut LastReadingEstimator::default());
         assert_eq!(left.stop, None);
         assert!(left.samples.iter().all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0));
     }

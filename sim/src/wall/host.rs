@@ -20,7 +20,7 @@ pub struct HostLink {
     pub seed: u64,
 }
 
-/// Drives up to the wall by what an estimator on the other side of a link believes.
+/// Drives up to the wall by an estimator on the other side of a link.
 pub fn approach_over_link(
     scene: &WallScene,
     task: &ApproachTask,
@@ -45,9 +45,9 @@ struct RemoteLoop<'a> {
     link: ImpairedLink,
     at_station: WallFramer,
     at_brick: WallFramer,
-    /// The newest estimate that the brick has, and the instant of which it speaks.
+    /// The newest estimate that the brick has, with its timestamp.
     last_estimate: Option<(f64, RangeEstimate)>,
-    /// The commands that were not told yet, with their instants.
+    /// The commands that were not sent yet, with their instants.
     unsent_commands: Vec<(f64, f64)>,
 }
 
@@ -130,7 +130,7 @@ impl ControlLoop for RemoteLoop<'_> {
         }
         let mean_pwm = self.unsent_commands.iter().map(|(_, pwm)| pwm).sum::<f64>() / self.unsent_commands.len() as f64;
         self.unsent_commands.clear();
-        // Told at their end, as what holds from now on: the mean of the next ones is not known yet.
+        // Sent at their end, as the command from now on: the mean of the next ones is not known yet.
         self.send(at_s, WallFrame::Command(at_s, mean_pwm));
     }
 }
@@ -140,15 +140,15 @@ mod tests {
     use super::*;
     use crate::wall::{DEFAULT_SCENE, Gains};
 
-    /// Believes the last reading, and counts what it hears.
+    /// Holds the last reading, and counts its inputs.
     #[derive(Default)]
-    struct Last {
+    struct LastReadingEstimator {
         range_m: Option<f64>,
         readings: usize,
         commands: usize,
     }
 
-    impl DistanceEstimator for Last {
+    impl DistanceEstimator for LastReadingEstimator {
         fn on_reading(&mut self, reading: RangeReading) {
             self.range_m = Some(reading.range_m);
             self.readings += 1;
@@ -161,7 +161,7 @@ mod tests {
         }
     }
 
-    fn driven(profile: &str) -> (Approach, Last) {
+    fn driven(profile: &str) -> (Approach, LastReadingEstimator) {
         let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
         let task = ApproachTask {
             gains: Gains { kp_pwm_per_m: 20.0, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: 0.0 },
@@ -169,7 +169,7 @@ mod tests {
             run: 1,
         };
         let link = HostLink { profile: LinkProfile::bundled(profile).unwrap(), seed: 5 };
-        let mut host = Last::default();
+        let mut host = LastReadingEstimator::default();
         let left = approach_over_link(&scene, &task, &link, &mut host);
         (left, host)
     }

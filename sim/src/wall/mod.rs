@@ -8,7 +8,7 @@
 //! ```text
 //! dz/dt = -v        dv/dt = (c - v) / tau        c = v_ss PWM / PWM_0        tau = t_90 / ln 10
 //! reading = z + (sigma + share z) n, never below zero, every period, now and then none          n standard normal
-//! PWM = kp e + ki int(e) + kd de/dt, within +- PWM_max        e = believed z - target, de/dt = -believed v
+//! PWM = kp e + ki int(e) + kd de/dt, within +- PWM_max        e = estimated z - target, de/dt = -estimated v
 //! ```
 //! Between two cycles of the control loop the PWM is held and the motion is exact.
 //!

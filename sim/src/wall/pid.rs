@@ -14,7 +14,7 @@ pub(super) struct Pid {
 }
 
 impl Pid {
-    /// The PWM for what is believed; `dt_s` is the time since the turn before.
+    /// The PWM for the estimate; `dt_s` is the time since the turn before.
     pub(super) fn steer(&mut self, believed: RangeEstimate, dt_s: f64) -> f64 {
         let error_m = believed.distance_m - self.target_m;
         let sum = self.integral_m_s + error_m * dt_s;

@@ -8,7 +8,7 @@ use crate::random::RandomStream;
 pub struct RangeReading {
     /// When it was made, in the brick's seconds.
     pub at_s: f64,
-    /// What it says, in metres, at least 0.
+    /// Its reading, in metres, at least 0.
     pub range_m: f64,
 }
 
@@ -43,7 +43,7 @@ impl Ranger {
         }
     }
 
-    /// What it says at a turn of the loop, if it is due: of the distance then.
+    /// Its reading at a turn of the loop, if it is due: of the distance then.
     pub(super) fn read(&mut self, at_s: f64, distance_m: f64) -> Option<RangeReading> {
         if at_s < self.next_s {
             return None;

@@ -149,7 +149,7 @@ pub struct ApproachSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HostSettings {
-    /// The brick tells its command once in so many turns of its loop.
+    /// Number of turns of the brick's loop between two reports of its command.
     #[serde(deserialize_with = "turns")]
     pub report_every: u32,
     /// An estimate that is older stops the motors, in seconds.
@@ -236,7 +236,7 @@ fn turns<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Er
 mod tests {
     use super::*;
 
-    fn said(from: &str, to: &str) -> String {
+    fn error_with(from: &str, to: &str) -> String {
         assert!(DEFAULT_SCENE.contains(from), "{from}");
         let text = DEFAULT_SCENE.replace(from, to);
         WallScene::from_toml(&text).unwrap_err().to_string()
@@ -245,14 +245,14 @@ mod tests {
     #[test]
     fn the_default_scene_reads_and_mistakes_are_named() {
         assert!(WallScene::from_toml(DEFAULT_SCENE).is_ok());
-        let message = said("period_spread = 0.2", "period_spread = 0.7");
+        let message = error_with("period_spread = 0.2", "period_spread = 0.7");
         assert!(message.contains("period_spread") && message.contains("0.5"), "{message}");
-        let message = said("cutoff_m = 0.5", "cutoff_m = 3");
+        let message = error_with("cutoff_m = 0.5", "cutoff_m = 3");
         assert!(message.contains("start further"), "{message}");
-        let message = said("longest_s = 15.0", "longest_s = 1e5");
+        let message = error_with("longest_s = 15.0", "longest_s = 1e5");
         assert!(message.contains("longest_s"), "{message}");
-        let message = said("report_every = 4", "report_every = 0");
+        let message = error_with("report_every = 4", "report_every = 0");
         assert!(message.contains("report_every"), "{message}");
-        assert!(said("rest_s", "rests").contains("rests"));
+        assert!(error_with("rest_s", "rests").contains("rests"));
     }
 }

@@ -12,7 +12,7 @@ const LENGTH: usize = 28;
 /// What the checksum begins with, beside the bytes: none of a real dialect.
 const EXTRA: u8 = 0x57;
 
-/// What a frame says.
+/// The content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum WallFrame {
     /// Time in s, range in m.
@@ -102,9 +102,9 @@ mod tests {
             bytes.push(START);
         }
         for piece in 1..40 {
-            let mut scanner = WallFramer::default();
-            let mut found: Vec<WallFrame> = bytes.chunks(piece).flat_map(|chunk| scanner.push(chunk)).collect();
-            found.extend(scanner.push(&[0; LENGTH]));
+            let mut framer = WallFramer::default();
+            let mut found: Vec<WallFrame> = bytes.chunks(piece).flat_map(|chunk| framer.push(chunk)).collect();
+            found.extend(framer.push(&[0; LENGTH]));
             assert_eq!(found, frames, "{piece}");
         }
     }

@@ -28,9 +28,9 @@ pub struct Ev3Section {
     pub distance_port: u8,
     /// What that sensor is.
     pub distance_kind: Ev3Distance,
-    /// At most so many telegrams per second, 0.1 to 50.
+    /// Most telegrams per second, 0.1 to 50.
     pub rate_hz: f64,
-    /// So many questions may wait for their answers at once, 1 to 4.
+    /// Most requests that may wait for their replies at once, 1 to 4.
     pub outstanding: u8,
     /// The mailbox of a program on the brick that gets the estimate; empty sends none.
     pub mailbox: String,

@@ -25,7 +25,7 @@ pub struct LineSection {
     pub key_separator: String,
     /// Lines must end with their checksum; without this it is checked where it stands.
     pub checksum_required: bool,
-    /// Print the estimate to the board at most so often; 0 tells it nothing.
+    /// Print the estimate to the board at most so often; 0 sends it nothing.
     pub estimate_interval_ms: u32,
     /// How old a line without a time may be when it arrives.
     pub delay_ms: u32,

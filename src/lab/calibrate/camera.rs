@@ -15,7 +15,7 @@ use super::listing::CsvTable;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
 
-/// A point without which the others fit so many times better is probably mistyped.
+/// Leaving out one point improves the fit of the others by this factor: the point is probably mistyped.
 const SUSPECT: f64 = 3.0;
 
 /// Flags of `calibrate camera`.
@@ -23,7 +23,7 @@ const SUSPECT: f64 = 3.0;
 pub struct CameraArgs {
     /// A CSV table of four or more points with the columns u, v (where the camera sees them) and x_m, y_m (where they are).
     pub points: PathBuf,
-    /// The camera already speaks of metres: look only for its turn, its shift and its scale; two points are enough.
+    /// The camera already measures in metres: look only for its turn, its shift and its scale; two points are enough.
     #[arg(long)]
     pub metric: bool,
     /// Write the numbers to this file.

@@ -21,7 +21,7 @@ use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::tools::own_recording;
 
-/// What an instrument's truth errs by if nobody says: its own millimetre, and a body that sways.
+/// The default error of an instrument's truth: its own millimetre, and a body that sways.
 const TRUTH_SIGMA_M: f64 = 0.005;
 /// The same for a person with a tape.
 const TAPE_SIGMA_M: f64 = 0.01;
@@ -188,7 +188,7 @@ fn load_segments(args: &PathArgs, file: &std::path::Path) -> Result<PathDataset>
         None => RobotFile::default(),
     };
     let mut robot = with_flags(args, &robot)?;
-    // A robot that is measured with a tape is one of which little is known.
+    // Little is known about a robot that is measured with a tape.
     let wide = &mut robot.calibration;
     for (entry, sigma) in
         [(&mut wide.radius_scale, 0.2), (&mut wide.radius_difference, 0.05), (&mut wide.track_scale, 0.5)]

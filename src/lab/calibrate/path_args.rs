@@ -39,7 +39,7 @@ pub struct PathArgs {
     /// Look for this number, which is held otherwise, up to about this far from its value: NUMBER=SIGMA, e.g. tag-forward=0.02.
     #[arg(long = "free", value_name = "NUMBER=SIGMA", value_parser = freed)]
     pub freed: Vec<(GeometryParameter, f64)>,
-    /// Nobody knows where the robot started, or how the camera's axes lie.
+    /// The robot's start and the camera's axes are unknown.
     #[arg(long)]
     pub unknown_start: bool,
     /// Try the result on the runs whose names begin so, which take no part in it; may be repeated.

@@ -21,7 +21,7 @@ const UNEXPLAINED: f64 = 100.0;
 /// Sigmas are about so rough: a description whose noise is this many times off deserves a word.
 const ROUGH: f64 = 4.0;
 
-/// Everything that a report tells.
+/// Everything that a report contains.
 pub(super) struct PathCalibrationResult {
     pub(super) recording: String,
     pub(super) reference: &'static str,

@@ -118,7 +118,7 @@ fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>
     }
     if found.is_empty() {
         bail!(
-            "`{recording}` does not tell the noise of a gyro or of accelerometers while its wheels stood{}{}; record a minute of rest, ten \
+            "`{recording}` does not determine the noise of a gyro or of accelerometers while its wheels stood{}{}; record a minute of rest, ten \
              where a coarse sensor hardly ever changes",
             if reasons.is_empty() { "" } else { ": " },
             reasons.join("; ")

@@ -31,7 +31,7 @@ use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
 
 /// A tape's or a tracker's sigma: only its being finite matters here.
 const OBSERVED_SIGMA_M: f64 = 0.005;
-/// What x and y say may lie apart by so much of what they say, before the drives are doubted.
+/// Largest difference between the results from x and y, relative to them, before the drives are suspect.
 const SUSPECT_RATIO: f64 = 0.5;
 
 /// The instructions for a person with a live robot.
@@ -51,7 +51,7 @@ pub struct UmbmarkArgs {
     #[command(flatten)]
     pub data: DataFlags,
     /// In place of a recording: a CSV table of the columns direction (cw or ccw), x_mm, y_mm: where the robot really was, ahead and to
-    /// the left of its start, when it believed to be home.
+    /// the left of its start, when its own estimate was back at the start.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot", "run", "use_every", "settings"])]
     pub ends: Option<PathBuf>,
     /// In place of a recording: let the simulated robot drive.
@@ -60,7 +60,7 @@ pub struct UmbmarkArgs {
     /// The robot of --ends: a profile with a [robot] table, the one by which the brick steered.
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "real_robot", "sim"])]
     pub robot: Option<PathBuf>,
-    /// Length of a side, in metres; recorded drives tell it themselves.
+    /// Length of a side, in metres; recorded drives contain it.
     #[arg(long, value_name = "M")]
     pub side_m: Option<f64>,
     /// Simulated squares in each direction.

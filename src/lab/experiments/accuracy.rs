@@ -153,7 +153,7 @@ fn table(scored: &ScenarioScores, names: &[String]) -> String {
     )
 }
 
-/// Of which runs an estimator says nothing; the first reason stands for all.
+/// The runs for which an estimator gives no result; the first reason stands for all.
 fn refusal_summary(name: &str, scores: &EstimatorScores) -> Option<String> {
     let (run, reason) = scores.refusals.first()?;
     let count = scores.refusals.len();

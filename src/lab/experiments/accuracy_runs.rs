@@ -37,7 +37,7 @@ pub(super) struct ScenarioScores {
 #[derive(Clone, Default)]
 pub(super) struct EstimatorScores {
     pub(super) score: FilterScore,
-    /// The runs of which it says nothing, and why.
+    /// The runs for which it gives no result, and why.
     pub(super) refusals: Vec<(u32, OfflineError)>,
 }
 

@@ -1,4 +1,4 @@
-//! The command that gives a page again: the one that was typed, not a list of the flags that somebody thought of.
+//! The command that gives a page again: the one that was typed, not a list of known flags.
 
 /// How a live robot is recorded. Its recording holds the robot and the keys that were set.
 const LIVE_ROBOT_FLAGS: [&str; 6] = ["--link", "--listen", "--duration", "--config", "--robot", "--set"];

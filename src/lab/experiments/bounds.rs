@@ -1,7 +1,7 @@
 //! Which scenarios have a bound on the error of any filter, and what it leaves out.
 //!
-//! The bound takes the robot that a filter is told of. Where the true one is drawn otherwise there is no bound; where something comes
-//! on top that no filter is told of, the bound is that of the drive without it, and says so.
+//! The bound takes the robot that the filters are configured with. Where the true one is drawn otherwise there is no bound; where
+//! something is added that no filter knows, the bound is that of the drive without it, and says so.
 
 use posebridge_lab::accuracy::{BoundSum, ReferenceDrive, WheelRotation};
 use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};

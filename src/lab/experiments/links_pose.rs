@@ -89,8 +89,8 @@ pub(super) fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
     })
 }
 
-/// How old each instant's first estimate was when the brick had it. A fix that comes late mends the estimate of an instant of which the
-/// brick already has an estimate: that is no new instant, and its age says nothing about the link.
+/// How old each instant's first estimate was when the brick had it. A fix that comes late corrects an instant for which the brick
+/// already has an estimate: that is no new instant, and its age says nothing about the link.
 fn ages(received: &[ReceivedEstimate]) -> Vec<TimeDelta> {
     let mut latest = None;
     let mut ages = Vec::with_capacity(received.len());
@@ -140,7 +140,7 @@ fn round_trip_ms(ways: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
     quantile_ms(&sums, share)
 }
 
-/// Values at even steps through a sorted sample, so many that a quantile of 99 % is one of ten beyond it.
+/// Values at even steps through a sorted sample, enough that ten of them lie beyond the 99 % quantile.
 fn even_sample(sorted: &[TimeDelta]) -> Vec<TimeDelta> {
     let step = |index: usize| sorted.get((2 * index + 1) * sorted.len() / (2 * QUANTILE_SAMPLES));
     (0..QUANTILE_SAMPLES).filter_map(step).copied().collect()

@@ -102,7 +102,7 @@ impl LiveArgs {
             .before_start()
     }
 
-    /// A live robot has one run, all of which is used.
+    /// A live robot has one run, and all of it is used.
     ///
     /// # Errors
     /// A run or fixes were chosen for a live robot.

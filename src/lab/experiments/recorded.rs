@@ -38,14 +38,14 @@ pub struct RecordedArgs {
 /// Who knows where a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum EndReference {
-    /// The camera: its fixes are held back from the filters that they judge.
+    /// The camera: its fixes are held back from the filters that they score.
     Fixes,
     /// The start: the path was closed.
     Start,
 }
 
 impl EndReference {
-    const fn judge(self) -> DriveEndReference {
+    const fn end_reference(self) -> DriveEndReference {
         match self {
             Self::Fixes => DriveEndReference::Fixes,
             Self::Start => DriveEndReference::Start,
@@ -72,7 +72,7 @@ impl RecordedArgs {
     /// Records the live robot, telling it the `task`, or reads the recordings; `None` if neither was asked for.
     ///
     /// # Errors
-    /// A recording cannot be made, read or judged; the message names it and says what is missing.
+    /// A recording cannot be made, read or scored; the message names it and says what is missing.
     pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
         let robot = LiveRobot { file: self.robot.as_deref(), settings: &self.settings };
         if let Some(recording) = self.live.record(output, robot, task)? {
@@ -92,7 +92,7 @@ impl RecordedArgs {
     }
 
     fn read(&self, recordings: &[PathBuf], overlay: Overlay<'_>) -> Result<Vec<RobotDrive>> {
-        let judge = self.judge.map(EndReference::judge);
+        let judge = self.judge.map(EndReference::end_reference);
         let one = |path: &PathBuf| -> Result<RobotDrive> {
             let run = own_recording::read(path, overlay)?;
             let drive = RecordedDrive::new(&run.observations, &run.config, judge)
@@ -123,7 +123,7 @@ impl RobotDrives {
         again::rerun_command(live.filter(|_| self.is_live))
     }
 
-    /// Who judges, for people.
+    /// The reference, in words for people.
     pub(super) fn reference_name(&self) -> &'static str {
         let is_closed = |drive: &RobotDrive| drive.drive.end_reference == DriveEndReference::Start;
         let closed = self.drives.iter().filter(|drive| is_closed(drive)).count();

@@ -101,7 +101,7 @@ fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint
     points
 }
 
-/// What a rest says of the gyro, beside the truth where there is one.
+/// The gyro's noise at rest, beside the truth where there is one.
 fn rest_quantities(data: &ExperimentData, found: &RestNoise) -> Vec<Quantity> {
     let gyro = data.scenario.as_ref().map(|scenario| scenario.gyro);
     let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| gyro.as_ref().map(|gyro| of(gyro).to_radians());

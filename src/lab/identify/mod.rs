@@ -1,5 +1,5 @@
-//! `posebridge identify`: what a sensor's noise is, how late a camera speaks, how a sensor or a motor answers a step, and what drives a
-//! car before a wall.
+//! `posebridge identify`: a sensor's noise, a camera's delay, the step response of a sensor or a motor, and the drive of a car
+//! before a wall.
 //!
 //! Without a recording each experiment looks at something simulated whose numbers are known, and says how far it was off.
 //! docs/lab/identify.md has the equations.
@@ -77,7 +77,7 @@ pub struct DelayArgs {
 /// Identifies.
 ///
 /// # Errors
-/// The recording or the scenario cannot be had, it tells nothing of what is asked for, or an output cannot be written.
+/// The recording or the scenario cannot be had, it does not determine what is asked for, or an output cannot be written.
 pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
     match &args.what {
         IdentifyExperiment::Rest(args) => run(&args.source, &args.output, &source::REST, experiments::rest),

@@ -13,7 +13,7 @@ use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
 
 /// A number that was found.
 pub(super) struct Quantity {
-    /// Of which run, where there are several.
+    /// The run, where there are several.
     of: Option<String>,
     name: String,
     unit: &'static str,

@@ -15,7 +15,7 @@ use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
-/// Where an experiment gets its drive from if nobody names a recording.
+/// The source of an experiment's drive without `--recording`.
 pub(super) struct ExperimentSource {
     /// The instructions for a person with a live robot.
     instruction: &'static str,
@@ -72,17 +72,17 @@ pub struct SourceArgs {
     /// Seed of a simulated drive.
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real_robot")]
     pub seed: u64,
-    /// Look from so many seconds after the first observation on.
+    /// Use data from this number of seconds after the first observation on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub from: f64,
-    /// Look no further than so many seconds after the first observation.
+    /// Use data up to this number of seconds after the first observation.
     #[arg(long, value_name = "SECONDS")]
     pub to: Option<f64>,
 }
 
 /// An observation and when it arrived.
 pub(super) struct ArrivedObservation {
-    /// By the clock of the stamps; `None` where nobody knows.
+    /// By the clock of the stamps; `None` where it is unknown.
     pub(super) arrival_s: Option<f64>,
     pub(super) observation: Observation,
 }

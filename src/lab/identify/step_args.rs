@@ -40,13 +40,13 @@ pub struct StepArgs {
     /// Seed of the simulated sensor.
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "recording")]
     pub seed: u64,
-    /// Look from so many seconds after the first sample on.
+    /// Use data from this number of seconds after the first sample on.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub from: f64,
-    /// Look no further than so many seconds after the first sample.
+    /// Use data up to this number of seconds after the first sample.
     #[arg(long, value_name = "SECONDS")]
     pub to: Option<f64>,
-    /// Use so many lags, instead of as many as the data ask for.
+    /// Fit this number of lags, instead of choosing the number from the data.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=3))]
     pub order: Option<u8>,
     /// Noise of a sample, one standard deviation in the sensor's unit, instead of what the description or the samples say.

@@ -1,4 +1,4 @@
-//! What `identify step` tells of its runs.
+//! What `identify step` reports about its runs.
 
 use posebridge_lab::identification::{
     DirectionComparison, IdentifiedStep, StepDirection, StepParameters, compare_directions,

@@ -21,7 +21,7 @@ const COLD_C: f64 = 20.0;
 const WARM_C: f64 = 60.0;
 
 /// A thermometer in warm water and back in cold water.
-struct Bath {
+struct ImmersionTest {
     what: &'static str,
     heating: &'static [(f64, f64)],
     cooling: &'static [(f64, f64)],
@@ -29,9 +29,9 @@ struct Bath {
     samples: usize,
 }
 
-const PLAIN: Bath =
-    Bath { what: "thermometer", heating: &[(6.0, 1.0)], cooling: &[(7.5, 1.0)], sigma_k: 0.1, samples: 800 };
-const SHEATHED: Bath = Bath {
+const PLAIN: ImmersionTest =
+    ImmersionTest { what: "thermometer", heating: &[(6.0, 1.0)], cooling: &[(7.5, 1.0)], sigma_k: 0.1, samples: 800 };
+const SHEATHED: ImmersionTest = ImmersionTest {
     what: "thermometer in a sheath",
     heating: &[(3.0, 0.4), (15.0, 0.6)],
     cooling: &[(3.6, 0.4), (18.0, 0.6)],
@@ -57,7 +57,7 @@ pub(super) fn material(args: &StepArgs) -> Result<StepDataset> {
     })
 }
 
-fn bath(args: &StepArgs, bath: &Bath) -> StepDataset {
+fn bath(args: &StepArgs, bath: &ImmersionTest) -> StepDataset {
     let runs = [("heating", bath.heating, COLD_C, WARM_C), ("cooling", bath.cooling, WARM_C, COLD_C)];
     let runs = runs.into_iter().zip(0..);
     let runs = runs.map(|((name, lags, before, after), index)| {

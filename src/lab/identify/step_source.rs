@@ -45,7 +45,7 @@ fn check(args: &StepArgs) -> Result<()> {
     Ok(())
 }
 
-/// Nobody knows of an instant that is further from the samples than they are long; one from before them may be that of a command that
+/// An instant that is further from the samples than their own length is implausible; one from before them may be that of a command that
 /// started the recording.
 fn check_onset(args: &StepArgs, name: &str, samples: &[TimedSample]) -> Result<()> {
     let (Some(onset_s), [first, .., last]) = (args.onset, samples) else {

@@ -56,7 +56,7 @@ pub struct WallArgs {
 /// Identifies.
 ///
 /// # Errors
-/// The scene or the recording cannot be had, no step tells anything, or an output cannot be written.
+/// The scene or the recording cannot be had, no step has a result, or an output cannot be written.
 pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
     if let Some(path) = &args.recording {
         let prepared = recorded::prepare(path, &run_selection(args)).before_start()?;
@@ -121,7 +121,7 @@ fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
         }
     }
     if all.is_empty() {
-        bail!("no run tells anything: {}", notes.join("; "));
+        bail!("no run has a result: {}", notes.join("; "));
     }
     Ok(build_findings(all, notes, pictures))
 }

@@ -29,7 +29,7 @@ pub struct TuneArgs {
     /// recording of ours; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
-    /// Show the filter a position out of the truth every so many seconds, with the noise of noise.fix_position_m: for recordings
+    /// Give the filter a position from the truth every this many seconds, with the noise of noise.fix_position_m: for recordings
     /// without fixes.
     #[arg(long, value_name = "SECONDS", group = "drawn")]
     pub fixes_from_truth: Option<f64>,
@@ -39,13 +39,13 @@ pub struct TuneArgs {
     /// Simulated drives to tune on; as many more are held out.
     #[arg(long, value_name = "N", default_value_t = 4, conflicts_with = "recordings", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
-    /// A parameter to tune: a key of [robot.noise], or filter.KEY; may be repeated. Without it those of which the data tell.
+    /// A parameter to tune: a key of [robot.noise], or filter.KEY; may be repeated. Without it, all parameters that the data determine.
     #[arg(long = "param", value_name = "KEY")]
     pub params: Vec<String>,
     /// The filter.
     #[arg(long, value_name = "NAME", default_value = "pose")]
     pub filter: String,
-    /// Start with the tuned parameters so many times too large: an exercise.
+    /// Start with the tuned parameters too large by this factor: an exercise.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub start_factor: f64,
     /// Seed of simulated drives and of the noise of fixes from the truth.

@@ -71,7 +71,7 @@ fn keys_of(args: &TuneArgs, material: &TuneDataset) -> Result<Vec<TunedKey>> {
     for text in &args.params {
         keys.push(TunedKey::from_name(text)?);
     }
-    ensure!(!keys.is_empty(), "the runs tell of no noise above zero: name one with --param");
+    ensure!(!keys.is_empty(), "the runs determine no noise above zero: name one with --param");
     for (key, run) in keys.iter().flat_map(|key| material.training().map(move |run| (key, run))) {
         ensure!(
             key.read(&run.config) > 0.0 || args.params.is_empty(),
@@ -143,7 +143,7 @@ fn tune(
     })
 }
 
-/// The tuned numbers are kept if they moved and are no worse where nobody tuned.
+/// The tuned numbers are kept if they moved and are no worse on data that was not used for tuning.
 fn decide_kept(choice: &ShareChoice, before: &[RunScore], proposed: &[RunScore]) -> KeptValues {
     if choice.share() == 0.0 {
         return KeptValues::StartByFolds(choice.reason);

@@ -19,7 +19,7 @@ pub(super) fn name_of(path: &Path) -> String {
 /// The recording as one run. With --use-every the fixes in between are what it is scored on.
 ///
 /// # Errors
-/// It cannot be read, it holds no observation, or --fixes-from-truth asks for a truth, which a live robot does not tell.
+/// It cannot be read, it holds no observation, or --fixes-from-truth asks for a truth, which a live robot does not have.
 pub(super) fn load(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(TuneRun, RobotFile)> {
     let name = name_of(path);
     ensure!(

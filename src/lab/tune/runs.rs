@@ -133,7 +133,7 @@ fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<
             seed: args.seed,
         };
         observations.extend(fixes_from_truth(&truth, &glimpses));
-        // Stable: at one instant the wheels speak before the camera.
+        // Stable: at one instant the wheels come before the camera.
         observations.sort_by_key(|observation| observation.stamp);
     }
     run.observations.clear();

@@ -29,7 +29,7 @@ struct Message {
     objects: BTreeMap<String, Object>,
 }
 
-/// What it tells.
+/// Its values.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Object {

@@ -1,7 +1,7 @@
 //! What happens, as JSON datagrams for PlotJuggler's UDP server (docs/plotjuggler.md).
 //!
-//! Fed with the messages of the page through a channel that drops and counts ([`FrameTap`]). A datagram is sent or not, nobody waits for
-//! it, and when nobody listens it costs nothing more.
+//! Fed with the messages of the page through a channel that drops and counts ([`FrameTap`]). Sending a datagram never blocks, and
+//! needs no listener.
 
 mod fields;
 mod messages;
@@ -16,7 +16,7 @@ use posebridge_dashboard::model::Frame;
 pub use fields::{FIELDS, Field, pattern_of};
 pub use messages::messages;
 
-/// So many messages wait for the sender, a bit more than a second of them.
+/// Most messages that wait for the sender, a bit more than a second of them.
 pub const WAITING_FRAMES: usize = 64;
 
 /// A running sender; it ends when the station does.
@@ -84,7 +84,7 @@ fn send_all(socket: &UdpSocket, address: SocketAddr, frames: &FrameTap) -> SendC
 
 fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut SendCounts) {
     for message in messages(frame) {
-        // Not connected, so that nobody who listens is no error.
+        // Not connected, so that a missing listener is no error.
         match socket.send_to(message.as_bytes(), address) {
             Ok(_) => sent.datagrams += 1,
             Err(_full_or_unreachable) => sent.dropped += 1,

@@ -1,4 +1,4 @@
-//! Tells where anybody on the network can speak as the robot.
+//! Warns where any sender on the network can pose as the robot.
 
 use std::net::SocketAddr;
 
@@ -7,7 +7,7 @@ use posebridge_link::LinkSet;
 use crate::config::{Config, LinkSection};
 use crate::console::print_line;
 
-/// Warns of every link that listens beyond this computer and takes frames from whoever sends them.
+/// Warns of every link that listens beyond this computer and accepts frames from any sender.
 pub fn warn_of_open_listeners(ports: &LinkSet, config: &Config) {
     for (index, (port, section)) in ports.iter().zip(&config.links).enumerate() {
         let address = port.local_address().filter(|_| port.is_listening());
@@ -30,7 +30,7 @@ fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<S
         ),
     };
     Some(format!(
-        "WARNING: link {index} `{}` listens on {address} and {state}: anybody who can reach it can speak as the robot. To keep others \
+        "WARNING: link {index} `{}` listens on {address} and {state}: anybody who can reach it can send as the robot. To keep others \
          out, {cure}, or listen on 127.0.0.1.",
         section.url
     ))

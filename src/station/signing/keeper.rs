@@ -77,7 +77,7 @@ impl SigningStateWriter {
         })
     }
 
-    /// Has the stamps written down if it is time or if somebody new was heard. Never waits: while the disk is behind, the next
+    /// Has the timestamps written if it is time or if there is a new sender. Never waits: while the disk is behind, the next
     /// call tries again.
     pub fn save_if_due(&mut self, now: Timestamp<HostClock>, station: &Station) {
         let met = station.signing_stream_count();
@@ -126,7 +126,7 @@ fn write_all(kept: &[SignedLink], snapshots: &Receiver<StateSnapshot>, is_writin
     last
 }
 
-/// Writes what can be written; the first failure is the one to tell.
+/// Writes what can be written; the first failure is the one to report.
 fn write(kept: &[SignedLink], snapshot: &StateSnapshot) -> Result<()> {
     let mut first = Ok(());
     for (link, memory) in kept.iter().zip(&snapshot.memories) {

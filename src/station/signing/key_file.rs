@@ -1,4 +1,4 @@
-//! Key files: 64 hexadecimal digits that nobody but their owner can read.
+//! Key files: 64 hexadecimal digits in a file that only its owner can read.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -8,7 +8,7 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow, bail};
 use posebridge_protocol::signing::Key;
 
-/// Read and write for the owner, nothing for anybody else.
+/// Read and write for the owner, nothing for others.
 pub(super) const OWNER_ONLY: u32 = 0o600;
 /// Whatever group and others may do.
 const ANYBODY_ELSE: u32 = 0o077;
@@ -18,7 +18,7 @@ const LONGEST: u64 = 1_024;
 /// Reads a key.
 ///
 /// # Errors
-/// There is no such file, somebody else can read or change it, or it holds no key. The message shows nothing of it.
+/// There is no such file, other users can read or change it, or it holds no key. The message shows nothing of it.
 pub fn read_key(path: &Path) -> Result<Key> {
     let name = path.display();
     let file = File::open(path)
@@ -37,7 +37,7 @@ pub fn read_key(path: &Path) -> Result<Key> {
     let mut text = String::new();
     file.take(LONGEST)
         .read_to_string(&mut text)
-        // What the system says of bytes that are no text would be true and of no help.
+        // The system's own error about bytes that are no text would not help.
         .map_err(|_no_text| anyhow!("`{name}` holds no key: it is no text"))?;
     text.parse().with_context(|| format!("`{name}` holds no key"))
 }

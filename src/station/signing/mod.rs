@@ -1,7 +1,8 @@
 //! Keys and stamps in files: what signing needs of the world, for links that are to be signed.
 //!
-//! The station signs and judges; here the keys are read, the stamps are kept from one session to the next, and people are warned
-//! where nobody is kept out. A key leaves its file only into the station: recordings, events, logs and errors show its name.
+//! The station signs and verifies; here the keys are read, the stamps are kept from one session to the next, and a warning is
+//! printed where any sender is accepted. A key leaves its file only into the station: recordings, events, logs and errors show
+//! its name.
 
 mod exposure;
 mod keeper;

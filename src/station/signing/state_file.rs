@@ -3,9 +3,8 @@
 //! Two stations that sign with one key and one link id would refuse each other's frames and use stamps twice, so the second
 //! is refused. The lock is a file of its own, because the state is replaced and never written in place.
 //!
-//! Whoever may write the state can wind the stamps back, and whoever loses a replacement to a power failure goes back to the
-//! state before: so others may not change the file, and what was written is on the disk with its name before anything goes
-//! on.
+//! Anyone who may write the state can wind the timestamps back, and a replacement that is lost in a power failure restores the
+//! state before: so others may not change the file, and what was written is on the disk with its name before anything goes on.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -90,7 +89,7 @@ impl StateFile {
         file.read_to_string(&mut text).with_context(|| format!("reading `{name}`"))?;
         let cure = || {
             format!(
-                "`{name}` does not hold the stamps that signing goes on from; make a new key for everybody, or delete the file and \
+                "`{name}` does not hold the stamps that signing goes on from; make a new key for both ends of the link, or delete the file and \
                  accept that frames of the last session can be sent again"
             )
         };
@@ -113,7 +112,7 @@ impl StateFile {
         if metadata.mode() & OTHERS_WRITE != 0 || !(owner.is_root() || owner == Uid::effective()) {
             bail!(
                 "others than you can change `{name}` (mode {:04o}, owner {owner}) and wind the stamps of signatures back: run \
-                 `chmod 600 {name}`; if somebody may have done so, make a new key for everybody",
+                 `chmod 600 {name}`; if somebody may have done so, make a new key for both ends of the link",
                 metadata.mode() & 0o7777
             );
         }
@@ -137,7 +136,7 @@ fn replace(path: &Path, text: &str, mut sync: impl FnMut(&File) -> std::io::Resu
     let mut new = path.as_os_str().to_owned();
     new.push(".new");
     let new = PathBuf::from(new);
-    // What a crash has left behind, or somebody has put there, is not written into.
+    // A file that a crash or another user has left there is not written into.
     match std::fs::remove_file(&new) {
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
         Ok(()) | Err(_) => {}

@@ -10,7 +10,7 @@ use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 pub struct SimulatedCable {
     /// Without one it is pulled out.
     port: Option<Link>,
-    /// What is opened when it is put in again; a port that somebody else has opened stays.
+    /// What is opened when it is put in again; a port that another program has opened stays.
     reopen_config: Option<(LinkOpenConfig, HostTimer)>,
     /// When it is put in again.
     replug_at: Timestamp<HostClock>,
@@ -113,7 +113,7 @@ impl SimulatedCable {
     /// Pulls the cable out for so long, if it is one that can be pulled out.
     pub fn unplug(&mut self, now: Timestamp<HostClock>, duration: TimeDelta) {
         if self.reopen_config.is_some() {
-            // The terminal goes with its port, and whoever reads there is hung up.
+            // The terminal disappears with its port, and its reader gets a hang-up.
             self.port = None;
             self.station = None;
             self.replug_at = now + duration;

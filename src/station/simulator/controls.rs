@@ -7,9 +7,9 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::cable::SimulatedCable;
 
-/// So many commands wait for the brick, which looks every 2 ms; more are refused.
+/// Most commands that wait for the brick, which polls every 2 ms; more are refused.
 pub const COMMAND_CAPACITY: usize = 64;
-/// So many samples wait for each receiver, at 20 per second 12 s; a slower one misses the oldest, and learns how many.
+/// Most samples that wait for each receiver, at 20 per second 12 s; a slower one misses the oldest, and learns how many.
 const SAMPLE_CAPACITY: usize = 256;
 
 /// What really happened at one instant, as soon as it has happened.
@@ -29,7 +29,7 @@ pub type CommandSender = mpsc::Sender<SimulatorCommand>;
 pub struct SimulatorControls {
     /// What is to be done to the brick.
     pub commands: CommandSender,
-    /// Where the robot really is: whoever subscribes hears from then on. Lossy, and what is lost is counted by the receiver.
+    /// The true pose. A subscriber receives the samples from then on. Lossy, and what is lost is counted by the receiver.
     pub truth: broadcast::Sender<TimedTruthSample>,
 }
 
@@ -75,7 +75,7 @@ impl ControlReceiver {
         for sample in kept.iter().skip(first) {
             let at = start + sample.sim_time;
             let sample = *sample;
-            // Nobody has to watch.
+            // It does not need a viewer.
             drop(self.truth.send(TimedTruthSample { at, sample }));
         }
         self.published = simulation.truth_samples();

@@ -34,12 +34,12 @@ pub struct EmbeddedBrick {
     pub progress: watch::Receiver<f64>,
     /// Its commands and its truth.
     pub controls: SimulatorControls,
-    /// Who hears where it really is from the very start, until somebody takes it.
+    /// The receiver of the truth from the very start, until it is taken.
     pub truth: Option<TruthTap>,
 }
 
 impl EmbeddedBrick {
-    /// One more who hears where it really is, from now on.
+    /// One more receiver of the truth, from now on.
     #[must_use]
     pub fn truth_tap(&self) -> TruthTap {
         TruthTap::new(&self.controls.truth, self.robot)
@@ -97,7 +97,7 @@ impl Drop for EmbeddedBricks {
     fn drop(&mut self) {
         if let Some(thread) = self.thread.take() {
             self.stop.cancel();
-            // Somebody else has failed, and says why.
+            // Another task has failed, and reports why.
             drop(thread.join());
         }
     }
@@ -117,7 +117,7 @@ struct BrickThread {
     timer: HostTimer,
     stop: CancellationToken,
     finished: CancellationToken,
-    /// Told whether all links are open.
+    /// Receives whether all links are open.
     ready: SyncSender<Result<()>>,
 }
 

@@ -21,7 +21,7 @@ pub use self::embedded::{BrickStart, EmbeddedBrick, EmbeddedBricks};
 
 /// The world is stepped in chunks of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
-/// After the path's end the brick still talks for this long, so that the last late fixes are used.
+/// After the path's end the brick still sends for this long, so that the last late fixes are used.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
 
 /// Time between two announcements.
@@ -31,7 +31,7 @@ const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 pub struct BrickPorts {
     /// To the station.
     pub brick: SimulatedCable,
-    /// The camera's own, where it does not share the brick's. Without it nobody hears such a camera.
+    /// The camera's own, where it does not share the brick's. Without it such a camera is not received.
     pub camera: Option<Link>,
     /// Where the camera's images go, if another program looks through it.
     pub images: Option<Link>,
@@ -82,9 +82,9 @@ impl BrickPorts {
                     simulation.receive_camera(&bytes);
                 }
             }
-            // Nobody answers an image. Polled, the port takes whoever calls.
+            // Images get no answer. Polling lets the port accept connections.
             _ = next_of(self.images.as_mut()) => {}
-            // Nobody answers an announcement there; polled, the port comes back after a loss.
+            // An announcement gets no answer there; polled, the port comes back after a loss.
             _ = next_of(self.announcement.as_mut().map(|announcement| &mut announcement.port)) => {}
         }
     }
@@ -122,20 +122,20 @@ pub struct BrickDrive {
     pub simulation: Simulation,
     /// Its links, open.
     pub ports: BrickPorts,
-    /// Told how much of the path is driven, 0 to 1.
+    /// Receives how much of the path is driven, 0 to 1.
     pub progress: watch::Sender<f64>,
     /// Through which people reach it, if they can.
     pub controls: Option<ControlReceiver>,
 }
 
 impl BrickDrive {
-    /// A brick whose progress nobody watches and that nobody reaches.
+    /// A brick without a progress display and without controls.
     #[must_use]
     pub fn unattended(simulation: Simulation, ports: BrickPorts) -> Self {
         Self { simulation, ports, progress: watch::channel(0.0).0, controls: None }
     }
 
-    /// Drives in real time until the path ends or somebody stops it; gives the simulation back.
+    /// Drives in real time until the path ends or it is stopped; gives the simulation back.
     async fn run(self, timer: HostTimer, stop: CancellationToken) -> Simulation {
         let Self { mut simulation, mut ports, progress, mut controls } = self;
         let start = timer.now();

@@ -14,7 +14,7 @@ pub struct TruthTap {
 }
 
 impl TruthTap {
-    /// One who hears what is shown of a robot from now on; `None` for the only one.
+    /// A receiver of a robot's truth from now on; `None` for the only one.
     #[must_use]
     pub fn new(truth: &broadcast::Sender<TimedTruthSample>, robot: Option<RobotId>) -> Self {
         Self { receiver: truth.subscribe(), robot, missed: 0 }

@@ -2,7 +2,7 @@
 
 use posebridge_dashboard::model::Number;
 
-/// A number with so many decimals, or a dash if there is none.
+/// A number with this number of decimals, or a dash if there is none.
 #[must_use]
 pub(super) fn fixed(number: Number, decimals: usize) -> String {
     number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))

@@ -34,11 +34,11 @@ use self::theme::Theme;
 use self::tty::Tty;
 use crate::console::{redirect_stderr, restore_stderr};
 
-/// So many messages wait for the view, a bit more than a second of them; it looks twenty times a second.
+/// Most messages that wait for the view, a bit more than a second of them; it looks twenty times a second.
 pub const WAITING_FRAMES: usize = 64;
 /// A key is waited for so long before the screen is drawn anew: twenty pictures a second are more than an eye needs for numbers.
 const DRAW_PERIOD_MILLIS: u16 = 50;
-/// So many lines of the program are taken between two pictures.
+/// Most lines of the program that are read between two pictures.
 const MAX_LINES: usize = 256;
 
 /// What the view is connected to.
@@ -97,14 +97,14 @@ impl Drop for TerminalView {
     }
 }
 
-/// A message about a panic belongs on the screen as it was, behind what was said before, which `say_rest` says.
-fn restore_on_panic(tty: &Arc<Tty>, say_rest: fn()) {
+/// A message about a panic belongs on the screen as it was, behind the earlier lines, which `print_rest` prints.
+fn restore_on_panic(tty: &Arc<Tty>, print_rest: fn()) {
     let tty = Arc::downgrade(tty);
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         if let Some(tty) = tty.upgrade() {
             tty.restore();
-            say_rest();
+            print_rest();
         }
         before(panic);
     }));

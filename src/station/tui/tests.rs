@@ -136,7 +136,7 @@ fn frame() -> Frame {
                 calibration: Some(calibration()),
                 ..RobotFrame::default()
             },
-            // Heard, but nobody estimates it.
+            // Received, but not estimated.
             RobotFrame { id: "0/1/100".to_owned(), ..RobotFrame::default() },
         ],
         truth: truth(),
@@ -379,7 +379,7 @@ fn a_terminal_that_hangs_is_not_waited_for_and_gets_no_more_than_a_picture() {
     let tty = Tty::open_at(&name).unwrap();
     let mut screen = Screen::new(Arc::clone(&tty), Theme::Coloured).unwrap();
     let mut model = model();
-    // Nobody reads: the system's buffer fills, and from then on nothing is added.
+    // There is no reader: the system's buffer fills, and from then on nothing is added.
     let mut most = 0;
     for picture in 0..2_000_u32 {
         model.now_s = f64::from(picture);

@@ -1,6 +1,6 @@
 //! How things look: with the terminal's own colours, or without any where NO_COLOR is set (<https://no-color.org>).
 //!
-//! Nothing is told by colour alone: lines differ in their dots, fixes in their marks, verdicts in their words.
+//! Colour alone never carries information: lines differ in their dots, fixes in their marks, verdicts in their words.
 
 use ratatui::style::{Color, Modifier, Style};
 

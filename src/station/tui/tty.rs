@@ -1,8 +1,8 @@
 //! The person's terminal: taken, written to without ever waiting for it, and given back as it was.
 //!
 //! It is opened anew instead of using standard output, so that only this program's end becomes non-blocking: a terminal that hangs
-//! (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is gone, and the view still hears what it is
-//! told. Source of the modes: termios(3), `cfmakeraw`.
+//! (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is gone, and the view still receives its
+//! messages. Source of the modes: termios(3), `cfmakeraw`.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal, Read, Write};
@@ -41,7 +41,7 @@ pub struct Tty {
     is_taken: AtomicBool,
 }
 
-/// Whether there is a terminal to show things on and to hear keys from.
+/// Whether there is a terminal for output and for keys.
 ///
 /// # Errors
 /// Standard output or input is none, or one that can do nothing but letters.
@@ -65,7 +65,7 @@ impl Tty {
     /// It cannot be opened, or its modes cannot be set.
     pub fn open() -> Result<Arc<Self>> {
         let name = nix::unistd::ttyname(io::stdout()).context("--tui: the terminal has no name")?;
-        // That of somebody else, as after `su`, may be opened by the name that every process has for its own.
+        // That of another user, as after `su`, may be opened by the name that every process has for its own.
         Self::open_at(&name).or_else(|error| Self::open_at(Path::new("/dev/tty")).map_err(|_neither| error))
     }
 
@@ -112,7 +112,7 @@ impl Tty {
         Ok(true)
     }
 
-    /// What was typed, after so many milliseconds at the latest.
+    /// What was typed, after this number of milliseconds at the latest.
     ///
     /// # Errors
     /// The terminal is gone.
@@ -125,7 +125,7 @@ impl Tty {
         }
         let mut typed = vec![0; MAX_INPUT_BYTES];
         match (&self.file).read(&mut typed) {
-            // Whoever hangs up is heard as the end of what was typed.
+            // A hang-up reads as the end of the input.
             Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
             Ok(read) => {
                 typed.truncate(read);
@@ -153,7 +153,7 @@ impl Tty {
         if !self.is_taken.swap(false, Ordering::SeqCst) {
             return;
         }
-        // Whoever panics may hold it.
+        // The thread that panics may hold it.
         let mut rest = match self.pending.try_lock() {
             Ok(mut pending) => std::mem::take(&mut *pending),
             Err(TryLockError::Poisoned(poisoned)) => std::mem::take(&mut *poisoned.into_inner()),
@@ -169,7 +169,7 @@ impl Tty {
         let _ = tcsetattr(&self.file, SetArg::TCSANOW, &before);
     }
 
-    /// So many bytes were drawn and not yet written.
+    /// Number of bytes that were drawn and not yet written.
     #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
         self.pending().len()

@@ -1,4 +1,4 @@
-//! What a check looks at, and what it says.
+//! What a check examines, and its result.
 
 use std::path::PathBuf;
 
@@ -94,6 +94,6 @@ impl CheckResult {
 pub struct Finding {
     /// The check's name.
     pub name: &'static str,
-    /// What it says.
+    /// Its result.
     pub result: CheckResult,
 }

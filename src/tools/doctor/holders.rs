@@ -39,7 +39,7 @@ fn devices(examination: &DiagnosticContext) -> BTreeSet<PathBuf> {
     of_ports
         .chain(of_links)
         .filter_map(|device| fs::canonicalize(device).ok())
-        // Whoever makes a pseudo-terminal holds its other side as well, and is the robot.
+        // The process that creates a pseudo-terminal holds its other side as well, and plays the robot.
         .filter(|device| !device.starts_with("/dev/pts"))
         .collect()
 }

@@ -114,7 +114,7 @@ async fn try_speeds(
     }
 }
 
-/// TCP without a host and UDP wait for the robot: to hear a UDP robot at its own address, something had to be sent.
+/// TCP without a host and UDP wait for the robot: a UDP robot at its own address replies only after a datagram was sent.
 fn role_of(url: &LinkUrl) -> ConnectRole {
     let (host, _) = url.host_and_port();
     match url.transport().scheme() {

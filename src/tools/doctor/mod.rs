@@ -1,8 +1,8 @@
 //! `posebridge doctor`: says why a robot cannot be heard, and what to do about it.
 //!
 //! Each check looks at one cause and gives verdicts; a new check is a file and a line in [`CHECKS`]. Checks look, they
-//! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is read from stands in
-//! [`SystemRoots`], so that tests look at a made-up computer. docs/doctor.md is the manual.
+//! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is
+//! read from stands in [`SystemRoots`], so that tests look at a made-up computer. docs/doctor.md is the manual.
 
 pub mod bluetooth;
 mod check_result;
@@ -76,7 +76,7 @@ impl Check {
     }
 }
 
-/// Runs the checks and prints what they say.
+/// Runs the checks and prints their results.
 ///
 /// # Errors
 /// There is a problem, or the report cannot be printed: exit code 1.

@@ -1,7 +1,7 @@
-//! Whether ModemManager takes a newly plugged board for a modem and talks to it for some seconds.
+//! Whether ModemManager takes a newly plugged board for a modem and writes to it for some seconds.
 //!
-//! It opens USB boards (`ttyACM*`) when they appear and sends AT commands, unless udev says that it must not. What udev
-//! says lies in `/run/udev/data`, by the numbers of the device.
+//! It opens USB boards (`ttyACM*`) when they appear and sends AT commands, unless udev says that it must not. udev's properties
+//! are in `/run/udev/data`, by the numbers of the device.
 //!
 //! Source: ModemManager's reference manual, "Common udev tags" (ID_MM_DEVICE_IGNORE, ID_MM_PORT_IGNORE); systemd,
 //! sd-device (the files `c<major>:<minor>` with a line `E:KEY=VALUE` per property).

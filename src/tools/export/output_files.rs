@@ -53,7 +53,7 @@ impl AtomicFile {
 impl Drop for AtomicFile {
     fn drop(&mut self) {
         if !self.is_complete {
-            // Whoever drops it reports why there is no file.
+            // The caller that drops it reports why there is no file.
             drop(std::fs::remove_file(&self.temporary));
         }
     }

@@ -6,9 +6,9 @@
 //! run        = records that are off, held back until it is known what they are
 //!   damage   the times come back to the latest one by a leap, or make no sense among themselves: each counts as the latest time
 //!   date     two of the run agree, and a sender's stamps did not advance as much as the times: they go on by the stamps
-//!   silence  two of the run agree, and a sender's stamps advanced as much, or nobody's stamps tell
+//!   silence  two of the run agree, and a sender's stamps advanced as much, or no stamps decide
 //! ```
-//! A fall is never a silence: where nobody's stamps tell, time goes on where it was.
+//! A fall is never a silence: where no stamps decide, time goes on where it was.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
@@ -18,9 +18,9 @@ use posebridge_telemetry::Address;
 
 /// Times further apart than this do not follow each other; a fall by less is the disorder of a writer.
 const STEP_THRESHOLD_MICROS: u64 = 60_000_000;
-/// So many records tell what a leap is: some seconds of the slowest of our robots, and 70 KiB of the longest frames.
+/// Number of records that decide what a leap is: some seconds of the slowest of our robots, and 70 KiB of the longest frames.
 const LOOKAHEAD: usize = 256;
-/// The stamps of so many senders' messages are kept; what more send is not looked at.
+/// Most senders whose messages' stamps are kept; what more send is not looked at.
 const MAX_CLOCKS: usize = 64;
 
 /// A reading of a sender's clock.
@@ -32,7 +32,7 @@ pub(super) struct ClockReading {
     pub(super) micros: i64,
     /// After how many microseconds it begins anew, if its messages have no room for more.
     pub(super) wrap_period_micros: Option<i64>,
-    /// Whether it is the host's own clock, which tells exactly: of the others some delay lies between stamp and time.
+    /// Whether it is the host's own clock, which is exact: of the others some delay lies between stamp and time.
     pub(super) is_host_clock: bool,
 }
 
@@ -121,7 +121,7 @@ impl TimelineDefects {
 /// Takes records with the times that count, microseconds since 1970; they never fall.
 pub(super) type FrameSink<'t> = dyn FnMut(u64, &[u8]) + 't;
 
-/// Judges the times of a log, record by record.
+/// Corrects the times of a log, record by record.
 pub(super) struct Timeline {
     latest_micros: u64,
     /// What is added to a file's time.
@@ -132,7 +132,7 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    /// One that begins at a time of which it is known that others agree with it.
+    /// A timeline that begins at a time with which others are known to agree.
     pub(super) const fn new(first_micros: u64) -> Self {
         Self {
             latest_micros: first_micros,
@@ -143,7 +143,7 @@ impl Timeline {
         }
     }
 
-    /// Takes a record, and hands on those of which it is known when they were.
+    /// Takes a record, and passes on the records whose time is known.
     pub(super) fn push(&mut self, record: TimedRecord<'_>, take: &mut FrameSink<'_>) {
         if self.run.is_empty() && !self.is_outlier(&record) {
             return self.emit(&record, take);
@@ -198,7 +198,7 @@ impl Timeline {
         }
     }
 
-    /// The first so many records that wait have no time of their own.
+    /// How many of the first waiting records have no time of their own.
     fn drop_times(&mut self, count: usize, take: &mut FrameSink<'_>) {
         for record in self.run.drain(..count) {
             self.defects.damaged += 1;
@@ -213,7 +213,7 @@ impl Timeline {
         };
         self.drop_times(base, take);
         self.step();
-        // What is behind the step is judged anew: there may be another one.
+        // The records behind the step are examined again: there may be another one.
         for record in std::mem::take(&mut self.run) {
             self.push(record, take);
         }
@@ -229,7 +229,7 @@ impl Timeline {
         agreeing.or(is_rising.then_some(0))
     }
 
-    /// Judges the step to the first record of the run, which others agree with.
+    /// Classifies the step to the first record of the run, which others agree with.
     fn step(&mut self) {
         let Some(base) = self.run.front() else {
             return;
@@ -260,7 +260,7 @@ impl Timeline {
         first.map_or(self.latest_micros, |first| self.shifted(first.micros))
     }
 
-    /// By how much the times of the run advanced more than a sender's clock did; `None` if none tells. A clock that fell began anew.
+    /// By how much the times of the run advanced more than a sender's clock did; `None` if none decides. A clock that fell began anew.
     fn clock_error(&self) -> Option<i64> {
         let base = self.run.front()?;
         let of_run = self.run.iter().zip(self.run.iter().skip(1));
@@ -299,7 +299,7 @@ pub(super) const fn are_consistent(one_micros: u64, other_micros: u64) -> bool {
     is_possible(one_micros) && is_possible(other_micros) && one_micros.abs_diff(other_micros) <= STEP_THRESHOLD_MICROS
 }
 
-/// Nobody kept a log then.
+/// No log was kept then.
 pub(super) const fn is_possible(micros: u64) -> bool {
     micros < NEWEST_MICROS
 }
@@ -314,11 +314,11 @@ mod tests {
     const WRAPS_S: u64 = 4_295;
 
     /// Records at these seconds, with the readings of the robot's clock, s.
-    fn judged(records: &[(u64, Option<u64>)]) -> (Vec<u64>, TimelineDefects) {
+    fn timeline_of(records: &[(u64, Option<u64>)]) -> (Vec<u64>, TimelineDefects) {
         let mut timeline = Timeline::new(records[0].0 * SECOND);
         let mut times = Vec::new();
         let zero = records[0].0;
-        let mut take = |micros: u64, _frame: &[u8]| times.push(micros / SECOND - zero);
+        let mut record_time = |micros: u64, _frame: &[u8]| times.push(micros / SECOND - zero);
         for (at_s, sender_s) in records {
             let reading = sender_s.map(|sender_s| ClockReading {
                 clock: (Address::new(1, 1), 30),
@@ -328,15 +328,15 @@ mod tests {
             });
             let record =
                 TimedRecord { micros: at_s.saturating_mul(SECOND), clock_reading: reading, frame: Cow::default() };
-            timeline.push(record, &mut take);
+            timeline.push(record, &mut record_time);
         }
-        let found = timeline.finish(&mut take);
+        let found = timeline.finish(&mut record_time);
         (times, found)
     }
 
     fn without_clock(times_s: &[u64]) -> (Vec<u64>, TimelineDefects) {
         let records: Vec<_> = times_s.iter().map(|time_s| (*time_s, None)).collect();
-        judged(&records)
+        timeline_of(&records)
     }
 
     #[test]
@@ -359,7 +359,7 @@ mod tests {
         let (stamps, found) = without_clock(&[10, 11, 5_000, 5_001]);
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
         let shared = [(10, 3), (11, 4), (5_000, 4_993), (5_001, 4_994)];
-        let (stamps, found) = judged(&shared.map(|(at, clock_s)| (at, Some(clock_s))));
+        let (stamps, found) = timeline_of(&shared.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found), (vec![0, 1, 4_990, 4_991], TimelineDefects::default()));
     }
 
@@ -372,7 +372,7 @@ mod tests {
                 let clock_s = (second % 3 != 1).then_some(second + 77);
                 (DATE_S + step + second, clock_s)
             });
-            let (stamps, found) = judged(&records.collect::<Vec<_>>());
+            let (stamps, found) = timeline_of(&records.collect::<Vec<_>>());
             assert_eq!(stamps, (0..40).collect::<Vec<u64>>(), "{step_s}");
             assert_eq!((found.steps_ahead, found.damaged), (1, 0), "{step_s}");
         }
@@ -383,7 +383,7 @@ mod tests {
         let (stamps, found) = without_clock(&[5_000, 5_001, 1_401, 1_402]);
         assert_eq!((stamps, found.steps_back), (vec![0, 1, 1, 2], 1));
         let records = [(5_000, 3), (5_001, 4), (1_401, 8), (1_402, 9)];
-        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
+        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.steps_back), (vec![0, 1, 5, 6], 1));
         let disorder = without_clock(&[10, 12, 11, 13]);
         assert_eq!(disorder, (vec![0, 2, 2, 3], TimelineDefects::default()));
@@ -392,21 +392,21 @@ mod tests {
     #[test]
     fn a_clock_that_stands_still_says_nothing_of_a_silence() {
         let records = [(10, 0), (11, 0), (5_000, 0), (5_001, 0)];
-        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
+        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
     }
 
     #[test]
     fn a_clock_that_wraps_at_the_step_tells_all_the_same() {
         let records = [(5_000, 4_293), (5_001, 4_294), (8_602, 0), (8_603, 1)];
-        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
+        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.steps_ahead), (vec![0, 1, 2, 3], 1));
     }
 
     #[test]
     fn a_robot_that_began_anew_in_a_silence_says_nothing_of_the_date() {
         let records = [(10, 900), (11, 901), (5_000, 2), (5_001, 3)];
-        let (stamps, found) = judged(&records.map(|(at, clock_s)| (at, Some(clock_s))));
+        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
     }
 }

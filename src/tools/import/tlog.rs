@@ -1,4 +1,4 @@
-//! A telemetry log: the frames of everybody but the station, at the times that the file says.
+//! A telemetry log: the frames of all senders but the station, at the times in the file.
 //!
 //! # Model
 //! ```text
@@ -7,8 +7,8 @@
 //! ```
 //! Only times of verified frames with which the time before or behind them agrees say where zero is.
 //! The station's frames are left out, because a replay makes its own. Its time requests are kept as instants: a station that is
-//! woken at them asks at them, and so the answers in the file are answers to it. What the file cannot tell, when links came and went
-//! and how chunks were cut, is lost: such a replay is close to what was live, not the same bit for bit.
+//! woken at them asks at them, and so the answers in the file are answers to it. The file does not contain when links came and
+//! went and how chunks were cut: such a replay is close to what was live, not the same bit for bit.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ use crate::tools::tlog_records::{first_records, records};
 
 /// The only link of the recording.
 const LINK: LinkId = LinkId(0);
-/// The station is sought in so many records.
+/// Number of records that are searched for the station.
 const SEARCH_RECORDS: usize = 20_000;
 /// In a silence the station is woken so often, to find out that a robot was lost.
 const TICK: TimeDelta = TimeDelta::from_millis(1_000);
@@ -184,7 +184,7 @@ struct OriginSearch {
     record_count: usize,
     /// Offset and time of the first verified record.
     lone: Option<(u64, u64)>,
-    /// Time of the verified record before, and the zero that it tells.
+    /// Time of the verified record before, and the zero that follows from it.
     before: Option<(u64, Option<u64>)>,
     first: Option<u64>,
     zero: Option<u64>,

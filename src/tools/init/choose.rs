@@ -55,7 +55,7 @@ fn parse_choice(answer: &str) -> Option<BundledRobot> {
 mod tests {
     use super::*;
 
-    fn asked(answers: &str) -> (Result<&'static str, String>, String) {
+    fn prompt_with(answers: &str) -> (Result<&'static str, String>, String) {
         let mut shown = Vec::new();
         let robot = prompt(&mut answers.as_bytes(), &mut shown);
         let shown = String::from_utf8(shown).unwrap();
@@ -66,20 +66,20 @@ mod tests {
     #[test]
     fn a_number_or_a_name_chooses() {
         for answer in ["4\n", " nxt-56mm \n", "nxt-56mm", "0\nseven\n4\n"] {
-            let (robot, shown) = asked(answer);
+            let (robot, shown) = prompt_with(answer);
             assert_eq!(robot.as_deref(), Ok("nxt-56mm"), "{answer}");
             assert!(shown.contains("  4  nxt-56mm        LEGO NXT with 56 mm"), "{shown}");
         }
-        let (_, shown) = asked("0\nseven\n4\n");
+        let (_, shown) = prompt_with("0\nseven\n4\n");
         assert!(shown.contains("`seven` is none of them: a number from 1 to 6 or a name"), "{shown}");
     }
 
     #[test]
     fn who_does_not_answer_or_only_nonsense_is_told_what_to_do() {
-        let (robot, _) = asked("");
+        let (robot, _) = prompt_with("");
         let error = robot.unwrap_err();
         assert_eq!(error, "no robot was chosen; give its name: posebridge init arduino-2wd");
-        let (robot, shown) = asked("a\n\u{1b}[2J\nc\n4\n");
+        let (robot, shown) = prompt_with("a\n\u{1b}[2J\nc\n4\n");
         assert!(robot.unwrap_err().starts_with("no robot was chosen in 3 tries"));
         assert!(!shown.contains('\u{1b}'), "no escape comes back to the terminal");
     }

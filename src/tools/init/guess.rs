@@ -10,7 +10,7 @@ use crate::tools::doctor::ports::{SerialPort, serial_ports};
 const SERIAL: &str = "serial://";
 /// A board on a USB cable is one or the other, by its chip.
 const USB_PREFIXES: [&str; 2] = ["ttyACM", "ttyUSB"];
-/// So many further ports are named.
+/// Most further ports that are listed.
 const MAX_LISTED: usize = 8;
 
 /// The robot's usual link, with a port that is there in the place of its own.

@@ -15,7 +15,7 @@ pub(super) struct FramedFacts {
     /// Bytes of the file, or of its MAVLink links, unpacked.
     pub(super) bytes: u64,
     pub(super) census: TrafficStatistics,
-    /// Frames of messages that nobody knows.
+    /// Frames of unknown messages.
     pub(super) unknown_frames: u64,
     /// Their bytes, with the times before them.
     pub(super) unknown_bytes: u64,
@@ -64,7 +64,7 @@ impl InspectResult {
 /// What only a recording of ours has.
 #[derive(Debug)]
 pub(super) struct RecordingFacts {
-    /// What it says about itself.
+    /// Its own description.
     pub(super) header: RecordingHeader,
     /// How many inputs it holds.
     pub(super) inputs: u64,
@@ -103,7 +103,7 @@ impl RecordingFacts {
 pub(super) struct LinkFacts {
     /// Its URL.
     pub(super) url: String,
-    /// What its brick speaks, if that is no MAVLink.
+    /// The protocol of its brick, if that is not MAVLink.
     pub(super) brick: Option<String>,
     /// Chunks that came.
     pub(super) chunks: u64,

@@ -53,26 +53,26 @@ fn record_tlog_frame(framed: &mut FramedFacts, facts: &mut TlogFacts, record: &T
 /// They cannot be read.
 pub(super) fn bytes(mut file: InputFile) -> Result<FramedFacts> {
     let mut framed = FramedFacts::default();
-    let mut scanner = inspection_framer();
+    let mut framer = inspection_framer();
     let bar = progress_bar(file.size, "bytes")?;
     file.chunks(|chunk| {
         framed.bytes += chunk.len() as u64;
         let mut take = |found: FramerOutput<'_>| record_frame(&mut framed, LINK, found, None);
-        scanner.push(Timestamp::ZERO, chunk, &mut take);
+        framer.push(Timestamp::ZERO, chunk, &mut take);
         bar.inc(chunk.len() as u64);
     })?;
-    scanner.finish(&mut |found| record_frame(&mut framed, LINK, found, None));
+    framer.finish(&mut |found| record_frame(&mut framed, LINK, found, None));
     bar.finish_and_clear();
-    framed.bytes_outside = scanner.counters().garbage_bytes + framed.unknown_bytes;
+    framed.bytes_outside = framer.counters().garbage_bytes + framed.unknown_bytes;
     Ok(framed)
 }
 
-/// A scanner for what somebody else has recorded: of both versions and every dialect.
+/// A framer for recordings of other programs: of both versions and every dialect.
 pub(super) fn inspection_framer() -> Framer {
     Framer::with_all_dialects(FramerConfig { accept_v1: true, ..FramerConfig::default() })
 }
 
-/// Counts what a scanner has found.
+/// Counts what a framer has found.
 pub(super) fn record_frame(
     framed: &mut FramedFacts,
     link: LinkId,

@@ -84,7 +84,7 @@ fn utc_micros(framed: &FramedFacts, at: Option<Timestamp<HostClock>>) -> Value {
     json!(utc.and_then(|utc| u64::try_from(utc).ok()))
 }
 
-/// From the first to the last, s; nothing without times, or where the last lies before the first: such times tell no duration.
+/// From the first to the last, s; nothing without times, or where the last lies before the first: such times give no duration.
 pub(super) fn duration_s(all: &MessageStatistics) -> Option<f64> {
     let duration_s = (all.last? - all.first?).as_secs_f64();
     (duration_s >= 0.0).then_some(duration_s)

@@ -18,7 +18,7 @@ use crate::station::recording_warnings::missing_start;
 /// A recording lies in memory while it is inspected; more than that is not read.
 const MAX_BYTES: u64 = 4 << 30;
 
-/// So many damaged places are named.
+/// Most damaged places that are listed.
 const MAX_DAMAGES: usize = 20;
 
 /// Inspects a recording of ours.
@@ -46,9 +46,9 @@ pub(super) fn inspect(file: InputFile, path: &Path) -> Result<FramedFacts> {
             Err(_) => {}
         }
     }
-    for ((link, _), mut scanner) in scanners {
-        scanner.finish(&mut |found| record_frame(&mut framed, link, found, Some(facts.last)));
-        framed.bytes_outside += scanner.counters().garbage_bytes;
+    for ((link, _), mut framer) in scanners {
+        framer.finish(&mut |found| record_frame(&mut framed, link, found, Some(facts.last)));
+        framed.bytes_outside += framer.counters().garbage_bytes;
     }
     framed.bytes_outside += framed.unknown_bytes;
     if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
@@ -103,8 +103,8 @@ fn record_input(
             of_link.bytes += bytes.len() as u64;
             if of_link.brick.as_deref().is_none_or(|brick| brick == "mavlink") {
                 framed.bytes += bytes.len() as u64;
-                let scanner = scanners.entry((*link, *peer)).or_insert_with(inspection_framer);
-                scanner.push(now, bytes, &mut |found| {
+                let framer = scanners.entry((*link, *peer)).or_insert_with(inspection_framer);
+                framer.push(now, bytes, &mut |found| {
                     record_frame(framed, *link, found, Some(now));
                 });
             }

@@ -1,4 +1,4 @@
-//! What `inspect` tells people.
+//! The report of `inspect` for people.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use super::facts::{FramedFacts, InspectResult, RecordingFacts, TlogFacts};
 use super::json::{duration_s, kind_name};
 use crate::station::input_file::InputKind;
 
-/// So many gaps are named.
+/// Most gaps that are listed.
 const MAX_GAPS: usize = 5;
 
 /// The tables, one below the other.

@@ -1,4 +1,4 @@
-//! What a relay tells at its end, for people and for machines.
+//! The final report of a relay, for people and for machines.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -15,7 +15,7 @@ pub struct ReplayArgs {
     /// Estimators to run, side by side; may be repeated.
     #[arg(long = "filter", visible_alias = "estimator", value_name = "NAME")]
     pub filters: Vec<String>,
-    /// As fast as it was recorded (1), or so many times faster; without it as fast as possible.
+    /// Replay as fast as it was recorded (1), or faster by this factor; without it as fast as possible.
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub speed: Option<f64>,
     /// Write every event as a line of text.

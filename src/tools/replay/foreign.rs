@@ -25,7 +25,7 @@ use crate::station::per_robot::PerRobot;
 use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::score::{Scorer, pose_at};
 
-/// The bar moves when so many observations have been given.
+/// Number of observations between two moves of the bar.
 const PROGRESS_STEP: u64 = 1_024;
 /// The estimators of a foreign recording unless others are asked for.
 const DEFAULT_FILTERS: [&str; 2] = ["odometry", "pose"];

@@ -25,11 +25,11 @@ struct Report<'a> {
     runs: &'a [String],
     bad_rows: u64,
     /// By run.
-    smooth: Option<BTreeMap<&'a str, Smooth<'a>>>,
+    smooth: Option<BTreeMap<&'a str, SmootherEntry<'a>>>,
 }
 
 #[derive(Serialize)]
-struct Smooth<'a> {
+struct SmootherEntry<'a> {
     position_rms_m: Option<f64>,
     position_max_m: Option<f64>,
     position_rms_uncorrected_m: Option<f64>,
@@ -54,7 +54,7 @@ struct Estimator<'a> {
     position_rms_uncorrected_m: Option<f64>,
     heading_rms_rad: Option<f64>,
     anees: Option<f64>,
-    sources: Vec<Source>,
+    sources: Vec<SourceEntry>,
     /// By run.
     calibration: Option<BTreeMap<&'a str, CalibrationEntries>>,
 }
@@ -63,7 +63,7 @@ struct Estimator<'a> {
 pub(super) type CalibrationEntries = BTreeMap<&'static str, CalibrationEntry>;
 
 #[derive(Serialize)]
-pub(super) struct Source {
+pub(super) struct SourceEntry {
     name: &'static str,
     used: u64,
     slip: u64,
@@ -116,15 +116,15 @@ fn estimator(outcome: &FilterResult) -> Estimator<'_> {
 }
 
 /// What was found of each run; `None` if it was not asked for.
-fn smooth(runs: &[SmoothedRun]) -> Option<BTreeMap<&str, Smooth<'_>>> {
+fn smooth(runs: &[SmoothedRun]) -> Option<BTreeMap<&str, SmootherEntry<'_>>> {
     let by_run = runs.iter().map(|run| (run.run.as_str(), smooth_of(run)));
     (!runs.is_empty()).then(|| by_run.collect())
 }
 
-fn smooth_of(run: &SmoothedRun) -> Smooth<'_> {
+fn smooth_of(run: &SmoothedRun) -> SmootherEntry<'_> {
     let found = run.result.as_ref().ok();
     let of_found = |count: fn(&SmoothedResult) -> usize| found.map(count);
-    Smooth {
+    SmootherEntry {
         position_rms_m: run.errors.position_rms_m,
         position_max_m: run.errors.position_max_m,
         position_rms_uncorrected_m: run.uncorrected.position_rms_m,
@@ -148,8 +148,8 @@ fn calibration(runs: &[LearnedCalibration]) -> Option<BTreeMap<&str, Calibration
     (!runs.is_empty()).then(|| by_run.collect())
 }
 
-pub(super) fn source(tally: &SourceTally) -> Source {
-    Source {
+pub(super) fn source(tally: &SourceTally) -> SourceEntry {
+    SourceEntry {
         name: tally.sensor.name(),
         used: tally.used + tally.reset_to,
         slip: tally.slip,

@@ -9,7 +9,7 @@ use posebridge_report::{FIGURES, PoseTrack, RunLayers};
 use super::args::ReplayArgs;
 use crate::station::event_collector::EventCollector;
 
-/// Writes what still waits: a writer that is dropped tells nobody that the disk is full.
+/// Writes what still waits: a writer that is dropped does not report that the disk is full.
 pub(super) fn finish_events(mut events: BufWriter<File>) -> Result<()> {
     events.flush().context("writing the events")
 }

@@ -16,13 +16,14 @@ use super::replay_watcher::ReplayWatcher;
 use super::result::{FilterResult, ReplayResult};
 use super::smooth::{SmoothError, SmoothedRun};
 use super::watch::{ReplayLane, ReplayPacer, Window};
-use crate::config::Config;
+use crate::config::{Config, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
-use crate::station::per_robot::PerRobot;
+use crate::station::per_robot::{PerRobot, RobotEntry};
+use crate::tools::ground_truth::GroundTruth;
 
 /// What a recording of ours is called among runs.
 pub const WHOLE_RUN: &str = "recording";
@@ -45,18 +46,18 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     }
     let mut events = args.events.as_deref().map(create).transpose().before_start()?;
     let pace = args.speed.map(ReplayPacer::new).transpose().before_start()?;
-    let mut replay_watcher = watchers(args, configs.len(), events.as_mut());
+    let mut watchers = create_watchers(args, configs.len(), events.as_mut());
     let mut lanes = Vec::new();
-    for (config, replay_watcher) in configs.iter().zip(&mut replay_watcher) {
+    for (config, watcher) in configs.iter().zip(&mut watchers) {
         let station = OwnRecording::station(flags, config).before_start()?;
-        lanes.push(ReplayLane { station, watcher: replay_watcher });
+        lanes.push(ReplayLane { station, watcher });
     }
-    let passage = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
-    for note in &passage.notes {
+    let summary = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
+    for note in &summary.notes {
         print_line(&format!("{}: {note}", recording.name));
     }
     let stations: Vec<Station> = lanes.into_iter().map(|lane| lane.station).collect();
-    let collectors: Vec<_> = replay_watcher.into_iter().map(ReplayWatcher::finish).collect();
+    let collectors: Vec<_> = watchers.into_iter().map(ReplayWatcher::finish).collect();
     if let Some(events) = events {
         finish_events(events).while_running()?;
     }
@@ -64,7 +65,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     let replays: Vec<FilterReplay<'_>> =
         replays.map(|(config, (station, collectors))| FilterReplay { config, station, collectors }).collect();
     summarize(args, &recording, replays).map(|replayed| ReplayResult {
-        duration: passage.duration,
+        duration: summary.duration,
         changed_settings: changed,
         ..replayed
     })
@@ -87,7 +88,7 @@ fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
 }
 
 /// The last one has the event file and the status block; each keeps what tables need.
-fn watchers<'e>(
+fn create_watchers<'e>(
     args: &ReplayArgs,
     count: usize,
     mut events: Option<&'e mut BufWriter<File>>,
@@ -106,6 +107,7 @@ fn watchers<'e>(
     all
 }
 
+/// Results of every estimator for every robot. Pictures and the smoothed path are those of the last estimator.
 fn summarize(
     args: &ReplayArgs,
     recording: &OwnRecording,
@@ -115,48 +117,89 @@ fn summarize(
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
     let count = replays.len();
     for (index, replay) in replays.into_iter().enumerate() {
-        let robots = replay.collectors.into_entries();
-        let has_several = robots.len() > 1;
-        for (position, robot) in robots.into_iter().enumerate() {
-            let label = has_several.then_some(robot.label);
-            let known = recording.ground_truth(args.session.truth.as_deref(), robot.robot).before_start()?;
-            let engine = replay.station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
-            let file = replay.config.robot_file(engine);
-            let mut filter_config = replay.config.filter_config_of(file).before_start()?;
-            let prior = filter_config.calibration;
-            let collector = robot.value;
-            if index + 1 == count {
-                // The robot may have described another geometry than the configuration.
-                filter_config.geometry = engine.map_or(filter_config.geometry, Robot::geometry);
-                let run = label.as_deref().unwrap_or(WHOLE_RUN);
-                let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, known.truth.as_ref()));
+        let is_first_estimator = index == 0;
+        let is_last_estimator = index + 1 == count;
+        let entries = replay.collectors.into_entries();
+        let has_several = entries.len() > 1;
+        for (position, entry) in entries.into_iter().enumerate() {
+            let label = has_several.then(|| entry.label.clone());
+            let known = recording.ground_truth(args.session.truth.as_deref(), entry.robot).before_start()?;
+            let robot = RobotReplay::new(replay.config, replay.station, label, entry).before_start()?;
+            if is_first_estimator {
+                result.observations += robot.collector.observations;
+            }
+            if is_last_estimator {
+                let smoothed = args.smooth.then(|| robot.smooth(known.truth.as_ref()));
                 if position == 0 {
-                    let path = smoothed.as_ref().and_then(SmoothedRun::track);
-                    let tracks = ReferenceTracks {
-                        truth: known.truth.as_ref(),
-                        odometry: known.odometry.as_ref(),
-                        smoothed: path.as_ref(),
-                    };
-                    write_charts(args, &recording.name, &collector, tracks).while_running()?;
+                    robot.write_charts(args, &recording.name, &known, smoothed.as_ref()).while_running()?;
                 }
                 result.smoothed.extend(smoothed);
             }
-            if index == 0 {
-                result.observations += collector.observations;
-            }
-            let run = label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
-            let learned = engine.and_then(|engine| LearnedCalibration::of_robot(engine, &run, file, &prior));
-            result.outcomes.push(FilterResult {
-                name: replay.config.filter.name.clone(),
-                robot: label,
-                errors: errors(&collector, known.truth.as_ref()),
-                position_rms_uncorrected_m: None,
-                learned: learned.into_iter().collect(),
-                sources: collector.sources,
-            });
+            result.outcomes.push(robot.into_result(known.truth.as_ref()));
         }
     }
     Ok(result)
+}
+
+/// One robot as one estimator followed it.
+struct RobotReplay<'m> {
+    config: &'m Config,
+    /// The robot's part of the configuration.
+    file: &'m RobotFile,
+    filter_config: FilterConfig,
+    /// `None` if the station received nothing from a robot.
+    robot: Option<&'m Robot>,
+    /// What results call it, where there are several robots.
+    label: Option<String>,
+    collector: EventCollector,
+}
+
+impl<'m> RobotReplay<'m> {
+    fn new(
+        config: &'m Config,
+        station: &'m Station,
+        label: Option<String>,
+        entry: RobotEntry<EventCollector>,
+    ) -> Result<Self> {
+        let robot = station.robots().iter().find(|robot| Some(robot.id()) == entry.robot);
+        let file = config.robot_file(robot);
+        Ok(Self { config, file, filter_config: config.filter_config_of(file)?, robot, label, collector: entry.value })
+    }
+
+    /// The path in hindsight, with the geometry that the robot described, where it did.
+    fn smooth(&self, truth: Option<&PoseTrack>) -> SmoothedRun {
+        let mut filter_config = self.filter_config.clone();
+        filter_config.geometry = self.robot.map_or(filter_config.geometry, Robot::geometry);
+        smoothed(self.label.as_deref().unwrap_or(WHOLE_RUN), &filter_config, &self.collector, truth)
+    }
+
+    /// Draws the estimates beside truth, odometry and the smoothed path.
+    fn write_charts(
+        &self,
+        args: &ReplayArgs,
+        title: &str,
+        known: &GroundTruth,
+        smoothed: Option<&SmoothedRun>,
+    ) -> Result<()> {
+        let path = smoothed.and_then(SmoothedRun::track);
+        let tracks =
+            ReferenceTracks { truth: known.truth.as_ref(), odometry: known.odometry.as_ref(), smoothed: path.as_ref() };
+        write_charts(args, title, &self.collector, tracks)
+    }
+
+    fn into_result(self, truth: Option<&PoseTrack>) -> FilterResult {
+        let run = self.label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
+        let prior = &self.filter_config.calibration;
+        let learned = self.robot.and_then(|robot| LearnedCalibration::of_robot(robot, &run, self.file, prior));
+        FilterResult {
+            name: self.config.filter.name.clone(),
+            robot: self.label,
+            errors: errors(&self.collector, truth),
+            position_rms_uncorrected_m: None,
+            learned: learned.into_iter().collect(),
+            sources: self.collector.sources,
+        }
+    }
 }
 
 /// Every published estimate against the truth at its own stamp.

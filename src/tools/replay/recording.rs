@@ -17,14 +17,14 @@ use crate::station::signing;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, ImportedSession, InputSource, StationOptions};
 
-/// The bar moves when so many bytes have been read.
+/// Number of bytes between two moves of the bar.
 const PROGRESS_STEP_BYTES: u64 = 256 * 1024;
 
 /// A recording of ours, in memory, or a telemetry log in its place.
 pub struct OwnRecording {
     /// Its path, as it was given.
     pub name: String,
-    /// What it says about itself.
+    /// Its own description.
     pub header: RecordingHeader,
     inputs: InputSource,
     /// What is missing of the file's parts.

@@ -23,7 +23,7 @@ pub(super) struct ReplayWatcher<'e> {
     view: Option<TimedView>,
 }
 
-/// The status block of a replay that somebody watches.
+/// The status block of a replay with `--speed`.
 struct TimedView {
     live: LiveView,
     period: TimeDelta,

@@ -1,11 +1,12 @@
-//! `--robot FILE`: a profile laid over what the recording says of its robot, as if each key had been given by `--set`.
+//! `--robot FILE`: a profile that overrides the recording's description of its robot, as if each key had been given by `--set`.
 
 use anyhow::{Context, Result};
 
 use crate::config::{RobotProfile, Setting};
 use crate::flags::SessionFlags;
 
-/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is where the robot's table is in what they are laid over.
+/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is where the robot's table is in what they
+/// are laid over.
 ///
 /// # Errors
 /// The profile cannot be read or describes no robot.

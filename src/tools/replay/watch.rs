@@ -20,7 +20,7 @@ pub trait EventWatcher {
     fn after_input(&mut self, _now: Timestamp<HostClock>, _station: &Station) {}
 }
 
-/// For who needs no more than tracks and tallies.
+/// For a caller that needs no more than tracks and counts.
 impl EventWatcher for EventCollector {
     fn observe(&mut self, _now: Timestamp<HostClock>, event: &Event) -> Result<()> {
         self.on_event(event);
@@ -36,10 +36,10 @@ impl EventWatcher for PerRobot<EventCollector> {
     }
 }
 
-/// Whether anybody sees what happens.
+/// Whether progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WindowPosition {
-    /// Before the part that counts: the filter needs it, nobody else does.
+    /// Before the part that counts: only the filter needs it.
     Before,
     /// Within it.
     Within,
@@ -57,7 +57,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// What the flags say.
+    /// The window from the flags.
     ///
     /// # Errors
     /// It ends before it begins.

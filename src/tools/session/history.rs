@@ -18,7 +18,7 @@ use crate::station::event_collector::{EventCollector, ThinnedSeries};
 use crate::station::per_robot::PerRobot;
 use crate::tools::replay::watch::EventWatcher;
 
-/// So many samples of a curve are kept; an hour at 50 Hz has fewer.
+/// Most samples of a curve that are kept; an hour at 50 Hz has fewer.
 const MAX_SAMPLES: usize = 200_000;
 /// What was learned is asked for this often.
 const LEARNED_PERIOD: TimeDelta = TimeDelta::from_millis(200);
@@ -36,7 +36,7 @@ pub struct SourceHistory {
     pub samples: ThinnedSeries<InnovationSample>,
 }
 
-/// What was believed of one systematic error.
+/// The estimates of one systematic error.
 #[derive(Debug)]
 pub struct CalibrationHistory {
     /// Its key.

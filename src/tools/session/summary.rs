@@ -11,7 +11,7 @@ use crate::station::learned_calibration::LearnedCalibration;
 pub struct SessionSummary {
     /// The recording, as it was given.
     pub recording: String,
-    /// What it says about itself: name and value.
+    /// Its own description: name and value.
     pub facts: Vec<(String, String)>,
     /// The filter that was run.
     pub filter: String,
@@ -23,7 +23,7 @@ pub struct SessionSummary {
     pub runs: Vec<RunSummary>,
 }
 
-/// By what errors are judged.
+/// The reference for errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScoreReference {
     /// Where the robot really was.
@@ -46,7 +46,7 @@ pub struct RunSummary {
     pub reference: ScoreReference,
     /// Where the robot was.
     pub truth: Option<PoseTrack>,
-    /// Where the brick alone believed it was, or where the wheels alone say it was.
+    /// The path by the brick's own odometry, or by the wheels alone.
     pub odometry: Option<PoseTrack>,
     /// What the filter has learned.
     pub learned: Option<LearnedCalibration>,
@@ -79,7 +79,7 @@ impl RunSummary {
             .collect()
     }
 
-    /// The verdict on the whole run: bad if any sensor's is, good if at least one could be judged.
+    /// The verdict on the whole run: bad if any sensor's is, good if at least one could be tested.
     #[must_use]
     pub fn verdict(&self) -> (VerdictTone, &'static str, String) {
         let verdicts = self.source_summaries();

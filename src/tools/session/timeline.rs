@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 
 use posebridge_telemetry::{Estimate, Event, LinkState, PoseCorrection, ReceiveError, SignatureError, TimeDelta};
 
-/// So many are kept; the rest is counted.
+/// Most events that are kept; the rest is counted.
 const MAX_ENTRIES: usize = 400;
 
 /// One thing that happened.

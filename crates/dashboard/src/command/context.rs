@@ -88,7 +88,7 @@ fn sensor_fault(sensor: SensorId) -> Option<FieldFault> {
     (!sensor.is_known()).then(|| FieldFault {
         field: "sensor",
         found: sensor.0.into(),
-        expected: "the number of a sensor, as /v1/sources tells them".to_owned(),
+        expected: "the number of a sensor, as listed by /v1/sources".to_owned(),
     })
 }
 

@@ -188,7 +188,7 @@ pub const COMMANDS: &[CommandRow] = &[
     },
     CommandRow {
         name: "camera-delay",
-        help: "the simulated camera tells what it has seen so much later",
+        help: "the delay of the simulated camera's fixes",
         target: CommandTarget::Robot,
         fields: &[simulated("delay_ms")],
         build: |values| Command::Simulator(SimulatorCommand::CameraDelay { delay: millis(values.number("delay_ms")) }),

@@ -39,7 +39,7 @@ pub struct Frame {
     /// The recording that is being written, `null` if none is; once a second, else absent.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub recording: Option<Option<RecordingNow>>,
-    /// So many messages this reader has missed because it was slow.
+    /// Number of messages that this reader has missed because it was slow.
     pub dropped: u64,
 }
 
@@ -96,7 +96,7 @@ pub struct RobotFrame {
     pub fixes: Vec<FixPoint>,
     /// What became of each observation.
     pub fusion: Vec<FusionPoint>,
-    /// Estimates against the truth of their instants, where a simulated robot tells it; absent without news.
+    /// Estimates against the truth of their instants, where a simulated robot sends it; absent without news.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scores: Vec<ScorePoint>,
     /// How far its odometry and its last estimate are from the truth; absent without truth or news.
@@ -161,7 +161,7 @@ pub struct FixPoint {
     pub x_m: Number,
     /// North, in metres.
     pub y_m: Number,
-    /// Heading, if the camera tells it.
+    /// Heading, if the camera measures it.
     pub heading_rad: Number,
     /// The camera's name.
     pub sensor: String,
@@ -209,7 +209,7 @@ pub struct ScorePoint {
     pub claim_m: Number,
 }
 
-/// So many observations of one kind came from a sensor until an instant, since the beginning.
+/// Number of observations of one kind from a sensor, from the beginning until an instant.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TallyPoint {
@@ -219,11 +219,11 @@ pub struct TallyPoint {
     pub sensor: String,
     /// The kind of observation.
     pub kind: String,
-    /// So many came.
+    /// Number that came.
     pub seen: u64,
-    /// So many of them were gated.
+    /// Number of them that were gated.
     pub gated: u64,
-    /// So many of them came 0.15 s or more behind the filter's time.
+    /// Number of them that came 0.15 s or more behind the filter's time.
     pub late: u64,
 }
 
@@ -258,7 +258,7 @@ pub struct TruthPoint {
     pub y_m: Number,
     /// Heading.
     pub heading_rad: Number,
-    /// Where the brick's own dead reckoning believed it to be: x_m, y_m, heading_rad.
+    /// The pose by the brick's own dead reckoning: x_m, y_m, heading_rad.
     pub odometry: Option<[Number; 3]>,
 }
 

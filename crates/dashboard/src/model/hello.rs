@@ -99,7 +99,7 @@ pub struct RecordingRow {
     pub name: String,
     /// So large it is.
     pub bytes: u64,
-    /// When it was begun, in seconds since 1970 UTC; `null` if the file system does not tell.
+    /// When it was begun, in seconds since 1970 UTC; `null` if the file system does not report it.
     pub begun: Option<u64>,
     /// Whether it is being written.
     pub is_current: bool,

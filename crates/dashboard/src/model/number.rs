@@ -4,7 +4,7 @@ use posebridge_telemetry::{HostClock, Timestamp};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A measured quantity with about seven digits, far below what any sensor tells; `null` if it is not finite.
+/// A measured quantity with about seven digits, far below the resolution of any sensor; `null` if it is not finite.
 #[derive(Clone, Copy, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(transparent)]
 pub struct Number(Option<f32>);

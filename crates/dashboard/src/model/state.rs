@@ -51,7 +51,7 @@ pub struct RobotState {
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct LatencyRow {
-    /// Over so many estimates.
+    /// Number of estimates behind it.
     pub estimates: u64,
     /// Median, in milliseconds.
     pub p50_ms: Number,
@@ -65,7 +65,7 @@ pub struct LatencyRow {
 pub struct Counters {
     /// Estimates.
     pub estimates: u64,
-    /// Events that the dashboard was not told because it was behind.
+    /// Events that the dashboard did not receive because it was behind.
     pub events_dropped: u64,
     /// Readers of `/v1/stream` at the moment.
     pub clients: u64,

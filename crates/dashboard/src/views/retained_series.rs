@@ -9,7 +9,7 @@ use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
 const MAX_PENDING: usize = 256;
 /// Most robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
 pub(crate) const MAX_ROBOTS: usize = 64;
-/// So many robots have all the points of the policy each; more robots share as many, so that the history of a full class
+/// Most robots that get all the points of the policy each; more robots share as many, so that the history of a full class
 /// is a message that a browser takes.
 const ROBOTS_WITH_ALL_POINTS: usize = 8;
 

@@ -115,7 +115,7 @@ impl DynamicFilter {
             || self.initial_state(observation.stamp, y / row[QUANTITY]),
             |state| self.predict_state(state, observation.stamp),
         );
-        // A sensor that is late speaks of an instant before the state's: its row is led back to it.
+        // A late sensor's stamp lies before the state's instant: its row is led back to it.
         let by_row = self.propagate_row_back(&row, (observation.stamp - state.stamp).as_secs_f64());
         let predicted: f64 = (0..ROWS).map(|i| by_row[i] * state.mean[i]).sum();
         let scalar = ScalarMeasurement {

@@ -1,4 +1,4 @@
-//! Dead reckoning by the wheels alone: what a brick believes without help.
+//! Dead reckoning by the wheels alone: the pose that a brick computes without help.
 //!
 //! It uses the papers' midpoint rule (paper 1, equation 13) and nominal geometry, looks at no gyro and no fix, and is there to
 //! be compared with. Its covariance grows by the same noise model as that of the other filters.
@@ -73,7 +73,7 @@ impl OdometryFilter {
         self.states.back().copied().unwrap_or_else(DeadReckonedState::at_origin)
     }
 
-    /// Carries a belief forward over what the wheels did, and stands still where nothing is known.
+    /// Carries an estimate forward over the wheels' motion, and stands still where nothing is known.
     fn propagate(&self, from: &DeadReckonedState, to: Timestamp<BrickClock>) -> DeadReckonedState {
         let mut next = *from;
         next.stamp = Some(to);
@@ -124,11 +124,11 @@ impl OdometryFilter {
         validation::fusion_outcome(added)
     }
 
-    /// A late reading changes only what lies behind it: reckons again from the last belief before it.
+    /// A late reading changes only what lies behind it: recomputes from the last estimate before it.
     ///
     /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
     fn recompute_from(&mut self, stamp: Timestamp<BrickClock>) {
-        // The oldest belief is where everything starts, and stays.
+        // The oldest estimate is the start, and stays.
         let first_later = self.states.partition_point(|belief| belief.stamp <= Some(stamp)).max(1);
         let mut belief = self.states[first_later - 1];
         let slot = DeadReckonedState { stamp: Some(stamp), ..belief };

@@ -1,7 +1,7 @@
 //! A sensor that takes its time: what it shows is its input, seen through its own dynamics.
 //!
-//! A thermometer in a bath shows the bath's temperature only after minutes, but the way that it goes there tells the end long
-//! before. The models here say how sensors approach a constant input; [`crate::filters::dynamic`] estimates the input.
+//! A thermometer in a bath shows the bath's temperature only after minutes, but the course of its readings determines the end
+//! long before. The models here say how sensors approach a constant input; [`crate::filters::dynamic`] estimates the input.
 //!
 //! # Model
 //! ```text
@@ -163,7 +163,7 @@ impl DynamicModel {
         self.state_count
     }
 
-    /// F over so many seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
+    /// F over a time in seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
     #[must_use]
     pub fn transition(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let mut f = SMatrix::<f64, ROWS, ROWS>::identity();
@@ -171,7 +171,7 @@ impl DynamicModel {
         f
     }
 
-    /// Q over so many seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
+    /// Q over a time in seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
     /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
     #[must_use]
     pub fn random_walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {

@@ -1,6 +1,6 @@
 //! A body in the plane whose speeds are states and whose accelerations are an input.
 //!
-//! The motion of the filters that believe in speeds rather than in wheel travel. [`advance`] and [`jacobian`] are for filters that
+//! The motion of the filters whose state holds speeds instead of using wheel travel. [`advance`] and [`jacobian`] are for filters that
 //! carry more rows or sigma points; [`PredictionStep`] carries mean and covariance together, and neither multiplies the zeros of F nor
 //! computes more than one triangle of P.
 //!

@@ -2,8 +2,8 @@
 //!
 //! A filter asks these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
 //! stamp lies inside an encoder interval is applied at its own time, and a late reading changes nothing but the intervals
-//! that it belongs to. What a track says depends on the readings that it holds and not on the order in which they came.
-//! The tracks hold no filter state and judge nothing but what a wheel can do.
+//! that it belongs to. The travel of a track depends on the readings that it holds and not on the order in which they came.
+//! The tracks hold no filter state, and reject only what a wheel cannot do.
 
 mod gyro;
 mod reading;

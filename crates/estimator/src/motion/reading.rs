@@ -1,4 +1,4 @@
-//! A motion reading and the travel that two of them tell.
+//! A motion reading, and the travel between two of them.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, Heading, ObservationKind, Odom, Pose, Timestamp};
 

@@ -35,7 +35,7 @@ pub enum TravelSegment {
         /// which order they came, m². Zero over short intervals.
         path_var_m2: f64,
     },
-    /// There are readings on both sides, or after it, but they do not tell how the robot moved.
+    /// There are readings on both sides, or after it, but they do not determine how the robot moved.
     Gap {
         /// Its end.
         until: Timestamp<BrickClock>,
@@ -154,7 +154,7 @@ impl MotionTrack {
         (step.forward_m * step.turn_rad).powi(2) / 12.0
     }
 
-    /// The reading before the one at `stamp` and the travel since, where it is short enough to tell a speed.
+    /// The reading before the one at `stamp` and the travel since, where it is short enough to give a speed.
     #[must_use]
     pub fn step_to(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, WheelTravel)> {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);

@@ -11,7 +11,7 @@ pub(crate) fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Opt
     factorise(matrix, root_of).ok()
 }
 
-/// Cholesky's decomposition L L' of a symmetric matrix, of which the lower triangle is read. `root_of` says of a row and its pivot,
+/// Cholesky's decomposition L L' of a symmetric matrix. Only the lower triangle is read. `root_of` says of a row and its pivot,
 /// what is left of the diagonal there, what the diagonal of L becomes; with zero the whole column does.
 ///
 /// # Errors

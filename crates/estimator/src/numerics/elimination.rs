@@ -52,7 +52,7 @@ impl EliminationFront {
         self.triangle.insert(position, [0.0; CAPACITY + 1]);
     }
 
-    /// Takes in a row of the problem; what it says about variables that are not active is left out.
+    /// Takes in a row of the problem; its part about variables that are not active is left out.
     pub(crate) fn add_row(&mut self, entries: &[(Variable, f64)], rhs: f64) {
         let mut row = self.dense(entries);
         row[RHS] = rhs;

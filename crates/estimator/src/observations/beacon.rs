@@ -25,7 +25,7 @@ pub struct Beacon {
     pub slot: usize,
 }
 
-/// Innovation, H and R of a range; `None` when the robot believes to stand on the beacon.
+/// Innovation, H and R of a range; `None` when the estimate is on the beacon.
 #[must_use]
 pub fn measurement(
     view: &impl PoseView,

@@ -1,8 +1,8 @@
 //! The gyro against the encoders' heading over a window, instead of sample by sample.
 //!
 //! Differences of one-degree counts every 50 ms are not white: what one interval has too much, the next has too little.
-//! Over a window the quantisation is bounded instead of accumulated. The state carries the turn psi since the window began, as
-//! the encoders tell it; its errors are those of the heading, so that the two move together. The gyro observes it:
+//! Over a window the quantisation is bounded instead of accumulated. The state carries the turn psi since the window began, by
+//! the encoders; its errors are those of the heading, so that the two move together. The gyro observes it:
 //!
 //! ```text
 //! z = G                          the gyro's turn over the window, bias included

@@ -25,7 +25,7 @@ pub struct RangeBearing {
     pub bearing_rad: f64,
 }
 
-/// Innovation, H and R of a sighting; `None` when the robot believes to stand on the landmark.
+/// Innovation, H and R of a sighting; `None` when the estimate is on the landmark.
 #[must_use]
 pub fn measurement(
     view: &impl PoseView,

@@ -9,7 +9,7 @@ use crate::models::lie::Se2;
 pub enum StateTerm {
     /// Gyro bias, rad/s.
     GyroBias,
-    /// Turn since the gyro window began, as the encoders tell it, rad.
+    /// Turn since the gyro window began, by the encoders, rad.
     WindowTurn,
     /// By how much the encoders' heading was rounded where the gyro window began, rad.
     HeadingRounding,
@@ -29,7 +29,7 @@ pub enum StateTerm {
     LandmarkScale,
 }
 
-/// The belief of a filter, as far as an observation model may see it.
+/// The state of a filter, as far as an observation model may see it.
 pub trait PoseView {
     /// The pose in the arena.
     fn pose(&self) -> Se2;

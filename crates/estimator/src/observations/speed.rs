@@ -15,12 +15,12 @@ use super::gyro_window::{gyro_variance, rounding_variance};
 use crate::models::differential_drive::StepNoise;
 use crate::models::se2::BodyStep;
 
-/// Variance below which no speed is believed, (mm/s)²: a wheel that stands may still creep within its backlash.
+/// Least variance of a speed, (mm/s)²: a wheel that stands may still creep within its backlash.
 const MIN_FORWARD_VARIANCE: f64 = 1e-6;
 /// The same for the turn rate, (0.1 degrees/s)².
 const MIN_TURN_VARIANCE: f64 = 3e-6;
 
-/// A speed as a sensor tells it, m/s or rad/s.
+/// A measured speed, m/s or rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedReading {
     /// The speed.

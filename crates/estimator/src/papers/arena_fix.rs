@@ -31,7 +31,7 @@ pub(super) fn with_heading<const N: usize>(
 /// nu = z - (x, y) - R(th) l          H = [ 1 0 -(R l)_y ]
 ///                                        [ 0 1  (R l)_x ]          l the tag in the body
 /// ```
-/// What is believed comes first, x in m, y in m and the heading in rad, then the rows of these.
+/// The estimate comes first, x in m, y in m and the heading in rad, then the rows of these.
 #[must_use]
 pub(super) fn position_in_arena<const N: usize>(
     [x_m, y_m, heading_rad]: [f64; 3],

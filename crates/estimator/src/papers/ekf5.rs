@@ -65,7 +65,7 @@ pub enum FixUsage {
 /// Builds the filter: as the paper has it with [`SpeedVarianceOrder::Printed`].
 #[must_use]
 pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
-    Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes), config))
+    Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes, predict_linearized), config))
 }
 
 /// Q over `dt_s`, SI units.
@@ -79,6 +79,15 @@ pub fn process_noise(order: SpeedVarianceOrder, dt_s: f64) -> Covariance {
     covariance_si(diagonal) * (dt_s / SAMPLING_INTERVAL_S)
 }
 
+/// Moves state and covariance of the filter by a number of seconds, process noise included.
+pub(super) type Prediction = fn(&mut FiveStateEkf, f64, Acceleration);
+
+/// The prediction of the EKF: P' = F P F' + Q.
+pub(super) fn predict_linearized(filter: &mut FiveStateEkf, dt_s: f64, felt: Acceleration) {
+    let step = PredictionStep { interval_s: dt_s, variances: process_noise(filter.order, dt_s).diagonal().into() };
+    step.predict(&mut filter.mean, &mut filter.covariance, felt);
+}
+
 /// State, covariance and the two integrals.
 #[derive(Clone, Copy)]
 pub(super) struct FiveStateEkf {
@@ -86,6 +95,7 @@ pub(super) struct FiveStateEkf {
     pub(super) covariance: Covariance,
     pub(super) order: SpeedVarianceOrder,
     fixes: FixUsage,
+    prediction: Prediction,
     /// th_enc, rad.
     wheel_heading_rad: f64,
     /// th_gyro, rad.
@@ -93,12 +103,13 @@ pub(super) struct FiveStateEkf {
 }
 
 impl FiveStateEkf {
-    pub(super) fn new(order: SpeedVarianceOrder, fixes: FixUsage) -> Self {
+    pub(super) fn new(order: SpeedVarianceOrder, fixes: FixUsage, prediction: Prediction) -> Self {
         Self {
             mean: Mean::zeros(),
             covariance: covariance_si(INITIAL_VARIANCES),
             order,
             fixes,
+            prediction,
             wheel_heading_rad: 0.0,
             gyro_heading_rad: 0.0,
         }
@@ -155,8 +166,7 @@ impl SampledFilter for FiveStateEkf {
     }
 
     fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
-        let step = PredictionStep { interval_s: dt_s, variances: process_noise(self.order, dt_s).diagonal().into() };
-        step.predict(&mut self.mean, &mut self.covariance, felt);
+        (self.prediction)(self, dt_s, felt);
     }
 
     fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {

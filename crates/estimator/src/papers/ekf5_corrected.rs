@@ -42,7 +42,7 @@ use crate::update::ScalarMeasurement;
 pub const N: usize = 9;
 /// Path that the counters have seen since their base, m.
 pub const COUNTED_PATH: usize = 5;
-/// Error of the heading that the wheels tell, rad.
+/// Error of the heading by the wheels, rad.
 pub const WHEEL_HEADING_ERROR: usize = 6;
 /// Error of the integrated gyro, rad.
 pub const GYRO_HEADING_ERROR: usize = 7;
@@ -131,7 +131,7 @@ fn five_state_mean(mean: &Mean) -> planar_speeds::Mean {
 }
 
 impl CorrectedEkf {
-    /// Q over `dt_s`. The walks of the speeds move pose and counted path alike; slip is what tells these two apart.
+    /// Q over `dt_s`. The walks of the speeds move pose and counted path alike; slip distinguishes these two.
     fn process_noise(&self, dt_s: f64, context: &SampledContext) -> Covariance {
         let config = &context.config;
         let (sin, cos) = (self.mean[HEADING] + 0.5 * self.mean[TURN] * dt_s).sin_cos();

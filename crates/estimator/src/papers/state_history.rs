@@ -1,4 +1,4 @@
-//! What a filter believed at recent instants: for the filters that use observations as they come and so need no replay, but
+//! A filter's state at recent instants: for the filters that use observations as they come and so need no replay, but
 //! are asked about the past all the same.
 
 use std::collections::VecDeque;
@@ -18,20 +18,20 @@ impl<T: Copy> StateHistory<T> {
         Self { entries: VecDeque::new(), length: TimeDelta::from_secs_f64(length_s) }
     }
 
-    /// Adds the belief for an instant that is not before the last one; takes the place of what was believed for the same.
+    /// Adds the state for an instant that is not before the last one; replaces the one of the same instant.
     pub(super) fn push(&mut self, stamp: Timestamp<BrickClock>, belief: T) {
         if self.entries.back().is_some_and(|(last, _)| *last == stamp) {
             self.entries.pop_back();
         }
         self.entries.push_back((stamp, belief));
         let horizon = stamp - self.length;
-        // One belief at or before the horizon stays, to start from.
+        // One state at or before the horizon stays, to start from.
         while self.entries.get(1).is_some_and(|(second, _)| *second <= horizon) {
             self.entries.pop_front();
         }
     }
 
-    /// The last belief for an instant at or before this one.
+    /// The last state for an instant at or before this one.
     pub(super) fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, T)> {
         let index = self.entries.partition_point(|(at, _)| *at <= stamp);
         self.entries.get(index.checked_sub(1)?).copied()

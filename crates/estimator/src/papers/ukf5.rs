@@ -19,11 +19,10 @@
 //! equations 24 to 26; docs/maths/paper1.md section 6.
 
 use posebridge_telemetry::estimate::row::HEADING;
-use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
-use super::ekf5::{FiveStateEkf, FixUsage, SpeedVarianceOrder, process_noise};
-use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
-use crate::filter::{Filter, FilterConfig, StartPose};
+use super::ekf5::{FiveStateEkf, FixUsage, SpeedVarianceOrder, predict_linearized, process_noise};
+use super::paper_scaffold::OnArrivalFilter;
+use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance};
 use crate::numerics::cholesky::factorise;
 use crate::numerics::covariance::symmetrise;
@@ -103,73 +102,19 @@ pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositiveSem
     Ok(root)
 }
 
-/// The five states with another prediction.
-#[derive(Clone, Copy)]
-struct SigmaPointFilter(FiveStateEkf);
-
-/// Builds the filter.
+/// Builds the filter: that of [`super::ekf5`] with another prediction.
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    let maths = SigmaPointFilter(FiveStateEkf::new(SpeedVarianceOrder::Printed, FixUsage::Unused));
-    Box::new(OnArrivalFilter::new(maths, config))
+    let filter = FiveStateEkf::new(SpeedVarianceOrder::Printed, FixUsage::Unused, predict_sigma_points);
+    Box::new(OnArrivalFilter::new(filter, config))
 }
 
-impl SampledFilter for SigmaPointFilter {
-    fn predict(&mut self, dt_s: f64, felt: Acceleration, context: &SampledContext) {
-        let states = &mut self.0;
-        let predicted = predict(&states.mean, &states.covariance, felt, dt_s);
-        if let Ok((mean, covariance)) = predicted {
-            states.mean = mean;
-            states.covariance = covariance + process_noise(states.order, dt_s);
-        } else {
-            // Without a square root of P nothing can be spread. The correlations are dropped, which leaves a covariance.
-            states.covariance = Covariance::from_diagonal(&states.covariance.diagonal().map(f64::abs));
-            states.predict(dt_s, felt, context);
-        }
-    }
-
-    fn uses(&self, extra: OptionalSensor) -> bool {
-        self.0.uses(extra)
-    }
-
-    fn gaussian_state(&self, context: &SampledContext) -> GaussianState {
-        self.0.gaussian_state(context)
-    }
-
-    fn initialize_pose(&mut self, start: &StartPose) {
-        self.0.initialize_pose(start);
-    }
-
-    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext) {
-        self.0.reset_speeds(position_m, heading_rad, context);
-    }
-
-    fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext) {
-        self.0.predict_unobserved(dt_s, context);
-    }
-
-    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
-        self.0.bridge_gap(speeds, path_m2);
-    }
-
-    fn rebase_wheels(&mut self, context: &SampledContext) {
-        self.0.rebase_wheels(context);
-    }
-
-    fn rebase_gyro(&mut self) {
-        self.0.rebase_gyro();
-    }
-
-    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
-        self.0.use_wheels(step, context, record)
-    }
-
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
-        self.0.use_gyro(rate_rad_per_s, dt_s, context, record)
+fn predict_sigma_points(filter: &mut FiveStateEkf, dt_s: f64, felt: Acceleration) {
+    if let Ok((mean, covariance)) = predict(&filter.mean, &filter.covariance, felt, dt_s) {
+        filter.mean = mean;
+        filter.covariance = covariance + process_noise(filter.order, dt_s);
+    } else {
+        // P has no square root, so there are no sigma points. Without its correlations it is a covariance again.
+        filter.covariance = Covariance::from_diagonal(&filter.covariance.diagonal().map(f64::abs));
+        predict_linearized(filter, dt_s, felt);
     }
 }

@@ -87,7 +87,7 @@ fn process(dt_s: f64) -> Matrix2<f64> {
 struct WheelKf {
     /// Left, right.
     wheels: [SingleWheelFilter; 2],
-    /// What the counters say since the first base, degrees: left, right.
+    /// The counters' turn since the first base, degrees: left, right.
     counted_deg: [f64; 2],
     /// The wheels' angles up to which the pose has been moved, degrees: left, right.
     moved: [f64; 2],
@@ -235,7 +235,7 @@ impl SampledFilter for WheelKf {
     }
 
     fn bridge_gap(&mut self, _speeds: [f64; 2], path_m2: f64) {
-        // The counters are cumulative: the next reading tells the whole way, whatever is predicted until then.
+        // The counters are cumulative: the next reading contains the whole travel, whatever is predicted until then.
         self.pose_covariance[(0, 0)] += path_m2;
         self.pose_covariance[(1, 1)] += path_m2;
     }

@@ -8,10 +8,10 @@
 //! ```text
 //! minimise  |start|^2 + sum |motion|^2 + sum |gyro window|^2 + sum |fix|^2 + sum |prior|^2      residuals over their sigmas
 //! ```
-//! in rounds: descend with the fixes in use; then judge each fix by all the others; again, until that changes nothing.
+//! in rounds: descend with the fixes in use; then test each fix against all the others; again, until that changes nothing.
 //!
 //! # Assumptions
-//! The noise is what the configuration says and white; the wheels do not slip beyond it (there is no slip test here); windows of
+//! The noise is the configured one, and white; the wheels do not slip beyond it (there is no slip test here); windows of
 //! the gyro are independent of each other.
 //!
 //! # Source

@@ -38,7 +38,7 @@ const X: usize = 0;
 const Y: usize = 1;
 const HEADING: usize = 2;
 const GYRO_BIAS: usize = 3;
-/// What the last step turned beyond what the wheels said: the gyro sees it.
+/// The last step's turn beyond that of the wheels: the gyro sees it.
 const STEP_ERROR: usize = 4;
 /// Radius scale, radius difference and track scale follow each other.
 const FIRST_CONSTANT: usize = 5;
@@ -51,7 +51,7 @@ type Covariance = SMatrix<f64, N, N>;
 pub struct GroundTruthRun<'a> {
     /// The true pose before the first step and after each step: one more than there are steps.
     pub poses: &'a [Pose<Arena>],
-    /// The wheels' travel over each step, as counters tell it with the nominal geometry, m.
+    /// The wheels' travel over each step, by counters and the nominal geometry, m.
     pub travel: &'a [WheelTravel],
     /// The length of a step, s; the gyro gives one sample per step.
     pub step_s: f64,

@@ -19,9 +19,9 @@ use crate::numerics::elimination::Variable;
 
 /// Most unknowns in one row: two poses and three constants.
 pub(super) const MAX_ROW_ENTRIES: usize = 9;
-/// Nobody knows a start, a bias or a constant better than this, in its own unit.
+/// Least sigma of a start, a bias or a constant, in its own unit.
 const MIN_SIGMA: f64 = 1e-7;
-/// Where a robot may be that was not told, m: anywhere on a large site. Fixes then decide.
+/// Sigma of an unknown start, m: anywhere on a large site. Fixes then decide.
 const UNKNOWN_POSITION_SIGMA_M: f64 = 1e4;
 /// Any heading at all, rad: so much more than a turn that it says nothing.
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1e2;
@@ -56,7 +56,7 @@ impl WhitenedRow {
     }
 }
 
-/// The start as it is told, or anywhere.
+/// The configured start, or anywhere.
 pub(super) fn start_rows(config: &FilterConfig, layout: VariableLayout, first: UnwrappedPose) -> [WhitenedRow; 3] {
     let start = config.start.unwrap_or(StartPose {
         pose: first.to_pose(),

@@ -1,4 +1,4 @@
-//! What a fix says about the pose that it saw, as whitened rows.
+//! A fix's observation of the pose in its image, as whitened rows.
 //!
 //! # Model
 //! ```text
@@ -19,7 +19,7 @@ use super::values::{FIX_DELAY, ProblemValues, TAG_FORWARD, TAG_LEFT, UnwrappedPo
 use crate::models::lie::Se2;
 use crate::observations::fix::{FixContext, FixNoise, fix_noise};
 
-/// Nobody sees better than a micrometre or a microradian: a fix without noise would weigh without bound.
+/// No camera is better than a micrometre or a microradian: a fix without noise would weigh without bound.
 const MIN_VARIANCE: f64 = 1e-12;
 
 /// Rows for x, y and, if there is one, the heading of a fix; the third is empty otherwise. `None` when its covariance is none.
@@ -97,7 +97,7 @@ fn lever_in_arena(seen: &AssociatedFix, values: &ProblemValues, at: UnwrappedPos
     Vector2::new(cos * forward - sin * left, sin * forward + cos * left)
 }
 
-/// The pose that a fix alone suggests, with this heading where it tells none.
+/// The pose that a fix alone suggests, with this heading where it has none.
 pub(super) fn pose_from_fix(seen: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> UnwrappedPose {
     let at = UnwrappedPose {
         x_m: seen.fix.position.x.0,

@@ -26,7 +26,7 @@ use crate::models::se2::{BodyStep, StepRule, displace};
 const LATERAL_M_PER_SQRT_M: f64 = 1e-6;
 /// Where the path is next to nothing, m²: ten nanometres.
 const MIN_VARIANCE_M2: f64 = 1e-16;
-/// What a robot may do while nothing tells of its motion, m per sqrt(s): a LEGO robot's walking pace.
+/// What a robot may do while nothing observes its motion, m per sqrt(s): a LEGO robot's walking pace.
 const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).
 const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
@@ -82,7 +82,7 @@ pub(super) fn true_travel(
 /// What turns a motion's residual (distance, turn, lateral) into unit variance.
 pub(super) type Whitener = Matrix3<f64>;
 
-/// The whitener of a move, with the noise of the travel that this calibration tells; `None` when the noise is no number.
+/// The whitener of a move, with the noise of the travel by this calibration; `None` when the noise is no number.
 pub(super) fn whitener(by: &MotionSegment, config: &FilterConfig, constants: &[f64; CONSTANTS]) -> Option<Whitener> {
     let covariance = match *by {
         MotionSegment::Unobserved(secs) => {

@@ -39,7 +39,7 @@ pub(super) struct GatedObservation {
 }
 
 impl GatedObservation {
-    /// Judges an optimum.
+    /// Evaluates an optimum.
     pub(super) fn evaluate(
         problem: &SmoothingProblem<'_>,
         descended: &Optimum,
@@ -138,7 +138,7 @@ fn leave_one_out_nis(rows: &[WhitenedRow; 3], joint: &JointCovariance, sign: f64
         sign * shared + f64::from(u8::from(i == j))
     });
     let residual = Vector3::from(rows.map(|row| row.residual));
-    // Where a fix alone determines the pose there are no others to judge it by.
+    // Where a fix alone determines the pose there are no others to test it against.
     nis_and_log_likelihood(&residual, &s).map_or(0.0, |(nis, _)| nis)
 }
 

@@ -38,7 +38,7 @@ pub(super) enum MotionSegment {
         /// Variance of each coordinate of where it ends, because the order of distance and turn is unknown, m².
         path_var_m2: f64,
     },
-    /// Nothing tells how it moved, over so many seconds.
+    /// No observation of the motion, over this number of seconds.
     Unobserved(f64),
 }
 
@@ -253,7 +253,7 @@ impl<'a> RunData<'a> {
     }
 }
 
-/// Nobody's gyro is better than a microradian over a window, rad².
+/// No gyro is better than a microradian over a window, rad².
 const MIN_TURN_VARIANCE: f64 = 1e-12;
 
 /// What lies at an instant; readings come first where both do.

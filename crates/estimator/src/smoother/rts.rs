@@ -1,6 +1,6 @@
-//! The flagship run forwards and back: what it would have believed at each instant, had it known the rest of the run.
+//! The flagship run forwards and back: its estimate at each instant, given the rest of the run as well.
 //!
-//! Unlike [`super::batch()`] it uses every kind of observation that the filter uses, judges outliers and slip as the filter does,
+//! Unlike [`super::batch()`] it uses every kind of observation that the filter uses, treats outliers and slip as the filter does,
 //! and keeps to the filter's linearisation: cheaper and nearer to the filter, a little less exact where much was uncertain.
 //!
 //! Source: docs/maths/pose.md section 11; Rauch, Tung, Striebel (1965).
@@ -18,7 +18,7 @@ use crate::filters::pose::smoother::{SmoothedState, smooth};
 /// `gyro_windows` are those of one pass: 1 and 0.
 ///
 /// # Errors
-/// Nothing moved, neither start nor fix tells where it was, or the configuration is not finite.
+/// Nothing moved, neither start nor fix gives a position, or the configuration is not finite.
 pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<SmoothedTrajectory, OfflineError> {
     if !is_valid_config(config) {
         return Err(OfflineError::NotFinite);

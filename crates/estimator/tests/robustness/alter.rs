@@ -7,9 +7,9 @@ use posebridge_telemetry::{
     Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters, Observation, ObservationKind, Pose, Radians, SensorId,
 };
 
-use crate::drive::{Camera, Drive, STEP_S, Scenario, World, stamp};
+use crate::drive::{Camera, Drive, RobotSimulation, STEP_S, Scenario, stamp};
 use crate::robot::config;
-use crate::score::{Played, error_of};
+use crate::score::{FilterRun, error_of};
 
 /// The steps of the first corner, from rest to rest, and of the straight before it.
 pub(crate) const CORNER: Range<usize> = 366..410;
@@ -75,17 +75,17 @@ pub(crate) fn share_done(steps: &Range<usize>, step: usize) -> f64 {
     done as f64 / steps.len() as f64
 }
 
-pub(crate) fn at(played: &Played, step: usize) -> Estimate {
+pub(crate) fn at(played: &FilterRun, step: usize) -> Estimate {
     played.estimates[step - 1].expect("something was observed")
 }
 
-pub(crate) fn error_at(drive: &Drive, played: &Played, step: usize) -> (f64, f64) {
+pub(crate) fn error_at(drive: &Drive, played: &FilterRun, step: usize) -> (f64, f64) {
     let [x, y, heading] = error_of(&at(played, step), drive.poses[step - 1]);
     (x.hypot(y), heading.abs())
 }
 
 /// What became of the fixes that were taken during some steps.
-pub(crate) fn fixes<'a>(played: &'a Played, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
+pub(crate) fn fixes<'a>(played: &'a FilterRun, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
     let during = stamp(steps.start)..stamp(steps.end);
     let records = played.records.iter();
     records.filter(|record| record.sensor == SensorId::CAMERA && during.contains(&record.stamp)).collect()
@@ -108,7 +108,11 @@ pub(crate) fn started_at(x_m: f64, y_m: f64, heading_rad: f64) -> FilterConfig {
 }
 
 /// A drive with steps of one's own, (distance, turn) each, in a world of one's own.
-pub(crate) fn driven(world: &mut World, steps: impl IntoIterator<Item = (f64, f64)>, camera: Option<Camera>) -> Drive {
+pub(crate) fn driven(
+    world: &mut RobotSimulation,
+    steps: impl IntoIterator<Item = (f64, f64)>,
+    camera: Option<Camera>,
+) -> Drive {
     let mut drive = Drive { poses: vec![], arrivals: vec![] };
     for step in steps {
         drive.append(world, step, camera);

@@ -10,7 +10,7 @@ use posebridge_telemetry::{
 };
 
 use crate::alter::{altered, camera_10_hz, driven};
-use crate::drive::{Camera, Drive, STEP_S, World, drive};
+use crate::drive::{Camera, Drive, RobotSimulation, STEP_S, drive};
 use crate::robot::{NOISE, RADIUS_M, TRACK_M, config};
 
 /// How wrong the geometry may be, one standard deviation each: mean radius, difference of radii, track.
@@ -47,7 +47,7 @@ const CAMERA: Camera = Camera { every: 2, delay: 3, spread: 1, outliers: 0.0 };
 
 /// A drive of a robot whose geometry is drawn, with the true constants: radius scale, difference, track scale, bias at the end.
 fn drawn(camera: Option<Camera>, seed: u64) -> (Drive, [f64; 4]) {
-    let mut world = World::new(seed);
+    let mut world = RobotSimulation::new(seed);
     let [mean, difference, track] = SPREAD.map(|sigma| sigma * world.normal());
     world.geometry = DriveGeometry {
         left_wheel_radius: Meters(RADIUS_M * (1.0 + mean - 0.5 * difference)),
@@ -188,7 +188,7 @@ fn delay_and_lever_are_learned_as_well_as_is_claimed() {
     told.calibration.tag_left_m = unknown(0.03);
     let (mut nees, mut sigmas) = ([0.0; 3], [0.0; 3]);
     for seed in 0..40 {
-        let mut world = World::new(seed);
+        let mut world = RobotSimulation::new(seed);
         let drive = driven(&mut world, course(), Some(Camera { delay: 4, ..CAMERA }));
         let late = TimeDelta::from_millis(150);
         let drive = delayed(drive, late, (truth[1], truth[2]));

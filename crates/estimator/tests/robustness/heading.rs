@@ -10,7 +10,7 @@ use posebridge_telemetry::{
 };
 
 use crate::alter::{altered_fixes, at, driven, error_at, fixes, share_accepted, without_start};
-use crate::drive::{Camera, Drive, STEP_S, World, stamp};
+use crate::drive::{Camera, Drive, RobotSimulation, STEP_S, stamp};
 use crate::robot::{DEGREE, NOISE, config};
 use crate::score::{Score, mean, play, score};
 
@@ -28,7 +28,7 @@ fn heading_unknown() -> FilterConfig {
 
 /// Twenty seconds along a winding path, from a heading that is off by `start_rad`, seen by a camera as positions of a tag.
 fn winding(start_rad: f64, tag: Point2<posebridge_telemetry::Body>, seed: u64) -> Drive {
-    let mut world = World::new(seed);
+    let mut world = RobotSimulation::new(seed);
     world.heading_rad = wrap_rad(start_rad);
     // The first reading of the wheels is where counting begins: before it nothing may move.
     let steps = (0..402_u32).map(|k| match k.checked_sub(2) {
@@ -93,7 +93,7 @@ fn positions_alone_find_any_heading_without_a_reset() {
 fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
     let tag = Point2::new(Meters(0.15), Meters(0.0));
     for (run, start_deg) in [-179.0, -120.0, -45.0, 60.0, 135.0, 180.0].into_iter().enumerate() {
-        let mut world = World::new(run as u64);
+        let mut world = RobotSimulation::new(run as u64);
         world.heading_rad = start_deg * DEGREE;
         let camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.0 };
         let turning = (0..100).map(|k| (0.0, if k < 2 { 0.0 } else { 0.5 * STEP_S }));
@@ -121,7 +121,7 @@ fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
 fn a_robot_that_stands_learns_nothing_of_its_heading_from_the_noise_of_its_fixes() {
     for tag_m in [0.0, 0.1, 0.4] {
         for seed in 0..5 {
-            let mut world = World::new(seed);
+            let mut world = RobotSimulation::new(seed);
             let camera = Camera { every: 2, delay: 0, spread: 0, outliers: 0.0 };
             let standing = driven(&mut world, [(0.0, 0.0); 600], Some(camera));
             let drive = altered_fixes(standing, |_, mut fix| {

@@ -12,7 +12,7 @@ use crate::robot::config;
 use crate::score::{Score, mean, play, score};
 
 /// The robot, told so many times the camera's true noise.
-fn told(times: f64) -> FilterConfig {
+fn with_camera_noise_scaled(times: f64) -> FilterConfig {
     let mut config = config();
     config.noise.fix_position_m *= times;
     config.noise.fix_heading_rad *= times;
@@ -48,7 +48,7 @@ fn learned_scale(config: &FilterConfig, scenario: &Scenario, seeds: u64) -> f64 
 #[test]
 fn the_scale_of_a_source_finds_the_true_variance_whichever_way_it_was_told_wrong() {
     for (times, outliers) in [(0.25, 0.0), (1.0, 0.0), (4.0, 0.0), (0.25, 0.03), (1.0, 0.03)] {
-        let found = learned_scale(&told(times), &with_outliers(outliers), 10);
+        let found = learned_scale(&with_camera_noise_scaled(times), &with_outliers(outliers), 10);
         let ratio = found * times * times;
         println!("told {times} times the noise, {outliers} outliers: scale {found:.4}, {ratio:.3} of the truth");
         assert!((1.0 / 1.3..1.3).contains(&ratio), "told {times}: {ratio}");
@@ -57,7 +57,7 @@ fn the_scale_of_a_source_finds_the_true_variance_whichever_way_it_was_told_wrong
 
 #[test]
 fn without_adaptation_the_scale_stays_one() {
-    let mut config = told(0.25);
+    let mut config = with_camera_noise_scaled(0.25);
     config.params.adapt_gain = 0.0;
     assert_eq!(learned_scale(&config, &camera_10_hz(), 1), 1.0);
 }
@@ -82,7 +82,7 @@ fn mean_over(config: &FilterConfig, scenario: &Scenario) -> Score {
 fn a_gate_with_a_wrong_r_does_not_lock_itself_out() {
     // Sixteen times the true variance is missing; 0.5 m of outliers come on top.
     for outliers in [0.0, 0.03] {
-        let mean = mean_over(&told(0.25), &with_outliers(outliers));
+        let mean = mean_over(&with_camera_noise_scaled(0.25), &with_outliers(outliers));
         println!("told a quarter of the noise, {outliers} outliers: {mean:?}");
         assert!(mean.position_rms_m < 0.002, "{mean:?}");
         assert!((0.79..1.24).contains(&mean.anees), "{mean:?}");
@@ -91,10 +91,10 @@ fn a_gate_with_a_wrong_r_does_not_lock_itself_out() {
 
 #[test]
 fn a_camera_that_is_better_than_told_is_believed_more() {
-    let mut fixed = told(4.0);
+    let mut fixed = with_camera_noise_scaled(4.0);
     fixed.params.adapt_gain = 0.0;
     let as_told = mean_over(&fixed, &camera_10_hz());
-    let adapted = mean_over(&told(4.0), &camera_10_hz());
+    let adapted = mean_over(&with_camera_noise_scaled(4.0), &camera_10_hz());
     println!("told four times the noise: {as_told:?}, adapted {adapted:?}");
     assert!(adapted.position_rms_m < 0.8 * as_told.position_rms_m);
     assert!((0.79..1.24).contains(&adapted.anees), "{adapted:?}");
@@ -111,7 +111,7 @@ fn students_t_bears_outliers_without_a_gate() {
         assert!(mean.position_rms_m < 0.0018, "{mean:?}");
     }
     config.params.adapt_gain = 0.0;
-    config.noise = told(0.25).noise;
+    config.noise = with_camera_noise_scaled(0.25).noise;
     let mean = mean_over(&config, &camera_10_hz());
     println!("Student's t, told a quarter of the noise, not adapted: {mean:?}");
     assert!(mean.position_rms_m < 0.004, "{mean:?}");

@@ -15,27 +15,27 @@ use crate::alter::{
     without_start,
 };
 use crate::constants::delayed;
-use crate::drive::{Camera, Drive, STEP_S, World, drive, stamp};
+use crate::drive::{Camera, Drive, RobotSimulation, STEP_S, drive, stamp};
 use crate::robot::{DEGREE, config};
 use crate::score::play;
 
 const LATE: TimeDelta = TimeDelta::from_millis(150);
 const TAG_M: (f64, f64) = (0.2, -0.1);
 
-fn given(value: f64) -> UncertainValue {
+fn exactly(value: f64) -> UncertainValue {
     UncertainValue { value, sigma: 0.0 }
 }
 
 /// The robot, told where its tag is beyond what the fixes say, and how late these are.
-fn told(mut config: FilterConfig) -> FilterConfig {
-    config.calibration.tag_forward_m = given(TAG_M.0);
-    config.calibration.tag_left_m = given(TAG_M.1);
-    config.calibration.fix_delay_s = given(LATE.as_secs_f64());
+fn with_known_tag_and_delay(mut config: FilterConfig) -> FilterConfig {
+    config.calibration.tag_forward_m = exactly(TAG_M.0);
+    config.calibration.tag_left_m = exactly(TAG_M.1);
+    config.calibration.fix_delay_s = exactly(LATE.as_secs_f64());
     config
 }
 
 /// Fixes of that tag, that late, from a step on.
-fn seen_from(first: usize, seed: u64) -> Drive {
+fn drive_with_fixes_from(first: usize, seed: u64) -> Drive {
     let camera = camera_10_hz().camera.map(|camera| Camera { delay: 5, spread: 0, ..camera });
     let scenario = crate::drive::Scenario { laps: 1, camera };
     let drive = delayed(drive(&scenario, seed), LATE, TAG_M);
@@ -47,8 +47,8 @@ fn a_first_fix_places_the_robot_by_the_tag_and_the_delay_that_are_known() {
     // At rest, on the straight, and while it turns on the spot.
     for first in [0, 100, CORNER.start + 18] {
         for seed in 0..5 {
-            let drive = seen_from(first, seed);
-            let played = play(&drive, &told(without_start()));
+            let drive = drive_with_fixes_from(first, seed);
+            let played = play(&drive, &with_known_tag_and_delay(without_start()));
             let end = first + 60;
             let share = share_accepted(&fixes(&played, &(first..end)));
             assert!(share > 0.9, "from {first}, seed {seed}: {share}");
@@ -63,8 +63,8 @@ fn a_first_fix_places_the_robot_by_the_tag_and_the_delay_that_are_known() {
 #[test]
 fn a_first_fix_without_a_heading_does_the_same() {
     for seed in 0..5 {
-        let drive = without_headings(seen_from(0, seed));
-        let played = play(&drive, &told(without_start()));
+        let drive = without_headings(drive_with_fixes_from(0, seed));
+        let played = play(&drive, &with_known_tag_and_delay(without_start()));
         let share = share_accepted(&fixes(&played, &(0..200)));
         assert!(share > 0.95, "seed {seed}: {share}");
         assert_eq!(at(&played, 200).reset_counter, 0, "seed {seed}");
@@ -75,8 +75,8 @@ fn a_first_fix_without_a_heading_does_the_same() {
 #[test]
 fn one_reset_is_enough_for_a_robot_whose_tag_is_known_to_be_elsewhere() {
     for seed in 0..5 {
-        let drive = seen_from(0, seed);
-        let played = play(&drive, &told(started_at(1.0, -0.5, 0.1)));
+        let drive = drive_with_fixes_from(0, seed);
+        let played = play(&drive, &with_known_tag_and_delay(started_at(1.0, -0.5, 0.1)));
         assert_eq!(at(&played, 200).reset_counter, 1, "seed {seed}");
         assert!(error_at(&drive, &played, 200).0 < 0.02, "seed {seed}");
     }
@@ -87,7 +87,7 @@ fn placed_by(seen: Fix) -> PoseFilter<CAMERA_STATES> {
     let mut config = without_start();
     config.calibration.tag_forward_m = unknown(0.02);
     config.calibration.tag_left_m = unknown(0.01);
-    config.calibration.fix_delay_s = given(0.0);
+    config.calibration.fix_delay_s = exactly(0.0);
     let mut filter = PoseFilter::new(&config);
     let verdict = filter.observe(&Observation {
         sensor: SensorId::CAMERA,
@@ -135,12 +135,12 @@ fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() 
     // Half a second of turning, half a second of rest: the body's space of half a second ago is another than that of now.
     let late = TimeDelta::from_millis(500);
     for seed in 0..5 {
-        let mut world = World::new(seed);
+        let mut world = RobotSimulation::new(seed);
         let camera = Camera { every: 2, delay: 12, spread: 0, outliers: 0.0 };
         let steps = (0..200).map(|k| (0.0, if k % 20 < 10 { 0.0 } else { 2.0 * STEP_S }));
         let drive = delayed(driven(&mut world, steps, Some(camera)), late, (0.0, 0.0));
         let mut config = started_at(1.0, -0.5, 0.0);
-        config.calibration.fix_delay_s = given(late.as_secs_f64());
+        config.calibration.fix_delay_s = exactly(late.as_secs_f64());
         config.params.adapt_gain = 0.0;
         let played = play(&drive, &config);
         let reset = played

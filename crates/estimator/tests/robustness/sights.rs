@@ -8,12 +8,12 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, UncertainValue
 use crate::alter::{altered, altered_fixes, at, camera_10_hz, error_at, fixes, share_accepted, started_at, step_of};
 use crate::drive::{Drive, STEP_S, Scenario, drive, stamp};
 use crate::robot::{DEGREE, config};
-use crate::score::{Played, Score, mean, play, score};
-use crate::senses::{Senses, add, furnished, step_between};
+use crate::score::{FilterRun, Score, mean, play, score};
+use crate::simulated_sensors::{SimulatedSensors, add, furnished, step_between};
 
 const BLIND: Scenario = Scenario { laps: 1, camera: None };
 
-fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<FusionOutcome> {
+fn verdicts(played: &FilterRun, kind: &str, steps: std::ops::Range<usize>) -> Vec<FusionOutcome> {
     let during = stamp(steps.start)..stamp(steps.end);
     let of_kind = |record: &&FusionRecord| record.kind == kind && during.contains(&record.stamp);
     let records = played.records.iter().filter(of_kind);
@@ -21,7 +21,7 @@ fn verdicts(played: &Played, kind: &str, steps: std::ops::Range<usize>) -> Vec<F
 }
 
 /// Normalised innovations squared of a kind that were used, over their degrees of freedom.
-fn nis_per_dof(played: &Played, kind: &str) -> f64 {
+fn nis_per_dof(played: &FilterRun, kind: &str) -> f64 {
     let used = played.records.iter().filter(|record| record.kind == kind && record.outcome == FusionOutcome::Accepted);
     let (nis, degrees) = used
         .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
@@ -29,11 +29,11 @@ fn nis_per_dof(played: &Played, kind: &str) -> f64 {
 }
 
 /// Scores over seeds of drives with a sensor added; the mean NIS of its kind must be near one.
-fn mean_with(config: &FilterConfig, kind: &str, runs: u64, sense: impl Fn(&mut Drive, &mut Senses)) -> Score {
+fn mean_with(config: &FilterConfig, kind: &str, runs: u64, sense: impl Fn(&mut Drive, &mut SimulatedSensors)) -> Score {
     let (mut scores, mut nis) = (vec![], 0.0);
     for seed in 0..runs {
         let mut drive = drive(&BLIND, seed);
-        sense(&mut drive, &mut Senses::new(config, seed));
+        sense(&mut drive, &mut SimulatedSensors::new(config, seed));
         let played = play(&drive, config);
         nis += nis_per_dof(&played, kind) / runs as f64;
         scores.push(score(&drive, &played, 0));
@@ -78,7 +78,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
     let mut nees = 0.0;
     for seed in 0..20 {
         let mut drive = drive(&BLIND, seed);
-        let mut senses = Senses::new(&config, seed);
+        let mut senses = SimulatedSensors::new(&config, seed);
         add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
         let mut filter = PoseFilter::<RANGE_STATES>::new(&config);
         for arrival in &drive.arrivals {
@@ -129,7 +129,7 @@ fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
     let disturbed = 500..620;
     for seed in 0..10 {
         let mut drive = drive(&BLIND, seed);
-        let mut senses = Senses::new(&config, seed);
+        let mut senses = SimulatedSensors::new(&config, seed);
         let near_iron = disturbed.clone();
         add(&mut drive, SensorId::COMPASS, 2, |step, (x, y, heading)| {
             let is_near = near_iron.contains(&step);
@@ -161,7 +161,7 @@ fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
         // As it was told, so that no widening gate comes to help.
         config.params.adapt_gain = 0.0;
         let mut drive = drive(&camera_10_hz(), 3);
-        let mut senses = Senses::new(&config, 3);
+        let mut senses = SimulatedSensors::new(&config, 3);
         add(&mut drive, sensor, 2, |_, truth| match sensor {
             SensorId::COMPASS => senses.compass(truth),
             _ => senses.wall(truth),
@@ -179,7 +179,7 @@ fn what_is_seen_of_a_world_that_is_not_told_is_unused() {
     let told_nothing = config();
     let furnished = furnished(&config());
     let mut drive = drive(&BLIND, 1);
-    let mut senses = Senses::new(&furnished, 1);
+    let mut senses = SimulatedSensors::new(&furnished, 1);
     add(&mut drive, SensorId::LANDMARKS, 10, |_, truth| senses.landmarks(truth));
     add(&mut drive, SensorId::BEACONS, 10, |_, truth| senses.beacons(truth, &[(0.0, 0.0); 4]));
     add(&mut drive, SensorId::RANGE, 10, |_, truth| senses.wall(truth));
@@ -197,7 +197,7 @@ fn wrong_landmarks_are_gated_and_the_camera_stays_in_charge() {
     let config = furnished(&config());
     for seed in 0..5 {
         let mut drive = drive(&camera_10_hz(), seed);
-        let mut senses = Senses::new(&config, seed);
+        let mut senses = SimulatedSensors::new(&config, seed);
         // Every fourth time the landmarks are not where they are taken to be.
         add(&mut drive, SensorId::LANDMARKS, 4, |step, (x, y, heading)| {
             let off_m = if step.is_multiple_of(16) { 1.5 } else { 0.0 };
@@ -221,7 +221,7 @@ fn a_compass_turns_a_robot_whose_camera_gives_no_heading() {
         fix.heading = None;
         Some(fix)
     });
-    let mut senses = Senses::new(&config, 2);
+    let mut senses = SimulatedSensors::new(&config, 2);
     add(&mut drive, SensorId::COMPASS, 2, |_, truth| senses.compass(truth));
     let played = play(&drive, &config);
     let end = drive.poses.len();
@@ -252,7 +252,7 @@ fn accelerations_tell_the_speed_between_two_readings_of_the_wheels() {
     config.noise.accelerometer_m_per_s2 = 0.05;
     let mut felt = drive(&BLIND, 1);
     let without = forward_speed_rms(&config, drive(&BLIND, 1));
-    let mut senses = Senses::new(&config, 1);
+    let mut senses = SimulatedSensors::new(&config, 1);
     let poses = felt.poses.clone();
     add(&mut felt, SensorId::ACCELEROMETER, 1, |step, _| {
         let Some(first) = step.checked_sub(3) else {

@@ -45,7 +45,7 @@ pub(crate) fn stamp(step: usize) -> Timestamp<BrickClock> {
 
 /// Drives the squares of a scenario.
 pub(crate) fn drive(scenario: &Scenario, seed: u64) -> Drive {
-    let mut world = World::new(seed);
+    let mut world = RobotSimulation::new(seed);
     let mut drive = Drive { poses: vec![], arrivals: vec![] };
     for (distance_m, turn_rad) in commands(scenario.laps) {
         drive.append(&mut world, (distance_m, turn_rad), scenario.camera);
@@ -56,7 +56,12 @@ pub(crate) fn drive(scenario: &Scenario, seed: u64) -> Drive {
 
 impl Drive {
     /// Moves the world by one step of (distance, turn) and takes down what happened.
-    pub(crate) fn append(&mut self, world: &mut World, (distance_m, turn_rad): (f64, f64), camera: Option<Camera>) {
+    pub(crate) fn append(
+        &mut self,
+        world: &mut RobotSimulation,
+        (distance_m, turn_rad): (f64, f64),
+        camera: Option<Camera>,
+    ) {
         let step = self.poses.len() + 1;
         let moved_rad = world.move_by(distance_m, turn_rad);
         self.poses.push((world.x_m, world.y_m, world.heading_rad));
@@ -94,7 +99,7 @@ fn ramped(amount: f64, speed: f64) -> impl Iterator<Item = f64> {
     })
 }
 
-pub(crate) struct World {
+pub(crate) struct RobotSimulation {
     normals: Pcg64,
     uniforms: Pcg64,
     /// The robot as it is, which its configuration need not know.
@@ -107,7 +112,7 @@ pub(crate) struct World {
     pub(crate) bias_rad_per_s: f64,
 }
 
-impl World {
+impl RobotSimulation {
     pub(crate) fn new(seed: u64) -> Self {
         let mut world = Self {
             normals: Pcg64::seed_from_u64(seed),

@@ -9,7 +9,7 @@ use std::f64::consts::FRAC_PI_2;
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{Calibration, DriveGeometry, Meters, UncertainValue, quantities::wrap_rad};
 
-use super::drive::{Camera, Drive, STEP_S, World};
+use super::drive::{Camera, Drive, RobotSimulation, STEP_S};
 use super::robot::{RADIUS_M, TRACK_M, config};
 
 const SIDE_M: f64 = 3.0;
@@ -18,17 +18,18 @@ const TURN_RAD_PER_S: f64 = 1.0;
 
 /// How wrong the geometry may be: one standard deviation, relative.
 #[derive(Clone, Copy)]
-pub(crate) struct Spread {
+pub(crate) struct GeometrySigmas {
     pub(crate) radius_scale: f64,
     pub(crate) radius_difference: f64,
     pub(crate) track_scale: f64,
 }
 
 /// A kit's wheels and a track that was measured with a ruler.
-pub(crate) const KIT: Spread = Spread { radius_scale: 0.005, radius_difference: 0.005, track_scale: 0.03 };
+pub(crate) const KIT: GeometrySigmas =
+    GeometrySigmas { radius_scale: 0.005, radius_difference: 0.005, track_scale: 0.03 };
 
 /// The robot's configuration, told how wrong its geometry may be.
-pub(crate) fn config_with(spread: Spread) -> FilterConfig {
+pub(crate) fn config_with(spread: GeometrySigmas) -> FilterConfig {
     let unknown = |sigma| UncertainValue { value: 0.0, sigma };
     FilterConfig {
         calibration: Calibration {
@@ -42,8 +43,13 @@ pub(crate) fn config_with(spread: Spread) -> FilterConfig {
 }
 
 /// Drives laps with a geometry that is drawn for the run.
-pub(crate) fn drive_on_grid(laps: usize, spread: Spread, camera: Option<Camera>, seed: u64) -> (Drive, DriveGeometry) {
-    let mut world = World::new(seed);
+pub(crate) fn drive_on_grid(
+    laps: usize,
+    spread: GeometrySigmas,
+    camera: Option<Camera>,
+    seed: u64,
+) -> (Drive, DriveGeometry) {
+    let mut world = RobotSimulation::new(seed);
     let mean = 1.0 + spread.radius_scale * world.normal();
     let half_difference = 0.5 * spread.radius_difference * world.normal();
     world.geometry = DriveGeometry {
@@ -72,7 +78,7 @@ pub(crate) fn drive_on_grid(laps: usize, spread: Spread, camera: Option<Camera>,
 }
 
 struct Grid {
-    world: World,
+    world: RobotSimulation,
     drive: Drive,
     camera: Option<Camera>,
     /// Where the straight began, or should have.

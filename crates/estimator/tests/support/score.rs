@@ -6,7 +6,7 @@ use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, quantities::wr
 use super::drive::{Drive, stamp};
 
 /// What the filter made of a drive.
-pub(crate) struct Played {
+pub(crate) struct FilterRun {
     /// Its belief after each step, as soon as the observations of that step had arrived.
     pub(crate) estimates: Vec<Option<Estimate>>,
     /// One record for each observation, in the order of arrival.
@@ -30,9 +30,9 @@ pub(crate) fn pose_filter(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 /// Gives a drive to the pose filter as it arrives.
-pub(crate) fn play(drive: &Drive, config: &FilterConfig) -> Played {
+pub(crate) fn play(drive: &Drive, config: &FilterConfig) -> FilterRun {
     let mut filter = pose_filter(config);
-    let mut played = Played { estimates: vec![], records: vec![] };
+    let mut played = FilterRun { estimates: vec![], records: vec![] };
     let mut arrivals = drive.arrivals.iter().peekable();
     for step in 1..=drive.poses.len() {
         while let Some(next) = arrivals.next_if(|next| next.step <= step) {
@@ -49,7 +49,7 @@ pub(crate) fn error_of(estimate: &Estimate, (x, y, heading): (f64, f64, f64)) ->
 }
 
 /// Scores the steps from `first` on, at which there must be an estimate.
-pub(crate) fn score(drive: &Drive, played: &Played, first: usize) -> Score {
+pub(crate) fn score(drive: &Drive, played: &FilterRun, first: usize) -> Score {
     let (mut squares, mut heading_squares, mut nees, mut count) = (0.0, 0.0, 0.0, 0.0);
     let pairs = played.estimates.iter().zip(&drive.poses);
     for (estimate, truth) in pairs.skip(first) {

@@ -1,6 +1,6 @@
 //! Monte-Carlo accuracy: estimators over many drives whose truth is known, and what their errors add up to.
 //!
-//! Gets a [`ReferenceDrive`] and an estimator from whoever has them; gives a [`FilterScore`], which adds up over runs. It draws nothing, and
+//! Gets a [`ReferenceDrive`] and an estimator from the caller; gives a [`FilterScore`], which adds up over runs. It draws nothing, and
 //! it knows no scenario: who makes the drives does not mark them.
 //!
 //! # Model
@@ -35,7 +35,7 @@ use posebridge_report::track::TimedPose;
 pub struct ReferenceDrive {
     /// The truth at the start and at the end of each step, in the order of time.
     pub truth: Vec<TimedPose>,
-    /// What the sensors said, in the order of arrival.
+    /// The sensors' observations, in the order of arrival.
     pub arrivals: Vec<ObservationArrival>,
     /// The error counts from this entry of `truth` on.
     pub scored_from: usize,

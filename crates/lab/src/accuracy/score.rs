@@ -193,7 +193,7 @@ impl FilterScore {
         self.all.nees.mean().map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
     }
 
-    /// Where the ANEES of an honest estimator lies with 95 % probability over so many runs, were each run one sample. The mean
+    /// The 95 % interval of a consistent estimator's ANEES over this number of runs, were each run one sample. The mean
     /// over a run varies less than that: outside the band is wrong, inside is not yet right.
     pub fn band(&self) -> Option<ConsistencyBand> {
         ConsistencyBand::of_runs(self.runs)

@@ -108,7 +108,7 @@ impl RestChannel {
         }
     }
 
-    /// What the channel says.
+    /// The channel's noise.
     ///
     /// # Errors
     /// [`RestError`], with the reason.
@@ -124,7 +124,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
-    fn seen(millis: i64, observed: ObservationKind) -> Observation {
+    fn observation(millis: i64, observed: ObservationKind) -> Observation {
         Observation {
             sensor: SensorId::GYRO,
             stamp: Timestamp::from_millis(millis),
@@ -139,13 +139,13 @@ mod tests {
         for i in 0..300 {
             let angle = Radians(if i < 200 { 0.0 } else { f64::from(i) });
             let wheels = ObservationKind::WheelAngles { left: angle, right: angle };
-            observations.push(seen(i64::from(i) * 50, wheels));
+            observations.push(observation(i64::from(i) * 50, wheels));
             let rate = if i < 200 { 0.01 } else { 5.0 };
             let rate = rate + 1e-3 * f64::from(i % 2);
             let rate = ObservationKind::TurnRate(RadiansPerSecond(rate));
-            observations.push(seen(i64::from(i) * 50 + 1, rate));
+            observations.push(observation(i64::from(i) * 50 + 1, rate));
         }
-        observations.push(seen(20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
+        observations.push(observation(20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
         let rest = RestObservations::from_observations(&observations).gyro.noise().unwrap();
         assert!((rest.bias - 0.0105).abs() < 1e-5);
         // 9.95 s of standing less the first 0.4 s, one reading each 50 ms.
@@ -164,7 +164,7 @@ mod tests {
         let channel = RestChannel { stretches: vec![readings.collect()] };
         let rest = channel.noise().unwrap();
         assert!((rest.quantum.unwrap() - step).abs() < 1e-9, "{rest:?}");
-        // The filter adds step² / 12 itself: what it is told has none of it.
+        // The filter adds step² / 12 itself: its input has none of it.
         assert!((rest.white - 0.03).abs() < 3.0 * rest.white_sigma);
         assert!(rest.white_sigma < 0.02 * rest.white, "{rest:?}");
         assert!((rest.bias - 0.031).abs() < 4.0 * rest.bias_sigma);

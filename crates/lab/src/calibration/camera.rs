@@ -231,7 +231,7 @@ mod tests {
     const TRUE: Homography =
         Homography { rows: [[0.0031, 0.0002, -0.1], [-0.0001, 0.0034, 0.2], [0.000_08, 0.000_12, 1.0]] };
 
-    fn seen(pixels: &[[f64; 2]]) -> Vec<CalibrationPoint> {
+    fn calibration_points(pixels: &[[f64; 2]]) -> Vec<CalibrationPoint> {
         pixels.iter().map(|pixel| CalibrationPoint { measured: *pixel, floor_m: TRUE.to_floor(*pixel) }).collect()
     }
 
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn four_points_give_the_camera_back() {
-        let found = fit_homography(&seen(&CORNERS)).unwrap();
+        let found = fit_homography(&calibration_points(&CORNERS)).unwrap();
         let somewhere = [333.0, 222.0];
         let ([x, y], [true_x, true_y]) = (found.homography.to_floor(somewhere), TRUE.to_floor(somewhere));
         assert!((x - true_x).abs() < 1e-9 && (y - true_y).abs() < 1e-9);
@@ -250,7 +250,7 @@ mod tests {
     fn without_a_mistyped_point_the_others_fit() {
         let mut pixels = CORNERS.to_vec();
         pixels.extend([[300.0, 200.0], [150.0, 350.0], [450.0, 120.0]]);
-        let mut points = seen(&pixels);
+        let mut points = calibration_points(&pixels);
         points[4].floor_m[0] += 0.1;
         let found = fit_homography(&points).unwrap();
         assert!(found.rms_m > 0.02 && found.rms_without_m[4] < 1e-9, "{found:?}");
@@ -262,9 +262,9 @@ mod tests {
     #[test]
     fn points_on_a_line_and_too_few_are_refused() {
         let line: Vec<[f64; 2]> = (0..6).map(|i| [f64::from(i) * 100.0, 50.0]).collect();
-        assert!(matches!(fit_homography(&seen(&line)), Err(CalibrationError::Undetermined(_))));
-        assert!(fit_homography(&seen(&CORNERS[..3])).is_err());
-        let mut broken = seen(&CORNERS);
+        assert!(matches!(fit_homography(&calibration_points(&line)), Err(CalibrationError::Undetermined(_))));
+        assert!(fit_homography(&calibration_points(&CORNERS[..3])).is_err());
+        let mut broken = calibration_points(&CORNERS);
         broken[2].measured[0] = f64::INFINITY;
         assert!(fit_homography(&broken).is_err());
     }

@@ -1,4 +1,4 @@
-//! Nonlinear least squares over few unknowns, with standard deviations that believe in no model of the noise.
+//! Nonlinear least squares over few unknowns, with standard deviations that assume no model of the noise.
 //!
 //! # Model
 //! ```text
@@ -299,7 +299,7 @@ mod tests {
 
     #[test]
     fn residuals_that_repeat_do_not_make_the_mean_better_known() {
-        // The mean of 200 numbers, each of which stands there five times in a row: 40 numbers of variance one.
+        // The mean of 200 numbers, each repeated five times in a row: 40 numbers of variance one.
         let data: Vec<f64> = (0..200_u32).map(|i| if (i / 5).is_multiple_of(2) { 1.0 } else { -1.0 }).collect();
         let draws: Vec<f64> =
             data.iter().enumerate().map(|(i, v)| if (i / 50).is_multiple_of(2) { *v } else { -*v }).collect();

@@ -31,14 +31,14 @@ pub enum CalibrationError {
         /// How much there has to be.
         needed: usize,
     },
-    /// What was measured does not tell the unknowns apart.
-    #[error("what was measured does not tell these numbers apart: {0}")]
+    /// The measurements do not separate the unknowns.
+    #[error("the measurements do not separate these numbers: {0}")]
     Undetermined(&'static str),
     /// The descent does not become still.
     #[error("the descent does not become still; the data fit no robot of this kind")]
     Diverged,
     /// A number is not finite or out of the range that makes sense.
-    #[error("{what} is {value}, which makes no sense")]
+    #[error("{what} is {value}, which is not valid")]
     ImplausibleValue {
         /// What it is.
         what: &'static str,

@@ -1,8 +1,8 @@
 //! UMBmark: wheel diameters and track from squares that are driven in both directions.
 //!
-//! The robot drives a square and believes to be home; a ruler says where it really is. A wrong track turns all corners too far or too
-//! little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same hand in both directions. So
-//! the two errors look alike in one direction and are told apart by the other.
+//! The robot drives a square until its own odometry is back at the start; a ruler says where it really is. A wrong track turns
+//! all corners too far or too little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same
+//! hand in both directions. So the two errors look alike in one direction and differ in the other.
 //!
 //! # Model
 //! ```text
@@ -57,7 +57,7 @@ pub struct SquareRobot {
     pub side_m: f64,
 }
 
-/// What the squares say.
+/// The results of the squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Umbmark {
     /// Relative error of the track.
@@ -72,7 +72,7 @@ pub struct Umbmark {
     pub left_factor: f64,
     /// Factor on the right wheel's radius.
     pub right_factor: f64,
-    /// What x and y say about alpha and beta lies apart by so many radians, at most; large beside them: no square was driven.
+    /// Most radians between what x and y give for alpha and beta; large beside them: no square was driven.
     pub disagreement_rad: f64,
     /// The figure of merit of these runs.
     pub error: SquareError,

@@ -33,7 +33,7 @@ pub struct ClockCase {
     pub scored_from_s: f64,
     /// So much longer is the way to the brick, s.
     pub extra_forward_delay_s: f64,
-    /// What the clock has gained on the host's after so many host seconds, s.
+    /// How far the clock has gained on the host's after a host time in seconds, s.
     pub drift_s: fn(f64) -> f64,
     /// Host instant at which the clock begins at zero again, s.
     pub restart_at_s: Option<f64>,

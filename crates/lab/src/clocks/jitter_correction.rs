@@ -16,7 +16,7 @@ use super::{ClockExchange, ClockMethod};
 
 /// No message is taken to have been on its way for longer, s.
 const MAX_LAG_S: f64 = 0.5;
-/// After so many messages the offset is taken anew.
+/// Number of messages after which the offset is estimated again.
 const RENEWAL_INTERVAL: u32 = 100;
 
 /// One-way alignment by the smallest difference.

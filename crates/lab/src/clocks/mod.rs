@@ -1,8 +1,9 @@
 //! Ways to align two clocks over a link, side by side: ours and those that are in use elsewhere.
 //!
-//! Every method hears the same exchanges, drawn by seed over links and clocks whose truth is known ([`CLOCK_CASES`]), and is asked after each
-//! which host instant the answer's stamp means. [`compare_methods`] runs all of them and gives a [`ClockRow`] for each case and method. It
-//! sees no message and no filter; what a wrong instant does to a pose is the business of [`crate::accuracy`].
+//! Every method receives the same exchanges, drawn by seed over links and clocks whose truth is known ([`CLOCK_CASES`]), and is
+//! asked after each which host instant the answer's stamp means. [`compare_methods`] runs all of them and gives a [`ClockRow`]
+//! for each case and method. It sees no message and no filter; what a wrong instant does to a pose is the business of
+//! [`crate::accuracy`].
 //!
 //! # Model
 //! ```text

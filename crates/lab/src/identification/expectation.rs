@@ -24,13 +24,13 @@ impl StepDirection {
 pub struct ExpectedDynamics {
     /// Of the lags and the shares, if the run is one of the kind.
     pub dynamics: DynamicsPrior,
-    /// The same, if its dynamics are those of the runs before, which have then not been told apart.
+    /// The same, if its dynamics are those of the runs before, which then count as equal.
     pub same: Option<DynamicsPrior>,
     /// delta: by which share of what is left of the transient the model errs.
     pub model_share: f64,
     /// How long such an error holds, in seconds.
     pub error_duration_s: f64,
-    /// By how much the sigmas of predictions are too small, as far as the runs before can tell; at least 1.
+    /// By how much the sigmas of predictions are too small, as far as the runs before show; at least 1.
     pub sigma_factor: f64,
 }
 

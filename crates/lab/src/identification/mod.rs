@@ -1,4 +1,4 @@
-//! How a sensor answers a step, found from its samples; and what it will show in the end, told while it is still on its way.
+//! How a sensor answers a step, found from its samples; and the prediction of its final value from the transient.
 //!
 //! Gets samples, gives models and predictions; reads no file and no clock. The filter for known dynamics is
 //! [`posebridge_estimator::filters::dynamic`]; here stands what comes before it (which dynamics?), beside it (block least squares,

@@ -64,7 +64,7 @@ pub(super) fn whitening_steps(
     let mut last_s = response.onset_s;
     let of = |sample: &TimedSample| {
         let since_s = sample.at_s - response.onset_s;
-        // Before the onset there is no transient of which a model could be wrong.
+        // Before the onset there is no transient that a model could get wrong.
         if since_s <= 0.0 || noise.model_share <= 0.0 {
             return WhiteningStep { remaining: 0.0, retention: 0.0, gain: 0.0, weight: 1.0 / white, ln_spread: 0.0 };
         }
@@ -85,7 +85,7 @@ pub(super) fn ln_spread(whitened: &[WhiteningStep]) -> f64 {
     whitened.iter().map(|white| white.ln_spread).sum()
 }
 
-/// What the filter believes of g, by the errors and by each of N columns of J.
+/// The filter's estimate of g, by the errors and by each of N columns of J.
 pub(super) struct WhiteningFilter<const N: usize> {
     error_state: f64,
     jacobian_state: [f64; N],

@@ -1,4 +1,4 @@
-//! The noise of a sensor of which nobody has said it, from how its samples scatter about their neighbours.
+//! The noise of a sensor with no configured noise, from how its samples scatter about their neighbours.
 //!
 //! ```text
 //! d_k = y_(k+1) - 2 y_k + y_(k-1)      sigma = median |d_k| / (0.6745 sqrt(6)), at least q / sqrt(12)                   (16)
@@ -7,7 +7,8 @@
 //! difference of two neighbours that differ: what a sensor that rounds cannot do without.
 //!
 //! # Assumptions
-//! Errors of neighbours are independent. Where they are not, the residuals of the fit have the last word ([`super::parameter_uncertainty`]).
+//! Errors of neighbours are independent. Where they are not, the residuals of the fit have the last word
+//! ([`super::parameter_uncertainty`]).
 //!
 //! # Sources
 //! The 75 % quantile of a Gaussian, and the variance 6 sigma^2 of the weights 1, -2, 1; docs/lab/identify.md.

@@ -9,13 +9,13 @@
 //! onset       from there back to the last mean that is within 3 sigma / sqrt(w) of the rest before
 //! plateau     on to the farthest that the smoothed signal gets before it turns back by a tenth of its way
 //! ```
-//! The offline search sees the whole recording. [`OnsetDetector`] is its causal half: it tells from the past alone that a step has begun.
+//! The offline search sees the whole recording. [`OnsetDetector`] is its causal half: it detects from the past alone that a step has begun.
 
 use super::{TimedSample, mean_of, sorted_finite};
 
-/// A window's mean must differ by so many sigma to be a step: a false alarm in ten thousand samples has a chance below 1e-10.
+/// Least difference of a window's mean, in sigmas, that counts as a step: a false alarm in ten thousand samples has a chance below 1e-10.
 const STEEP_SIGMAS: f64 = 8.0;
-/// Within so many sigma a mean counts as at rest.
+/// Within this number of sigmas a mean counts as at rest.
 const REST_SIGMAS: f64 = 3.0;
 /// By this share of its way the signal turns back where a plateau has ended.
 const TURN_BACK: f64 = 0.1;
@@ -23,7 +23,7 @@ const TURN_BACK: f64 = 0.1;
 const REST_SHARE: f64 = 0.125;
 /// The end of the step that counts as its final value, as a share of its samples.
 const TAIL_SHARE: usize = 10;
-/// Samples of rest of which the level before the step is the mean, at most.
+/// Most samples at rest that are averaged to the level before the step.
 const REST_SAMPLES: usize = 64;
 
 /// A step within a recording.
@@ -97,7 +97,7 @@ impl PrefixSums {
 struct SteepestChange {
     /// The sample before which it leaps.
     index: usize,
-    /// Samples of the window that tells it.
+    /// Samples of the window that detects it.
     width: usize,
 }
 
@@ -146,7 +146,7 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
-/// Tells from the past alone that a step has begun.
+/// Detects from the past alone that a step has begun.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnsetDetector {
     sigma: f64,

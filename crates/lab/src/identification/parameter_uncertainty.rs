@@ -1,8 +1,9 @@
-//! What a step has told, each number with a sigma that holds where the errors of neighbouring samples are alike, or unlike.
+//! The results of a step, each with a sigma that is valid whether the errors of neighbouring samples are correlated or not.
 //!
-//! The covariance (6) of the fit takes errors for independent and trusts the noise that it was given. Encoder speeds are differences of whole
-//! counts: what one interval lacks the next one has, and (6) is several times too large. A filtered sensor errs the other way for a
-//! while, and (6) is too small. Here the residuals themselves say how large errors are and what neighbours have in common.
+//! The covariance (6) of the fit takes errors for independent and trusts the noise that it was given. Encoder speeds are
+//! differences of whole counts: what one interval lacks the next one has, and (6) is several times too large. A filtered sensor
+//! errs the other way for a while, and (6) is too small. Here the residuals themselves say how large errors are and what
+//! neighbours have in common.
 //!
 //! # Model
 //! ```text
@@ -13,8 +14,8 @@
 //! differences of readings   u_k = q_(k+1) - q_k      sum of g_k u_k = sum of (g_(k-1) - g_k) q_k: (13) with q and these slopes  (14)
 //! mean lag = sum of s_j tau_j: by so much the sensor trails a ramp                                                          (15)
 //! ```
-//! In (14) a reading that does not change errs by the same all along: its terms are added up before they are squared. Without that a counter
-//! that stands would count for as many errors as it was read.
+//! In (14) a reading that does not change errs by the same all along: its terms are added up before they are squared. Without
+//! that a counter that stands would count for as many errors as it was read.
 //!
 //! Where the model itself errs (delta of (8) is not zero) a sum over few lags cannot see all that its errors have in common: the larger
 //! one of (13) and (6) is taken then.
@@ -42,13 +43,13 @@ pub enum Sampling {
     Differences,
 }
 
-/// Correlations of neighbours up to so many samples apart say whether there are any (Politis).
+/// Largest lag, in samples, that is searched for correlations (Politis).
 const CHECKED_LAGS: usize = 5;
 /// Differences of independent errors have rho(1) = -1/2; above half of that something else than the readings is noisy.
 const DIFFERENCES_BELOW: f64 = -0.25;
 /// A counter stands while its speed differs by less than this share of the residuals' root mean square.
 const STEADY_BELOW: f64 = 0.05;
-/// One lag of the window in so many samples: the variance that is found is then itself good to about 30 %.
+/// Number of samples for one lag of the window: the variance that is found is then itself good to about 30 %.
 const SAMPLES_PER_LAG: usize = 16;
 /// The most lags, so that long recordings take no longer than they are worth.
 const MAX_LAGS: usize = 256;
@@ -281,7 +282,7 @@ fn lagged_products(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<
     sum
 }
 
-/// The sum of products of values so many samples apart.
+/// The sum of products of values this number of samples apart.
 fn lagged_sum(values: &[f64], lag: usize) -> f64 {
     let pairs = values.iter().zip(values.iter().skip(lag));
     pairs.map(|(a, b)| a * b).sum()

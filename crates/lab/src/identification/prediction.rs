@@ -23,7 +23,7 @@ pub const BOUND_RATE: f64 = 0.95;
 /// The two-sided quantile of a Gaussian for it.
 pub const BOUND_SIGMAS: f64 = 1.959_964;
 
-/// What is believed of the final value at one instant.
+/// The predicted final value at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndPrediction {
     /// The instant of the latest sample, in seconds of the sensor's clock.
@@ -59,7 +59,7 @@ pub fn predict_with_expectation(
     predict_series(samples, sigma, |_| Some(expectation.clone()))
 }
 
-/// What is believed after the last of these samples; the same as the last of [`predict_with_expectation`], at the cost of one fit.
+/// The prediction after the last of these samples; the same as the last of [`predict_with_expectation`], at the cost of one fit.
 #[must_use]
 pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedDynamics) -> Option<EndPrediction> {
     let samples = sorted_finite(samples);
@@ -247,7 +247,7 @@ impl Default for PredictionScore {
     }
 }
 
-/// Judges predictions by what the run showed in the end; `None` where none is in time.
+/// Scores predictions by the final value of the run; `None` where none is in time.
 #[must_use]
 pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) -> Option<PredictionScore> {
     let response = run.response();

@@ -1,4 +1,4 @@
-//! What is believed of a step response before its samples are looked at: equation (5) of [`super::fit`].
+//! The prior of a step response: equation (5) of [`super::fit`].
 //!
 //! [`super::sensor_kind`] makes it from the runs before; [`super::step`](mod@super::step) from next to nothing.
 
@@ -20,7 +20,7 @@ pub mod row {
     pub const LAGS: usize = 3;
 }
 
-/// What is believed of one number beforehand: a Gaussian.
+/// The prior of one number: a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianPrior {
     /// Its mean.
@@ -39,7 +39,7 @@ impl GaussianPrior {
     }
 }
 
-/// What is believed of the lags and the shares beforehand, equation (5).
+/// The prior of the lags and the shares, equation (5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct DynamicsPrior {
     order: usize,

@@ -16,9 +16,10 @@
 //! No sensor is quite a sum of a few exponentials: without s_0 a short noisy run, which cannot show what is wrong with its model, would be
 //! taken for one whose model is right.
 //!
-//! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the next run decide
-//! (prediction.rs). Where there are two runs or more, each is predicted by the others: the order by which they miss least is chosen, and
-//! if their bounds hold less often than they should, the sigmas of the next prediction are larger by what would have made them hold.
+//! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the
+//! next run decide (prediction.rs). Where there are two runs or more, each is predicted by the others: the order by which they
+//! miss least is chosen, and if their bounds hold less often than they should, the sigmas of the next prediction are larger by
+//! what would have made them hold.
 //!
 //! Up and down are identified apart. A step the other way, of which there is no run, is expected like those that there are, but for a
 //! scale that all its lags have in common: heat goes into a body through another film than out of it.
@@ -249,7 +250,7 @@ fn parameter_rows(run: &CandidateModel, rows: usize) -> DVector<f64> {
     DVector::from_iterator(rows, ln_lags.chain(shares).take(rows))
 }
 
-/// delta and T of the next run: by what the runs show, and within a kind also by what is believed beforehand.
+/// delta and T of the next run: by the runs, and within a kind also by the prior.
 fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
     let count = runs.len() as f64;
     let squares: f64 = runs.iter().map(|run| run.model_share.powi(2)).sum();

@@ -1,4 +1,4 @@
-//! A thermometer whose truth is known, written from physics and from nothing that judges it.
+//! A thermometer whose truth is known, written from physics, and independent of the code that it tests.
 //!
 //! # Model
 //! The body of the sensor is warmed along several paths, each a resistance and a capacity; what is measured is a mix of them:
@@ -33,7 +33,7 @@ impl SimulatedSensor {
         Self { lags: vec![(tau_s, 1.0)], sigma, resolution: 0.0, period_s }
     }
 
-    /// What it shows from time 0 on for so many samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
+    /// Its readings from time 0 on, this number of samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
     #[must_use]
     pub fn run(&self, seed: u64, count: usize, truth: impl Fn(f64) -> f64) -> Vec<TimedSample> {
         let mut random = Pcg64::seed_from_u64(seed);

@@ -36,9 +36,9 @@ pub struct StepOptions {
     pub sigma: f64,
     /// How many exponentials.
     pub order: ModelOrder,
-    /// When the quantity stepped, in seconds of the sensor's clock; without it there is no delay to be told.
+    /// When the quantity stepped, in seconds of the sensor's clock; without it the delay is not observable.
     pub onset_s: Option<f64>,
-    /// How far the quantity stepped, in its own unit; without it there is no gain to be told.
+    /// How far the quantity stepped, in its own unit; without it the gain is not observable.
     pub input_step: Option<f64>,
     /// What the sensor shows in the end, if that is known; it need not be.
     pub end: Option<f64>,
@@ -379,7 +379,7 @@ impl<'a> StepFitter<'a> {
         let independent = self.samples_after_onset as f64 / held.max(1.0);
         for candidate in candidates {
             let parameters = 2.0 + 2.0 * candidate.fit.response.lags.len() as f64;
-            // No residual is told apart below a tenth of the noise.
+            // Residuals are not distinguished below a tenth of the noise.
             let rms = candidate.residual_rms.max(0.1 * self.sigma);
             candidate.criterion = 2.0 * independent * rms.ln() + parameters * independent.ln();
         }
@@ -418,7 +418,7 @@ impl ResidualCorrelation {
     }
 }
 
-/// The mean product of residuals so many samples apart.
+/// The mean product of residuals this number of samples apart.
 fn covariance(residuals: &[f64], lag: usize) -> f64 {
     let pairs = residuals.iter().zip(residuals.iter().skip(lag));
     pairs.map(|(a, b)| a * b).sum::<f64>() / residuals.len().max(1) as f64

@@ -43,7 +43,7 @@ impl StepResponse {
         self.start + self.step * (1.0 - self.remaining(at_s - self.onset_s))
     }
 
-    /// r, the share of the step that is still to come after so many seconds, by equation (2); 1 before the onset.
+    /// r, the share of the step that is still to come after a time in seconds, by equation (2); 1 before the onset.
     #[must_use]
     pub fn remaining(&self, since_onset_s: f64) -> f64 {
         let since_s = since_onset_s.max(0.0);

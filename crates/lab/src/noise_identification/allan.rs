@@ -13,7 +13,7 @@ pub struct AllanPoint {
 
 /// Points per factor of ten of the averaging time.
 const POINTS_PER_DECADE: f64 = 8.0;
-/// So many independent averages are the least that say anything.
+/// Least number of independent averages.
 const MIN_AVERAGES: usize = 9;
 
 /// The deviation of evenly sampled rates, over averaging times up to a ninth of the record.

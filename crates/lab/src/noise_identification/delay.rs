@@ -1,4 +1,4 @@
-//! How late a camera speaks, by its motion against the wheels': equation (5) of the module's head.
+//! A camera's delay, by its motion against the wheels': equation (5) of the module's head.
 //!
 //! ```text
 //! d^       the delay of the largest correlation: a grid, then a golden section
@@ -40,7 +40,7 @@ pub struct FixDelay {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DelayError {
     /// Too little to compare.
-    #[error("only {0} sightings lie within what the wheels tell at every delay; 30 are the least")]
+    #[error("only {0} fixes lie within the wheel readings at every delay; 30 are needed")]
     TooFew(usize),
     /// The robot does the same all the time.
     #[error("the robot hardly changes its motion (correlation {0:.2}): let it turn to and fro")]

@@ -1,4 +1,4 @@
-//! What a sensor's noise is, from a robot that rests or drives straight, and how late one sensor speaks, from its motion.
+//! A sensor's noise, from a robot that rests or drives straight, and a sensor's delay, from its motion.
 //!
 //! Paper 1 finds its R by hand: a robot that stands, recorded, and one that drives straight. Here the same two recordings give the
 //! numbers with their standard deviations, and a third, in which a robot turns to and fro, gives the delay of a camera.

@@ -1,4 +1,4 @@
-//! The step in which a sensor speaks, from its readings.
+//! A sensor's quantization step, from its readings.
 
 /// A remainder of the step below this share of it is rounding of the file.
 const SAME_STEP: f64 = 0.05;

@@ -27,7 +27,7 @@ pub struct RestNoise {
     pub bias: f64,
     /// Its standard deviation, with the walk and with what rounding hides.
     pub bias_sigma: f64,
-    /// The step in which the sensor speaks; `None` if none is seen.
+    /// The sensor's quantization step; `None` if none is seen.
     pub quantum: Option<f64>,
     /// White noise of a sample with its rounding, one standard deviation.
     pub total: f64,
@@ -37,12 +37,12 @@ pub struct RestNoise {
     pub white_sigma: f64,
     /// Angle random walk of a rate: `total` times the root of `dt_s`.
     pub angle_random_walk: f64,
-    /// Random walk of the bias per root of a second, with its standard deviation; `None` where none can be told from zero.
+    /// Random walk of the bias per root of a second, with its standard deviation; `None` where it does not differ from zero.
     pub walk: Option<(f64, f64)>,
 }
 
 impl RestNoise {
-    /// The noise that a filter shall be told which adds the rounding to `quantum` itself: never zero.
+    /// The noise to configure in a filter that adds the rounding to `quantum` itself: never zero.
     ///
     /// Where rounding hides all other noise, the largest that it can be.
     #[must_use]

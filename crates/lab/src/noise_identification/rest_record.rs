@@ -1,13 +1,13 @@
-//! What a sensor said while nothing moved: stretches of readings, cut where the sensor was silent for long.
+//! A sensor's readings while nothing moved: stretches of readings, cut where the sensor was silent for long.
 
-/// So long a silence ends a stretch, in seconds, unless the sensor speaks that seldom anyway: what happened meanwhile nobody saw.
+/// A silence of this length ends a stretch, in seconds, unless the sensor's rate is that low anyway: what happened meanwhile is unknown.
 const MIN_SILENCE_S: f64 = 1.0;
-/// So many usual intervals are a silence for a sensor that speaks seldom.
+/// Number of usual intervals that count as a silence of a sensor with a low rate.
 const SILENCE_INTERVALS: f64 = 3.0;
 /// Fewer readings than these do not make a mean that is worth saving; of 20 the noise is known to a sixth.
 const MIN_READINGS: usize = 20;
 
-/// Why a rest tells nothing.
+/// Why a rest has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RestError {
     /// Too few samples.

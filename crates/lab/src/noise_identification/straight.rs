@@ -19,7 +19,7 @@ pub struct StraightNoise {
     pub rho_1: f64,
 }
 
-/// Why a run tells nothing.
+/// Why a run has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StraightError {
     /// Too few intervals at a steady speed.
@@ -33,7 +33,7 @@ pub enum StraightError {
 }
 
 const MIN_INTERVALS: usize = 20;
-/// The speed is steady where its mean over so many intervals
+/// The speed is steady where its mean over this number of intervals
 const MEAN_OVER: usize = 10;
 /// is off the median by no more than this share of it.
 const STEADY: f64 = 0.1;

@@ -1,4 +1,4 @@
-//! White noise and a random walk told apart: the most likely variances of a local level, equation (1) of the module's head.
+//! White noise and a random walk, separated: the most likely variances of a local level, equation (1) of the module's head.
 //!
 //! ```text
 //! L(l) = -1/2 m (ln s2(l) + 1) - 1/2 sum ln f_k         l = var w / var v         (var v in front is taken out)
@@ -16,7 +16,7 @@ pub struct NoiseDecomposition {
     pub white: f64,
     /// Its standard deviation.
     pub white_sigma: f64,
-    /// The random walk: standard deviation that is gained in a usual interval. `None` where none can be told from zero.
+    /// The random walk: standard deviation that is gained in a usual interval. `None` where it does not differ from zero.
     pub walk_per_step: Option<f64>,
     /// Standard deviation of ln of that.
     pub walk_ln_sigma: f64,
@@ -30,10 +30,10 @@ const GRID: u32 = 33;
 const SECTIONS: u32 = 30;
 /// Half a step for the curvature of L in ln l.
 const CURVATURE_STEP: f64 = 0.1;
-/// By so much must a walk raise L to be told from none: chi-square with one degree of freedom at 95 %, halved.
+/// Least increase of L by a walk that counts as different from none: chi-square with one degree of freedom at 95 %, halved.
 const MIN_GAIN: f64 = 1.92;
 
-/// Tells them apart; `None` for fewer than ten samples that have one before them, or no noise at all.
+/// Separates them; `None` for fewer than ten samples that have one before them, or no noise at all.
 #[must_use]
 pub fn decompose_noise(record: &RestRecord) -> Option<NoiseDecomposition> {
     let stretches: Vec<RestStretch> = record
@@ -151,7 +151,7 @@ mod tests {
             .collect()
     }
 
-    /// A record of these samples, ten a second, in stretches of so many.
+    /// A record of these samples, ten a second, in stretches of this length.
     fn record(samples: &[f64], per_stretch: usize) -> RestRecord {
         let stamped: Vec<(f64, f64)> =
             samples.iter().enumerate().map(|(k, sample)| (0.1 * k as f64, *sample)).collect();

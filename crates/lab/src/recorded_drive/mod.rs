@@ -1,7 +1,7 @@
-//! A drive of a real robot: where it began, where it ended, and who says so.
+//! A drive of a real robot: its start, its end, and the source of both.
 //!
 //! A recording has no truth. What is known of its ends comes from a camera, whose fixes are then held back from the filters, or from
-//! the path: who drives a closed path ends where it began. Gets observations as they were recorded; the experiments of the lab
+//! the path: a closed path ends where it began. Gets observations as they were recorded; the experiments of the lab
 //! run their filters over the drive.
 //!
 //! # Model
@@ -22,6 +22,8 @@
 
 mod observations;
 mod start_and_end;
+#[cfg(test)]
+pub(crate) mod test_drive;
 
 use posebridge_estimator::{Filter, FilterConfig, StartPose};
 use posebridge_report::metrics::PoseError;
@@ -34,10 +36,10 @@ use crate::end_errors::FilteredDrive;
 pub(crate) use self::observations::{fixes, mid_axle_position, moved, wheels};
 pub use self::start_and_end::DriveError;
 
-/// Who says where a drive ended.
+/// The reference for the end of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEndReference {
-    /// The fixes; no filter that is judged by them is given them.
+    /// The fixes; no filter that is scored by them gets them.
     Fixes,
     /// The start: the path was closed.
     Start,
@@ -61,7 +63,7 @@ pub struct RecordedDrive {
 }
 
 impl RecordedDrive {
-    /// Sorts what was observed and finds the ends; without `judge` the fixes judge if there is one.
+    /// Sorts what was observed and finds the ends; without `judge` the fixes are the reference if there is one.
     ///
     /// # Errors
     /// See [`DriveError`].
@@ -90,13 +92,13 @@ impl RecordedDrive {
         Ok(Self { observations, start, end_reference: judge, end_time: end_stamp, end, end_heading })
     }
 
-    /// What a filter is told of a robot, with this drive's start.
+    /// The configuration of a filter, with this drive's start.
     #[must_use]
     pub fn configure(&self, config: &FilterConfig) -> FilterConfig {
         FilterConfig { start: Some(self.start), ..config.clone() }
     }
 
-    /// Runs a filter over what it `hears` of the drive and holds its belief against the end.
+    /// Runs a filter over the observations that it `accepts`, and compares its estimate with the end.
     pub fn run_filter(&self, filter: &mut dyn Filter, accepts: impl Fn(&ObservationKind) -> bool) -> FilteredDrive {
         let mut way_m = Vec::new();
         let until = self.observations.iter();
@@ -141,65 +143,30 @@ impl RecordedDrive {
 #[cfg(test)]
 mod tests {
     use super::start_and_end::accelerations;
+    use super::test_drive::{self, observation, wheel_angles};
     use super::*;
-    use posebridge_estimator::{Params, find_filter};
-    use posebridge_telemetry::{
-        Body, Calibration, DriveGeometry, Fix, Meters, MetersPerSecondSquared, Radians, RadiansPerSecond, SensorId,
-        SensorNoise, TimeDelta,
-    };
+    use posebridge_estimator::find_filter;
+    use posebridge_telemetry::{Body, Meters, MetersPerSecondSquared, RadiansPerSecond, SensorNoise};
 
     fn config() -> FilterConfig {
-        FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.05),
-                right_wheel_radius: Meters(0.05),
-                track_width: Meters(0.2),
-                tick: Radians(0.01),
-            },
-            noise: SensorNoise {
-                fix_position_m: 0.01,
-                fix_heading_rad: 0.02,
-                wheel_travel_m_per_sqrt_m: 0.001,
-                ..SensorNoise::EXACT
-            },
-            start: None,
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        }
-    }
-
-    fn at(millis: i64, observed: ObservationKind) -> Observation {
-        Observation {
-            sensor: SensorId::WHEELS,
-            stamp: Timestamp::from_nanos(millis * 1_000_000),
-            stamp_sigma: TimeDelta::ZERO,
-            measurement: observed,
-        }
-    }
-
-    fn turned(millis: i64, left: f64, right: f64) -> Observation {
-        let [left, right] = [left, right].map(Radians);
-        at(millis, ObservationKind::WheelAngles { left, right })
+        test_drive::config(SensorNoise {
+            fix_position_m: 0.01,
+            fix_heading_rad: 0.02,
+            wheel_travel_m_per_sqrt_m: 0.001,
+            ..SensorNoise::EXACT
+        })
     }
 
     const TAG: Point2<Body> = Point2::new(Meters(0.1), Meters(0.0));
 
-    fn seen(millis: i64, x: f64, y: f64, heading: Option<f64>) -> Observation {
-        let fix = Fix {
-            position: Point2::new(Meters(x), Meters(y)),
-            heading: heading.map(Heading::from_rad),
-            covariance: None,
-            tag_in_body: TAG,
-            reset_counter: 0,
-        };
-        at(millis, ObservationKind::Fix(fix))
+    fn fix(millis: i64, x: f64, y: f64, heading: Option<f64>) -> Observation {
+        test_drive::fix(millis, Point2::new(Meters(x), Meters(y)), heading, TAG)
     }
 
     /// Stands for a second, drives 1 m northwards in ten seconds, stands for a second.
     fn northwards() -> Vec<Observation> {
         let angle = |step: i64| 20.0 * (step - 10).clamp(0, 100) as f64 / 100.0;
-        (0..=120).map(|step| turned(100 * step, angle(step), angle(step))).collect()
+        (0..=120).map(|step| wheel_angles(100 * step, angle(step), angle(step))).collect()
     }
 
     #[test]
@@ -208,9 +175,9 @@ mod tests {
         let mut observations = northwards();
         // Late ones come last and are put in their place; the tag is ahead of the axle.
         for (millis, y) in [(11_900, 3.11), (11_500, 3.09), (300, 2.09), (600, 2.11), (6_000, 9.0)] {
-            observations.push(seen(millis, 1.0, y, Some(north)));
+            observations.push(fix(millis, 1.0, y, Some(north)));
         }
-        observations.push(seen(700, f64::NAN, 0.0, None));
+        observations.push(fix(700, f64::NAN, 0.0, None));
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
         assert_eq!(drive.end_reference, DriveEndReference::Fixes);
         let pose = drive.start.pose;
@@ -218,8 +185,8 @@ mod tests {
         assert!((drive.start.position_sigma_m - 0.01 / 2f64.sqrt()).abs() < 1e-12);
         assert!((drive.end.y.0 - 3.0).abs() < 1e-12, "{drive:?}");
         assert_eq!(drive.end_time.as_nanos(), 11_900_000_000);
-        let told = drive.configure(&config());
-        let mut filter = (find_filter("odometry").unwrap().build)(&told);
+        let config = drive.configure(&config());
+        let mut filter = (find_filter("odometry").unwrap().build)(&config);
         let course =
             drive.run_filter(filter.as_mut(), |observed| matches!(observed, ObservationKind::WheelAngles { .. }));
         // The wheels are exact, and the fix at half way would have torn them away.
@@ -239,8 +206,8 @@ mod tests {
         let end = drive.run_filter(filter.as_mut(), |_| true).end.unwrap();
         assert!((end.dx_m - 1.0).abs() < 1e-9, "{end:?}");
         assert_eq!((end.heading_rad, end.covariance), (None, None));
-        let asked = RecordedDrive::new(&northwards(), &config(), Some(DriveEndReference::Fixes));
-        assert_eq!(asked, Err(DriveError::NoFix));
+        let without_fixes = RecordedDrive::new(&northwards(), &config(), Some(DriveEndReference::Fixes));
+        assert_eq!(without_fixes, Err(DriveError::NoFix));
     }
 
     #[test]
@@ -250,8 +217,8 @@ mod tests {
         let mut observations = Vec::new();
         for step in 0..=100_i64 {
             let way = quarter * step as f64 / 100.0;
-            observations.push(turned(100 * step, 0.9 * way / 0.05, 1.1 * way / 0.05));
-            observations.push(seen(100 * step, way.sin(), 1.0 - way.cos(), None));
+            observations.push(wheel_angles(100 * step, 0.9 * way / 0.05, 1.1 * way / 0.05));
+            observations.push(fix(100 * step, way.sin(), 1.0 - way.cos(), None));
         }
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
         assert!(drive.start.pose.heading.rad().abs() < 1e-9, "{drive:?}");
@@ -266,7 +233,7 @@ mod tests {
     fn accelerations_get_their_zero_from_a_rest_that_is_long_enough() {
         let felt = |millis, left| {
             let [left, right] = [left, -0.5].map(MetersPerSecondSquared);
-            at(millis, ObservationKind::WheelAccelerations { left, right })
+            observation(millis, ObservationKind::WheelAccelerations { left, right })
         };
         let with_rest = |readings: i64| {
             let mut observations = northwards();
@@ -284,8 +251,8 @@ mod tests {
     #[test]
     fn a_drive_whose_first_fix_is_late_begins_with_it() {
         let mut observations = northwards();
-        observations.push(seen(6_000, 0.1, 0.5, Some(0.0)));
-        observations.push(seen(11_900, 0.1, 1.0, Some(0.0)));
+        observations.push(fix(6_000, 0.1, 0.5, Some(0.0)));
+        observations.push(fix(11_900, 0.1, 1.0, Some(0.0)));
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
         assert_eq!(drive.observations.first().unwrap().stamp.as_nanos(), 6_000_000_000);
         assert!((drive.start.pose.y.0 - 0.5).abs() < 1e-12);
@@ -293,11 +260,14 @@ mod tests {
 
     #[test]
     fn what_is_no_drive_is_refused() {
-        let rate = at(5, ObservationKind::TurnRate(RadiansPerSecond(0.1)));
+        let rate = observation(5, ObservationKind::TurnRate(RadiansPerSecond(0.1)));
         let fail = |observations: &[Observation]| RecordedDrive::new(observations, &config(), None).unwrap_err();
         assert_eq!(fail(&[]), DriveError::NoWheels);
         assert_eq!(fail(&[rate]), DriveError::NoWheels);
-        assert_eq!(fail(&[turned(0, 1.0, 1.0), turned(50, 1.0, 1.0)]), DriveError::NeverMoves { readings: 2 });
-        assert_eq!(fail(&[turned(0, f64::NAN, 1.0), rate]), DriveError::NoWheels);
+        assert_eq!(
+            fail(&[wheel_angles(0, 1.0, 1.0), wheel_angles(50, 1.0, 1.0)]),
+            DriveError::NeverMoves { readings: 2 }
+        );
+        assert_eq!(fail(&[wheel_angles(0, f64::NAN, 1.0), rate]), DriveError::NoWheels);
     }
 }

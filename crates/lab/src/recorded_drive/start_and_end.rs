@@ -1,4 +1,4 @@
-//! What a drive's own observations tell of its start, its end and the zero of its accelerometers; the model is that of the module
+//! The start and the end of a drive and the zero of its accelerometers, from its own observations; the model is that of the module
 //! above.
 
 use posebridge_estimator::{FilterConfig, StartPose};
@@ -8,7 +8,7 @@ use posebridge_telemetry::{
 
 use super::observations::{fixes, mid_axle_position, moved, wheels};
 
-/// The chord that gives a heading is at least this long: fixes of 5 mm then tell it to two degrees.
+/// The chord that gives a heading is at least this long: fixes of 5 mm then determine it to two degrees.
 const CHORD_M: f64 = 0.2;
 /// Fewer readings at rest than this do not make a zero; a second at 20 Hz.
 const MIN_REST_FIXES: usize = 20;
@@ -19,21 +19,21 @@ const EXACT_START_SIGMA: f64 = 1e-4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriveError {
-    /// Nothing tells how the wheels turned.
+    /// There is no reading of the wheels.
     #[error("it holds no wheel ticks: let the robot send WHEEL_TICKS or WHEEL_DISTANCE and record it again")]
     NoWheels,
     /// The wheels never turned.
     #[error("its wheels never turn ({readings} readings): record from before the robot starts until it stands again")]
     NeverMoves {
-        /// How often the wheels were told.
+        /// Number of wheel readings.
         readings: usize,
     },
-    /// The fixes shall judge and there are none.
+    /// The fixes are to be the reference, and there are none.
     #[error(
-        "it holds no fix that could judge it: record with the camera, or drive a closed path and say `--judge start`"
+        "it holds no fix that could be the reference: record with the camera, or drive a closed path and say `--judge start`"
     )]
     NoFix,
-    /// Nobody knows where the robot pointed.
+    /// The robot's heading is unknown.
     #[error(
         "its fixes have no heading and the robot never gets 0.2 m away from its start: give the start in `[robot.start]`"
     )]
@@ -59,7 +59,7 @@ pub(super) fn moving_interval(
     }
 }
 
-/// What a robot's owner does before a drive: what the accelerometers say while the robot stands is their zero.
+/// What a robot's owner does before a drive: the accelerometers' readings at rest are their zero.
 pub(super) fn zero_accelerations(observations: &mut [Observation], stands_until: Timestamp<BrickClock>) {
     let standing = observations.iter().filter(|one| one.stamp <= stands_until);
     let felt: Vec<[f64; 2]> = standing.filter_map(accelerations).collect();

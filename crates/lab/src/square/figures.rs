@@ -13,7 +13,7 @@ use super::table::SensorTable;
 pub struct SquareExample {
     /// The drive.
     pub table: SensorTable,
-    /// What the filters were told.
+    /// The configuration of the filters.
     pub config: FilterConfig,
     /// Of how many images one is given to the filters.
     pub camera_every: usize,
@@ -143,7 +143,7 @@ impl SquareExample {
         })
     }
 
-    /// The geometry that the filters were told.
+    /// The geometry that the filters were configured with.
     #[must_use]
     pub const fn geometry(&self) -> &DriveGeometry {
         &self.config.geometry

@@ -11,7 +11,7 @@ use super::table::{SensorRow, SensorTable, TableSensor};
 pub struct Method {
     /// Its name in tables.
     pub name: &'static str,
-    /// What it hears.
+    /// Its inputs.
     pub sensors: &'static [TableSensor],
     kind: MethodKind,
 }
@@ -107,7 +107,7 @@ enum MethodRunner {
 }
 
 impl Method {
-    /// Follows a table and says what it believed after each row; not a number where it believed nothing. `camera_every`: of how
+    /// Runs over a table and gives the estimate after each row; not a number where it has none. `camera_every`: of how
     /// many images one is given.
     #[must_use]
     pub fn run(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<DriveState> {

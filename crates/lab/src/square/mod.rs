@@ -34,7 +34,7 @@ use posebridge_telemetry::{Heading, Meters, Pose, UncertainValue};
 
 /// Fewer readings of the gyro at rest than this do not make a bias.
 const MIN_REST_ROWS: usize = 20;
-/// What a true start is known to, m and rad; as the Monte-Carlo scenarios tell it.
+/// What a true start is known to, m and rad; as in the Monte-Carlo scenarios.
 const EXACT_START_SIGMA: f64 = 1e-4;
 
 /// The configuration for one table: the start from its first row, the gyro's bias from the stop that it begins with.

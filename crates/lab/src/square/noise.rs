@@ -1,6 +1,6 @@
 //! R from records instead of from trimming by hand: a stop and a straight run, as the paper does it.
 //!
-//! At rest a counter does not move, so a stop says nothing of its rounding: its R would be zero and the filter would believe every
+//! At rest a counter does not move, so a stop says nothing of its rounding: its R would be zero and the filter would trust every
 //! count. A straight run shows it, as what is left beside a straight line.
 //!
 //! # Model
@@ -38,7 +38,7 @@ pub struct MeanAndVariance {
     pub variance: f64,
 }
 
-/// What a record tells; `None` where the sensor said too little. Units are those of the paper: degrees, cm.
+/// The results of a record; `None` where the sensor said too little. Units are those of the paper: degrees, cm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NoiseRecord {
     /// From this row on,

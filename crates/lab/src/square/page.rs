@@ -192,7 +192,7 @@ impl SquareReport {
         )
     }
 
-    /// Who diverged, and how often; nothing if nobody did.
+    /// Who diverged, and how often; empty if none did.
     fn divergences(&self) -> Option<ReportBlock> {
         let mut told: Vec<(&str, String)> = Vec::new();
         for chain in self.rankings.iter().chain([&self.extended]) {

@@ -2,9 +2,9 @@
 //!
 //! # Model
 //! ```text
-//! row k      an instant t_k at which the wheels were told
-//! gyro       mean of the rates told in (t_(k-1), t_k], each weighted by the time since the rate before it
-//! accel.     mean of those told in (t_(k-1), t_k]
+//! row k      an instant t_k of a wheel reading
+//! gyro       mean of the rates measured in (t_(k-1), t_k], each weighted by the time since the rate before it
+//! accel.     mean of those measured in (t_(k-1), t_k]
 //! image      a fix goes to the nearest row; the wheels carry it over what lies between:
 //!            p + d (cos th, sin th), th + dth with d and dth the wheels' share of that time, th in the middle
 //! ```
@@ -21,7 +21,7 @@ use posebridge_telemetry::{
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_position, moved, wheels};
 
-/// The table of a drive; where its path judges, the last row has the start as its true place.
+/// The table of a drive; where its path is the reference, the last row has the start as its true position.
 #[must_use]
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
     let mut told: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
@@ -70,7 +70,7 @@ fn add_rates(table: &mut SensorTable, readings: &[(Timestamp<BrickClock>, [f64; 
         let ObservationKind::TurnRate(rate) = observation.measurement else {
             continue;
         };
-        // The first rate tells of a time that nobody knows: as good as any other.
+        // The first rate covers a time of unknown length: as good as any other.
         let since_s = before.map_or(1e-3, |before| (observation.stamp - before).as_secs_f64());
         before = Some(observation.stamp);
         let sum = row_index(readings, observation.stamp).and_then(|row| sums.get_mut(row));
@@ -156,55 +156,22 @@ fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_estimator::{FilterConfig, Params};
-    use posebridge_telemetry::{
-        Calibration, Meters, MetersPerSecondSquared, RadiansPerSecond, SensorId, SensorNoise, TimeDelta,
-    };
+    use crate::recorded_drive::test_drive::{self, observation, wheel_angles};
+    use posebridge_estimator::FilterConfig;
+    use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond, SensorNoise};
 
     fn config() -> FilterConfig {
-        FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.05),
-                right_wheel_radius: Meters(0.05),
-                track_width: Meters(0.2),
-                tick: Radians(0.01),
-            },
-            noise: SensorNoise::EXACT,
-            start: None,
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        }
+        test_drive::config(SensorNoise::EXACT)
     }
 
-    fn at(millis: i64, observed: ObservationKind) -> Observation {
-        Observation {
-            sensor: SensorId::WHEELS,
-            stamp: Timestamp::from_nanos(millis * 1_000_000),
-            stamp_sigma: TimeDelta::ZERO,
-            measurement: observed,
-        }
-    }
-
-    /// 0.2 m/s to the north, told every 100 ms, after 200 ms of rest.
+    /// 0.2 m/s to the north, read every 100 ms, after 200 ms of rest.
     fn northwards() -> Vec<Observation> {
-        let angle = |step: i64| Radians(0.4 * (step - 2).max(0) as f64);
-        let wheels = (0..12).map(|step| {
-            let (left, right) = (angle(step), angle(step));
-            at(100 * step, ObservationKind::WheelAngles { left, right })
-        });
-        wheels.collect()
+        let angle = |step: i64| 0.4 * (step - 2).max(0) as f64;
+        (0..12).map(|step| wheel_angles(100 * step, angle(step), angle(step))).collect()
     }
 
-    fn seen(millis: i64, y: f64, heading: Option<f64>) -> Observation {
-        let fix = Fix {
-            position: Point2::new(Meters(1.0), Meters(y)),
-            heading: heading.map(Heading::from_rad),
-            covariance: None,
-            tag_in_body: Point2::ORIGIN,
-            reset_counter: 0,
-        };
-        at(millis, ObservationKind::Fix(fix))
+    fn fix(millis: i64, y: f64, heading: Option<f64>) -> Observation {
+        test_drive::fix(millis, Point2::new(Meters(1.0), Meters(y)), heading, Point2::ORIGIN)
     }
 
     fn table(observations: &[Observation]) -> SensorTable {
@@ -219,9 +186,9 @@ mod tests {
             let mut observations = northwards();
             // y = 0.2 (t - 0.2); at 440 ms the row of 400 ms is nearer, at 770 ms that of 800 ms.
             for (millis, y) in [(0, 0.0), (440, 0.048), (770, 0.114), (1_100, 0.18)] {
-                observations.push(seen(millis, y, heading));
+                observations.push(fix(millis, y, heading));
             }
-            observations.push(seen(1_050, 0.2, heading));
+            observations.push(fix(1_050, 0.2, heading));
             let config = FilterConfig {
                 start: heading.is_none().then_some(posebridge_estimator::StartPose {
                     pose: posebridge_telemetry::Pose::new(Meters(1.0), Meters(0.0), Heading::from_rad(1.57)),
@@ -236,21 +203,21 @@ mod tests {
             assert!((y(4) - 0.04).abs() < 1e-9, "{heading:?}: {}", y(4));
             assert!((y(8) - 0.12).abs() < 1e-9, "{heading:?}: {}", y(8));
             let with_image = table.rows.iter().filter(|row| row.camera.is_some());
-            assert_eq!(with_image.count(), 3, "one judged row each, none at the start");
+            assert_eq!(with_image.count(), 3, "one reference row each, none at the start");
         }
     }
 
     #[test]
     fn rates_are_weighted_by_their_time_and_accelerations_are_not() {
         let mut observations = northwards();
-        let rate = |millis, rate| at(millis, ObservationKind::TurnRate(RadiansPerSecond(rate)));
+        let rate = |millis, rate| observation(millis, ObservationKind::TurnRate(RadiansPerSecond(rate)));
         observations.extend([rate(400, 0.0), rate(475, 1.0), rate(500, 3.0)]);
         for (millis, left) in [(410, 1.0), (450, 2.0), (500, 3.0), (501, 9.0)] {
             let felt = ObservationKind::WheelAccelerations {
                 left: MetersPerSecondSquared(left),
                 right: MetersPerSecondSquared(-left),
             };
-            observations.push(at(millis, felt));
+            observations.push(observation(millis, felt));
         }
         let row = table(&observations).rows[5];
         let rate = row.gyro_deg_per_s.unwrap().to_radians();
@@ -260,11 +227,11 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_path_is_judged_in_its_last_row_alone() {
+    fn a_closed_path_has_a_reference_in_its_last_row_only() {
         let table = table(&northwards());
-        let judged = table.references(10);
-        assert_eq!(judged.iter().flatten().count(), 1);
-        assert_eq!(judged.last().unwrap().unwrap().theta_deg, None);
+        let references = table.references(10);
+        assert_eq!(references.iter().flatten().count(), 1);
+        assert_eq!(references.last().unwrap().unwrap().theta_deg, None);
         assert!((table.rows[11].encoders[0] - 360.0).abs() < 1e-9);
     }
 }

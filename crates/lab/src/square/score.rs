@@ -172,7 +172,7 @@ impl OrderStep {
         self.ratio.is_some_and(|ratio| ratio[1] > 1.0)
     }
 
-    /// What the figures say, in words.
+    /// The result of the figures, in words.
     #[must_use]
     pub fn as_text(&self) -> &'static str {
         match self.ratio {

@@ -31,7 +31,7 @@ impl EncoderUnit {
     }
 }
 
-/// A pose as somebody outside saw it, or as it was.
+/// A pose measured from outside, or the true one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPose {
     /// x in the arena, m.
@@ -42,7 +42,7 @@ pub struct MeasuredPose {
     pub theta_deg: Option<f64>,
 }
 
-/// What the sensors said at one instant; `None` where a sensor said nothing.
+/// The sensor readings of one instant; `None` where a sensor said nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorRow {
     /// Since any zero, in seconds.
@@ -70,7 +70,7 @@ pub struct SensorTable {
     pub rows: Vec<SensorRow>,
 }
 
-/// A sensor of which not every method makes use.
+/// A sensor that not every method uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableSensor {
     /// The encoders of both wheels.
@@ -100,7 +100,7 @@ impl SensorRow {
         }
     }
 
-    /// Writes down what a sensor said, the opposite of [`SensorRow::observations`]; kinds that have no column are left out. A
+    /// Stores a sensor reading, the inverse of [`SensorRow::observations`]; kinds that have no column are left out. A
     /// counter is a whole number of `unit_rad`.
     pub fn record(&mut self, observed: &ObservationKind, unit_rad: f64) {
         match observed {
@@ -221,7 +221,7 @@ impl SensorTable {
         .collect()
     }
 
-    /// What a filter is judged by in each row: the truth, or, where there is none in the whole table, an image that no filter was
+    /// The reference for a filter in each row: the truth, or, where there is none in the whole table, an image that no filter was
     /// given. The first row is where all begin.
     #[must_use]
     pub fn references(&self, every: usize) -> Vec<Option<MeasuredPose>> {

@@ -4,7 +4,7 @@
 //! ```text
 //! compass   z = round(th + a sin(th - phi) + sigma n)      a, phi drawn once per drive; n standard normal
 //! jitter    count + sigma_i n, on each reading anew
-//! late      the reference of row k is that of row k - d: a camera whose delay nobody took out
+//! late      the reference of row k is that of row k - d: a camera with an uncorrected delay
 //! interval  the accelerations of row k are those of row k + 1
 //! ```
 //! The deviation of iron that turns with the robot is one period per turn, to first order (the "semicircular" deviation of
@@ -62,7 +62,7 @@ pub fn add_jitter(table: &mut SensorTable, variances: [f64; 2], seed: u64) {
     }
 }
 
-/// Lets the truth come so many rows late, as a camera's does whose delay nobody took out.
+/// Delays the truth by this number of rows, like that of a camera with an uncorrected delay.
 pub fn delay_reference(table: &mut SensorTable, rows: usize) {
     let truths: Vec<_> = table.rows.iter().map(|row| row.truth).collect();
     for (index, row) in table.rows.iter_mut().enumerate() {
@@ -70,7 +70,7 @@ pub fn delay_reference(table: &mut SensorTable, rows: usize) {
     }
 }
 
-/// Gives each row the accelerations of the next: an accelerometer tells the change of speed over the interval that ends with its
+/// Gives each row the accelerations of the next: an accelerometer measures the change of speed over the interval that ends with its
 /// reading, and the paper's equation 20 applies the reading of the row before.
 pub fn align_accelerations(table: &mut SensorTable) {
     let mut next = None;

@@ -19,20 +19,20 @@
 
 use posebridge_telemetry::{BrickClock, Observation, TimeDelta, Timestamp};
 
-/// Steps of an eighth: the way is a few standard deviations long, and no data tell finer.
+/// Steps of an eighth: the way is a few standard deviations long, and no data resolve more.
 pub const SHARES: [f64; 9] = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0];
-/// Fewer runs are cut into blocks of time, until there are so many parts.
+/// Fewer runs are cut into blocks of time, until there is this number of parts.
 const MIN_BLOCKS: usize = 6;
 /// More parts than that share folds: each fold costs a search.
 const MAX_FOLDS: usize = 8;
 
-/// Into how many blocks of time each of so many runs is cut.
+/// Into how many blocks of time each run is cut, by the number of runs.
 #[must_use]
 pub fn blocks_per_run(runs: usize) -> usize {
     MIN_BLOCKS.div_ceil(runs.max(1))
 }
 
-/// How many folds so many parts make.
+/// Number of folds for a number of parts.
 #[must_use]
 pub fn fold_count(parts: usize) -> usize {
     parts.min(MAX_FOLDS)

@@ -13,7 +13,7 @@ pub struct NoiseKey {
     pub read: fn(&SensorNoise) -> f64,
     /// Writes it.
     pub write: fn(&mut SensorNoise, f64),
-    /// Whether an observation of this kind tells of it, so that it is tuned without being asked for.
+    /// Whether an observation of this kind depends on it, so that it is tuned by default.
     told_by: fn(&ObservationKind) -> bool,
 }
 
@@ -132,7 +132,7 @@ fn scale_param(row: &Param, params: &mut Params, factor: f64) {
     (row.write)(params, value.clamp(*row.range.start(), *row.range.end()));
 }
 
-/// What is tuned unless something else is asked for: the noises above zero of which the observations tell.
+/// What is tuned unless something else is asked for: the noises above zero that the observations determine.
 #[must_use]
 pub fn default_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<TunedKey> {
     let is_told = |row: &NoiseKey| {

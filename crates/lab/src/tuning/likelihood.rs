@@ -10,10 +10,10 @@ const OUTLIER_SHARE: f64 = 0.01;
 /// By so much wider are they; Huber's contamination with a spread that a gate at 99.9 % refuses.
 const OUTLIER_SIGMA_FACTOR: f64 = 10.0;
 
-/// What a filter does on line with the noise that it was told is switched off, so that the numbers themselves are judged.
+/// Online adaptation of the configured noise is switched off, so that the configured values themselves are scored.
 ///
 /// ```text
-/// adapt_gain   0          a noise that is learned on the way hides the one that was told
+/// adapt_gain   0          a noise that is learned on the way hides the configured one
 /// slip_nis     infinite   a slip widens S by what is to be explained: noise of zero would explain everything
 /// gate_prob    0.999999   what is refused says nothing to the state; the density (2) takes care of gross ones
 /// ```
@@ -143,7 +143,7 @@ impl RunFit {
     }
 }
 
-/// Gives a run to a filter, in the order of arrival, and judges each block of time by itself: one entry per block. The filter runs
+/// Runs a filter over a run, in the order of arrival, and scores each block of time by itself: one entry per block. The filter runs
 /// through.
 pub fn fit_in_blocks(observations: &[Observation], filter: &mut dyn Filter, blocks: &TimeBlocks) -> Vec<RunFit> {
     let mut fits = vec![RunFit::default(); blocks.count()];

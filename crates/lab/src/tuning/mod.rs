@@ -13,7 +13,7 @@
 //! rho(1) = sum_k u_k u_k-1 / sum_k u_k^2                u_ki = nu_ki / sqrt(S_kii), per source; white: 0           (5)
 //! ```
 //! The second term of (3) says that the numbers to start from are right within a factor of three. It weighs as much as one or two
-//! observations: a parameter of which the data tell stays free, one of which they do not stays where it was.
+//! observations: a parameter that the data determine stays free, and any other stays where it was.
 //!
 //! Equation (2) is the normal density with one observation in a hundred taken for an outlier ten times as wide: refused observations
 //! count, so that nothing is gained by refusing them, and a few gross ones do not decide.

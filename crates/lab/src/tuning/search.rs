@@ -2,7 +2,7 @@
 //!
 //! A round asks for the value one step up and one step down along each axis. Then it asks for three combinations: all steps that
 //! helped together, the same twice as long, and the best single one twice as long. The best of all is the next centre; where
-//! nothing helped the step is halved. All points of a round are asked for together, so that whoever evaluates may use all cores.
+//! nothing helped the step is halved. All points of a round are asked for together, so that the caller may evaluate them on all cores.
 
 /// How to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +15,7 @@ pub struct SearchOptions {
     pub bound: f64,
     /// What improves the value by less than this is chance: a flat direction stays where it is.
     pub min_gain: f64,
-    /// It ends after so many rounds at the latest.
+    /// Most rounds.
     pub max_rounds: u32,
 }
 
@@ -25,7 +25,7 @@ impl Default for SearchOptions {
         Self {
             // A factor of e^1.2 = 3.3; ten times wrong is two steps away.
             first_step: 1.2,
-            // 4 %: finer than a recording of some hundred innovations can tell.
+            // 4 %: finer than a recording of some hundred innovations can resolve.
             last_step: 0.04,
             // A factor of 1000.
             bound: 6.91,

@@ -45,7 +45,8 @@ impl StepFit {
 }
 
 impl StepFit {
-    /// The share of the steady speed that the car has so many seconds after the drive began: a fit to steps that end early extrapolates.
+    /// The share of the steady speed that the car has at a time in seconds after the drive began: a fit to steps that end early
+    /// extrapolates.
     #[must_use]
     pub fn share_reached(&self, after_s: f64) -> f64 {
         -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()

@@ -13,13 +13,13 @@ use super::validate::{GATE_SIGMAS, innovation_sigma};
 pub struct RangeForecast {
     /// When it was made, s.
     pub at_s: f64,
-    /// What it says.
+    /// Its prediction.
     pub range_m: f64,
     /// By the filter, with the drive and the noise as the readings before have shown them.
     pub kalman_m: f64,
     /// By the line through the last two; `None` before there are two.
     pub line_m: Option<f64>,
-    /// What was believed of the car.
+    /// The model of the car.
     pub plant: Plant,
     /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading that is further from what was foretold is refused, m. `None` where
     /// the filter held it against nothing.
@@ -28,7 +28,7 @@ pub struct RangeForecast {
     pub is_gated: bool,
 }
 
-/// The drive is identified anew once there are so many times as many readings; early, at each. It keeps the work of long logs small.
+/// The drive is identified anew when the number of readings has grown by this factor; early, at each. It keeps the work of long logs small.
 const REFIT_GROWTH: f64 = 1.02;
 
 /// Foretells every reading but the first from those before it.
@@ -107,7 +107,7 @@ pub struct ForecastScore {
     pub other_rms_m: f64,
 }
 
-/// Scores the filter against somebody else; `other` gives what that one foretold. `None` if there is no common reading.
+/// Scores the filter against another one; `other` gives what that one foretold. `None` if there is no common reading.
 pub fn score_forecasts(
     foreseen: &[RangeForecast],
     other: impl Fn(&RangeForecast) -> Option<f64>,
@@ -161,12 +161,12 @@ mod tests {
 
     #[test]
     fn a_reading_beyond_the_gate_is_refused_and_counted() {
-        // 0.5 m/s; the reading of 1.6 s is of somebody who walks by.
+        // 0.5 m/s; the reading at 1.6 s is a passer-by.
         let mut ranges: Vec<f64> = (0..24).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
         ranges[16] = 0.1;
         let foreseen = forecast(&log(&ranges), SEARCH);
         let refused: Vec<usize> = (0..23).filter(|index| foreseen[*index].is_gated).collect();
-        // The first reading is foretold by nobody.
+        // There is no prediction of the first reading.
         assert_eq!(refused, [15]);
         let off_m = (foreseen[15].range_m - foreseen[15].kalman_m).abs();
         assert!(off_m > foreseen[15].gate_m.unwrap());

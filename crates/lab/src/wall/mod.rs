@@ -1,4 +1,5 @@
-//! Before a wall: what a step test tells of a car, what the wall filter makes of its readings, and how well it foresees the next.
+//! Before a wall: the parameters of a car from a step test, the wall filter's estimates from its readings, and how well it
+//! predicts the next.
 //!
 //! The experiments of paper 3 by computation alone: a [`WallLog`] goes in, from the simulator or from a recording, numbers come out.
 //! The filter itself is the estimator's `range-kf` with its corrected twin; nothing here estimates beside it but the yardstick that

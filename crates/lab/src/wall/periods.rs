@@ -1,4 +1,4 @@
-//! How often a loop turned, with how sure that is: what a filter on the brick is told for its dt.
+//! How often a loop turned, with how sure that is: the dt of a filter on the brick.
 
 use posebridge_telemetry::UncertainValue;
 
@@ -6,7 +6,7 @@ use super::log::WallLog;
 
 /// The mean interval between the inputs of logs, in seconds; its sigma is that of a mean of intervals that are independent of each other.
 ///
-/// `None` where there are fewer than three intervals, as in a log that was not told its inputs.
+/// `None` where there are fewer than three intervals, as in a log without its inputs.
 #[must_use]
 pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
     let intervals: Vec<f64> = logs

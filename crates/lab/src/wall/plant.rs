@@ -1,8 +1,8 @@
-//! The drive and the noise of a car that nobody has measured, from what it has done so far.
+//! The drive and the noise of an unmeasured car, from its run so far.
 //!
 //! A bank of candidates: time constants, process noises, reading noises. For each the steady speed per input follows by least
 //! squares from the steps between the readings; the filter then runs over all that is known, and the candidate that foresaw the
-//! readings best is taken. Only the past is used. Before a car has shown that its motors move it, the input is believed to do
+//! readings best is taken. Only the past is used. Before a car has shown that its motors move it, the input is assumed to do
 //! nothing: the steady speed has a prior about zero.
 //!
 //! # Model
@@ -38,14 +38,14 @@ const MAX_NIS: f64 = 25.0;
 /// The step of the paper's loop, for which its process noise is given, s.
 const PAPER_STEP_S: f64 = 0.0076;
 
-/// What is believed of a car.
+/// The model of a car.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plant {
     /// Steady speed per unit of input, m/s; negative where a positive input drives away from the wall.
     pub steady_m_per_s: f64,
     /// Time constant, s.
     pub time_constant_s: f64,
-    /// What the filter is told of noise.
+    /// The configured noise of the filter.
     pub noise: KalmanNoise,
 }
 
@@ -124,12 +124,12 @@ impl PlantFilter {
         }
     }
 
-    /// Takes a reading and tells what became of it.
+    /// Processes a reading and returns its outcome.
     pub(super) fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
         self.kalman.fuse(at_s, range_m)
     }
 
-    /// The distance that it believes in, m.
+    /// Its estimated distance, m.
     pub(super) fn distance_m(&self, at_s: f64) -> Option<f64> {
         self.kalman.estimate(at_s).map(|belief| belief.distance_m)
     }

@@ -8,7 +8,7 @@ use posebridge_telemetry::{
     Radians, RadiansPerSecond, SensorId, SensorNoise, TimeDelta, Timestamp,
 };
 
-/// What is believed of an instant.
+/// The estimate for an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachEstimate {
     /// Distance to the wall, m.
@@ -17,13 +17,13 @@ pub struct ApproachEstimate {
     pub towards_m_per_s: f64,
 }
 
-/// Somebody who makes a distance out of readings and inputs. Times are the brick's, in s.
+/// A filter that computes a distance from readings and inputs. Times are the brick's, in s.
 pub trait ApproachEstimator {
     /// Takes a reading, in m.
     fn observe_range(&mut self, at_s: f64, range_m: f64);
     /// Takes the motor input that holds from an instant on; 1 is that of the step test.
     fn observe_input(&mut self, at_s: f64, input: f64);
-    /// What it believes of an instant; `None` before the first reading.
+    /// Its estimate for an instant; `None` before the first reading.
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate>;
 }
 
@@ -49,7 +49,7 @@ impl LastTwoReadings {
     }
 }
 
-/// Believes the last reading until the next; the speed is the slope between the last two.
+/// Holds the last reading until the next; the speed is the slope between the last two.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LastReading(LastTwoReadings);
 
@@ -64,7 +64,7 @@ impl ApproachEstimator for LastReading {
     }
 }
 
-/// Believes in the line through the last two readings: linear extrapolation.
+/// Extrapolates the line through the last two readings: linear extrapolation.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinearExtrapolation(LastTwoReadings);
 
@@ -80,7 +80,7 @@ impl ApproachEstimator for LinearExtrapolation {
     }
 }
 
-/// What the wall filter is told of noise.
+/// The configured noise of the wall filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanNoise {
     /// sigma_u: of distance (m) and speed (m/s) per step of 7.6 ms.
@@ -120,7 +120,7 @@ impl WallKalman {
         Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m }
     }
 
-    /// Takes a reading, in m, and tells what became of it.
+    /// Processes a reading, in m, and returns its outcome.
     pub fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
         self.observe(at_s, ObservationKind::WallRange(Meters(range_m)))
     }

@@ -13,7 +13,7 @@ pub struct SpeedSample {
     pub towards_m_per_s: f64,
 }
 
-/// Why a step test tells nothing.
+/// Why a step test has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WallStepError {
@@ -26,7 +26,7 @@ pub enum WallStepError {
         needed: usize,
     },
     /// No input but zero.
-    #[error("the log holds no motor input, so nobody knows when the step began")]
+    #[error("the log holds no motor input, so the start of the step is unknown")]
     NoInput,
     /// The readings do not get smaller under the drive, or not as a first-order drive makes them.
     #[error("the readings do not show a car that speeds up towards the wall")]
@@ -61,14 +61,14 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
         .collect()
 }
 
-/// Slopes of lines by least squares through pieces of so many readings, each half over the one before.
+/// Slopes of lines by least squares through pieces of this number of readings, each overlapping half of the one before.
 #[must_use]
 pub fn overlapping_lines(log: &WallLog, piece: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     segments(&readings, piece).filter_map(slope).collect()
 }
 
-/// Pieces of so many readings, half over each other; the last ends with the last reading.
+/// Pieces of this number of readings that overlap by half; the last ends with the last reading.
 fn segments(readings: &[(f64, f64)], piece: usize) -> impl Iterator<Item = &[(f64, f64)]> {
     let piece = piece.max(2);
     let last = readings.len().checked_sub(piece);
@@ -91,7 +91,7 @@ fn slope(piece: &[(f64, f64)]) -> Option<SpeedSample> {
     (along > 0.0).then_some(SpeedSample { at_s, towards_m_per_s: -across / along })
 }
 
-/// Evaluates a step by hand: lines through pieces of so many readings.
+/// Evaluates a step by hand: lines through pieces of this number of readings.
 ///
 /// A line's slope is the mean speed of its piece, below that at its end while the car speeds up, and the steepest of several noisy
 /// lines is too steep: figures of this kind are good to some per cent. [`fit_steps`](super::fit_steps) is better and says how good.

@@ -70,7 +70,7 @@ pub struct StopComparison {
     pub both: usize,
 }
 
-/// Compares run by run. Who did not stop is neither nearer nor faster than anybody; who stopped is both than one who did not.
+/// Compares run by run. A method that did not stop is neither nearer nor faster than another; who stopped is both than one who did not.
 #[must_use]
 pub fn compare_stops(ours: &[Option<StopResult>], theirs: &[Option<StopResult>]) -> StopComparison {
     let mut found = StopComparison::default();

@@ -1,4 +1,4 @@
-//! The filter on the readings of a step: how much it predicts, what it believes, and what its gate lets through.
+//! The filter on the readings of a step: how much it predicts, what it estimates, and what its gate lets through.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
@@ -7,7 +7,7 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord};
 use super::log::{WallLog, WallReading};
 use super::replay_filter::{ApproachEstimator, KalmanNoise, WallKalman};
 
-/// The paper's gate: so many standard deviations of the innovation.
+/// The paper's gate, in standard deviations of the innovation.
 pub(super) const GATE_SIGMAS: f64 = 3.0;
 
 /// What the filter did with a log.
@@ -96,7 +96,7 @@ pub struct GateTrial {
     pub added_m: f64,
     /// Whether the gate refused it.
     pub is_gated: bool,
-    /// By how much the belief jumped, m.
+    /// By how much the estimate jumped, m.
     pub jumped_m: f64,
 }
 

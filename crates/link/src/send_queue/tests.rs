@@ -19,7 +19,7 @@ fn drained<D: PartialEq>(mut queue: SendQueue<D>) -> Vec<Vec<u8>> {
     frames
 }
 
-/// The frames of which nothing has been written, in that order; they go on waiting.
+/// The frames that are not started, in that order; they go on waiting.
 fn waiting<D>(queue: &SendQueue<D>) -> Vec<Vec<u8>> {
     let waiting = queue.queues.iter().flatten();
     waiting.map(|waiting| waiting.frame.clone()).collect()

@@ -16,7 +16,7 @@ const COMMAND: u8 = 9;
 
 /// What was given to the line: sends `BYTES_PER_S`, in the order in which it was written.
 #[derive(Default)]
-struct Line {
+struct SimulatedLine {
     /// Bytes and when the last of them has left the line.
     written: Vec<u8>,
     /// When everything that was written will have left, in seconds.
@@ -26,25 +26,25 @@ struct Line {
 }
 
 #[derive(Clone)]
-struct FakeLine {
-    line: Arc<Mutex<Line>>,
+struct LineHandle {
+    line: Arc<Mutex<SimulatedLine>>,
     timer: HostTimer,
 }
 
-impl FakeLine {
-    fn held(&self, line: &Line) -> usize {
+impl LineHandle {
+    fn held(&self, line: &SimulatedLine) -> usize {
         let ahead = (line.idle_at - self.timer.now().as_secs_f64()).max(0.0);
         (ahead * BYTES_PER_S).ceil() as usize
     }
 }
 
-impl ByteStream for FakeLine {
+impl ByteStream for LineHandle {
     fn kernel_queued_bytes(&self) -> Option<usize> {
         Some(self.held(&self.line.lock().expect("one thread")))
     }
 }
 
-impl AsyncWrite for FakeLine {
+impl AsyncWrite for LineHandle {
     fn poll_write(self: Pin<&mut Self>, _cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
         let mut line = self.line.lock().expect("one thread");
         let count = bytes.len().min(DRIVER_BYTES.saturating_sub(self.held(&line)));
@@ -70,7 +70,7 @@ impl AsyncWrite for FakeLine {
     }
 }
 
-impl AsyncRead for FakeLine {
+impl AsyncRead for LineHandle {
     fn poll_read(self: Pin<&mut Self>, _cx: &mut Context<'_>, _buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
         Poll::Pending
     }
@@ -78,30 +78,31 @@ impl AsyncRead for FakeLine {
 
 /// What came off the line: the oldest estimate and the oldest command when their last bytes left, in seconds, and the
 /// commands' numbers.
-struct Arrived {
+struct DepartureSummary {
     oldest_estimate: f64,
     oldest_command: f64,
     commands: Vec<u32>,
     frames: usize,
 }
 
-fn arrived(line: &Line) -> Arrived {
-    let mut arrived = Arrived { oldest_estimate: 0.0, oldest_command: 0.0, commands: Vec::new(), frames: 0 };
+fn departures(line: &SimulatedLine) -> DepartureSummary {
+    let mut departures =
+        DepartureSummary { oldest_estimate: 0.0, oldest_command: 0.0, commands: Vec::new(), frames: 0 };
     let ends = line.left_at.chunks_exact(FRAME_BYTES);
     for (frame, ends) in line.written.chunks_exact(FRAME_BYTES).zip(ends) {
         assert!(frame[12..].iter().all(|byte| *byte == frame[12]), "torn: {frame:?}");
         let number = u32::from_be_bytes(frame[..4].try_into().expect("four bytes"));
         let sent = f64::from_be_bytes(frame[4..12].try_into().expect("eight bytes"));
         let age = ends[FRAME_BYTES - 1] - sent;
-        arrived.frames += 1;
+        departures.frames += 1;
         if frame[12] == COMMAND {
-            arrived.commands.push(number);
-            arrived.oldest_command = arrived.oldest_command.max(age);
+            departures.commands.push(number);
+            departures.oldest_command = departures.oldest_command.max(age);
         } else {
-            arrived.oldest_estimate = arrived.oldest_estimate.max(age);
+            departures.oldest_estimate = departures.oldest_estimate.max(age);
         }
     }
-    arrived
+    departures
 }
 
 fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
@@ -113,10 +114,10 @@ fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
 
 /// Offers two streams of 600 estimates per second, ten times what the line takes, and five commands per second, for 20
 /// virtual seconds. Returns what arrived, how many commands were offered, and what the connection says of itself.
-async fn overload(line_rate: Option<f64>) -> (Arrived, u32, QueueStatus) {
+async fn overload(line_rate: Option<f64>) -> (DepartureSummary, u32, QueueStatus) {
     let timer = HostTimer::start();
-    let line = Arc::new(Mutex::new(Line::default()));
-    let fake = FakeLine { line: Arc::clone(&line), timer };
+    let line = Arc::new(Mutex::new(SimulatedLine::default()));
+    let fake = LineHandle { line: Arc::clone(&line), timer };
     let mut connection = StreamConnection::new(fake, StreamLabel::new(String::new()), timer, 65_536);
     if let Some(line_rate) = line_rate {
         connection = connection.with_line_rate(line_rate);
@@ -145,28 +146,28 @@ async fn overload(line_rate: Option<f64>) -> (Arrived, u32, QueueStatus) {
     }
     let said = connection.queue_status(timer.now());
     let line = line.lock().expect("one thread");
-    (arrived(&line), commands, said)
+    (departures(&line), commands, said)
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_an_overloaded_line_estimates_are_young_and_commands_overtake() {
-    let (arrived, offered, said) = overload(Some(BYTES_PER_S)).await;
+    let (departures, offered, said) = overload(Some(BYTES_PER_S)).await;
     // In front of an estimate may lie 20 ms of the line, the frame that was begun there, the other stream's estimate and a
     // command; and a timer is a millisecond or two late.
     let bound = 0.020 + 4.0 * FRAME_BYTES as f64 / BYTES_PER_S + 0.002;
-    assert!(arrived.oldest_estimate <= bound, "{} of {bound}", arrived.oldest_estimate);
-    assert!(arrived.oldest_command <= bound, "{} of {bound}", arrived.oldest_command);
-    let heard = arrived.commands.len() as u32;
-    assert!(arrived.commands.iter().copied().eq(0..heard));
+    assert!(departures.oldest_estimate <= bound, "{} of {bound}", departures.oldest_estimate);
+    assert!(departures.oldest_command <= bound, "{} of {bound}", departures.oldest_command);
+    let heard = departures.commands.len() as u32;
+    assert!(departures.commands.iter().copied().eq(0..heard));
     assert!(offered - heard <= 1, "{heard} of {offered}");
     // The line never ran dry: 20 s of it are 2400 frames.
-    assert!(arrived.frames >= 2_380, "{} frames", arrived.frames);
+    assert!(departures.frames >= 2_380, "{} frames", departures.frames);
     let capacity = said.capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / BYTES_PER_S - 1.0).abs() < 0.05, "{capacity}");
 }
 
 #[tokio::test(start_paused = true)]
 async fn without_the_bound_a_drivers_buffer_makes_them_old() {
-    let (arrived, ..) = overload(None).await;
-    assert!(arrived.oldest_estimate > 0.7, "{}", arrived.oldest_estimate);
+    let (departures, ..) = overload(None).await;
+    assert!(departures.oldest_estimate > 0.7, "{}", departures.oldest_estimate);
 }

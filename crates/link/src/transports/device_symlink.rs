@@ -134,7 +134,7 @@ fn replace_symlink(path: &Path, device: &Path) -> io::Result<()> {
     let draft = PathBuf::from(draft);
     symlink(device, &draft)?;
     std::fs::rename(&draft, path).inspect_err(|_told_by_the_caller| {
-        // The rename's error is the one to tell; a draft that stays behind harms nobody.
+        // The rename's error is the one to report; a draft that stays behind does no harm.
         drop(std::fs::remove_file(&draft));
     })
 }

@@ -1,10 +1,10 @@
 //! Pseudo-terminals that this program creates, so that the simulated brick looks like a serial port.
 //!
 //! The terminal's device number changes with every run, so a symbolic link gives it a fixed name. We keep the slave
-//! side open: otherwise every moment without a reader would look like a hang-up. The buffer then fills when nobody
-//! reads, so frames that do not fit are dropped and counted instead of queued, except commands. Readers that come late
-//! find up to 16 KiB of old bytes; our own serial transport discards them. The fill level cannot be queried (Linux
-//! answers 0), so a pseudo-terminal that imitates a slow line needs the `rate` option.
+//! side open: otherwise every moment without a reader would look like a hang-up. The buffer then fills when there is no reader,
+//! so frames that do not fit are dropped and counted instead of queued, except commands. Readers that come late find up to 16 KiB
+//! of old bytes; our own serial transport discards them. The fill level cannot be queried (Linux answers 0), so a pseudo-terminal
+//! that imitates a slow line needs the `rate` option.
 
 use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
@@ -45,7 +45,7 @@ struct PtyStream {
     // Dropped first, so that the name is gone before the device.
     _link: DeviceSymlink,
     master: AsyncFd<PtyMaster>,
-    // Keeps the line up and raw while nobody else has it open, and holds the lock that marks the name as in use.
+    // Keeps the line up and raw while no other program has it open, and holds the lock that marks the name as in use.
     _slave: OwnedFd,
 }
 

@@ -157,7 +157,7 @@ impl SerialOpenAttempt {
                 keep_dtr_on_close(&line).map_err(|error| error_from_errno(path, error))?;
                 shorten_latency_timer(&device, &self.directories.usb_serial)
             }
-            // Not looked at, and nothing to tell.
+            // Not examined, and nothing to report.
             LineSettingsPolicy::Restore => LatencyTimer::Absent,
         };
         discard_stale_input(&mut port).map_err(|error| classify_error(path, error))?;

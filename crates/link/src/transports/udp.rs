@@ -4,8 +4,8 @@
 //! names. The system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is
 //! enlarged, and a smaller grant is reported. An error that one unreachable peer causes is not a loss of the link.
 //!
-//! Datagrams are delivered peer by peer in turn. A peer that floods gets its own socket (`udp_socket`), of which fewer
-//! datagrams are read per turn: it delays nobody and causes no losses for others.
+//! Datagrams are delivered peer by peer in turn. A peer that floods gets its own socket (`udp_socket`), and fewer datagrams are
+//! read from that per turn: it delays nobody and causes no losses for others.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -242,7 +242,7 @@ impl UdpConnection {
             }
             self.peers.contains(one.address)
         });
-        // Nobody was set apart in the meantime: that happens in `drain` only.
+        // No peer was given its own socket in the meantime: that happens in `drain` only.
         self.busy_peers = loud;
         found
     }
@@ -253,7 +253,7 @@ impl UdpConnection {
                 Ok((length, from)) => self.deliver(length, from),
                 Err(error) if is_about_one_peer(&error) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return SocketState::Open,
-                // The common socket hears the peer again when this one is closed.
+                // The common socket receives the peer again when this one is closed.
                 Err(_) => return SocketState::Failed,
             }
         }

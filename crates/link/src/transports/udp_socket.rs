@@ -1,7 +1,7 @@
 //! The sockets of a UDP link: one with a large receive buffer for all peers, and one more for each peer that floods.
 //!
 //! A host name may have several addresses, and the first may be unusable, such as an IPv6 address on a computer without
-//! an IPv6 route. UDP has no handshake that would tell, so the choice is by what this computer knows: the addresses
+//! an IPv6 route. UDP has no handshake that would show it, so the choice uses what this computer knows: the addresses
 //! that it can bind, and those to which it has a route.
 //!
 //! A socket's buffer is first come, first served: one peer that sends faster than we read fills it, and the system then
@@ -107,8 +107,8 @@ pub(super) fn open_dedicated_socket(main: &UdpSocket, local: SocketAddr, peer: S
     own.set_nonblocking(true)?;
     own.set_reuse_address(true)?;
     enlarge(&SockRef::from(&own));
-    // Both sides have to agree at the moment of binding. Afterwards the address is ours alone again, so that a second
-    // program is still told that it is taken.
+    // Both sides have to agree at the moment of binding. Afterwards the address is ours alone again, so that a second program
+    // still gets the error that it is in use.
     let main = SockRef::from(main);
     main.set_reuse_address(true)?;
     let bound = own.bind(&local.into());
@@ -125,7 +125,7 @@ mod tests {
 
     /// No interface has it: 192.0.2.0/24 is for documentation (RFC 5737).
     const FOREIGN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1)), 0);
-    /// The system lets nobody send here who has not asked for it.
+    /// The system refuses to send here unless broadcasts are enabled on the socket.
     const NO_WAY: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::BROADCAST), 9);
     const HERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
     const THERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9);

@@ -79,7 +79,7 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
 }
 
 /// Where an adapter is plugged in, and what it says of itself.
-struct Plug {
+struct PluggedAdapter {
     socket: &'static str,
     /// udev's name for its kind, with its serial number if it has one.
     id: &'static str,
@@ -87,7 +87,7 @@ struct Plug {
 }
 
 /// What udev and the kernel say of an adapter that is called `name`.
-fn tell(bench: &Bench, name: &str, plug: &Plug) {
+fn write_udev_entries(bench: &Bench, name: &str, plug: &PluggedAdapter) {
     let root = bench.directory.path();
     let usb = root.join("usb").join(plug.socket);
     let class = root.join("tty").join(name);
@@ -112,11 +112,11 @@ fn tell(bench: &Bench, name: &str, plug: &Plug) {
 }
 
 /// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
-async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Link {
+async fn adapter(bench: &Bench, name: &str, plug: &PluggedAdapter) -> Link {
     let device = bench.directory.path().join(name);
     let mut pty = port(&format!("pty:{}", device.display()), ConnectRole::Listen, bench.timer);
     up(&mut pty).await;
-    tell(bench, name, plug);
+    write_udev_entries(bench, name, plug);
     pty
 }
 
@@ -124,19 +124,19 @@ async fn adapter(bench: &Bench, name: &str, plug: &Plug) -> Link {
 async fn an_adapter_that_comes_back_under_another_number_is_found() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
-    let plug = Plug { socket: "socket-1", id: "usb-mine-if00", serial: Some("mine") };
+    let plug = PluggedAdapter { socket: "socket-1", id: "usb-mine-if00", serial: Some("mine") };
     let mine = adapter(&bench, "ttyUSB0", &plug).await;
     let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
     assert_eq!(up(&mut station).await, format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud"));
     drop(mine);
     down(&mut station).await;
     // Somebody else's adapter takes the number; ours comes back as the next one.
-    let theirs = Plug { socket: "socket-2", id: "usb-other-if00", serial: Some("other") };
+    let theirs = PluggedAdapter { socket: "socket-2", id: "usb-other-if00", serial: Some("other") };
     let mut other = adapter(&bench, "ttyUSB0", &theirs).await;
     std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
     let (reason, _) = down(&mut station).await;
     assert_eq!(reason, format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name"));
-    let elsewhere = Plug { socket: "socket-3", ..plug };
+    let elsewhere = PluggedAdapter { socket: "socket-3", ..plug };
     let mut mine = adapter(&bench, "ttyUSB1", &elsewhere).await;
     let detail = up(&mut station).await;
     assert_eq!(detail, format!("{shown}/by-id/usb-mine-if00 at 115200 baud"));
@@ -151,7 +151,7 @@ async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
     let kind = "usb-1a86_USB_Serial-if00-port0";
-    let plug = |socket| Plug { socket, id: kind, serial: None };
+    let plug = |socket| PluggedAdapter { socket, id: kind, serial: None };
     let mut other = adapter(&bench, "ttyUSB1", &plug("socket-2")).await;
     // The name of the kind leads to the one that came last.
     let mine = adapter(&bench, "ttyUSB0", &plug("socket-1")).await;
@@ -184,7 +184,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     first.try_open().await.expect("a device may come");
     let (reason, _) = down(&mut first).await;
     assert_eq!(reason, format!("{shown}/ttyACM* is not there: plug the device in or check the name"));
-    let board = |id| Plug { socket: id, id, serial: Some(id) };
+    let board = |id| PluggedAdapter { socket: id, id, serial: Some(id) };
     let _b = adapter(&bench, "ttyACM1", &board("usb-b")).await;
     let a = adapter(&bench, "ttyACM0", &board("usb-a")).await;
     assert_eq!(up(&mut first).await, format!("{shown}/ttyACM0 at 115200 baud"));

@@ -8,7 +8,7 @@ use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkUrl, TRANSPOR
 use posebridge_telemetry::TimeDelta;
 
 /// How the two ends of a link over one transport are made. The far end listens.
-struct Plan {
+struct EndUrls {
     /// `None` dials whatever address the far end has got.
     near: Option<String>,
     far: String,
@@ -16,7 +16,7 @@ struct Plan {
     hears_loss: bool,
 }
 
-fn plan(scheme: &str, device: &Path) -> Option<Plan> {
+fn plan(scheme: &str, device: &Path) -> Option<EndUrls> {
     let device = device.display();
     let (near, far, hears_loss) = match scheme {
         "serial" => (Some(format!("serial:{device}")), format!("pty:{device}"), true),
@@ -27,11 +27,11 @@ fn plan(scheme: &str, device: &Path) -> Option<Plan> {
         "bluetooth" | "file" | "ev3" => return None,
         other => panic!("say here what the far end of a {other} link is"),
     };
-    Some(Plan { near, far, hears_loss })
+    Some(EndUrls { near, far, hears_loss })
 }
 
 /// The two ends of a link, with what is needed to make the far end again.
-struct Ends {
+struct LinkEnds {
     near: Link,
     far: Link,
     far_url: String,
@@ -40,7 +40,7 @@ struct Ends {
     _directory: tempfile::TempDir,
 }
 
-impl Ends {
+impl LinkEnds {
     async fn new(scheme: &str) -> Option<Self> {
         let timer = HostTimer::start();
         let directory = tempfile::tempdir().expect("a temporary directory");
@@ -139,7 +139,7 @@ fn every_transport_and_option_is_explained_and_accepts_its_own_default() {
 #[tokio::test(start_paused = true)]
 async fn every_link_carries_bytes_both_ways() {
     for transport in TRANSPORTS {
-        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+        let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
         ends.talk().await;
@@ -152,7 +152,7 @@ async fn every_link_carries_bytes_both_ways() {
 async fn every_link_carries_every_byte_value_unchanged() {
     let all: Vec<u8> = (0..=255).collect();
     for transport in TRANSPORTS {
-        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+        let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
         ends.near.send(&all);
@@ -165,7 +165,7 @@ async fn every_link_carries_every_byte_value_unchanged() {
 #[tokio::test(start_paused = true)]
 async fn dropping_next_loses_nothing() {
     for transport in TRANSPORTS {
-        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+        let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
         ends.talk().await;
@@ -189,7 +189,7 @@ async fn dropping_next_loses_nothing() {
 #[tokio::test(start_paused = true)]
 async fn every_link_works_again_after_the_far_end_was_restarted() {
     for transport in TRANSPORTS {
-        let Some(mut ends) = Ends::new(transport.scheme()).await else {
+        let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
         for restart in 1..=3 {
@@ -224,7 +224,7 @@ async fn frames_for_a_link_that_is_down_are_dropped_and_counted() {
 #[tokio::test(start_paused = true)]
 async fn datagram_links_keep_the_bounds_of_datagrams() {
     for transport in TRANSPORTS.iter().filter(|transport| transport.is_datagram()) {
-        let mut ends = Ends::new(transport.scheme()).await.expect("it has two ends");
+        let mut ends = LinkEnds::new(transport.scheme()).await.expect("it has two ends");
         assert!(ends.near.is_datagram());
         for frame in [&b"one"[..], b"twotwo", b"3"] {
             ends.near.send(frame);

@@ -28,7 +28,7 @@ fn foreign_peer() -> UdpSocket {
     socket
 }
 
-fn heard_by(socket: &UdpSocket) -> Vec<u8> {
+fn received_by(socket: &UdpSocket) -> Vec<u8> {
     let mut buffer = [0; 100];
     let count = socket.recv(&mut buffer).expect("a datagram");
     buffer[..count].to_vec()
@@ -202,12 +202,12 @@ async fn two_udp_peers_are_heard_apart_and_both_answered() {
     assert_eq!(heard, b"right");
     assert_ne!(left_peer, right_peer);
     station.send(b"both");
-    assert_eq!(heard_by(&left), b"both");
-    assert_eq!(heard_by(&right), b"both");
+    assert_eq!(received_by(&left), b"both");
+    assert_eq!(received_by(&right), b"both");
     station.send_to(right_peer, b"you");
     station.send(b"end");
-    assert_eq!(heard_by(&left), b"end");
-    assert_eq!(heard_by(&right), b"you");
+    assert_eq!(received_by(&left), b"end");
+    assert_eq!(received_by(&right), b"you");
 
     // The right one falls silent for longer than ten seconds and is not written to any more.
     tokio::time::advance(Duration::from_secs(6)).await;
@@ -217,7 +217,7 @@ async fn two_udp_peers_are_heard_apart_and_both_answered() {
     let before = station.counters().bytes_out;
     station.send(b"still there?");
     assert_eq!(station.counters().bytes_out - before, 12);
-    assert_eq!(heard_by(&left), b"still there?");
+    assert_eq!(received_by(&left), b"still there?");
 }
 
 #[tokio::test(start_paused = true)]
@@ -243,7 +243,7 @@ async fn a_udp_link_with_a_host_speaks_first_and_survives_that_nobody_listens() 
     let mut station = dialled("udp", address, timer).await;
     station.send(b"hello");
     assert_eq!(poll_once(&mut station).await, None);
-    assert_eq!(heard_by(&brick), b"hello");
+    assert_eq!(received_by(&brick), b"hello");
     drop(brick);
     for _ in 0..3 {
         station.send(b"anybody?");
@@ -252,7 +252,7 @@ async fn a_udp_link_with_a_host_speaks_first_and_survives_that_nobody_listens() 
     let brick = UdpSocket::bind(address).expect("it was just free");
     station.send(b"again");
     assert_eq!(poll_once(&mut station).await, None);
-    assert_eq!(heard_by(&brick), b"again");
+    assert_eq!(received_by(&brick), b"again");
     assert!(station.is_up());
 }
 
@@ -382,8 +382,8 @@ async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours()
     let expected = (0..1_800).collect::<Vec<_>>();
     assert_eq!(numbers, expected, "none lost, none out of order");
     station.send(b"to all");
-    assert_eq!(heard_by(&loud), b"to all");
-    assert_eq!(heard_by(&calm), b"to all");
+    assert_eq!(received_by(&loud), b"to all");
+    assert_eq!(received_by(&calm), b"to all");
     let mut rival = port(&format!("udp://{address}"), ConnectRole::Listen, timer);
     let error = rival.try_open().await.expect_err("it is ours");
     assert!(error.to_string().contains("is already in use"), "{error}");

@@ -25,7 +25,7 @@ fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
 
 /// What a reader makes of the bytes.
 #[derive(Default)]
-struct Heard {
+struct ReceivedFrames {
     bytes: Vec<u8>,
     commands: Vec<u32>,
     /// Numbers of the estimates of each of two streams.
@@ -34,8 +34,8 @@ struct Heard {
     oldest_command: Option<TimeDelta>,
 }
 
-impl Heard {
-    fn take(&mut self, bytes: &[u8], timer: HostTimer) {
+impl ReceivedFrames {
+    fn push(&mut self, bytes: &[u8], timer: HostTimer) {
         self.bytes.extend_from_slice(bytes);
         while self.bytes.len() >= FRAME_BYTES {
             let rest = self.bytes.split_off(FRAME_BYTES);
@@ -57,30 +57,30 @@ impl Heard {
 }
 
 /// Offers two streams of estimates, ten times as much as `capacity_bytes_per_s`, and five commands per second.
-struct Source {
+struct TrafficSource {
     estimates: u32,
     commands: u32,
     per_tick: u32,
     ticks: u32,
 }
 
-impl Source {
+impl TrafficSource {
     fn new(capacity_bytes_per_s: u32) -> Self {
         let bytes_per_tick = 10 * capacity_bytes_per_s / 100;
         Self { estimates: 0, commands: 0, per_tick: bytes_per_tick / (2 * FRAME_BYTES as u32), ticks: 0 }
     }
 
     fn tick(&mut self, port: &mut Link, timer: HostTimer) {
-        let mut give = |priority, kind, number| {
+        let mut send = |priority, kind, number| {
             port.send_outgoing(&OutgoingFrame { to: Recipients::All, priority, frame: &frame(kind, number, timer) });
         };
         for _ in 0..self.per_tick {
-            give(Priority::Estimate { stream: 30 }, 0, self.estimates);
-            give(Priority::Estimate { stream: 32 }, 1, self.estimates);
+            send(Priority::Estimate { stream: 30 }, 0, self.estimates);
+            send(Priority::Estimate { stream: 32 }, 1, self.estimates);
             self.estimates += 1;
         }
         if self.ticks.is_multiple_of(20) {
-            give(Priority::Command, COMMAND, self.commands);
+            send(Priority::Command, COMMAND, self.commands);
             self.commands += 1;
         }
         self.ticks += 1;
@@ -135,13 +135,13 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
     let mut reader = small_client(address, RECEIVE_BUFFER);
     welcomed(&mut server, 1).await;
 
-    let mut source = Source::new(CAPACITY as u32);
-    let mut heard = Heard::default();
+    let mut source = TrafficSource::new(CAPACITY as u32);
+    let mut heard = ReceivedFrames::default();
     for _ in 0..6_000 {
         source.tick(&mut server, timer);
         pass_tick().await;
         assert_eq!(poll_once(&mut server).await, None);
-        heard.take(&read_now(&mut reader, CAPACITY / 100), timer);
+        heard.push(&read_now(&mut reader, CAPACITY / 100), timer);
     }
     let counts = server.port_counts();
     // The doubled receive buffer, the unsent bytes that the system takes, a frame per stream and the waiting commands.
@@ -181,8 +181,8 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     let mut station = port(&format!("serial:{}?rate={RATE}", path.display()), ConnectRole::Dial, timer);
     up(&mut station).await;
 
-    let mut source = Source::new(RATE);
-    let mut heard = Heard::default();
+    let mut source = TrafficSource::new(RATE);
+    let mut heard = ReceivedFrames::default();
     let mut total = 0;
     for _ in 0..2_000 {
         source.tick(&mut station, timer);
@@ -193,7 +193,7 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
             match poll_once(&mut brick).await {
                 Some(LinkEvent::Bytes { bytes, .. }) => {
                     total += bytes.len() as u64;
-                    heard.take(&bytes, timer);
+                    heard.push(&bytes, timer);
                 }
                 Some(event) => panic!("{event:?} on a quiet line"),
                 None => tokio::task::yield_now().await,

@@ -47,7 +47,7 @@ pub(super) struct Chunk<'a> {
     pub(super) crc: u32,
     /// How the records are compressed; empty when they are not.
     pub(super) compression: &'a str,
-    /// So many bytes of the record stand before its records.
+    /// Number of bytes before the chunk's records.
     pub(super) head_bytes: usize,
     /// The records, as far as they are there.
     pub(super) records: &'a [u8],

@@ -44,7 +44,7 @@ const INPUT_CHANNEL: u16 = 1;
 /// Name of the schema and of the message encoding on [`INPUT_TOPIC`].
 pub const INPUT_ENCODING: &str = "posebridge.input.v1";
 
-/// What a recording says about itself before its first input.
+/// A recording's description of itself, before its first input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingHeader {
     /// Version of the layout; [`FORMAT`] when written by this program.

@@ -75,7 +75,7 @@ impl<'a> RecordingReader<'a> {
         })
     }
 
-    /// What the recording says about itself.
+    /// The recording's description of itself.
     pub fn header(&self) -> &RecordingHeader {
         &self.header
     }

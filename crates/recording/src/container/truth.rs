@@ -19,7 +19,7 @@ pub struct TruthSample {
     pub time: Timestamp<BrickClock>,
     /// Where the robot was.
     pub pose: Pose<Arena>,
-    /// Where the brick's own dead reckoning, begun at the start pose, believed it to be.
+    /// The pose by the brick's own dead reckoning, begun at the start pose.
     pub odometry: Option<Pose<Arena>>,
 }
 
@@ -73,7 +73,8 @@ impl TruthJson {
 /// It is written while a run goes on: a recording that was cut off has none or the beginning of it.
 ///
 /// # Errors
-/// The bytes are not a recording of ours, or a sample of the truth is damaged or names a robot by halves. Damage elsewhere is not looked at.
+/// The bytes are not a recording of ours, or a sample of the truth is damaged or names a robot by halves. Damage elsewhere is not
+/// looked at.
 pub fn read_truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
     let mut walk = RecordingReader::open(bytes)?.into_walker();
     let mut channel_id = None;

@@ -57,7 +57,7 @@ impl<'a> RecordWalker<'a> {
                 match chunk.records.next() {
                     Ok(record) => return Ok(record),
                     Err(end) => {
-                        // Where a chunk that was cut off stops is the file's end to tell.
+                        // Where a chunk that was cut off stops is reported at the file's end.
                         let is_told = matches!(end, RecordsEnd::Truncated { .. }) && !chunk.is_complete;
                         self.chunk = None;
                         if let Some(defect) = error_of(end).filter(|_| !is_told) {

@@ -14,8 +14,8 @@ use crate::foxglove::{self, ChannelKey, EncodedMessage, OutputEncoder};
 /// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
 
-/// A chunk is written at the latest when it is so large, bytes: more than a second of a usual session. It has its room from the start, and a new
-/// part has it while the one before still has its own.
+/// A chunk is written at the latest when it is so large, bytes: more than a second of a usual session. It has its room from the
+/// start, and a new part has it while the one before still has its own.
 const CHUNK_BYTES: u64 = 96 << 10;
 
 /// Estimates beside the inputs lie so far apart unless the caller says otherwise: a person follows ten a second, and an hour of them
@@ -44,7 +44,7 @@ pub enum WriteError {
     /// A chunk that no link can have returned.
     #[error("a chunk of {0} bytes is more than the 16 MiB that one input may hold")]
     TooLarge(usize),
-    /// A start of the session of which the nanoseconds do not fit.
+    /// A start of the session whose nanoseconds do not fit.
     #[error("a session that starts {0} µs after 1970, beyond the year 2262, cannot be recorded")]
     StartTime(u64),
 }
@@ -65,8 +65,8 @@ pub struct RecordingWriter<W: Write> {
     scratch: Vec<u8>,
 }
 
-/// What the writer of one part knows and that of the next needs: the topics of the robots, the alignment of their clocks, where they have been,
-/// and how far apart estimates lie.
+/// What the writer of one part knows and that of the next needs: the topics of the robots, the alignment of their clocks, where
+/// they have been, and how far apart estimates lie.
 pub struct OutputHandover(Box<OutputEncoder>);
 
 /// A channel beside the inputs.
@@ -118,7 +118,8 @@ impl<W: Write> RecordingWriter<W> {
         })
     }
 
-    /// Sets how far apart estimates of a robot, and its fusions of one sensor and kind, lie at least beside the inputs; zero keeps all of them.
+    /// Sets how far apart estimates of a robot, and its fusions of one sensor and kind, lie at least beside the inputs; zero
+    /// keeps all of them.
     pub fn set_output_spacing(&mut self, spacing: TimeDelta) {
         self.outputs.set_spacing(spacing);
     }

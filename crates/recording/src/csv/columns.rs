@@ -1,6 +1,6 @@
 //! The headers of the streams: names with units.
 
-/// What the filter believed. The covariance is the upper triangle over x, y, heading, forward and turn.
+/// The filter's estimate. The covariance is the upper triangle over x, y, heading, forward and turn.
 pub(super) const ESTIMATES: &str = "t_s,x_m,y_m,heading_rad,forward_m_per_s,turn_rad_per_s,\
     var_x_m2,cov_x_y_m2,cov_x_heading_m_rad,cov_x_forward_m2_per_s,cov_x_turn_m_rad_per_s,\
     var_y_m2,cov_y_heading_m_rad,cov_y_forward_m2_per_s,cov_y_turn_m_rad_per_s,\

@@ -38,7 +38,7 @@ use row::{CsvField, CsvRow};
 /// Opens a stream by its name, without extension.
 type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
 
-/// Writes events to the streams that they belong to; a stream of which nothing came is never opened.
+/// Writes events to the streams that they belong to; a stream without events is never opened.
 pub struct CsvWriter<'o, W: Write> {
     open: Box<OpenFile<'o, W>>,
     files: BTreeMap<String, (W, u64)>,

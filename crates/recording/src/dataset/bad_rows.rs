@@ -23,7 +23,7 @@ pub enum BadRowReason {
     ImpossibleJump,
     /// The value is outside the limits that the descriptor sets.
     OutOfRange,
-    /// The row speaks of a landmark or beacon that the maps do not have.
+    /// The row names a landmark or beacon that the maps do not have.
     UnknownId,
 }
 

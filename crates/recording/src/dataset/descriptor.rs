@@ -51,7 +51,7 @@ pub struct Descriptor {
     pub robot: toml::Table,
     /// The tunables that fit this robot, as they stand in the descriptor; one set for all runs.
     pub filter: toml::Table,
-    /// Beginning of the names of the runs that are taken when nobody asks for others.
+    /// Beginning of the names of the default runs.
     pub default_run: String,
     /// The names of all runs, in the descriptor's order.
     pub runs: Vec<String>,
@@ -74,7 +74,7 @@ pub(super) struct ResolvedRun {
 pub(super) enum RunStart {
     /// At a pose that the descriptor spells out.
     Pose(StartPose),
-    /// At a pose that the files tell.
+    /// At a pose from the files.
     Source { source: StartSource, position_sigma_m: f64, heading_sigma_rad: f64 },
 }
 

@@ -29,7 +29,7 @@ pub enum LoadError {
     Open {
         /// The file, as the descriptor names it.
         path: String,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// A file could not be unpacked.
@@ -37,7 +37,7 @@ pub enum LoadError {
     Gzip {
         /// The file.
         path: String,
-        /// What the unpacker says.
+        /// The unpacker's error.
         source: io::Error,
     },
     /// A file is larger than any recording of a small robot.

@@ -56,7 +56,7 @@ pub struct TruthPose {
     pub time: Timestamp<BrickClock>,
     /// Where the body's origin was.
     pub position: Point2<Arena>,
-    /// Where the body pointed, if the instrument can tell.
+    /// The body's heading, if the instrument measures it.
     pub heading: Option<Heading>,
 }
 

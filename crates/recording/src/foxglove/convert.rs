@@ -9,7 +9,7 @@ use super::wire;
 pub(super) const ARENA: &str = "arena";
 /// Name of [`posebridge_telemetry::Body`] of the first robot in messages.
 pub(super) const BODY: &str = "body";
-/// So many standard deviations around the mean hold 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05).
+/// Radius, in standard deviations, that holds 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05).
 const SIGMAS_95: f64 = 2.447_746_830_680_816;
 /// Height of the ellipse's disc, m: flat, but not so flat that a viewer lets it flicker.
 const DISC_HEIGHT_M: f64 = 0.002;

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::container::{RecordingGap, TruthSample};
 
-/// The filter's belief after an observation.
+/// The filter's estimate after an observation.
 #[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct EstimateRecord {
     /// The instant for which it holds, ns of the brick's clock.

@@ -10,11 +10,11 @@ use super::convert::BODY;
 use super::wire;
 use crate::robot_names::RobotNames;
 
-/// So many robots have topics: as many as a station serves unless it is told otherwise.
+/// Most robots with topics: the station's default limit.
 const MAX_ROBOTS: usize = 64;
 /// A name that is longer is cut in topics.
 const MAX_SEGMENT_CHARS: usize = 50;
-/// The path has at most so many poses; from then on every second one stays.
+/// Most poses of the path; from then on every second one stays.
 const PATH_POSES: usize = 256;
 
 /// The robots of a session, in topics of their own but for the first.
@@ -94,7 +94,7 @@ impl RobotOutputsTable {
         self.skipped
     }
 
-    /// What people have to be told of robots without topics, once.
+    /// The warning about robots without topics, once.
     pub(super) fn take_overflow_warning(&mut self) -> Option<String> {
         if self.skipped == 0 || self.is_overflow_reported {
             return None;

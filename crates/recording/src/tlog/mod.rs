@@ -31,7 +31,7 @@ pub const TIME_BYTES: usize = 8;
 /// The two lowest bits of a time, in which some writers keep the number of the link.
 pub const LINK_BITS: u64 = 0b11;
 
-/// 1 January 2000, microseconds since 1970: nobody kept a telemetry log before.
+/// 1 January 2000, microseconds since 1970: there were no telemetry logs before.
 pub const OLDEST_MICROS: u64 = 946_684_800_000_000;
 /// 1 January 2100, microseconds since 1970: no log of today holds later times.
 pub const NEWEST_MICROS: u64 = 4_102_444_800_000_000;

@@ -11,14 +11,14 @@ use super::{ByteOrder, TIME_BYTES};
 
 /// The longest record that there can be.
 const MAX_RECORD_BYTES: usize = TIME_BYTES + MAX_FRAME_BYTES;
-/// So many bytes decide whether a record begins at the first of them: an unverified one must not hold the beginning of a whole one, and
-/// another must begin behind it.
+/// Number of bytes that decide whether a record begins at the first of them: an unverified one must not hold the beginning of a
+/// whole one, and another must begin behind it.
 const LOOKAHEAD_BYTES: usize = 2 * MAX_RECORD_BYTES;
 
 /// What the caller thinks of bytes that have the length of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameCheck<T> {
-    /// A frame whose checksum matches, and what the caller wants to be told with it.
+    /// A frame whose checksum matches, and what the caller needs with it.
     Valid(T),
     /// Perhaps a frame, but of a message that the caller does not know and cannot verify.
     Unknown(T),
@@ -198,7 +198,7 @@ fn frame_after_time(bytes: &[u8]) -> Option<&[u8]> {
     framing::split_frame(bytes.get(TIME_BYTES..)?)
 }
 
-/// How far it is to the next place at which a record could begin, as far as the bytes tell; all of them if there is none.
+/// How far it is to the next place at which a record could begin, as far as the bytes show; all of them if there is none.
 fn bytes_to_next_start(bytes: &[u8]) -> usize {
     let behind = bytes.get(TIME_BYTES + 1..).unwrap_or_default();
     let next = behind.iter().position(|byte| framing::is_start(*byte));
@@ -247,7 +247,7 @@ mod tests {
         [micros.to_be_bytes().to_vec(), frame(id, payload)].concat()
     }
 
-    /// Offsets and times, read in chunks of so many bytes.
+    /// Offsets and times, read in chunks of this number of bytes.
     fn read(file: &[u8], chunk: usize) -> (Vec<(u64, u64)>, TlogCounts) {
         let mut reader = TlogReader::new();
         let mut found = Vec::new();

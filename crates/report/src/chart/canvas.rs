@@ -48,7 +48,7 @@ fn shorten_title(title: &str) -> String {
     truncate(title, TITLE_CHARACTERS)
 }
 
-/// A text of at most so many characters; what is longer ends in an ellipsis.
+/// A text of at most this number of characters; what is longer ends in an ellipsis.
 pub(super) fn truncate(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();

@@ -36,7 +36,7 @@ fn downsample_column(column: &[PixelPoint]) -> Vec<PixelPoint> {
     kept.into_iter().map(|index| column[index]).collect()
 }
 
-/// Fewer points of a line, none of which lies further than `tolerance_px` from what is left: corners and peaks stay, straight
+/// Fewer points of a line. No removed point lies further than `tolerance_px` from the rest: corners and peaks stay, straight
 /// stretches need two points.
 ///
 /// Pieces of [`PIECE`] points are simplified one by one, so that no line takes time that grows with its square.

@@ -1,7 +1,7 @@
 //! Position error over time, on a logarithmic axis, with what the estimate claims.
 //!
 //! ```text
-//! error   distance between believed and true position                     claim   2 sqrt(P_xx + P_yy)
+//! error   distance between estimated and true position                     claim   2 sqrt(P_xx + P_yy)
 //! ```
 //! The claim is twice the distance root mean square; an honest estimate stays below it 95 to 98 % of the time, depending
 //! on how round its ellipse is. Below the panel's lowest decade an error lies on its edge.

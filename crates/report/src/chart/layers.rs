@@ -28,9 +28,9 @@ pub struct RunLayers<'a> {
     pub ideal: &'a [Point2<Arena>],
     /// Where the robot really was.
     pub truth: Option<&'a PoseTrack>,
-    /// Where the brick alone believed it was.
+    /// The path by the brick's own odometry.
     pub odometry: Option<&'a PoseTrack>,
-    /// Where the station believed it was, in the order of time.
+    /// The station's estimates, in the order of time.
     pub estimates: &'a [Estimate],
     /// Where it must have been, by everything that was observed, before and after.
     pub smoothed: Option<&'a PoseTrack>,
@@ -81,7 +81,7 @@ impl DrawableLayers {
         drawable
     }
 
-    /// Where the robot started: by the truth, else by what was believed.
+    /// Where the robot started: by the truth, else by the estimates.
     pub(super) fn start(&self) -> Option<Point2<Arena>> {
         [&self.truth, &self.estimate, &self.odometry].into_iter().find_map(|lines| lines.first()?.first()).copied()
     }

@@ -1,4 +1,4 @@
-//! The front-page figure: where the robot was, where the brick believed it was, and where the station did.
+//! The front-page figure: the true path, the brick's odometry, and the station's estimates.
 //!
 //! A map on top with equal scales, the position errors over time below.
 

@@ -7,7 +7,7 @@
 //! ANEES = mean(NEES) / 3           1 if the claim is honest, above 1 if it boasts
 //! ```
 //! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
-//! section 5.4. The verdict on the value is [`super::consistency`]'s; a partial pose (no heading) is not judged here.
+//! section 5.4. The verdict on the value is [`super::consistency`]'s; a partial pose (no heading) is not tested here.
 
 use posebridge_telemetry::Heading;
 use thiserror::Error;
@@ -39,11 +39,11 @@ pub enum NeesError {
 /// The outcome over many samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Anees {
-    /// Mean of e' P^-1 e / 3; `None` if no sample could be judged.
+    /// Mean of e' P^-1 e / 3; `None` if no sample could be tested.
     pub value: Option<f64>,
     /// Samples in the mean.
     pub samples: usize,
-    /// Samples with a claim that could not be judged: not positive definite, or not finite.
+    /// Samples with a claim that could not be tested: not positive definite, or not finite.
     pub refused: usize,
 }
 

@@ -17,7 +17,7 @@ const STIRLING_FROM: f64 = 16.0;
 /// Halvings of the bracket: from any bracket down to the spacing of doubles.
 const BISECTIONS: usize = 80;
 
-/// The value that a chi-square variable with so many degrees of freedom stays below with this probability.
+/// The value that a chi-square variable with this number of degrees of freedom stays below with this probability.
 ///
 /// `None` without degrees of freedom, or for a probability outside 0.001 to 0.999.
 pub fn quantile(probability: f64, degrees_of_freedom: u64) -> Option<f64> {

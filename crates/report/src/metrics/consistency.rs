@@ -27,7 +27,7 @@ pub struct ConsistencyBand {
 }
 
 impl ConsistencyBand {
-    /// The band of a mean with so many degrees of freedom in total; `None` without any.
+    /// The band of a mean with this number of degrees of freedom in total; `None` without any.
     pub fn of_mean(degrees_of_freedom: u64) -> Option<Self> {
         let n = degrees_of_freedom as f64;
         Some(Self {
@@ -36,7 +36,7 @@ impl ConsistencyBand {
         })
     }
 
-    /// The band of the ANEES of a planar pose over so many independent runs; `None` without any.
+    /// The band of the ANEES of a planar pose over this number of independent runs; `None` without any.
     pub fn of_runs(runs: u64) -> Option<Self> {
         Self::of_mean(runs.checked_mul(POSE_DEGREES_OF_FREEDOM)?)
     }
@@ -64,12 +64,12 @@ pub enum Consistency {
     Consistent,
     /// Errors are smaller than claimed: the filter follows noisy observations more than it needs to.
     UnderConfident,
-    /// Nothing to judge by.
+    /// No samples to test.
     Undetermined,
 }
 
 impl Consistency {
-    /// The verdict on an ANEES that was averaged over so many independent runs. A covariance that could not be judged
+    /// The verdict on an ANEES that was averaged over this number of independent runs. A covariance that could not be tested
     /// makes the filter over-confident: it has claimed the impossible.
     pub fn of_anees(anees: &Anees, runs: u64) -> Self {
         if anees.refused > 0 {

@@ -1,7 +1,7 @@
 //! The error of a pose: estimated minus true, in the arena.
 //!
 //! All accuracy metrics eat this one type, whether the error is that of the estimate, of the brick's own odometry or of
-//! a foreign program. It holds the claimed covariance beside the error, because honesty can only be judged from both.
+//! a foreign program. It holds the claimed covariance beside the error, because consistency can only be tested with both.
 
 use posebridge_telemetry::{Arena, Estimate, Pose};
 
@@ -31,8 +31,8 @@ impl PoseError {
         }
     }
 
-    /// The error of an estimate, with the covariance that it claims. Where its heading is not valid, neither heading
-    /// nor covariance are judged.
+    /// The error of an estimate, with the covariance that it claims. Where its heading is not valid, neither heading nor
+    /// covariance are tested.
     pub fn of_estimate(estimate: &Estimate, truth: Pose<Arena>) -> Self {
         let error = Self::between(estimate.pose, truth);
         if !estimate.validity.heading {
@@ -47,7 +47,7 @@ impl PoseError {
         self.dx_m.hypot(self.dy_m)
     }
 
-    /// Whether position and heading are numbers; the covariance is judged on its own.
+    /// Whether position and heading are numbers; the covariance is tested on its own.
     pub fn is_finite(&self) -> bool {
         self.position_m().is_finite() && self.heading_rad.is_none_or(f64::is_finite)
     }

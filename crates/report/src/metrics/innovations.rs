@@ -28,7 +28,7 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
 use super::consistency::{Consistency, ConsistencyBand};
 
-/// Fewer independent degrees of freedom than this tell nothing: their band reaches from half to 1.7.
+/// Fewer independent degrees of freedom than this are not enough for a verdict: their band reaches from half to 1.7.
 const MIN_DEGREES: f64 = 20.0;
 /// The 97.5 % point of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
@@ -274,16 +274,16 @@ impl fmt::Display for InnovationVerdict {
     }
 }
 
-fn write_size(f: &mut fmt::Formatter<'_>, judgement: &InnovationVerdict) -> fmt::Result {
-    let word = judgement.finding.as_text();
-    let (Some(mean), Some(band)) = (judgement.mean_nis_per_dof, judgement.band) else {
-        return match judgement.degrees_of_freedom {
+fn write_size(f: &mut fmt::Formatter<'_>, verdict: &InnovationVerdict) -> fmt::Result {
+    let word = verdict.finding.as_text();
+    let (Some(mean), Some(band)) = (verdict.mean_nis_per_dof, verdict.band) else {
+        return match verdict.degrees_of_freedom {
             0 => write!(f, "{word}: the filter told no innovation of it"),
             some => write!(f, "{word}: {some} degrees of freedom"),
         };
     };
     let factor = mean.sqrt();
-    match judgement.finding {
+    match verdict.finding {
         InnovationFinding::TooFew | InnovationFinding::Consistent => {
             write!(f, "{word}: NIS {mean:.2}, due {:.2} to {:.2}", band.low, band.high)
         }
@@ -337,7 +337,7 @@ mod tests {
         draws.collect()
     }
 
-    fn judged(values: &[f64], claimed: f64) -> InnovationVerdict {
+    fn verdict_on(values: &[f64], claimed: f64) -> InnovationVerdict {
         let mut test = InnovationTest::default();
         for value in values {
             test.add(&record(*value, claimed));
@@ -347,59 +347,59 @@ mod tests {
 
     #[test]
     fn honest_white_innovations_are_consistent() {
-        let judgement = judged(&sequence(2_000, 0.0), 1.0);
-        assert_eq!(judgement.finding, InnovationFinding::Consistent, "{judgement}");
-        assert!(!judgement.has_correlation() && judgement.tone() == VerdictTone::Good);
-        assert!(judgement.to_string().starts_with("consistent: NIS "), "{judgement}");
+        let verdict = verdict_on(&sequence(2_000, 0.0), 1.0);
+        assert_eq!(verdict.finding, InnovationFinding::Consistent, "{verdict}");
+        assert!(!verdict.has_correlation() && verdict.tone() == VerdictTone::Good);
+        assert!(verdict.to_string().starts_with("consistent: NIS "), "{verdict}");
     }
 
     #[test]
     fn a_claim_that_is_half_of_the_truth_is_too_sure_and_says_by_how_much() {
-        let judgement = judged(&sequence(500, 0.0), 0.5);
-        assert_eq!(judgement.finding, InnovationFinding::OverConfident);
-        let said = judgement.to_string();
+        let verdict = verdict_on(&sequence(500, 0.0), 0.5);
+        assert_eq!(verdict.finding, InnovationFinding::OverConfident);
+        let said = verdict.to_string();
         assert!(said.contains("raise its noise 2.0 times"), "{said}");
     }
 
     #[test]
     fn a_claim_of_twice_the_truth_is_too_careful() {
-        let judgement = judged(&sequence(500, 0.0), 2.0);
-        assert_eq!(judgement.finding, InnovationFinding::UnderConfident);
-        let said = judgement.to_string();
+        let verdict = verdict_on(&sequence(500, 0.0), 2.0);
+        assert_eq!(verdict.finding, InnovationFinding::UnderConfident);
+        let said = verdict.to_string();
         assert!(said.contains("lower its noise to 0.5"), "{said}");
     }
 
     #[test]
     fn a_deviation_of_a_few_per_cent_over_many_is_nearly_consistent() {
-        let judgement = judged(&sequence(20_000, 0.0), 0.95);
-        assert_eq!(judgement.finding, InnovationFinding::NearlyConsistent, "{judgement}");
-        assert!(judgement.band.unwrap().high < judgement.mean_nis_per_dof.unwrap());
+        let verdict = verdict_on(&sequence(20_000, 0.0), 0.95);
+        assert_eq!(verdict.finding, InnovationFinding::NearlyConsistent, "{verdict}");
+        assert!(verdict.band.unwrap().high < verdict.mean_nis_per_dof.unwrap());
     }
 
     #[test]
     fn innovations_that_follow_each_other_are_told_and_their_mean_stands_on_fewer() {
-        let judgement = judged(&sequence(2_000, 0.8), 1.0);
-        let rho = judgement.correlation.unwrap();
+        let verdict = verdict_on(&sequence(2_000, 0.8), 1.0);
+        let rho = verdict.correlation.unwrap();
         assert!((rho - 0.8).abs() < 0.05, "{rho}");
-        assert!(judgement.has_correlation() && judgement.tone() == VerdictTone::Bad);
-        assert!(judgement.to_string().contains("are alike (correlation 0."));
-        let width = |judgement: &InnovationVerdict| {
-            let band = judgement.band.unwrap();
+        assert!(verdict.has_correlation() && verdict.tone() == VerdictTone::Bad);
+        assert!(verdict.to_string().contains("are alike (correlation 0."));
+        let width = |verdict: &InnovationVerdict| {
+            let band = verdict.band.unwrap();
             band.high - band.low
         };
-        let white = judged(&sequence(2_000, 0.0), 1.0);
+        let white = verdict_on(&sequence(2_000, 0.0), 1.0);
         // sqrt((1 + 0.64) / (1 - 0.64)) = 2.13.
-        let ratio = width(&judgement) / width(&white);
+        let ratio = width(&verdict) / width(&white);
         assert!((ratio - 2.13).abs() < 0.2, "{ratio}");
-        let opposed = judged(&sequence(2_000, -0.5), 1.0);
+        let opposed = verdict_on(&sequence(2_000, -0.5), 1.0);
         assert!(opposed.to_string().contains("opposed"), "{opposed}");
     }
 
     #[test]
     fn few_say_nothing_and_a_busy_gate_is_told() {
-        let judgement = judged(&sequence(8, 0.0), 0.1);
-        assert_eq!(judgement.to_string(), "too few to say: 8 degrees of freedom");
-        assert_eq!(judgement.tone(), VerdictTone::Inconclusive);
+        let verdict = verdict_on(&sequence(8, 0.0), 0.1);
+        assert_eq!(verdict.to_string(), "too few to say: 8 degrees of freedom");
+        assert_eq!(verdict.tone(), VerdictTone::Inconclusive);
         assert_eq!(
             InnovationTest::default().evaluate().to_string(),
             "too few to say: the filter told no innovation of it"

@@ -1,8 +1,8 @@
 //! Figures of merit of a run: how far off, how honest about it, and what each sensor contributed.
 //!
 //! One file per family and one entry per metric in [`METRICS`]. The functions take plain errors and records; who made
-//! the errors, and from which truth, is the caller's business. Nothing here prints, and nothing here judges a single
-//! observation: that is the filter's gate.
+//! the errors, and from which truth, is the caller's business. Nothing here prints, and nothing here tests a single observation:
+//! that is the filter's gate.
 
 pub mod anees;
 pub mod chi_square;
@@ -44,7 +44,7 @@ pub struct Metric {
     pub name: &'static str,
     /// Its unit; "1" for a ratio.
     pub unit: &'static str,
-    /// What it says, in one sentence.
+    /// Its meaning, in one sentence.
     pub doc: &'static str,
     /// Computes it; `None` where the evidence does not suffice.
     pub compute: fn(&MetricInputs<'_>) -> Option<f64>,

@@ -10,7 +10,7 @@ use super::root_mean_square::{largest, root_mean_square};
 /// How far positions lie from a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathError {
-    /// Positions that were judged.
+    /// Positions that were scored.
     pub samples: usize,
     /// Positions left out because they are not finite.
     pub dropped: usize,

@@ -1,4 +1,4 @@
-//! Whether the latest innovations of one source fit the claims: for who watches while a robot drives.
+//! Whether the latest innovations of one source fit the claims: for live views.
 //!
 //! A mean over the whole run says what it was like; over the last observations, what it is like. The verdict is that of
 //! [`ConsistencyBand::of_mean`].
@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use super::consistency::{Consistency, ConsistencyBand};
 
-/// Judged over so many observations: ten seconds of a brick at 20 Hz; the page judges over as many.
+/// Number of observations in the test: ten seconds of a brick at 20 Hz; the page tests as many.
 const WINDOW_SAMPLES: usize = 200;
 
 /// The latest normalised innovations squared of one source.

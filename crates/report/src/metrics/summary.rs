@@ -8,11 +8,11 @@ use super::{heading, position};
 /// The accuracy of one run, or the mean over several.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorSummary {
-    /// Errors that were judged.
+    /// Errors that were scored.
     pub samples: usize,
     /// Errors left out because they are not finite.
     pub dropped: usize,
-    /// Covariances that could not be judged: not positive definite, or not finite.
+    /// Covariances that could not be tested: not positive definite, or not finite.
     pub refused_covariances: usize,
     /// Root mean square distance between estimated and true position, in metres.
     pub position_rms_m: Option<f64>,
@@ -27,7 +27,7 @@ pub struct ErrorSummary {
 }
 
 impl ErrorSummary {
-    /// The verdict on the claimed covariance, over so many independent runs (1 for a single run).
+    /// The verdict on the claimed covariance over this number of independent runs (1 for a single run).
     pub fn consistency(&self, runs: u64) -> Consistency {
         let outcome = Anees { value: self.anees, samples: self.samples, refused: self.refused_covariances };
         Consistency::of_anees(&outcome, runs)

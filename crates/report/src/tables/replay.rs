@@ -77,7 +77,7 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
     table.render()
 }
 
-/// A line for each row that left something out; nothing when all was judged.
+/// A line for each row that left something out; nothing when all was scored.
 pub(super) fn footnotes<'a>(rows: impl Iterator<Item = (&'a str, &'a ErrorSummary)>) -> String {
     rows.flat_map(|(name, errors)| {
         [(errors.dropped, "not finite"), (errors.refused_covariances, "covariance not positive definite")]

@@ -8,7 +8,7 @@ use crate::metrics::ErrorSummary;
 /// One row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct RunRow<'a> {
-    /// Who believed it, for example "brick's own odometry" or "estimate".
+    /// The source, for example "brick's own odometry" or "estimate".
     pub name: &'a str,
     /// How far off it was.
     pub errors: &'a ErrorSummary,

@@ -1,4 +1,4 @@
-//! The table of a replay's smoothed paths: one row per run, what they stand on, and what they did not hear.
+//! The table of a replay's smoothed paths: one row per run, their inputs, and the observations that they do not use.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -10,7 +10,7 @@ use super::unwrap::{UnwrapOutcome, Unwrapper};
 
 /// Stands in for the smallest delay of a link whose far end never answers, s: half of a Bluetooth link's usual round trip.
 const ONE_WAY_DELAY_S: f64 = 0.010;
-/// So many answered requests before the two-way line replaces the one-way line.
+/// Number of answered requests before the two-way line replaces the one-way line.
 const MIN_ANSWERS: u32 = 3;
 /// Without an answer for this long after the first message the one-way line has to do.
 const ONE_WAY_AFTER: TimeDelta = TimeDelta::from_millis(1_500);
@@ -36,7 +36,7 @@ pub struct ClockAligner<C: Clock> {
     round_trip: Option<TimeDelta>,
     /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
     step_micros: u64,
-    /// What was known was contradicted and forgotten since somebody asked.
+    /// The alignment was contradicted and reset since the last call.
     is_contradicted: bool,
 }
 

@@ -18,7 +18,7 @@ use std::collections::VecDeque;
 use super::bounds::LinearOffset;
 
 /// Rate at which the conversion turns towards a new line. 15 ms, the first error on a Bluetooth link, are gone in 0.3 s, and an
-/// interval is wrong by a twentieth meanwhile. The Network Time Protocol takes 500 ppm, but nobody drives by its clock.
+/// interval is wrong by a twentieth meanwhile. The Network Time Protocol takes 500 ppm, but no robot drives by its clock.
 const SLEW_RATE: f64 = 0.05;
 /// Two per line; with ten lines per second, the quickest that are asked for, they reach back 12 s: longer than a fix may be late.
 const MAX_KNOTS: usize = 256;
@@ -99,7 +99,7 @@ mod tests {
         LinearOffset { at_s, offset_s, slope, uncertainty_s: 0.0, slope_uncertainty: 0.0 }
     }
 
-    /// A conversion that was steered ten times a second towards lines of which no two agree.
+    /// A conversion that was steered ten times a second towards lines that all differ.
     fn steered(lines: &[(f64, f64)]) -> ClockConversion {
         let mut conversion = ClockConversion::default();
         for (k, (offset_s, slope)) in lines.iter().enumerate() {

@@ -8,7 +8,7 @@
 //!
 //! # What cannot be known
 //! A brick that restarted during a silence shows the time since. If that, modulo the period, lies between what the longest delay
-//! of a link allows and what was expected, it cannot be told from the old clock and is taken for it. After more than a quarter
+//! of a link allows and what was expected, it cannot be distinguished from the old clock and is taken for it. After more than a quarter
 //! of an hour that is about a fifth of all values; after a shorter silence fewer, because the clock must not fall either.
 
 use posebridge_protocol::message::WireStamp;
@@ -18,7 +18,7 @@ use super::Endpoint;
 use super::last_stamp::{micros_of, nearest_instant};
 use super::stamp_tracks::{StampPlacement, StampTracks};
 
-/// Unwraps the stamps of one remote clock, by whichever ways they come.
+/// Unwraps the stamps of one remote clock, from all its endpoints.
 #[derive(Clone, Debug, Default)]
 pub struct Unwrapper {
     tracks: StampTracks,
@@ -67,7 +67,7 @@ impl Unwrapper {
 
     /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
     pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
-        let last = self.tracks.youngest()?;
+        let last = self.tracks.latest()?;
         Some(Timestamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
     }
 

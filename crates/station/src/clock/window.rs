@@ -12,9 +12,10 @@
 //! To forget the oldest bound is one step in the left part, to add one at the end a few in the right part. When the left part is empty,
 //! the right one takes its place: once per window. The corners of both together hold all corners of the whole.
 //!
-//! Bounds are loosened with the square of their age ([`BoundHull::span`](super::hull::BoundHull::span)), for one allowance or none. The square of
-//! (t - t_i) is that of t_i and something straight in t_i, and what is straight turns no corner into none: so corners do not depend on t. Nor
-//! does a larger allowance lose any, because it makes the points bend towards the hull. One set of corners serves both.
+//! Bounds are loosened with the square of their age ([`BoundHull::span`](super::hull::BoundHull::span)), for one allowance or
+//! none. The square of (t - t_i) is that of t_i and something straight in t_i, and what is straight turns no corner into none: so
+//! corners do not depend on t. Nor does a larger allowance lose any, because it makes the points bend towards the hull. One set
+//! of corners serves both.
 
 use std::collections::VecDeque;
 
@@ -40,7 +41,7 @@ pub(super) struct BoundWindow {
 #[derive(Clone, Copy, Debug)]
 struct OlderBound {
     bound: OffsetBound,
-    /// So many places further lies the next corner; 0 if there is none.
+    /// Number of places to the next corner; 0 if there is none.
     after: usize,
 }
 

@@ -63,12 +63,12 @@ fn all_tunables_are_listed_in_their_order_one_at_a_time() {
     for target in [STATION, EVERYBODY_OF_OURS] {
         let mut ground = Ground::new(|_| {});
         let seen = ground.station.outputs.len();
-        ground.say(100, &Message::ParamRequestList { target });
+        ground.send(100, &Message::ParamRequestList { target });
         ground.station.pass_until(at(2_000));
         let expected: Vec<Message> =
             PARAMS.iter().enumerate().map(|(index, row)| value(index, row.default as f32)).collect();
-        assert_eq!(ground.heard_since(seen, GCS_LINK), expected);
-        assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
+        assert_eq!(ground.received_since(seen, GCS_LINK), expected);
+        assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), []);
         // Never two at one instant, nor faster than 2 kB/s.
         let is_value = |message: &Message| matches!(message, Message::ParamValue { .. });
         let sent = ground.station.sent();
@@ -87,11 +87,11 @@ fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_told_to_all_who
     ground.drive(0, 2_000);
     let before = ground.estimate();
     let read = Message::ParamRequestRead { target: STATION, name: String::new(), index: 0 };
-    assert_eq!(ground.say_on(OTHER_GCS_LINK, 2_000, &read), [value(0, 0.999)]);
+    assert_eq!(ground.send_on(OTHER_GCS_LINK, 2_000, &read), [value(0, 0.999)]);
     let seen = ground.station.outputs.len();
     assert_eq!(ground.set(2_001, "GATE_PROB", 0.5), [value(0, 0.5)]);
-    assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), [value(0, 0.5)]);
-    let to_the_brick = ground.heard_since(seen, LINK);
+    assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), [value(0, 0.5)]);
+    let to_the_brick = ground.received_since(seen, LINK);
     assert!(!to_the_brick.contains(&value(0, 0.5)), "it never asked: {to_the_brick:?}");
     assert_eq!(ground.estimate(), before, "nothing was lost by it");
     assert_eq!(ground.texts(), ["gate_prob set to 0.5 (was 0.999)"]);
@@ -129,13 +129,13 @@ fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_an
             let set = Message::ParamSetUnsupported { target: STATION, name: row.key.to_uppercase(), kind };
             let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
             let stands = value(index, row.default as f32);
-            assert_eq!(ground.say(100, &set), [stands, warning(&why)]);
+            assert_eq!(ground.send(100, &set), [stands, warning(&why)]);
             assert_eq!(ground.texts(), [why]);
         }
     }
     let mut ground = Ground::new(|_| {});
     let set = Message::ParamSetUnsupported { target: STATION, name: "RATE_P".to_owned(), kind: 10 };
-    assert_eq!(ground.say(100, &set), [warning("no parameter `RATE_P`")]);
+    assert_eq!(ground.send(100, &set), [warning("no parameter `RATE_P`")]);
 }
 
 #[test]
@@ -156,13 +156,13 @@ fn every_reason_fits_into_one_text() {
 fn a_tunable_that_there_is_not_is_not_answered_for_but_named() {
     let mut ground = Ground::new(|_| {});
     assert_eq!(ground.set(100, "RATE_P\x1b", 1.0), [warning("no parameter `RATE_P?`")]);
-    let ask = |target, name: &str, index| Message::ParamRequestRead { target, name: name.to_owned(), index };
+    let request = |target, name: &str, index| Message::ParamRequestRead { target, name: name.to_owned(), index };
     let beyond = PARAMS.len() as i16;
-    assert_eq!(ground.say(110, &ask(STATION, "", beyond)), [warning(&format!("no parameter `{beyond}`"))]);
-    assert_eq!(ground.say(120, &ask(STATION, "", -2)), [warning("no parameter `-2`")]);
+    assert_eq!(ground.send(110, &request(STATION, "", beyond)), [warning(&format!("no parameter `{beyond}`"))]);
+    assert_eq!(ground.send(120, &request(STATION, "", -2)), [warning("no parameter `-2`")]);
     // Somebody else may have it, or another system is meant.
-    assert_eq!(ground.say(130, &ask(EVERYBODY_OF_OURS, "RATE_P", -1)), []);
-    assert_eq!(ground.say(140, &ask(Address::new(7, 190), "slip_nis", -1)), []);
+    assert_eq!(ground.send(130, &request(EVERYBODY_OF_OURS, "RATE_P", -1)), []);
+    assert_eq!(ground.send(140, &request(Address::new(7, 190), "slip_nis", -1)), []);
 }
 
 #[test]
@@ -187,9 +187,9 @@ fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_aske
     let seen = ground.station.outputs.len();
     let (severity, text) = (6, "saved to x.toml".to_owned());
     let told = Message::StatusText { severity, text: text.clone(), part: TextPart::default() };
-    ground.station.give(at(150), Input::Report { severity, text });
-    assert_eq!(ground.heard_since(seen, GCS_LINK), [told]);
-    assert_eq!(ground.heard_since(seen, OTHER_GCS_LINK), []);
+    ground.station.handle(at(150), Input::Report { severity, text });
+    assert_eq!(ground.received_since(seen, GCS_LINK), [told]);
+    assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), []);
 }
 
 /// A ground station hears all that the station tells, and there the line that something was asked for comes just before what became
@@ -208,8 +208,8 @@ fn a_link_for_ground_stations_hears_what_became_of_each_request() {
         assert_eq!(ground.result(millis, command, &[first]), ACCEPTED);
         let (severity, text) = (6, became.to_owned());
         let report = Input::Report { severity, text };
-        ground.station.give(at(millis), report);
-        let heard = ground.heard_since(seen, GCS_LINK);
+        ground.station.handle(at(millis), report);
+        let heard = ground.received_since(seen, GCS_LINK);
         let is_it = |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
         assert!(heard.iter().any(is_it), "{became}: {heard:?}");
     }
@@ -218,9 +218,9 @@ fn a_link_for_ground_stations_hears_what_became_of_each_request() {
     for millis in 300..320 {
         let (severity, text) = (6, "recorded".to_owned());
         let report = Input::Report { severity, text };
-        ground.station.give(at(millis), report);
+        ground.station.handle(at(millis), report);
     }
-    assert_eq!(ground.heard_since(seen, GCS_LINK).len(), 4);
+    assert_eq!(ground.received_since(seen, GCS_LINK).len(), 4);
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
     // With a start, that is where it is again.
     let mut ground = Ground::new(|_| {});
     ground.drive(0, 1_000);
-    ground.station.give(at(1_010), Input::Command(Command::ResetPose));
+    ground.station.handle(at(1_010), Input::Command(Command::ResetPose));
     assert_eq!(ground.estimate().pose, Pose::default());
 }
 
@@ -325,7 +325,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
     assert!(ground.estimate().is_dead_reckoning);
     ground
         .station
-        .give(at(5_010), Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::On }));
+        .handle(at(5_010), Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::On }));
     ground.drive(5_050, 6_000);
     assert_eq!(ground.station.engine.switched_off().count(), 0);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), FusionOutcome::Accepted);
@@ -378,7 +378,7 @@ fn a_request_that_comes_by_two_ways_is_done_once() {
     for link in [GCS_LINK, OTHER_GCS_LINK] {
         let peer = PeerId::default();
         let bytes = bytes.clone();
-        ground.station.give(at(100), Input::Bytes { link, peer, bytes });
+        ground.station.handle(at(100), Input::Bytes { link, peer, bytes });
     }
     assert_eq!(ground.texts().len(), 1);
 }
@@ -389,7 +389,7 @@ fn a_station_without_a_link_takes_commands_too() {
     config.links.clear();
     let mut station = TestStation::new(&config);
     for command in [Command::ResetPose, Command::ResetCalibration, Command::Parameters(ParameterStorage::Default)] {
-        station.give(at(10), Input::Command(command));
+        station.handle(at(10), Input::Command(command));
     }
     station.link(at(20), LINK, LinkState::Up);
     assert_eq!(station.events().count(), 3);

@@ -47,15 +47,15 @@ fn a_command_for_one_robot_leaves_the_others_alone_and_says_whose_it_was() {
     let mut ground = two_robots();
     let switch = Command::SwitchSource { sensor: SensorId::GYRO, to: SensorSwitch::Off };
     for (millis, command) in [(300, set_pose(1.5)), (310, switch)] {
-        ground.station.give(at(millis), Input::RobotCommand { robot: OTHER_ROBOT, command });
+        ground.station.handle(at(millis), Input::RobotCommand { robot: OTHER_ROBOT, command });
     }
     assert_eq!(positions(&ground), [(0.0, 0), (1.5, 1)]);
     assert_eq!(ground.texts()[0], "robot link 3 2/7: pose set to x 1.500 m, y 0.000 m, 0.0 deg");
-    ground.station.give(at(320), Input::RobotCommand { robot: OTHER_ROBOT, command: Command::ResetPose });
+    ground.station.handle(at(320), Input::RobotCommand { robot: OTHER_ROBOT, command: Command::ResetPose });
     assert_eq!(positions(&ground), [(0.0, 0), (0.0, 1)]);
     // Without a robot the pose is the first one's and a switch is for all.
     for (millis, command) in [(330, set_pose(-0.5)), (340, switch)] {
-        ground.station.give(at(millis), Input::Command(command));
+        ground.station.handle(at(millis), Input::Command(command));
     }
     assert_eq!(positions(&ground), [(-0.5, 1), (0.0, 1)]);
 }
@@ -65,14 +65,14 @@ fn what_is_for_the_whole_station_and_what_is_for_nobody_are_told_apart() {
     let mut ground = two_robots();
     let steer = SimulatorCommand::Steering(SteeringSource::Estimate);
     for command in [Command::Parameters(ParameterStorage::Default), Command::Simulator(steer)] {
-        ground.station.give(at(300), Input::RobotCommand { robot: OTHER_ROBOT, command });
+        ground.station.handle(at(300), Input::RobotCommand { robot: OTHER_ROBOT, command });
     }
-    ground.station.give(at(310), Input::Command(Command::Simulator(steer)));
+    ground.station.handle(at(310), Input::Command(Command::Simulator(steer)));
     let for_robots = [Some(OTHER_ROBOT), None].map(|robot| Request::Simulator { robot, command: steer });
     assert_eq!(ground.requests(), for_robots.iter().collect::<Vec<_>>());
     assert_eq!(ground.texts()[0], "parameters set to their defaults");
     let robot = RobotId { link: LINK, address: Address::new(9, 1) };
-    ground.station.give(at(320), Input::RobotCommand { robot, command: set_pose(3.0) });
+    ground.station.handle(at(320), Input::RobotCommand { robot, command: set_pose(3.0) });
     assert_eq!(positions(&ground), [(0.0, 0), (0.0, 0)]);
     assert_eq!(ground.texts().last().map(String::as_str), Some("no robot link 3 9/1"));
 }
@@ -83,7 +83,7 @@ fn a_ground_station_that_commands_a_vehicle_reaches_that_robot() {
     let mut ground = two_robots();
     let vehicle = Address::new(OTHER.system.0, 1);
     let mut result = |millis, command, params: [f32; 7]| {
-        let answers = ground.say(millis, &Message::Command(CommandLong { target: vehicle, command, params }));
+        let answers = ground.send(millis, &Message::Command(CommandLong { target: vehicle, command, params }));
         let answers: Vec<u8> = answers
             .iter()
             .filter_map(|answer| match answer {

@@ -14,7 +14,7 @@ use crate::{CALIBRATION, PREFLIGHT_STORAGE, SET_POSE, SOURCE, name, with_calibra
 fn busy() -> Ground {
     let mut ground = Ground::new(with_calibration);
     ground.drive(0, 1_000);
-    ground.say(1_010, &Message::ParamRequestList { target: STATION });
+    ground.send(1_010, &Message::ParamRequestList { target: STATION });
     ground.set(1_020, "gate_prob", 0.9);
     ground.drive(1_050, 2_000);
     ground.set(2_010, "gate_prob", 7.0);
@@ -30,16 +30,16 @@ fn busy() -> Ground {
         Command::StopRecording,
         Command::StartRecording,
     ] {
-        ground.station.give(at(3_010), Input::Command(command));
+        ground.station.handle(at(3_010), Input::Command(command));
     }
     let report = Input::Report { severity: 6, text: "saved".to_owned() };
-    ground.station.give(at(3_020), report);
+    ground.station.handle(at(3_020), report);
     ground.drive(3_050, 4_000);
     ground.command(4_010, PREFLIGHT_STORAGE, &[2.0]);
     ground.command(4_011, SET_POSE, &[0.0, 0.8, 90.0, 0.1, 5.0]);
     ground.drive(4_050, 5_000);
-    ground.station.give(at(5_010), Input::Command(Command::ResetCalibration));
-    ground.station.give(at(5_011), Input::Command(Command::ResetPose));
+    ground.station.handle(at(5_010), Input::Command(Command::ResetCalibration));
+    ground.station.handle(at(5_011), Input::Command(Command::ResetPose));
     ground.drive(5_050, 6_000);
     ground
 }
@@ -58,7 +58,7 @@ fn a_run_with_requests_is_replayed_bit_for_bit() {
     };
     replayed.engine = Station::new(config, at(0)).expect("the same as before");
     for (now, input) in &live.station.inputs {
-        replayed.give(*now, input.clone());
+        replayed.handle(*now, input.clone());
     }
     assert_eq!(format!("{:?}", replayed.outputs), format!("{:?}", live.station.outputs));
     assert!(live.texts().len() >= 15, "{:?}", live.texts());
@@ -82,9 +82,9 @@ fn bytes_with_requests_may_come_in_any_pieces() {
         for bytes in bytes.chunks(chunk) {
             ground
                 .station
-                .give(at(100), Input::Bytes { link: GCS_LINK, peer: PeerId::default(), bytes: bytes.to_vec() });
+                .handle(at(100), Input::Bytes { link: GCS_LINK, peer: PeerId::default(), bytes: bytes.to_vec() });
         }
-        ground.heard_since(seen, GCS_LINK)
+        ground.received_since(seen, GCS_LINK)
     };
     let whole = answers(bytes.len());
     assert_eq!(whole.len(), 5);

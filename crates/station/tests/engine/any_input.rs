@@ -102,7 +102,7 @@ proptest! {
         let mut now = Timestamp::from_nanos(begin.max(0));
         for (wait_ms, input) in inputs {
             now = now + TimeDelta::from_millis(wait_ms);
-            station.give(now, input);
+            station.handle(now, input);
             let due = station.engine.deadline().expect("there is always a heartbeat");
             // At the end of all time there is no later instant.
             prop_assert!(due > now || due == Timestamp::from_nanos(i64::MAX), "{due:?} at {now:?}");

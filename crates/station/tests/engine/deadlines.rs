@@ -1,7 +1,7 @@
 //! What is due at its instant: heartbeats, broken frames, links that go and come.
 
 use crate::brick::{BRICK, HEARTBEAT, frame, messages, ticks};
-use crate::said;
+use crate::sent_messages;
 use crate::station::{LINK, TestStation, at, config};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{Event, HostClock, Input, LinkState, Output, ReceiveError, Timestamp};
@@ -12,12 +12,12 @@ fn ticks_at_the_deadlines_and_nowhere_else_miss_nothing_and_do_not_spin() {
     station.bytes(at(100), &frame(BRICK, &HEARTBEAT));
     let mut count = 0;
     while let Some(due) = station.engine.deadline().filter(|due| *due <= at(20_000)) {
-        station.give(due, Input::Tick);
+        station.handle(due, Input::Tick);
         let next = station.engine.deadline().expect("there is always a heartbeat");
         assert!(next > due, "after {due:?} comes {next:?}");
         count += 1;
     }
-    let sent = said(&station);
+    let sent = sent_messages(&station);
     let times = |wanted: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
         let wanted = sent.iter().filter(|(_, message)| wanted(message));
         wanted.map(|(now, _)| *now).collect()

@@ -12,8 +12,8 @@ mod deadlines;
 mod outputs;
 #[path = "../support/station.rs"]
 mod station;
-#[path = "../support/world.rs"]
-mod world;
+#[path = "../support/station_simulation.rs"]
+mod station_simulation;
 
 use brick::{BRICK, frame, messages, ticks};
 use posebridge_protocol::message::{Message, VisionFix, WireStamp};
@@ -21,13 +21,13 @@ use posebridge_sim::Scenario;
 use posebridge_station::{BuildError, Station, StationConfig};
 use posebridge_telemetry::{Command, Event, FusionOutcome, Heading, HostClock, Input, Meters, Pose, Timestamp};
 use station::{LINK, STATION, TestStation, at, config, link, stream};
-use world::World;
+use station_simulation::StationSimulation;
 
 /// Twenty seconds of a simulated robot on a square, with the camera.
-fn driven(config: &StationConfig) -> World {
-    let mut world = World::new(Scenario::default().with_seed(4), config);
-    world.run_for(20);
-    world
+fn driven(config: &StationConfig) -> StationSimulation {
+    let mut setup = StationSimulation::new(Scenario::default().with_seed(4), config);
+    setup.run_for(20);
+    setup
 }
 
 /// Gives the same inputs to a fresh station.
@@ -40,7 +40,7 @@ fn replayed(inputs: &[(Timestamp<HostClock>, Input)]) -> TestStation {
         outputs: vec![],
     };
     for (now, input) in inputs {
-        station.give(*now, input.clone());
+        station.handle(*now, input.clone());
     }
     station
 }
@@ -64,7 +64,7 @@ fn observed_and_fused(station: &TestStation) -> Vec<String> {
 }
 
 /// The messages that a station sent, in order, with their instants.
-fn said(station: &TestStation) -> Vec<(Timestamp<HostClock>, Message)> {
+fn sent_messages(station: &TestStation) -> Vec<(Timestamp<HostClock>, Message)> {
     let sent = station.sent();
     let said = sent.flat_map(|(now, bytes)| messages(bytes).into_iter().map(move |said| (now, said)));
     said.collect()
@@ -103,12 +103,12 @@ fn cut(now: Timestamp<HostClock>, input: &Input, size: usize) -> Vec<(Timestamp<
 
 #[test]
 fn a_robot_drives_on_through_a_link_that_is_cut() {
-    let mut world = World::new(Scenario::default().with_seed(5), &config());
-    world.run_for(8);
-    world.cut_for(3);
-    world.run_for(6);
-    let truth = world.simulation.truth().last().expect("it is logged");
-    let estimate = world.station.engine.estimate_at(truth.brick_time).expect("it was observed");
+    let mut setup = StationSimulation::new(Scenario::default().with_seed(5), &config());
+    setup.run_for(8);
+    setup.cut_for(3);
+    setup.run_for(6);
+    let truth = setup.simulation.truth().last().expect("it is logged");
+    let estimate = setup.station.engine.estimate_at(truth.brick_time).expect("it was observed");
     let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
     assert!(error_m < 0.05, "{error_m}");
     assert_eq!(estimate.reset_counter, 0);
@@ -165,8 +165,8 @@ fn a_pose_that_is_commanded_is_believed_and_one_that_cannot_be_is_refused_in_wor
             heading_sigma_rad: 0.1,
         })
     };
-    station.give(at(200), set(1.5));
-    station.give(at(300), set(f64::NAN));
+    station.handle(at(200), set(1.5));
+    station.handle(at(300), set(f64::NAN));
     let last = station.events().filter_map(|event| match event {
         Event::EstimateUpdated { estimate, .. } => Some(*estimate),
         _ => None,

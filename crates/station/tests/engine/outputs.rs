@@ -2,8 +2,8 @@
 
 use crate::brick::{BRICK, frame, messages, ticks};
 use crate::station::{self, STATION, TestStation, at, config, stream};
-use crate::world::World;
-use crate::{driven, said};
+use crate::station_simulation::StationSimulation;
+use crate::{driven, sent_messages};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Message, PlanarPose, SetMessageInterval, WireStamp};
 use posebridge_station::{OutputInstant, OutputKind};
@@ -14,7 +14,7 @@ fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
     let mut config = config();
     config.links[0].outputs = vec![];
     let mut station = TestStation::new(&config);
-    let ask = |interval| {
+    let request = |interval| {
         Message::SetMessageInterval(SetMessageInterval { target: STATION, message_id: ids::ODOMETRY, interval })
     };
     let drive = |station: &mut TestStation, from_ms: u32| {
@@ -22,14 +22,15 @@ fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
             let millis = from_ms + step * 50;
             station.bytes(at(i64::from(millis)), &frame(BRICK, &ticks(millis, 0, 0)));
         }
-        let odometry = said(station).iter().filter(|(_, message)| matches!(message, Message::Odometry(_))).count();
+        let odometry =
+            sent_messages(station).iter().filter(|(_, message)| matches!(message, Message::Odometry(_))).count();
         station.outputs.clear();
         odometry
     };
     assert_eq!(drive(&mut station, 0), 0, "nothing is configured");
-    station.bytes(at(1_000), &frame(BRICK, &ask(Some(TimeDelta::from_millis(100)))));
+    station.bytes(at(1_000), &frame(BRICK, &request(Some(TimeDelta::from_millis(100)))));
     assert_eq!(drive(&mut station, 1_000), 10);
-    station.bytes(at(2_000), &frame(BRICK, &ask(None)));
+    station.bytes(at(2_000), &frame(BRICK, &request(None)));
     assert_eq!(drive(&mut station, 2_000), 0);
 }
 
@@ -37,8 +38,8 @@ fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
 fn the_status_message_tells_how_near_the_gate_the_last_fix_was() {
     let mut config = config();
     config.links[0].outputs = vec![stream(OutputKind::EstimatorStatus, 0)];
-    let world = driven(&config);
-    let ratios: Vec<f64> = said(&world.station)
+    let setup = driven(&config);
+    let ratios: Vec<f64> = sent_messages(&setup.station)
         .iter()
         .filter_map(|(_, message)| match message {
             Message::EstimatorStatus(status) => Some(status.position_ratio),
@@ -55,9 +56,9 @@ fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
     let mut config = config();
     config.links[0].outputs =
         vec![stream(OutputKind::PlanarPose, 0), stream(OutputKind::Odometry, 100), stream(OutputKind::Attitude, 1_000)];
-    let world = driven(&config);
-    let sent = said(&world.station);
-    let estimates = world.station.events().filter(|event| matches!(event, Event::EstimateUpdated { .. }));
+    let setup = driven(&config);
+    let sent = sent_messages(&setup.station);
+    let estimates = setup.station.events().filter(|event| matches!(event, Event::EstimateUpdated { .. }));
     let of = |wanted: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
         let wanted = sent.iter().filter(|(_, message)| wanted(message));
         wanted.map(|(now, _)| *now).collect()
@@ -100,10 +101,10 @@ fn an_estimate_for_its_arrival_lies_ahead_and_says_that_it_is_predicted() {
 }
 
 /// Every pose that was sent, with the wrapped microseconds of the estimate from which it was made.
-fn planar_poses(world: &World) -> Vec<(PlanarPose, u32)> {
+fn planar_poses(setup: &StationSimulation) -> Vec<(PlanarPose, u32)> {
     let mut latest = 0;
     let mut poses = vec![];
-    for (_, output) in &world.station.outputs {
+    for (_, output) in &setup.station.outputs {
         match output {
             Output::Event(Event::EstimateUpdated { estimate, .. }) => {
                 latest = estimate.stamp.as_micros() as u32;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::brick::{HEARTBEAT, ticks};
 use crate::events::observed;
-use crate::scene::{GCS_LINK, Scene, command, health, three_links};
+use crate::routing_setup::{GCS_LINK, RoutingSetup, command, health, three_links};
 use crate::station::{LINK, at};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::routing::{AllowBlockList, ForwardPolicy, LinkRules};
@@ -15,13 +15,13 @@ fn what_a_filter_keeps_out_is_neither_believed_nor_passed_on() {
     let mut config = three_links();
     config.links[0].rules.inward.messages = AllowBlockList { allow: vec![], block: vec![ids::PB_WHEEL_TICKS] };
     config.links[2].rules.outward.systems = AllowBlockList { allow: vec![SystemId(2)], block: vec![] };
-    let mut scene = Scene::new(&config);
-    let station = &mut scene.station;
-    let (_, passed) = scene.brick.say(station, at(100), &ticks(5_000, 0, 0));
+    let mut setup = RoutingSetup::new(&config);
+    let station = &mut setup.station;
+    let (_, passed) = setup.brick.send(station, at(100), &ticks(5_000, 0, 0));
     assert_eq!((passed, observed(station)), (vec![], 0));
-    let (_, passed) = scene.brick.say(station, at(110), &HEARTBEAT);
+    let (_, passed) = setup.brick.send(station, at(110), &HEARTBEAT);
     assert_eq!(passed.len(), 1, "the camera's link only: {passed:?}");
-    let (_, passed) = scene.camera.say(station, at(120), &HEARTBEAT);
+    let (_, passed) = setup.camera.send(station, at(120), &HEARTBEAT);
     assert_eq!(passed.len(), 2);
     assert_eq!(health(station, LINK).filtered, 1);
 }
@@ -31,12 +31,12 @@ fn a_link_may_take_only_what_is_meant_for_it() {
     let mut config = three_links();
     config.links[0].rules.forward = ForwardPolicy::Targeted;
     config.links[1].rules.forward = ForwardPolicy::Disabled;
-    let mut scene = Scene::new(&config);
-    let station = &mut scene.station;
-    let (_, passed) = scene.gcs.say(station, at(100), &HEARTBEAT);
+    let mut setup = RoutingSetup::new(&config);
+    let station = &mut setup.station;
+    let (_, passed) = setup.gcs.send(station, at(100), &HEARTBEAT);
     assert_eq!(passed, [(GCS_LINK, Recipients::AllExcept(PeerId(5)), Priority::Forwarded)]);
-    assert_eq!(scene.gcs.say(station, at(110), &command()).1.len(), 1);
-    assert_eq!(scene.camera.say(station, at(120), &HEARTBEAT).1, []);
+    assert_eq!(setup.gcs.send(station, at(110), &command()).1.len(), 1);
+    assert_eq!(setup.camera.send(station, at(120), &HEARTBEAT).1, []);
 }
 
 #[test]
@@ -50,21 +50,21 @@ fn rates_thin_telemetry_and_estimates_but_never_commands() {
     // Estimates of 64 bytes each leave to the brick, ticks of 25 bytes to the ground station.
     thin(&mut config.links[0].rules);
     thin(&mut config.links[2].rules);
-    let mut scene = Scene::new(&config);
+    let mut setup = RoutingSetup::new(&config);
     let mut ticks_passed = 0;
     for k in 0..200_u32 {
-        let station = &mut scene.station;
+        let station = &mut setup.station;
         let now = at(100 + i64::from(k) * 50);
         let message = ticks(5_000 + k * 50, 0, 0);
-        let (_, passed) = scene.brick.say(station, now, &message);
+        let (_, passed) = setup.brick.send(station, now, &message);
         ticks_passed += passed.iter().filter(|(link, ..)| *link == GCS_LINK).count();
         if k % 10 == 0 {
-            let (_, passed) = scene.gcs.say(station, now, &command());
+            let (_, passed) = setup.gcs.send(station, now, &command());
             assert_eq!(passed.len(), 1, "commands pass");
         }
     }
     assert_eq!(ticks_passed, 50, "one of four, for ten seconds");
-    let station = &mut scene.station;
+    let station = &mut setup.station;
     let estimates = station.outputs.iter().filter(|(_, output)| {
         matches!(output, Output::Transmit { link: LINK, priority: Priority::Estimate { .. }, .. })
     });

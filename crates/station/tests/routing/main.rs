@@ -15,6 +15,6 @@ mod filters;
 mod network;
 mod redundant;
 mod ring;
-mod scene;
+mod routing_setup;
 #[path = "../support/station.rs"]
 mod station;

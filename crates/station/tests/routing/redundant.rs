@@ -1,18 +1,18 @@
 //! Two links to one robot: only what both lose is lost, nothing is used twice, and both bound its clock.
 
 use crate::brick::{self, BRICK, HEARTBEAT, ticks};
-use crate::network::{OnTheirWay, Speaker};
-use crate::scene::health;
+use crate::network::{BytesInTransit, RemotePeer};
+use crate::routing_setup::health;
 use crate::station::{STATION, TestStation, at, config, link, stream};
 use posebridge_protocol::message::{Message, TimeSync};
 use posebridge_station::OutputKind;
 use posebridge_telemetry::{Event, LinkId, LinkState, Output, Priority, TimeDelta};
 
 /// A brick that says everything on two links, which delay and lose for themselves, and answers time requests on each.
-struct Redundant {
+struct RedundantBrick {
     station: TestStation,
-    speakers: [Speaker; 2],
-    on_their_way: OnTheirWay<usize>,
+    remotes: [RemotePeer; 2],
+    in_transit: BytesInTransit<usize>,
     seen: usize,
     /// Which messages came over which link, by their stamps in ms of brick time.
     arrived: [Vec<u32>; 2],
@@ -23,7 +23,7 @@ const DELAYS_MS: [i64; 2] = [5, 45];
 /// Brick time minus host time.
 const AHEAD_MS: i64 = 5_000;
 
-impl Redundant {
+impl RedundantBrick {
     fn new() -> Self {
         let mut config = config();
         config.links = LINKS
@@ -35,17 +35,17 @@ impl Redundant {
             .to_vec();
         Self {
             station: TestStation::new(&config),
-            speakers: LINKS.map(|id| Speaker::new(BRICK, id, 0)),
-            on_their_way: OnTheirWay::default(),
+            remotes: LINKS.map(|id| RemotePeer::new(BRICK, id, 0)),
+            in_transit: BytesInTransit::default(),
             seen: 0,
             arrived: [vec![], vec![]],
         }
     }
 
     fn send(&mut self, now: i64, index: usize, message: &Message) {
-        let frame = self.speakers[index].frame(message);
+        let frame = self.remotes[index].frame(message);
         let arrival = at(now + DELAYS_MS[index]);
-        self.on_their_way.send(arrival, index, frame);
+        self.in_transit.send(arrival, index, frame);
     }
 
     /// One millisecond; telemetry each 50 ms, of which `loses` decides what never arrives.
@@ -58,15 +58,15 @@ impl Redundant {
             if now % 50 == 0 {
                 let counts = now / 50;
                 let message = ticks(brick_ms, counts, counts);
-                let frame = self.speakers[index].frame(&message);
+                let frame = self.remotes[index].frame(&message);
                 if is_up[index] && !loses(index) {
-                    self.on_their_way.send(at(now + DELAYS_MS[index]), index, frame);
+                    self.in_transit.send(at(now + DELAYS_MS[index]), index, frame);
                     self.arrived[index].push(brick_ms);
                 }
             }
         }
-        while let Some((index, bytes)) = self.on_their_way.take_due(at(now)) {
-            self.speakers[index].give(&mut self.station, at(now), &bytes);
+        while let Some((index, bytes)) = self.in_transit.take_due(at(now)) {
+            self.remotes[index].send_bytes(&mut self.station, at(now), &bytes);
         }
         self.station.pass_until(at(now));
         self.answer(now, is_up);
@@ -119,7 +119,7 @@ fn sorted(mut stamps: Vec<u32>) -> Vec<u32> {
 
 #[test]
 fn two_links_to_one_robot_lose_only_what_both_lose_and_use_nothing_twice() {
-    let mut run = Redundant::new();
+    let mut run = RedundantBrick::new();
     for now in 0..20_000 {
         let slot = now / 50;
         // Each loses a fifth, at other times, and now and then both.
@@ -143,7 +143,7 @@ fn two_links_to_one_robot_lose_only_what_both_lose_and_use_nothing_twice() {
 
 #[test]
 fn when_one_of_two_links_goes_down_only_what_was_on_its_way_is_lost() {
-    let mut run = Redundant::new();
+    let mut run = RedundantBrick::new();
     for now in 0..12_000 {
         let is_up = match now {
             0..4_000 => [true, true],
@@ -153,11 +153,11 @@ fn when_one_of_two_links_goes_down_only_what_was_on_its_way_is_lost() {
         match now {
             4_000 => {
                 run.station.link(at(now), LINKS[0], LinkState::Down);
-                run.on_their_way.lose(|index| *index == 0);
+                run.in_transit.lose(|index| *index == 0);
             }
             7_980 => {
                 run.station.link(at(now), LINKS[1], LinkState::Down);
-                run.on_their_way.lose(|index| *index == 1);
+                run.in_transit.lose(|index| *index == 1);
                 run.station.link(at(now), LINKS[0], LinkState::Up);
             }
             _ => {}
@@ -174,7 +174,7 @@ fn when_one_of_two_links_goes_down_only_what_was_on_its_way_is_lost() {
 
 #[test]
 fn both_links_bound_the_one_clock_and_both_carry_the_estimate() {
-    let mut run = Redundant::new();
+    let mut run = RedundantBrick::new();
     for now in 0..20_000 {
         run.step(now, [true; 2], |_| false);
     }
@@ -215,15 +215,15 @@ fn both_links_bound_the_one_clock_and_both_carry_the_estimate() {
 
 #[test]
 fn the_same_inputs_give_the_same_outputs_with_many_links_too() {
-    let mut run = Redundant::new();
+    let mut run = RedundantBrick::new();
     for now in 0..5_000 {
         run.step(now, [true; 2], |index| now % 3 == index as i64);
     }
-    let fresh = Redundant::new().station;
+    let fresh = RedundantBrick::new().station;
     let mut again = TestStation { engine: fresh.engine, inputs: vec![], outputs: fresh.outputs };
     // The first inputs are those that brought the links up.
     for (now, input) in &run.station.inputs[LINKS.len()..] {
-        again.give(*now, input.clone());
+        again.handle(*now, input.clone());
     }
     assert!(run.station.outputs.len() > 500);
     assert!(format!("{:?}", run.station.outputs) == format!("{:?}", again.outputs));

@@ -3,19 +3,19 @@
 use std::collections::BTreeMap;
 
 use crate::brick::ticks;
-use crate::network::{OnTheirWay, Speaker};
+use crate::network::{BytesInTransit, RemotePeer};
 use crate::station::{TestStation, at, config, link, stream};
 use posebridge_protocol::dialect::ids;
 use posebridge_station::OutputKind;
 use posebridge_telemetry::{Address, Input, LinkId, Output, PeerId};
 
 /// One of two stations in a ring, and a link of it.
-type End = (usize, LinkId);
+type RingPort = (usize, LinkId);
 
 /// Two stations joined by two links of unequal delay; the first has a brick, the second a listener.
-struct Ring {
+struct StationRing {
     stations: [TestStation; 2],
-    on_their_way: OnTheirWay<End>,
+    in_transit: BytesInTransit<RingPort>,
     seen: [usize; 2],
     /// How often each frame crossed between the stations, and how often it reached the listener.
     crossings: BTreeMap<Vec<u8>, u32>,
@@ -26,7 +26,7 @@ struct Ring {
 const NEAR: LinkId = LinkId(1);
 const FAR: LinkId = LinkId(2);
 
-impl Ring {
+impl StationRing {
     fn new() -> Self {
         let station = |system| {
             let mut config = config();
@@ -39,7 +39,7 @@ impl Ring {
         };
         Self {
             stations: [station(1), station(2)],
-            on_their_way: OnTheirWay::default(),
+            in_transit: BytesInTransit::default(),
             seen: [0, 0],
             crossings: BTreeMap::new(),
             listened: BTreeMap::new(),
@@ -49,9 +49,9 @@ impl Ring {
 
     /// One millisecond.
     fn step(&mut self, now: i64) {
-        while let Some(((index, link), bytes)) = self.on_their_way.take_due(at(now)) {
+        while let Some(((index, link), bytes)) = self.in_transit.take_due(at(now)) {
             let peer = PeerId::default();
-            self.stations[index].give(at(now), Input::Bytes { link, peer, bytes });
+            self.stations[index].handle(at(now), Input::Bytes { link, peer, bytes });
         }
         for index in 0..2 {
             self.stations[index].pass_until(at(now));
@@ -72,7 +72,7 @@ impl Ring {
                     self.frames += 1;
                     *self.crossings.entry(bytes.clone()).or_default() += 1;
                     let end = (1 - index, *link);
-                    self.on_their_way.send(at(now + delay), end, bytes.clone());
+                    self.in_transit.send(at(now + delay), end, bytes.clone());
                 }
             }
             self.seen[index] = station.outputs.len();
@@ -82,8 +82,8 @@ impl Ring {
 
 #[test]
 fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
-    let mut ring = Ring::new();
-    let mut brick = Speaker::new(Address::new(3, 1), LinkId(0), 0);
+    let mut ring = StationRing::new();
+    let mut brick = RemotePeer::new(Address::new(3, 1), LinkId(0), 0);
     let mut said = Vec::new();
     let mut per_minute = Vec::new();
     for minute in 0..3_i64 {
@@ -93,7 +93,7 @@ fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
             if now % 50 == 0 {
                 let stamp = u32::try_from(now).expect("three minutes");
                 let frame = brick.frame(&ticks(5_000 + stamp, 0, 0));
-                brick.give(&mut ring.stations[0], at(now), &frame);
+                brick.send_bytes(&mut ring.stations[0], at(now), &frame);
                 said.push(frame);
             }
             ring.step(now);

@@ -30,8 +30,8 @@ pub(crate) const HEARTBEAT: Message =
 /// The messages in some bytes.
 pub(crate) fn messages(bytes: &[u8]) -> Vec<Message> {
     let mut messages = Vec::new();
-    let mut scanner = Framer::new(FramerConfig::default());
-    scanner.push(Timestamp::ZERO, bytes, &mut |scanned| {
+    let mut framer = Framer::new(FramerConfig::default());
+    framer.push(Timestamp::ZERO, bytes, &mut |scanned| {
         if let FramerOutput::Frame(frame) = scanned {
             messages.extend(dialect::decode(&frame).expect("the station makes sense"));
         }

@@ -18,13 +18,13 @@ const TOLERANCE: f64 = 1e-5;
 
 /// What an observation says, as numbers.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Said {
+pub(crate) struct ExpectedObservation {
     kind: &'static str,
     stamp: Timestamp<BrickClock>,
     values: [f64; 2],
 }
 
-impl Said {
+impl ExpectedObservation {
     fn by(observation: &Observation, wheel_radius_m: f64) -> Self {
         let values = match observation.measurement {
             ObservationKind::WheelAngles { left, right } => [left.0, right.0].map(|rad| rad * wheel_radius_m),
@@ -43,11 +43,11 @@ impl Said {
 
 /// Round robin a heartbeat (21 bytes), SCALED_IMU (36), WHEEL_DISTANCE (149) and ODOMETRY (245), with numbers that no other
 /// message near them has; `millis` is what the brick's clock shows.
-pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
+pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<ExpectedObservation>) {
     let stamp = WireStamp::Micros64(millis as u64 * 1_000);
-    let says = |kind, values| {
+    let expected = |kind, values| {
         let stamp = Timestamp::from_millis(millis);
-        Some(Said { kind, stamp, values })
+        Some(ExpectedObservation { kind, stamp, values })
     };
     let step = number as f64;
     match number % 4 {
@@ -59,14 +59,14 @@ pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
                 turn_rate: Some(RadiansPerSecond(rate_rad_per_s)),
                 forward_acceleration: None,
             };
-            let said = says("turn_rate", [rate_rad_per_s, 0.0]);
-            (Message::ScaledImu(imu), said)
+            let expected = expected("turn_rate", [rate_rad_per_s, 0.0]);
+            (Message::ScaledImu(imu), expected)
         }
         2 => {
             let (left_m, right_m) = (1e-3 * step, 1.1e-3 * step);
-            let said = says("wheel_angles", [left_m, right_m]);
+            let expected = expected("wheel_angles", [left_m, right_m]);
             let (left, right) = (Meters(left_m), Meters(right_m));
-            (Message::WheelDistance { stamp, left, right }, said)
+            (Message::WheelDistance { stamp, left, right }, expected)
         }
         _ => {
             // Steps that 32 bits hold to a micrometre.
@@ -81,7 +81,7 @@ pub(crate) fn message(number: i64, millis: i64) -> (Message, Option<Said>) {
                 reset_counter: 0,
                 quality: 90,
             };
-            (Message::Odometry(odometry), says("odometer_pose", [x_m, y_m]))
+            (Message::Odometry(odometry), expected("odometer_pose", [x_m, y_m]))
         }
     }
 }
@@ -90,46 +90,46 @@ const HEARTBEAT: Message =
     Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 });
 
 /// One kind of damage.
-pub(crate) struct Kind {
+pub(crate) struct DamageKind {
     pub(crate) name: &'static str,
     seed: u64,
-    damage: Damage,
+    damage: DamageFn,
     /// Frames come to an early end.
     pub(crate) tears: bool,
 }
 
 /// The four kinds for which parsers are compared, and none.
-pub(crate) const KINDS: [Kind; 5] = [
+pub(crate) const DAMAGE_KINDS: [DamageKind; 5] = [
     kind("no damage", 1, none),
-    Kind { tears: true, ..kind("one byte lost in 2 % of frames", 1, one_byte_lost) },
+    DamageKind { tears: true, ..kind("one byte lost in 2 % of frames", 1, one_byte_lost) },
     kind("bit flips, 2e-4 per byte", 2, bits_flipped),
-    Kind { tears: true, ..kind("frame tail lost in 2 %", 3, tail_lost) },
+    DamageKind { tears: true, ..kind("frame tail lost in 2 %", 3, tail_lost) },
     kind("1-39 noise bytes before 5 %", 4, noise_before),
 ];
 
-const fn kind(name: &'static str, seed: u64, damage: Damage) -> Kind {
-    Kind { name, seed, damage, tears: false }
+const fn kind(name: &'static str, seed: u64, damage: DamageFn) -> DamageKind {
+    DamageKind { name, seed, damage, tears: false }
 }
 
 /// A brick behind a line that damages.
-pub(crate) struct Speaker {
+pub(crate) struct DamagedBrick {
     rng: Pcg64,
     encoder: Encoder,
-    damage: Damage,
+    damage: DamageFn,
 }
 
-impl Speaker {
-    pub(crate) fn new(kind: &Kind) -> Self {
+impl DamagedBrick {
+    pub(crate) fn new(kind: &DamageKind) -> Self {
         Self { rng: Pcg64::seed_from_u64(kind.seed), encoder: Encoder::new(WireVersion::V2), damage: kind.damage }
     }
 
     /// What arrives of the message of this number; the books learn whether it is whole.
-    pub(crate) fn say(&mut self, number: i64, millis: i64, books: &mut Books) -> Vec<u8> {
-        let (message, said) = message(number, millis);
+    pub(crate) fn send(&mut self, number: i64, millis: i64, ledger: &mut ObservationLedger) -> Vec<u8> {
+        let (message, expected) = message(number, millis);
         let (mut frame, mut bytes) = (Vec::new(), Vec::new());
         self.encoder.encode(BRICK, &message, &mut frame);
         let condition = (self.damage)(&mut self.rng, &mut bytes, &mut frame);
-        books.sent(said, condition);
+        ledger.sent(expected, condition);
         bytes.extend_from_slice(&frame);
         bytes
     }
@@ -143,7 +143,7 @@ pub(crate) enum Condition {
 }
 
 /// Damages a frame in place, or not; may put noise before it.
-type Damage = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> Condition;
+type DamageFn = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> Condition;
 
 fn none(_rng: &mut Pcg64, _noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> Condition {
     Condition::Whole
@@ -185,21 +185,21 @@ fn noise_before(rng: &mut Pcg64, noise: &mut Vec<u8>, _frame: &mut Vec<u8>) -> C
 }
 
 /// What was sent whole, and what came of it.
-pub(crate) struct Books {
+pub(crate) struct ObservationLedger {
     wheel_radius_m: f64,
     intact: u64,
     /// Damaged frames behind which a whole one came: those that the sequence numbers can tell of.
     noticeable: u64,
     damaged_since: u64,
     /// What has still to be observed.
-    pub(crate) owed: VecDeque<Said>,
+    pub(crate) pending: VecDeque<ExpectedObservation>,
     observed: u64,
     fused: u64,
     lost: u64,
     pub(crate) health: LinkHealth,
 }
 
-impl Books {
+impl ObservationLedger {
     /// Empty ones, about a robot with wheels of this radius.
     pub(crate) fn new(wheel_radius_m: f64) -> Self {
         Self {
@@ -207,7 +207,7 @@ impl Books {
             intact: 0,
             noticeable: 0,
             damaged_since: 0,
-            owed: VecDeque::new(),
+            pending: VecDeque::new(),
             observed: 0,
             fused: 0,
             lost: 0,
@@ -215,25 +215,25 @@ impl Books {
         }
     }
 
-    pub(crate) fn sent(&mut self, said: Option<Said>, condition: Condition) {
+    pub(crate) fn sent(&mut self, expected: Option<ExpectedObservation>, condition: Condition) {
         if condition == Condition::Whole {
             if self.intact > 0 {
                 self.noticeable += self.damaged_since;
             }
             self.damaged_since = 0;
             self.intact += 1;
-            self.owed.extend(said);
+            self.pending.extend(expected);
         } else {
             self.damaged_since += 1;
         }
     }
 
     /// What the station tells: every observation is the next one that it owes.
-    pub(crate) fn take(&mut self, event: &Event) {
+    pub(crate) fn on_event(&mut self, event: &Event) {
         match event {
             Event::ObservationAligned { observation, .. } => {
-                let found = Said::by(observation, self.wheel_radius_m);
-                let expected = self.owed.pop_front().expect("more came than was sent");
+                let found = ExpectedObservation::by(observation, self.wheel_radius_m);
+                let expected = self.pending.pop_front().expect("more came than was sent");
                 assert!(found.is(&expected), "{found:?} is not {expected:?}");
                 self.observed += 1;
             }
@@ -256,7 +256,7 @@ impl Books {
             health.frames_in, health.timeouts, health.checksum_errors, health.unknown_ids, health.garbage_bytes
         );
         assert_eq!(health.frames_in, *intact, "{name}: accepted");
-        assert_eq!(self.owed.len(), 0, "{name}: missing");
+        assert_eq!(self.pending.len(), 0, "{name}: missing");
         assert_eq!(self.fused, *observed, "{name}: the estimator got them");
         assert_eq!(lost, noticeable, "{name}: lost");
         assert_eq!(health.frames_lost, *lost, "{name}: by the link's health");

@@ -33,23 +33,23 @@ impl Ground {
     }
 
     /// The ground station says something; what the station answers on its link, beside heartbeats and time requests.
-    pub(crate) fn say(&mut self, millis: i64, message: &Message) -> Vec<Message> {
-        self.say_on(GCS_LINK, millis, message)
+    pub(crate) fn send(&mut self, millis: i64, message: &Message) -> Vec<Message> {
+        self.send_on(GCS_LINK, millis, message)
     }
 
-    pub(crate) fn say_on(&mut self, link: LinkId, millis: i64, message: &Message) -> Vec<Message> {
+    pub(crate) fn send_on(&mut self, link: LinkId, millis: i64, message: &Message) -> Vec<Message> {
         let mut bytes = Vec::new();
         self.encoder.encode(GCS, message, &mut bytes);
         let seen = self.station.outputs.len();
         let peer = PeerId::default();
         let input = Input::Bytes { link, peer, bytes };
-        self.station.give(at(millis), input);
-        self.heard_since(seen, link)
+        self.station.handle(at(millis), input);
+        self.received_since(seen, link)
     }
 
     pub(crate) fn set(&mut self, millis: i64, name: &str, value: f32) -> Vec<Message> {
         let set = Message::ParamSet { target: STATION, name: name.to_owned(), value };
-        self.say(millis, &set)
+        self.send(millis, &set)
     }
 
     pub(crate) fn command(&mut self, millis: i64, command: u16, params: &[f32]) -> Vec<Message> {
@@ -58,7 +58,7 @@ impl Ground {
         let target = STATION;
         let params = seven;
         let command = Message::Command(CommandLong { target, command, params });
-        self.say(millis, &command)
+        self.send(millis, &command)
     }
 
     /// What a command is answered with.
@@ -71,7 +71,7 @@ impl Ground {
         result.expect("an answer")
     }
 
-    pub(crate) fn heard_since(&self, seen: usize, on: LinkId) -> Vec<Message> {
+    pub(crate) fn received_since(&self, seen: usize, on: LinkId) -> Vec<Message> {
         let sent = self.station.outputs[seen..].iter();
         let bytes: Vec<u8> = sent
             .filter_map(|(_, output)| match output {
@@ -137,7 +137,7 @@ impl Ground {
 
     pub(crate) fn value_of(&mut self, millis: i64, name: &str) -> f32 {
         let read = Message::ParamRequestRead { target: STATION, name: name.to_owned(), index: -1 };
-        match self.say(millis, &read).as_slice() {
+        match self.send(millis, &read).as_slice() {
             [Message::ParamValue { value, .. }] => *value,
             other => panic!("{other:?}"),
         }

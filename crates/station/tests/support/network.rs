@@ -10,14 +10,14 @@ use posebridge_telemetry::{Address, HostClock, Input, LinkId, Output, PeerId, Pr
 use crate::station::TestStation;
 
 /// Somebody at the other end of a link.
-pub(crate) struct Speaker {
+pub(crate) struct RemotePeer {
     address: Address,
     encoder: Encoder,
     link: LinkId,
     peer: PeerId,
 }
 
-impl Speaker {
+impl RemotePeer {
     pub(crate) fn new(address: Address, link: LinkId, peer: u32) -> Self {
         Self { address, encoder: Encoder::new(WireVersion::V2), link, peer: PeerId(peer) }
     }
@@ -30,7 +30,7 @@ impl Speaker {
     }
 
     /// Says something to a station, and returns the frame and whom the station passed it on to.
-    pub(crate) fn say(
+    pub(crate) fn send(
         &mut self,
         station: &mut TestStation,
         now: Timestamp<HostClock>,
@@ -38,15 +38,15 @@ impl Speaker {
     ) -> (Vec<u8>, Vec<(LinkId, Recipients, Priority)>) {
         let bytes = self.frame(message);
         let seen = station.outputs.len();
-        self.give(station, now, &bytes);
+        self.send_bytes(station, now, &bytes);
         let passed = passed_on(station, seen, &bytes);
         (bytes, passed)
     }
 
     /// Gives bytes to a station as if this speaker had sent them.
-    pub(crate) fn give(&self, station: &mut TestStation, now: Timestamp<HostClock>, bytes: &[u8]) {
+    pub(crate) fn send_bytes(&self, station: &mut TestStation, now: Timestamp<HostClock>, bytes: &[u8]) {
         let input = Input::Bytes { link: self.link, peer: self.peer, bytes: bytes.to_vec() };
-        station.give(now, input);
+        station.handle(now, input);
     }
 }
 
@@ -62,12 +62,12 @@ pub(crate) fn passed_on(station: &TestStation, seen: usize, frame: &[u8]) -> Vec
 
 /// Bytes with their instants of arrival and the place where they arrive, first come first.
 #[derive(Default)]
-pub(crate) struct OnTheirWay<P> {
+pub(crate) struct BytesInTransit<P> {
     queue: BTreeMap<(Timestamp<HostClock>, u64), (P, Vec<u8>)>,
     sent: u64,
 }
 
-impl<P> OnTheirWay<P> {
+impl<P> BytesInTransit<P> {
     pub(crate) fn send(&mut self, arrival: Timestamp<HostClock>, place: P, bytes: Vec<u8>) {
         self.sent += 1;
         self.queue.insert((arrival, self.sent), (place, bytes));

@@ -108,7 +108,7 @@ impl TestStation {
     }
 
     /// Gives one input and takes everything that comes of it.
-    pub(crate) fn give(&mut self, now: Timestamp<HostClock>, input: Input) {
+    pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, input: Input) {
         self.engine.handle(now, &input);
         while let Some(output) = self.engine.poll() {
             self.outputs.push((now, output));
@@ -117,18 +117,18 @@ impl TestStation {
     }
 
     pub(crate) fn link(&mut self, now: Timestamp<HostClock>, link: LinkId, state: LinkState) {
-        self.give(now, Input::Link { link, state });
+        self.handle(now, Input::Link { link, state });
     }
 
     pub(crate) fn bytes(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) {
         let bytes = bytes.to_vec();
-        self.give(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
+        self.handle(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
     }
 
     /// Gives ticks at the deadlines until an instant.
     pub(crate) fn pass_until(&mut self, until: Timestamp<HostClock>) {
         while let Some(due) = self.engine.deadline().filter(|due| *due <= until) {
-            self.give(due, Input::Tick);
+            self.handle(due, Input::Tick);
         }
     }
 

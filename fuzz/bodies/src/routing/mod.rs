@@ -92,7 +92,7 @@ fn endpoint(byte: u8) -> Endpoint {
     Endpoint { link: LinkId(u16::from(byte) % (LINKS + 1)), peer: PeerId(u32::from(byte >> 4) % 3) }
 }
 
-/// The frame of these parts; checksums are the scanner's business.
+/// The frame of these parts; checksums are the framer's business.
 fn bytes_of(source: Address, message_id: u32, payload: &[u8]) -> Vec<u8> {
     let [a, b, c, _] = message_id.to_le_bytes();
     let (system, component) = (source.system.0, source.component.0);

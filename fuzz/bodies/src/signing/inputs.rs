@@ -30,14 +30,14 @@ pub(super) fn start(choice: u8) -> SigningTime {
 
 /// Calls `visit` with every verified frame in some bytes, MAVLink 1 included.
 pub(super) fn for_each_frame(bytes: &[u8], mut visit: impl FnMut(&FrameRef<'_>)) {
-    let mut scanner = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
     let mut on_output = |found: FramerOutput<'_>| {
         if let FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame) = found {
             visit(&frame);
         }
     };
-    scanner.push(Timestamp::ZERO, bytes, &mut on_output);
-    if let Some(deadline) = scanner.deadline() {
-        scanner.tick(deadline, &mut on_output);
+    framer.push(Timestamp::ZERO, bytes, &mut on_output);
+    if let Some(deadline) = framer.deadline() {
+        framer.tick(deadline, &mut on_output);
     }
 }

@@ -83,7 +83,7 @@ fn check_flips(link: &mut LinkSigner, frame: &FrameRef<'_>) {
     }
 }
 
-/// The frame of changed bytes, as a scanner that does not look at checksums would hand it out.
+/// The frame of changed bytes, as a framer that does not look at checksums would hand it out.
 fn reread<'a>(raw: &'a [u8], whole: &FrameRef<'a>) -> FrameRef<'a> {
     let byte = |at: usize| raw.get(at).copied().unwrap_or(0);
     FrameRef {

@@ -26,11 +26,11 @@ use crate::message::{CommandLong, Message, TimeSync, VisionFix, WireStamp};
 
 /// Longest line, bytes without its end: all keys with all digits take 400.
 const MAX_LINE_BYTES: usize = 1_024;
-/// So many senders of a link are kept apart; the one that came first goes first.
+/// Most senders of a link that are kept apart; the oldest one is dropped first.
 const MAX_PEERS: usize = 64;
-/// So many answers wait to be fetched; more are dropped, because complaints come again.
+/// Most replies that wait to be sent; more are dropped, because complaints come again.
 const MAX_REPLIES: usize = 64;
-/// So many names that mean nothing here are told.
+/// Most unknown names that are reported.
 const MAX_UNKNOWN_KEYS: usize = 8;
 /// MAV_SEVERITY_WARNING, _INFO.
 const WARNING: u8 = 4;
@@ -189,7 +189,7 @@ impl CameraJsonCodec {
         }
     }
 
-    /// Acts on what a line says.
+    /// Handles the message of a line.
     fn apply_message(
         &mut self,
         now: Timestamp<HostClock>,

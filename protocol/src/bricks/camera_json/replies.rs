@@ -5,10 +5,10 @@ use serde_json::json;
 
 use super::schema::FieldError;
 
-/// One complaint a second for each sender: a camera that is wrong thirty times a second need not hear it as often.
+/// One complaint a second for each sender: a camera that is wrong thirty times a second does not need as many replies.
 const ERROR_REPLY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// When a sender was last told what is wrong, and how much was not told since.
+/// When a sender was last sent an error, and how many were held back since.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ErrorReplies {
     last: Option<Timestamp<HostClock>>,
@@ -16,7 +16,7 @@ pub(super) struct ErrorReplies {
 }
 
 impl ErrorReplies {
-    /// What a sender is told of its line number `line`; `None` if it has just been told of another one.
+    /// The error reply for line number `line` of a sender; `None` if another one has just been sent.
     pub(super) fn reply_to(&mut self, now: Timestamp<HostClock>, line: u64, flaw: &FieldError) -> Option<Vec<u8>> {
         if self.last.is_some_and(|last| now - last < ERROR_REPLY_PERIOD) {
             self.suppressed = self.suppressed.saturating_add(1);

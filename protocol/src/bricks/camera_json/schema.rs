@@ -49,12 +49,12 @@ const MAX_COORDINATE_M: f64 = 1e5;
 const MIN_SIGMA: f64 = 1e-6;
 /// A sigma of more says nothing.
 const MAX_SIGMA: f64 = 1e3;
-/// So many turns are taken for an angle that was never wrapped, and no more.
+/// Largest unwrapped angle that is accepted.
 const MAX_ANGLE_RAD: f64 = 1e6;
 /// Nanoseconds in 64 bits end after 292 years; UNIX time is far below.
 const MAX_TIME_S: f64 = 9e9;
 
-/// What a line says, and who says it.
+/// The message of a line, and its sender.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
     /// The camera's name.
@@ -96,7 +96,7 @@ pub(super) struct CameraFixMessage {
     /// 0 to 100 per cent, if the camera says.
     pub(super) quality: Option<f64>,
     pub(super) reset_counter: u8,
-    /// The number of the tag that was seen, if the camera tells tags apart.
+    /// The number of the tag that was seen, if the camera distinguishes tags.
     pub(super) tag: Option<u32>,
 }
 
@@ -119,7 +119,7 @@ impl FieldError {
     }
 }
 
-/// What a line says.
+/// The message of a line.
 ///
 /// # Errors
 /// It is no JSON object, a key is missing or has a value that it cannot have.
@@ -184,7 +184,7 @@ impl LineKeys<'_> {
         })
     }
 
-    /// Position and heading in the arena; 0 stands for a heading that is not told.
+    /// Position and heading in the arena; 0 stands for a missing heading.
     fn planar_pose(&self) -> Result<PlanarPoint, FieldError> {
         let coordinate = |key| {
             let value = self.bounded(key, -MAX_COORDINATE_M, MAX_COORDINATE_M)?;
@@ -364,7 +364,7 @@ mod tests {
         assert_eq!(hh, f64::INFINITY);
     }
 
-    /// A line, the key that is wrong with it, and what is said about it.
+    /// A line, its wrong key, and the error text.
     const WRONG: &str = r#"
 {"y_m": 0}                                                  | x_m               | is missing
 {"x_m": "1", "y_m": 0}                                      | x_m               | a number

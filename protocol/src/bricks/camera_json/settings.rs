@@ -4,7 +4,7 @@ use posebridge_telemetry::TimeDelta;
 
 use crate::framing::TransportKind;
 
-/// How cameras that speak JSON are heard.
+/// Settings for cameras that send JSON.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraJsonSettings {
     /// Whether a chunk is a datagram, whose end ends its last line.
@@ -13,7 +13,7 @@ pub struct CameraJsonSettings {
     pub delay: TimeDelta,
     /// It may be so much more or less.
     pub delay_spread: TimeDelta,
-    /// Fixes of less quality are left out; 0 to 100 per cent, 0 is what a camera says that has failed.
+    /// Fixes of less quality are left out; 0 to 100 per cent; a camera that has failed sends 0.
     pub min_quality: f64,
 }
 

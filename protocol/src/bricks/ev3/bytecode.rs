@@ -1,4 +1,4 @@
-//! Direct commands: what the brick's virtual machine is told to read, and the telegram around it.
+//! Direct commands: the read instructions for the brick's virtual machine, and the telegram around them.
 //!
 //! # Model
 //! ```text

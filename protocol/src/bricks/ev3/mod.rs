@@ -35,7 +35,7 @@ use super::heartbeat::HeartbeatSource;
 use crate::framing::FramerCounters;
 use crate::message::Message;
 
-/// Shortest and longest distance of two telegrams: 50 Hz is more than a Bluetooth link carries, and below 0.1 Hz nobody steers.
+/// Shortest and longest distance of two telegrams: 50 Hz is more than a Bluetooth link carries, and below 0.1 Hz steering is impossible.
 const MIN_CYCLE: TimeDelta = TimeDelta::from_millis(20);
 const MAX_CYCLE: TimeDelta = TimeDelta::from_millis(10_000);
 /// Most questions that wait at once: the brick keeps them in the buffers of its Bluetooth chip.
@@ -90,7 +90,7 @@ struct Ev3Codec {
     outbox: VecDeque<Vec<u8>>,
     counts: FramerCounters,
     lost: u64,
-    /// That the brick refuses to be read was told.
+    /// The brick's refusal to be read was reported.
     is_rejection_reported: bool,
     estimates_sent: u16,
 }
@@ -363,7 +363,7 @@ impl Ev3Codec {
             sink(CodecEvent::Error(ReceiveError::Payload { message_id: ANSWER_ID }));
             return;
         };
-        // The round trip of an answer that was given up is that of a stall, and nobody should predict by it.
+        // The round trip of an abandoned reply is that of a stall, and is not used for predictions.
         if reply.timing == ReplyTiming::OnTime {
             sink(CodecEvent::ClockReply {
                 from: DEFAULT_BRICK_ADDRESS,

@@ -1,6 +1,6 @@
 //! Telegrams out of a stream that has neither start byte nor checksum.
 //!
-//! Only an answer that is waited for is believed: its length, counter and type must be those that the question asked for. Whatever
+//! Only a reply to a pending request is accepted: its length, counter and type must be those that the question asked for. Whatever
 //! else stands there costs one byte, and the search goes on behind it. So a lost or damaged byte costs the answer that it hits and none
 //! after it. A telegram that stops in its middle holds back what follows; [`Inbox::give_up`] ends that.
 //!
@@ -29,7 +29,7 @@ pub(super) enum Ev3Telegram {
     Reply { counter: u16, answer: ReplyBody },
     /// A program on the brick wrote to a mailbox; it means nothing here.
     Mailbox,
-    /// So many bytes that are no telegram.
+    /// Number of bytes that are no telegram.
     UnframedBytes(u32),
 }
 
@@ -68,7 +68,7 @@ impl ReplyFramer {
         self.buffer.len()
     }
 
-    /// The next find; `None` until more bytes come. `values_of` tells how many bytes of values a question asked for.
+    /// The next find; `None` until more bytes come. `values_of` returns how many bytes of values a request asked for.
     pub(super) fn next_telegram(&mut self, values_of: &dyn Fn(u16) -> Option<usize>) -> Option<Ev3Telegram> {
         let mut skipped = 0;
         loop {

@@ -9,7 +9,7 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::sensors::CycleSensors;
 
-/// So many questions that were given up are still known when their answers come. Ten seconds of silence, with the time to wait growing,
+/// Most abandoned requests whose late replies are still recognized. Ten seconds of silence, with the time to wait growing,
 /// give up five.
 const MAX_ABANDONED: usize = 8;
 
@@ -90,7 +90,7 @@ impl OutstandingRequests {
         self.waiting.len()
     }
 
-    /// How many bytes of values the answer to a question has; `None` if nobody asked.
+    /// How many bytes of values the answer to a question has; `None` if there was no request.
     pub(super) fn values_of(&self, counter: u16) -> Option<usize> {
         let all = self.waiting.iter().chain(&self.abandoned);
         let asked = all.into_iter().find(|asked| asked.counter == counter);

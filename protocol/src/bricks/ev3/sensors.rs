@@ -43,7 +43,7 @@ struct SensorSlot {
     role: SensorRole,
     port: SensorPort,
     state: SetUpState,
-    /// Its absence was told.
+    /// Its absence was reported.
     is_absence_reported: bool,
     /// Set-ups in a row that were not answered.
     unanswered: u32,
@@ -168,7 +168,7 @@ impl SensorBank {
         })
     }
 
-    /// The brick would not read all of them together: each is set up anew, which tells the one that is missing.
+    /// The brick would not read all of them together: each is set up again, which finds the one that is missing.
     pub(super) fn restart_set_up(&mut self, now: Timestamp<HostClock>) {
         for sensor in &mut self.0 {
             sensor.state = SetUpState::Pending { from: now };

@@ -1,4 +1,4 @@
-//! What the EV3 codec must be told of the brick: what is plugged in where, and how it is reached.
+//! What the EV3 codec must know of the brick: what is plugged in where, and how it is reached.
 
 /// Everything about one EV3, as its user would say it. The default is LEGO's Educator robot: motors B and C, gyro at port 2.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,9 +13,9 @@ pub struct Ev3Settings {
     pub gyro: Option<GyroSettings>,
     /// A sensor that looks straight ahead; `None` if there is none.
     pub distance: Option<DistanceSettings>,
-    /// At most so many telegrams per second, 0.1 to 50. Fewer come if the link is slower: at a turn-around of 30 ms about 33.
+    /// Most telegrams per second, 0.1 to 50. Fewer come if the link is slower: at a turn-around of 30 ms about 33.
     pub rate_hz: f64,
-    /// So many questions may wait for their answers at once, 1 to 4. More than one hides the turn-around of the link.
+    /// Most requests that may wait for their replies at once, 1 to 4. More than one hides the turn-around of the link.
     pub outstanding: u8,
     /// The mailbox of a program on the brick that gets the estimate; `None` sends none.
     pub mailbox: Option<String>,

@@ -1,4 +1,4 @@
-//! Whether the clock in an answer may be believed: it was read between question and answer.
+//! Whether the clock in a reply is plausible: it was read between question and answer.
 //!
 //! The telegrams have no checksum, and one damaged stamp would be taken for a restart of the brick's clock. But of two answers the host
 //! knows between which instants each was given, and by so much the brick's clock has run on.
@@ -7,14 +7,14 @@
 //! ```text
 //! sent2 - answered1  <=  (stamp2 - stamp1) mod 2^32  <=  answered2 - sent1,   both widened by 1 % and 5 ms
 //! ```
-//! What does not fit is refused once. If the next answer fits the refused one and not the one before, the clock was set (TIMER_READ_US follows
-//! the brick's calendar).
+//! What does not fit is refused once. If the next answer fits the refused one and not the one before, the clock was set
+//! (TIMER_READ_US follows the brick's calendar).
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 /// Period of the brick's counter of microseconds.
 const PERIOD_MICROS: i128 = 1 << 32;
-/// A clock may be off by so much of its rate, in hundredths: what the pipeline believes of any brick.
+/// A clock may be off by so much of its rate, in hundredths: the station's limit for any brick.
 const LARGEST_SKEW_PERCENT: i64 = 1;
 /// Below half a period the counter's difference has one meaning.
 const UNAMBIGUOUS: TimeDelta = TimeDelta::from_millis(2_000_000);
@@ -29,12 +29,12 @@ pub(super) struct BrickStamp {
     pub(super) answered: Timestamp<HostClock>,
 }
 
-/// What a stamp that is believed says.
+/// The outcome of an accepted stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StampAdvance {
     /// The clock ran on, for about so long since the last one; zero for the first of all.
     Continuous(TimeDelta),
-    /// The clock was set, or the brick was switched off and on; the host's time since the last stamp that was believed.
+    /// The clock was set, or the brick was switched off and on; the host's time since the last accepted stamp.
     Stepped(TimeDelta),
 }
 
@@ -46,7 +46,7 @@ pub(super) struct StampChecker {
 }
 
 impl StampChecker {
-    /// Takes a stamp and says what has passed since the last one that was believed; `None` if this one is not believed.
+    /// Checks a stamp and returns the time since the last accepted one; `None` if this one is rejected.
     pub(super) fn push(&mut self, stamp: BrickStamp) -> Option<StampAdvance> {
         let passed = match (self.last, self.suspect) {
             (None, _) => StampAdvance::Continuous(TimeDelta::ZERO),
@@ -67,7 +67,7 @@ impl StampChecker {
 
 impl BrickStamp {
     /// The time since a stamp that this one follows: the longer of what both clocks say. The host's is too short for answers that were held
-    /// back together, the brick's for a damaged stamp that could not be told from a good one.
+    /// back together, the brick's for a damaged stamp that looked like a good one.
     fn since(&self, last: &Self) -> TimeDelta {
         let on_host = self.answered - last.answered;
         let by_brick = self.micros.wrapping_sub(last.micros) as i32;

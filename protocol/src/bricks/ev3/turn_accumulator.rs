@@ -1,7 +1,7 @@
-//! The gyro's angle as a turn that neither wraps nor falls.
+//! The gyro's angle as a turn that neither wraps nor jumps back.
 //!
-//! The sensor counts degrees in 16 bits, and whoever sets its mode, a program on the brick for one, sets the angle to zero. A change
-//! that the rate does not explain is replaced by what the rate says.
+//! The sensor counts degrees in 16 bits, and setting its mode, as a program on the brick may do, sets the angle to zero. A change
+//! that the rate does not explain is replaced by the integral of the rate.
 
 use posebridge_telemetry::TimeDelta;
 

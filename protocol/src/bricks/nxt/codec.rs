@@ -26,8 +26,8 @@ use crate::message::{Message, PlanarPose, WireStamp};
 /// The brick sleeps after ten minutes without a command that counts; each of these begins them anew.
 const KEEP_ALIVE_PERIOD: TimeDelta = TimeDelta::from_millis(60_000);
 
-/// So many fences without an answer, while frames come or not, mean that a pushing program has taken over the link: leJOS answers no command
-/// of LEGO's, and would find ours in its own input.
+/// Number of sync requests without a reply, whether frames come or not, that means that a pushing program has taken over the
+/// link: leJOS answers no command of LEGO's, and would find ours in its own input.
 const MAX_UNANSWERED_BARRIERS: u8 = 4;
 
 /// The state of one link to an NXT.
@@ -71,10 +71,10 @@ pub(in crate::bricks) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
 /// A program on the brick pushes MAVLink frames; only the clock is asked.
 pub(in crate::bricks) fn open_push(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     let frames = mavlink::open(&CodecSettings {
-        scanner: FramerConfig {
+        framer: FramerConfig {
             // A frame in each telegram: there is nothing to look for.
             transport: TransportKind::Datagram,
-            ..settings.scanner
+            ..settings.framer
         },
         ..settings.clone()
     });
@@ -164,7 +164,7 @@ impl NxtCodec {
                 self.handle_frame(now, &telegram, sink);
             }
             TelegramPart::Telegram(telegram) => {
-                // A program's message to a mailbox of ours is for nobody here.
+                // A program's message to a mailbox of ours has no receiver here.
                 if let Some(reply) = NxtReply::parse(&telegram) {
                     self.match_reply(now, &reply, sink);
                 }
@@ -175,7 +175,7 @@ impl NxtCodec {
     /// A program on the brick says something that is not for this station.
     fn handle_foreign(&mut self, now: Timestamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.damage_counters.unknown_ids += 1;
-        // Whether or not it answers, it is there, and why it may not answer is told.
+        // Whether or not it replies, it is there, and the possible reason for no reply is reported.
         self.presence.record_activity(now);
         let text = if telegram.first() == Some(&START_BYTE_V2) {
             "a program on the NXT sends MAVLink frames, which are not read as it is asked: try --brick nxt-push"
@@ -193,7 +193,7 @@ impl NxtCodec {
         let mut is_heard = false;
         frames.push(now, frame, &mut |heard| {
             if let CodecEvent::Message { from, .. } = &heard {
-                // Answers for the clock must bear the name of whom the program speaks for.
+                // Clock replies must have the address that the program sends for.
                 *brick = *from;
                 is_heard = true;
             }
@@ -254,7 +254,7 @@ impl NxtCodec {
         self.handle_failure(question, RequestFailure::Lost, sink);
     }
 
-    /// A question failed; people hear what changes by it.
+    /// A question failed; the consequence is reported.
     pub(super) fn handle_failure(
         &mut self,
         question: &NxtRequest,

@@ -8,9 +8,10 @@
 //! ultrasonic      02       42      centimetres, 255 none; 41 02 measures for ever  100 ms
 //! temperature     98       00      two bytes, big-endian, 1/16 degree above bit 4  1 s; 01 60 sets 12 bits
 //! ```
-//! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last; else the bus needs its
-//! time, or nobody is there. The first look after a set-up only says where the index stands. An index that stands still is an answer only of a
-//! firmware that was seen to write each answer to the ring's start: with an index before it that no answers of this length lead from.
+//! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last; else the
+//! bus needs its time, or no device answers. The first look after a set-up only says where the index stands. An index that stands
+//! still is an answer only of a firmware that was seen to write each answer to the ring's start: with an index before it that no
+//! answers of this length lead from.
 //!
 //! # Sources
 //! HiTechnic's register tables of NAC1040 and NMC1034; LEGO MINDSTORMS NXT Hardware Developer Kit, ultrasonic sensor; Texas
@@ -30,13 +31,13 @@ const MEASURED: u8 = 0x42;
 const THERMOMETER: u8 = 0x98;
 /// Standard gravity over 200 counts.
 const ACCELERATION_UNIT_M_PER_S2: f64 = 9.806_65 / 200.0;
-/// What the ultrasonic sensor says when it hears no echo.
+/// The ultrasonic sensor's reading without an echo.
 const NO_ECHO: u8 = 255;
 /// Bytes of a port's ring.
 const RING_BYTES: u8 = 16;
 /// Rounds in which an answer may still come before the sensor is asked again.
 const MAX_REPLY_ROUNDS: u8 = 3;
-/// Questions in a row without an answer after which people are told.
+/// Requests in a row without a reply after which a warning is sent.
 const UNANSWERED_LIMIT: u8 = 10;
 /// Time that a sensor gets to settle into its mode.
 const SETTLING_TIME: TimeDelta = TimeDelta::from_millis(100);
@@ -51,7 +52,7 @@ pub(super) enum DigitalMeasurement {
     /// Clockwise from magnetic north.
     CompassDegrees(f64),
     Range(Meters),
-    /// The ultrasonic sensor hears no echo.
+    /// The ultrasonic sensor receives no echo.
     NoEcho,
     Temperature(Celsius),
 }

@@ -1,4 +1,4 @@
-//! The estimate on its way into a mailbox of the brick, and whether anybody reads it there.
+//! The estimate on its way into a mailbox of the brick, and whether a program reads it there.
 //!
 //! # Layout
 //! ```text
@@ -7,8 +7,8 @@
 //! ```
 //! sigma is the larger of the standard deviations of x and y; infinite when there is none.
 //!
-//! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick nobody reads
-//! them; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
+//! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick they are
+//! not read; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -16,7 +16,8 @@ use super::status::NxtStatus;
 use super::telegram::{ReplyRequest, message_write};
 use crate::message::PlanarPose;
 
-/// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds up the frames.
+/// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds
+/// up the frames.
 pub(super) const PUSHED_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 /// A program may be started at any time.
 const PROBE_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
@@ -66,7 +67,7 @@ impl EstimateMailbox {
         *self = Self { sequence: self.sequence, ..Self::new(self.number, self.interval) };
     }
 
-    /// The telegram that takes an estimate to the brick at once, if it may; the next probe takes it otherwise, or nobody.
+    /// The telegram that takes an estimate to the brick at once, if it may; otherwise the next probe takes it, or it stays.
     pub(super) fn publish(
         &mut self,
         now: Timestamp<HostClock>,
@@ -99,7 +100,7 @@ impl EstimateMailbox {
 
     /// What became of the probe.
     pub(super) fn record_probe_reply(&mut self, status: NxtStatus) {
-        // A full mailbox drops its oldest message: somebody will read it, or a program runs that does not.
+        // A full mailbox drops its oldest message: a program will read it, or one runs that does not.
         self.reader = if status == NxtStatus::OK { MailboxReader::Program } else { MailboxReader::NoReader };
     }
 }

@@ -56,9 +56,9 @@ pub(super) enum StreamContent {
 pub(super) enum TelegramPart {
     /// A whole telegram, without its length.
     Telegram(Vec<u8>),
-    /// The same of a type that nobody here reads: a program on the brick speaks to somebody else.
+    /// The same of a type that is not read here: a program on the brick sends to another receiver.
     Foreign(Vec<u8>),
-    /// So many bytes are no telegram, and thrown away.
+    /// Number of bytes that are no telegram, and dropped.
     OutOfSync { bytes: usize },
 }
 
@@ -127,7 +127,7 @@ impl TelegramFramer {
         }
     }
 
-    /// Hands out all telegrams that can be believed; false if the stream is out of step.
+    /// Emits all telegrams that are certain; false if the stream is out of step.
     fn split_telegrams(&mut self, found: &mut Vec<TelegramPart>) -> bool {
         // Where the last whole telegram begins that nothing has confirmed yet, and where the bytes behind it do.
         let (mut held, mut rest_at) = (0, 0);
@@ -230,7 +230,7 @@ fn has_right_checksum(frame: &[u8]) -> bool {
     shape.is_some_and(|shape| checksum(covered, shape.crc_extra) == u16::from_le_bytes(sum))
 }
 
-/// Judges as early as the bytes allow: what is wrong with its first byte is not waited for.
+/// Decides as early as the bytes allow: what is wrong with its first byte is not waited for.
 fn classify_prefix(bytes: &[u8]) -> PrefixMatch {
     let Some((prefix, begun)) = bytes.split_first_chunk::<PREFIX_BYTES>() else {
         return PrefixMatch::Incomplete;

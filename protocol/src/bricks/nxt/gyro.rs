@@ -7,38 +7,39 @@
 //!        rest += (raw - rest) / n,  n = count of readings, at most MEMORY
 //! rest = mean of a calm, if it is another:  readings over CALM while both wheels stand, all within CALM_SPREAD of each other
 //! ```
-//! Nothing is told until the rest is known. What is left of it is the filter's gyro bias.
+//! No rate is reported until the rest is known. What is left of it is the filter's gyro bias.
 //!
 //! # What standing wheels do not say
-//! Wheels also stand while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because they are few: whoever
-//! waits for more waits for ever with a robot that drives off. So the calm comes behind them. No hand turns for so long at a rate that is steady
-//! within four degrees per second, so what is that steady is rest, however far it is from what was believed. The limit: on a turntable, or in
-//! a car in a long bend, a calm is a turn, and is taken for rest until the next calm on firm ground. Whoever drives there configures the rest.
+//! Wheels also stand while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because
+//! they are few: a robot that drives off would never provide more. So the calm comes behind them. No hand turns for so long at a
+//! rate that is steady within four degrees per second, so what is that steady is rest, however far it is from the earlier
+//! estimate. The limit: on a turntable, or in a car in a long bend, a calm is a turn, and is taken for rest until the next calm
+//! on firm ground. There the rest must be configured.
 //!
 //! # Sources
-//! HiTechnic NGY1044, data sheet: one degree per second and count, +-360 degrees per second, rest around 600, 580 to 625 reported, different
-//! for each sensor and drifting with temperature; people average about 500 readings at rest. An open input of the converter, which has ten
-//! bits, reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit: pulled up to 5 V by 10 kOhm).
+//! HiTechnic NGY1044, data sheet: one degree per second and count, +-360 degrees per second, rest around 600, 580 to 625
+//! reported, different for each sensor and drifting with temperature; people average about 500 readings at rest. An open input of
+//! the converter, which has ten bits, reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit: pulled up to 5 V by 10 kOhm).
 
 use posebridge_telemetry::{HostClock, RadiansPerSecond, TimeDelta, Timestamp};
 
 use super::settings::GyroSign;
 
-/// Readings that make a first rest value: under a second's worth, a mean good to 0.3 degrees per second, which is little beside the bias that
-/// a filter expects of this sensor. Robots rarely stand for longer before they drive off.
+/// Readings that make a first rest value: under a second's worth, a mean good to 0.3 degrees per second, which is little beside
+/// the bias that a filter expects of this sensor. Robots rarely stand for longer before they drive off.
 const MIN_REST_READINGS: u32 = 10;
 /// Readings over which the rest is a mean, afterwards.
 const MAX_REST_READINGS: u32 = 500;
-/// Readings at rest lie within so many counts of each other: the noise is about one.
+/// Largest spread of readings at rest, in counts: the noise is about one.
 const REST_SPREAD: f64 = 8.0;
 /// A reading further from the rest than this is a robot that is turned by hand.
 const MAX_REST_DEVIATION: f64 = 4.0;
 /// How long a calm lasts, and how many readings make one at least.
 const CALM_TIME: TimeDelta = TimeDelta::from_millis(3_000);
 const CALM_COUNT: u32 = 30;
-/// Readings of a calm lie within so many counts of each other: fifty readings with a noise of 0.6 to 1 count mostly do.
+/// Largest spread of readings of a calm, in counts: fifty readings with a noise of 0.6 to 1 count mostly stay within it.
 const CALM_SPREAD: f64 = 4.0;
-/// A calm within so many counts of the rest says nothing new.
+/// A calm within this number of counts of the rest changes nothing.
 const CALM_NEWS: f64 = 1.0;
 /// Where a rest can be, generously.
 const REST_RANGE: std::ops::RangeInclusive<f64> = 500.0..=700.0;
@@ -56,7 +57,7 @@ pub(super) enum WheelState {
     Turning,
 }
 
-/// What a reading says.
+/// The outcome of a reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum GyroReadout {
     /// The turn rate, counter-clockwise positive, bias included.
@@ -252,7 +253,7 @@ mod tests {
             Self { gyro: AnalogGyro::new(rest, sign), at: Timestamp::ZERO, taught: Vec::new() }
         }
 
-        fn take(&mut self, raw: u16, wheels: WheelState) -> GyroReadout {
+        fn push(&mut self, raw: u16, wheels: WheelState) -> GyroReadout {
             self.at = self.at + TimeDelta::from_millis(60);
             let (turning, taught) = self.gyro.push(self.at, raw, wheels);
             if taught != RestUpdate::Unchanged {
@@ -263,7 +264,7 @@ mod tests {
 
         fn at_rest(&mut self, readings: impl IntoIterator<Item = u16>) {
             for raw in readings {
-                self.take(raw, WheelState::Standing);
+                self.push(raw, WheelState::Standing);
             }
         }
 
@@ -282,7 +283,7 @@ mod tests {
     #[test]
     fn a_configured_rest_is_used_at_once_and_kept() {
         let mut bench = Bench::new(Some(600.5), GyroSign::CounterClockwise);
-        let turning = bench.take(690, WheelState::Turning);
+        let turning = bench.push(690, WheelState::Turning);
         assert!((deg_per_s(turning) - 89.5).abs() < 1e-9);
         bench.at_rest([598; 100]);
         assert_eq!(bench.rest(), Some(600.5));
@@ -292,16 +293,16 @@ mod tests {
     #[test]
     fn the_rest_is_learnt_standing_and_nothing_is_told_before() {
         let mut bench = Bench::new(None, GyroSign::Clockwise);
-        assert_eq!(bench.take(600, WheelState::Turning), GyroReadout::Unknown);
+        assert_eq!(bench.push(600, WheelState::Turning), GyroReadout::Unknown);
         bench.at_rest([597, 598, 597, 598, 597]);
         // What it reads while it drives is no rest, and what was learnt before is kept.
-        assert_eq!(bench.take(640, WheelState::Turning), GyroReadout::Unknown);
+        assert_eq!(bench.push(640, WheelState::Turning), GyroReadout::Unknown);
         bench.at_rest([598, 597, 598, 597]);
         assert_eq!(bench.rest(), None);
         bench.at_rest([597]);
         assert!((bench.rest().unwrap() - 597.4).abs() < 1e-9);
         assert!(matches!(bench.taught[..], [RestUpdate::First(_)]));
-        let turning = bench.take(607, WheelState::Turning);
+        let turning = bench.push(607, WheelState::Turning);
         assert!((deg_per_s(turning) + 9.6).abs() < 1e-9);
     }
 
@@ -330,7 +331,7 @@ mod tests {
         let rest = bench.rest().unwrap();
         assert!((rest - 600.0).abs() < 0.1, "{rest}");
         assert_eq!(bench.taught[1..], [RestUpdate::Corrected(rest)]);
-        let turning = bench.take(590, WheelState::Turning);
+        let turning = bench.push(590, WheelState::Turning);
         assert!((deg_per_s(turning) + 10.0).abs() < 0.1);
     }
 
@@ -340,7 +341,7 @@ mod tests {
         bench.at_rest([600; 10]);
         for _ in 0..10 {
             bench.at_rest([610; 45]);
-            bench.take(610, WheelState::Turning);
+            bench.push(610, WheelState::Turning);
         }
         assert_eq!(bench.rest(), Some(600.0));
         // A stall: two readings in five seconds are no calm.
@@ -366,7 +367,7 @@ mod tests {
         for rest in [None, Some(600.0), Some(690.0)] {
             let mut bench = Bench::new(rest, GyroSign::CounterClockwise);
             for raw in [1023, 1024, 5_000] {
-                assert_eq!(bench.take(raw, WheelState::Standing), GyroReadout::Disconnected);
+                assert_eq!(bench.push(raw, WheelState::Standing), GyroReadout::Disconnected);
             }
             assert_eq!(bench.rest(), rest);
         }
@@ -374,10 +375,10 @@ mod tests {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
         bench.at_rest([600; 20]);
         for raw in [1023, 1000, 200, 0] {
-            assert_eq!(bench.take(raw, WheelState::Turning), GyroReadout::Disconnected, "{raw}");
+            assert_eq!(bench.push(raw, WheelState::Turning), GyroReadout::Disconnected, "{raw}");
         }
         for raw in [240, 960] {
-            let fastest = deg_per_s(bench.take(raw, WheelState::Turning)).abs();
+            let fastest = deg_per_s(bench.push(raw, WheelState::Turning)).abs();
             assert!((fastest - 360.0).abs() < 1e-9);
         }
         assert_eq!(bench.rest(), Some(600.0));
@@ -386,10 +387,10 @@ mod tests {
     #[test]
     fn a_robot_that_never_stands_is_told_of_after_five_seconds() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
-        let told: Vec<GyroReadout> = (0..100).map(|_| bench.take(640, WheelState::Turning)).collect();
+        let told: Vec<GyroReadout> = (0..100).map(|_| bench.push(640, WheelState::Turning)).collect();
         let overdue = told.iter().position(|turning| *turning == GyroReadout::RestTimeout);
         assert_eq!(overdue, Some(84));
         bench.at_rest([600; 10]);
-        assert_eq!(deg_per_s(bench.take(600, WheelState::Standing)), 0.0);
+        assert_eq!(deg_per_s(bench.push(600, WheelState::Standing)), 0.0);
     }
 }

@@ -1,4 +1,4 @@
-//! The brick's IO maps: its firmware's own variables, of which one telegram reads up to 119 bytes.
+//! The brick's IO maps: its firmware's own variables. One telegram reads up to 119 bytes.
 //!
 //! # Layout
 //! ```text

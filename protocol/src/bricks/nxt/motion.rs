@@ -47,7 +47,7 @@ pub(super) struct WheelReadings {
     pub(super) interval: RequestInterval,
 }
 
-/// Accelerations at the wheels, each of which waits for the other.
+/// Accelerations at the wheels, each waiting for the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PendingAccelerations {
     pub(super) left: Option<AccelerationReading>,

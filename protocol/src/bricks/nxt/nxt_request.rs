@@ -7,7 +7,7 @@ use super::telegram::{self, NxtReply, bytes_at, opcode};
 /// A question that waits for its reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum NxtRequest {
-    /// For the firmware's version; nobody else asks that, so its reply proves that everything asked before is answered or lost.
+    /// For the firmware's version; it is used for nothing else, so its reply proves that every earlier request is answered or lost.
     SyncBarrier,
     /// For a part of an IO map.
     IoMap(IoMapWindow),
@@ -19,7 +19,7 @@ pub(super) enum NxtRequest {
     Digital(u8),
     /// That a port be set up for a sensor of this type.
     SetUp { port: u8, kind: u8 },
-    /// That a mailbox take this telegram, to learn whether anybody reads it.
+    /// Puts this telegram into a mailbox, to learn whether a program reads it.
     Mailbox(Vec<u8>),
 }
 

@@ -21,7 +21,7 @@ use crate::bricks::codec::CodecEvent;
 use crate::bricks::counters::CounterUpdate;
 use crate::message::{Inertial, Message, PlanarImu, WheelTicks};
 
-/// Answers interval two instants of the station's clock, where the brick does not tell its own.
+/// Answers interval two instants of the station's clock, where the brick does not report its own.
 const REPLIES_PER_HOST_TICK: u8 = 9;
 /// Type of a port that is not set up.
 const NO_SENSOR: u8 = 0;
@@ -74,7 +74,7 @@ impl NxtCodec {
         }
     }
 
-    /// A brick that does not tell its clock lives by the station's: then no stamp needs an alignment.
+    /// A brick that does not report its clock uses the station's: then no stamp needs an alignment.
     fn substitute_host_clock(&mut self, interval: RequestInterval, sink: CodecEventSink<'_>) {
         if self.schedule.has_tick() {
             self.replies_since_host_tick = REPLIES_PER_HOST_TICK;

@@ -36,7 +36,7 @@ pub(super) enum ReplyMatch {
     Reply(PendingRequest),
     /// Of a question that was given up.
     TooLate,
-    /// Of nobody's.
+    /// Of no request.
     Unexpected,
 }
 
@@ -101,7 +101,7 @@ impl RequestTracker {
         }
     }
 
-    /// Whether this very question waits. It must not be asked again before: of two equal ones nobody could tell which was answered.
+    /// Whether this very question waits. It must not be asked again before: with two equal ones the reply would be ambiguous.
     pub(super) fn is_waiting_for(&self, question: &NxtRequest) -> bool {
         self.waiting.iter().any(|asked| asked.request == *question)
     }

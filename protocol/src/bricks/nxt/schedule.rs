@@ -23,8 +23,8 @@ use super::settings::{MaxOutstanding, MotorPort, NxtSensor, NxtSettings};
 
 /// Ticks at connect: the first places the clock, the others narrow it.
 const FIRST_TICKS: u8 = 3;
-/// Other questions between two ticks: at the pace of Bluetooth, with 30 ms for each, 0.6 s. A clock that is 2000 ppm off drifts by 1.2 ms in
-/// that time, and what ticks cost is a twentieth of the states per second.
+/// Other questions between two ticks: at the pace of Bluetooth, with 30 ms for each, 0.6 s. A clock that is 2000 ppm off drifts
+/// by 1.2 ms in that time, and what ticks cost is a twentieth of the states per second.
 const BETWEEN_TICKS: u8 = 19;
 /// Questions of the trial of two outstanding.
 const TRIAL_REQUESTS: u8 = 8;
@@ -49,7 +49,7 @@ pub(super) enum ReadSize {
     Single,
 }
 
-/// Who speaks of the wheels.
+/// The source of wheel readings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WheelSource {
     /// The brick, when it is asked.
@@ -65,7 +65,7 @@ pub(super) enum PortState {
     Unused,
     /// It must be set up.
     Unconfigured,
-    /// It was told to be.
+    /// It was configured so.
     Configuring,
     /// It was set up and has no valid value yet.
     Settling,
@@ -168,7 +168,7 @@ impl PollSchedule {
         });
     }
 
-    /// The brick was away, and what could not tell its clock before may be able to now.
+    /// The brick was away, and may now be able to report its clock.
     pub(super) fn try_tick_again(&mut self, now: Timestamp<HostClock>) {
         if !self.has_tick {
             self.has_tick = true;

@@ -186,7 +186,7 @@ pub enum NxtSettingsError {
     /// The compass's zero is no number.
     #[error("the compass zero is {0} degrees, which is no direction")]
     CompassZero(f64),
-    /// Nobody can answer within no time.
+    /// No reply takes zero time.
     #[error("the longest wait for an answer is {0} ms, but must be more than zero")]
     AnswerTimeout(f64),
 }

@@ -13,7 +13,7 @@ impl NxtStatus {
     pub const OK: Self = Self(0x00);
     /// The sensor has not answered yet.
     pub const PENDING: Self = Self(0x20);
-    /// Nobody reads mailboxes: no program runs.
+    /// Mailboxes are not read: no program runs.
     pub const NO_PROGRAM: Self = Self(0xEC);
 
     /// True for a byte that the firmware knows as a status.

@@ -29,7 +29,7 @@ pub(super) enum StatusTopic {
     Port(u8),
 }
 
-/// What was said so far.
+/// The texts that were sent so far.
 #[derive(Debug, Default)]
 pub(super) struct StatusTextFilter {
     last_texts: BTreeMap<StatusTopic, String>,
@@ -52,7 +52,7 @@ impl StatusTextFilter {
         sink(CodecEvent::StatusText { from, severity, text });
     }
 
-    /// There is nothing to say about a topic any more; what is said next is news.
+    /// There is nothing to say about a topic any more; the next text is new.
     pub(super) fn clear(&mut self, topic: StatusTopic) {
         self.last_texts.remove(&topic);
     }

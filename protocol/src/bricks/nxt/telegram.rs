@@ -85,7 +85,7 @@ pub struct OutputState {
 }
 
 impl OutputState {
-    /// The motor runs at this power with its speed regulated, until it is told otherwise.
+    /// The motor runs at this power with its speed regulated, until the next command.
     #[must_use]
     pub const fn run(port: MotorPort, power: i8) -> Self {
         Self { port: Some(port), power, mode: 0b111, regulation: 1, turn_ratio: 0, run_state: 0x20, tacho_limit: 0 }
@@ -116,7 +116,7 @@ pub fn set_output_state(state: &OutputState, answer: ReplyRequest) -> Vec<u8> {
     telegram
 }
 
-/// STARTPROGRAM: starts a program by its file name, of which 19 bytes are kept.
+/// STARTPROGRAM: starts a program by its file name, cut to 19 bytes.
 #[must_use]
 pub fn start_program(file_name: &str, answer: ReplyRequest) -> Vec<u8> {
     let mut telegram = vec![DIRECT | answer.bit(), opcode::START_PROGRAM];
@@ -229,7 +229,7 @@ pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
     }
 }
 
-/// The bytes from `at`, if there are so many.
+/// The bytes from `at`, if there are enough.
 pub(super) fn bytes_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }

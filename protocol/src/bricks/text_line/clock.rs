@@ -20,13 +20,13 @@ use super::row::BoardTime;
 
 /// Period of a counter of 32 bits.
 const PERIOD: i128 = 1 << 32;
-/// A clock may be off by one part in so many of its rate: what the pipeline believes of any brick.
+/// Largest rate error of a clock: one part in this number: the station's limit for any brick.
 const SKEW_PARTS: i64 = 100;
 /// A clock may run ahead or fall by so much without reason: less than what the pipeline takes for a restart.
 const MAX_CLOCK_ERROR: TimeDelta = TimeDelta::from_millis(500);
 /// No link holds back a line for longer.
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(60_000);
-/// So many lines without a time are followed by an exchange of time each: the pipeline needs three to know a clock.
+/// Number of lines without a time that are each followed by a time exchange: the pipeline needs three to know a clock.
 const EXCHANGES_AT_ONCE: u32 = 4;
 /// Later ones are so far apart.
 const EXCHANGE_PERIOD: TimeDelta = TimeDelta::from_millis(500);
@@ -46,7 +46,7 @@ struct LineTime {
 }
 
 impl BoardClock {
-    /// Whether the time of a line that arrived at `arrival` is believed.
+    /// Whether the time of a line that arrived at `arrival` is accepted.
     pub(super) fn accept(&mut self, time: BoardTime, arrival: Timestamp<HostClock>) -> bool {
         let Some(last) = self.last else {
             self.last = Some(LineTime::new(time, arrival));
@@ -62,7 +62,7 @@ impl BoardClock {
         false
     }
 
-    /// The time of the last line that was believed.
+    /// The time of the last accepted line.
     pub(super) fn last_accepted(&self) -> Option<BoardTime> {
         self.last.map(|seen| seen.time)
     }
@@ -97,7 +97,7 @@ impl LineTime {
     }
 }
 
-/// When the host's clock is to be told to the pipeline as that of a board that has none.
+/// When the host's clock is to be passed to the station as that of a board that has none.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SubstituteClock {
     exchanges: u32,
@@ -120,28 +120,28 @@ impl SubstituteClock {
 mod tests {
     use super::*;
 
-    fn believed(lines: &[(i64, u32)]) -> Vec<bool> {
+    fn accepted(lines: &[(i64, u32)]) -> Vec<bool> {
         let mut clock = BoardClock::default();
-        let believe = |(arrival_ms, time_ms): &(i64, u32)| {
+        let accept = |(arrival_ms, time_ms): &(i64, u32)| {
             clock.accept(BoardTime::Millis(*time_ms), Timestamp::from_millis(*arrival_ms))
         };
-        lines.iter().map(believe).collect()
+        lines.iter().map(accept).collect()
     }
 
     #[test]
     fn a_time_with_a_lost_digit_is_refused_once_and_a_restart_is_followed() {
         let lines = [(1_000, 12_345), (1_050, 1_395), (1_100, 12_445), (1_150, 812_495)];
-        assert_eq!(believed(&lines), [true, false, true, false]);
+        assert_eq!(accepted(&lines), [true, false, true, false]);
         let lines = [(1_000, 90_000), (3_000, 10), (3_050, 60), (3_100, 110)];
-        assert_eq!(believed(&lines), [true, false, true, true]);
+        assert_eq!(accepted(&lines), [true, false, true, true]);
     }
 
     #[test]
     fn a_stall_and_its_burst_and_the_wrap_are_believed() {
         let stall = [(0, 0), (50, 50), (3_000, 100), (3_000, 1_500), (3_001, 2_950), (3_050, 3_050)];
-        assert_eq!(believed(&stall), [true; 6]);
+        assert_eq!(accepted(&stall), [true; 6]);
         let wrap = [(0, u32::MAX - 20), (50, 29), (5_000_000, 5_000_029)];
-        assert_eq!(believed(&wrap), [true; 3]);
+        assert_eq!(accepted(&wrap), [true; 3]);
     }
 
     #[test]

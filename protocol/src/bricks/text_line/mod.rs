@@ -28,7 +28,7 @@ use crate::message::{Inertial, Message, WheelTicks, WireStamp};
 
 /// A line that stops for so long was cut off: a board at 9600 baud prints the longest one in 270 ms.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
-/// So many names that mean nothing here are told.
+/// Most unknown names that are reported.
 const MAX_UNKNOWN: usize = 8;
 /// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
 const MAX_LINE_BYTES: usize = 256;
@@ -37,9 +37,9 @@ const THERMOMETER: &[u8] = b"temperature";
 /// MAV_SEVERITY_WARNING, _INFO.
 const WARNING: u8 = 4;
 const INFO: u8 = 6;
-/// What [`Defect`]s call a line, which has no number.
+/// The message id of a line in [`ReceiveError`]s, which has no number.
 const LINE_ID: u32 = 0;
-/// Counts that fell to zero from further than so many steps of the last change were set to zero.
+/// Counts that fell to zero from more than this multiple of their last change were set to zero.
 const CHANGES_TO_ZERO: i64 = 3;
 /// Counts near zero may have rolled there.
 const NEAR_ZERO: i64 = 10;
@@ -116,7 +116,7 @@ impl BrickCodec for TextLineCodec {
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
-        // It speaks by itself.
+        // It sends unasked.
         None
     }
 
@@ -160,7 +160,7 @@ impl TextLineCodec {
         });
         match read {
             Ok((row, proof)) if !is_cut || proof == ChecksumStatus::Verified => self.handle_row(now, &row, sink),
-            // What is left of a line may look whole; nobody need hear of it.
+            // The rest of a line may look complete; it is not reported.
             Ok(_) => self.count_unframed(line.len() as u32, sink),
             Err(flaw) => {
                 self.reject(line, flaw, sink);
@@ -280,7 +280,8 @@ struct ResettableCounters {
 }
 
 impl ResettableCounters {
-    /// The totals, and whether the counts were set to zero: both are exactly zero, and one is further from it than its last change explains.
+    /// The totals, and whether the counts were set to zero: both are exactly zero, and one is further from it than its last
+    /// change explains.
     fn push(&mut self, counts: [i64; 2]) -> ([i64; 2], bool) {
         let last = self.last.replace(counts).unwrap_or(counts);
         let is_far = |(count, change): (&i64, &i64)| count.abs() > CHANGES_TO_ZERO * change.abs() + NEAR_ZERO;

@@ -11,7 +11,7 @@ const TEMPERATURES_C: std::ops::RangeInclusive<f64> = -273.15..=3_500.0;
 /// Counts beyond this are no exact f64.
 const MAX_COUNT: i64 = 1 << 53;
 
-/// What a line says.
+/// The values of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BoardReading {
     pub(super) time: Option<BoardTime>,
@@ -87,7 +87,7 @@ fn checksum_of(text: &str) -> Option<(&str, u8)> {
     is_checksum.then_some((text, found))
 }
 
-/// What a line of this text says. Names that the layout does not know are told to `unknown`.
+/// What a line of this text says. Names that the layout does not know go to `unknown`.
 pub(super) fn parse_row(
     text: &str,
     settings: &TextLineSettings,

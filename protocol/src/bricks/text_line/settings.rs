@@ -11,10 +11,10 @@ pub struct TextLineSettings {
     pub layout: LineLayout,
     /// Whether lines must end with their checksum.
     pub checksum: ChecksumPolicy,
-    /// The estimate is printed to the board at most so often; `None` tells it nothing. A board that takes single letters or digits as
+    /// The estimate is printed to the board at most so often; `None` sends it nothing. A board that takes single letters or digits as
     /// commands would obey parts of such a line, so this must be asked for.
     pub estimate_interval: Option<TimeDelta>,
-    /// How old a line without a time may be when it arrives: what it says is taken to be from any time within so long before.
+    /// How old a line without a time may be when it arrives: its values are taken to be from any time within this interval before.
     pub delay: TimeDelta,
 }
 
@@ -34,7 +34,7 @@ impl TextLineSettings {
     /// Whether a board of this layout can be understood.
     ///
     /// # Errors
-    /// When it tells something twice, one wheel alone, or nothing.
+    /// When it has a value twice, one wheel alone, or nothing.
     pub fn validate(&self) -> Result<(), LayoutError> {
         let columns: Vec<Column> = self.layout.columns().collect();
         let is_there = |wanted: Quantity| columns.iter().any(|column| column.quantity == wanted);
@@ -126,10 +126,10 @@ impl fmt::Display for LineLayout {
     }
 }
 
-/// One column or key: what it tells, and with which sign.
+/// One column or key: its quantity, and its sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// What it tells.
+    /// Its quantity.
     pub quantity: Quantity,
     /// Whether forward and counter-clockwise are positive, as here.
     pub sense: ColumnSign,
@@ -176,7 +176,7 @@ pub enum ColumnSign {
     Inverted,
 }
 
-/// What a column tells.
+/// The quantity of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Milliseconds of the board's clock, a whole number that wraps at 2^32: Arduino's `millis()`.

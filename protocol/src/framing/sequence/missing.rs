@@ -1,6 +1,6 @@
 //! Which of a sender's latest frames are missing: they may still come.
 
-/// So many of the latest frames are remembered: at 100 per second what a stall of twenty seconds holds back.
+/// Number of the latest frames that are remembered: at 100 per second what a stall of twenty seconds holds back.
 const WINDOW: u64 = 2_048;
 
 /// The latest frames by their unwrapped numbers, a bit for each that is missing.
@@ -29,7 +29,7 @@ impl MissingFrames {
         self.insert(self.newest);
     }
 
-    /// Whether the frame that lies so many before the newest is missing; false if nobody knows.
+    /// Whether the frame at this distance before the newest is missing; false if it is unknown.
     pub(super) const fn contains(&self, behind: u64) -> bool {
         if behind >= WINDOW || behind > self.newest {
             return false;
@@ -38,7 +38,7 @@ impl MissingFrames {
         self.bits[word(number)] & bit(number) != 0
     }
 
-    /// The frame that lies so many before the newest has come after all; false if it was not missing, or nobody knows.
+    /// The frame at this distance before the newest has come after all; false if it was not missing, or it is unknown.
     pub(super) const fn recover_late(&mut self, behind: u64) -> bool {
         let was_missing = self.contains(behind);
         if was_missing {

@@ -6,7 +6,7 @@
 //! n = a + 256 k nearest to expected,         known while  0.12 expected < 128
 //! n = a + 256 k nearest to 0.95 expected,    beyond that, known while  0.07 expected < 128
 //! ```
-//! The pace is that of everything that the sender says. It varies with what others ask of it: in an outage nobody asks for the time,
+//! The pace is that of everything that the sender says. It varies with what others ask of it: in an outage there are no time requests,
 //! and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a tenth. It does not exceed its mean
 //! then, so a long silence has between 0.88 and 1.02 of what is expected.
 
@@ -59,7 +59,7 @@ impl SendRate {
         if turns > 0.0 && is_off && has_paused {
             return Some(u32::from(advance));
         }
-        // Half a circle more than expected is an advance that falls: the number of somebody who does not count by one.
+        // Half a circle more than expected is an advance that falls: the number of a sender that does not count by one.
         if f64::from(sent) - expected > HALF_CIRCLE {
             return Some(0);
         }
@@ -74,7 +74,7 @@ impl SendRate {
         (turns >= 0.0).then(|| u64::from(behind) + 256 * turns as u64)
     }
 
-    /// So many frames were sent in `elapsed_s`.
+    /// Records a number of frames that were sent in `elapsed_s`.
     pub(super) fn update(&mut self, sent: u32, elapsed_s: f64) {
         self.gathered_frames += f64::from(sent);
         self.gathered_s += elapsed_s;

@@ -1,6 +1,6 @@
 //! What came of one sender, and what is missing.
 //!
-//! From one stamped message to the next the frames are only noted. The second one tells how many were sent between them, and the
+//! From one stamped message to the next the frames are only noted. The second one shows how many were sent between them, and the
 //! account of that interval is settled. Until then the gaps that the numbers show stand for what is missing.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
@@ -17,11 +17,11 @@ const MAX_DELAY_S: f64 = 60.0;
 /// A stamp may lie so far behind the one before it: a datagram that was overtaken by what a stall had held back with it. Further
 /// back is a clock that began anew, s.
 const MAX_REORDER_S: f64 = 15.0;
-/// So many stamps in a row that lie behind, of frames that were not missing, are those of a clock that began anew.
+/// Number of earlier stamps in a row, of frames that were not missing, that mean that the clock restarted.
 const MAX_STRAYS: u32 = 8;
 /// A message is overtaken by no more frames than this, which [`SequenceSet::ahead_of`] looks at.
 const MAX_AHEAD: u8 = 64;
-/// So many frames without another stamp of the same message, and stamps are given up: it is not sent any more.
+/// Number of frames without another stamp of the same message after which stamps are no longer used: it is not sent any more.
 const MAX_RECORDED: u32 = 96;
 
 /// The stamp of a message, and when it came.
@@ -60,7 +60,7 @@ pub(super) struct SenderSequence {
     frames: u64,
     /// Settled.
     lost: u64,
-    /// What was last told of.
+    /// The last counts that were reported.
     reported_lost: u64,
     missing: MissingFrames,
     /// What follows a late frame with a stamp in its datagram: the number, and how many frames it lies behind.
@@ -165,7 +165,7 @@ impl SenderSequence {
         }
     }
 
-    /// A frame with a stamp that was sent so many frames before the one from which is counted.
+    /// A frame with a stamp, and how many frames before the reference frame it was sent.
     fn record_overtaken(&mut self, (sequence, dated): (u8, StampedArrival), behind: u64) {
         self.frames += 1;
         if self.recover_late(sequence, behind) {
@@ -187,7 +187,7 @@ impl SenderSequence {
         was_missing
     }
 
-    /// What the number says by itself.
+    /// The result by the number alone.
     fn record_number(&mut self, sequence: u8) {
         let Some(newest) = self.newest else {
             self.newest = Some(sequence);
@@ -302,7 +302,7 @@ impl SenderSequence {
         self.lost += u64::from(sent.saturating_sub(received));
     }
 
-    /// Nobody knows what was sent before this message.
+    /// What was sent before this message is unknown.
     fn restart(&mut self, sequence: u8, dated: StampedArrival) {
         self.newest = Some(sequence);
         self.missing = MissingFrames::new();
@@ -312,7 +312,7 @@ impl SenderSequence {
         self.reported_lost = self.reported_lost.min(self.lost);
     }
 
-    /// The message with the stamps comes no more: what the numbers say has to do.
+    /// The message with the stamps comes no more: the result by the numbers has to do.
     fn abandon_stamps(&mut self) {
         if let Some(interval) = self.interval.take() {
             self.lost += u64::from(interval.gaps);

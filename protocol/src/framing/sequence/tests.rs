@@ -127,13 +127,13 @@ fn late_frames_and_copies_of_a_sender_with_stamps_count_once() {
         // Two frames change their places, across the border of an interval and within, and one of them comes twice.
         robot.talk(73 * step_ms);
         let (first, second) = (robot.ticks(), robot.heartbeat());
-        robot.hear(&second);
-        robot.hear(&first);
-        robot.hear(&first);
+        robot.receive(&second);
+        robot.receive(&first);
+        robot.receive(&first);
         let (first, second) = (robot.heartbeat(), robot.ticks());
-        robot.hear(&second);
-        robot.hear(&second);
-        robot.hear(&first);
+        robot.receive(&second);
+        robot.receive(&second);
+        robot.receive(&first);
     }
     robot.talk(500);
     assert_eq!(lost(&robot.tracker), 0);
@@ -150,7 +150,7 @@ fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
     assert_eq!(lost(&robot.tracker), 2, "those that are held back");
     robot.arrival = Some(Timestamp::ZERO + TimeDelta::from_millis(robot.now_ms));
     for frame in held_back {
-        robot.hear_at(&(sent_ms, frame));
+        robot.receive_at(&(sent_ms, frame));
     }
     robot.arrival = None;
     robot.talk(1_000);
@@ -167,7 +167,7 @@ fn what_was_held_back_before_a_silence_of_more_than_a_turn_is_late_too() {
     robot.talk(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost + 2);
     for frame in held_back {
-        robot.hear_at(&(sent_ms, frame));
+        robot.receive_at(&(sent_ms, frame));
     }
     assert_eq!(lost(&robot.tracker), robot.lost);
     robot.talk(1_000);
@@ -182,7 +182,7 @@ fn a_late_frame_is_taken_off_before_the_next_stamp_comes() {
     let sent_ms = robot.now_ms;
     robot.talk(1_000);
     assert_eq!(lost(&robot.tracker), 1);
-    robot.hear_at(&(sent_ms, held_back));
+    robot.receive_at(&(sent_ms, held_back));
     assert_eq!(lost(&robot.tracker), 0);
 }
 
@@ -193,7 +193,7 @@ fn after_the_stamps_have_ceased_the_numbers_have_to_do() {
     for count in 0..300 {
         let frame = robot.heartbeat();
         if count % 10 != 0 {
-            robot.hear(&frame);
+            robot.receive(&frame);
         }
     }
     assert_eq!(lost(&robot.tracker), 30);
@@ -229,7 +229,7 @@ fn lost(tracker: &SequenceTracker) -> u64 {
     tracker.source_health().map(|source| source.lost).sum()
 }
 
-/// A robot that sends wheel ticks every 25 ms and a heartbeat every second, and what hears it.
+/// A robot that sends wheel ticks every 25 ms and a heartbeat every second, and its receiver.
 struct Robot {
     tracker: SequenceTracker,
     encoder: Encoder,
@@ -256,7 +256,7 @@ impl Robot {
 
     fn talk(&mut self, span_ms: i64) {
         for frame in self.frames(span_ms) {
-            self.hear_at(&frame);
+            self.receive_at(&frame);
         }
     }
 
@@ -304,11 +304,11 @@ impl Robot {
         bytes
     }
 
-    fn hear(&mut self, frame: &[u8]) {
-        self.hear_at(&(self.now_ms, frame.to_vec()));
+    fn receive(&mut self, frame: &[u8]) {
+        self.receive_at(&(self.now_ms, frame.to_vec()));
     }
 
-    fn hear_at(&mut self, (sent_ms, frame): &(i64, Vec<u8>)) {
+    fn receive_at(&mut self, (sent_ms, frame): &(i64, Vec<u8>)) {
         let arrival = self.arrival.unwrap_or_else(|| Timestamp::ZERO + TimeDelta::from_millis(*sent_ms));
         let (tracker, news) = (&mut self.tracker, &mut self.news);
         Framer::new(FramerConfig::default()).push(arrival, frame, &mut |scanned| {

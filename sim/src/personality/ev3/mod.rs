@@ -1,14 +1,15 @@
 //! The firmware of an unmodified LEGO EV3: it follows direct commands, takes mailbox messages, and lets a program run.
 //!
 //! ```text
-//! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes      answer .. 02 globals, 04 if it failed
-//! system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                                    answer .. 03 opcode status, 05 failed
+//! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes      answer .. 02 globals, 04
+//! if it failed system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                                    answer .. 03
+//! opcode status, 05 failed
 //! ```
 //! One command is followed after the other, each within a pass of 1 ms unless it waits for a sensor. It is written from the makers'
 //! documents, never from a station's codec.
 //!
 //! # Sources
-//! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulated-bricks.md tells what is ours.
+//! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulated-bricks.md describes what is ours.
 
 mod arithmetic;
 mod machine;
@@ -129,7 +130,7 @@ impl Ev3 {
         self.wire.receive(world, bytes);
     }
 
-    /// Somebody else is at the other end of the link.
+    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.wire.reopen();
         self.command = None;
@@ -142,7 +143,7 @@ impl Ev3 {
         self.is_running = self.scenario_program == BrickProgram::Path;
     }
 
-    /// Somebody stops the program and starts it again: motors, counters and sensors begin anew.
+    /// Stops the program and starts it again: motors, counters and sensors begin anew.
     pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
         if self.is_running {
             self.forget(moment);
@@ -164,7 +165,7 @@ impl Ev3 {
         self.outgoing.pop_front()
     }
 
-    /// The estimates that the program took out of its mailbox: of which instant, and where.
+    /// The estimates that the program took out of its mailbox: instant and pose.
     pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
         std::mem::take(&mut self.estimates)
     }

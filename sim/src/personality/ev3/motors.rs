@@ -7,9 +7,9 @@
 //! steps, milliseconds   that speed or power at once, until it has turned that far or that time is over; then it stands
 //! ```
 //! # Assumptions
-//! Large motors sit on B (left) and C (right); A and D are empty. Ramps are a part of the way: a robot slows down only shortly before a target.
-//! A motor without power is braked, whether brake or coast was asked for. Two motors in step (OUTPUT_STEP_SYNC, OUTPUT_TIME_SYNC) are not
-//! simulated.
+//! Large motors sit on B (left) and C (right); A and D are empty. Ramps are a part of the way: a robot slows down only shortly
+//! before a target. A motor without power is braked, whether brake or coast was asked for. Two motors in step (OUTPUT_STEP_SYNC,
+//! OUTPUT_TIME_SYNC) are not simulated.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, output byte codes. 175 rpm without load: Pybricks' identified model of the large motor.
@@ -48,7 +48,7 @@ pub(super) enum MotorDrive {
 pub(super) enum StopCondition {
     /// Not by itself.
     Stopped,
-    /// After so many degrees, either way.
+    /// After this number of degrees, in either direction.
     Turned(i64),
     /// At this time since the beginning of the world.
     Time(TimeDelta),

@@ -15,7 +15,7 @@ use super::sensors::{SensorInputs, SensorReading, SensorRequest};
 use super::wire::SERIAL_NUMBER;
 use super::{Ev3, Flow};
 
-/// Versions that an up-to-date brick tells.
+/// Versions that an up-to-date brick reports.
 const OS_VERSION: &str = "Linux 2.6.33-rc4";
 const OS_BUILD: &str = "1212131117";
 const HARDWARE_VERSION: &str = "V0.60";
@@ -204,7 +204,7 @@ impl Ev3 {
         moment: &FirmwarePass<'_>,
     ) -> Result<(), ExecutionFault> {
         let (layer, which) = (machine.byte()?, machine.byte()?);
-        // Other layers are other bricks, of which there are none.
+        // Other layers are other bricks; there are none.
         let which = if layer == 0 { which } else { 0 };
         let port = usize::try_from(which).unwrap_or(usize::MAX);
         match code {
@@ -313,7 +313,7 @@ fn ui_read(machine: &mut BytecodeMachine, moment: &FirmwarePass<'_>) -> Result<F
     Ok(Flow::Next)
 }
 
-/// The lamp, which nobody sees.
+/// The lamp, which is not simulated.
 fn ui_write(machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
     if machine.byte()? != 0x1B {
         return Err(ExecutionFault);
@@ -322,7 +322,7 @@ fn ui_write(machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
     Ok(Flow::Next)
 }
 
-/// BREAK and TONE, which nobody hears.
+/// BREAK and TONE, which are not simulated.
 fn sound(machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
     match machine.byte()? {
         0x00 => {}

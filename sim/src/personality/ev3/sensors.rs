@@ -3,7 +3,8 @@
 //! # Model
 //! ```text
 //! gyro          mode 0 angle, 1 rate, 3 both; whole degrees, clockwise positive       ultrasonic   mode 0 centimetres; 255 without an echo
-//! motor         mode 0 degrees, 2 percent of the speed                                a new mode takes 100 ms, in which a READY command waits
+//! motor         mode 0 degrees, 2 percent of the speed                                a new mode takes 100 ms, in which a READY
+//! command waits
 //! ```
 //! # Sources
 //! LEGO MINDSTORMS EV3 hardware developer kit (types, modes, units; the gyro's sign); how long a change of mode takes: ours.
@@ -144,7 +145,7 @@ impl SensorPorts {
         self.ready_at.get(port).is_none_or(|settled| now >= *settled)
     }
 
-    /// Zeroes the gyro's angle, as a sensor does that is told to clear its changes.
+    /// Zeroes the gyro's angle, as a sensor does on the command to clear its changes.
     pub(super) const fn clear(&mut self, senses: &PluggedSensors) {
         self.angle_zero_deg = senses.angle_deg();
     }

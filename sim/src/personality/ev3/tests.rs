@@ -34,7 +34,7 @@ impl Host {
     }
 
     /// Sends byte codes and returns when the answer came, its type, and the globals.
-    fn ask(&mut self, globals: u8, code: &[u8]) -> (usize, u8, Vec<u8>) {
+    fn request(&mut self, globals: u8, code: &[u8]) -> (usize, u8, Vec<u8>) {
         self.counter += 1;
         let body = [&self.counter.to_le_bytes()[..], &[0, globals, 0], code].concat();
         self.simulation.receive(&[&(body.len() as u16).to_le_bytes()[..], &body].concat());
@@ -48,7 +48,7 @@ impl Host {
     }
 
     fn value(&mut self, globals: u8, code: &[u8]) -> Vec<u8> {
-        let (_, kind, memory) = self.ask(globals, code);
+        let (_, kind, memory) = self.request(globals, code);
         assert_eq!((kind, memory.len()), (2, usize::from(globals)), "{code:02x?}");
         memory
     }
@@ -105,7 +105,7 @@ fn the_clock_of_microseconds_wraps() {
 fn unknown_and_broken_codes_are_answered_with_an_error() {
     let mut host = Host::programless();
     for code in [&[0xFF][..], &[0xB3, 0, 1], &[0xB3, 0, 1, 0x64], &[0x81, 0x63, 0x60], &[0xB0, 0, 6, 50, 0, 0, 0]] {
-        assert_eq!(host.ask(4, code).1, 4, "{code:02x?}");
+        assert_eq!(host.request(4, code).1, 4, "{code:02x?}");
     }
     // Without a wish for an answer there is none.
     host.simulation.receive(&[6, 0, 9, 0, 0x80, 0, 0, 0xFF]);

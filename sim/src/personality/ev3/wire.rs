@@ -50,7 +50,7 @@ pub(super) struct Ev3Wire {
 }
 
 impl Ev3Wire {
-    /// A link that nobody has used.
+    /// An unused link.
     pub(super) const fn new(turn_around: TimeDelta) -> Self {
         Self {
             received: Vec::new(),
@@ -65,7 +65,7 @@ impl Ev3Wire {
         }
     }
 
-    /// Somebody else is at the other end.
+    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.received.clear();
         self.is_lost = false;

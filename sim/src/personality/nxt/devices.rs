@@ -59,7 +59,7 @@ impl Default for I2cDevice {
 }
 
 impl I2cDevice {
-    /// One transaction with `sensor`: the request, then `wanted` bytes of answer. `None` if nobody has that address.
+    /// One transaction with `sensor`: the request, then `wanted` bytes of answer. `None` if no device has that address.
     pub(super) fn transact(
         &mut self,
         sensor: PortSensor,
@@ -118,7 +118,7 @@ impl I2cDevice {
             }
             PortSensor::Compass => {
                 let degrees = senses.compass_deg();
-                // Measuring, whatever mode somebody has written.
+                // Measuring, whatever mode was written.
                 self.registers[COMMAND] = 0;
                 self.write_registers(READINGS, &[(degrees / 2) as u8, (degrees % 2) as u8]);
                 self.write_registers(READINGS + 2, &degrees.to_le_bytes());
@@ -173,7 +173,7 @@ mod tests {
     use super::*;
     use crate::scenario::Scenario;
 
-    fn ask(sensor: PortSensor, request: &[u8], wanted: usize, temperature_c: f64) -> Option<Vec<u8>> {
+    fn request(sensor: PortSensor, request: &[u8], wanted: usize, temperature_c: f64) -> Option<Vec<u8>> {
         let senses = PluggedSensors::new(&Scenario::default());
         let inside = DeviceInputs { senses: &senses, temperature_c };
         I2cDevice::default().transact(sensor, request, wanted, inside)
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_accelerometer_at_rest_shows_one_g_upwards_in_ten_bits() {
-        let answer = ask(PortSensor::Accelerometer, &[0x02, 0x42], 6, 0.0).unwrap();
+        let answer = request(PortSensor::Accelerometer, &[0x02, 0x42], 6, 0.0).unwrap();
         assert_eq!(answer, [0, 0, 50, 0, 0, 0]);
     }
 
@@ -194,22 +194,22 @@ mod tests {
 
     #[test]
     fn every_sensor_tells_its_name() {
-        let answer = ask(PortSensor::Ultrasonic, &[0x02, 0x08], 16, 0.0).unwrap();
+        let answer = request(PortSensor::Ultrasonic, &[0x02, 0x08], 16, 0.0).unwrap();
         assert_eq!(&answer, b"LEGO\0\0\0\0Sonar\0\0\0");
-        let unit = ask(PortSensor::Ultrasonic, &[0x02, 0x14], 7, 0.0).unwrap();
+        let unit = request(PortSensor::Ultrasonic, &[0x02, 0x14], 7, 0.0).unwrap();
         assert_eq!(&unit, b"10E-2m\0");
-        assert_eq!(ask(PortSensor::Compass, &[0x02, 0x10], 8, 0.0).unwrap(), b"Compass ");
-        assert_eq!(ask(PortSensor::Ultrasonic, &[0x02, 0x42], 1, 0.0).unwrap(), [255]);
+        assert_eq!(request(PortSensor::Compass, &[0x02, 0x10], 8, 0.0).unwrap(), b"Compass ");
+        assert_eq!(request(PortSensor::Ultrasonic, &[0x02, 0x42], 1, 0.0).unwrap(), [255]);
     }
 
     #[test]
     fn the_thermometer_has_nine_bits_until_it_is_told_otherwise() {
         // 21.7 is 0x15b sixteenths; 9 bits keep halves of a degree.
-        let ask = |request: &[u8], wanted, temperature_c| {
-            ask(PortSensor::Temperature, request, wanted, temperature_c).unwrap()
+        let read = |request_bytes: &[u8], wanted, temperature_c| {
+            request(PortSensor::Temperature, request_bytes, wanted, temperature_c).unwrap()
         };
-        assert_eq!(ask(&[0x98, 0x00], 2, 21.7), [0x15, 0x80]);
-        assert_eq!(ask(&[0x98, 0x00], 2, -0.1), [0xFF, 0x80]);
+        assert_eq!(read(&[0x98, 0x00], 2, 21.7), [0x15, 0x80]);
+        assert_eq!(read(&[0x98, 0x00], 2, -0.1), [0xFF, 0x80]);
         let senses = PluggedSensors::new(&Scenario::default());
         let inside = DeviceInputs { senses: &senses, temperature_c: 21.7 };
         let mut device = I2cDevice::default();
@@ -221,9 +221,9 @@ mod tests {
 
     #[test]
     fn nobody_answers_at_another_address() {
-        assert_eq!(ask(PortSensor::Compass, &[0x98, 0x00], 2, 0.0), None);
-        assert_eq!(ask(PortSensor::Temperature, &[0x02, 0x42], 2, 0.0), None);
-        assert_eq!(ask(PortSensor::Gyro, &[0x02, 0x42], 1, 0.0), None);
-        assert_eq!(ask(PortSensor::Compass, &[], 1, 0.0), None);
+        assert_eq!(request(PortSensor::Compass, &[0x98, 0x00], 2, 0.0), None);
+        assert_eq!(request(PortSensor::Temperature, &[0x02, 0x42], 2, 0.0), None);
+        assert_eq!(request(PortSensor::Gyro, &[0x02, 0x42], 1, 0.0), None);
+        assert_eq!(request(PortSensor::Compass, &[], 1, 0.0), None);
     }
 }

@@ -15,7 +15,7 @@ impl Nxt {
             direct::START_PROGRAM => self.start_program(request, moment),
             direct::STOP_PROGRAM => self.stop_program(),
             direct::PROGRAM_NAME => self.program_name(),
-            // Nobody hears the simulated loudspeaker.
+            // The loudspeaker is not simulated.
             direct::PLAY_SOUND => request.bytes(0, 2).map(|_| Vec::new()),
             direct::PLAY_TONE => request.bytes(0, 4).map(|_| Vec::new()),
             direct::STOP_SOUND => Ok(Vec::new()),

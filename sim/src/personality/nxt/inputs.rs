@@ -4,8 +4,8 @@
 //! HiTechnic gyro reads its rest value, which is around 600 and another for each part, plus one count per degree per second.
 //!
 //! # Assumptions
-//! Edge and pulse counting, RCX angles and temperature scales are not simulated: these modes show the normalised value. The firmware turns the
-//! readings of light sensors around; here that is 1023 - raw. Read the raw value, as every gyro driver does.
+//! Edge and pulse counting, RCX angles and temperature scales are not simulated: these modes show the normalised value. The
+//! firmware turns the readings of light sensors around; here that is 1023 - raw. Read the raw value, as every gyro driver does.
 //!
 //! # Sources
 //! LEGO's NXT firmware: struct of the Input module, types and modes. Rest values: 580 to 625 in people's reports. Times until a port is
@@ -59,7 +59,7 @@ pub(super) struct InputPorts {
 }
 
 impl InputPorts {
-    /// Ports that nobody has set up; the gyro's rest value is drawn.
+    /// Ports that are not set up; the gyro's rest value is drawn.
     pub(super) fn new(sensors: [PortSensor; PORTS], seed: u64) -> Self {
         let ports = sensors.map(|sensor| InputPort { sensor, raw: FULL_SCALE, ..InputPort::default() });
         let gyro_rest = RandomStream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);

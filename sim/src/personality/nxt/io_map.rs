@@ -15,7 +15,7 @@ pub(super) const COMMAND: u32 = 0x0001_0001;
 pub(super) const OUTPUT: u32 = 0x0002_0001;
 pub(super) const INPUT: u32 = 0x0003_0001;
 pub(super) const LOW_SPEED: u32 = 0x000B_0001;
-/// Bytes of the Command module before the memory pool of the programs, which nobody may see.
+/// Bytes of the Command module before the memory pool of the programs, which must not be read.
 const COMMAND_BYTES: usize = 52;
 /// Places in the Command module.
 const TICK_AT: usize = 20;

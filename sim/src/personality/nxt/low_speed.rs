@@ -20,7 +20,7 @@ use super::status;
 pub(super) const MAX_MESSAGE_BYTES: usize = 16;
 /// Milliseconds that a byte takes on the bus.
 const MS_PER_BYTE: f64 = 10.0 / 9.6;
-/// What the module says about a channel.
+/// The module's status of a channel.
 const STATE_IDLE: u8 = 0;
 const STATE_COMMUNICATING: u8 = 3;
 const STATE_ERROR: u8 = 4;

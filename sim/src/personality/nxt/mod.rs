@@ -7,7 +7,7 @@
 //! a pass of 1 ms    buses and ports settle > one telegram is followed > the program runs > motors > the program pushes > the radio sends
 //! ```
 //! # Sources
-//! LEGO Bluetooth developer kit; the published firmware. docs/simulated-bricks.md tells what is ours.
+//! LEGO Bluetooth developer kit; the published firmware. docs/simulated-bricks.md describes what is ours.
 
 mod devices;
 mod direct;
@@ -58,14 +58,14 @@ pub(super) struct Nxt {
     mailboxes: Mailboxes,
     /// The name of the program that runs.
     program: Option<Vec<u8>>,
-    /// What the program says by itself, if it does.
+    /// The program's unrequested output, if there is any.
     messenger: Option<BrickMessenger>,
     push_queue: VecDeque<Vec<u8>>,
     name: Vec<u8>,
     awake_since: TimeDelta,
     is_asleep: bool,
     scenario_program: BrickProgram,
-    /// Somebody has spoken to it, or it is one that speaks first: its program may drive.
+    /// It has received something, or it is one that sends first: its program may drive.
     is_addressed: bool,
     outgoing: VecDeque<Vec<u8>>,
     estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
@@ -133,7 +133,7 @@ impl Nxt {
         }
     }
 
-    /// Somebody else is at the other end of the link.
+    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.wire.reopen();
     }
@@ -156,7 +156,7 @@ impl Nxt {
         self.outgoing.pop_front()
     }
 
-    /// The estimates that the program took out of its mailbox: of which instant, and where.
+    /// The estimates that the program took out of its mailbox: instant and pose.
     pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
         std::mem::take(&mut self.estimates)
     }
@@ -181,7 +181,7 @@ impl Nxt {
 
     /// Lets the program run, which looks into its mailbox first.
     fn run(&mut self, moment: &mut FirmwarePass<'_>) {
-        // A program that is looked at from outside waits for whoever looks, who must see the robot rest.
+        // A program that is polled from outside waits for the first poll, which must see the robot at rest.
         if self.program.is_none() || !self.is_addressed {
             moment.program.observe_odometry(moment.now, moment.counts());
             return;
@@ -224,7 +224,7 @@ impl Nxt {
         }
     }
 
-    /// Somebody stops the program and starts it again.
+    /// Stops the program and starts it again.
     pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
         if let Some(name) = self.program.clone() {
             self.start(&name, moment);

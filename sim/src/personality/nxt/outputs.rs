@@ -1,15 +1,15 @@
-//! The NXT's three motor ports: what they are told, what they turn, and the Output module's view of them.
+//! The NXT's three motor ports: their commands, their turn, and the Output module's view of them.
 //!
 //! # Model
 //! ```text
 //! on and running                  duty = power / 100
 //! regulated in speed              10 degrees per second for each percent of power, held by a PI control every 10 ms
-//! regulated in step with others   the same; a turn ratio t takes 2 |t| percent of the speed away from the right motor if t < 0, else from the left
-//! tacho limit                     the port goes idle when it has turned that far since it was told
+//! regulated in step with others   the same; a turn ratio t takes 2 |t| percent of the speed away from the right motor if t < 0,
+//! else from the left tacho limit                     the port goes idle when it has turned that far since the command
 //! ```
 //! # Assumptions
-//! Motors sit on B (left) and C (right); A is empty. A motor without power is braked, whether brake or coast was asked for, since the simulated
-//! motor's terminals are never open. Ramps are steps.
+//! Motors sit on B (left) and C (right); A is empty. A motor without power is braked, whether brake or coast was asked for, since
+//! the simulated motor's terminals are never open. Ramps are steps.
 //!
 //! # Sources
 //! LEGO's NXT firmware: the struct of the Output module, its flags, and the regulation's 100 counts per 100 ms at full speed.
@@ -58,7 +58,7 @@ const REGULATION_AT: usize = 26;
 const OVERLOADED_AT: usize = 27;
 const TURN_RATIO_AT: usize = 28;
 
-/// What a port is told.
+/// The command of a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OutputCommand {
     /// Percent, negative backwards.
@@ -220,7 +220,7 @@ impl OutputPorts {
         map
     }
 
-    /// Takes what is written into the module. The fields wait until a flag tells to take them over.
+    /// Takes what is written into the module. The fields wait until a flag applies them.
     pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
         let fresh = self.fresh_control.clone();
         for (index, byte) in (offset..).zip(bytes) {

@@ -18,7 +18,7 @@ pub(super) const UNKNOWN_OPCODE: u8 = 0xBE;
 pub(super) const INSANE_PACKET: u8 = 0xBF;
 /// A number is out of its range.
 pub(super) const OUT_OF_RANGE: u8 = 0xC0;
-/// Nobody answers on the I2C bus.
+/// No device answers on the I2C bus.
 pub(super) const BUS_ERROR: u8 = 0xDD;
 /// The port is not set up for I2C.
 pub(super) const CHANNEL_NOT_CONFIGURED: u8 = 0xE0;

@@ -9,7 +9,7 @@ use super::{Nxt, io_map, status};
 const VERSIONS: [u8; 4] = [124, 1, 31, 1];
 /// LEGO's block of addresses, a made-up brick in it, and the byte that is always zero.
 const ADDRESS: [u8; 7] = [0x00, 0x16, 0x53, 0x0B, 0x0E, 0x01, 0x00];
-/// Signal strengths of four connections; the firmware tells none.
+/// Signal strengths of four connections; the firmware reports none.
 const SIGNALS: [u8; 4] = [0; 4];
 /// Flash memory that is free, in bytes.
 const FREE_FLASH: u32 = 29_704;

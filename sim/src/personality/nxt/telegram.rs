@@ -120,7 +120,7 @@ pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
     }
 }
 
-/// How long a request with this beginning is, in bytes; `None` if its command is unknown or its length cannot be told yet.
+/// How long a request with this beginning is, in bytes; `None` if its command is unknown or its length is not known yet.
 pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
     let request = TelegramRequest::parse(bytes)?;
     let counted = |index: usize| request.byte(index).ok().map(usize::from);

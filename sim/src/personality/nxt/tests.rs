@@ -37,7 +37,7 @@ impl Host {
     }
 
     /// The one answer to a request, both without their length.
-    fn ask(&mut self, request: &[u8]) -> Vec<u8> {
+    fn request(&mut self, request: &[u8]) -> Vec<u8> {
         self.simulation.receive(&framed(request));
         let heard = self.listen(60);
         assert_eq!(heard.len(), 1, "{request:02x?} {heard:02x?}");
@@ -47,13 +47,13 @@ impl Host {
     }
 
     /// A request to which no answer is wanted.
-    fn tell(&mut self, request: &[u8]) {
+    fn send(&mut self, request: &[u8]) {
         self.simulation.receive(&framed(request));
         assert_eq!(self.listen(60), []);
     }
 
     fn tacho(&mut self, port: u8) -> i32 {
-        let state = self.ask(&[0x00, 0x06, port]);
+        let state = self.request(&[0x00, 0x06, port]);
         assert_eq!((state.len(), &state[..4]), (25, &[2, 6, 0, port][..]));
         i32::from_le_bytes(state[13..17].try_into().unwrap())
     }
@@ -67,18 +67,18 @@ fn framed(telegram: &[u8]) -> Vec<u8> {
 fn the_brick_tells_who_it_is() {
     let mut host = Host::programless();
     // Published: 02 00 01 88 and 02 00 01 9b.
-    assert_eq!(host.ask(&[0x01, 0x88]), [2, 0x88, 0, 124, 1, 31, 1]);
-    let info = host.ask(&[0x01, 0x9B]);
+    assert_eq!(host.request(&[0x01, 0x88]), [2, 0x88, 0, 124, 1, 31, 1]);
+    let info = host.request(&[0x01, 0x9B]);
     assert_eq!((info.len(), &info[..7]), (33, b"\x02\x9b\0NXT\0".as_slice()));
     assert_eq!(info[18..21], [0x00, 0x16, 0x53]);
-    assert_eq!(host.ask(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()), [2, 0x98, 0]);
-    assert_eq!(host.ask(&[0x01, 0x9B])[3..9], *b"rover\0");
+    assert_eq!(host.request(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()), [2, 0x98, 0]);
+    assert_eq!(host.request(&[0x01, 0x9B])[3..9], *b"rover\0");
     // 8 V, and a hundredth less after a minute.
-    let battery = host.ask(&[0x00, 0x0B]);
+    let battery = host.request(&[0x00, 0x0B]);
     let millivolts = u16::from_le_bytes([battery[3], battery[4]]);
     assert_eq!(battery.len(), 5);
     assert!((7_990..=8_000).contains(&millivolts), "{millivolts}");
-    assert_eq!(host.ask(&[0x00, 0x0D]), [2, 0x0D, 0, 0xC0, 0x27, 9, 0]);
+    assert_eq!(host.request(&[0x00, 0x0D]), [2, 0x0D, 0, 0xC0, 0x27, 9, 0]);
 }
 
 #[test]
@@ -105,26 +105,26 @@ fn what_it_does_not_know_has_a_status_of_its_own() {
         (&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 120, 0], 0x91),
     ];
     for (request, status) in cases {
-        assert_eq!(host.ask(request), [2, request[1], *status], "{request:02x?}");
+        assert_eq!(host.request(request), [2, request[1], *status], "{request:02x?}");
     }
     // Without a wish for an answer there is none, and what is no request has none either.
-    host.tell(&[0x80, 0x77]);
-    host.tell(&[0x02, 0x0B, 0]);
+    host.send(&[0x80, 0x77]);
+    host.send(&[0x02, 0x0B, 0]);
 }
 
 #[test]
 fn an_order_turns_a_motor_and_all_counters_count() {
     let mut host = Host::programless();
     // Motor B at half power without a limit: 0c 00 80 04 01 32 01 00 00 20 ..
-    host.tell(&[0x80, 0x04, 1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send(&[0x80, 0x04, 1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
     host.listen(1_000);
     let turned = host.tacho(1);
     // (4 V - 0.33 V) / 0.487 V s is 7.5 rad/s: 430 degrees in a second, less the run-up.
     assert!((330..480).contains(&turned), "{turned}");
     assert_eq!(host.tacho(2), 0);
     assert_eq!(host.tacho(0), 0);
-    assert_eq!(host.ask(&[0x00, 0x0A, 1, 0]), [2, 0x0A, 0]);
-    let state = host.ask(&[0x00, 0x06, 1]);
+    assert_eq!(host.request(&[0x00, 0x0A, 1, 0]), [2, 0x0A, 0]);
+    let state = host.request(&[0x00, 0x06, 1]);
     assert_eq!(state[3..13], [1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
     let long = |at: usize| i32::from_le_bytes(state[at..at + 4].try_into().unwrap());
     assert!(long(13) > turned && long(17) == long(13) && long(21) < 60, "{state:?}");
@@ -133,7 +133,7 @@ fn an_order_turns_a_motor_and_all_counters_count() {
 #[test]
 fn a_regulated_motor_turns_ten_degrees_per_second_for_each_percent() {
     let mut host = Host::programless();
-    host.tell(&[0x80, 0x04, 2, 40, 5, 1, 0, 0x20, 0, 0, 0, 0]);
+    host.send(&[0x80, 0x04, 2, 40, 5, 1, 0, 0x20, 0, 0, 0, 0]);
     host.listen(1_000);
     let before = host.tacho(2);
     host.listen(1_940);
@@ -144,24 +144,24 @@ fn a_regulated_motor_turns_ten_degrees_per_second_for_each_percent() {
 #[test]
 fn the_io_maps_show_what_single_commands_show() {
     let mut host = Host::programless();
-    host.tell(&[0x80, 0x04, 0xFF, 60, 1, 0, 0, 0x20, 0, 0, 0, 0]);
-    host.tell(&[0x80, 0x05, 0, 6, 0]);
+    host.send(&[0x80, 0x04, 0xFF, 60, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send(&[0x80, 0x05, 0, 6, 0]);
     host.listen(500);
     // Published: 0a 00 01 94 01 00 02 00 00 00 60 00.
-    let outputs = host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]);
+    let outputs = host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]);
     assert_eq!((outputs.len(), &outputs[..9]), (105, &[2, 0x94, 0, 1, 0, 2, 0, 0x60, 0][..]));
     let tacho = i32::from_le_bytes(outputs[9 + 32..][..4].try_into().unwrap());
     assert!(tacho > 100, "{tacho}");
     assert_eq!((outputs[9 + 32 + 20], outputs[9 + 32 + 25]), (60, 0x20));
-    let inputs = host.ask(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]);
+    let inputs = host.request(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]);
     let raw = |port: usize| u16::from_le_bytes([inputs[9 + 20 * port + 2], inputs[9 + 20 * port + 3]]);
     assert!((550..660).contains(&raw(0)) && raw(1) == 1_023, "{inputs:?}");
     assert_eq!((inputs[9 + 8], inputs[9 + 16]), (6, 0));
-    let buses = host.ask(&[0x01, 0x94, 1, 0, 0x0B, 0, 0, 0, 76, 0]);
+    let buses = host.request(&[0x01, 0x94, 1, 0, 0x0B, 0, 0, 0, 76, 0]);
     assert_eq!(buses[9..], [0; 76]);
     // Tick: 0a 00 01 94 01 00 01 00 14 00 04 00. Answered 33 ms, read 1 ms after it was asked.
     let tick = |host: &mut Host| {
-        let answer = host.ask(&[0x01, 0x94, 1, 0, 1, 0, 20, 0, 4, 0]);
+        let answer = host.request(&[0x01, 0x94, 1, 0, 1, 0, 20, 0, 4, 0]);
         u32::from_le_bytes(answer[9..13].try_into().unwrap())
     };
     let first = tick(&mut host);
@@ -172,8 +172,8 @@ fn the_io_maps_show_what_single_commands_show() {
 #[test]
 fn an_old_firmware_takes_and_sends_64_bytes() {
     let mut host = Host::of(|scenario| scenario.brick.telegram_bytes = 64);
-    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]), [2, 0x94, 0x91]);
-    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 55, 0]).len(), 64);
+    assert_eq!(host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]), [2, 0x94, 0x91]);
+    assert_eq!(host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 55, 0]).len(), 64);
 }
 
 #[test]
@@ -182,11 +182,11 @@ fn the_accelerometer_answers_over_the_bus() {
         scenario.accelerometer.sigma_m_per_s2 = 0.0;
         scenario.accelerometer.bias_sigma_m_per_s2 = 0.0;
     });
-    host.tell(&[0x80, 0x05, 1, 0x0B, 0]);
+    host.send(&[0x80, 0x05, 1, 0x0B, 0]);
     // Published: 07 00 00 0f port 02 06 02 42.
-    assert_eq!(host.ask(&[0x00, 0x0F, 1, 2, 6, 0x02, 0x42]), [2, 0x0F, 0]);
-    assert_eq!(host.ask(&[0x00, 0x0E, 1]), [2, 0x0E, 0, 6]);
-    let answer = host.ask(&[0x00, 0x10, 1]);
+    assert_eq!(host.request(&[0x00, 0x0F, 1, 2, 6, 0x02, 0x42]), [2, 0x0F, 0]);
+    assert_eq!(host.request(&[0x00, 0x0E, 1]), [2, 0x0E, 0, 6]);
+    let answer = host.request(&[0x00, 0x10, 1]);
     assert_eq!((answer.len(), &answer[..10]), (20, &[2, 0x10, 0, 6, 0, 0, 50, 0, 0, 0][..]));
 }
 
@@ -200,7 +200,7 @@ fn a_fresh_bus_is_not_ready_and_a_running_transaction_is_pending() {
     host.simulation.receive(&requests.concat());
     assert_eq!(host.listen(60)[0].1, [3, 0, 2, 0x0E, 0x20]);
     // Nothing ahead.
-    assert_eq!(host.ask(&[0x00, 0x10, 3])[..5], [2, 0x10, 0, 1, 255]);
+    assert_eq!(host.request(&[0x00, 0x10, 3])[..5], [2, 0x10, 0, 1, 255]);
 }
 
 #[test]
@@ -228,33 +228,33 @@ fn one_telegram_is_followed_per_pass_and_the_third_answer_is_dropped() {
 fn it_falls_asleep_after_ten_minutes_without_keep_alive() {
     let mut host = Host::programless();
     host.listen(300_000);
-    host.ask(&[0x00, 0x0D]);
+    host.request(&[0x00, 0x0D]);
     host.listen(599_000);
-    host.ask(&[0x00, 0x0B]);
+    host.request(&[0x00, 0x0B]);
     // Other commands keep nobody awake.
     host.listen(1_000);
-    host.tell(&[0x00, 0x0B]);
-    host.tell(&[0x00, 0x0D]);
+    host.send(&[0x00, 0x0B]);
+    host.send(&[0x00, 0x0D]);
     host.simulation.restart_brick();
-    assert_eq!(host.ask(&[0x00, 0x0B])[..3], [2, 0x0B, 0]);
+    assert_eq!(host.request(&[0x00, 0x0B])[..3], [2, 0x0B, 0]);
 }
 
 #[test]
 fn a_program_zeroes_counters_and_ports_when_it_starts_and_when_it_stops() {
     let mut host = Host::programless();
-    host.tell(&[0x80, 0x04, 0xFF, 80, 1, 0, 0, 0x20, 0, 0, 0, 0]);
-    host.tell(&[0x80, 0x05, 0, 6, 0]);
+    host.send(&[0x80, 0x04, 0xFF, 80, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send(&[0x80, 0x05, 0, 6, 0]);
     host.listen(500);
     assert!(host.tacho(1) > 100);
     let start = [&[0x00, 0x00][..], b"path.rxe", &[0; 12]].concat();
-    assert_eq!(host.ask(&start), [2, 0, 0]);
-    assert_eq!(host.ask(&[0x00, 0x11])[..12], *b"\x02\x11\0path.rxe\0");
+    assert_eq!(host.request(&start), [2, 0, 0]);
+    assert_eq!(host.request(&[0x00, 0x11])[..12], *b"\x02\x11\0path.rxe\0");
     // The robot rolls out, stands, and drives two seconds later.
     assert!(host.tacho(1) < 60);
-    assert_eq!(host.ask(&[0x00, 0x07, 0])[6..8], [0, 0]);
+    assert_eq!(host.request(&[0x00, 0x07, 0])[6..8], [0, 0]);
     host.listen(4_000);
     assert!(host.tacho(1) > 200 && host.simulation.progress() > 0.0);
-    assert_eq!(host.ask(&[0x00, 0x01]), [2, 1, 0]);
+    assert_eq!(host.request(&[0x00, 0x01]), [2, 1, 0]);
     assert!(host.tacho(1) < 30);
     host.listen(500);
     let place = host.simulation.progress();
@@ -269,25 +269,25 @@ fn the_program_takes_the_estimate_out_of_its_mailbox() {
     // Tick 5100 ms, 1.5 m, -0.5 m, 0.25 rad, flags 3.
     let mut estimate = vec![0x80, 0x09, 0, 25, 0xEC, 0x13, 0, 0, 0, 0, 0xC0, 0x3F, 0, 0, 0, 0xBF];
     estimate.extend([0, 0, 0x80, 0x3E, 0, 0, 0, 0x3C, 3, 0, 1, 0, 0]);
-    host.tell(&estimate);
+    host.send(&estimate);
     let received = host.simulation.received_estimates();
     assert_eq!(received.len(), 1);
     assert_eq!(received[0].estimate_time.as_micros(), 5_100_000);
     assert_eq!(received[0].pose.x.0, 1.5);
     assert_eq!(host.simulation.truth().last().unwrap().onboard_estimate.x.0, 1.5);
     // An outbox is read and found empty; a message without its zero is refused.
-    assert_eq!(host.ask(&[0x00, 0x13, 10, 0, 1]), [2, 0x13, 0x40]);
-    assert_eq!(host.ask(&[0x00, 0x09, 0, 1, 7]), [2, 0x09, 0xC0]);
-    assert_eq!(host.ask(&[0x00, 0x09, 20, 1, 0]), [2, 0x09, 0xEE]);
+    assert_eq!(host.request(&[0x00, 0x13, 10, 0, 1]), [2, 0x13, 0x40]);
+    assert_eq!(host.request(&[0x00, 0x09, 0, 1, 7]), [2, 0x09, 0xC0]);
+    assert_eq!(host.request(&[0x00, 0x09, 20, 1, 0]), [2, 0x09, 0xEE]);
 }
 
 #[test]
 fn the_thermometer_of_the_scenario_can_be_plugged_in() {
     let mut host = Host::of(|scenario| scenario.brick.sensors[3] = PortSensor::Temperature);
-    host.tell(&[0x80, 0x05, 3, 0x0B, 0]);
-    host.tell(&[0x80, 0x0F, 3, 2, 2, 0x98, 0x00]);
+    host.send(&[0x80, 0x05, 3, 0x0B, 0]);
+    host.send(&[0x80, 0x0F, 3, 2, 2, 0x98, 0x00]);
     // A room of 21 degrees.
-    assert_eq!(host.ask(&[0x00, 0x10, 3])[..6], [2, 0x10, 0, 2, 21, 0]);
+    assert_eq!(host.request(&[0x00, 0x10, 3])[..6], [2, 0x10, 0, 2, 21, 0]);
 }
 
 #[test]
@@ -296,8 +296,8 @@ fn the_same_requests_give_the_same_bytes() {
         let mut host = Host::with_program();
         let mut heard = Vec::new();
         for _ in 0..50 {
-            heard.push(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]));
-            heard.push(host.ask(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]));
+            heard.push(host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]));
+            heard.push(host.request(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]));
         }
         heard
     };

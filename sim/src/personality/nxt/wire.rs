@@ -7,12 +7,12 @@
 //! send        one buffer on the air, one queued; a third answer is dropped without a word
 //! time        turn-around if something was received since the last turn, then 10 bits per byte at 460 800 per second
 //! ```
-//! There is no checksum and no start byte. After a length that cannot be, everything is thrown away until the line was quiet for 100 ms, and so
-//! is a telegram whose end does not come.
+//! There is no checksum and no start byte. After a length that cannot be, everything is thrown away until the line was quiet for
+//! 100 ms, and so is a telegram whose end does not come.
 //!
 //! # Sources
-//! LEGO's NXT firmware: send buffers, one telegram per pass, the UART's speed. The turn-around is that of the Bluetooth chip (LEGO's figure,
-//! 30 ms). The quiet time is ours: a station that lost its place is told to wait a little longer than that.
+//! LEGO's NXT firmware: send buffers, one telegram per pass, the UART's speed. The turn-around is that of the Bluetooth chip
+//! (LEGO's figure, 30 ms). The quiet time is ours: a station that lost its place waits a little longer than that.
 
 use std::collections::VecDeque;
 
@@ -21,7 +21,7 @@ use posebridge_telemetry::TimeDelta;
 use super::super::radio::{Radio, RadioSettings};
 use super::telegram::request_length;
 
-/// What a client of nxt-python's socket server says first, what it is answered, and what it says last.
+/// The first message of a client of nxt-python's socket server, the reply to it, and its last message.
 const HELLO: u8 = 0x98;
 const KIND_OF_LINK: &[u8] = b"bluetooth";
 const GOODBYE: u8 = 0x99;
@@ -36,7 +36,7 @@ const RESYNC_TIMEOUT: TimeDelta = TimeDelta::from_millis(100);
 /// Time of a byte on the UART between the processor and the radio, in seconds.
 const BYTE_S: f64 = 10.0 / 460_800.0;
 
-/// How telegrams are told apart.
+/// How telegrams are separated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum TelegramFraming {
     /// Nothing has been heard on this connection.
@@ -62,7 +62,7 @@ pub(super) struct NxtWire {
 }
 
 impl NxtWire {
-    /// A link that nobody has used. Telegrams are `longest` bytes at most, either way.
+    /// An unused link. Telegrams are `longest` bytes at most, either way.
     pub(super) fn new(longest: usize, turn_around: TimeDelta) -> Self {
         Self {
             longest,
@@ -80,7 +80,7 @@ impl NxtWire {
         self.longest
     }
 
-    /// Somebody else is at the other end.
+    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.framing = TelegramFraming::Unknown;
         self.received.clear();

@@ -97,7 +97,7 @@ pub(super) struct RoundsResult {
     pub(super) truth_m: Vec<(f64, f64)>,
 }
 
-/// Drives so many rounds; `ended` is called once for each.
+/// Drives this number of rounds; `ended` is called once for each.
 pub(super) fn drive_all(scenario: &Scenario, runs: u32, ended: impl FnMut()) -> RoundsResult {
     let jobs: Vec<u32> = (0..runs).collect();
     let rounds = run_all(&jobs, |run| round(scenario, *run), ended);
@@ -105,7 +105,7 @@ pub(super) fn drive_all(scenario: &Scenario, runs: u32, ended: impl FnMut()) -> 
     evaluate(&ROWS, &rounds, truth_m)
 }
 
-/// What the courses of all rounds say of each row; `truth_m` is the way of the first round as somebody else saw it.
+/// What the courses of all rounds say of each row; `truth_m` is the path of the first round by an independent instrument.
 pub(super) fn evaluate(wanted: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f64, f64)>) -> RoundsResult {
     let mut rows: Vec<RowResult> = Vec::new();
     for (index, row) in wanted.iter().copied().enumerate() {

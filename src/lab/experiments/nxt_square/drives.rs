@@ -93,7 +93,7 @@ pub(super) fn errors_of(
 pub(super) struct MethodSeries {
     /// What is driven.
     pub(super) scenario: Scenario,
-    /// What filters are told of it.
+    /// What filters know of it.
     pub(super) base: FilterConfig,
     /// What runs.
     pub(super) methods: Vec<Method>,

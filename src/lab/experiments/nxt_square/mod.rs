@@ -41,7 +41,7 @@ pub struct LabNxtSquareArgs {
     /// A real robot.
     #[command(flatten)]
     pub real: RecordedArgs,
-    /// Of so many camera images one is given to the filters that use a camera; the others only judge.
+    /// One of this number of camera images goes to the filters that use a camera; the others only score them.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub camera_every: u32,
     /// Write the sensor data of the first simulated drive to this file.

@@ -58,7 +58,7 @@ fn laps(scenario: &mut Scenario, change: fn(&mut Laps)) {
     }
 }
 
-/// The spread of a LEGO robot that nobody calibrated, as in the other scenarios.
+/// The spread of an uncalibrated LEGO robot, as in the other scenarios.
 fn uncalibrated(scenario: &mut Scenario) {
     scenario.errors.radius_scale_sigma = 0.005;
     scenario.errors.radius_difference_sigma = 0.005;
@@ -117,7 +117,7 @@ fn noisy_counters(table: &mut SensorTable, seed: u64) {
     add_jitter(table, WheelMatrices::PRINTED.variances, seed);
 }
 
-/// Rows of 0.05 s by which a camera is late whose delay nobody took out: 0.3 s, the upper end for a webcam with image processing.
+/// Delay of an uncorrected camera in rows of 0.05 s: 0.3 s, the upper end for a webcam with image processing.
 const LATE_ROWS: usize = 6;
 
 fn late_camera(table: &mut SensorTable, _seed: u64) {

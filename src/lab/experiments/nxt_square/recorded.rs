@@ -15,14 +15,14 @@ pub(super) const TASK: &str = "leave the robot standing for two seconds, then dr
 /// Every method over every drive; the first one is drawn.
 ///
 /// # Errors
-/// A recording holds no drive that could be judged.
+/// A recording holds no drive that could be scored.
 pub(super) fn report_of(drives: &RobotDrives, camera_every: usize) -> Result<SquareReport> {
     let tables: Vec<(&RobotDrive, SensorTable)> =
         drives.drives.iter().map(|one| (one, table_of(&one.drive, &one.config.geometry))).collect();
     for (one, table) in &tables {
         ensure!(
             table.references(camera_every).iter().any(Option::is_some),
-            "`{}`: no image is left to judge by, every one comes before or after the wheels: record with the camera from the \
+            "`{}`: no image is left as a reference, every one comes before or after the wheels: record with the camera from the \
              start, or drive a closed path and say `--judge start`",
             one.name
         );

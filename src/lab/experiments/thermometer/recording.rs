@@ -156,7 +156,7 @@ struct RunRoles {
 }
 
 impl RunRoles {
-    /// From `all` runs, of which the `usual` ones are identified and foretold unless others are named.
+    /// From `all` runs. The `usual` ones are identified and predicted unless others are named.
     fn resolve(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
         let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
             for name in asked {

@@ -129,7 +129,7 @@ fn tuned(scene: &WallScene, model: WallApproachModel) -> Gains {
     Gains { kp_pwm_per_m: kp, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: kp / model.rate_per_s() }
 }
 
-/// Drives every kind of approach so many times; `ended` is called once for each approach.
+/// Drives every kind of approach this number of times; `ended` is called once for each approach.
 pub(super) fn drive_all(
     scene: &WallScene,
     steps: &StepResults,

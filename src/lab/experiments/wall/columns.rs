@@ -1,4 +1,4 @@
-//! Columns of a recording's files that its descriptor does not name: the motor's PWM, and somebody else's filter.
+//! Columns of a recording's files that its descriptor does not name: the motor's PWM, and another program's filter.
 //!
 //! The descriptor's text gets two streams more, bound to the file of the run's range readings; everything else (units, stamps, bad
 //! rows) stays with the reader of recordings.
@@ -6,7 +6,7 @@
 use anyhow::{Context, Result};
 use posebridge_telemetry::SensorId;
 
-/// Under which sensor somebody else's filtered distance comes; no descriptor of ours uses it.
+/// The sensor of another program's filtered distance; no descriptor of ours uses it.
 pub(super) const FOREIGN_FILTER: SensorId = SensorId(250);
 /// One in a column of PWM is this much input: 80 is full drive, as in the paper.
 const PER_PWM: f64 = 1.0 / 80.0;

@@ -61,7 +61,7 @@ pub struct LabWallArgs {
     /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub command_column: Option<String>,
-    /// The column of a distance that somebody else has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
+    /// The column of a distance that another program has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
     /// is one.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub kalman_column: Option<String>,
@@ -73,7 +73,7 @@ pub struct LabWallArgs {
 /// Runs the experiment.
 ///
 /// # Errors
-/// A file cannot be read or makes no sense, a step tells nothing, or an output cannot be written.
+/// A file cannot be read or makes no sense, a step has no result, or an output cannot be written.
 pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
     if let Some(prepared) = real(args)? {
         let folder = args.output.folder()?;

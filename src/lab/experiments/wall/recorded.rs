@@ -38,7 +38,7 @@ pub(in crate::lab) struct RunLog {
     pub(in crate::lab) log: WallLog,
     /// Whether the files have the motors' commands.
     pub(in crate::lab) knows_input: bool,
-    /// Time and distance of somebody else's filter, in order.
+    /// Time and distance of another program's filter, in order.
     foreign_filter: Vec<(f64, f64)>,
     range_sigma_m: f64,
 }
@@ -58,7 +58,7 @@ pub(in crate::lab) struct RunSelection<'a> {
     pub(in crate::lab) settings: &'a [Setting],
     /// The column of the motor's PWM, instead of one with a usual name.
     pub(in crate::lab) command_column: Option<&'a str>,
-    /// The column of somebody else's filter, instead of one with a usual name.
+    /// The column of another program's filter, instead of one with a usual name.
     pub(in crate::lab) kalman_column: Option<&'a str>,
 }
 

@@ -21,7 +21,7 @@ pub(super) struct RunResult {
     pub(super) gate: Option<GateStatistics>,
     /// Against the line through two.
     pub(super) score_against_line: Option<ForecastScore>,
-    /// Against somebody else's filter.
+    /// Against another program's filter.
     pub(super) score_against_foreign: Option<ForecastScore>,
 }
 

@@ -29,7 +29,7 @@ pub(super) struct SimulatedSetup {
     pub(super) link: LinkProfile,
 }
 
-/// Drives everything and tells it.
+/// Runs all drives and reports them.
 pub(super) fn run(prepared: &SimulatedSetup) -> Result<ExperimentOutcome> {
     let steps = steps(&prepared.scene, prepared.steps)?;
     let kinds = cases(&prepared.scene, steps.all.model()).len() as u64;

@@ -43,7 +43,7 @@ pub(super) struct ValidationCase {
     pub(super) validation: Validation,
 }
 
-/// Drives and evaluates so many steps.
+/// Drives and evaluates this number of steps.
 pub(super) fn steps(scene: &WallScene, count: u32) -> Result<StepResults> {
     let runs: Vec<StepRun> = (0..count).map(|run| simulate_step(scene, run)).collect();
     let logs: Vec<WallLog> = runs.iter().map(|run| log_of(scene, run)).collect();

@@ -15,9 +15,9 @@ use posebridge_dashboard::model::{
 pub use recent::RecentPoints;
 pub use robot::{Robot, SourceModel};
 
-/// So many robots are shown; a class has fewer.
+/// Most robots that are shown; a class has fewer.
 const MAX_ROBOTS: usize = 64;
-/// So many lines are kept, as on the page.
+/// Most lines that are kept, as on the page.
 const MAX_LINES: usize = 300;
 /// What was done is shown for so long, to be read in passing.
 const NOTICE_DURATION_S: f64 = 5.0;

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 /// Trails are so long, as those of the page.
 const WINDOW_S: f64 = 60.0;
-/// So many points are kept at most: 80 s at the 50 Hz at which a station tells.
+/// Most points that are kept: 80 s at the 50 Hz of a station.
 const MAX_POINTS: usize = 4_096;
 
 /// The latest points, oldest first.

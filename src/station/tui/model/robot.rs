@@ -36,9 +36,9 @@ pub struct Robot {
 /// One of its sensors.
 #[derive(Clone, Debug, Default)]
 pub struct SourceModel {
-    /// So many observations came.
+    /// Number of observations that came.
     pub count: u64,
-    /// So many were further from what was expected than the gate allows.
+    /// Number of observations that the gate rejected.
     pub gated: u64,
     /// The NIS of those that were used.
     pub nis: RecentNis,

@@ -25,9 +25,9 @@ const LATE_FROM_S: f64 = 0.15;
 const LEAST_HALF_WIDTH_M: f64 = 0.5;
 /// So much of the map is left free around what it shows.
 const MARGIN: f64 = 1.08;
-/// A cell has so many braille dots beside each other, and so many above each other; they lie about evenly.
+/// Braille dots of a cell, side by side and one above the other; they lie about evenly.
 const DOTS: (u16, u16) = (2, 4);
-/// Dashes of the odometry: so many points are drawn, and as many left out.
+/// Dashes of the odometry: this number of points is drawn, and as many are left out.
 const DASH: usize = 12;
 
 type MapPoint = (f64, f64);

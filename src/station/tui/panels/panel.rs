@@ -10,7 +10,7 @@ use crate::station::tui::theme::Theme;
 pub struct Panel {
     /// What stands above it.
     pub title: &'static str,
-    /// So many lines it needs to show everything.
+    /// The number of lines that it needs to show everything.
     pub lines: fn(&Model) -> usize,
     /// Draws it.
     pub draw: fn(&Model, Theme, Rect, &mut Buffer),

@@ -24,7 +24,7 @@ fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
     Paragraph::new(lines).render(area, buffer);
 }
 
-/// How far odometry and estimate are from the truth; of a real robot nobody knows.
+/// How far odometry and estimate are from the truth; that of a real robot is unknown.
 fn error_line(model: &Model, look: Theme) -> Line<'static> {
     match model.selected_errors() {
         Some(errors) => Line::from(vec![

@@ -13,7 +13,7 @@ use crate::station::tui::theme::{StyleRole, Theme};
 /// See [`super`]. One robot needs no list beside the other panels.
 pub(super) const PANEL: Panel = Panel { title: "Robots", lines, draw };
 
-/// So many robots have a line beside the other panels; the panel on the whole screen shows as many as fit.
+/// Most robots with a line beside the other panels; the panel on the whole screen shows as many as fit.
 const MAX_LINES: usize = 8;
 /// A robot whose last estimate is older is silent; as on the page (web/model/silence.js).
 const SILENT_FROM_S: f64 = 1.0;

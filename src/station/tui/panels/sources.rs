@@ -40,7 +40,7 @@ fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
         .render(area, buffer);
 }
 
-/// A name in so many columns, with a sign where it is cut.
+/// A name in this number of columns, with a sign where it is cut.
 fn truncate(name: &str, columns: usize) -> String {
     let name = sanitize(name);
     if name.chars().count() <= columns {

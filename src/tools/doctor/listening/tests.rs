@@ -18,7 +18,7 @@ fn golden(name: &str) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
 }
 
-fn heard(bytes: &[u8]) -> ListenResult {
+fn listen_result(bytes: &[u8]) -> ListenResult {
     ListenResult { bytes: bytes.to_vec(), lost_reason: None }
 }
 
@@ -38,7 +38,7 @@ fn every_protocol_gets_its_verdict() {
         (b"", Status::Warning, "is asked"),
     ];
     for (bytes, status, advice) in cases {
-        let verdict = classify("here", &heard(bytes));
+        let verdict = classify("here", &listen_result(bytes));
         assert_eq!(verdict.status, status, "{verdict:?}");
         assert!(verdict.advice.contains(advice), "{verdict:?}");
         assert_eq!(verdict.advice.is_empty(), status == Status::Ok);
@@ -53,7 +53,7 @@ fn a_protocol_is_fine_as_soon_as_there_is_a_codec_for_it() {
             Some(_) => Status::Ok,
             None => Status::Warning,
         };
-        assert_eq!(classify("here", &heard(bytes)).status, expected, "{codec}");
+        assert_eq!(classify("here", &listen_result(bytes)).status, expected, "{codec}");
     }
 }
 
@@ -72,7 +72,7 @@ async fn try_line(link: &str, right_baud: u32) -> (CheckResult, Vec<u32>) {
     let verdict = try_speeds(&url, async |url: &LinkUrl| {
         let baud = baud_of(url);
         tried.push(baud);
-        Ok(heard(if baud == right_baud { &FRAME } else { &[0x11; 50] }))
+        Ok(listen_result(if baud == right_baud { &FRAME } else { &[0x11; 50] }))
     })
     .await;
     (verdict, tried)
@@ -97,7 +97,7 @@ async fn the_other_options_stay_at_every_speed() {
     let verdict = try_speeds(&url, async |url: &LinkUrl| {
         tried.push(url.to_string());
         let is_right = baud_of(url) == 9_600;
-        Ok(heard(if is_right { &FRAME } else { &[0x11; 50] }))
+        Ok(listen_result(if is_right { &FRAME } else { &[0x11; 50] }))
     })
     .await;
     let expected = "serial:/nowhere/ttyUSB0?baud=9600&dtr=off&rate=900";

@@ -47,7 +47,7 @@ fn every_estimate_of_a_message_has_its_score_and_late_truth_changes_none() {
             let mut estimate = estimate();
             estimate.stamp = Timestamp::from_millis(4_000 + millis);
             estimate.pose = Pose::new(Meters(0.001 * millis as f64), Meters(-0.28 + 0.002), Heading::from_rad(0.6));
-            // They come 0.3 s later than they hold: whoever compares by arrival is 0.3 m off.
+            // They come 0.3 s later than they hold: comparing by arrival is 0.3 m off.
             view.observe(at(millis + 300), ViewInput::Event(&estimated_event(&estimate)));
         }
     }
@@ -114,7 +114,7 @@ fn an_estimate_that_nobody_renews_is_not_said_to_be_good() {
     view.observe(at(1_050), ViewInput::Event(&estimated_event(&estimate())));
     let known = updates(&mut *view, FrameContent::Delta).errors.unwrap();
     assert!(known.estimate_m.get().is_some());
-    // The cable is out; the simulator tells on.
+    // The cable is out; the simulator goes on sending.
     for step in 0..40 {
         let sample = truth(None, 5_090 + 50 * step, 1.5);
         view.observe(sample.now, ViewInput::Truth(&sample));

@@ -18,7 +18,7 @@ use crate::observations::model::{ObservationModel, PoseView, StateTerm};
 use crate::observations::{beacon, compass, fix, landmark, wall};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 
-/// The speeds at an earlier instant are told over this time about it: two readings of a 20 Hz brick.
+/// The speeds at an earlier instant are means over this time about it: two readings of a 20 Hz brick.
 const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 /// No camera is later than this, nor earlier.
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
@@ -51,7 +51,7 @@ pub(super) fn update_absolute<const N: usize>(
     record.outcome = outcome;
     if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
         state.last_fix = state.stamp;
-        // A compass, a wall or a range that agrees does not tell that the position is right: only a fix answers for the fixes.
+        // Agreement of a compass, a wall or a range does not prove that the position is right: only a fix answers for the fixes.
         if matches!(seen, ObservationKind::Fix(_)) {
             state.rejected_fixes = RejectedFixes::default();
         }
@@ -161,7 +161,7 @@ impl AbsoluteUpdate<'_> {
         fix::FixContext { moved_since, stamp_sigma_s: stamp_sigma.as_secs_f64(), forward_m_per_s, turn_rad_per_s }
     }
 
-    /// Forward speed and turn rate about an instant, by the wheels where they tell, else the held ones.
+    /// Forward speed and turn rate about an instant, by the wheels where there are readings, else the held ones.
     fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
         let (track, config) = (self.context.track, self.context.config);
         let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());

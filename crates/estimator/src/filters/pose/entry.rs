@@ -1,4 +1,4 @@
-//! What the pose filter is told, and in which order it is applied.
+//! The inputs of the pose filter, and the order in which they are applied.
 
 use std::cmp::Ordering;
 
@@ -23,8 +23,8 @@ pub(super) enum UpdateKind {
 }
 
 impl UpdateKind {
-    /// Order among the actions of one instant, so that the order of arrival does not matter. What a person says comes last, in the
-    /// order in which it was said: who moves the robot knows what the sensors have said.
+    /// Order among the actions of one instant, so that the order of arrival does not matter. Commands of a person come last, in
+    /// the order in which they were given: who moves the robot knows what the sensors have said.
     pub(super) const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
@@ -35,7 +35,7 @@ impl UpdateKind {
         }
     }
 
-    /// The order of two actions of one rank, sensor and instant: that of two sights is by what they say.
+    /// The order of two actions of one rank, sensor and instant: that of two absolute observations is by their values.
     pub(super) fn order(&self, other: &Self) -> Ordering {
         match (self, other) {
             (Self::Absolute(ours, _), Self::Absolute(theirs, _)) => {
@@ -55,7 +55,7 @@ impl UpdateKind {
     }
 }
 
-/// What was told, of which instant and by whom.
+/// An observation with its instant and its source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseEntry {
     pub(super) stamp: Timestamp<BrickClock>,
@@ -81,14 +81,14 @@ impl HistoryEntry for PoseEntry {
         self.stamp
     }
 
-    /// By stamp, rank and sensor, and two sights of one sensor by what they say.
+    /// By stamp, rank and sensor, and two absolute observations of one sensor by their values.
     fn order(&self, other: &Self) -> Ordering {
         let key = |told: &Self| (told.stamp, told.update.rank(), told.sensor.0);
         key(self).cmp(&key(other)).then_with(|| self.update.order(&other.update))
     }
 }
 
-/// The number of a kind of sight, which tells apart what one sensor says.
+/// The number of a kind of absolute observation, which distinguishes those of one sensor.
 pub(super) const fn kind_index(seen: &ObservationKind) -> u8 {
     match seen {
         ObservationKind::Fix(_) => 0,
@@ -105,10 +105,10 @@ pub(super) const fn kind_index(seen: &ObservationKind) -> u8 {
     }
 }
 
-/// As many numbers tell two sights of one instant apart.
+/// Number of values that distinguish two absolute observations of one instant.
 const SORT_KEY_LEN: usize = 11;
 
-/// What tells two sights of one instant apart: all that they say.
+/// What distinguishes two absolute observations of one instant: all that they say.
 fn sort_key(seen: &ObservationKind) -> [f64; SORT_KEY_LEN] {
     let mut numbers = [0.0; SORT_KEY_LEN];
     numbers[0] = f64::from(kind_index(seen));

@@ -1,4 +1,4 @@
-//! The update that bears a heading of which almost nothing is known: Gauss-Newton on one observation.
+//! The update that works with an almost unknown heading: Gauss-Newton on one observation.
 //!
 //! # Model
 //! ```text
@@ -117,7 +117,7 @@ impl<const N: usize, const M: usize> TrialStep<N, M> {
     ///
     /// The errors that P holds besides the turn, those of the wheels and of earlier fixes, lie in the body's space wherever it points,
     /// and what the robot may turn about moves with it. So they are taken over as they are: turned by the correction, by its right
-    /// Jacobian, they would tell a robot that stands of its heading, from nothing but the noise of its fixes.
+    /// Jacobian, they would give a robot at rest information about its heading, from nothing but the noise of its fixes.
     fn to_update(&self, state: &PoseState<N>) -> Option<IteratedUpdate<N>> {
         let p = &state.covariance;
         let jacobian = self.measurement.jacobian;

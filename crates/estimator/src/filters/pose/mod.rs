@@ -1,6 +1,6 @@
 //! The flagship: an EKF with pose, speeds and gyro bias that applies every observation at its own time.
 //!
-//! The filter keeps what it was told for a few seconds, with the state after each. A late observation is put where it belongs,
+//! The filter keeps its inputs for a few seconds, with the state after each. A late observation is put where it belongs,
 //! the state before it is restored and what came after is applied again: exactly what would have happened had it come in time.
 //! The order of arrival does not matter, bit for bit, as long as nothing is older than the history.
 //!
@@ -69,7 +69,7 @@ pub struct PoseFilter<const N: usize> {
     gyro: GyroTrack,
     gates: ChiSquareGates,
     history: FixedLagHistory<PoseEntry, PoseState<N>>,
-    /// Up to which instant the slip that was noticed has been told.
+    /// Up to which instant detected slip has been reported.
     slip_reported_at: Option<Timestamp<BrickClock>>,
 }
 
@@ -88,7 +88,7 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     /// Says on the record of a motion that was used if slip was noticed since the last one that said so. A fix may have noticed it, or an
-    /// observation that came late: what is told first after it tells it.
+    /// observation that came late: the first record after it reports it.
     fn report_slip(&mut self, record: &mut FusionRecord, observed: &ObservationKind) {
         let slipped_at = self.state().slipped_at;
         if record.outcome == FusionOutcome::Accepted
@@ -205,7 +205,7 @@ impl<const N: usize> PoseFilter<N> {
         self.insert(pose_entry(observation, action), changed_after, record);
     }
 
-    /// What a person says holds after all that was observed; before the first observation there is nothing to be after.
+    /// A person's command is applied after all observations of its instant; before the first observation there is nothing to be after.
     fn insert_command(&mut self, action: UpdateKind) {
         let Some(stamp) = self.latest_time() else {
             match action {
@@ -348,7 +348,7 @@ fn apply_update<const N: usize>(
 ) {
     let stamp = told.stamp;
     match told.update {
-        // These tell of speeds alone: the pose goes on when the wheels have told how.
+        // These observe speeds only: the pose goes on with the next wheel reading.
         UpdateKind::TurnRate(_) | UpdateKind::Accelerations(_) => {
             state.stamp = state.stamp.or(Some(stamp));
             state.predict_speeds_and_bias(stamp, context.config);
@@ -367,7 +367,7 @@ fn apply_update<const N: usize>(
     }
 }
 
-/// A record that nobody reads: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
+/// A record that is not used: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
 const fn scratch_record(told: &PoseEntry) -> FusionRecord {
     validation::blank_record(told.sensor, told.stamp)
 }

@@ -108,7 +108,7 @@ pub fn update_accelerations<const N: usize>(
     state.last_acceleration = Some(stamp);
 }
 
-/// Uses what the gyro says about the window so far. Where gyro and encoders disagree beyond chance the wheels slipped: the
+/// Uses the gyro readings of the window so far. Where gyro and encoders disagree beyond chance the wheels slipped: the
 /// disagreement is then added to the uncertainty of the encoders' turn, and the gyro decides.
 pub fn update_gyro_window<const N: usize>(
     state: &mut PoseState<N>,
@@ -187,7 +187,7 @@ pub(super) fn is_slip<const N: usize>(
     beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
-/// The wheels counted a turn too much that may be all of the disagreement. Nobody knows which share of it was either wheel's: the
+/// The wheels counted a turn too much that may be all of the disagreement. The share of each wheel is unknown: the
 /// distance is wrong by something between minus and plus half of it, alike, and the window's path was laid out in a wrong
 /// direction. For these the share that chance explains does not count: a false alarm must not cost position.
 fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, context: &UpdateContext<'_>) {

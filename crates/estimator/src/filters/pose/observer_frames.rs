@@ -1,11 +1,11 @@
 //! Jumps of the space that an observer reports in: a tracker that has found itself anew counts them.
 //!
-//! What it says after a jump cannot be held against what was believed before: neither is the robot's motion. The estimate goes to the
-//! observer's new space with the first fix of it, as a counted reset. Only a fix that follows one of the same observer tells of a jump.
+//! Its fixes after a jump cannot be compared with the earlier estimate: neither is the robot's motion. The estimate goes to the
+//! observer's new space with the first fix of it, as a counted reset. Only a fix that follows one of the same observer shows a jump.
 
 use posebridge_telemetry::SensorId;
 
-/// So many observers are followed; jumps of further ones are not noticed, and the gate judges their fixes as it does all others.
+/// Most observers that are followed; jumps of further ones are not noticed, and the gate tests their fixes like all others.
 const MAX_OBSERVERS: usize = 8;
 
 /// The counters of all observers.

@@ -1,4 +1,4 @@
-//! What the pose filter tells the outside of an instant, with what the gyro says about the window that is still open.
+//! The pose filter's estimate for an instant, with the gyro readings of the window that is still open.
 //!
 //! Inside, a window stays open until it is full, so this update is made aside. An estimate is asked for after every observation and
 //! holds a third of the state: where nothing else changes, that third is all that is computed.
@@ -26,7 +26,7 @@ impl PublishedPose {
     }
 }
 
-/// The belief for an instant that does not lie before that of the state.
+/// The estimate for an instant at or after that of the state.
 pub(super) fn estimate<const N: usize>(
     from: &PoseState<N>,
     stamp: Timestamp<BrickClock>,
@@ -42,7 +42,7 @@ pub(super) fn estimate<const N: usize>(
     build_estimate(&state, &PublishedPose::from_state(&state), stamp, context.config)
 }
 
-/// The pose with what the gyro says about the window so far; `None` where wheels have slipped, which changes more than the pose.
+/// The pose with the gyro readings of the window so far; `None` where wheels have slipped, which changes more than the pose.
 fn with_open_window<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<PublishedPose> {
     let Some((scalar, _)) = motion_update::preview_gyro_window(state, context) else {
         return Some(PublishedPose::from_state(state));

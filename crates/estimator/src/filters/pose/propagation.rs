@@ -6,8 +6,7 @@
 //! xi <- Ad(step^-1) xi + G (d, dth)'s errors
 //! psi <- psi + dth
 //! ```
-//! The errors' motion does not depend on where the robot is or where it points: that is what makes the filter bear a heading of
-//! which nothing is known.
+//! The errors' motion does not depend on where the robot is or where it points: therefore the filter works with an unknown heading.
 //!
 //! # Source
 //! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
@@ -23,7 +22,7 @@ use crate::motion::{MotionTrack, TravelSegment};
 
 /// Speeds are held no longer than this after the last motion observation.
 const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
-/// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
+/// What a robot may do while nothing observes its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
 /// walking pace.
 const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).
@@ -31,7 +30,7 @@ const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
 /// Accelerations measured longer ago than this say nothing about how the speeds change now.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
 
-/// Whether the gyro's window is open: only then somebody asks for the turn since it began.
+/// Whether the gyro's window is open: only then the turn since it began is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GyroWindowStatus {
     /// It is open.
@@ -204,7 +203,7 @@ impl<const N: usize> PoseState<N> {
                     until
                 }
                 TravelSegment::Gap { until } => {
-                    // What the gyro says about a window means nothing without the encoders' turn over all of it.
+                    // The gyro readings of a window mean nothing without the encoders' turn over all of it.
                     self.close_window();
                     self.move_unobserved(at, until, config);
                     until
@@ -227,7 +226,7 @@ impl<const N: usize> PoseState<N> {
         if dt_s <= 0.0 {
             return;
         }
-        // While accelerations tell how the speeds change they do not walk.
+        // While accelerations are measured, the speeds do not walk.
         let walks_from = self.last_acceleration.map_or(from, |last| from.max(last + ACCELERATION_HOLD));
         let walked_s = (to - walks_from).as_secs_f64().max(0.0);
         self.forward.variance += config.params.acceleration_m_per_s2.powi(2) * walked_s;
@@ -255,7 +254,7 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// Tyres and tracks change with the way, but only as long as something tells of it: without fixes what was learned is kept.
+    /// Tyres and tracks change with the way, but only as long as something observes it: without fixes what was learned is kept.
     fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
         let is_told = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
@@ -284,7 +283,7 @@ impl<const N: usize> PoseState<N> {
         );
     }
 
-    /// Moves by the held speeds over an interval that begins and ends so many seconds after the last motion observation. The
+    /// Moves by the held speeds over an interval; both ends are in seconds after the last motion observation. The
     /// errors of the speeds are the same all the way, so the variance grows with the square of the time, and by the integrated
     /// random walk of the speeds with its cube.
     fn move_by_speeds(&mut self, start_s: f64, end_s: f64, config: &FilterConfig) {

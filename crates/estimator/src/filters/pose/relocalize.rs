@@ -1,4 +1,4 @@
-//! Where the pose filter puts a robot of which it knows nothing, or nothing true: the first fix, and the way out when the gate is
+//! Where the pose filter places a robot when it has no pose, or a wrong one: the first fix, and the way out when the gate is
 //! wrong.
 //!
 //! # Model
@@ -8,7 +8,7 @@
 //! 0 = H_x xi + H_o o + n       xi = A o - H_x^-1 n        A = -H_x^-1 H_o
 //! cov(xi, o) = A P_o           P_xi = A P_o A' + H_x^-1 R H_x^-T
 //! ```
-//! A heading that the fix does not tell is uniform on the circle. Left-invariant, the robot that turns about its tag goes along a
+//! A heading that the fix does not contain is uniform on the circle. Left-invariant, the robot that turns about its tag goes along a
 //! straight line in xi, so that this says exactly what is known, however far the tag is from mid-axle.
 //!
 //! # Source
@@ -29,7 +29,7 @@ use crate::update::LinearizedMeasurement;
 
 /// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
 const AGREEMENT_SIGMAS: f64 = 5.0;
-/// Variance of a heading of which nothing is known, uniform on the circle, rad².
+/// Variance of an unknown heading, uniform on the circle, rad².
 const ANY_HEADING_RAD2: f64 = PI * PI / 3.0;
 
 /// Counts a refused fix, since whose instant the body has turned by `turned_since_rad`; true when enough of them agree with each
@@ -77,7 +77,7 @@ pub(super) fn reset_to_fix<const N: usize>(
     FusionOutcome::PoseReset
 }
 
-/// Takes position, and heading if there is one, from a fix: of the tag where it is believed to be, at the instant that it shows.
+/// Takes position, and heading if there is one, from a fix: of the tag at its estimated place in the body, at the instant of the image.
 pub(super) fn initialize_from_fix<const N: usize>(
     state: &mut PoseState<N>,
     seen: &Fix,

@@ -1,4 +1,4 @@
-//! The state of the pose filter: what it believes, how well, and what a replay must restore.
+//! The state of the pose filter: mean, covariance, and what a replay must restore.
 //!
 //! # Model
 //! ```text
@@ -36,7 +36,7 @@ pub const LEFT: usize = 1;
 pub const HEADING: usize = 2;
 /// Gyro bias, rad/s.
 pub const GYRO_BIAS: usize = 3;
-/// Turn since the gyro window began, as the encoders tell it, rad.
+/// Turn since the gyro window began, by the encoders, rad.
 pub const WINDOW_TURN: usize = 4;
 /// Relative error of the mean wheel radius.
 pub const RADIUS: usize = 5;
@@ -82,7 +82,7 @@ pub enum PositionState {
     Known,
 }
 
-/// A speed beside the pose: it foretells, and is told by wheels and gyro.
+/// A speed beside the pose: it predicts, and is observed by wheels and gyro.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ScalarState {
     /// The speed, m/s or rad/s.
@@ -114,7 +114,7 @@ pub struct RejectedFixes {
     pub innovation_m: [f64; 2],
 }
 
-/// When the wheels' counts changed, and how far apart: what tells a robot that stands from one that creeps.
+/// When the wheels' counts changed, and how far apart: what distinguishes a robot at rest from one that creeps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickActivity {
     /// The last reading in which a count had changed.
@@ -198,7 +198,7 @@ impl<const N: usize> PoseState<N> {
             pose: Se2::default(),
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
-            // At power-up a robot stands, so far as anybody knows: 0.1 m/s and 1 rad/s are generous.
+            // At power-up a robot is assumed to stand: 0.1 m/s and 1 rad/s are generous.
             forward: ScalarState { value: 0.0, variance: 0.01 },
             turn: ScalarState { value: 0.0, variance: 1.0 },
             window: None,
@@ -247,15 +247,15 @@ impl<const N: usize> PoseState<N> {
             rejected_fixes: other.rejected_fixes,
             noise_scales: other.noise_scales,
             observer_frames: other.observer_frames,
-            // They have rows of their own; whoever resizes begins with constants that are learned.
+            // They have rows of their own; a resize begins with the learned constants.
             frozen_variances: None,
             reset_counter: other.reset_counter,
             last_jump: other.last_jump,
         }
     }
 
-    /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what the refusal
-    /// itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
+    /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what
+    /// the refusal itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
     #[must_use]
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
         Self {
@@ -275,7 +275,7 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// Where the robot is believed to be.
+    /// The estimated pose.
     #[must_use]
     pub fn arena_pose(&self) -> Pose<Arena> {
         arena_pose(self.pose)
@@ -308,7 +308,7 @@ impl<const N: usize> PoseState<N> {
         self.record_correction_from(before);
     }
 
-    /// Counts a jump that is not motion, from `before` to the pose that is now believed.
+    /// Counts a jump that is not motion, from `before` to the present estimate.
     pub fn record_correction_from(&mut self, before: Pose<Arena>) {
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(correction_between(before, self.arena_pose()));
@@ -446,7 +446,7 @@ pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
     Pose::new(Meters(pose.x_m), Meters(pose.y_m), heading)
 }
 
-/// The gyro's bias at power-up: what the calibration says, or any within the gyro's own spread.
+/// The gyro's bias at power-up: that of the calibration, or any within the gyro's own spread.
 pub(super) fn gyro_bias_prior(config: &FilterConfig) -> UncertainValue {
     let known = config.calibration.gyro_bias_rad_per_s;
     if known.sigma > 0.0 {

@@ -1,6 +1,6 @@
 //! Is a reading what was expected, a slip, or the sign that something new has begun?
 //!
-//! The models of a thermometer believe in one constant temperature. When the thermometer is moved to another bath, or when the model is
+//! The models of a thermometer assume one constant temperature. When the thermometer is moved to another bath, or when the model is
 //! wrong, the readings leave what was expected, all to the same side. Noise does not.
 //!
 //! # Model
@@ -21,9 +21,9 @@ const GATE: f64 = 5.0;
 const ALLOWANCE: f64 = 1.0;
 /// So much in a row is no chance. Two readings at the gate make exactly this.
 const LIMIT: f64 = 8.0;
-/// The configured noise counts as so many readings.
+/// The configured noise counts as this number of readings.
 const PRIOR_READINGS: f64 = 10.0;
-/// The spread is that of so many readings.
+/// Number of readings behind the spread.
 const MEMORY_READINGS: f64 = 100.0;
 
 /// What a reading is.

@@ -1,4 +1,4 @@
-//! A thermometer of which nothing is known: all time constants at once, each with the weight that the readings give it.
+//! An unknown thermometer: all time constants at once, each with the weight that the readings give it.
 //!
 //! For given time constants the readings are linear in what is sought, so that each node of a grid is a recursive least squares fit
 //! (paper 2, the recursion). Between the nodes everything is smooth in ln tau and is interpolated, because the readings soon know tau
@@ -121,8 +121,8 @@ impl FilterBank {
         self.mixture(|node| node.expected.mean, |node| node.expected.variance)
     }
 
-    /// Uses a reading of the instant that was looked at last. `inflation` says how many times larger the variance of the readings is
-    /// than was told.
+    /// Uses a reading of the instant that was looked at last. `inflation` is the variance of the readings as a multiple of the
+    /// configured one.
     pub(super) fn update(&mut self, reading: f64, inflation: f64) {
         for kind in &mut self.hypotheses {
             for node in &mut kind.nodes {

@@ -1,4 +1,4 @@
-//! A thermometer live: what it will show in the end, without being told when it was dipped in or, if need be, how slow it is.
+//! A thermometer live: its final value, without the instant of immersion and, if need be, without its time constant.
 //!
 //! Gets temperatures as they come, for hours. [`super::dynamic`] answers for one approach to one constant temperature, with dynamics
 //! that are given; here stands what it takes to leave it running: dynamics that are learnt where none are given

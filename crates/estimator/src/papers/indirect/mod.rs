@@ -145,7 +145,7 @@ impl IndirectFilter {
             && refused.count >= self.config.params.reset_after_fixes
     }
 
-    /// Notes the latest instant, and what is believed at the path's end.
+    /// Records the latest instant, and the state at the path's end.
     fn save_state(&mut self, stamp: Timestamp<BrickClock>) {
         self.latest = self.latest.max(Some(stamp));
         if let Some(end) = self.path.stamp() {

@@ -17,7 +17,7 @@ use crate::update::{ScalarMeasurement, use_scalar};
 
 /// What is left of an accelerometer's zero after it was set to zero at rest, m/s²: a hundredth of g.
 const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
-/// How well the wheels tell the speed with which the accelerometers' sums begin: a LEGO wheel's count in 50 ms is 0.01 m/s.
+/// How well the wheels determine the speed with which the accelerometers' sums begin: a LEGO wheel's count in 50 ms is 0.01 m/s.
 const START_SPEED_M_PER_S: f64 = 0.02;
 /// The same for the turn rate: the difference of two such wheels over a track of a decimetre.
 const START_TURN_RAD_PER_S: f64 = 0.2;
@@ -385,7 +385,7 @@ impl NominalPath {
         )
     }
 
-    /// What is believed at the path's end.
+    /// The state at the path's end.
     pub(super) fn path_state(&self) -> PathState {
         let heading_rad2 = self.covariance[(HEADING, HEADING)];
         PathState {

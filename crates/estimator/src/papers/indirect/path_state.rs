@@ -1,4 +1,4 @@
-//! What the indirect filter believes at one instant, and the estimate that follows from it for that instant or a later one.
+//! The state of the indirect filter at one instant, and the estimate that follows from it for that instant or a later one.
 
 use nalgebra::{Matrix3, Vector2};
 use posebridge_telemetry::{
@@ -15,7 +15,7 @@ const SPEEDS_VALID: TimeDelta = TimeDelta::from_millis(500);
 /// Over a step of the wheels the speed is a mean; by its end it may have changed so much.
 const TYPICAL_STEP_S: f64 = 0.05;
 
-/// What is believed at one instant, as far as an estimate needs it.
+/// The state at one instant, as far as an estimate needs it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathState {
     pub(super) pose: Pose<Arena>,
@@ -31,7 +31,7 @@ pub(super) struct PathState {
 }
 
 impl PathState {
-    /// The estimate for an instant at or after the belief's own: the speeds are held for a while, then the robot stands.
+    /// The estimate for an instant at or after the state's own: the speeds are held for a while, then the robot stands.
     pub(super) fn estimate(
         &self,
         config: &FilterConfig,

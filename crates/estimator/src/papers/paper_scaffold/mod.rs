@@ -1,8 +1,8 @@
 //! What the filters of paper 1 share: everything but their maths.
 //!
-//! Observations are used when they come. Each one carries the belief to its own instant, if that is ahead, and is then
-//! applied; one from the past is applied to the present, or refused where it would make an interval negative. So the order of
-//! the sensors within one instant does not matter, and a filter's own file holds its matrices and nothing else.
+//! Observations are used when they come. Each one moves the state to its own instant, if that is ahead, and is then applied; one
+//! from the past is applied to the present, or refused where it would make an interval negative. So the order of the sensors
+//! within one instant does not matter, and a filter's own file holds its matrices and nothing else.
 //!
 //! ```text
 //! speeds are held for 0.5 s after the last reading of the wheels, accelerations for 0.3 s after they were felt;
@@ -10,7 +10,7 @@
 //! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
 //! robot is taken to have driven at the counters' mean speeds
 //! ```
-//! A timeline of past beliefs answers for earlier instants: as they were believed then, for nothing is corrected afterwards.
+//! A timeline of past beliefs answers for earlier instants: as they were estimated then, for nothing is corrected afterwards.
 //!
 //! Source: docs/maths/paper1.md section 1.
 
@@ -41,7 +41,7 @@ const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
 /// Accelerations are held for this long: as long as an interval that is no gap.
 const ACCELERATION_HOLD: TimeDelta = MAX_STEP;
 
-/// What is believed at one instant, with all that a prediction from there needs.
+/// The state at one instant, with all that a prediction from there needs.
 #[derive(Clone, Copy)]
 struct FilterSnapshot<M> {
     stamp: Option<Timestamp<BrickClock>>,
@@ -80,7 +80,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
         self.stamp = Some(stamp);
     }
 
-    /// Crosses what of a gap has not been predicted yet at the mean speeds that the counters tell.
+    /// Crosses what of a gap has not been predicted yet at the mean speeds by the counters.
     fn bridge_gap(&mut self, step: &WheelStep, stamp: Timestamp<BrickClock>, context: &SampledContext) {
         let Some(from) = self.stamp.filter(|from| *from < stamp) else {
             return;
@@ -106,7 +106,7 @@ pub(super) struct OnArrivalFilter<M> {
     last_acceleration: Option<Timestamp<BrickClock>>,
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
     current: FilterSnapshot<M>,
-    /// The belief after each instant within the history.
+    /// The state after each instant within the history.
     history: StateHistory<FilterSnapshot<M>>,
     reset_counter: u8,
     last_jump: Option<PoseCorrection>,
@@ -142,7 +142,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
     }
 
-    /// Keeps a belief: one for each instant, as far back as the history reaches.
+    /// Stores a state: one for each instant, as far back as the history reaches.
     fn save(&mut self, next: FilterSnapshot<M>) {
         self.current = next;
         if let Some(stamp) = next.stamp {
@@ -150,7 +150,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
     }
 
-    /// Goes on from a belief that owes nothing to those before it, which are forgotten.
+    /// Goes on from a state that does not depend on those before it, which are forgotten.
     fn restart_history(&mut self, next: FilterSnapshot<M>) {
         self.history.clear();
         self.save(next);
@@ -295,7 +295,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
     }
 }
 
-/// Places a robot that nobody has placed yet: a fix without a heading cannot.
+/// Places a robot that has no pose yet: a fix without a heading cannot.
 fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &SampledContext) -> FusionOutcome {
     let Some(heading) = fix.heading else {
         return FusionOutcome::Unused;

@@ -5,7 +5,7 @@ use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 
 use crate::filter::StartPose;
 
-/// What a robot may do while nothing tells of its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
+/// What a robot may do while nothing observes its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
 /// walking pace.
 pub(in crate::papers) const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).

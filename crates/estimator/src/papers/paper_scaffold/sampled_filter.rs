@@ -1,4 +1,4 @@
-//! What one filter's own file must say: its matrices, and nothing of when and in which order observations come.
+//! What one filter's own file must define: its matrices, and nothing about the instants and the order of observations.
 
 use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, UncertainValue};
 
@@ -34,7 +34,7 @@ pub(in crate::papers) trait SampledFilter: Copy + Send {
     /// Whether it has a use for a sensor besides the wheels.
     fn uses(&self, extra: OptionalSensor) -> bool;
 
-    /// Pose and speeds as they are believed.
+    /// The estimated pose and speeds.
     fn gaussian_state(&self, context: &SampledContext) -> GaussianState;
 
     /// The bias of the gyro, in rad/s, where it is a state.
@@ -45,16 +45,16 @@ pub(in crate::papers) trait SampledFilter: Copy + Send {
     /// Moves the pose to a start; what is known about the speeds stays.
     fn initialize_pose(&mut self, start: &StartPose);
 
-    /// Forgets the speeds, and adds a doubt to the pose: standard deviations in m and rad.
+    /// Forgets the speeds, and adds uncertainty to the pose: standard deviations in m and rad.
     fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext);
 
     /// Predicts over `dt_s` with the speeds that are held.
     fn predict(&mut self, dt_s: f64, felt: Acceleration, context: &SampledContext);
 
-    /// Lets `dt_s` pass in which nothing tells how the robot moves.
+    /// Lets `dt_s` pass in which nothing observes the motion.
     fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext);
 
-    /// Takes these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
+    /// Uses these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
     fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64);
 
     /// The counters have a new base: what the wheels did up to here is what was predicted.

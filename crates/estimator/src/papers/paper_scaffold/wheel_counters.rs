@@ -1,4 +1,4 @@
-//! What two neighbouring readings of the wheels' counters tell, in the order in which they come.
+//! The travel between two neighbouring readings of the wheels' counters, in the order in which they come.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, FusionOutcome, TimeDelta, Timestamp};
 

@@ -3,7 +3,7 @@
 //! Fifteen numbers for P, one name each, scalar updates without a gate, and both headings fused to one beforehand, which is
 //! the same as one after the other because their errors are independent. It knows nothing of the library.
 
-use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
+use super::{FilterState, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
 
 /// The variance of the two headings' weighted mean.
 const HEADING_VARIANCE: f64 = 1.0 / (1.0 / OBSERVED_VARIANCES[1] + 1.0 / OBSERVED_VARIANCES[2]);
@@ -118,9 +118,9 @@ impl Floor {
         *self = b;
     }
 
-    fn belief(&self) -> Belief {
+    fn belief(&self) -> FilterState {
         let b = self;
-        Belief {
+        FilterState {
             mean: [b.x, b.y, b.h, b.v, b.w],
             covariance: [
                 [b.xx, b.xy, b.xh, b.xv, b.xw],
@@ -133,7 +133,7 @@ impl Floor {
     }
 }
 
-pub(super) fn run(inputs: &[Input]) -> Belief {
+pub(super) fn run(inputs: &[Input]) -> FilterState {
     let mut floor = Floor {
         xx: INITIAL_VARIANCE,
         yy: INITIAL_VARIANCE,

@@ -7,7 +7,7 @@ use kfilter::{EKF, KalmanFilter, KalmanPredictInput, KalmanUpdate};
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, U4, U5, Vector5};
 use nalgebra_034 as na34;
 
-use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
+use super::{FilterState, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
 
 const T: f64 = INTERVAL_S;
 
@@ -31,7 +31,7 @@ fn moved(x: [f64; 5], input: [f64; 2]) -> ([f64; 5], [[f64; 5]; 5]) {
 const H: [[f64; 5]; 4] =
     [[0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]];
 
-pub(super) fn run_kfilter(inputs: &[Input]) -> Belief {
+pub(super) fn run_kfilter(inputs: &[Input]) -> FilterState {
     let mut filter: EKF<f64, 5, 2> =
         EKF::new_ekf_with_input(kfilter_step, na34::SVector::zeros(), na34::SMatrix::identity() * INITIAL_VARIANCE);
     let mut measurement = LinearMeasurement::new(
@@ -47,7 +47,7 @@ pub(super) fn run_kfilter(inputs: &[Input]) -> Belief {
         failures += usize::from(filter.update(&measurement).is_err());
     }
     assert_eq!(failures, 0, "S can be inverted");
-    Belief { mean: (*filter.state()).into(), covariance: (*filter.covariance()).into() }
+    FilterState { mean: (*filter.state()).into(), covariance: (*filter.covariance()).into() }
 }
 
 fn kfilter_step(x: na34::SVector<f64, 5>, u: na34::SVector<f64, 2>) -> StepReturn<f64, 5> {
@@ -101,7 +101,7 @@ impl ObservationModel<f64, U5, U4> for Observed {
     }
 }
 
-pub(super) fn run_adskalman(inputs: &[Input]) -> Belief {
+pub(super) fn run_adskalman(inputs: &[Input]) -> FilterState {
     let h = Matrix4x5::from_fn(|i, j| H[i][j]);
     let observed = Observed { h, ht: h.transpose(), r: Matrix4::from_diagonal(&OBSERVED_VARIANCES.into()) };
     let q = Matrix5::from_diagonal(&PROCESS_VARIANCES.into());
@@ -121,5 +121,5 @@ pub(super) fn run_adskalman(inputs: &[Input]) -> Belief {
         }
     }
     assert_eq!(failures, 0, "S is positive definite");
-    Belief { mean: (*belief.state()).into(), covariance: (*belief.covariance()).into() }
+    FilterState { mean: (*belief.state()).into(), covariance: (*belief.covariance()).into() }
 }

@@ -5,7 +5,7 @@ use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep, 
 use posebridge_estimator::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use posebridge_telemetry::estimate::row;
 
-use super::{Belief, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
+use super::{FilterState, INITIAL_VARIANCE, INTERVAL_S, Input, OBSERVED_VARIANCES, PROCESS_VARIANCES};
 
 /// The state that each observation speaks of.
 const ROWS: [usize; 4] = [row::FORWARD, row::HEADING, row::HEADING, row::TURN];
@@ -18,11 +18,11 @@ const fn acceleration(input: &Input) -> Acceleration {
     Acceleration { forward_m_per_s2: input.forward_m_per_s2, turn_rad_per_s2: input.turn_rad_per_s2 }
 }
 
-fn belief(mean: &Vector5<f64>, covariance: &Matrix5<f64>) -> Belief {
-    Belief { mean: (*mean).into(), covariance: (*covariance).into() }
+fn belief(mean: &Vector5<f64>, covariance: &Matrix5<f64>) -> FilterState {
+    FilterState { mean: (*mean).into(), covariance: (*covariance).into() }
 }
 
-pub(super) fn run(inputs: &[Input]) -> Belief {
+pub(super) fn run(inputs: &[Input]) -> FilterState {
     let mut mean = Vector5::zeros();
     let mut covariance = Matrix5::identity() * INITIAL_VARIANCE;
     let mut refused = 0_usize;
@@ -44,7 +44,7 @@ pub(super) fn run(inputs: &[Input]) -> Belief {
 }
 
 /// P' = F P F' + Q, S by a matrix inverse, P = (I - K H) P: what the sparse form saves.
-pub(super) fn run_dense(inputs: &[Input]) -> Belief {
+pub(super) fn run_dense(inputs: &[Input]) -> FilterState {
     let mut mean = Vector5::zeros();
     let mut covariance = Matrix5::identity() * INITIAL_VARIANCE;
     let q = Matrix5::from_diagonal(&PROCESS_VARIANCES.into());

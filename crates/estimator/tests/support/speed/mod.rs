@@ -21,12 +21,12 @@ pub(crate) const INITIAL_VARIANCE: f64 = 0.05;
 
 /// What a filter believes after all steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Belief {
+pub(crate) struct FilterState {
     pub(crate) mean: [f64; 5],
     pub(crate) covariance: [[f64; 5]; 5],
 }
 
-impl Belief {
+impl FilterState {
     /// The largest difference of any two numbers.
     pub(crate) fn distance(&self, other: &Self) -> f64 {
         let numbers = |belief: &Self| {
@@ -39,19 +39,19 @@ impl Belief {
 }
 
 /// One way to write the filter.
-pub(crate) struct Way {
+pub(crate) struct Implementation {
     pub(crate) name: &'static str,
     /// From rest at the origin over all inputs.
-    pub(crate) run: fn(&[Input]) -> Belief,
+    pub(crate) run: fn(&[Input]) -> FilterState,
 }
 
 /// Every way, the floor first, the library second.
-pub(crate) const WAYS: [Way; 5] = [
-    Way { name: "floor: unrolled by hand, 3 scalars", run: floor::run },
-    Way { name: "library: predict + 4 gated scalars", run: library::run },
-    Way { name: "library, dense: F P F' + 4 x 4 batch", run: library::run_dense },
-    Way { name: "kfilter 0.5.1", run: foreign::run_kfilter },
-    Way { name: "adskalman 0.18.0, Joseph", run: foreign::run_adskalman },
+pub(crate) const IMPLEMENTATIONS: [Implementation; 5] = [
+    Implementation { name: "floor: unrolled by hand, 3 scalars", run: floor::run },
+    Implementation { name: "library: predict + 4 gated scalars", run: library::run },
+    Implementation { name: "library, dense: F P F' + 4 x 4 batch", run: library::run_dense },
+    Implementation { name: "kfilter 0.5.1", run: foreign::run_kfilter },
+    Implementation { name: "adskalman 0.18.0, Joseph", run: foreign::run_adskalman },
 ];
 
 /// How far two ways may lie apart after all steps: rounding in another order, nothing else.

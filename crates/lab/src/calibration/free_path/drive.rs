@@ -56,7 +56,7 @@ pub struct PositionFix {
 /// Sights closer than this, in seconds, say the same twice: what errs at both is the path.
 const MIN_FIX_SPACING_S: f64 = 0.19;
 
-/// A sight of a start that nobody knows: a guess, and no news.
+/// A fix of an unknown start: a guess, and no news.
 const UNKNOWN_POSITION_M: f64 = 1e3;
 const UNKNOWN_HEADING_RAD: f64 = 10.0;
 

@@ -14,7 +14,7 @@ use posebridge_telemetry::SensorNoise;
 use super::drive::FreePath;
 use super::predict::nominal;
 
-/// Pieces of a drive: a random walk in so many jumps is one, as far as sums over it go.
+/// Pieces of a drive: with this number of jumps, sums over it behave like those of a random walk.
 const JUMPS_PER_PATH: usize = 24;
 
 /// One place of a drive at which its heading jumps.

@@ -103,7 +103,7 @@ const TRAVEL_FACTORS: [f64; 5] = [1.0, 2.0, 0.5, 4.0, 0.25];
 const SEGMENT_FIXES: usize = 24;
 /// Fewest sights in all that can tell hypotheses apart.
 const MIN_FIXES: usize = 8;
-/// A mistake is only called one if it makes the way fit so many times better: what fine adjustment cures is less.
+/// A mistake is only reported if correcting it makes the path fit better by this factor: what fine adjustment cures is less.
 const MIN_IMPROVEMENT: f64 = 1.6;
 /// Two fits so close are the same.
 const EQUAL_FIT_FACTOR: f64 = 1.02;
@@ -229,7 +229,7 @@ pub(super) fn coarse_track_factor(prediction: &PathPredictor<'_>, paths: &[FreeP
         (step, score_hypothesis(prediction, paths, hypothesis).square_m2)
     });
     match scored.min_by(|a, b| a.1.total_cmp(&b.1)) {
-        // At an end there is no minimum: the pieces do not tell.
+        // At an end there is no minimum: the pieces do not determine it.
         None | Some((0 | COARSE_STEPS, _)) => 1.0,
         Some((step, _)) => factor(step),
     }
@@ -263,7 +263,7 @@ fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
     }
 }
 
-/// The turn and the heading at which a drive fits its sights best, for a start that nobody knows: turned about the start.
+/// The turn and the heading at which a drive fits its fixes best, for an unknown start: turned about the start.
 pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
     let reckoned = prediction.predict_tags(path, 0.0);
     let [x, y, _] = path.start.pose;

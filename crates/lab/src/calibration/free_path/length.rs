@@ -21,7 +21,7 @@ use posebridge_telemetry::UncertainValue;
 use super::drive::FreePath;
 use super::predict::PathPredictor;
 
-/// A window is at least so many sigmas of its sights long.
+/// Least length of a window, in sigmas of its fixes.
 const MIN_CHORD_SIGMAS: f64 = 20.0;
 /// And turns by no more than this, in radians.
 const MAX_TURN_RAD: f64 = 0.5;

@@ -11,7 +11,7 @@
 //! make up for it; the length of the way does not know headings. What it finds is not the optimum of one likelihood but of two, each
 //! where it is blind to the other's mistakes.
 //!
-//! A number is only estimated where its prior has a sigma, where the drive tells more of it than the prior did, and where it does not
+//! A number is only estimated where its prior has a sigma, where the drive determines it better than the prior, and where it does not
 //! blur the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Else it stays where the
 //! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
 //!

@@ -1,4 +1,4 @@
-//! The second and the third step of a calibration: the length of the way, then everything that its shape tells.
+//! The second and the third step of a calibration: the length of the path, then everything that its shape determines.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::UncertainValue;
@@ -13,9 +13,9 @@ use super::length::length_factor;
 use super::path_calibration::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 use super::predict::{PathPredictor, RobotParameters};
 
-/// An unknown blurs the track if it makes its sigma so many times larger.
+/// An unknown blurs the track if it makes the track's sigma larger by this factor.
 const INSEPARABLE_FACTOR: f64 = 3.0;
-/// Something is told of an unknown if its sigma is below this share of the prior's.
+/// An unknown is determined if its sigma is below this share of the prior's.
 const INFORMATIVE_SHARE: f64 = 0.5;
 /// A heading that is known so well is not estimated, in radians: about what a person or a tracker can do.
 const KNOWN_HEADING_RAD: f64 = 0.02;
@@ -119,7 +119,7 @@ impl<'a> ParameterSolver<'a> {
         Some(windows)
     }
 
-    /// Adds one unknown after the other and keeps what the drives tell apart.
+    /// Adds one unknown after the other and keeps those that the drives determine.
     pub(super) fn select_unknowns(
         &self,
         length: Option<usize>,
@@ -150,7 +150,7 @@ impl<'a> ParameterSolver<'a> {
         let mut free = chosen.unknowns.clone();
         free.push(unknown);
         let is_basic = matches!(unknown, CalibrationUnknown::RadiusScale | CalibrationUnknown::TrackScale);
-        // What cannot be solved with it cannot be told with it.
+        // If the system with it has no solution, it is not determined.
         let Ok(with) = self.fit(free) else {
             return if is_basic { UnknownStatus::Unobservable } else { UnknownStatus::NotSeparable };
         };
@@ -295,8 +295,8 @@ impl<'a> ParameterSolver<'a> {
         squares.map(f64::sqrt)
     }
 
-    /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second step,
-    /// and what the drive does not tell.
+    /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second
+    /// step, and what the drive does not determine.
     fn shift_by_other_unknowns(&self, chosen: &ParameterFit, standings: &[UnknownStatus]) -> [f64; UNKNOWNS.len()] {
         let mut others = Vec::new();
         if let Some(radius) = self.radius_scale {

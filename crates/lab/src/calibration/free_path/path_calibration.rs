@@ -1,11 +1,11 @@
-//! What drives may tell of a robot, and what they told.
+//! What drives may determine about a robot, and their results.
 
 use posebridge_telemetry::{Calibration, UncertainValue};
 
 use super::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest};
 use super::predict::RobotParameters;
 
-/// What a drive may tell.
+/// What a drive may determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CalibrationUnknown {
     /// e_m: relative error of the mean wheel radius.
@@ -87,9 +87,9 @@ pub enum UnknownStatus {
     Estimated,
     /// Its prior has no sigma: taken as given.
     Fixed,
-    /// The drive tells less of it than the prior: left where it was.
+    /// The drive determines it less well than the prior: left where it was.
     Unobservable,
-    /// It cannot be told from the track on this drive: left where it was.
+    /// It cannot be separated from the track on this drive: left where it was.
     NotSeparable,
 }
 
@@ -106,7 +106,7 @@ pub struct UnknownEstimate {
     pub status: UnknownStatus,
 }
 
-/// What drives say about a robot.
+/// The results of drives for a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathCalibration {
     /// One per unknown, in the order of [`UNKNOWNS`]; relative to the description under [`Self::hypothesis_test`].

@@ -26,7 +26,7 @@ pub struct DeadReckonedPath {
     pub error: DeadReckoningError,
 }
 
-/// The heading with which a drive begins when its own description is followed: as given, or the best one if nobody knows it.
+/// The heading with which a drive begins when its own description is followed: as given, or the best one if it is unknown.
 #[must_use]
 pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &FreePath) -> f64 {
     if path.start.heading_sigma_rad <= 1.0 {

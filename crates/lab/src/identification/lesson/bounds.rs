@@ -1,4 +1,5 @@
-//! Whether the bounds hold: how often the final value is within 95 %, over many runs, if the dynamics are known, taken for known, or identified.
+//! Whether the bounds hold: how often the final value is within 95 %, over many runs, if the dynamics are known, taken for known,
+//! or identified.
 
 use super::super::expectation::{ExpectedDynamics, StepDirection};
 use super::super::prediction::{BOUND_RATE, predict_once};
@@ -76,7 +77,7 @@ impl BoundTally {
 #[must_use]
 pub fn bounds_section(runs: &[BoundRun]) -> LessonSection {
     let count = runs.len().max(1) as f64;
-    // Two standard deviations of a share of so many runs.
+    // Two standard deviations of a share of this number of runs.
     let half = 1.96 * (BOUND_RATE * (1.0 - BOUND_RATE) / count).sqrt();
     let mut section = LessonSection {
         name: "bounds",

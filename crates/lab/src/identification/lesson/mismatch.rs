@@ -8,7 +8,7 @@ use super::section::{LessonSection, header, seconds};
 
 /// By what every lag of the next sensor is multiplied.
 const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
-/// Runs for each factor, of which the middle one is told.
+/// Runs for each factor; the median is reported.
 const RUNS: u64 = 3;
 /// Where the step begins and ends, in degrees Celsius.
 const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };

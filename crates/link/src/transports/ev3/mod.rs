@@ -51,7 +51,7 @@ pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, Op
     match request.role {
         ConnectRole::Dial => with_deadline(&request.url, dial(&request)).await,
         ConnectRole::Listen => {
-            // No deadline: somebody has to switch the brick on.
+            // No deadline: the brick has to be switched on.
             let brick = wait_for_announcement(&request).await?;
             with_deadline(&request.url, open_session(&request, brick)).await
         }
@@ -116,7 +116,7 @@ async fn open_session(request: &OpenRequest, brick: Ev3Endpoint) -> Result<Box<d
     Ok(Box::new(StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)))
 }
 
-/// Reads the brick's answer with its line ends, so that nothing of it is left for who reads telegrams.
+/// Reads the brick's answer with its line ends, so that nothing of it is left for the reader of telegrams.
 async fn read_accept_reply(stream: &mut TcpStream) -> io::Result<bool> {
     let mut welcome = Vec::with_capacity(MAX_REPLY_BYTES);
     while welcome.len() < MAX_REPLY_BYTES {

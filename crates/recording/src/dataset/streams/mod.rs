@@ -20,14 +20,14 @@ pub(super) type RowReader<T> = Box<dyn FnMut(&TableRow<'_>, TimeStep) -> Result<
 pub(super) enum TimeStep {
     /// There is no row before.
     First,
-    /// Later, by so many seconds.
+    /// Later by a time in seconds.
     Forward {
         /// The interval, positive.
         interval_s: f64,
     },
     /// At the same time.
     Repeated,
-    /// Earlier, by so many nanoseconds.
+    /// Earlier by a time in nanoseconds.
     Backward {
         /// The interval, positive.
         nanos: i64,
@@ -58,7 +58,7 @@ impl TimeStep {
         Err(fault)
     }
 
-    /// As [`TimeStep::interval_s`], where several rows may speak of one instant.
+    /// As [`TimeStep::interval_s`], where several rows may have one instant.
     pub(super) fn require_in_order(self) -> Result<(), RowError> {
         match self {
             Self::Repeated => Ok(()),

@@ -30,7 +30,7 @@ impl PositionColumns {
     }
 }
 
-/// Points of a stream, and the speed beyond which their motion is not believed.
+/// Points of a stream, and the speed beyond which their motion is rejected.
 struct PositionReader {
     columns: PositionColumns,
     max_speed_m_per_s: Option<f64>,
@@ -150,7 +150,7 @@ pub(in super::super) fn fixes(
     }))
 }
 
-/// Where the body was, and where it pointed if the instrument can tell.
+/// Where the body was, and its heading if the instrument measures it.
 type TruthColumnsPose = (Point2<Arena>, Option<Heading>);
 
 /// Binds the columns of a `[[truth]]` stream.

@@ -36,7 +36,7 @@ impl IdMapping {
     }
 }
 
-/// Limits outside which a range is not believed, in metres.
+/// Limits outside which a range is rejected, in metres.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RangeLimits {
     min_m: f64,

@@ -17,7 +17,7 @@ use super::{
 use crate::metrics::ConsistencyBand;
 use crate::metrics::chi_square;
 
-/// So many NIS are averaged: their band is a fifth wide to either side with two degrees of freedom.
+/// Number of NIS values in an average: their band is a fifth wide to either side with two degrees of freedom.
 const WINDOW_SAMPLES: usize = 50;
 /// The NIS axis ends a little above what one in a thousand passes.
 const NIS_AXIS_QUANTILE: f64 = 0.999;

@@ -32,7 +32,7 @@ pub use path::render_path;
 pub struct ErrorSample {
     /// When it was made, s.
     pub t_s: f64,
-    /// Distance of the believed from the true position, m.
+    /// Distance of the estimated from the true position, m.
     pub position_m: f64,
     /// Twice the distance root mean square that is claimed, m.
     pub position_claim_m: f64,
@@ -114,7 +114,7 @@ pub struct InnovationSeries<'a> {
     pub samples: &'a [InnovationSample],
 }
 
-/// What was believed of one systematic error at one instant.
+/// The estimate of one systematic error at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationSample {
     /// When, s.
@@ -125,7 +125,7 @@ pub struct CalibrationSample {
     pub sigma: f64,
 }
 
-/// What was believed of one systematic error over time.
+/// The estimates of one systematic error over time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CalibrationSeries<'a> {
     /// Its key in the configuration.

@@ -2,7 +2,7 @@
 
 use crate::brick::{BRICK, HEARTBEAT, ticks};
 use crate::events::{self, observed};
-use crate::network::{Speaker, passed_on};
+use crate::network::{RemotePeer, passed_on};
 use crate::station::{LINK, STATION, TestStation, at, config, link};
 use posebridge_protocol::message::{CommandAck, CommandLong, Message, VisionFix, WireStamp};
 use posebridge_station::StationConfig;
@@ -24,27 +24,27 @@ pub(crate) fn three_links() -> StationConfig {
 }
 
 /// A station that has heard a brick, a camera and two ground stations on one port.
-pub(crate) struct Scene {
+pub(crate) struct RoutingSetup {
     pub(crate) station: TestStation,
-    pub(crate) brick: Speaker,
-    pub(crate) camera: Speaker,
-    pub(crate) gcs: Speaker,
+    pub(crate) brick: RemotePeer,
+    pub(crate) camera: RemotePeer,
+    pub(crate) gcs: RemotePeer,
 }
 
-impl Scene {
+impl RoutingSetup {
     pub(crate) fn new(config: &StationConfig) -> Self {
-        let mut scene = Self {
+        let mut setup = Self {
             station: TestStation::new(config),
-            brick: Speaker::new(BRICK, LINK, 0),
-            camera: Speaker::new(CAMERA, CAMERA_LINK, 0),
-            gcs: Speaker::new(GCS, GCS_LINK, 5),
+            brick: RemotePeer::new(BRICK, LINK, 0),
+            camera: RemotePeer::new(CAMERA, CAMERA_LINK, 0),
+            gcs: RemotePeer::new(GCS, GCS_LINK, 5),
         };
-        let station = &mut scene.station;
-        scene.brick.say(station, at(10), &HEARTBEAT);
-        scene.camera.say(station, at(11), &HEARTBEAT);
-        scene.gcs.say(station, at(12), &HEARTBEAT);
-        Speaker::new(OTHER_GCS, GCS_LINK, 6).say(station, at(13), &HEARTBEAT);
-        scene
+        let station = &mut setup.station;
+        setup.brick.send(station, at(10), &HEARTBEAT);
+        setup.camera.send(station, at(11), &HEARTBEAT);
+        setup.gcs.send(station, at(12), &HEARTBEAT);
+        RemotePeer::new(OTHER_GCS, GCS_LINK, 6).send(station, at(13), &HEARTBEAT);
+        setup
     }
 }
 
@@ -65,12 +65,12 @@ pub(crate) fn health(station: &mut TestStation, id: LinkId) -> LinkHealth {
 
 #[test]
 fn a_command_reaches_only_the_brick_and_its_answer_only_the_one_who_asked() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
-    let (_, passed) = scene.gcs.say(station, at(100), &command());
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
+    let (_, passed) = setup.gcs.send(station, at(100), &command());
     let to_brick = (LINK, Recipients::Peer(PeerId(0)), Priority::Command);
     assert_eq!(passed, [to_brick]);
-    let (_, passed) = scene.brick.say(station, at(130), &ack());
+    let (_, passed) = setup.brick.send(station, at(130), &ack());
     let to_gcs = (GCS_LINK, Recipients::Peer(PeerId(5)), Priority::Command);
     assert_eq!(passed, [to_gcs]);
     assert_eq!(health(station, GCS_LINK).forwarded, 3 + 1);
@@ -78,12 +78,12 @@ fn a_command_reaches_only_the_brick_and_its_answer_only_the_one_who_asked() {
 
 #[test]
 fn telemetry_reaches_all_others_as_it_came() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
-    let (_, passed) = scene.brick.say(station, at(100), &ticks(5_000, 0, 0));
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
+    let (_, passed) = setup.brick.send(station, at(100), &ticks(5_000, 0, 0));
     let all = |link| (link, Recipients::All, Priority::Forwarded);
     assert_eq!(passed, [all(CAMERA_LINK), all(GCS_LINK)]);
-    let (_, passed) = scene.gcs.say(station, at(110), &HEARTBEAT);
+    let (_, passed) = setup.gcs.send(station, at(110), &HEARTBEAT);
     let others = (GCS_LINK, Recipients::AllExcept(PeerId(5)), Priority::Forwarded);
     assert_eq!(passed, [all(LINK), all(CAMERA_LINK), others]);
     assert_eq!(observed(station), 1);
@@ -91,62 +91,62 @@ fn telemetry_reaches_all_others_as_it_came() {
 
 #[test]
 fn a_message_of_no_dialect_is_passed_on_byte_for_byte_and_teaches_nothing() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
     // Id 60000 from 77/1, whose checksum only its author knows.
     let mut unknown = vec![0xFD, 5, 0, 0, 9, 77, 1, 0x60, 0xEA, 0x00];
     unknown.extend_from_slice(&[1, 0, 254, 0, 9, 0xAB, 0xCD]);
     // It is believed when a verified frame begins where it ends.
-    let bytes = [unknown.clone(), scene.brick.frame(&HEARTBEAT)].concat();
+    let bytes = [unknown.clone(), setup.brick.frame(&HEARTBEAT)].concat();
     let seen = station.outputs.len();
-    scene.brick.give(station, at(100), &bytes);
+    setup.brick.send_bytes(station, at(100), &bytes);
     let all = |link| (link, Recipients::All, Priority::Forwarded);
     assert_eq!(passed_on(station, seen, &unknown), [all(CAMERA_LINK), all(GCS_LINK)]);
     let to_stranger = Message::Command(CommandLong { target: Address::new(77, 1), command: 400, params: [0.0; 7] });
-    assert_eq!(scene.gcs.say(station, at(110), &to_stranger).1, []);
+    assert_eq!(setup.gcs.send(station, at(110), &to_stranger).1, []);
 }
 
 #[test]
 fn what_the_station_says_is_not_passed_on_when_it_comes_back() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
-    let own = Speaker::new(STATION, CAMERA_LINK, 0).frame(&HEARTBEAT);
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
+    let own = RemotePeer::new(STATION, CAMERA_LINK, 0).frame(&HEARTBEAT);
     let seen = station.outputs.len();
-    scene.camera.give(station, at(100), &own);
+    setup.camera.send_bytes(station, at(100), &own);
     assert_eq!(passed_on(station, seen, &own), []);
     let commanded = Message::Command(CommandLong { target: STATION, command: 400, params: [0.0; 7] });
-    assert_eq!(scene.gcs.say(station, at(110), &commanded).1, []);
+    assert_eq!(setup.gcs.send(station, at(110), &commanded).1, []);
 }
 
 #[test]
 fn a_link_that_is_down_gets_nothing_and_its_routes_are_forgotten() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
     station.link(at(50), LINK, LinkState::Down);
-    let (_, passed) = scene.gcs.say(station, at(100), &HEARTBEAT);
+    let (_, passed) = setup.gcs.send(station, at(100), &HEARTBEAT);
     assert!(passed.iter().all(|(link, ..)| *link != LINK), "{passed:?}");
     assert_eq!(health(station, LINK).drops_out, 1);
     station.link(at(1_200), LINK, LinkState::Up);
-    assert_eq!(scene.gcs.say(station, at(1_210), &command()).1, []);
-    scene.brick.say(station, at(1_220), &HEARTBEAT);
-    assert_eq!(scene.gcs.say(station, at(1_230), &command()).1.len(), 1);
+    assert_eq!(setup.gcs.send(station, at(1_210), &command()).1, []);
+    setup.brick.send(station, at(1_220), &HEARTBEAT);
+    assert_eq!(setup.gcs.send(station, at(1_230), &command()).1.len(), 1);
 }
 
 #[test]
 fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_is_heard_on_its_own_link() {
-    let mut scene = Scene::new(&three_links());
-    let station = &mut scene.station;
+    let mut setup = RoutingSetup::new(&three_links());
+    let station = &mut setup.station;
     for k in 0..60_u32 {
         let now = at(100 + i64::from(k) * 50);
-        let frame = scene.brick.frame(&ticks(5_000 + k * 50, 0, 0));
+        let frame = setup.brick.frame(&ticks(5_000 + k * 50, 0, 0));
         // Once the direct way is known, another station is quicker.
         if k > 0 {
-            scene.gcs.give(station, now, &frame);
+            setup.gcs.send_bytes(station, now, &frame);
         }
-        scene.brick.give(station, now, &frame);
-        let frame = scene.camera.frame(&fix_at(u64::from(9_000 + k * 50)));
-        scene.camera.give(station, now, &frame);
-        scene.gcs.give(station, now + TimeDelta::from_millis(10), &frame);
+        setup.brick.send_bytes(station, now, &frame);
+        let frame = setup.camera.frame(&fix_at(u64::from(9_000 + k * 50)));
+        setup.camera.send_bytes(station, now, &frame);
+        setup.gcs.send_bytes(station, now + TimeDelta::from_millis(10), &frame);
     }
     let used = |source: Address| {
         let events = station.events();

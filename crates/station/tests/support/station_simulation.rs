@@ -14,24 +14,24 @@ use crate::station::{LINK, TestStation};
 const DELAY_MS: i64 = 10;
 
 /// Bytes with their instants of arrival, in order.
-type OnTheirWay = VecDeque<(Timestamp<HostClock>, Vec<u8>)>;
+type BytesInTransit = VecDeque<(Timestamp<HostClock>, Vec<u8>)>;
 
-fn take_due(queue: &mut OnTheirWay, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
+fn take_due(queue: &mut BytesInTransit, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
     let is_due = queue.front().is_some_and(|next| next.0 <= now);
     is_due.then(|| queue.pop_front()).flatten().map(|(_, bytes)| bytes)
 }
 
 /// Simulation and station, driven in steps of a millisecond of world time; the host's clock is the world's.
-pub(crate) struct World {
+pub(crate) struct StationSimulation {
     pub(crate) simulation: Simulation,
     pub(crate) station: TestStation,
     rng: Pcg64,
-    to_station: OnTheirWay,
-    to_robot: OnTheirWay,
+    to_station: BytesInTransit,
+    to_robot: BytesInTransit,
     seen_outputs: usize,
 }
 
-impl World {
+impl StationSimulation {
     pub(crate) fn new(scenario: Scenario, config: &StationConfig) -> Self {
         Self {
             rng: Pcg64::seed_from_u64(scenario.seed),
@@ -62,10 +62,10 @@ impl World {
             self.to_station.push_back((arrival, bytes));
         }
         while let Some(bytes) = take_due(&mut self.to_station, now) {
-            self.station.give(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
+            self.station.handle(now, Input::Bytes { link: LINK, peer: posebridge_telemetry::PeerId::default(), bytes });
         }
         if self.station.engine.deadline().is_some_and(|due| due <= now) {
-            self.station.give(now, Input::Tick);
+            self.station.handle(now, Input::Tick);
         }
         self.send_back();
         while let Some(bytes) = take_due(&mut self.to_robot, now) {

@@ -23,7 +23,7 @@ const FIX_SIGMA_M: f64 = 0.01;
 const BLACKOUT: std::ops::Range<usize> = 900..1_150;
 
 /// Everything that one run left behind, owned.
-pub(crate) struct Scene {
+pub(crate) struct SampleRun {
     pub(crate) ideal: Vec<Point2<Arena>>,
     pub(crate) truth: PoseTrack,
     pub(crate) odometry: PoseTrack,
@@ -31,7 +31,7 @@ pub(crate) struct Scene {
     pub(crate) fixes: Vec<FixMark>,
 }
 
-impl Scene {
+impl SampleRun {
     pub(crate) fn layers<'a>(&'a self, title: &'a str) -> RunLayers<'a> {
         RunLayers {
             title,
@@ -45,7 +45,7 @@ impl Scene {
     }
 }
 
-pub(crate) fn two_laps(seed: u64) -> Scene {
+pub(crate) fn two_laps(seed: u64) -> SampleRun {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let truth = drive(0.995, 0.008);
     let odometry = drive(ODOMETRY_TURN_FACTOR, 0.012);
@@ -69,7 +69,7 @@ pub(crate) fn two_laps(seed: u64) -> Scene {
         estimates.push(estimate_near(sample, &wander, variance_m2));
     }
     let corners = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M), (0.0, 0.0)];
-    Scene {
+    SampleRun {
         ideal: corners.map(|(x_m, y_m)| Point2::new(Meters(x_m), Meters(y_m))).to_vec(),
         truth: PoseTrack::new(truth, TimeDelta::from_millis(200)),
         odometry: PoseTrack::new(odometry, TimeDelta::from_millis(200)),

@@ -12,7 +12,7 @@ use super::steady::{gyro, stamp, wheels};
 const KEPT: TimeDelta = TimeDelta::from_millis(3_000);
 
 /// The state with its tracks.
-pub(crate) struct Bare {
+pub(crate) struct FilterWithoutHistory {
     config: FilterConfig,
     gates: ChiSquareGates,
     track: MotionTrack,
@@ -22,7 +22,7 @@ pub(crate) struct Bare {
     step: i64,
 }
 
-impl Bare {
+impl FilterWithoutHistory {
     pub(crate) fn new(config: &FilterConfig) -> Self {
         let first = wheels(0);
         Self {

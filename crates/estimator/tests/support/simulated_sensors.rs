@@ -46,7 +46,7 @@ pub(crate) fn furnished(config: &FilterConfig) -> FilterConfig {
 }
 
 /// The sensors, seeded: true pose in, what they say out.
-pub(crate) struct Senses {
+pub(crate) struct SimulatedSensors {
     normals: Pcg64,
     world: Arc<ArenaMap>,
     noise: SensorNoise,
@@ -54,7 +54,7 @@ pub(crate) struct Senses {
 
 type Truth = (f64, f64, f64);
 
-impl Senses {
+impl SimulatedSensors {
     pub(crate) fn new(config: &FilterConfig, seed: u64) -> Self {
         Self {
             normals: Pcg64::seed_from_u64(seed ^ 0x05e2_5e5e),

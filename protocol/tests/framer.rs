@@ -1,7 +1,7 @@
-//! What the scanner hands out, whatever the chunks, the noise and the unknown messages around it.
+//! What the framer hands out, whatever the chunks, the noise and the unknown messages around it.
 
-#[path = "support/found.rs"]
-mod found;
+#[path = "support/framer_output.rs"]
+mod framer_output;
 #[path = "support/mix.rs"]
 mod mix;
 
@@ -10,7 +10,7 @@ use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, Transport
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_telemetry::{Address, ReceiveError, TimeDelta, Timestamp};
 
-use found::{Found, frames, owned, scan};
+use framer_output::{OwnedFramerOutput, frames, owned, scan};
 use mix::four_message_mix;
 
 const HEARTBEAT: Message =
@@ -64,7 +64,7 @@ fn every_byte_is_accounted_for() {
     assert_eq!(counters.garbage_bytes, 8 * 5);
     let reported: u32 = found
         .iter()
-        .map(|item| if let Found::Defect(ReceiveError::UnframedBytes { bytes }) = item { *bytes } else { 0 })
+        .map(|item| if let OwnedFramerOutput::Error(ReceiveError::UnframedBytes { bytes }) = item { *bytes } else { 0 })
         .sum();
     assert_eq!(reported, 8 * 5);
 }
@@ -76,7 +76,7 @@ fn a_frame_inside_a_damaged_frame_is_not_lost() {
     let mut stream = mix[3][..40].to_vec();
     stream.extend_from_slice(&mix[4..8].concat());
     let (found, counters) = scan(FramerConfig::default(), &stream, stream.len());
-    let expected: Vec<Found> = mix[4..8].iter().cloned().map(Found::Frame).collect();
+    let expected: Vec<OwnedFramerOutput> = mix[4..8].iter().cloned().map(OwnedFramerOutput::Frame).collect();
     assert_eq!(frames(&found), expected);
     assert_eq!(counters.garbage_bytes, 40);
     assert_eq!(counters.checksum_errors, 1);
@@ -84,78 +84,78 @@ fn a_frame_inside_a_damaged_frame_is_not_lost() {
 
 #[test]
 fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let torn = &four_message_mix(4)[3][..12];
     let at = |millis| Timestamp::ZERO + TimeDelta::from_millis(millis);
-    scanner.push(at(0), torn, &mut |item| found.push(owned(item)));
-    assert_eq!(scanner.deadline(), Some(at(50)));
-    scanner.push(at(10), &heartbeat(), &mut |item| found.push(owned(item)));
+    framer.push(at(0), torn, &mut |item| found.push(owned(item)));
+    assert_eq!(framer.deadline(), Some(at(50)));
+    framer.push(at(10), &heartbeat(), &mut |item| found.push(owned(item)));
     assert!(found.is_empty(), "the odometry may still come");
-    assert_eq!(scanner.deadline(), Some(at(60)));
-    scanner.tick(at(59), &mut |item| found.push(owned(item)));
+    assert_eq!(framer.deadline(), Some(at(60)));
+    framer.tick(at(59), &mut |item| found.push(owned(item)));
     assert!(found.is_empty(), "not yet due");
-    scanner.tick(at(60), &mut |item| found.push(owned(item)));
+    framer.tick(at(60), &mut |item| found.push(owned(item)));
     let expected = [
-        Found::Defect(ReceiveError::Timeout { bytes: 33 }),
-        Found::Defect(ReceiveError::UnframedBytes { bytes: 12 }),
-        Found::Frame(heartbeat()),
+        OwnedFramerOutput::Error(ReceiveError::Timeout { bytes: 33 }),
+        OwnedFramerOutput::Error(ReceiveError::UnframedBytes { bytes: 12 }),
+        OwnedFramerOutput::Frame(heartbeat()),
     ];
     assert_eq!(found, expected);
-    assert_eq!(scanner.deadline(), None);
-    assert_eq!(scanner.counters().stalls, 1);
+    assert_eq!(framer.deadline(), None);
+    assert_eq!(framer.counters().stalls, 1);
 }
 
 #[test]
 fn a_torn_header_is_given_up_when_bytes_come_after_the_gap() {
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let torn = &four_message_mix(4)[3][..12];
-    scanner.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
-    scanner.push(Timestamp::from_millis(1_000), &heartbeat(), &mut |item| {
+    framer.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
+    framer.push(Timestamp::from_millis(1_000), &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
-    assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
+    assert_eq!(frames(&found), [OwnedFramerOutput::Frame(heartbeat())]);
 }
 
 #[test]
 fn a_late_continuation_still_completes_its_frame() {
     let frame = &four_message_mix(4)[3];
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, &frame[..100], &mut |item| {
+    framer.push(Timestamp::ZERO, &frame[..100], &mut |item| {
         found.push(owned(item));
     });
-    scanner.push(Timestamp::from_millis(80), &frame[100..], &mut |item| {
+    framer.push(Timestamp::from_millis(80), &frame[100..], &mut |item| {
         found.push(owned(item));
     });
-    assert_eq!(found, [Found::Frame(frame.clone())]);
+    assert_eq!(found, [OwnedFramerOutput::Frame(frame.clone())]);
 }
 
 #[test]
 fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() {
-        let mut scanner = Framer::new(FramerConfig::default());
+        let mut framer = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
-        scanner.push(Timestamp::ZERO, &frame[..split], &mut |item| {
+        framer.push(Timestamp::ZERO, &frame[..split], &mut |item| {
             found.push(owned(item));
         });
-        let deadline = scanner.deadline().unwrap();
-        scanner.tick(deadline, &mut |item| found.push(owned(item)));
-        assert_eq!(scanner.deadline(), None, "it is told once");
+        let deadline = framer.deadline().unwrap();
+        framer.tick(deadline, &mut |item| found.push(owned(item)));
+        assert_eq!(framer.deadline(), None, "it is told once");
         let rest = [&frame[split..], &heartbeat()].concat();
-        scanner.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
+        framer.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
             found.push(owned(item));
         });
         let expected = [
-            Found::Defect(ReceiveError::Timeout { bytes: split as u32 }),
-            Found::Frame(frame.clone()),
-            Found::Frame(heartbeat()),
+            OwnedFramerOutput::Error(ReceiveError::Timeout { bytes: split as u32 }),
+            OwnedFramerOutput::Frame(frame.clone()),
+            OwnedFramerOutput::Frame(heartbeat()),
         ];
         assert_eq!(found, expected, "split at {split}");
-        assert_eq!(scanner.counters().stalls, 1);
-        assert_eq!(scanner.counters().garbage_bytes, 0);
+        assert_eq!(framer.counters().stalls, 1);
+        assert_eq!(framer.counters().garbage_bytes, 0);
     }
 }
 
@@ -164,15 +164,15 @@ fn a_frame_that_goes_on_in_pieces_after_seconds_is_completed() {
     let frame = &four_message_mix(4)[3];
     for split in 1..frame.len() - 1 {
         for second in [split + 1, usize::midpoint(split, frame.len()), frame.len() - 1] {
-            let mut scanner = Framer::new(FramerConfig::default());
+            let mut framer = Framer::new(FramerConfig::default());
             let mut found = Vec::new();
             let pieces = [(0, &frame[..split]), (9_000, &frame[split..second]), (9_001, &frame[second..])];
             for (millis, piece) in pieces {
-                scanner.push(Timestamp::from_millis(millis), piece, &mut |item| {
+                framer.push(Timestamp::from_millis(millis), piece, &mut |item| {
                     found.push(owned(item));
                 });
             }
-            assert_eq!(frames(&found), [Found::Frame(frame.clone())], "split at {split} and {second}");
+            assert_eq!(frames(&found), [OwnedFramerOutput::Frame(frame.clone())], "split at {split} and {second}");
         }
     }
 }
@@ -183,74 +183,74 @@ fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
     let torn = &mix[3][..12];
     let frame = &mix[1];
     for split in 1..frame.len() {
-        let mut scanner = Framer::new(FramerConfig::default());
+        let mut framer = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
         let first = [torn, &heartbeat(), &frame[..split]].concat();
-        scanner.push(Timestamp::ZERO, &first, &mut |item| found.push(owned(item)));
-        let deadline = scanner.deadline().unwrap();
-        scanner.tick(deadline, &mut |item| found.push(owned(item)));
-        assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
-        assert_eq!(scanner.deadline(), None, "it is told once");
-        scanner.push(deadline, &frame[split..], &mut |item| {
+        framer.push(Timestamp::ZERO, &first, &mut |item| found.push(owned(item)));
+        let deadline = framer.deadline().unwrap();
+        framer.tick(deadline, &mut |item| found.push(owned(item)));
+        assert_eq!(frames(&found), [OwnedFramerOutput::Frame(heartbeat())]);
+        assert_eq!(framer.deadline(), None, "it is told once");
+        framer.push(deadline, &frame[split..], &mut |item| {
             found.push(owned(item));
         });
-        let expected = [Found::Frame(heartbeat()), Found::Frame(frame.clone())];
+        let expected = [OwnedFramerOutput::Frame(heartbeat()), OwnedFramerOutput::Frame(frame.clone())];
         assert_eq!(frames(&found), expected, "split at {split}");
-        assert_eq!(scanner.counters().stalls, 1, "one silence, one stall");
-        assert_eq!(scanner.counters().garbage_bytes, 12);
+        assert_eq!(framer.counters().stalls, 1, "one silence, one stall");
+        assert_eq!(framer.counters().garbage_bytes, 12);
     }
 }
 
 #[test]
 fn a_frame_in_pieces_after_a_torn_one_and_seconds_does_not_wait_for_the_gap() {
     let torn = &four_message_mix(4)[3][..12];
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let whole = heartbeat();
     let pieces = [(0, torn), (9_000, &whole[..9]), (9_001, &whole[9..])];
     for (millis, piece) in pieces {
-        scanner.push(Timestamp::from_millis(millis), piece, &mut |item| {
+        framer.push(Timestamp::from_millis(millis), piece, &mut |item| {
             found.push(owned(item));
         });
     }
-    assert_eq!(frames(&found), [Found::Frame(whole.clone())]);
+    assert_eq!(frames(&found), [OwnedFramerOutput::Frame(whole.clone())]);
 }
 
 #[test]
 fn an_unknown_frame_that_stops_for_seconds_is_completed_too() {
     let unknown = stranger(b"who am I");
     let (first, rest) = unknown.split_at(15);
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, first, &mut |item| found.push(owned(item)));
-    let deadline = scanner.deadline().unwrap();
-    scanner.tick(deadline, &mut |item| found.push(owned(item)));
+    framer.push(Timestamp::ZERO, first, &mut |item| found.push(owned(item)));
+    let deadline = framer.deadline().unwrap();
+    framer.tick(deadline, &mut |item| found.push(owned(item)));
     let rest = [rest, &heartbeat()].concat();
-    scanner.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
+    framer.push(Timestamp::from_millis(9_000), &rest, &mut |item| {
         found.push(owned(item));
     });
-    let expected = [Found::Unknown(unknown.clone()), Found::Frame(heartbeat())];
+    let expected = [OwnedFramerOutput::UnknownFrame(unknown.clone()), OwnedFramerOutput::Frame(heartbeat())];
     assert_eq!(found, expected);
 }
 
 #[test]
 fn a_frame_whose_rest_never_comes_is_given_up_by_what_comes_next() {
     let torn = &four_message_mix(4)[3][..100];
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
-    let deadline = scanner.deadline().unwrap();
-    scanner.tick(deadline, &mut |item| found.push(owned(item)));
-    scanner.push(Timestamp::from_millis(9_000), &heartbeat(), &mut |item| {
+    framer.push(Timestamp::ZERO, torn, &mut |item| found.push(owned(item)));
+    let deadline = framer.deadline().unwrap();
+    framer.tick(deadline, &mut |item| found.push(owned(item)));
+    framer.push(Timestamp::from_millis(9_000), &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
     let expected = [
-        Found::Defect(ReceiveError::Timeout { bytes: 100 }),
-        Found::Defect(ReceiveError::UnframedBytes { bytes: 100 }),
-        Found::Frame(heartbeat()),
+        OwnedFramerOutput::Error(ReceiveError::Timeout { bytes: 100 }),
+        OwnedFramerOutput::Error(ReceiveError::UnframedBytes { bytes: 100 }),
+        OwnedFramerOutput::Frame(heartbeat()),
     ];
     assert_eq!(found, expected);
-    assert_eq!(scanner.counters().stalls, 1, "one silence, one stall");
+    assert_eq!(framer.counters().stalls, 1, "one silence, one stall");
 }
 
 #[test]
@@ -261,13 +261,13 @@ fn impossible_headers_are_refused_before_their_bytes_come() {
     {
         let mut stream = header.to_vec();
         stream.extend_from_slice(&heartbeat());
-        let mut scanner = Framer::new(FramerConfig::default());
+        let mut framer = Framer::new(FramerConfig::default());
         let mut found = Vec::new();
-        scanner.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
-        let refused = Found::Defect(ReceiveError::ImpossibleHeader { message_id, length });
+        framer.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
+        let refused = OwnedFramerOutput::Error(ReceiveError::ImpossibleHeader { message_id, length });
         assert_eq!(found.first(), Some(&refused));
-        assert_eq!(found.last(), Some(&Found::Frame(heartbeat())));
-        assert_eq!(scanner.counters().impossible_headers, 1);
+        assert_eq!(found.last(), Some(&OwnedFramerOutput::Frame(heartbeat())));
+        assert_eq!(framer.counters().impossible_headers, 1);
     }
 }
 
@@ -275,37 +275,37 @@ fn impossible_headers_are_refused_before_their_bytes_come() {
 fn an_unknown_frame_is_handed_out_when_a_verified_one_follows() {
     let unknown = stranger(b"who am I");
     let stream = [heartbeat(), unknown.clone(), unknown.clone(), heartbeat()].concat();
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
     let mut ids = Vec::new();
-    scanner.push(Timestamp::ZERO, &stream, &mut |item| {
+    framer.push(Timestamp::ZERO, &stream, &mut |item| {
         if let FramerOutput::UnknownFrame(frame) = item {
             ids.push((frame.message_id, frame.source, frame.sequence));
         }
         found.push(owned(item));
     });
     let expected = [
-        Found::Frame(heartbeat()),
-        Found::Unknown(unknown.clone()),
-        Found::Unknown(unknown),
-        Found::Frame(heartbeat()),
+        OwnedFramerOutput::Frame(heartbeat()),
+        OwnedFramerOutput::UnknownFrame(unknown.clone()),
+        OwnedFramerOutput::UnknownFrame(unknown),
+        OwnedFramerOutput::Frame(heartbeat()),
     ];
     assert_eq!(found, expected, "in the order of the bytes, untouched");
     assert_eq!(ids, [(12_345, Address::new(9, 1), 7); 2]);
-    assert_eq!(scanner.counters().unknown_ids, 2);
+    assert_eq!(framer.counters().unknown_ids, 2);
 }
 
 #[test]
 fn an_unknown_frame_at_the_end_waits_for_the_gap() {
     let unknown = stranger(b"who am I");
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
+    framer.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
     assert!(found.is_empty(), "{found:?}");
-    let deadline = scanner.deadline().unwrap();
-    scanner.tick(deadline, &mut |item| found.push(owned(item)));
-    assert_eq!(found, [Found::Unknown(unknown)]);
-    assert_eq!(scanner.counters().stalls, 0);
+    let deadline = framer.deadline().unwrap();
+    framer.tick(deadline, &mut |item| found.push(owned(item)));
+    assert_eq!(found, [OwnedFramerOutput::UnknownFrame(unknown)]);
+    assert_eq!(framer.counters().stalls, 0);
 }
 
 #[test]
@@ -319,7 +319,7 @@ fn an_unknown_claim_never_costs_a_known_frame() {
     for transport in [TransportKind::Stream, TransportKind::Datagram] {
         let config = FramerConfig { transport, ..FramerConfig::default() };
         let (found, counters) = scan(config, &stream, stream.len());
-        assert_eq!(frames(&found), [Found::Frame(heartbeat()), Found::Frame(heartbeat())]);
+        assert_eq!(frames(&found), [OwnedFramerOutput::Frame(heartbeat()), OwnedFramerOutput::Frame(heartbeat())]);
         assert_eq!(counters.unknown_ids, 0);
     }
 }
@@ -329,38 +329,42 @@ fn an_unknown_frame_does_not_delay_known_ones() {
     // The claim is longer than everything that follows.
     let mut stream = vec![0xFD, 250, 0, 0, 7, 9, 1, 0x39, 0x30, 0x00];
     stream.extend_from_slice(&heartbeat());
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
-    assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
+    framer.push(Timestamp::ZERO, &stream, &mut |item| found.push(owned(item)));
+    assert_eq!(frames(&found), [OwnedFramerOutput::Frame(heartbeat())]);
 }
 
 #[test]
 fn a_datagram_decides_at_its_end() {
     let unknown = stranger(b"forward me");
-    let mut scanner = Framer::new(DATAGRAM);
+    let mut framer = Framer::new(DATAGRAM);
     let mut found = Vec::new();
-    scanner.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
+    framer.push(Timestamp::ZERO, &unknown, &mut |item| found.push(owned(item)));
     let pair = [unknown.clone(), heartbeat()].concat();
-    scanner.push(Timestamp::ZERO, &pair, &mut |item| found.push(owned(item)));
-    let expected = [Found::Unknown(unknown.clone()), Found::Unknown(unknown), Found::Frame(heartbeat())];
+    framer.push(Timestamp::ZERO, &pair, &mut |item| found.push(owned(item)));
+    let expected = [
+        OwnedFramerOutput::UnknownFrame(unknown.clone()),
+        OwnedFramerOutput::UnknownFrame(unknown),
+        OwnedFramerOutput::Frame(heartbeat()),
+    ];
     assert_eq!(found, expected);
     found.clear();
-    scanner.push(Timestamp::ZERO, &heartbeat()[..15], &mut |item| {
+    framer.push(Timestamp::ZERO, &heartbeat()[..15], &mut |item| {
         found.push(owned(item));
     });
-    scanner.push(Timestamp::ZERO, &heartbeat(), &mut |item| {
+    framer.push(Timestamp::ZERO, &heartbeat(), &mut |item| {
         found.push(owned(item));
     });
-    assert_eq!(scanner.deadline(), None, "a datagram has no continuation");
-    assert_eq!(frames(&found), [Found::Frame(heartbeat())]);
-    assert_eq!(scanner.counters().stalls, 1);
+    assert_eq!(framer.deadline(), None, "a datagram has no continuation");
+    assert_eq!(frames(&found), [OwnedFramerOutput::Frame(heartbeat())]);
+    assert_eq!(framer.counters().stalls, 1);
 }
 
 #[test]
 fn unknown_telemetry_between_heartbeats_of_one_second_is_kept() {
     let unknown = stranger(&[0x11; 60]);
-    let mut scanner = Framer::new(FramerConfig::default());
+    let mut framer = Framer::new(FramerConfig::default());
     let mut handed_out = 0;
     let mut count = |item: FramerOutput<'_>| {
         if let FramerOutput::UnknownFrame(_) = item {
@@ -368,11 +372,11 @@ fn unknown_telemetry_between_heartbeats_of_one_second_is_kept() {
         }
     };
     for frame in 0..50 {
-        scanner.push(Timestamp::from_millis(20 * frame), &unknown, &mut count);
+        framer.push(Timestamp::from_millis(20 * frame), &unknown, &mut count);
     }
-    scanner.push(Timestamp::from_millis(1_000), &heartbeat(), &mut count);
+    framer.push(Timestamp::from_millis(1_000), &heartbeat(), &mut count);
     assert_eq!(handed_out, 50);
-    assert_eq!(scanner.counters().garbage_bytes, 0);
+    assert_eq!(framer.counters().garbage_bytes, 0);
 }
 
 #[test]
