@@ -332,7 +332,7 @@ mod tests {
     fn links_that_would_stay_silent_are_refused() {
         let message = |arguments: &[&str]| scenario_of(arguments).unwrap_err().to_string();
         let camera = message(&["--camera-listen", "udp://:0"]);
-        assert!(camera.contains("on the brick's link"), "{camera}");
+        assert!(camera.contains("shares the brick's link"), "{camera}");
         let beacon = message(&["--brick", "nxt", "--announce", "udp://127.0.0.1:3015"]);
         assert!(beacon.contains("--brick ev3"), "{beacon}");
         let both = ["--brick", "nxt", "--camera-listen", "udp://:0", "--camera-link", "udp://x:1"];

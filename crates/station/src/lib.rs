@@ -18,6 +18,7 @@ mod egress;
 mod estimate_messages;
 mod estimate_publisher;
 mod estimator;
+mod fix_assignment;
 mod fix_requests;
 mod forwarding;
 mod link_context;
@@ -45,6 +46,7 @@ mod status_text;
 #[cfg(test)]
 mod test_config;
 mod thermometer_bank;
+mod timeouts;
 mod transmitter;
 mod vehicle_proxy;
 

@@ -11,6 +11,7 @@ use crate::clock::align::Alignment;
 use crate::codec_events::{CodecEvents, OwnedCodecEvent};
 use crate::config::DescriptionPolicy;
 use crate::contested_messages::ContestedMessage;
+use crate::fix_assignment::robot_of_fix;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
 use crate::observers::ObserverAddress;
@@ -214,7 +215,8 @@ impl Station {
         tag: Option<u32>,
     ) -> ObservationExtractor {
         let unknown = ObservationExtractor::new(self.robots.config_for(&self.config, sender.home, sender.address));
-        let robot = self.fixed_robot(endpoint, sender.address, tag).map(|index| self.robots.get(index).extractor);
+        let robot = robot_of_fix(&self.robots, &self.config, endpoint, sender.address, tag)
+            .map(|index| self.robots.get(index).extractor);
         ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
     }
 
@@ -363,7 +365,7 @@ impl Station {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));
         }
-        let robot = self.fixed_robot(sender.received.endpoint, source, observation.tag);
+        let robot = robot_of_fix(&self.robots, &self.config, sender.received.endpoint, source, observation.tag);
         let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
             Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
         });
@@ -393,24 +395,6 @@ impl Station {
                 ContestedMessage::Message(..) => {}
             }
         }
-    }
-
-    /// The robot that a fix is for. A fix of a tag that the configuration gives to a robot is for that one alone. Any other is for the
-    /// only robot that is heard by the same endpoint as its sender, else the only one at all, else the only one in its sender's system,
-    /// unless that one has another tag.
-    fn fixed_robot(&self, endpoint: Endpoint, sender: Address, tag: Option<u32>) -> Option<RobotIndex> {
-        let robots = &self.robots;
-        let Some(tag) = tag else {
-            return robots.only_at(endpoint).or_else(|| robots.only()).or_else(|| robots.of_system(sender.system));
-        };
-        if let Some(named) = robots.of_tag(tag) {
-            return Some(named);
-        }
-        let mut configured = self.config.robots.iter().map(|block| &block.robot).chain([&self.config.robot]);
-        if configured.any(|robot| robot.tag == Some(tag)) {
-            return None;
-        }
-        self.fixed_robot(endpoint, sender, None).filter(|index| robots.get(*index).tag.is_none())
     }
 
     /// Gives an observation to a robot's estimator and publishes what became of it.
@@ -607,35 +591,5 @@ impl Station {
 
     fn report_unaligned(&mut self, link: LinkId, source: Address) {
         self.emit(Event::ReceiveError { link, defect: ReceiveError::ClockNotAligned { source } });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::{RobotBlock, RobotConfig, RobotMatch};
-    use crate::test_config::station_config;
-    use posebridge_telemetry::{LinkState, PeerId, SystemId};
-
-    #[test]
-    fn a_fix_of_a_tag_is_for_the_robot_with_that_tag_and_for_no_other() {
-        let mut config = station_config();
-        let block = |system, tag| RobotBlock {
-            matches: RobotMatch { system: Some(SystemId(system)), ..RobotMatch::default() },
-            robot: RobotConfig { tag: Some(tag), ..config.robot.clone() },
-        };
-        config.robots = vec![block(1, 7), block(2, 8)];
-        let link = config.links[0].id;
-        let mut station = Station::new(config, Timestamp::ZERO).unwrap();
-        station.handle(Timestamp::ZERO, &posebridge_telemetry::Input::Link { link, state: LinkState::Up });
-        let endpoint = Endpoint { link, peer: PeerId(0) };
-        let origin =
-            MessageOrigin { endpoint, home: link, address: Address::new(1, 1), is_new: true, is_telemetry: true };
-        let received = ReceiveInfo { endpoint, host_time: Timestamp::ZERO };
-        let first = station.adopt_robot(&mut MessageSender { received, origin, robot: None });
-        assert_eq!(first, Some(0));
-        for (tag, robot) in [(None, Some(0)), (Some(7), Some(0)), (Some(8), None), (Some(9), None)] {
-            assert_eq!(station.fixed_robot(endpoint, Address::new(1, 100), tag), robot, "tag {tag:?}");
-        }
     }
 }

@@ -16,7 +16,8 @@ use crate::clock::unwrap::UnwrapOutcome;
 use crate::clock_alignment::{self, ExchangeOutcome};
 use crate::fix_requests::FixRequests;
 use crate::receive::{ReceiveInfo, TimeExchange};
-use crate::sender_identity::{HANDOVER, MAX_CONTENDERS};
+use crate::sender_identity::MAX_CONTENDERS;
+use crate::timeouts::HANDOVER;
 
 /// So many observers are remembered; of more those that have been silent longest are forgotten, a quarter at a time.
 const MAX_OBSERVERS: usize = 1_024;

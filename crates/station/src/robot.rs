@@ -4,8 +4,7 @@ use posebridge_estimator::FilterEntry;
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, TimeDelta,
-    Timestamp,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;
@@ -15,9 +14,7 @@ use crate::estimator::Estimator;
 use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
-
-/// Silence after which a robot, or any other peer, counts as lost. Five missed heartbeats: the usual limit of ground stations.
-pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
+use crate::timeouts::PEER_TIMEOUT;
 
 /// One robot.
 pub struct Robot {

@@ -15,10 +15,11 @@ use crate::contested_messages::ContestedMessages;
 use crate::estimator::Estimator;
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
-use crate::robot::{PEER_TIMEOUT, Robot};
+use crate::robot::Robot;
 use crate::robot_blocks::RobotBlockIndex;
 use crate::robot_index::RobotIndex;
 use crate::sender_identity::{MessageOrigin, SenderIdentities, SenderIdentity};
+use crate::timeouts::PEER_TIMEOUT;
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
 /// Systems that are given to robots whose own is taken; those above are for ground stations.

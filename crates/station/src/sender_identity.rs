@@ -15,13 +15,13 @@ use std::collections::BTreeMap;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-use crate::robot::PEER_TIMEOUT;
 use crate::robot_index::RobotIndex;
+use crate::timeouts::{HANDOVER, PEER_TIMEOUT};
 
-/// Silence after which another peer with the same address takes the place of the first, at the earliest.
-pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
 /// A robot that sends rarely is silent for longer than that: another peer takes its place after so many of its usual intervals.
 const HANDOVER_INTERVALS: i64 = 2;
+/// And at the latest after this: a pause is no usual interval.
+const LATEST_HANDOVER: TimeDelta = TimeDelta::from_millis(2_500);
 /// Telemetry that came round a loop shows for so long that the address is heard by several ways.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
 /// Most senders whose identity is open.
@@ -89,7 +89,7 @@ impl KnownSender {
     /// The silence after which another peer of a link takes the place of the one that it was heard by.
     fn handover(&self) -> TimeDelta {
         let longest = self.intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
-        HANDOVER.max(TimeDelta::from_nanos(longest.as_nanos().saturating_mul(HANDOVER_INTERVALS)))
+        TimeDelta::from_nanos(longest.as_nanos().saturating_mul(HANDOVER_INTERVALS)).max(HANDOVER).min(LATEST_HANDOVER)
     }
 }
 
@@ -247,6 +247,14 @@ mod tests {
         assert_eq!(identities.identify(at(2_950), telemetry(0, 1)), SenderIdentity::Contested);
         assert_eq!(identities.identify(at(3_000), telemetry(0, 0)), SenderIdentity::Robot(0));
         assert_eq!(identities.identify(at(3_450), telemetry(0, 1)), SenderIdentity::Unknown, "both go on");
+    }
+
+    #[test]
+    fn a_robot_that_reconnects_soon_after_a_long_pause_stays_the_same_robot() {
+        let mut identities = with_one_robot();
+        assert_eq!(identities.identify(at(60_000), telemetry(0, 0)), SenderIdentity::Robot(0));
+        assert_eq!(identities.identify(at(60_100), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identities.identify(at(62_500), telemetry(0, 1)), SenderIdentity::Robot(0));
     }
 
     #[test]

@@ -15,9 +15,10 @@ use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDe
 use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
 use crate::output_schedule::SETTABLE_OUTPUTS;
 use crate::receive::ReceivedMessage;
-use crate::robot::{PEER_TIMEOUT, Robot};
+use crate::robot::Robot;
 use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::timeouts::PEER_TIMEOUT;
 use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.

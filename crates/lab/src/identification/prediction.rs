@@ -7,7 +7,7 @@
 //! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which holds the
 //! noise, the lags, and the faults of the model.
 //!
-//! At rest, before a step is seen, the reading is the quantity. Long after it nothing is left of which the model could be wrong, so that
+//! At rest, before a step is seen, the reading is the quantity. Long after it the model can no longer be wrong, so that
 //! the reading is the quantity again: nothing switches.
 
 use super::expectation::{ExpectedDynamics, StepDirection};

@@ -21,7 +21,7 @@
 //! miss least is chosen, and if their bounds hold less often than they should, the sigmas of the next prediction are larger by
 //! what would have made them hold.
 //!
-//! Up and down are identified apart. A step the other way, of which there is no run, is expected like those that there are, but for a
+//! Up and down are identified apart. A step the other way, without a run, is expected like those that there are, but for a
 //! scale that all its lags have in common: heat goes into a body through another film than out of it.
 //! ```text
 //! ln tau_j = ln s + ln tau_j of (10)          ln s of variance s_c^2, the same for all j                               (14)
@@ -267,7 +267,7 @@ fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
     (((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
 }
 
-/// Degrees of freedom of the prior spread: it weighs as much as so many runs.
+/// Degrees of freedom of the prior spread: it weighs as much as this number of runs.
 const PRIOR_FREEDOM: f64 = 3.0;
 
 /// An order with a share that may be zero in one of the runs has lags that are anywhere.

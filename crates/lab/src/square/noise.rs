@@ -41,9 +41,9 @@ pub struct MeanAndVariance {
 /// The results of a record; `None` where the sensor said too little. Units are those of the paper: degrees, cm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NoiseRecord {
-    /// From this row on,
+    /// The first row.
     pub from: usize,
-    /// so many rows.
+    /// The number of rows.
     pub rows: usize,
     /// The left and the right counter, degrees²: R of the wheels' filters.
     pub counters: Option<[MeanAndVariance; 2]>,

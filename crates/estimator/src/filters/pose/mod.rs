@@ -1,6 +1,6 @@
 //! The flagship: an EKF with pose, speeds and gyro bias that applies every observation at its own time.
 //!
-//! The filter keeps its inputs for a few seconds, with the state after each. A late observation is put where it belongs,
+//! The filter keeps its inputs for a few seconds, with states between them. A late observation is put where it belongs,
 //! the state before it is restored and what came after is applied again: exactly what would have happened had it come in time.
 //! The order of arrival does not matter, bit for bit, as long as nothing is older than the history.
 //!

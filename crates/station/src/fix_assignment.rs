@@ -1,0 +1,60 @@
+//! Which robot a camera's fix is for.
+
+use posebridge_protocol::routing::Endpoint;
+use posebridge_telemetry::Address;
+
+use crate::config::StationConfig;
+use crate::robot_index::RobotIndex;
+use crate::robot_table::RobotTable;
+
+/// The robot that a fix is for; `None` if that is open, or if the robot was not heard yet.
+///
+/// A fix of a tag that the configuration gives to a robot is for that one alone. Any other is for the only robot that is heard by the same
+/// endpoint as its sender, else for the only one at all, else for the only one in its sender's system, unless that one has another tag.
+pub(crate) fn robot_of_fix(
+    robots: &RobotTable,
+    config: &StationConfig,
+    endpoint: Endpoint,
+    sender: Address,
+    tag: Option<u32>,
+) -> Option<RobotIndex> {
+    let nearest = || robots.only_at(endpoint).or_else(|| robots.only()).or_else(|| robots.of_system(sender.system));
+    let Some(tag) = tag else {
+        return nearest();
+    };
+    let mut configured = config.robots.iter().map(|block| &block.robot).chain([&config.robot]);
+    if configured.any(|robot| robot.tag == Some(tag)) {
+        return robots.of_tag(tag);
+    }
+    nearest().filter(|index| robots.get(*index).tag.is_none())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{RobotBlock, RobotConfig, RobotMatch};
+    use crate::observers::Observers;
+    use crate::sender_identity::MessageOrigin;
+    use crate::test_config::station_config;
+    use posebridge_estimator::find_filter;
+    use posebridge_telemetry::{LinkId, PeerId, SystemId, Timestamp};
+
+    #[test]
+    fn a_fix_of_a_tag_is_for_the_robot_with_that_tag_and_for_no_other() {
+        let mut config = station_config();
+        let block = |system, tag| RobotBlock {
+            matches: RobotMatch { system: Some(SystemId(system)), ..RobotMatch::default() },
+            robot: RobotConfig { tag: Some(tag), ..config.robot.clone() },
+        };
+        config.robots = vec![block(1, 7), block(2, 8)];
+        let mut robots = RobotTable::new(find_filter("pose").unwrap(), &config);
+        let endpoint = Endpoint { link: LinkId(0), peer: PeerId(0) };
+        let address = Address::new(1, 1);
+        let origin = MessageOrigin { endpoint, home: endpoint.link, address, is_new: true, is_telemetry: true };
+        assert_eq!(robots.adopt(Timestamp::ZERO, origin, &config, &mut Observers::default()), Some(0));
+        // The robot of tag 8 was not heard yet, and tag 9 is on none.
+        for (tag, robot) in [(None, Some(0)), (Some(7), Some(0)), (Some(8), None), (Some(9), None)] {
+            assert_eq!(robot_of_fix(&robots, &config, endpoint, Address::new(1, 100), tag), robot, "tag {tag:?}");
+        }
+    }
+}
