@@ -1,9 +1,6 @@
-//! What a station has put out, until somebody takes it.
+//! What a station has put out, until it is taken.
 //!
-//! The station's own output leaves first, then frames of others on their way to another link: nobody steers by them.
-//!
-//! An output is large, and a replay looks at most of them and takes none: one that was looked at stays where it is until the last has
-//! been, instead of being moved out of the queue to be dropped.
+//! The station's own output leaves first, then frames of others on their way to another link: no robot steers by them.
 
 use std::collections::VecDeque;
 
@@ -14,9 +11,7 @@ use crate::forwarding::ForwardingReport;
 /// Outputs, oldest first.
 #[derive(Debug, Default)]
 pub(crate) struct OutputQueue {
-    own: Vec<Option<Output>>,
-    /// How many of them were taken or skipped.
-    popped: usize,
+    own: VecDeque<Output>,
     forwarded: VecDeque<Output>,
     /// What was routed in this input and is to be counted and forwarded after the station's own output.
     reports: Vec<(LinkId, ForwardingReport)>,
@@ -27,13 +22,13 @@ pub(crate) struct OutputQueue {
 impl OutputQueue {
     /// Puts an output behind the station's own.
     pub(crate) fn push(&mut self, output: Output) {
-        self.own.push(Some(output));
+        self.own.push_back(output);
     }
 
     /// Puts an event behind the station's own output.
     #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
-        self.own.push(Some(Output::Event(event)));
+        self.own.push_back(Output::Event(event));
     }
 
     /// Puts a frame of somebody else behind the others.
@@ -63,41 +58,12 @@ impl OutputQueue {
     }
 
     /// Whether none of the station's own output is left.
-    pub(crate) const fn has_no_own(&self) -> bool {
-        self.popped == self.own.len()
-    }
-
-    pub(crate) fn front(&self) -> Option<&Output> {
-        if self.has_no_own() {
-            return self.forwarded.front();
-        }
-        self.own.get(self.popped)?.as_ref()
+    pub(crate) fn has_no_own(&self) -> bool {
+        self.own.is_empty()
     }
 
     pub(crate) fn pop(&mut self) -> Option<Output> {
-        if self.has_no_own() {
-            return self.forwarded.pop_front();
-        }
-        let output = self.own.get_mut(self.popped)?.take();
-        self.advance();
-        output
-    }
-
-    /// Drops the next output where it is.
-    pub(crate) fn skip(&mut self) {
-        if self.has_no_own() {
-            self.forwarded.pop_front();
-        } else {
-            self.advance();
-        }
-    }
-
-    fn advance(&mut self) {
-        self.popped += 1;
-        if self.has_no_own() {
-            self.own.clear();
-            self.popped = 0;
-        }
+        self.own.pop_front().or_else(|| self.forwarded.pop_front())
     }
 }
 
@@ -111,31 +77,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_taken_looked_at_and_put_in_between_keeps_its_order() {
+    fn the_stations_own_output_leaves_before_forwarded_frames_and_each_in_its_order() {
         let mut queue = OutputQueue::default();
-        queue.skip();
-        assert!(queue.pop().is_none() && queue.front().is_none());
-        let mut next = 0;
-        let mut expected = 0;
-        for round in 0..50 {
-            for _ in 0..=round % 3 {
-                queue.emit(event(next));
-                next += 1;
-            }
-            let wanted = Output::Event(event(expected));
-            assert_eq!(queue.front(), Some(&wanted));
-            if round % 2 == 0 {
-                assert_eq!(queue.pop(), Some(wanted));
-            } else {
-                queue.skip();
-            }
-            expected += 1;
+        assert!(queue.pop().is_none());
+        for number in 0..3 {
+            queue.push_forwarded(Output::Event(event(10 + number)));
+            queue.emit(event(number));
         }
-        while let Some(output) = queue.pop() {
-            assert_eq!(output, Output::Event(event(expected)));
-            expected += 1;
-        }
-        assert_eq!(expected, next);
-        assert!(queue.has_no_own() && queue.own.is_empty());
+        assert!(!queue.has_no_own());
+        let order = std::iter::from_fn(|| queue.pop());
+        assert!(order.eq([0, 1, 2, 10, 11, 12].map(|number| Output::Event(event(number)))));
+        assert!(queue.has_no_own());
     }
 }

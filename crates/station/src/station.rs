@@ -167,19 +167,6 @@ impl Station {
         self.outputs.pop()
     }
 
-    /// The same where it stands, for a caller that only looks at it; it stays until [`Self::skip_output`]. An output is large.
-    pub fn peek(&mut self) -> Option<&Output> {
-        if self.outputs.has_no_own() {
-            self.finish_input();
-        }
-        self.outputs.front()
-    }
-
-    /// Leaves out the next output, after [`Self::peek`].
-    pub fn skip_output(&mut self) {
-        self.outputs.skip();
-    }
-
     /// When to call [`handle`](Self::handle) with [`Input::Tick`], at the latest.
     #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {

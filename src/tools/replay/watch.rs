@@ -133,12 +133,11 @@ impl ReplayLane<'_> {
     /// As the watcher says.
     pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, place: WindowPosition) -> Result<()> {
         self.station.handle(now, input);
-        while let Some(output) = self.station.peek() {
+        while let Some(output) = self.station.poll() {
             match output {
-                Output::Event(event) if place == WindowPosition::Within => self.watcher.observe(now, event)?,
+                Output::Event(event) if place == WindowPosition::Within => self.watcher.observe(now, &event)?,
                 Output::Event(_) | Output::Transmit { .. } | Output::Request(_) => {}
             }
-            self.station.skip_output();
         }
         if place == WindowPosition::Within {
             self.watcher.after_input(now, &self.station);
