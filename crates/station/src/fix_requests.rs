@@ -25,7 +25,7 @@ use crate::config::FixRequestConfig;
 const MAV_TYPE_CAMERA: u8 = 30;
 /// MAV_RESULT_ACCEPTED, _TEMPORARILY_REJECTED and _IN_PROGRESS: all others refuse for good.
 const NOT_REFUSED: [u8; 3] = [0, 1, 5];
-/// So many cameras are remembered; those that come later are not asked. The last sensor's number is shared from the eighth camera on
+/// Most cameras that are remembered; those that come later are not asked. The last sensor's number is shared from the eighth camera on
 /// ([`SensorId::camera`](posebridge_telemetry::SensorId::camera)).
 pub(crate) const MAX_CAMERAS: usize = 64;
 /// Number of requests in a row without a fix after which a camera rests.

@@ -139,7 +139,7 @@ impl RequestContext<'_> {
             return RequestReply::of(CommandResult::Denied);
         };
         let kind = output_for_message(message_id);
-        // Nobody in particular is answered for the first robot: it has the intervals that were asked for all of them.
+        // For a requester that is no robot the first one stands for all: it has the intervals that were requested for all of them.
         let robot = self.robot().unwrap_or_else(|| self.robots.first());
         let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
         let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);

@@ -25,7 +25,7 @@ pub(crate) struct TargetedCommand {
 /// For whom a command is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandTarget {
-    /// For nobody in particular: a pose is that of the first robot, calibration and sensors are those of all robots.
+    /// For no robot in particular: a pose is that of the first robot, calibration and sensors are those of all robots.
     Station,
     /// For this robot alone, where it concerns robots.
     Robot(RobotIndex),

@@ -43,7 +43,7 @@ pub(crate) struct RobotTable {
     by_link: BTreeMap<LinkId, Vec<RobotIndex>>,
     /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know addresses alone
     /// and do not notice when one of them is lost.
-    lost_namesakes: BTreeMap<RobotIndex, bool>,
+    robots_with_shared_address: BTreeMap<RobotIndex, bool>,
     /// A robot was refused, because there are as many as there may be; whether that was reported.
     has_refused: bool,
     has_reported_refusal: bool,
@@ -95,7 +95,7 @@ impl RobotTable {
             used_systems: BTreeSet::new(),
             renamed: BTreeMap::new(),
             by_link: BTreeMap::new(),
-            lost_namesakes: BTreeMap::new(),
+            robots_with_shared_address: BTreeMap::new(),
             has_refused: false,
             has_reported_refusal: false,
             settings: CommonSettings::default(),
@@ -255,7 +255,7 @@ impl RobotTable {
         let namesakes: Vec<RobotIndex> = self.identities.at_home(origin.home, address).collect();
         if !namesakes.is_empty() {
             for robot in namesakes.into_iter().chain([index]) {
-                self.lost_namesakes.entry(robot).or_insert(false);
+                self.robots_with_shared_address.entry(robot).or_insert(false);
             }
         }
         self.identities.add(now, origin);
@@ -342,13 +342,13 @@ impl RobotTable {
 
     /// Whether several robots of a link have this address.
     pub(crate) fn is_shared(&self, home: LinkId, address: Address) -> bool {
-        !self.lost_namesakes.is_empty() && self.identities.at_home(home, address).nth(1).is_some()
+        !self.robots_with_shared_address.is_empty() && self.identities.at_home(home, address).nth(1).is_some()
     }
 
     /// Robots that share their address and were lost, with their silence, or are heard again.
     pub(crate) fn take_namesake_changes(&mut self, now: Timestamp<HostClock>) -> Vec<(RobotId, Option<TimeDelta>)> {
         let mut changes = Vec::new();
-        for (index, is_lost) in &mut self.lost_namesakes {
+        for (index, is_lost) in &mut self.robots_with_shared_address {
             let robot = &self.robots[*index];
             if robot.is_alive(now) == *is_lost
                 && let Some((_, last_seen)) = robot.last_seen

@@ -212,7 +212,7 @@ impl FrameRouter {
         occurrence: DuplicateStatus,
     ) -> RoutingDecision {
         let SenderInfo { check, sharing } = sender;
-        // By a detour nobody is to be reached: that would send commands around the loop. By a redundant link he is.
+        // A loop is no route: it would send commands around. A redundant link is one.
         if check == SenderCheck::Verified && occurrence != DuplicateStatus::Loop {
             self.routes.observe(now, frame.source, from);
         }

@@ -42,7 +42,7 @@ pub(super) struct PlausibleRange {
 }
 
 impl LastStamp {
-    /// A stamp of which nothing is known but that it came.
+    /// A stamp with no known instant.
     pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
         Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }
     }
