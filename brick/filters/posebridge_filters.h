@@ -14,7 +14,7 @@
  *
  * Compile with -DPB_REAL=float for a brick without double precision.
  *
- * Sources: docs/maths/paper1.md of this project, sections 1 to 5.
+ * Sources: docs/lab/square.md of this project, sections M1 to M5.
  */
 #ifndef POSEBRIDGE_FILTERS_H
 #define POSEBRIDGE_FILTERS_H

@@ -4,7 +4,7 @@
  *   cc -std=c99 -O2 replay.c posebridge_filters.c -lm -o replay
  *   ./replay track_m=0.112 < drive.csv > beliefs.csv
  *
- * The file is that of `posebridge lab nxt-square --export drive.csv`; docs/lab/nxt-square.md has its columns. Robot, start and noise are
+ * The file is that of `posebridge lab nxt-square --export drive.csv`; docs/lab/square.md has its columns. Robot, start and noise are
  * given as key=value, SI; the names and what they are without that stand in `settings` below.
  */
 #include "posebridge_filters.h"

@@ -1,6 +1,6 @@
 # A SPIKE Prime hub with two driven wheels: reports 20 times per second over Bluetooth, hears where it is.
 #
-# On the computer:  python3 brick/micropython/pybricks_bridge.py spike_drive_base.py     (docs/bricks/pybricks.md tells the rest)
+# On the computer:  python3 brick/micropython/pybricks_bridge.py spike_drive_base.py     (docs/protocols/boards.md tells the rest)
 #
 # Nothing may be printed beside the frames: they share the hub's output.
 

@@ -3,7 +3,7 @@
 
     python3 read_tables.py tables [path.png]
 
-In a notebook: `from read_tables import sensors, path`. The columns are those of docs/export.md; their names end in their units.
+In a notebook: `from read_tables import sensors, path`. The columns are those of docs/recordings.md; their names end in their units.
 """
 import pathlib
 import sys

@@ -54,5 +54,5 @@ pub use receiver::{Received, Receiver};
 
 /// The program on the page for newcomers compiles.
 #[cfg(doctest)]
-#[doc = include_str!("../../../docs/bricks/rust.md")]
+#[doc = include_str!("../../../docs/protocols/boards.md")]
 struct Page;
