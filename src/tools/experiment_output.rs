@@ -1,9 +1,10 @@
-//! What an experiment of the lab leaves behind: a page, its pictures, and numbers for people or programs.
+//! Where a report goes: a page, its pictures, and numbers for people or programs.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use posebridge_report::page::{ReportBlock, ReportFigure, ReportPage};
+use posebridge_report::page::{ReportBlock, ReportFigure};
+use posebridge_report::report::Report;
 
 use super::raster;
 use crate::console::{print_line, print_result};
@@ -23,20 +24,6 @@ pub struct OutputArgs {
     pub json: bool,
 }
 
-/// The result of an experiment.
-#[derive(Clone, Debug)]
-pub struct ExperimentOutcome {
-    /// The command's words joined, such as `lab-wall`; names the files.
-    pub name: &'static str,
-    /// The page; its pictures are written beside it as well, as `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is
-    /// one; those with a name of their own as `<name>-<their name>.svg`.
-    pub page: ReportPage,
-    /// Tables for the terminal, with a line feed at the end.
-    pub text: String,
-    /// The same for programs.
-    pub json: serde_json::Value,
-}
-
 impl OutputArgs {
     /// Makes the folder, before minutes are spent on what could not be kept.
     ///
@@ -53,25 +40,28 @@ impl OutputArgs {
         Ok(folder)
     }
 
-    /// Writes the files into `folder`, prints the numbers, and says where the page is.
+    /// Writes the page and its pictures into `folder`, prints the numbers, and says where the page is.
+    ///
+    /// The pictures are called `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is one; those with a name of their own
+    /// `<name>-<their name>.svg`.
     ///
     /// # Errors
     /// Something cannot be written.
-    pub fn write_outcome(&self, folder: &Path, outcome: &ExperimentOutcome) -> Result<(), Failure> {
-        let pictures: Vec<&String> = outcome.page.blocks.iter().filter_map(picture).collect();
+    pub fn write_outcome(&self, folder: &Path, report: &Report) -> Result<(), Failure> {
+        let (name, page) = (report.name(), report.page());
+        let pictures: Vec<&String> = page.blocks.iter().filter_map(picture).collect();
         for (index, svg) in pictures.iter().enumerate() {
             let number = if pictures.len() > 1 { format!("-{}", index + 1) } else { String::new() };
-            self.write_picture(folder, &format!("{}{number}", outcome.name), svg)?;
+            self.write_picture(folder, &format!("{name}{number}"), svg)?;
         }
-        for picture in outcome.page.blocks.iter().flat_map(pictures_of) {
-            let name = format!("{}-{}", outcome.name, picture.name);
-            self.write_picture(folder, &name, &picture.svg)?;
+        for picture in page.blocks.iter().flat_map(pictures_of) {
+            self.write_picture(folder, &format!("{name}-{}", picture.name), &picture.svg)?;
         }
-        let page = folder.join(format!("{}.html", outcome.name));
-        write(&page, outcome.page.html().as_bytes())?;
-        let text = if self.json { format!("{}\n", outcome.json) } else { outcome.text.clone() };
+        let path = folder.join(format!("{name}.html"));
+        write(&path, page.html().as_bytes())?;
+        let text = if self.json { format!("{}\n", report.json()) } else { report.text() };
         print_result(&text).while_running()?;
-        print_line(&format!("page: {}", page.display()));
+        print_line(&format!("page: {}", path.display()));
         Ok(())
     }
 

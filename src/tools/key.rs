@@ -1,4 +1,4 @@
-//! `posebridge key`: keys for signed links (docs/signing.md).
+//! `posebridge key`: keys for signed links (docs/routing.md).
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ pub struct KeyArgs {
 /// What to do with keys.
 #[derive(Clone, Debug, Subcommand)]
 pub enum KeyAction {
-    /// Make a new key, from random bytes of the operating system, and print its name (docs/signing.md).
+    /// Make a new key, from random bytes of the operating system, and print its name (docs/routing.md).
     New {
         /// Where to write it; a file that is there already is not touched.
         file: PathBuf,

@@ -2,6 +2,7 @@
 
 pub mod completions;
 pub mod config;
+pub mod csv_table;
 pub mod dataset;
 pub mod doctor;
 pub mod experiment_output;

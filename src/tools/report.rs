@@ -1,19 +1,17 @@
 //! `posebridge report`: a recording as a page that needs nothing else, with every picture as a file of its own.
 //!
 //! All that it says comes from the recorded inputs, given to the engine that runs live, by the code of `replay`; nothing is read that
-//! the live run has computed but the truth of a simulated one. Docs: docs/report.md.
+//! the live run has computed but the truth of a simulated one. Docs: docs/reports.md.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 use posebridge_report::PoseTrack;
-use posebridge_report::tables::{EstimatorRow, runs_table};
 use posebridge_telemetry::Timestamp;
 
 use super::dataset::report_bad_rows;
-use super::experiment_output::{ExperimentOutcome, OutputArgs};
+use super::experiment_output::OutputArgs;
 use super::own_recording::is_own;
 use super::replay::foreign::{ForeignRecording, check_filter, replay_run, truth_of};
 use super::replay::own::{self, WHOLE_RUN};
@@ -69,13 +67,9 @@ pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
         print_line(&format!("{}: {note}", session.recording));
     }
     let folder: PathBuf = args.output.folder()?;
-    let outcome = ExperimentOutcome {
-        name: "report",
-        page: session_page::page(&session),
-        text: text(&session),
-        json: session_json::object(&session),
-    };
-    args.output.write_outcome(&folder, &outcome)
+    let mut report = session_page::report(&session);
+    session_json::add(&mut report, &session);
+    args.output.write_outcome(&folder, &report)
 }
 
 fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSummary, Failure> {
@@ -250,19 +244,4 @@ fn foreign_facts(foreign: &ForeignRecording) -> Vec<(String, String)> {
     ]
     .map(|(name, value)| (name.to_owned(), value))
     .into()
-}
-
-/// What a terminal shows: errors, and a verdict for each sensor.
-fn text(session: &SessionSummary) -> String {
-    let rows: Vec<EstimatorRow<'_>> =
-        session.runs.iter().map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
-    let mut text = format!("{}, filter {}\n\n", session.recording, session.filter);
-    text += &runs_table(&rows);
-    for run in &session.runs {
-        let _ = writeln!(text, "\n{}", run.name);
-        for verdict in run.source_summaries() {
-            let _ = writeln!(text, "  {}: {}", verdict.sensor.name(), verdict.assessment);
-        }
-    }
-    text
 }

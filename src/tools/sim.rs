@@ -67,7 +67,7 @@ pub struct SimArgs {
     /// The link to the station.
     #[command(flatten)]
     pub link: StationLink,
-    /// The brick's protocol, instead of the scenario's (docs/simulated-bricks.md).
+    /// The brick's protocol, instead of the scenario's (docs/simulator.md).
     #[arg(long, value_enum, value_name = "KIND")]
     pub brick: Option<BrickKind>,
     /// The camera's link, where it has one of its own.

@@ -3,11 +3,12 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_sim::TruthSample;
 use posebridge_telemetry::{Heading, Meters, Pose, Timestamp};
 
+use super::csv_table::CsvTable;
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 
 /// The first line.
@@ -39,34 +40,42 @@ pub fn write(samples: &[TruthSample]) -> String {
 /// The true track of a file.
 ///
 /// # Errors
-/// It cannot be read, or as [`read`] says.
+/// It cannot be read, or is not what [`write()`] makes; the message names line and column.
 pub fn open(path: &Path) -> Result<PoseTrack> {
-    let name = path.display();
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the truth `{name}`"))?;
-    read(&text).with_context(|| format!("truth `{name}`"))
+    let table = CsvTable::read(path).context("reading the truth")?;
+    ensure!(
+        table.columns().iter().eq(HEADER.split(',')),
+        "`{}` is no truth file; its first line must be `{HEADER}`",
+        path.display()
+    );
+    let samples = table.rows().map(|row| {
+        Ok(TimedPose {
+            time: Timestamp::from_micros(row.number("brick_micros")? as i64),
+            pose: Pose::new(
+                Meters(row.number("x_m")?),
+                Meters(row.number("y_m")?),
+                Heading::from_rad(row.number("heading_rad")?),
+            ),
+        })
+    });
+    Ok(PoseTrack::new(samples.collect::<Result<Vec<_>>>()?, MAX_INTERPOLATION_GAP))
 }
 
-/// The true track.
-///
-/// # Errors
-/// The text is not what [`write()`] makes; the message names the line.
-pub fn read(text: &str) -> Result<PoseTrack> {
-    let mut lines = text.lines().enumerate();
-    match lines.next() {
-        Some((_, header)) if header.trim() == HEADER => {}
-        _ => bail!("line 1: this is no truth file; it must begin with `{HEADER}`"),
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_file_is_refused_with_line_and_column() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.csv");
+        for (text, expected) in [
+            ("t_s,x_m\n".to_owned(), "truth.csv` is no truth file; its first line must be `brick_micros,x_m"),
+            (format!("{HEADER}\n0,0,0,0,0,0,0,0\n1,0,far,0\n"), "truth.csv` line 3: `far` in column `y_m`"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = format!("{:#}", open(&path).unwrap_err());
+            assert!(error.contains(expected), "{error}");
+        }
     }
-    let mut samples = Vec::new();
-    for (index, line) in lines {
-        let fields: Vec<&str> = line.split(',').collect();
-        let number = |column: usize| -> Result<f64> {
-            let field = fields.get(column).copied().unwrap_or_default();
-            field.trim().parse().with_context(|| format!("line {}: `{field}` is no number", index + 1))
-        };
-        samples.push(TimedPose {
-            time: Timestamp::from_micros(number(0)? as i64),
-            pose: Pose::new(Meters(number(1)?), Meters(number(2)?), Heading::from_rad(number(3)?)),
-        });
-    }
-    Ok(PoseTrack::new(samples, MAX_INTERPOLATION_GAP))
 }

@@ -3,6 +3,7 @@
 //! A closed course is scored by its end point alone; that is what the source papers give.
 
 use posebridge_estimator::Filter;
+use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
 use posebridge_telemetry::{Arena, Observation, Pose};
 
 use posebridge_report::metrics::PoseError;
@@ -62,34 +63,22 @@ pub struct EndErrorSummary {
 #[must_use]
 pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndErrorSummary {
     let ends: Vec<PoseError> = ends.iter().flatten().copied().collect();
-    let of = |value: &dyn Fn(&PoseError) -> f64| -> Vec<f64> {
-        let mut values: Vec<f64> = ends.iter().map(value).collect();
-        values.sort_by(f64::total_cmp);
-        values
-    };
+    let of = |value: &dyn Fn(&PoseError) -> f64| -> Vec<f64> { ends.iter().map(value).collect() };
     let x = of(&|end| end.dx_m.abs());
     let y = of(&|end| end.dy_m.abs());
-    let rms = |values: &[f64]| {
-        let squares = values.iter().map(|value| value * value).sum::<f64>();
-        (squares / values.len().max(1) as f64).sqrt()
-    };
+    let rms = |values: &[f64]| root_mean_square(values).unwrap_or(0.0);
+    let high = |values: &[f64]| quantile(values, HIGH_QUANTILE).unwrap_or(0.0);
     let count = |fits: &dyn Fn(&PoseError) -> bool| ends.iter().filter(|end| fits(end)).count();
     let in_x = |end: &PoseError| end.dx_m.abs() <= limits_m.0;
     let in_y = |end: &PoseError| end.dy_m.abs() <= limits_m.1;
     EndErrorSummary {
         runs: ends.len(),
         rms_m: (rms(&x), rms(&y)),
-        p95_m: (quantile(&x, HIGH_QUANTILE), quantile(&y, HIGH_QUANTILE)),
-        median_m: quantile(&of(&PoseError::position_m), 0.5),
+        p95_m: (high(&x), high(&y)),
+        median_m: quantile(&of(&PoseError::position_m), 0.5).unwrap_or(0.0),
         within: (count(&in_x), count(&in_y), count(&|end| in_x(end) && in_y(end))),
         anees: anees(&ends).value,
     }
-}
-
-/// The value that this share of the sorted values does not exceed (nearest rank); 0 without values.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
 /// In how many runs the first ends nearer to the truth than the second; who has no end is not near.

@@ -6,8 +6,8 @@
 use std::fmt::Write as _;
 
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionRecord, Heading, LinkHealth, LinkId, LinkState, Observation, ObservationKind,
-    ReceiveError, RobotId, ScalarEstimate, SourceHealth, TimeDelta,
+    Address, Estimate, Event, FusionRecord, Heading, LinkCounter, LinkHealth, LinkId, LinkState, Observation,
+    ObservationKind, ReceiveError, RobotId, ScalarEstimate, SourceHealth, TimeDelta,
 };
 use serde_json::{Map, Value, json};
 
@@ -194,25 +194,8 @@ fn health_of(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Val
         .iter()
         .map(|one| json!({ "source": source_of(one.source), "frames": one.frames, "lost": one.lost }))
         .collect();
-    json!({
+    let mut fields = json!({
         "link": link.0,
-        "bytes_in": health.bytes_in,
-        "bytes_out": health.bytes_out,
-        "frames_in": health.frames_in,
-        "frames_out": health.frames_out,
-        "checksum_errors": health.checksum_errors,
-        "garbage_bytes": health.garbage_bytes,
-        "unknown_ids": health.unknown_ids,
-        "stalls": health.timeouts,
-        "frames_lost": health.frames_lost,
-        "reconnects": health.reconnects,
-        "drops_out": health.drops_out,
-        "refused_frames": health.rejected_frames,
-        "duplicates": health.duplicates,
-        "namesakes": health.address_conflicts,
-        "forwarded": health.forwarded,
-        "filtered": health.filtered,
-        "thinned": health.rate_limited,
         "port_bytes_out": health.port.bytes_out,
         "port_drops_out": health.port.drops_out,
         "port_peers": health.port.peers,
@@ -222,7 +205,11 @@ fn health_of(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Val
         "round_trip_ns": health.round_trip.map(TimeDelta::as_nanos),
         "clock_uncertainty_ns": health.clock_uncertainty.map(TimeDelta::as_nanos),
         "sources": sources,
-    })
+    });
+    for counter in LinkCounter::ALL {
+        fields[counter.key] = json!((counter.read)(health));
+    }
+    fields
 }
 
 fn defect_of(defect: &ReceiveError) -> Value {

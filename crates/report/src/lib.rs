@@ -1,7 +1,7 @@
 //! What a run was worth: figures of merit, pictures, tables and pages over estimates, odometry, fixes and truth.
 //!
 //! The program and the experiments give it what a run or a recording left behind; it gives back numbers ([`metrics`]), SVG text ([`chart`]),
-//! aligned plain text ([`tables`]) and HTML ([`page`]). It reads no file, writes none, draws no random number, and holds no estimator: two
+//! aligned plain text ([`tables`]) and HTML ([`page`]); a [`report::Report`] gives text, page and JSON from the same values. It reads no file, writes none, draws no random number, and holds no estimator: two
 //! calls with the same data give the same bytes.
 //!
 //! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
@@ -22,6 +22,7 @@ pub mod chart;
 mod markup;
 pub mod metrics;
 pub mod page;
+pub mod report;
 pub mod smoothed;
 pub mod tables;
 pub mod track;

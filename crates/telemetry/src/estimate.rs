@@ -44,6 +44,17 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// The last reset of the pose in words.
+    #[must_use]
+    pub fn describe_reset(&self) -> String {
+        match self.last_correction {
+            Some(PoseCorrection { dx_m, dy_m, turn }) => {
+                format!("pose reset: moved by {:.3} m, turned by {:.1} deg", dx_m.hypot(dy_m), turn.0.to_degrees())
+            }
+            None => "pose reset".to_owned(),
+        }
+    }
+
     /// Standard deviation of x, in metres.
     #[must_use]
     pub fn x_sigma_m(&self) -> f64 {

@@ -7,6 +7,7 @@ use crate::ids::{Address, ChannelName, LinkId, RobotId};
 use crate::link_health::{LinkHealth, SourceHealth};
 use crate::observation::{Observation, ObservationKind};
 use crate::quantities::Celsius;
+use crate::severity::{INFO, WARNING};
 
 /// One event.
 #[derive(Clone, Debug, PartialEq)]
@@ -165,6 +166,31 @@ impl Event {
             | Self::Text { .. } => true,
         }
     }
+
+    /// The event in words, with its MAVLink severity; `None` for measurements, estimates and counters.
+    #[must_use]
+    pub fn describe(&self) -> Option<(u8, String)> {
+        let described = match self {
+            Self::RobotDetected { robot } => (INFO, format!("robot {} detected", robot.path())),
+            Self::RobotNamed { robot, name } => (INFO, format!("robot {} is {name}", robot.path())),
+            Self::RobotLost { robot, silence } => {
+                (WARNING, format!("robot {} lost: silent for {:.1} s", robot.path(), silence.as_secs_f64()))
+            }
+            Self::BrickRestarted { robot } => (WARNING, format!("robot {} restarted", robot.path())),
+            Self::Link { link, state: LinkState::Up } => (INFO, format!("link {link} is up")),
+            Self::Link { link, state: LinkState::Down } => (WARNING, format!("link {link} is down")),
+            Self::Text { source, severity, text } => (*severity, format!("{source}: {text}")),
+            Self::ObservationAligned { .. }
+            | Self::ObservationFused { .. }
+            | Self::EstimateUpdated { .. }
+            | Self::Temperature { .. }
+            | Self::BrickClockAligned { .. }
+            | Self::CameraClockAligned { .. }
+            | Self::Health { .. }
+            | Self::ReceiveError { .. } => return None,
+        };
+        Some(described)
+    }
 }
 
 /// The state of a link.
@@ -279,5 +305,30 @@ impl ReceiveError {
             Self::AddressConflict { .. } => "address_conflict",
             Self::ClockNotAligned { .. } => "clock_not_aligned",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_in_words_has_the_severity_of_its_kind_and_a_text_that_of_its_sender() {
+        let robot = RobotId { link: LinkId(0), address: Address::new(1, 25) };
+        let silence = TimeDelta::from_millis(5_040);
+        let cases = [
+            (Event::RobotDetected { robot }, INFO, "robot 0/1/25 detected"),
+            (Event::RobotNamed { robot, name: "ada".to_owned() }, INFO, "robot 0/1/25 is ada"),
+            (Event::RobotLost { robot, silence }, WARNING, "robot 0/1/25 lost: silent for 5.0 s"),
+            (Event::BrickRestarted { robot }, WARNING, "robot 0/1/25 restarted"),
+            (Event::Link { link: LinkId(3), state: LinkState::Up }, INFO, "link 3 is up"),
+            (Event::Link { link: LinkId(3), state: LinkState::Down }, WARNING, "link 3 is down"),
+            (Event::Text { source: robot.address, severity: 2, text: "motor hot".to_owned() }, 2, "1/25: motor hot"),
+        ];
+        for (event, severity, text) in cases {
+            assert_eq!(event.describe(), Some((severity, text.to_owned())));
+        }
+        let health = Event::Health { link: LinkId(0), health: LinkHealth::default(), sources: Vec::new() };
+        assert_eq!(health.describe(), None);
     }
 }

@@ -183,6 +183,14 @@ pub struct RobotId {
     pub address: Address,
 }
 
+impl RobotId {
+    /// The robot as `link/system/component`.
+    #[must_use]
+    pub fn path(self) -> String {
+        format!("{}/{}", self.link, self.address)
+    }
+}
+
 impl fmt::Display for RobotId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "link {} {}", self.link, self.address)

@@ -24,6 +24,7 @@ pub mod outbound;
 pub mod quantities;
 pub mod repeat_filter;
 pub mod robot;
+pub mod severity;
 pub mod simulator;
 pub mod spaces;
 
@@ -37,7 +38,7 @@ pub use event::{Event, LinkState, ReceiveError, SignatureError};
 pub use fusion::{FusionOutcome, FusionRecord};
 pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId};
 pub use io::{Input, Output};
-pub use link_health::{LinkCounts, LinkHealth, SourceHealth};
+pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
 pub use outbound::{Priority, Recipients};
 pub use quantities::{

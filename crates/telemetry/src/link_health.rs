@@ -76,3 +76,53 @@ pub struct LinkHealth {
     /// Half the width of the clock bounds: the largest error of a converted timestamp.
     pub clock_uncertainty: Option<TimeDelta>,
 }
+
+/// One counter of a link, for outputs that list many of them.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkCounter {
+    /// The key in exports, event files and recordings. These are contracts and do not follow the names of the fields.
+    pub key: &'static str,
+    /// The name in tables and charts.
+    pub label: &'static str,
+    /// The description in schemas.
+    pub help: &'static str,
+    /// Reads it.
+    pub read: fn(&LinkHealth) -> u64,
+}
+
+#[rustfmt::skip]
+#[expect(missing_docs, reason = "each has its description as a value")]
+impl LinkCounter {
+    pub const BYTES_IN: Self = Self::new("bytes_in", "received bytes", "Bytes received.", |of| of.bytes_in);
+    pub const BYTES_OUT: Self = Self::new("bytes_out", "sent bytes", "Bytes handed to the link.", |of| of.bytes_out);
+    pub const FRAMES_IN: Self = Self::new("frames_in", "received", "Frames received whole.", |of| of.frames_in);
+    pub const FRAMES_OUT: Self = Self::new("frames_out", "sent", "Frames sent.", |of| of.frames_out);
+    pub const CHECKSUM_ERRORS: Self = Self::new("checksum_errors", "damaged", "Candidates with a wrong checksum.", |of| of.checksum_errors);
+    pub const GARBAGE_BYTES: Self = Self::new("garbage_bytes", "garbage bytes", "Bytes outside every frame.", |of| of.garbage_bytes);
+    pub const UNKNOWN_IDS: Self = Self::new("unknown_ids", "unknown ids", "Frames with an unknown message id.", |of| of.unknown_ids);
+    pub const TIMEOUTS: Self = Self::new("stalls", "stalls", "Candidates whose bytes stopped coming.", |of| of.timeouts);
+    pub const FRAMES_LOST: Self = Self::new("frames_lost", "lost", "Frames missing in the sequence numbers.", |of| of.frames_lost);
+    pub const RECONNECTS: Self = Self::new("reconnects", "reconnects", "Times the link came up again.", |of| of.reconnects);
+    pub const DROPS_OUT: Self = Self::new("drops_out", "dropped", "Messages dropped because the link was slow or down.", |of| of.drops_out);
+    pub const REJECTED_FRAMES: Self = Self::new("refused_frames", "refused", "Frames refused for their signature.", |of| of.rejected_frames);
+    pub const DUPLICATES: Self = Self::new("duplicates", "came twice", "Frames that came a second time.", |of| of.duplicates);
+    pub const ADDRESS_CONFLICTS: Self = Self::new("namesakes", "by another under our address", "Frames under our own address that we have not sent.", |of| of.address_conflicts);
+    pub const FORWARDED: Self = Self::new("forwarded", "passed on to it", "Frames of others passed on to it.", |of| of.forwarded);
+    pub const FILTERED: Self = Self::new("filtered", "filtered", "Frames kept out by its filter.", |of| of.filtered);
+    pub const RATE_LIMITED: Self = Self::new("thinned", "thinned", "Frames held back by its limits.", |of| of.rate_limited);
+
+    /// The counters of the station, in the order of recordings.
+    pub const ALL: &[Self] = &[
+        Self::BYTES_IN, Self::BYTES_OUT, Self::FRAMES_IN, Self::FRAMES_OUT, Self::CHECKSUM_ERRORS, Self::GARBAGE_BYTES,
+        Self::UNKNOWN_IDS, Self::TIMEOUTS, Self::FRAMES_LOST, Self::RECONNECTS, Self::DROPS_OUT, Self::REJECTED_FRAMES,
+        Self::DUPLICATES, Self::ADDRESS_CONFLICTS, Self::FORWARDED, Self::FILTERED, Self::RATE_LIMITED,
+    ];
+
+    /// The drops of the station and of the transport; tables and CSV have their sum.
+    pub const UNSENT: Self = Self::new("drops_out", "not sent", "Messages and frames dropped.", |of| of.drops_out + of.port.drops_out);
+    pub const QUEUED_FRAMES: Self = Self::new("queued_frames", "waiting", "Frames that wait to be sent.", |of| of.port.queued_frames.into());
+
+    const fn new(key: &'static str, label: &'static str, help: &'static str, read: fn(&LinkHealth) -> u64) -> Self {
+        Self { key, label, help, read }
+    }
+}

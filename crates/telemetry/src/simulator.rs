@@ -1,7 +1,7 @@
 //! Commands to the simulated brick while it drives: faults, and steering.
 //!
 //! They are [`Command`](crate::Command)s like the others and so part of a recording; the station passes them on as a
-//! [`Request`](crate::Request), and the program that runs the simulated brick carries them out. docs/simulator-commands.md describes each.
+//! [`Request`](crate::Request), and the program that runs the simulated brick carries them out. docs/simulator.md describes each.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -169,7 +169,7 @@ impl std::error::Error for OutOfRange {}
 ///
 /// Lengths: the arenas of the bundled scenarios are smaller than 10 m. Times: from a tenth of a second, shorter than a person unplugs a cable,
 /// to a minute. Delay: 5 s is longer than the filter keeps its history. Bias: 1 rad/s is ten times that of the cheap gyro of
-/// docs/simulated-brick.md. Speeds: more than the simulated motors reach (0.44 m/s at 8 V), so the limit means "full speed".
+/// docs/simulator.md. Speeds: more than the simulated motors reach (0.44 m/s at 8 V), so the limit means "full speed".
 pub const NUMBER_FIELDS: [&NumberField; 10] = [
     &KIDNAP_FORWARD,
     &KIDNAP_LEFT,

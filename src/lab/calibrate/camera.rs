@@ -6,17 +6,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Args;
 use posebridge_lab::calibration::camera::{CalibrationPoint, CameraFit, Similarity, fit_homography, fit_similarity};
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::TextTable;
-use serde_json::{Value, json};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use serde_json::json;
 
-use super::listing::CsvTable;
 use crate::exit::{ExitStage, Failure};
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::csv_table::CsvTable;
+use crate::tools::experiment_output::OutputArgs;
 
 /// Leaving out one point improves the fit of the others by this factor: the point is probably mistyped.
 const SUSPECT: f64 = 3.0;
+
+const RESIDUAL: Format = Format::new(Unit::Millimetres, 2);
 
 /// Flags of `calibrate camera`.
 #[derive(Args, Clone, Debug)]
@@ -43,17 +44,17 @@ pub(super) fn execute(args: &CameraArgs) -> Result<(), Failure> {
     let points = read(&args.points).before_start()?;
     let name = args.points.display().to_string();
     let context = || format!("points `{name}`");
-    let (outcome, numbers) = if args.metric {
+    let (report, numbers) = if args.metric {
         let found = fit_similarity(&points).with_context(context).while_running()?;
-        (metric_outcome(&name, &found), metric_toml(&name, &found))
+        (metric_report(&name, &found), metric_toml(&name, &found))
     } else {
         let found = fit_homography(&points).with_context(context).while_running()?;
-        (outcome(&name, &points, &found), toml_of(&name, &points, &found))
+        (report(&name, &points, &found), toml_of(&name, &points, &found))
     };
     if let Some(path) = &args.save {
         std::fs::write(path, numbers).with_context(|| format!("writing `{}`", path.display())).while_running()?;
     }
-    args.output.write_outcome(&folder, &outcome)
+    args.output.write_outcome(&folder, &report)
 }
 
 fn read(path: &Path) -> Result<Vec<CalibrationPoint>> {
@@ -98,69 +99,46 @@ fn metric_toml(name: &str, found: &Similarity) -> String {
     )
 }
 
-fn table(points: &[CalibrationPoint], found: &CameraFit) -> String {
-    let mut table = TextTable::new(["point", "x m", "y m", "off x mm", "off y mm", "others mm"]);
-    for (index, (point, residual)) in points.iter().zip(&found.residuals_m).enumerate() {
-        let without = found.rms_without_m.get(index);
-        table.push([
-            (index + 1).to_string(),
-            format!("{:.4}", point.floor_m[0]),
-            format!("{:.4}", point.floor_m[1]),
-            format!("{:+.2}", 1e3 * residual[0]),
-            format!("{:+.2}", 1e3 * residual[1]),
-            without.map_or_else(|| "-".to_owned(), |m| format!("{:.2}", 1e3 * m)),
-        ]);
-    }
-    table.render()
-}
-
-fn outcome(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> ExperimentOutcome {
-    let table = table(points, found);
-    let mut text = format!("camera by {name}\n\n{table}\nresiduals {:.2} mm rms\n", 1e3 * found.rms_m);
+fn report(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> Report {
+    let mut report = Report::new("calibrate-camera", format!("Camera by {name}"));
+    report.values([Quantity::new("rms_m", "residuals rms", found.rms_m, RESIDUAL)]);
     if points.len() == 4 {
-        text += "four points always fit: measure a fifth and a sixth to see how good they are\n";
+        report.warning("four points always fit: measure a fifth and a sixth to see how good they are");
     }
     if let Some(point) = suspect(found) {
-        let _ = writeln!(
-            text,
-            "warning: without point {point} the others fit {SUSPECT:.0} times better or more: was it mistyped, or its cross taken for another?"
-        );
+        report.warning(format!(
+            "without point {point} the others fit {SUSPECT:.0} times better or more: was it mistyped, or its cross taken for another?"
+        ));
     }
-    for [a, b, c] in found.homography.rows {
-        let _ = writeln!(text, "[{a:12.6e}, {b:12.6e}, {c:12.6e}]");
-    }
-    ExperimentOutcome {
-        name: "calibrate-camera",
-        page: ReportPage {
-            title: format!("Camera by {name}"),
-            blocks: vec![
-                ReportBlock::PreformattedText(text.clone()),
-                ReportBlock::Figure {
-                    svg: picture(name, points, found),
-                    caption: "Known points by tape and by camera.".to_owned(),
-                },
-            ],
-        },
-        json: json!({
-            "points": points.len(),
-            "homography": found.homography.rows,
-            "rms_m": found.rms_m,
-            "residuals_m": found.residuals_m,
-            "rms_without_m": found.rms_without_m,
-            "suspect": suspect(found),
-        }),
-        text,
-    }
+    let rows: Vec<_> = points.iter().zip(&found.residuals_m).enumerate().collect();
+    let metres = Format::new(Unit::Named("m"), 4);
+    let table = Table::of(&rows)
+        .count("", "point", |(index, _)| index + 1)
+        .number("", "x", metres, |(_, (point, _))| Some(point.floor_m[0]))
+        .number("", "y", metres, |(_, (point, _))| Some(point.floor_m[1]))
+        .number("", "off x", RESIDUAL.signed(), |(_, (_, residual))| Some(residual[0]))
+        .number("", "off y", RESIDUAL.signed(), |(_, (_, residual))| Some(residual[1]))
+        .number("", "others", RESIDUAL, |(index, _)| found.rms_without_m.get(*index).copied());
+    report.table("", &table);
+    let rows = found.homography.rows.map(|[a, b, c]| format!("[{a:12.6e}, {b:12.6e}, {c:12.6e}]"));
+    report.code(rows.join("\n"));
+    report.chart(&plot(name, points, found), "Known points by tape and by camera.");
+    report.data("points", json!(points.len()));
+    report.data("homography", json!(found.homography.rows));
+    report.data("residuals_m", json!(found.residuals_m));
+    report.data("rms_without_m", json!(found.rms_without_m));
+    report.data("suspect", json!(suspect(found)));
+    report
 }
 
-fn picture(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> String {
+fn plot(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> Plot {
     let floor = points.iter().map(|p| (p.floor_m[0], p.floor_m[1])).collect();
     let by_camera = points.iter().map(|p| {
         let [x, y] = found.homography.to_floor(p.measured);
         (x, y)
     });
     let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.to_owned(), shape: CurveShape::Dots(points) };
-    render_plot(&Plot {
+    Plot {
         title: format!("Camera by {name}"),
         key_figures: format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
         axes: vec![Axes {
@@ -170,34 +148,20 @@ fn picture(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> String
             is_map: true,
             curves: vec![curve("by the tape", floor), curve("by the camera", by_camera.collect())],
         }],
-    })
-}
-
-fn metric_outcome(name: &str, found: &Similarity) -> ExperimentOutcome {
-    let text = format!(
-        "camera by {name}\n\norigin ({:.4} m, {:.4} m), x axis at {:.3} degrees, scale {:.5}, residuals {:.2} mm rms\n",
-        found.origin_m[0],
-        found.origin_m[1],
-        found.heading_rad.to_degrees(),
-        found.scale,
-        1e3 * found.rms_m
-    );
-    ExperimentOutcome {
-        name: "calibrate-camera",
-        page: ReportPage {
-            title: format!("Camera by {name}"),
-            blocks: vec![ReportBlock::PreformattedText(text.clone())],
-        },
-        json: metric_json(found),
-        text,
     }
 }
 
-fn metric_json(found: &Similarity) -> Value {
-    json!({
-        "origin_m": found.origin_m,
-        "heading_rad": found.heading_rad,
-        "scale": found.scale,
-        "rms_m": found.rms_m,
-    })
+fn metric_report(name: &str, found: &Similarity) -> Report {
+    let [x_m, y_m] = found.origin_m;
+    let metres = Format::new(Unit::Named("m"), 4);
+    let mut report = Report::new("calibrate-camera", format!("Camera by {name}"));
+    report.values([
+        Quantity::new("", "origin x", x_m, metres),
+        Quantity::new("", "origin y", y_m, metres),
+        Quantity::new("heading_rad", "direction of the x axis", found.heading_rad, Format::new(Unit::Degrees, 3)),
+        Quantity::new("scale", "scale", found.scale, Format::new(Unit::None, 5)),
+        Quantity::new("rms_m", "residuals rms", found.rms_m, RESIDUAL),
+    ]);
+    report.data("origin_m", json!(found.origin_m));
+    report
 }

@@ -1,10 +1,9 @@
 //! `posebridge calibrate`: what a robot's own numbers are, from squares, from any watched drive, at rest, and of the camera above.
 //!
-//! docs/lab/calibrate.md says what to drive and what the figures mean. The estimates are `posebridge_lab::calibration`'s; here
+//! docs/lab/calibration.md says what to drive and what the figures mean. The estimates are `posebridge_lab::calibration`'s; here
 //! files are read, and profiles, tables and pages written.
 
 mod camera;
-pub(super) mod listing;
 mod path;
 mod path_args;
 mod path_online;

@@ -11,12 +11,11 @@ use posebridge_telemetry::{Calibration, UncertainValue};
 
 use super::path_args::{GeometryParameter, PathArgs};
 use super::path_online;
-use super::path_report::{PathCalibrationResult, PathReport, RunComparison};
+use super::path_report::{PathCalibrationResult, RunComparison};
 use super::profile::{CalibratedProfile, fold_into_geometry};
 use super::segments;
 use super::source::{self, CalibrationDrive, CalibrationDrives, CalibrationReference, ReferenceSettings};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
-use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::tools::own_recording;
@@ -48,21 +47,18 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let material = PathDataset::load(args)?;
     let found = calibrate_path(&material.config, &material.paths).while_running()?;
     let calibration = build_result(&material, found)?;
-    let report = PathReport::new(&calibration);
-    for line in report.findings() {
-        print_line(&format!("warning: {line}"));
-    }
+    let report = calibration.report();
     if let Some(path) = &args.save {
         let calibrated = CalibratedProfile {
-            robot: calibration.calibrated.clone(),
+            robot: calibration.calibrated,
             calibration: calibration.residual,
-            source: calibration.recording.clone(),
+            source: calibration.recording,
             method: "calibrate path",
-            remarks: report.remarks(),
+            remarks: vec![report.text()],
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output.write_outcome(&folder, &report.outcome())
+    args.output.write_outcome(&folder, &report)
 }
 
 /// The drives, and the robot that they share.
@@ -167,7 +163,7 @@ fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePa
             drive.name,
             match drive.reference {
                 CalibrationReference::Fixes if is_ours =>
-                    "fixes (record it again where its camera sees it; docs/lab/calibrate.md)",
+                    "fixes (record it again where its camera sees it; docs/lab/calibration.md)",
                 CalibrationReference::Fixes => "fixes (try --against truth)",
                 CalibrationReference::Truth => "truth (try --against fixes)",
             }

@@ -21,7 +21,7 @@ pub struct PathArgs {
     /// What to read of a descriptor's data; without --use-every all fixes are taken.
     #[command(flatten)]
     pub data: DataFlags,
-    /// In place of a recording: a CSV table of wheel distances and places measured with a tape (docs/lab/calibrate.md, section 3).
+    /// In place of a recording: a CSV table of wheel distances and places measured with a tape (docs/lab/calibration.md, section 3).
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["real_robot", "run", "use_every", "settings", "against", "unknown_start"])]
     pub segments: Option<PathBuf>,
     /// The robot of --segments: a profile with a [robot] table.

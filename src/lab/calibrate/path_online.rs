@@ -3,17 +3,16 @@
 use anyhow::{Result, bail, ensure};
 use posebridge_estimator::find_filter;
 use posebridge_link::HostTimer;
-use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_report::report::{Format, Report, Table, Unit};
 use posebridge_telemetry::{ObservationKind, UncertainValue};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::path_args::PathArgs;
 use super::profile::{CalibratedProfile, fold_into_geometry};
 use super::source::{self, CalibrationDrive, ReferenceSettings};
 use crate::config::CALIBRATION_KEYS;
 use crate::exit::{ExitStage, Failure};
-use crate::station::learned_calibration::{LearnedCalibration, learned_table};
-use crate::tools::experiment_output::ExperimentOutcome;
+use crate::station::learned_calibration::LearnedCalibration;
 
 /// The filter that learns.
 const FILTER: &str = "pose";
@@ -31,6 +30,7 @@ pub(super) fn execute(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure>
     let drives = source::load(recording, &args.data, watch)?;
     let drive = single_drive(&drives.drives).before_start()?;
     let learned = learn(drive).while_running()?;
+    let report = report(&drives.recording, &learned);
     if let Some(path) = &args.save {
         let (robot, calibration) = fold_into_geometry(&learned.robot, learned.calibration).while_running()?;
         let calibrated = CalibratedProfile {
@@ -38,11 +38,11 @@ pub(super) fn execute(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure>
             calibration,
             source: format!("{}, {}", drives.recording, drive.name),
             method: "calibrate path --online",
-            remarks: vec![learned_table(std::slice::from_ref(&learned))],
+            remarks: vec![report.text()],
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output.write_outcome(&folder, &outcome(&drives.recording, &learned))
+    args.output.write_outcome(&folder, &report)
 }
 
 fn single_drive(drives: &[CalibrationDrive]) -> Result<&CalibrationDrive> {
@@ -73,26 +73,26 @@ fn learn(drive: &CalibrationDrive) -> Result<LearnedCalibration> {
     })
 }
 
-fn outcome(recording: &str, learned: &LearnedCalibration) -> ExperimentOutcome {
-    let text = format!("{recording}, on line\n\n{}", learned_table(std::slice::from_ref(learned)));
-    let entries = CALIBRATION_KEYS.iter().map(|entry| {
-        let UncertainValue { value, sigma } = (entry.read)(&learned.calibration);
-        (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
-    });
-    ExperimentOutcome {
-        name: "calibrate-path",
-        page: ReportPage {
-            title: format!("What the filter has learned: {recording}"),
-            blocks: vec![
-                ReportBlock::Text("The calibration states of the filter `pose` at the end of the run.".to_owned()),
-                ReportBlock::PreformattedText(text.clone()),
-            ],
-        },
-        json: json!({
-            "recording": recording,
-            "run": learned.run,
-            "online": entries.collect::<serde_json::Map<String, serde_json::Value>>(),
-        }),
-        text,
-    }
+fn report(recording: &str, learned: &LearnedCalibration) -> Report {
+    let mut report = Report::new("calibrate-path", format!("What the filter has learned: {recording}"));
+    report.paragraph(format!("The calibration states of the filter `{FILTER}` at the end of run {}.", learned.run));
+    let entries: Vec<(&str, UncertainValue, UncertainValue)> = CALIBRATION_KEYS
+        .iter()
+        .map(|entry| (entry.key, (entry.read)(&learned.calibration), (entry.read)(&learned.prior)))
+        .collect();
+    // What had no uncertainty before was not learned.
+    let shown: Vec<_> = entries.iter().filter(|(.., before)| before.sigma > 0.0).collect();
+    let five = Format::new(Unit::None, 5).signed();
+    let table = Table::of(&shown)
+        .text("", "number", |(key, ..)| (*key).to_owned())
+        .uncertain("", "learned", five, |(_, after, _)| Some(after.value), |(_, after, _)| Some(after.sigma))
+        .uncertain("", "before", five, |(.., before)| Some(before.value), |(.., before)| Some(before.sigma));
+    report.table("", &table);
+    let online = entries
+        .iter()
+        .map(|(key, after, _)| ((*key).to_owned(), json!({ "value": after.value, "sigma": after.sigma })));
+    report.data("recording", json!(recording));
+    report.data("run", json!(learned.run));
+    report.data("online", Value::Object(online.collect()));
+    report
 }

@@ -1,18 +1,14 @@
-//! What `calibrate path` prints and draws.
-
-use std::fmt::Write as _;
+//! What `calibrate path` reports and draws.
 
 use posebridge_lab::calibration::free_path::{
-    DeadReckonedPath, DeadReckoningError, FreePath, PathCalibration, UnknownEstimate, UnknownStatus, Wiring, mean_error,
+    DeadReckonedPath, DeadReckoningError, FreePath, PathCalibration, UnknownStatus, Wiring, mean_error,
 };
-use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::TextTable;
-use posebridge_telemetry::{Calibration, UncertainValue};
-use serde_json::{Value, json};
+use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_telemetry::Calibration;
+use serde_json::{Map, Value, json};
 
 use crate::config::RobotFile;
-use crate::tools::experiment_output::ExperimentOutcome;
 
 /// Runs that are drawn.
 const MAX_PLOTTED_RUNS: usize = 3;
@@ -47,24 +43,127 @@ impl RunComparison {
     }
 }
 
-/// Words, tables, pictures.
-pub(super) struct PathReport<'a> {
-    result: &'a PathCalibrationResult,
-}
+impl PathCalibrationResult {
+    /// Everything for people and programs.
+    pub(super) fn report(&self) -> Report {
+        let mut report = Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.recording));
+        report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.reference));
+        report.background("docs/lab/calibration.md says what the numbers mean.");
+        let findings = self.findings();
+        for finding in &findings {
+            report.warning(finding);
+        }
+        self.add_unknowns(&mut report);
+        self.add_geometry(&mut report);
+        for (what, runs) in [("the runs it was found on", &self.runs), ("other runs", &self.validation_runs)] {
+            add_errors(&mut report, what, runs);
+        }
+        for run in self.runs.iter().chain(&self.validation_runs).take(MAX_PLOTTED_RUNS) {
+            let caption = format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name);
+            report.chart(&plot(run), caption);
+        }
+        report.data("recording", json!(self.recording));
+        report.data("against", json!(self.reference));
+        report.data("sanity", self.sanity());
+        report.data("findings", json!(findings));
+        report.data("runs", self.runs.iter().map(run_json).collect());
+        report.data("tried", self.validation_runs.iter().map(run_json).collect());
+        report
+    }
 
-impl<'a> PathReport<'a> {
-    pub(super) const fn new(result: &'a PathCalibrationResult) -> Self {
-        Self { result }
+    fn add_unknowns(&self, report: &mut Report) {
+        let (signed, plain) = (Format::new(Unit::None, 5).signed(), Format::new(Unit::None, 5));
+        let entries = &self.fit.entries;
+        let table = Table::of(entries)
+            .text("", "number", |entry| entry.unknown.key().to_owned())
+            .number("", "before", signed, |entry| Some(entry.before.value))
+            .number("", "found", signed, |entry| Some(entry.after.value))
+            .number("", "sigma", plain, |entry| Some(entry.after.sigma))
+            .text("", "standing", |entry| standing_text(entry.status).to_owned());
+        report.heading("Numbers");
+        report.table("", &table);
+        let has = |status| entries.iter().any(|entry| entry.status == status);
+        if has(UnknownStatus::Unobservable) {
+            report.paragraph("Not seen: this drive does not show it, so that it was left as it was.");
+        }
+        if has(UnknownStatus::NotSeparable) {
+            report.paragraph("Not separable: it could as well be the track; drive turns to both sides.");
+        }
+        let numbers = entries.iter().map(|entry| {
+            let object = json!({
+                "before": entry.before.value,
+                "value": entry.after.value,
+                "sigma": entry.after.sigma,
+                "standing": standing_key(entry.status),
+            });
+            (entry.unknown.key().to_owned(), object)
+        });
+        report.data("numbers", Value::Object(numbers.collect::<Map<String, Value>>()));
+        report.values([Quantity::new(
+            "consistency",
+            "innovations' variance, times what is described",
+            self.fit.consistency,
+            Format::new(Unit::None, 2),
+        )]);
+        if !(1.0 / ROUGH..=ROUGH).contains(&self.fit.consistency) {
+            report.paragraph("The sigmas do not use the variance of the innovations.");
+        }
+    }
+
+    fn add_geometry(&self, report: &mut Report) {
+        let (before, after) = (&self.robot, &self.calibrated);
+        let rows = [
+            ("left wheel radius", before.left_wheel_radius_m, after.left_wheel_radius_m),
+            ("right wheel radius", before.right_wheel_radius_m, after.right_wheel_radius_m),
+            ("track width", before.track_width_m, after.track_width_m),
+        ];
+        let mm = Format::new(Unit::Millimetres, 3);
+        let table = Table::of(&rows)
+            .text("", "geometry", |(name, ..)| (*name).to_owned())
+            .number("", "before", mm, |(_, before_m, _)| Some(*before_m))
+            .number("", "found", mm, |(.., after_m)| Some(*after_m));
+        report.heading("Geometry");
+        report.table("", &table);
+        let radius_m = f64::midpoint(after.left_wheel_radius_m, after.right_wheel_radius_m);
+        let count_m = std::f64::consts::TAU * radius_m / after.ticks_per_turn;
+        let windows = self.fit.length_windows.map(|windows| windows as f64);
+        report.values([
+            Quantity::new("", "travel per count", count_m, Format::new(Unit::Millimetres, 4)),
+            Quantity::optional("", "windows whose length gave the radius", windows, Format::new(Unit::None, 0)),
+        ]);
+        report.data("length_windows", json!(self.fit.length_windows));
+        report.data(
+            "robot",
+            json!({
+                "left_wheel_radius_m": after.left_wheel_radius_m,
+                "right_wheel_radius_m": after.right_wheel_radius_m,
+                "track_width_m": after.track_width_m,
+            }),
+        );
+    }
+
+    fn sanity(&self) -> Value {
+        let sanity = self.fit.hypothesis_test.as_ref().map(|sanity| {
+            json!({
+                "is_sound": sanity.is_sound(),
+                "wiring": sanity.found.wiring.name(),
+                "track_factor": sanity.found.track_factor,
+                "travel_factor": sanity.found.travel_factor,
+                "described_rms_m": sanity.described_rms_m,
+                "found_rms_m": sanity.found_rms_m,
+                "log_likelihood_gain": sanity.log_likelihood_gain,
+            })
+        });
+        json!(sanity)
     }
 
     /// What is wrong with the description, and what to change in which file.
-    pub(super) fn findings(&self) -> Vec<String> {
-        let result = self.result;
+    fn findings(&self) -> Vec<String> {
         let mut findings = Vec::new();
-        if result.fit.consistency > UNEXPLAINED {
+        if self.fit.consistency > UNEXPLAINED {
             findings.push(format!(
                 "these numbers do not explain the drive: its innovations have {:.0} times the described variance. Do not use them; the wheels slipped, the noise is described far too small, or the drive is too long: choose a shorter one",
-                result.fit.consistency
+                self.fit.consistency
             ));
         }
         findings.extend(self.sanity_warnings());
@@ -72,9 +171,8 @@ impl<'a> PathReport<'a> {
     }
 
     fn sanity_warnings(&self) -> Vec<String> {
-        let result = self.result;
         let mut findings = Vec::new();
-        let Some(sanity) = &result.fit.hypothesis_test else {
+        let Some(sanity) = &self.fit.hypothesis_test else {
             return findings;
         };
         let found = sanity.found;
@@ -84,22 +182,22 @@ impl<'a> PathReport<'a> {
         if found.track_factor != 1.0 {
             findings.push(format!(
                 "`robot.track_width_m` is {} and fits {} times that: {}; write about {:.4}",
-                result.robot.track_width_m,
+                self.robot.track_width_m,
                 found.track_factor,
                 if found.track_factor > 1.0 {
                     "it is half the distance between the wheels"
                 } else {
                     "it is twice the distance between the wheels"
                 },
-                result.calibrated.track_width_m
+                self.calibrated.track_width_m
             ));
         }
         if found.travel_factor != 1.0 {
             findings.push(format!(
                 "a count moves the wheels by {} times what `robot.ticks_per_turn` = {} and the radii say: write ticks_per_turn = {} (a quadrature decoder counts 1, 2 or 4 times) or mend the radii (radius or diameter?)",
                 found.travel_factor,
-                result.robot.ticks_per_turn,
-                result.robot.ticks_per_turn / found.travel_factor
+                self.robot.ticks_per_turn,
+                self.robot.ticks_per_turn / found.travel_factor
             ));
         }
         if !findings.is_empty() {
@@ -112,167 +210,6 @@ impl<'a> PathReport<'a> {
             ));
         }
         findings
-    }
-
-    /// Comments of the profile.
-    pub(super) fn remarks(&self) -> Vec<String> {
-        let mut remarks = self.findings();
-        remarks.extend(self.result.fit.entries.iter().map(|entry| {
-            let UncertainValue { value, sigma } = entry.after;
-            format!("{} {value:+.5} +- {sigma:.5}: {}", entry.unknown.key(), standing_text(entry.status))
-        }));
-        for (what, runs) in self.groups() {
-            let [before, after] = mean_errors(runs);
-            remarks.push(format!(
-                "dead reckoning over {what}: rms {:.1} mm before, {:.1} mm after",
-                1e3 * before.rms_m,
-                1e3 * after.rms_m
-            ));
-        }
-        remarks
-    }
-
-    /// Page, tables and object.
-    pub(super) fn outcome(&self) -> ExperimentOutcome {
-        ExperimentOutcome { name: "calibrate-path", page: self.page(), text: self.text(), json: self.json() }
-    }
-
-    fn groups(&self) -> Vec<(&'static str, &'a [RunComparison])> {
-        let result = self.result;
-        let all =
-            [("the runs it was found on", result.runs.as_slice()), ("other runs", result.validation_runs.as_slice())];
-        all.into_iter().filter(|(_, runs)| !runs.is_empty()).collect()
-    }
-
-    fn text(&self) -> String {
-        let result = self.result;
-        let mut text = format!("{}: {} run(s) against {}\n\n", result.recording, result.runs.len(), result.reference);
-        text += &self.numbers();
-        let _ = writeln!(text, "\n{}", self.geometry());
-        if let Some(windows) = result.fit.length_windows {
-            let _ = writeln!(text, "wheel radius from the length of the way over {windows} windows");
-        }
-        let _ = writeln!(
-            text,
-            "innovations: {:.2} times the described variance{}",
-            result.fit.consistency,
-            if (1.0 / ROUGH..=ROUGH).contains(&result.fit.consistency) {
-                ""
-            } else {
-                " (the sigmas above do not use it)"
-            }
-        );
-        for (what, runs) in self.groups() {
-            let _ = writeln!(text, "\ndead reckoning over {what}\n{}", errors_table(runs));
-        }
-        for finding in self.findings() {
-            let _ = writeln!(text, "\nwarning: {finding}");
-        }
-        text
-    }
-
-    fn numbers(&self) -> String {
-        let mut table = TextTable::new(["number", "before", "found", "sigma", "standing"]);
-        for UnknownEstimate { unknown, before, after, status: standing } in &self.result.fit.entries {
-            table.push([
-                unknown.key().to_owned(),
-                format!("{:+.5}", before.value),
-                format!("{:+.5}", after.value),
-                format!("{:.5}", after.sigma),
-                standing_text(*standing).to_owned(),
-            ]);
-        }
-        table.render()
-    }
-
-    fn geometry(&self) -> String {
-        let (before, after) = (&self.result.robot, &self.result.calibrated);
-        let count_mm = |radius_m: f64, ticks: f64| 1e3 * std::f64::consts::TAU * radius_m / ticks;
-        format!(
-            "left wheel {:.3} mm -> {:.3} mm, right wheel {:.3} mm -> {:.3} mm, track {:.2} mm -> {:.2} mm, {:.4} mm per count",
-            1e3 * before.left_wheel_radius_m,
-            1e3 * after.left_wheel_radius_m,
-            1e3 * before.right_wheel_radius_m,
-            1e3 * after.right_wheel_radius_m,
-            1e3 * before.track_width_m,
-            1e3 * after.track_width_m,
-            count_mm(f64::midpoint(after.left_wheel_radius_m, after.right_wheel_radius_m), after.ticks_per_turn)
-        )
-    }
-
-    fn page(&self) -> ReportPage {
-        let result = self.result;
-        let mut parts = vec![ReportBlock::Text(format!(
-            "{} run(s) of {}, compared with its {}. docs/lab/calibrate.md says what the numbers mean.",
-            result.runs.len(),
-            result.recording,
-            result.reference
-        ))];
-        let findings = self.findings();
-        if !findings.is_empty() {
-            parts.push(ReportBlock::Heading("Mistakes in the description".to_owned()));
-            parts.push(ReportBlock::List(findings));
-        }
-        parts.push(ReportBlock::Heading("Numbers".to_owned()));
-        parts.push(ReportBlock::PreformattedText(self.numbers()));
-        parts.push(ReportBlock::Text(self.geometry()));
-        for (what, runs) in self.groups() {
-            parts.push(ReportBlock::Heading(format!("Dead reckoning over {what}")));
-            parts.push(ReportBlock::PreformattedText(errors_table(runs)));
-        }
-        parts.push(ReportBlock::Heading("The way".to_owned()));
-        for run in result.runs.iter().chain(&result.validation_runs).take(MAX_PLOTTED_RUNS) {
-            parts.push(ReportBlock::Figure {
-                svg: picture(run),
-                caption: format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name),
-            });
-        }
-        ReportPage { title: format!("Calibration by a watched drive: {}", result.recording), blocks: parts }
-    }
-
-    fn json(&self) -> Value {
-        let result = self.result;
-        let numbers: serde_json::Map<String, Value> = result
-            .fit
-            .entries
-            .iter()
-            .map(|entry| {
-                let object = json!({
-                    "before": entry.before.value,
-                    "value": entry.after.value,
-                    "sigma": entry.after.sigma,
-                    "standing": standing_key(entry.status),
-                });
-                (entry.unknown.key().to_owned(), object)
-            })
-            .collect();
-        let sanity = result.fit.hypothesis_test.as_ref().map(|sanity| {
-            json!({
-                "is_sound": sanity.is_sound(),
-                "wiring": sanity.found.wiring.name(),
-                "track_factor": sanity.found.track_factor,
-                "travel_factor": sanity.found.travel_factor,
-                "described_rms_m": sanity.described_rms_m,
-                "found_rms_m": sanity.found_rms_m,
-                "log_likelihood_gain": sanity.log_likelihood_gain,
-            })
-        });
-        json!({
-            "recording": result.recording,
-            "against": result.reference,
-            "numbers": numbers,
-            "robot": {
-                "left_wheel_radius_m": result.calibrated.left_wheel_radius_m,
-                "right_wheel_radius_m": result.calibrated.right_wheel_radius_m,
-                "track_width_m": result.calibrated.track_width_m,
-            },
-            "length_windows": result.fit.length_windows,
-            "consistency": result.fit.consistency,
-            "sanity": sanity,
-            "findings": self.findings(),
-            "runs": result.runs.iter().map(run_json).collect::<Vec<Value>>(),
-            "tried": result.validation_runs.iter().map(run_json).collect::<Vec<Value>>(),
-        })
     }
 }
 
@@ -304,8 +241,8 @@ const fn standing_text(standing: UnknownStatus) -> &'static str {
     match standing {
         UnknownStatus::Estimated => "found",
         UnknownStatus::Fixed => "held",
-        UnknownStatus::Unobservable => "not seen on this drive: left as it was",
-        UnknownStatus::NotSeparable => "not told from the track: drive turns to both sides",
+        UnknownStatus::Unobservable => "not seen",
+        UnknownStatus::NotSeparable => "not separable",
     }
 }
 
@@ -318,32 +255,25 @@ const fn standing_key(standing: UnknownStatus) -> &'static str {
     }
 }
 
-fn mean_errors(runs: &[RunComparison]) -> [DeadReckoningError; 2] {
-    [0, 1].map(|which| {
-        let errors: Vec<DeadReckoningError> = runs.iter().map(|run| run.errors()[which]).collect();
-        mean_error(&errors)
-    })
-}
-
-fn errors_table(runs: &[RunComparison]) -> String {
-    let mut table = TextTable::new(["run", "rms mm", "max mm", "end mm", "rms mm", "max mm", "end mm"]);
-    let mut push = |name: &str, [before, after]: [DeadReckoningError; 2]| {
-        let cell = |metres: f64| format!("{:.1}", 1e3 * metres);
-        table.push([
-            name.to_owned(),
-            cell(before.rms_m),
-            cell(before.max_m),
-            cell(before.end_m),
-            cell(after.rms_m),
-            cell(after.max_m),
-            cell(after.end_m),
-        ]);
-    };
-    push("(before, then after)", mean_errors(runs));
-    for run in runs {
-        push(&run.path.name, run.errors());
+/// A table of the errors of runs; their mean comes first.
+fn add_errors(report: &mut Report, what: &str, runs: &[RunComparison]) {
+    if runs.is_empty() {
+        return;
     }
-    table.render()
+    let mean = [0, 1].map(|which| mean_error(&runs.iter().map(|run| run.errors()[which]).collect::<Vec<_>>()));
+    let of_runs = runs.iter().map(|run| (run.path.name.as_str(), run.errors()));
+    let rows: Vec<(&str, [DeadReckoningError; 2])> = std::iter::once(("mean", mean)).chain(of_runs).collect();
+    let mm = Format::new(Unit::Millimetres, 1);
+    let table = Table::of(&rows)
+        .text("", "run", |(name, _)| (*name).to_owned())
+        .number("", "rms", mm, |(_, [before, _])| Some(before.rms_m))
+        .number("", "max", mm, |(_, [before, _])| Some(before.max_m))
+        .number("", "end", mm, |(_, [before, _])| Some(before.end_m))
+        .number("", "rms after", mm, |(_, [_, after])| Some(after.rms_m))
+        .number("", "max after", mm, |(_, [_, after])| Some(after.max_m))
+        .number("", "end after", mm, |(_, [_, after])| Some(after.end_m));
+    report.heading(format!("Dead reckoning over {what}"));
+    report.table("", &table);
 }
 
 fn run_json(run: &RunComparison) -> Value {
@@ -352,7 +282,7 @@ fn run_json(run: &RunComparison) -> Value {
     json!({ "run": run.path.name, "before": before, "after": after })
 }
 
-fn picture(run: &RunComparison) -> String {
+fn plot(run: &RunComparison) -> Plot {
     let points = |places: &[[f64; 2]]| places.iter().map(|[x, y]| (*x, *y)).collect();
     let line =
         |name: &str, places: &[[f64; 2]]| Curve { name: name.to_owned(), shape: CurveShape::Line(points(places)) };
@@ -366,7 +296,7 @@ fn picture(run: &RunComparison) -> String {
         CurveShape::Line(off.collect())
     };
     let [before, after] = run.errors();
-    render_plot(&Plot {
+    Plot {
         title: run.path.name.clone(),
         key_figures: format!("rms {:.1} mm before, {:.1} mm after", 1e3 * before.rms_m, 1e3 * after.rms_m),
         axes: vec![
@@ -393,7 +323,7 @@ fn picture(run: &RunComparison) -> String {
                 ],
             },
         ],
-    })
+    }
 }
 
 #[cfg(test)]

@@ -7,10 +7,9 @@ use clap::Args;
 use posebridge_lab::calibration::at_rest::{RestChannel, RestObservations};
 use posebridge_lab::noise_identification::RestNoise;
 use posebridge_link::HostTimer;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::TextTable;
-use serde_json::{Value, json};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use serde_json::json;
 
 use super::profile::CalibratedProfile;
 use super::source::{self, ReferenceSettings};
@@ -19,7 +18,7 @@ use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 
 /// The instructions for a person with a live robot.
 const TASK: &str = "leave the robot standing for a minute, its motors off";
@@ -77,6 +76,7 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
         all.right_accelerometer.stretches.extend(right.stretches);
     }
     let channels = channels(&all, &drives.recording).while_running()?;
+    let report = report(&drives.recording, &channels);
     if let Some(path) = &args.save {
         let robot = with_noise(&first.robot, &channels);
         let calibrated = CalibratedProfile {
@@ -84,11 +84,11 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
             robot,
             source: drives.recording.clone(),
             method: "calibrate rest",
-            remarks: vec![table(&channels)],
+            remarks: vec![report.text()],
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output.write_outcome(&folder, &outcome(&drives.recording, &channels))
+    args.output.write_outcome(&folder, &report)
 }
 
 /// The channels with enough data; a note says what the others lack.
@@ -153,37 +153,24 @@ fn with_noise(robot: &RobotFile, channels: &[ChannelNoise]) -> RobotFile {
     robot
 }
 
-fn table(channels: &[ChannelNoise]) -> String {
-    let mut table = TextTable::new([
-        "sensor",
-        "unit",
-        "bias",
-        "sigma",
-        "noise",
-        "with rounding",
-        "step",
-        "walk/sqrt(s)",
-        "readings",
-        "rest s",
-    ]);
-    for ChannelNoise { name, unit, noise: rest, .. } in channels {
-        table.push([
-            (*name).to_owned(),
-            (*unit).to_owned(),
-            format!("{:+.5}", rest.bias),
-            format!("{:.5}", rest.bias_sigma),
-            format!("{:.5}", rest.without_rounding()),
-            format!("{:.5}", rest.total),
-            format!("{:.5}", rest.quantum.unwrap_or(0.0)),
-            rest.walk.map_or_else(|| "-".to_owned(), |(walk, _)| format!("{walk:.6}")),
-            rest.samples.to_string(),
-            format!("{:.1}", rest.rest_s),
-        ]);
-    }
-    table.render()
-}
-
-fn outcome(recording: &str, channels: &[ChannelNoise]) -> ExperimentOutcome {
+fn report(recording: &str, channels: &[ChannelNoise]) -> Report {
+    let five = Format::new(Unit::None, 5);
+    let table = Table::of(channels)
+        .text("sensor", "sensor", |channel| channel.name.to_owned())
+        .text("unit", "unit", |channel| channel.unit.to_owned())
+        .labels(2)
+        .number("bias", "bias", five.signed(), |channel| Some(channel.noise.bias))
+        .number("bias_sigma", "sigma", five, |channel| Some(channel.noise.bias_sigma))
+        .number("noise", "noise", five, |channel| Some(channel.noise.without_rounding()))
+        .number("noise_with_rounding", "with rounding", five, |channel| Some(channel.noise.total))
+        .number("step", "step", five, |channel| Some(channel.noise.quantum.unwrap_or(0.0)))
+        .number("walk_per_sqrt_s", "walk/sqrt(s)", Format::new(Unit::None, 6), |channel| Some(channel.noise.walk?.0))
+        .count("readings", "readings", |channel| channel.noise.samples)
+        .number("rest_s", "rest", Format::new(Unit::Named("s"), 1), |channel| Some(channel.noise.rest_s));
+    let title = format!("At rest: {recording}");
+    let mut report = Report::new("calibrate-rest", title.as_str());
+    report.background("Readings while the wheels stood: what is left is bias and noise.");
+    report.table("channels", &table);
     let axes = channels.iter().map(|channel| Axes {
         x_name: "time [s]".to_owned(),
         y_name: format!("{} [{}]", channel.name, channel.unit),
@@ -194,40 +181,8 @@ fn outcome(recording: &str, channels: &[ChannelNoise]) -> ExperimentOutcome {
             Curve { name: "bias".to_owned(), shape: CurveShape::Level(channel.noise.bias) },
         ],
     });
-    let picture =
-        render_plot(&Plot { title: format!("At rest: {recording}"), key_figures: String::new(), axes: axes.collect() });
-    let table = table(channels);
-    let json: Vec<Value> = channels
-        .iter()
-        .map(|channel| {
-            json!({
-                "sensor": channel.name,
-                "unit": channel.unit,
-                "bias": channel.noise.bias,
-                "bias_sigma": channel.noise.bias_sigma,
-                "noise": channel.noise.without_rounding(),
-                "noise_with_rounding": channel.noise.total,
-                "step": channel.noise.quantum.unwrap_or(0.0),
-                "walk_per_sqrt_s": channel.noise.walk.map(|(walk, _)| walk),
-                "readings": channel.noise.samples,
-                "rest_s": channel.noise.rest_s,
-            })
-        })
-        .collect();
-    ExperimentOutcome {
-        name: "calibrate-rest",
-        page: ReportPage {
-            title: format!("At rest: {recording}"),
-            blocks: vec![
-                ReportBlock::Text("Readings while the wheels stood: what is left is bias and noise.".to_owned()),
-                ReportBlock::PreformattedText(table.clone()),
-                ReportBlock::Figure {
-                    svg: picture,
-                    caption: "A bias that walks shows as a bend, a coarse sensor as steps.".to_owned(),
-                },
-            ],
-        },
-        text: format!("{recording} at rest\n\n{table}"),
-        json: json!({ "recording": recording, "channels": json }),
-    }
+    let plot = Plot { title, key_figures: String::new(), axes: axes.collect() };
+    report.chart(&plot, "A bias that walks shows as a bend, a coarse sensor as steps.");
+    report.data("recording", json!(recording));
+    report
 }

@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_lab::calibration::free_path::{FreePath, PathStart, PositionFix, TravelStep};
 
-use super::listing::{CsvRow, CsvTable};
+use crate::tools::csv_table::{CsvRow, CsvTable};
 
 /// How well a person puts a robot onto its start line, in radians.
 const START_HEADING_SIGMA_RAD: f64 = 0.03;

@@ -1,6 +1,5 @@
 //! `posebridge calibrate umbmark`: wheel difference and track from squares in both directions.
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, ensure};
@@ -13,21 +12,19 @@ use posebridge_lab::calibration::umbmark::{
 };
 use posebridge_lab::calibration::umbmark_drives::{calibrate_squares, closing_runs};
 use posebridge_link::HostTimer;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::TextTable;
-use posebridge_telemetry::Calibration;
-use serde_json::{Value, json};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_telemetry::{Calibration, UncertainValue};
+use serde_json::json;
 
 use super::profile::{CalibratedProfile, fold_into_geometry};
 use super::source::{self, CalibrationDrive, ReferenceSettings};
 use super::umbmark_source::{read_squares, simulate};
 use crate::config::{RobotFile, RobotProfile};
-use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::{LiveArgs, LiveRobot};
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 
 /// A tape's or a tracker's sigma: only its being finite matters here.
 const OBSERVED_SIGMA_M: f64 = 0.005;
@@ -100,22 +97,20 @@ pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
     let result = compute(args)?;
-    for line in result.warnings() {
-        print_line(&format!("warning: {line}"));
-    }
+    let report = result.report();
     if let Some(path) = &args.save {
         let found = result.calibration();
         let (robot, calibration) = fold_into_geometry(&result.robot, found).while_running()?;
         let calibrated = CalibratedProfile {
             robot,
             calibration,
-            source: result.source.clone(),
+            source: result.source,
             method: "calibrate umbmark",
-            remarks: result.lines(),
+            remarks: vec![report.text()],
         };
         calibrated.save(path, timer.utc_start()).while_running()?;
     }
-    args.output.write_outcome(&folder, &result.outcome())
+    args.output.write_outcome(&folder, &report)
 }
 
 fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
@@ -242,7 +237,7 @@ impl UmbmarkResult {
         let prior = &self.robot.calibration.radius_scale;
         Calibration {
             // A closed square does not see the mean wheel size.
-            radius_scale: posebridge_telemetry::UncertainValue { value: 0.0, sigma: prior.sigma },
+            radius_scale: UncertainValue { value: 0.0, sigma: prior.sigma },
             radius_difference: self.result.radius_difference,
             track_scale: self.result.track_scale,
             ..Calibration::default()
@@ -261,95 +256,72 @@ impl UmbmarkResult {
         doubts
     }
 
-    fn lines(&self) -> Vec<String> {
-        let Umbmark { track_scale, radius_difference, error, .. } = &self.result;
-        let mut lines = vec![
-            format!(
-                "track_scale {:+.5} +- {:.5}, radius_difference {:+.5} +- {:.5}",
-                track_scale.value, track_scale.sigma, radius_difference.value, radius_difference.sigma
-            ),
-            format!(
-                "each corner turns {:+.3} degrees too far, each side bends to the left by {:+.3} degrees, squares of {:.2} m",
-                -self.result.corner_rad.to_degrees(),
-                self.result.bend_rad.to_degrees(),
-                self.side_m
-            ),
-            format!("systematic error {:.1} mm, scatter {:.1} mm", 1e3 * error.systematic_m, 1e3 * error.scatter_m),
-        ];
-        if let Ok(after) = square_error(&self.runs_after) {
-            lines.push(format!("the same squares reckoned anew: {:.1} mm", 1e3 * after.systematic_m));
-        }
-        if let Some([before, after]) = &self.validation_errors {
-            lines.push(format!(
-                "other squares: systematic error {:.1} mm before, {:.1} mm after: {:.1} times less",
-                1e3 * before.systematic_m,
-                1e3 * after.systematic_m,
-                before.systematic_m / after.systematic_m
-            ));
-        }
-        if let Some([track, difference]) = self.truth {
-            lines.push(format!("the true ones: track_scale {track:+.5}, radius_difference {difference:+.5}"));
-        }
-        lines
-    }
-
-    fn outcome(&self) -> ExperimentOutcome {
-        ExperimentOutcome { name: "calibrate-umbmark", page: self.page(), text: self.text(), json: self.json() }
-    }
-
-    fn text(&self) -> String {
-        let mut text = format!("UMBmark: {}\n\n{}\n", self.source, self.table());
-        for line in self.lines() {
-            // Writing to a String cannot fail.
-            let _ = writeln!(text, "{line}");
-        }
+    fn report(&self) -> Report {
         let found = &self.result;
-        let _ = writeln!(
-            text,
-            "left wheel x {:.5}, right wheel x {:.5}, track x {:.5}",
-            found.left_factor,
-            found.right_factor,
-            1.0 + found.track_scale.value
-        );
-        text
-    }
-
-    fn table(&self) -> String {
-        let mut table = TextTable::new(["direction", "ahead mm", "left mm", "then", "then"]);
-        for (index, run) in self.runs_before.iter().enumerate() {
-            let then = self.runs_after.get(index);
-            let cell =
-                |metres: Option<f64>| metres.map_or_else(|| "-".to_owned(), |metres| format!("{:+.1}", 1e3 * metres));
-            table.push([
-                direction_name(run.direction).to_owned(),
-                cell(Some(run.ahead_m)),
-                cell(Some(run.left_m)),
-                cell(then.map(|run| run.ahead_m)),
-                cell(then.map(|run| run.left_m)),
+        let scale = Format::new(Unit::None, 5).signed();
+        let (degrees, mm) = (Format::new(Unit::Degrees, 3).signed(), Format::new(Unit::Millimetres, 1));
+        let uncertain =
+            |key, label, value: UncertainValue| Quantity::new(key, label, value.value, scale).with_sigma(value.sigma);
+        let mut report = Report::new("calibrate-umbmark", format!("UMBmark: {}", self.source));
+        report.values([
+            uncertain("track_scale", "track width error", found.track_scale),
+            uncertain("radius_difference", "wheel radius difference", found.radius_difference),
+            Quantity::new("left_factor", "left wheel factor", found.left_factor, Format::new(Unit::None, 5)),
+            Quantity::new("right_factor", "right wheel factor", found.right_factor, Format::new(Unit::None, 5)),
+            Quantity::new("corner_rad", "turn missing at each corner", found.corner_rad, degrees),
+            Quantity::new("bend_rad", "turn to the left on each side", found.bend_rad, degrees),
+            Quantity::new("side_m", "side of the square", self.side_m, Format::new(Unit::Named("m"), 2)),
+            Quantity::new("systematic_m", "systematic error", found.error.systematic_m, mm),
+            Quantity::new("scatter_m", "scatter", found.error.scatter_m, mm),
+            Quantity::optional(
+                "",
+                "systematic error after calibration",
+                square_error(&self.runs_after).ok().map(|error| error.systematic_m),
+                mm,
+            ),
+        ]);
+        if let Some(errors) = &self.validation_errors {
+            let [before, after] = errors.map(|error| error.systematic_m);
+            report.values([
+                Quantity::new("", "other squares before", before, mm),
+                Quantity::new("", "other squares after", after, mm),
+                Quantity::new("", "times less", before / after, Format::new(Unit::None, 1)),
             ]);
         }
-        table.render()
-    }
-
-    fn page(&self) -> ReportPage {
-        ReportPage {
-            title: format!("UMBmark: {}", self.source),
-            blocks: vec![
-                ReportBlock::Text(
-                    "Where squares ended beside the place at which odometry believed them to end.".to_owned(),
-                ),
-                ReportBlock::Figure {
-                    svg: self.picture(),
-                    caption: "Two clouds away from home: a systematic error. Their size: chance.".to_owned(),
-                },
-                ReportBlock::List(self.lines()),
-                ReportBlock::List(self.warnings()),
-                ReportBlock::PreformattedText(self.table()),
-            ],
+        if let Some([track, difference]) = self.truth {
+            report.values([
+                Quantity::new("", "true track width error", track, scale),
+                Quantity::new("", "true wheel radius difference", difference, scale),
+            ]);
         }
+        let warnings = self.warnings();
+        for warning in &warnings {
+            report.warning(warning);
+        }
+        report.paragraph("Where the squares ended, seen from where odometry expected them to end:");
+        self.add_table(&mut report);
+        report.chart(&self.plot(), "Two clouds away from home: a systematic error. Their size: chance.");
+        report.data("source", json!(self.source));
+        report.data("others", json!(self.validation_errors.map(|errors| errors.map(|error| error.systematic_m))));
+        report.data("truth", json!(self.truth));
+        report.data("doubts", json!(warnings));
+        report
     }
 
-    fn picture(&self) -> String {
+    fn add_table(&self, report: &mut Report) {
+        let rows: Vec<(&SquareRun, Option<&SquareRun>)> =
+            self.runs_before.iter().enumerate().map(|(index, run)| (run, self.runs_after.get(index))).collect();
+        let mm = Format::new(Unit::Millimetres, 1).signed();
+        let table = Table::of(&rows)
+            .text("", "direction", |(run, _)| direction_name(run.direction).to_owned())
+            .number("", "ahead", mm, |(run, _)| Some(run.ahead_m))
+            .number("", "left", mm, |(run, _)| Some(run.left_m))
+            .number("", "ahead after", mm, |(_, after)| after.map(|run| run.ahead_m))
+            .number("", "left after", mm, |(_, after)| after.map(|run| run.left_m));
+        report.table("", &table);
+    }
+
+    fn plot(&self) -> Plot {
         let dots = |name: &str, runs: &[SquareRun], direction: SquareDirection| {
             let ends = runs.iter().filter(|run| run.direction == direction);
             Curve {
@@ -365,7 +337,7 @@ impl UmbmarkResult {
             curves.push(dots("counter-clockwise, after", &self.runs_after, ccw));
         }
         curves.push(Curve { name: "home".to_owned(), shape: CurveShape::Dots(vec![(0.0, 0.0)]) });
-        render_plot(&Plot {
+        Plot {
             title: format!("UMBmark: {}", self.source),
             key_figures: format!("systematic error {:.1} mm", 1e3 * self.result.error.systematic_m),
             axes: vec![Axes {
@@ -375,26 +347,7 @@ impl UmbmarkResult {
                 is_map: true,
                 curves,
             }],
-        })
-    }
-
-    fn json(&self) -> Value {
-        let found = &self.result;
-        json!({
-            "source": self.source,
-            "side_m": self.side_m,
-            "track_scale": { "value": found.track_scale.value, "sigma": found.track_scale.sigma },
-            "radius_difference": { "value": found.radius_difference.value, "sigma": found.radius_difference.sigma },
-            "corner_rad": found.corner_rad,
-            "bend_rad": found.bend_rad,
-            "left_factor": found.left_factor,
-            "right_factor": found.right_factor,
-            "systematic_m": found.error.systematic_m,
-            "scatter_m": found.error.scatter_m,
-            "others": self.validation_errors.map(|errors| errors.map(|error| error.systematic_m)),
-            "truth": self.truth,
-            "doubts": self.warnings(),
-        })
+        }
     }
 }
 

@@ -9,8 +9,8 @@ use posebridge_lab::calibration::umbmark::{SquareDirection, SquareRun};
 use posebridge_sim::montecarlo::{Course, Drive, Scenario};
 use posebridge_telemetry::{ArenaMap, DriveGeometry, Observation};
 
-use super::listing::CsvTable;
 use crate::config::{FilterSection, RobotFile, filter_config};
+use crate::tools::csv_table::CsvTable;
 
 /// The simulated squares; every number stands there with its meaning.
 const SCENARIO: &str = include_str!("../../../config/calibrate/umbmark.toml");

@@ -1,23 +1,24 @@
 //! `posebridge lab accuracy`: every estimator over the Monte-Carlo scenarios, as a table and a picture.
 //!
-//! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab-accuracy.md says what they are for.
+//! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab/accuracy.md says what they are for.
 
 use anyhow::Result;
 use clap::Args;
-use posebridge_lab::accuracy::{ScoreRow, bound_text, score_table};
+use posebridge_lab::accuracy::{ScoreRow, bound_text};
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
-use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::{ConsistencyBand, SourceTally};
 use posebridge_sim::montecarlo::SCENARIOS;
 use posebridge_telemetry::TimeDelta;
+use serde_json::{Value, json};
 
 use super::Estimator;
-use super::accuracy_json as json;
 use super::accuracy_runs::{EstimatorScores, PlannedScenario, ScenarioScores, score_all};
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
 use crate::lab::drives::load_scenario;
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `lab accuracy`.
 #[derive(Args, Clone, Debug)]
@@ -66,14 +67,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let bar = progress_bar(runs, "runs").before_start()?;
     let scored = score_all(planned, &estimators, &timer, || bar.inc(1));
     bar.finish_and_clear();
-    let text = tables(&scored, &estimators);
-    let outcome = ExperimentOutcome {
-        name: "lab-accuracy",
-        page: page(&text, &chart(&scored, &estimators)),
-        json: json::object(&scored, &estimators).while_running()?,
-        text,
-    };
-    args.output.write_outcome(&folder, &outcome)?;
+    args.output.write_outcome(&folder, &report(&scored, &estimators))?;
     print_line(&format!(
         "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core",
         estimators.len(),
@@ -111,53 +105,94 @@ fn plan_scenarios(args: &LabAccuracyArgs) -> Result<Vec<PlannedScenario>> {
     planned.collect()
 }
 
-fn tables(scored: &[ScenarioScores], estimators: &[Estimator]) -> String {
+fn report(scored: &[ScenarioScores], estimators: &[Estimator]) -> Report {
+    let chart = chart(scored, estimators);
+    let mut report = Report::new("lab-accuracy", chart.title.as_str());
+    report.background(
+        "Every estimator gets the same drives. rms is the error of its position, claimed what it says about itself; an ANEES of 1 is \
+         an honest claim.",
+    );
     let names = names(estimators);
-    let tables: Vec<String> = scored.iter().map(|scored| table(scored, &names)).collect();
-    tables.join("\n")
+    let scenarios = scored.iter().map(|scored| add_scenario(&mut report, scored, &names)).collect();
+    report.data("scenarios", scenarios);
+    report.figure(render_accuracy_chart(&chart), "Errors (discs) and claims of the estimators, per scenario");
+    report
 }
 
-fn page(tables: &str, chart: &AccuracyChart) -> ReportPage {
-    ReportPage {
-        title: chart.title.clone(),
-        blocks: vec![
-            ReportBlock::Text(
-                "Every estimator gets the same drives. rms is the error of its position, claimed what it says about itself; an ANEES of 1 is \
-                 an honest claim."
-                    .to_owned(),
-            ),
-            ReportBlock::PreformattedText(tables.to_owned()),
-            ReportBlock::Figure {
-                svg: render_accuracy_chart(chart),
-                caption: "Errors (discs) and claims of the estimators, per scenario".to_owned(),
-            },
-        ],
-    }
+/// An estimator in the table of a scenario.
+struct EstimatorRow<'a> {
+    row: ScoreRow<'a>,
+    scores: &'a EstimatorScores,
 }
 
-fn table(scored: &ScenarioScores, names: &[String]) -> String {
-    let bound_m = scored.bound_rms_m();
-    let rows: Vec<ScoreRow<'_>> = names
+/// Adds what people read of a scenario; the object is for programs.
+fn add_scenario(report: &mut Report, scored: &ScenarioScores, names: &[String]) -> Value {
+    let (bound_m, bound_note) = (scored.bound_rms_m(), scored.bound_kind.note());
+    let rows: Vec<EstimatorRow<'_>> = names
         .iter()
         .zip(&scored.results)
-        .map(|(name, EstimatorScores { score, .. })| ScoreRow { name, score, bound_m })
+        .map(|(name, scores)| EstimatorRow { row: ScoreRow { name, score: &scores.score, bound_m }, scores })
         .collect();
-    let refusals = names.iter().zip(&scored.results);
-    let refusals: Vec<String> = refusals.filter_map(|(name, scores)| refusal_summary(name, scores)).collect();
-    format!(
-        "{}\n{}{}{}",
-        headline(scored),
-        score_table(&rows),
-        bound_text(bound_m, scored.bound_kind.note().as_deref()),
-        refusals.concat()
-    )
+    let table = estimator_table(&rows);
+    report.heading(headline(scored));
+    report.table("", &table);
+    report.paragraph(bound_text(bound_m, bound_note.as_deref()));
+    report.list(rows.iter().flat_map(|estimator| estimator.row.footnotes()));
+    report.list(rows.iter().filter_map(refusal_summary));
+    json!({
+        "name": scored.planned.name,
+        "seed": scored.planned.scenario.seed,
+        "runs": scored.planned.runs,
+        "bound_rms_m": bound_m,
+        "bound_note": bound_note,
+        "estimators": table.json(),
+    })
+}
+
+fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'a>> {
+    let mm = Format::three_digits(Unit::Millimetres);
+    let three = Format::three_digits(Unit::None);
+    Table::of(rows)
+        .text("name", "estimator", |row| row.row.name.to_owned())
+        .number("position_rms_m", "rms", mm, |row| row.row.score.position_rms_m())
+        .number("", "rms/bound", three, |row| row.row.ratio_to_bound())
+        .number("position_mean_m", "mean", mm, |row| row.row.score.position_mean_m())
+        .number("position_max_m", "max", mm, |row| row.row.score.position_max_m())
+        .number("heading_rms_rad", "heading rms", Format::new(Unit::Degrees, 2), |row| row.row.score.heading_rms_rad())
+        .number("claimed_rms_m", "claimed", mm, |row| row.row.score.claimed_rms_m())
+        .number("anees", "ANEES", three, |row| row.row.score.anees())
+        .data("anees_band", |row| json!(row.row.score.band().map(|ConsistencyBand { low, high }| [low, high])))
+        .text("consistency", "its claims are", |row| row.row.score.consistency().as_text().to_owned())
+        .text("", "NIS/dof of what it used", |row| row.row.sources())
+        .data("sources", |row| row.row.score.sources().iter().map(source_json).collect())
+        .data("steps", |row| json!(row.row.score.steps()))
+        .data("steps_without_estimate", |row| json!(row.row.score.steps_without_estimate()))
+        .data("steps_not_finite", |row| json!(row.row.score.steps_not_finite()))
+        .data("refused_covariances", |row| json!(row.row.score.refused_covariances()))
+        .data("run_rms_m", |row| json!(row.row.score.run_rms_m()))
+        .data("refused_runs", |row| {
+            let refusals = row.scores.refusals.iter();
+            refusals.map(|(run, refusal)| json!({ "run": run, "reason": refusal.to_string() })).collect()
+        })
+}
+
+fn source_json(tally: &SourceTally) -> Value {
+    json!({
+        "name": tally.sensor.name(),
+        "used": tally.used + tally.reset_to,
+        "gated": tally.gated,
+        "too_old": tally.too_old,
+        "unused": tally.unused,
+        "mean_nis_per_dof": tally.mean_nis_per_dof(),
+        "consistency": tally.consistency().as_text(),
+    })
 }
 
 /// The runs for which an estimator gives no result; the first reason stands for all.
-fn refusal_summary(name: &str, scores: &EstimatorScores) -> Option<String> {
-    let (run, reason) = scores.refusals.first()?;
-    let count = scores.refusals.len();
-    Some(format!("{name}: says nothing of {count} runs; of run {run}: {reason}\n"))
+fn refusal_summary(row: &EstimatorRow<'_>) -> Option<String> {
+    let (run, reason) = row.scores.refusals.first()?;
+    let count = row.scores.refusals.len();
+    Some(format!("{}: says nothing of {count} runs; of run {run}: {reason}", row.row.name))
 }
 
 fn names(estimators: &[Estimator]) -> Vec<String> {

@@ -1,24 +1,25 @@
 //! `posebridge lab links`: what a link does to clocks and poses, in virtual time.
 //!
 //! One part holds every way to align two clocks over links of known delays, the other drives the same lap over link profiles with
-//! more loss, delay and clock skew. docs/lab-links.md says what is measured.
+//! more loss, delay and clock skew. docs/impairment.md says what is measured.
 
 use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
-use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
-use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_lab::clocks::compare_methods;
 use posebridge_sim::impairment::{LinkProfile, PROFILES};
 
-use super::links_clock::{self, CLOCK_SEEDS};
 use super::links_pose::{LinkCase, LinkConditions, PoseRow, drive_lap, summarise};
-use super::links_report as report;
+use super::links_report::report;
 use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_all;
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 use crate::tools::link_profile;
+
+/// Seeds of the table of clocks: as many as docs/maths/clock.md shows.
+const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
 
 /// Flags of `lab links`.
 #[derive(Args, Clone, Debug)]
@@ -76,34 +77,9 @@ fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64
 pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
     let cases = cases(args).before_start()?;
     let folder = args.output.folder()?;
-    let clock = links_clock::rows(&CLOCK_SEEDS);
+    let clock = compare_methods(&CLOCK_SEEDS);
     let pose = pose_rows(&cases, args.runs).while_running()?;
-    let text = report::tables(&clock, &pose);
-    let outcome = ExperimentOutcome {
-        name: "lab-links",
-        page: page(&text, &pose),
-        json: report::json(&clock, &pose).while_running()?,
-        text,
-    };
-    args.output.write_outcome(&folder, &outcome)
-}
-
-fn page(tables: &str, pose: &[PoseRow]) -> ReportPage {
-    ReportPage {
-        title: "What links do to clocks and poses".to_owned(),
-        blocks: vec![
-            ReportBlock::Text(
-                "Every way to align two clocks gets the same exchanges over links of known delays; then the same lap is driven over each \
-                 link profile, steered by the estimate. All of it in virtual time."
-                    .to_owned(),
-            ),
-            ReportBlock::PreformattedText(tables.to_owned()),
-            ReportBlock::Figure {
-                svg: render_accuracy_chart(&chart(pose)),
-                caption: "Position error of a lap over each link, for each circumstance".to_owned(),
-            },
-        ],
-    }
+    args.output.write_outcome(&folder, &report(&clock, &pose))
 }
 
 /// Every profile under every circumstance.
@@ -161,18 +137,4 @@ fn pose_rows(cases: &[LinkCase], runs: u32) -> Result<Vec<PoseRow>> {
             Ok(summarise(case, &laps?))
         })
         .collect()
-}
-
-/// One panel per circumstance, one mark per profile.
-fn chart(rows: &[PoseRow]) -> AccuracyChart {
-    let mut panels: Vec<AccuracyPanel> = Vec::new();
-    for row in rows {
-        let title = report::conditions_text(&row.conditions);
-        let mark = AccuracyMark { name: row.profile.clone(), rms_m: row.position_rms_m, claimed_m: None, anees: None };
-        match panels.iter_mut().find(|panel| panel.title == title) {
-            Some(panel) => panel.marks.push(mark),
-            None => panels.push(AccuracyPanel { title, marks: vec![mark] }),
-        }
-    }
-    AccuracyChart { title: "Position error of a lap over links".to_owned(), panels }
 }

@@ -1,102 +1,74 @@
-//! What `lab links` prints: two tables for people, one object for programs.
+//! What `lab links` reports: two tables and a picture.
 
-use anyhow::Result;
-use posebridge_report::tables::NO_VALUE;
-use serde::Serialize;
-use serde_json::Value;
+use posebridge_lab::clocks::ClockRow;
+use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use serde_json::json;
 
-use super::links_clock::LinkClockRow;
 use super::links_pose::{LinkConditions, PoseRow};
 
-#[derive(Serialize)]
-struct Report<'a> {
-    clock: &'a [LinkClockRow],
-    pose: Vec<JsonRow<'a>>,
+/// The rows are in milliseconds as they come.
+const MS: Unit = Unit::Named("ms");
+
+pub(super) fn report(clock: &[ClockRow], pose: &[PoseRow]) -> Report {
+    let mut report = Report::new("lab-links", "What links do to clocks and poses");
+    report.background(
+        "Every way to align two clocks gets the same exchanges over links of known delays; then the same lap is driven over each \
+         link profile, steered by the estimate. All of it in virtual time.",
+    );
+    add_clock(&mut report, clock);
+    add_pose(&mut report, pose);
+    report.figure(render_accuracy_chart(&chart(pose)), "Position error of a lap over each link, for each circumstance");
+    report
 }
 
-#[derive(Serialize)]
-struct JsonRow<'a> {
-    profile: &'a str,
-    loss: f64,
-    delay_ms: f64,
-    skew_ppm: f64,
-    position_rms_m: Option<f64>,
-    odometry_rms_m: Option<f64>,
-    estimate_age_p50_ms: Option<f64>,
-    estimate_age_p99_ms: Option<f64>,
-    link_delay_p99_ms: Option<f64>,
-    outages: u64,
+fn add_clock(report: &mut Report, rows: &[ClockRow]) {
+    let error = Format::new(MS, 3);
+    let table = Table::of(rows)
+        .text("case", "case", |row| row.case.to_owned())
+        .text("method", "method", |row| row.method.to_owned())
+        .number("worst_ms", "worst", error, |row| row.worst_ms)
+        .number("mean_ms", "mean", error, |row| row.mean_ms);
+    report.heading("Clock: error of the offset");
+    report.table("clock", &table);
 }
 
-/// One object.
-pub(super) fn json(clock: &[LinkClockRow], pose: &[PoseRow]) -> Result<Value> {
-    let pose = pose.iter().map(|row| JsonRow {
-        profile: &row.profile,
-        loss: row.conditions.loss,
-        delay_ms: row.conditions.delay_ms,
-        skew_ppm: row.conditions.skew_ppm,
-        position_rms_m: row.position_rms_m,
-        odometry_rms_m: row.odometry_rms_m,
-        estimate_age_p50_ms: row.age_p50_ms,
-        estimate_age_p99_ms: row.age_p99_ms,
-        link_delay_p99_ms: row.link_delay_p99_ms,
-        outages: row.outages,
-    });
-    let report = Report { clock, pose: pose.collect() };
-    Ok(serde_json::to_value(&report)?)
+fn add_pose(report: &mut Report, rows: &[PoseRow]) {
+    let delay = Format::new(MS, 1);
+    let table = Table::of(rows)
+        .text("profile", "profile", |row| row.profile.clone())
+        .text("", "loss", |row| row.conditions.loss.to_string())
+        .data("loss", |row| json!(row.conditions.loss))
+        .text("", "delay ms", |row| row.conditions.delay_ms.to_string())
+        .data("delay_ms", |row| json!(row.conditions.delay_ms))
+        .text("", "skew ppm", |row| row.conditions.skew_ppm.to_string())
+        .data("skew_ppm", |row| json!(row.conditions.skew_ppm))
+        .labels(4)
+        .number("position_rms_m", "pose", Format::new(Unit::Millimetres, 2), |row| row.position_rms_m)
+        .number("odometry_rms_m", "odometry", Format::new(Unit::Millimetres, 1), |row| row.odometry_rms_m)
+        .number("estimate_age_p50_ms", "age p50", delay, |row| row.age_p50_ms)
+        .number("estimate_age_p99_ms", "age p99", delay, |row| row.age_p99_ms)
+        .number("link_delay_p99_ms", "link p99", delay, |row| row.link_delay_p99_ms)
+        .count("outages", "outages", |row| row.outages as usize);
+    report.heading("Pose: one lap of the square, steered by the estimate");
+    report.table("pose", &table);
 }
 
-/// Both tables.
-pub(super) fn tables(clock: &[LinkClockRow], pose: &[PoseRow]) -> String {
-    let mut lines: Vec<String> = Vec::new();
-    let mut line = |words: std::fmt::Arguments<'_>| lines.push(words.to_string());
-    line(format_args!("clock: error of the offset, ms"));
-    line(format_args!("{:<16} {:<22} {:>10} {:>10}", "case", "method", "worst", "mean"));
-    for row in clock {
-        line(format_args!(
-            "{:<16} {:<22} {:>10} {:>10}",
-            row.case,
-            row.method,
-            number(row.worst_ms, 3),
-            number(row.mean_ms, 3)
-        ));
+/// One panel per circumstance, one mark per profile.
+fn chart(rows: &[PoseRow]) -> AccuracyChart {
+    let mut panels: Vec<AccuracyPanel> = Vec::new();
+    for row in rows {
+        let title = conditions_text(&row.conditions);
+        let mark = AccuracyMark { name: row.profile.clone(), rms_m: row.position_rms_m, claimed_m: None, anees: None };
+        match panels.iter_mut().find(|panel| panel.title == title) {
+            Some(panel) => panel.marks.push(mark),
+            None => panels.push(AccuracyPanel { title, marks: vec![mark] }),
+        }
     }
-    line(format_args!(""));
-    line(format_args!("pose: one lap of the square, steered by the estimate"));
-    line(format_args!(
-        "{:<14} {:>6} {:>8} {:>9} {:>11} {:>11} {:>9} {:>9} {:>11} {:>7}",
-        "profile",
-        "loss",
-        "delay ms",
-        "skew ppm",
-        "pose mm",
-        "odometry mm",
-        "age p50",
-        "age p99",
-        "link p99 ms",
-        "outages"
-    ));
-    for row in pose {
-        let LinkConditions { loss, delay_ms, skew_ppm } = row.conditions;
-        line(format_args!(
-            "{:<14} {loss:>6} {delay_ms:>8} {skew_ppm:>9} {:>11} {:>11} {:>9} {:>9} {:>11} {:>7}",
-            row.profile,
-            number(row.position_rms_m.map(|rms_m| 1e3 * rms_m), 2),
-            number(row.odometry_rms_m.map(|rms_m| 1e3 * rms_m), 1),
-            number(row.age_p50_ms, 1),
-            number(row.age_p99_ms, 1),
-            number(row.link_delay_p99_ms, 1),
-            row.outages
-        ));
-    }
-    lines.join("\n") + "\n"
+    AccuracyChart { title: "Position error of a lap over links".to_owned(), panels }
 }
 
 /// What comes on top of a profile, in words.
-pub(super) fn conditions_text(of: &LinkConditions) -> String {
+fn conditions_text(of: &LinkConditions) -> String {
     format!("{} % more loss, {} ms more delay, clock {} ppm off", 100.0 * of.loss, of.delay_ms, of.skew_ppm)
-}
-
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
 }

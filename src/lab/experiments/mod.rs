@@ -1,14 +1,12 @@
 //! `posebridge lab`: experiments. None needs a robot or a link; those of the papers take a recording or a live robot as well.
 
 pub mod accuracy;
-mod accuracy_json;
 mod accuracy_runs;
 mod again;
 mod bounds;
 mod estimators;
 pub mod indirect;
 pub mod links;
-mod links_clock;
 mod links_pose;
 mod links_report;
 pub mod live;
@@ -39,13 +37,13 @@ pub enum LabExperiment {
     /// Run every estimator over the Monte-Carlo scenarios: errors, and whether the claimed ones are right.
     ///
     /// Prints one table per scenario and writes the page lab-accuracy.html with its picture.
-    /// docs/lab-accuracy.md describes --json.
+    /// docs/lab/accuracy.md describes --json.
     #[command(after_long_help = accuracy_help())]
     Accuracy(LabAccuracyArgs),
     /// Align clocks and drive laps over links that delay, lose and damage, in virtual time.
     ///
     /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
-    /// docs/lab-links.md describes --json.
+    /// docs/impairment.md describes --json.
     Links(LabLinksArgs),
     /// Run the filters of paper 1 on its square, on exported sensor data, on recordings or a live robot: errors, order, R, figures.
     NxtSquare(nxt_square::LabNxtSquareArgs),

@@ -2,7 +2,7 @@
 //! before a wall.
 //!
 //! Without a recording each experiment looks at something simulated whose numbers are known, and says how far it was off.
-//! docs/lab/identify.md has the equations.
+//! docs/lab/calibration.md, section 7, has the equations.
 
 mod experiments;
 mod report;

@@ -1,15 +1,13 @@
-//! What `identify` prints and draws.
+//! What `identify` reports.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
-use posebridge_report::chart::{Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::{NO_VALUE, TextTable};
+use posebridge_report::chart::Plot;
+use posebridge_report::report::{Format, Report, Table, Unit};
 use serde_json::{Map, Value, json};
 
 use crate::exit::Failure;
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 
 /// A number that was found.
 pub(super) struct Quantity {
@@ -63,63 +61,36 @@ pub(super) struct Findings {
     pub(super) extra_json: Map<String, Value>,
 }
 
-pub(super) fn text(findings: &Findings, run: &str) -> String {
-    let mut table = TextTable::new(["quantity", "value", "sigma", "unit", "truth"]);
-    for quantity in &findings.quantities {
-        let number = |value: Option<f64>| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.6}"));
-        table.push([
-            quantity.of.as_ref().map_or_else(|| quantity.name.clone(), |of| format!("{of}: {}", quantity.name)),
-            number(quantity.value),
-            number(quantity.sigma),
-            quantity.unit.to_owned(),
-            number(quantity.truth),
-        ]);
+fn report(findings: &Findings, run: &str) -> Report {
+    let mut report = Report::new(findings.name, format!("{}: {run}", findings.title));
+    let six = Format::new(Unit::None, 6);
+    let label = |quantity: &Quantity| match &quantity.of {
+        Some(of) => format!("{of}: {}", quantity.name),
+        None => quantity.name.clone(),
+    };
+    let table = Table::of(&findings.quantities)
+        .text("", "quantity", label)
+        .data("of", |quantity| json!(quantity.of))
+        .data("name", |quantity| json!(quantity.name))
+        .number("value", "value", six, |quantity| quantity.value)
+        .number("sigma", "sigma", six, |quantity| quantity.sigma)
+        .text("unit", "unit", |quantity| quantity.unit.to_owned())
+        .number("truth", "truth", six, |quantity| quantity.truth);
+    report.table("quantities", &table);
+    report.list(findings.notes.iter().cloned());
+    for plot in &findings.plots {
+        report.chart(plot, plot.title.as_str());
     }
-    let mut text = format!("{}: {run}\n\n{}\n", findings.title, table.render());
-    for note in &findings.notes {
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "{note}");
+    for (key, value) in &findings.extra_json {
+        report.data(key, value.clone());
     }
-    text
-}
-
-pub(super) fn page(findings: &Findings, text: &str) -> ReportPage {
-    let figures = findings
-        .plots
-        .iter()
-        .map(|picture| ReportBlock::Figure { svg: render_plot(picture), caption: picture.title.clone() });
-    ReportPage {
-        title: findings.title.clone(),
-        blocks: std::iter::once(ReportBlock::PreformattedText(text.to_owned())).chain(figures).collect(),
-    }
-}
-
-pub(super) fn json(findings: &Findings, run: &str) -> Value {
-    let quantities: Vec<Value> = findings
-        .quantities
-        .iter()
-        .map(|quantity| {
-            json!({
-                "of": quantity.of, "name": quantity.name, "unit": quantity.unit,
-                "value": quantity.value, "sigma": quantity.sigma, "truth": quantity.truth,
-            })
-        })
-        .collect();
-    let mut object = findings.extra_json.clone();
-    let own = [
-        ("experiment", json!(findings.name)),
-        ("run", json!(run)),
-        ("quantities", json!(quantities)),
-        ("notes", json!(findings.notes)),
-    ];
-    object.extend(own.map(|(key, value)| (key.to_owned(), value)));
-    Value::Object(object)
+    report.data("experiment", json!(findings.name));
+    report.data("run", json!(run));
+    report.data("notes", json!(findings.notes));
+    report
 }
 
 /// Prints and writes what was found of something.
 pub(super) fn write_findings(output: &OutputArgs, folder: &Path, findings: &Findings, of: &str) -> Result<(), Failure> {
-    let text = text(findings, of);
-    let outcome =
-        ExperimentOutcome { name: findings.name, page: page(findings, &text), json: json(findings, of), text };
-    output.write_outcome(folder, &outcome)
+    output.write_outcome(folder, &report(findings, of))
 }

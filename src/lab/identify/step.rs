@@ -1,6 +1,6 @@
 //! `posebridge identify step`: gain, dead time and lags of a sensor or a motor, from the samples of one step or several.
 //!
-//! Without a recording on a simulated sensor whose numbers are known. docs/lab/identify.md has the equations.
+//! Without a recording on a simulated sensor whose numbers are known. docs/lab/calibration.md, section 7, has the equations.
 
 use anyhow::{Context, Result};
 use posebridge_lab::identification::{StepParameters, identify_step};

@@ -12,8 +12,8 @@ use super::step_simulated;
 use crate::console::print_line;
 use crate::exit::Failure;
 use crate::flags::DataFlags;
-use crate::lab::calibrate::listing::CsvTable;
 use crate::lab::calibrate::source::{self, CalibrationDrive, ReferenceSettings};
+use crate::tools::csv_table::CsvTable;
 use crate::tools::dataset::report_skipped;
 
 /// Reads or simulates.
@@ -170,7 +170,7 @@ fn load_table(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     let unit = args.time_unit.unwrap_or(TimeUnit::S);
     let listing = CsvTable::read(path)?;
     let column = |asked: &Option<String>, place: usize, flag: &str| {
-        let named = asked.clone().or_else(|| listing.columns().get(place).cloned());
+        let named = asked.clone().or_else(|| listing.columns().get(place).map(str::to_owned));
         named.with_context(|| format!("`{}` has no column for {flag}", path.display()))
     };
     let time = column(&args.time_column, 0, "--time-column")?;

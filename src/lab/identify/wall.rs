@@ -1,6 +1,6 @@
 //! `posebridge identify wall`: what drives a car before a wall, from step tests: d and m, steady speed, rise time, measured dt.
 //!
-//! Without a recording on the simulated car, whose numbers are known. docs/lab/identify.md has the equations, `lab wall` what the numbers
+//! Without a recording on the simulated car, whose numbers are known. docs/lab/calibration.md, section 7, has the equations, `lab wall` what the numbers
 //! are good for.
 
 use std::path::PathBuf;

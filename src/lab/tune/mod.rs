@@ -1,6 +1,6 @@
 //! `posebridge tune`: noise parameters from recordings or from simulated drives, by the likelihood of the innovations.
 //!
-//! docs/lab/tune.md has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
+//! docs/lab/calibration.md, section 8, has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
 
 mod args;
 mod own;
@@ -23,7 +23,6 @@ use self::trial::TuneSearch;
 use super::parallel::run_all;
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
-use crate::tools::experiment_output::ExperimentOutcome;
 
 /// Tunes.
 ///
@@ -39,10 +38,7 @@ pub fn execute(args: &TuneArgs) -> Result<(), Failure> {
         profile::write(path, &material, &tuned).while_running()?;
         print_line(&format!("profile: {}", path.display()));
     }
-    let text = report::text(&tuned);
-    let outcome =
-        ExperimentOutcome { name: "tune", page: report::page(&tuned, &text), json: report::json(&tuned), text };
-    args.output.write_outcome(&folder, &outcome)
+    args.output.write_outcome(&folder, &report::report(&tuned))
 }
 
 fn filter_of(args: &TuneArgs) -> Result<&'static FilterEntry> {

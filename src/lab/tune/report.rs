@@ -1,15 +1,14 @@
 //! What `tune` prints and draws.
 
-use std::fmt::Write as _;
-
-use posebridge_lab::tuning::{ChoiceReason, QualityLoss, RunFit, SHARES, SearchTermination, joint_rms};
+use posebridge_lab::tuning::{
+    ChoiceReason, QualityLoss, RunFit, SHARES, SearchTermination, SourceFit, TunedKey, joint_rms,
+};
 use posebridge_report::SourceTally;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::{NO_VALUE, TextTable};
-use serde_json::{Value, json};
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use serde_json::json;
 
-use super::result::{KeptValues, TuneResult};
+use super::result::{KeptValues, ParameterValues, TuneResult};
 use super::run::{RunScore, RunSet};
 
 /// Height of a panel.
@@ -20,67 +19,92 @@ const SWITCHED_OFF: &str = "While tuning, the filter takes its noise as told: ad
 no slip test (a slip widens S by what is to be explained, so that too small a noise would cost nothing) and the widest gate. \
 The position error is that of the filter as it runs live, with all of them on.";
 
-pub(super) fn text(tuned: &TuneResult) -> String {
-    let mut text = parameters(tuned);
-    let found = &tuned.optimum;
-    let ended = match found.termination {
-        SearchTermination::Converged => "settled",
-        SearchTermination::RoundLimit => "rounds used up before it settled",
-    };
-    // Writing to a String cannot fail.
-    let _ = writeln!(
-        text,
-        "\nlog-likelihood {:.1} -> {:.1} ({:+.1}) in {} rounds, {ended}\n",
-        found.start_value,
-        found.value,
-        found.value - found.start_value,
-        found.rounds.len()
+const LIKELIHOOD: Format = Format::new(Unit::None, 1);
+const POSITION: Format = Format::new(Unit::Millimetres, 2);
+
+pub(super) fn report(tuned: &TuneResult) -> Report {
+    let mut report = Report::new("tune", "Noise parameters by the likelihood of the innovations");
+    report.background(
+        "The better noise is the one under which what came was more probable, each time before it was used. How far to go towards them is decided by parts \
+         of the runs that the search did not see. Runs that are held out were not seen at all.",
     );
-    text += &search_path_text(tuned);
-    let _ = writeln!(text, "\nkept: {}\n", kept(tuned));
-    text += &sets(tuned);
-    text.push('\n');
-    text += &sources(tuned);
-    text.push('\n');
-    text += &by_run(tuned);
-    let _ = writeln!(text, "\n{SWITCHED_OFF}");
-    text
+    report.paragraph(format!("kept: {}", kept(tuned)));
+    add_parameters(&mut report, tuned);
+    add_search(&mut report, tuned);
+    add_shares(&mut report, tuned);
+    let groups = run_groups(tuned);
+    add_groups(&mut report, &groups);
+    add_sources(&mut report, &groups);
+    add_runs(&mut report, tuned);
+    report.paragraph(SWITCHED_OFF);
+    report.chart(&plot(tuned), "Log-likelihood and parameters, round by round");
+    report.data("kept", json!(kept(tuned)));
+    report.data("is_tuned", json!(tuned.kept == KeptValues::Tuned));
+    report.data("start_factor", json!(tuned.start_factor));
+    report.data("as_given", json!(tuned.as_given.as_deref().map(runs_json)));
+    report.data("before", runs_json(&tuned.before));
+    report.data("proposed", runs_json(&tuned.proposed));
+    report.data("after", runs_json(tuned.after()));
+    report
 }
 
-fn parameters(tuned: &TuneResult) -> String {
-    let mut table = TextTable::new(["parameter", "before", "at the maximum", "after", "factor", "sigma of ln"]);
-    for (i, (key, values)) in tuned.keys.iter().zip(&tuned.values).enumerate() {
-        let sigma = tuned.optimum.sigma.get(i).copied().flatten();
-        table.push([
-            key.name(),
-            format!("{:.5}", values.before),
-            format!("{:.5}", values.at_maximum),
-            format!("{:.5}", values.after),
-            format!("{:.3}", values.after / values.before),
-            sigma.map_or("flat".to_owned(), |sigma| format!("{sigma:.2}")),
-        ]);
+fn add_parameters(report: &mut Report, tuned: &TuneResult) {
+    let rows: Vec<((&TunedKey, &ParameterValues), &Option<f64>)> =
+        tuned.keys.iter().zip(&tuned.values).zip(&tuned.optimum.sigma).collect();
+    let value = Format::new(Unit::None, 5);
+    let table = Table::of(&rows)
+        .text("key", "parameter", |((key, _), _)| key.name())
+        .number("before", "before", value, |((_, values), _)| Some(values.before))
+        .number("at_maximum", "optimum", value, |((_, values), _)| Some(values.at_maximum))
+        .data("proposed", |((_, values), _)| json!(values.proposed))
+        .number("after", "after", value, |((_, values), _)| Some(values.after))
+        .number("", "factor", Format::new(Unit::None, 3), |((_, values), _)| Some(values.after / values.before))
+        // A dash where the likelihood is flat.
+        .number("sigma_ln", "sigma of ln", Format::new(Unit::None, 2), |(_, sigma)| **sigma);
+    report.table("parameters", &table);
+}
+
+fn add_search(report: &mut Report, tuned: &TuneResult) {
+    let found = &tuned.optimum;
+    let has_settled = found.termination == SearchTermination::Converged;
+    report.values([
+        Quantity::new("", "log-likelihood before", found.start_value, LIKELIHOOD),
+        Quantity::new("", "log-likelihood after", found.value, LIKELIHOOD),
+        Quantity::new("", "gain", found.value - found.start_value, LIKELIHOOD.signed()),
+        Quantity::new("", "rounds", found.rounds.len() as f64, Format::new(Unit::None, 0)),
+    ]);
+    if has_settled {
+        report.paragraph("The search has settled.");
+    } else {
+        report.warning("the rounds were used up before the search settled");
     }
-    table.render()
+    report.data("log_likelihood", json!({ "before": found.start_value, "after": found.value }));
+    report.data("settled", json!(has_settled));
+    report.data("rounds", json!(found.rounds.len()));
 }
 
 /// How far to go: what data that the search did not see say of each share of the way.
-fn search_path_text(tuned: &TuneResult) -> String {
+fn add_shares(report: &mut Report, tuned: &TuneResult) {
     let choice = &tuned.choice;
-    let mut table = TextTable::new(["share of the way", "gain of ln p", "position rms", ""]);
-    let rows = SHARES.iter().zip(&choice.gains).zip(&choice.position_rms_m);
-    for (i, ((share, gain), rms_m)) in rows.enumerate() {
-        table.push([
-            format!("{share:.3}"),
-            format!("{gain:+.1}"),
-            millimetres(*rms_m),
-            if i == choice.index { "<-" } else { "" }.to_owned(),
-        ]);
-    }
-    format!(
-        "of parts of the runs that the search did not see (standard error of the largest gain: {:.1})\n{}",
-        choice.standard_error,
-        table.render()
-    )
+    let rows: Vec<_> = SHARES.iter().zip(&choice.gains).zip(&choice.position_rms_m).enumerate().collect();
+    let table = Table::of(&rows)
+        .number("", "share of the way", Format::new(Unit::None, 3), |(_, ((share, _), _))| Some(**share))
+        .number("", "gain of ln p", LIKELIHOOD.signed(), |(_, ((_, gain), _))| Some(**gain))
+        .number("", "position rms", POSITION, |(_, (_, rms_m))| **rms_m)
+        .text("", "", |(index, _)| if *index == choice.index { "<-" } else { "" }.to_owned());
+    report.heading("Parts of the runs that the search did not see");
+    report.table("", &table);
+    report.values([Quantity::new("", "standard error of the largest gain", choice.standard_error, LIKELIHOOD)]);
+    report.data("share", json!(choice.share()));
+    report.data(
+        "unseen",
+        json!({
+            "shares": SHARES,
+            "gains": choice.gains,
+            "standard_error": choice.standard_error,
+            "position_rms_m": choice.position_rms_m,
+        }),
+    );
 }
 
 /// Which numbers are kept, and why.
@@ -114,79 +138,104 @@ pub(super) fn kept(tuned: &TuneResult) -> String {
     }
 }
 
-/// Columns of what is compared.
-fn columns(tuned: &TuneResult) -> Vec<(&'static str, &[RunScore])> {
-    let given = tuned.as_given.as_deref().map(|scores| ("as in the file", scores));
-    given
-        .into_iter()
-        .chain([
-            ("before", tuned.before.as_slice()),
-            (if tuned.kept == KeptValues::Tuned { "after" } else { "tuned, not kept" }, tuned.proposed.as_slice()),
-        ])
-        .collect()
+/// The runs of a set, with one choice of noise.
+struct RunGroup<'a> {
+    set: &'static str,
+    noise: &'static str,
+    scores: Vec<&'a RunScore>,
+    fit: RunFit,
 }
 
-fn sets(tuned: &TuneResult) -> String {
-    let mut table = TextTable::new(["set", "noise", "runs", "innovations", "ln p each", "position rms"]);
+/// The sets of runs with the kinds of noise that are compared; none without runs.
+fn run_groups(tuned: &TuneResult) -> Vec<RunGroup<'_>> {
+    let proposed = if tuned.kept == KeptValues::Tuned { "after" } else { "tuned, not kept" };
+    let compared = [
+        ("as in the file", tuned.as_given.as_deref().unwrap_or_default()),
+        ("before", &tuned.before),
+        (proposed, &tuned.proposed),
+    ];
+    let mut groups = Vec::new();
     for (name, set) in [("tuned on", RunSet::Training), ("held out", RunSet::HeldOut)] {
-        for (noise, scores) in columns(tuned) {
-            let of_set: Vec<&RunScore> = scores.iter().filter(|score| score.set == set).collect();
-            if of_set.is_empty() {
-                continue;
-            }
-            let fit = merged_fit(&of_set);
-            table.push([
-                name.to_owned(),
-                noise.to_owned(),
-                of_set.len().to_string(),
-                fit.components().to_string(),
-                number(each(&fit), 4),
-                millimetres(rms_m(&of_set)),
-            ]);
-        }
-    }
-    table.render()
-}
-
-fn sources(tuned: &TuneResult) -> String {
-    let mut table =
-        TextTable::new(["why", "noise", "sensor", "innovations", "NIS", "rho(1)", "live NIS", "live refused"]);
-    for (name, set) in [("tuned on", RunSet::Training), ("held out", RunSet::HeldOut)] {
-        for (noise, scores) in columns(tuned) {
-            let of_set: Vec<&RunScore> = scores.iter().filter(|score| score.set == set).collect();
-            let live = live_tallies(&of_set);
-            for fit in merged_fit(&of_set).sources {
-                let tally = live.iter().find(|tally| tally.sensor == fit.sensor);
-                table.push([
-                    name.to_owned(),
-                    noise.to_owned(),
-                    fit.sensor.name().to_owned(),
-                    fit.count.to_string(),
-                    number(fit.nis(), 2),
-                    number(fit.rho_1(), 2),
-                    number(tally.and_then(SourceTally::mean_nis_per_dof), 2),
-                    tally.map_or(NO_VALUE.to_owned(), |tally| tally.gated.to_string()),
-                ]);
+        for (noise, scores) in compared {
+            let scores: Vec<&RunScore> = scores.iter().filter(|score| score.set == set).collect();
+            if !scores.is_empty() {
+                groups.push(RunGroup { set: name, noise, fit: merged_fit(&scores), scores });
             }
         }
     }
-    table.render()
+    groups
 }
 
-fn by_run(tuned: &TuneResult) -> String {
-    let mut table = TextTable::new(["run", "ln p before", "tuned", "gain", "rms before", "tuned"]);
-    for (before, after) in tuned.before.iter().zip(&tuned.proposed) {
-        let (was, is) = (before.fit.log_likelihood(), after.fit.log_likelihood());
-        table.push([
-            before.name.clone(),
-            format!("{was:.1}"),
-            format!("{is:.1}"),
-            format!("{:+.1}", is - was),
-            millimetres(before.position_rms_m),
-            millimetres(after.position_rms_m),
-        ]);
+fn add_groups(report: &mut Report, groups: &[RunGroup<'_>]) {
+    let table = Table::of(groups)
+        .text("", "set", |group| group.set.to_owned())
+        .text("", "noise", |group| group.noise.to_owned())
+        .count("", "runs", |group| group.scores.len())
+        .text("", "innovations", |group| group.fit.components().to_string())
+        .number("", "ln p each", Format::new(Unit::None, 4), |group| each(&group.fit))
+        .number("", "position rms", POSITION, |group| rms_m(&group.scores));
+    report.table("", &table);
+}
+
+/// A sensor's innovations in the runs of a group.
+struct SourceRow<'a> {
+    group: &'a RunGroup<'a>,
+    fit: &'a SourceFit,
+    /// How it fared in the filter as it runs live.
+    live: Option<SourceTally>,
+}
+
+fn add_sources(report: &mut Report, groups: &[RunGroup<'_>]) {
+    let mut rows = Vec::new();
+    for group in groups {
+        let live = live_tallies(&group.scores);
+        rows.extend(group.fit.sources.iter().map(|fit| SourceRow {
+            group,
+            fit,
+            live: live.iter().find(|tally| tally.sensor == fit.sensor).copied(),
+        }));
     }
-    table.render()
+    let two = Format::new(Unit::None, 2);
+    let table = Table::of(&rows)
+        .text("", "set", |row| row.group.set.to_owned())
+        .text("", "noise", |row| row.group.noise.to_owned())
+        .text("", "sensor", |row| row.fit.sensor.name().to_owned())
+        .text("", "innovations", |row| row.fit.count.to_string())
+        .number("", "NIS", two, |row| row.fit.nis())
+        .number("", "rho(1)", two, |row| row.fit.rho_1())
+        .number("", "live NIS", two, |row| row.live?.mean_nis_per_dof())
+        .optional_count("", "live refused", |row| Some(row.live?.gated as usize))
+        .labels(3);
+    report.table("", &table);
+}
+
+fn add_runs(report: &mut Report, tuned: &TuneResult) {
+    let rows: Vec<(&RunScore, &RunScore)> = tuned.before.iter().zip(&tuned.proposed).collect();
+    let table = Table::of(&rows)
+        .text("", "run", |(before, _)| before.name.clone())
+        .number("", "ln p before", LIKELIHOOD, |(before, _)| Some(before.fit.log_likelihood()))
+        .number("", "tuned", LIKELIHOOD, |(_, after)| Some(after.fit.log_likelihood()))
+        .number("", "gain", LIKELIHOOD.signed(), |(before, after)| {
+            Some(after.fit.log_likelihood() - before.fit.log_likelihood())
+        })
+        .number("", "rms before", POSITION, |(before, _)| before.position_rms_m)
+        .number("", "rms tuned", POSITION, |(_, after)| after.position_rms_m);
+    report.table("", &table);
+}
+
+fn runs_json(scores: &[RunScore]) -> serde_json::Value {
+    let source = |fit: &SourceFit| json!({ "name": fit.sensor.name(), "innovations": fit.count, "nis": fit.nis(), "rho_1": fit.rho_1() });
+    let runs = scores.iter().map(|score| {
+        json!({
+            "name": score.name,
+            "held_out": score.set == RunSet::HeldOut,
+            "log_likelihood": score.fit.log_likelihood(),
+            "components": score.fit.components(),
+            "position_rms_m": score.position_rms_m,
+            "sources": score.fit.sources.iter().map(source).collect::<Vec<_>>(),
+        })
+    });
+    runs.collect()
 }
 
 pub(super) fn merged_fit(scores: &[&RunScore]) -> RunFit {
@@ -217,33 +266,7 @@ pub(super) fn rms_m(scores: &[&RunScore]) -> Option<f64> {
     joint_rms(&of_runs)
 }
 
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
-}
-
-fn millimetres(value_m: Option<f64>) -> String {
-    value_m.map_or(NO_VALUE.to_owned(), |value_m| format!("{:.2} mm", value_m * 1e3))
-}
-
-pub(super) fn page(tuned: &TuneResult, tables: &str) -> ReportPage {
-    ReportPage {
-        title: "Noise parameters by the likelihood of the innovations".to_owned(),
-        blocks: vec![
-            ReportBlock::Text(
-                "The better noise is the one under which what came was more probable, each time before it was used. How far to go towards them is decided by parts \
-                 of the runs that the search did not see. Runs that are held out were not seen at all."
-                    .to_owned(),
-            ),
-            ReportBlock::PreformattedText(tables.to_owned()),
-            ReportBlock::Figure {
-                svg: render_plot(&picture(tuned)),
-                caption: "Log-likelihood and parameters, round by round".to_owned(),
-            },
-        ],
-    }
-}
-
-fn picture(tuned: &TuneResult) -> Plot {
+fn plot(tuned: &TuneResult) -> Plot {
     let found = &tuned.optimum;
     let rounds = || found.rounds.iter().zip(1_u32..);
     let values = rounds().map(|(round, number)| (f64::from(number), round.value));
@@ -266,56 +289,4 @@ fn picture(tuned: &TuneResult) -> Plot {
         key_figures: format!("log-likelihood {:.1} -> {:.1}", found.start_value, found.value),
         axes: vec![axes("ln L", vec![likelihood]), axes("log10 of the factor", curves.collect())],
     }
-}
-
-pub(super) fn json(tuned: &TuneResult) -> Value {
-    let parameters: Vec<Value> = tuned
-        .keys
-        .iter()
-        .zip(&tuned.values)
-        .zip(&tuned.optimum.sigma)
-        .map(|((key, values), sigma)| {
-            json!({
-                "key": key.name(), "before": values.before, "at_maximum": values.at_maximum, "proposed": values.proposed,
-                "after": values.after, "sigma_ln": sigma,
-            })
-        })
-        .collect();
-    let runs = |scores: &[RunScore]| -> Vec<Value> {
-        scores
-            .iter()
-            .map(|score| {
-                json!({
-                    "name": score.name,
-                    "held_out": score.set == RunSet::HeldOut,
-                    "log_likelihood": score.fit.log_likelihood(),
-                    "components": score.fit.components(),
-                    "position_rms_m": score.position_rms_m,
-                    "sources": score.fit.sources.iter().map(|fit| json!({
-                        "name": fit.sensor.name(), "innovations": fit.count, "nis": fit.nis(), "rho_1": fit.rho_1(),
-                    })).collect::<Vec<_>>(),
-                })
-            })
-            .collect()
-    };
-    json!({
-        "parameters": parameters,
-        "start_factor": tuned.start_factor,
-        "log_likelihood": {"before": tuned.optimum.start_value, "after": tuned.optimum.value},
-        "settled": tuned.optimum.termination == SearchTermination::Converged,
-        "rounds": tuned.optimum.rounds.len(),
-        "kept": kept(tuned),
-        "is_tuned": tuned.kept == KeptValues::Tuned,
-        "share": tuned.choice.share(),
-        "unseen": {
-            "shares": SHARES,
-            "gains": tuned.choice.gains,
-            "standard_error": tuned.choice.standard_error,
-            "position_rms_m": tuned.choice.position_rms_m,
-        },
-        "as_given": tuned.as_given.as_deref().map(runs),
-        "before": runs(&tuned.before),
-        "proposed": runs(&tuned.proposed),
-        "after": runs(tuned.after()),
-    })
 }

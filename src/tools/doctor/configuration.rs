@@ -55,7 +55,7 @@ fn check_scenario(link: &str, scenario: &str) -> CheckResult {
         Ok(_) => CheckResult::ok(format!("{link} is simulated")),
         Err(error) => CheckResult::problem(
             format!("{link} cannot be simulated: {error:#}"),
-            "docs/simulated-brick.md, section 4, has the keys and the bundled scenarios",
+            "docs/simulator.md, section 4, has the keys and the bundled scenarios",
         ),
     }
 }

@@ -179,7 +179,7 @@ fn classify(place: &str, heard: &ListenResult) -> CheckResult {
             }
             CheckResult::warning(
                 description,
-                "posebridge does not read this: the robot has to send MAVLink 2 (docs/quick-start-robot.md)",
+                "posebridge does not read this: the robot has to send MAVLink 2 (docs/getting-started.md)",
             )
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Each check looks at one cause and gives verdicts; a new check is a file and a line in [`CHECKS`]. Checks look, they
 //! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is
-//! read from stands in [`SystemRoots`], so that tests look at a made-up computer. docs/doctor.md is the manual.
+//! read from stands in [`SystemRoots`], so that tests look at a made-up computer. docs/getting-started.md is the manual.
 
 pub mod bluetooth;
 mod check_result;
@@ -43,7 +43,7 @@ pub struct DoctorArgs {
     /// Listen this long on each link, and at each speed of a serial port that is tried.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = up_to_an_hour)]
     pub listen_for: f64,
-    /// Print one JSON object (docs/doctor.md) instead of lines.
+    /// Print one JSON object (docs/getting-started.md) instead of lines.
     #[arg(long)]
     pub json: bool,
 }

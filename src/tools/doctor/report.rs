@@ -1,4 +1,4 @@
-//! The report: lines for people, or one JSON object (docs/doctor.md).
+//! The report: lines for people, or one JSON object (docs/getting-started.md).
 
 use serde::Serialize;
 

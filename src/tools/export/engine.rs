@@ -55,7 +55,7 @@ pub(super) struct RobotPoses {
 
 /// The files that are written while the engine runs.
 struct ExportFiles {
-    csv: Option<CsvWriter<'static, BufWriter<File>>>,
+    csv: Option<CsvWriter<'static, File>>,
     tlog: Option<TrafficLog<BufWriter<File>>>,
 }
 
@@ -182,9 +182,9 @@ fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
 }
 
 /// Opens streams in a folder; what an export before this one has left there is overwritten.
-fn streams(folder: &Path) -> CsvWriter<'static, BufWriter<File>> {
+fn streams(folder: &Path) -> CsvWriter<'static, File> {
     let folder = folder.to_owned();
-    CsvWriter::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))).map(BufWriter::new))
+    CsvWriter::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))))
 }
 
 impl ExportFiles {

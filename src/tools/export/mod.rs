@@ -1,6 +1,6 @@
 //! `posebridge export`: what a recording holds and what the engine makes of it, for other programs.
 //!
-//! Reads recordings of ours, telemetry logs and descriptors; the engine is that of a live run. docs/export.md describes the files.
+//! Reads recordings of ours, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the files.
 
 mod args;
 mod engine;

@@ -1,7 +1,7 @@
 //! Foreign files as recordings of ours, so that everything that works on recordings works on them.
 //!
 //! A telemetry log and a descriptor's run become the inputs that a station would have been given, with a configuration in the header.
-//! docs/import.md says what is kept and what is lost.
+//! docs/recordings.md says what is kept and what is lost.
 
 mod command;
 mod descriptor;

@@ -1,4 +1,4 @@
-//! What `inspect --json` prints. Keys are described in docs/inspect.md.
+//! What `inspect --json` prints. Keys are described in docs/recordings.md.
 
 use posebridge_protocol::dialect::message_name;
 use posebridge_protocol::framing::WireVersion;

@@ -2,7 +2,7 @@
 //!
 //! Reads recordings of ours, telemetry logs, bare captures of a link's bytes and descriptors of foreign recordings; the first three
 //! within a fixed memory, recordings of ours apart. Frames are verified with the checksum seeds of every known dialect.
-//! docs/inspect.md describes the JSON object.
+//! docs/recordings.md describes the JSON object.
 
 mod descriptor;
 mod facts;
@@ -29,7 +29,7 @@ pub struct InspectArgs {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Print one JSON object (docs/inspect.md) instead of tables.
+    /// Print one JSON object (docs/recordings.md) instead of tables.
     #[arg(long)]
     pub json: bool,
 }

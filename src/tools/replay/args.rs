@@ -30,7 +30,7 @@ pub struct ReplayArgs {
     /// Write the picture here: of the last run and the last estimator.
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,
-    /// Print one JSON object (docs/replay-json.md) instead of tables.
+    /// Print one JSON object (docs/reports.md) instead of tables.
     #[arg(long)]
     pub json: bool,
 }

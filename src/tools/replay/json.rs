@@ -1,4 +1,4 @@
-//! `replay --json`: one object, documented in docs/replay-json.md and stable.
+//! `replay --json`: one object, documented in docs/reports.md and stable.
 
 use std::collections::BTreeMap;
 

@@ -133,10 +133,9 @@ impl ReplayLane<'_> {
     /// As the watcher says.
     pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, place: WindowPosition) -> Result<()> {
         self.station.handle(now, input);
-        while let Some(output) = self.station.poll() {
-            match output {
-                Output::Event(event) if place == WindowPosition::Within => self.watcher.observe(now, &event)?,
-                Output::Event(_) | Output::Transmit { .. } | Output::Request(_) => {}
+        while let Some(output) = &self.station.poll() {
+            if let (Output::Event(event), WindowPosition::Within) = (output, place) {
+                self.watcher.observe(now, event)?;
             }
         }
         if place == WindowPosition::Within {

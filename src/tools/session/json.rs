@@ -1,26 +1,24 @@
-//! `report --json`: one object, documented in docs/report.md.
+//! `report --json`: one object, documented in docs/reports.md.
 
 use std::collections::BTreeMap;
 
+use posebridge_report::report::Report;
 use posebridge_telemetry::{TimeDelta, UncertainValue};
 use serde_json::{Map, Value, json};
 
-use super::summary::{RunSummary, ScoreReference, SessionSummary, SourceSummary};
+use super::summary::{LINK_COUNTERS, RunSummary, ScoreReference, SessionSummary, SourceSummary};
 use crate::config::CALIBRATION_KEYS;
 
-/// The object.
-#[must_use]
-pub fn object(session: &SessionSummary) -> Value {
+/// Adds what programs get.
+pub fn add(report: &mut Report, session: &SessionSummary) {
     let facts: BTreeMap<&str, &str> =
         session.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
-    json!({
-        "recording": session.recording,
-        "facts": facts,
-        "filter": session.filter,
-        "changed": session.changed,
-        "notes": session.notes,
-        "runs": session.runs.iter().map(run).collect::<Vec<_>>(),
-    })
+    report.data("recording", json!(session.recording));
+    report.data("facts", json!(facts));
+    report.data("filter", json!(session.filter));
+    report.data("changed", json!(session.changed));
+    report.data("notes", json!(session.notes));
+    report.data("runs", session.runs.iter().map(run).collect());
 }
 
 fn run(run: &RunSummary) -> Value {
@@ -81,18 +79,11 @@ fn calibration(run: &RunSummary) -> Option<Value> {
 fn links(run: &RunSummary) -> Value {
     let links = run.history.collector.links.iter().map(|(id, report)| {
         let health = &report.health;
-        json!({
-            "link": id.0,
-            "frames_in": health.frames_in,
-            "frames_out": health.frames_out,
-            "frames_lost": health.frames_lost,
-            "checksum_errors": health.checksum_errors,
-            "garbage_bytes": health.garbage_bytes,
-            "stalls": health.timeouts,
-            "drops_out": health.drops_out + health.port.drops_out,
-            "reconnects": health.reconnects,
-            "round_trip_s": health.round_trip.map(TimeDelta::as_secs_f64),
-        })
+        let mut fields = json!({ "link": id.0, "round_trip_s": health.round_trip.map(TimeDelta::as_secs_f64) });
+        for counter in LINK_COUNTERS {
+            fields[counter.key] = json!((counter.read)(health));
+        }
+        fields
     });
     Value::Array(links.collect())
 }

@@ -7,56 +7,61 @@ use posebridge_report::chart::session::{
     self, CalibrationSeries, InnovationSeries, display_unit, learning, render_clock, render_errors, render_innovations,
     render_link,
 };
-use posebridge_report::page::{ReportBlock, ReportFigure, ReportPage};
-use posebridge_report::tables::NO_VALUE;
+use posebridge_report::page::{ReportBlock, ReportFigure};
+use posebridge_report::report::Report;
+use posebridge_report::tables::{EstimatorRow, NO_VALUE, runs_table};
 
 use super::history::SessionHistory;
-use super::summary::{RunSummary, ScoreReference, SessionSummary, SourceSummary};
+use super::summary::{LINK_COUNTERS, RunSummary, ScoreReference, SessionSummary, SourceSummary};
 use crate::config::CALIBRATION_KEYS;
 
-/// The page.
+/// The report, without data for programs: in a terminal errors and verdicts, on the page all of it.
 #[must_use]
-pub fn page(session: &SessionSummary) -> ReportPage {
-    let mut parts = summary(session);
+pub fn report(session: &SessionSummary) -> Report {
+    let mut report = Report::new("report", format!("Report of {}, filter {}", session.recording, session.filter));
+    add_summary(&mut report, session);
     for (index, run) in session.runs.iter().enumerate() {
-        parts.extend(run_blocks(session, run, index));
+        if session.runs.len() > 1 {
+            report.heading(format!("Run {}", run.name));
+        }
+        add_run(&mut report, run, index);
     }
-    parts.push(ReportBlock::Text(format!(
+    report.background(format!(
         "Made by posebridge {} from the recorded inputs alone, by the engine that runs live.",
         env!("CARGO_PKG_VERSION")
-    )));
-    ReportPage { title: format!("Report of {}", session.recording), blocks: parts }
+    ));
+    report
 }
 
-fn summary(session: &SessionSummary) -> Vec<ReportBlock> {
-    let mut rows: Vec<Vec<String>> =
-        session.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
-    rows.push(vec!["filter".to_owned(), session.filter.clone()]);
-    let mut parts =
-        vec![ReportBlock::CodeTable { header: vec!["recording".to_owned(), session.recording.clone()], rows }];
+fn add_summary(report: &mut Report, session: &SessionSummary) {
+    let facts = session.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]);
+    let filter = vec!["filter".to_owned(), session.filter.clone()];
+    report.page_only(ReportBlock::CodeTable {
+        header: vec!["recording".to_owned(), session.recording.clone()],
+        rows: facts.chain([filter]).collect(),
+    });
     if !session.changed.is_empty() {
-        parts.push(ReportBlock::Text(format!("Replayed with {}: this is not what ran.", session.changed.join(", "))));
+        report.paragraph(format!("Replayed with {}: this is not what ran.", session.changed.join(", ")));
     }
     if !session.notes.is_empty() {
-        parts.push(ReportBlock::List(session.notes.clone()));
+        report.page_only(ReportBlock::List(session.notes.clone()));
     }
-    parts
+    let runs = session.runs.iter();
+    let rows: Vec<EstimatorRow<'_>> =
+        runs.map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
+    report.code(runs_table(&rows));
 }
 
-fn run_blocks(session: &SessionSummary, run: &RunSummary, index: usize) -> Vec<ReportBlock> {
-    let mut parts = Vec::new();
-    if session.runs.len() > 1 {
-        parts.push(ReportBlock::Heading(format!("Run {}", run.name)));
-    }
+fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
     let (tone, word, text) = run.verdict();
-    parts.push(ReportBlock::Verdict { tone, word: word.to_owned(), text });
-    parts.push(ReportBlock::Text(in_figures(run)));
-    parts.push(ReportBlock::FigureGrid(main_pictures(run, index)));
-    parts.extend(source_blocks(run, index));
-    parts.extend(calibration_blocks(run, index));
-    parts.extend(link_blocks(run, index));
-    parts.extend(timeline_blocks(&run.history));
-    parts
+    report.verdict(tone, word, text);
+    report.paragraph(in_figures(run));
+    report.page_only(ReportBlock::FigureGrid(main_pictures(run, index)));
+    add_sources(report, run, index);
+    let blocks = [calibration_blocks(run, index), link_blocks(run, index), timeline_blocks(&run.history)];
+    for block in blocks.into_iter().flatten() {
+        report.page_only(block);
+    }
 }
 
 /// How long, how many, how far off: in one sentence each.
@@ -126,18 +131,14 @@ fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
     pictures
 }
 
-fn source_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
     let verdicts = run.source_summaries();
     if verdicts.is_empty() {
-        return Vec::new();
+        return;
     }
-    let mut parts = vec![ReportBlock::Subheading("Sensors".to_owned())];
+    report.page_only(ReportBlock::Subheading("Sensors".to_owned()));
     for one in &verdicts {
-        parts.push(ReportBlock::Verdict {
-            tone: one.assessment.tone(),
-            word: format!("{}:", one.sensor.name()),
-            text: one.assessment.to_string(),
-        });
+        report.verdict(one.assessment.tone(), format!("{}:", one.sensor.name()), one.assessment.to_string());
     }
     let header = [
         "sensor",
@@ -153,7 +154,7 @@ fn source_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
         "dof",
         "correlation",
     ];
-    parts.push(ReportBlock::table(&header, verdicts.iter().map(source_row).collect()));
+    report.page_only(ReportBlock::table(&header, verdicts.iter().map(source_row).collect()));
     let predicted = run.history.sources.iter().filter(|source| !source.samples.items().is_empty());
     let pictures = predicted.map(|source| {
         let name = source.sensor.name();
@@ -172,9 +173,8 @@ fn source_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
     });
     let pictures: Vec<ReportFigure> = pictures.collect();
     if !pictures.is_empty() {
-        parts.push(ReportBlock::FigureGrid(pictures));
+        report.page_only(ReportBlock::FigureGrid(pictures));
     }
-    parts
 }
 
 fn source_row(verdict: &SourceSummary) -> Vec<String> {
@@ -264,33 +264,15 @@ fn link_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
 
 fn link_table(history: &SessionHistory) -> ReportBlock {
     let links = history.collector.links.iter();
-    let header = [
-        "link",
-        "received",
-        "sent",
-        "lost",
-        "damaged",
-        "garbage bytes",
-        "stalls",
-        "not sent",
-        "reconnects",
-        "round trip [ms]",
-    ];
+    let mut header = vec!["link"];
+    header.extend(LINK_COUNTERS.iter().map(|counter| counter.label));
+    header.push("round trip [ms]");
     let rows = links.map(|(id, report)| {
-        let health = &report.health;
-        let round_trip = health.round_trip;
-        vec![
-            id.to_string(),
-            health.frames_in.to_string(),
-            health.frames_out.to_string(),
-            health.frames_lost.to_string(),
-            health.checksum_errors.to_string(),
-            health.garbage_bytes.to_string(),
-            health.timeouts.to_string(),
-            (health.drops_out + health.port.drops_out).to_string(),
-            health.reconnects.to_string(),
-            round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())),
-        ]
+        let round_trip = report.health.round_trip;
+        let mut row = vec![id.to_string()];
+        row.extend(LINK_COUNTERS.iter().map(|counter| (counter.read)(&report.health).to_string()));
+        row.push(round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())));
+        row
     });
     ReportBlock::table(&header, rows.collect())
 }

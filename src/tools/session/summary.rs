@@ -2,10 +2,22 @@
 
 use posebridge_report::metrics::{InnovationVerdict, VerdictTone};
 use posebridge_report::{ErrorSummary, PoseTrack, SourceTally};
-use posebridge_telemetry::SensorId;
+use posebridge_telemetry::{LinkCounter, SensorId};
 
 use super::history::SessionHistory;
 use crate::station::learned_calibration::LearnedCalibration;
+
+/// What is reported of each link.
+pub const LINK_COUNTERS: [LinkCounter; 8] = [
+    LinkCounter::FRAMES_IN,
+    LinkCounter::FRAMES_OUT,
+    LinkCounter::FRAMES_LOST,
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::GARBAGE_BYTES,
+    LinkCounter::TIMEOUTS,
+    LinkCounter::UNSENT,
+    LinkCounter::RECONNECTS,
+];
 
 /// Everything that is reported.
 pub struct SessionSummary {

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 
-use posebridge_telemetry::{Estimate, Event, LinkState, PoseCorrection, ReceiveError, SignatureError, TimeDelta};
+use posebridge_telemetry::{Estimate, Event, ReceiveError, SignatureError, TimeDelta};
 
 /// Most events that are kept; the rest is counted.
 const MAX_ENTRIES: usize = 400;
@@ -34,49 +34,26 @@ pub struct EventTimeline {
 impl EventTimeline {
     /// Takes an event.
     pub fn on_event(&mut self, t_s: f64, event: &Event) {
-        match event {
-            Event::RobotDetected { robot } => self.push(t_s, format!("robot {robot} heard")),
-            Event::RobotNamed { robot, name } => self.push(t_s, format!("robot {robot} is {name}")),
-            Event::RobotLost { robot, silence } => {
-                self.push(t_s, format!("robot {robot} lost: silent for {:.1} s", silence.as_secs_f64()));
-            }
-            Event::BrickRestarted { robot } => {
-                self.push(t_s, format!("the brick of robot {robot} restarted"));
-            }
-            Event::Link { link, state } => {
-                let state = match state {
-                    LinkState::Up => "up",
-                    LinkState::Down => "down",
-                };
-                self.push(t_s, format!("link {link} {state}"));
-            }
-            Event::Text { source, severity, text } => {
-                self.push(t_s, format!("{source} says (severity {severity}): {text}"));
-            }
-            Event::BrickClockAligned { uncertainty, .. } => {
-                self.push_once(t_s, &alignment_text("the brick's clock", *uncertainty), "brick clock");
-            }
-            Event::CameraClockAligned { camera, uncertainty, .. } => {
-                let whose = format!("the clock of camera {camera}");
-                self.push_once(t_s, &alignment_text(&whose, *uncertainty), &whose);
-            }
-            Event::EstimateUpdated { estimate, .. } => self.on_estimate(t_s, estimate),
-            Event::ReceiveError { link, defect } => {
-                let what = format!("first on link {link}: {}", kind_of(defect));
-                self.push_once(t_s, &what, &what);
-            }
-            Event::ObservationAligned { .. }
-            | Event::ObservationFused { .. }
-            | Event::Temperature { .. }
-            | Event::Health { .. } => {}
+        if let Some((severity, text)) = event.describe() {
+            let is_text = matches!(event, Event::Text { .. });
+            self.push(t_s, if is_text { format!("{text} (severity {severity})") } else { text });
+        } else if let Event::EstimateUpdated { estimate, .. } = event {
+            self.on_estimate(t_s, estimate);
+        } else if let Event::BrickClockAligned { uncertainty, .. } = event {
+            self.push_once(t_s, &alignment_text("the brick's clock", *uncertainty), "brick clock");
+        } else if let Event::CameraClockAligned { camera, uncertainty, .. } = event {
+            let whose = format!("the clock of camera {camera}");
+            self.push_once(t_s, &alignment_text(&whose, *uncertainty), &whose);
+        } else if let Event::ReceiveError { link, defect } = event {
+            let what = format!("first on link {link}: {}", kind_of(defect));
+            self.push_once(t_s, &what, &what);
         }
     }
 
     fn on_estimate(&mut self, t_s: f64, estimate: &Estimate) {
         let before = self.resets.replace(estimate.reset_counter);
         if before.is_some_and(|before| before != estimate.reset_counter) {
-            let how_far = estimate.last_correction.map(correction_text).unwrap_or_default();
-            self.push(t_s, format!("the estimate was moved{how_far}"));
+            self.push(t_s, estimate.describe_reset());
         }
         let before = self.is_dead_reckoning.replace(estimate.is_dead_reckoning);
         // Before the first fix everything is dead reckoning: nothing has happened.
@@ -107,10 +84,6 @@ impl EventTimeline {
 
 fn alignment_text(whose: &str, uncertainty: TimeDelta) -> String {
     format!("{whose} aligned, ± {:.2} ms", uncertainty.as_millis_f64())
-}
-
-fn correction_text(jump: PoseCorrection) -> String {
-    format!(" by {:.0} mm, {:.0} mm and {:.1} degrees", jump.dx_m * 1e3, jump.dy_m * 1e3, jump.turn.0.to_degrees())
 }
 
 const fn kind_of(defect: &ReceiveError) -> &'static str {
@@ -151,7 +124,7 @@ mod tests {
         timeline.on_event(4.0, &Event::BrickRestarted { robot: RobotId::default() });
         let texts: Vec<&str> = timeline.entries.iter().map(|one| one.text.as_str()).collect();
         assert_eq!(texts.len(), 3);
-        assert_eq!(texts[0], "1/1 says (severity 4): battery low");
+        assert_eq!(texts[0], "1/1: battery low (severity 4)");
         assert_eq!(texts[1], "first on link 0: bytes outside every frame");
         assert!(texts[2].contains("restarted"));
     }

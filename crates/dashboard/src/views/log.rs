@@ -1,22 +1,20 @@
 //! The event log: texts of robots, ground stations and the station, and events of robots and links.
 
-use posebridge_telemetry::{Address, Event, HostClock, LinkState, RepeatFilter, TimeDelta, Timestamp};
+use posebridge_telemetry::severity::NOTICE;
+use posebridge_telemetry::{Event, HostClock, RepeatFilter, TimeDelta, Timestamp};
 
 use super::retained_series::RetentionPolicy;
 use super::retained_series::{PointPriority, RetainedSeries};
-use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LogLine, seconds_of};
 
 /// Most lines; more than a page shows.
 const MAX_LINES: usize = 300;
 /// Longest line, in bytes; MAVLink's longest text in parts is far shorter.
-const MAX_LINE_CHARS: usize = 1_000;
+const MAX_LINE_BYTES: usize = 1_000;
 
 /// Largest age of a line: there are far fewer lines than points, and the start of a session is the most informative.
 const REPEAT_WINDOW: TimeDelta = TimeDelta::from_millis(24 * 3_600_000);
-
-const WARNING: u8 = 4;
-const NOTICE: u8 = 5;
 
 pub(super) struct Log {
     config: ViewConfig,
@@ -56,45 +54,25 @@ impl Log {
         self.lines.push(now, line, self.priority_of(severity));
     }
 
+    /// The line of an event. The station's own lines are at least notices.
     fn line_of(&self, event: &Event) -> Option<(u8, String)> {
-        Some(match event {
-            Event::RobotDetected { robot } => (NOTICE, format!("heard {}", robot_name(*robot))),
-            Event::RobotNamed { robot, name } => (NOTICE, format!("{} is {name}", robot_name(*robot))),
-            Event::RobotLost { robot, silence } => {
-                let silent_s = silence.as_secs_f64();
-                let robot = robot_name(*robot);
-                (WARNING, format!("lost {robot}, silent for {silent_s:.1} s"))
-            }
-            Event::BrickRestarted { robot } => {
-                let robot = robot_name(*robot);
-                (WARNING, format!("{robot} was restarted: clock and counters re-based"))
-            }
-            Event::Link { link, state } => {
-                let name = self.config.link_name(*link);
-                match state {
-                    LinkState::Up => (NOTICE, format!("link {name} is up")),
-                    LinkState::Down => (WARNING, format!("link {name} is down")),
-                }
-            }
-            Event::Text { source, severity, text } => (*severity, attributed_text(*source, text)),
-            Event::ObservationAligned { .. }
-            | Event::ObservationFused { .. }
-            | Event::EstimateUpdated { .. }
-            | Event::Temperature { .. }
-            | Event::BrickClockAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Health { .. }
-            | Event::ReceiveError { .. } => return None,
-        })
+        let (severity, text) = event.describe()?;
+        if let Event::Text { .. } = event {
+            return Some((severity, cut(text)));
+        }
+        let url = if let Event::Link { link, .. } = event { self.config.links.get(usize::from(link.0)) } else { None };
+        Some((severity.min(NOTICE), url.map(|url| format!("{text} ({url})")).unwrap_or(text)))
     }
 }
 
-fn attributed_text(source: Address, text: &str) -> String {
-    let mut end = text.len().min(MAX_LINE_CHARS);
+/// At most [`MAX_LINE_BYTES`] of a text.
+fn cut(mut text: String) -> String {
+    let mut end = text.len().min(MAX_LINE_BYTES);
     while !text.is_char_boundary(end) {
         end -= 1;
     }
-    format!("{source}: {}", &text[..end])
+    text.truncate(end);
+    text
 }
 
 impl View for Log {

@@ -62,7 +62,7 @@ pub trait View: Send {
 /// A robot as messages name it: link, system and component.
 #[must_use]
 pub fn robot_name(robot: RobotId) -> String {
-    format!("{}/{}", robot.link, robot.address)
+    robot.path()
 }
 
 /// The robot that messages name so.

@@ -14,7 +14,7 @@
 //! ```
 //! # Sources
 //! Bierman (1977), Factorization Methods for Discrete Sequential Estimation, chapters 4 and 5; Takahashi, Fagan and Chen
-//! (1973); docs/maths/batch.md section 4.
+//! (1973); docs/maths/pose.md section B4.
 
 /// Most variables that are active at once: two poses, the heading where a window began, two biases and six constants are 15.
 const CAPACITY: usize = 16;

@@ -26,7 +26,7 @@ use posebridge_telemetry::Observation;
 pub use bound::{BoundSum, WheelRotation};
 pub use score::FilterScore;
 pub use smoother_score::{SmootherFn, SmootherScore, score_smoother};
-pub use table::{ScoreRow, bound_text, score_table};
+pub use table::{ScoreRow, bound_text};
 
 use posebridge_report::track::TimedPose;
 

@@ -1,8 +1,8 @@
-//! The table of one Monte-Carlo scenario: estimators against each other.
+//! What the table of a Monte-Carlo scenario says of an estimator besides its errors.
 
 use posebridge_report::metrics::SourceTally;
-use posebridge_report::tables::TextTable;
-use posebridge_report::tables::cells::{NO_VALUE, degrees, millimetres_three_digits, three_digits};
+use posebridge_report::report::{Format, Unit};
+use posebridge_report::tables::NO_VALUE;
 
 use super::FilterScore;
 
@@ -17,81 +17,52 @@ pub struct ScoreRow<'a> {
     pub bound_m: Option<f64>,
 }
 
-/// Accuracy in millimetres and degrees and as a multiple of the bound, what the estimator claims, and how its observations fared.
-pub fn score_table(rows: &[ScoreRow<'_>]) -> String {
-    let mut table = TextTable::new([
-        "estimator",
-        "rms mm",
-        "rms/bound",
-        "mean mm",
-        "max mm",
-        "heading rms deg",
-        "claimed mm",
-        "ANEES",
-        "its claims are",
-        "NIS/dof of what it used",
-    ]);
-    for row in rows {
-        let score = row.score;
-        table.push([
-            row.name.to_owned(),
-            millimetres_three_digits(score.position_rms_m()),
-            three_digits(ratio_to_bound(row)),
-            millimetres_three_digits(score.position_mean_m()),
-            millimetres_three_digits(score.position_max_m()),
-            degrees(score.heading_rms_rad()),
-            millimetres_three_digits(score.claimed_rms_m()),
-            three_digits(score.anees()),
-            score.consistency().as_text().to_owned(),
-            format_sources(score.sources()),
-        ]);
+impl ScoreRow<'_> {
+    /// Its error as a multiple of the bound; `None` where there is none.
+    #[must_use]
+    pub fn ratio_to_bound(&self) -> Option<f64> {
+        let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
+        Some(self.score.position_rms_m()? / bound_m)
     }
-    table.render() + &rows.iter().map(footnotes).collect::<String>()
+
+    /// The sensors whose observations were predicted, each with its mean and the verdict on it.
+    #[must_use]
+    pub fn sources(&self) -> String {
+        let judged: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
+        if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
+    }
+
+    /// What its errors leave out.
+    #[must_use]
+    pub fn footnotes(&self) -> Vec<String> {
+        let score = self.score;
+        let left_out = [
+            (score.steps_without_estimate(), ", no estimate"),
+            (score.steps_not_finite(), ", not finite"),
+            (score.refused_covariances(), " of its claim and its ANEES, covariance not positive definite"),
+        ];
+        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, what)| format!("{}: steps left out{what}: {count}", self.name)).collect()
+    }
+}
+
+fn source_text(tally: &SourceTally) -> Option<String> {
+    let mean = tally.mean_nis_per_dof()?;
+    let gated = match tally.gated_share() {
+        Some(share) if share > 0.0 => format!(", {:.1} % gated", share * 100.0),
+        Some(_) | None => String::new(),
+    };
+    Some(format!("{} {mean:.2} {}{gated}", tally.sensor.name(), tally.consistency().as_text()))
 }
 
 /// The bound of a scenario, with what is to be said about it: what it leaves out, or why there is none.
 pub fn bound_text(bound_m: Option<f64>, note: Option<&str>) -> String {
     let bound = match bound_m {
-        Some(_) => format!("bound: {} mm rms", millimetres_three_digits(bound_m)),
+        Some(bound_m) => format!("bound: {} rms", Format::three_digits(Unit::Millimetres).text(bound_m)),
         None => "no bound".to_owned(),
     };
     let note = note.map(|note| format!(", {note}")).unwrap_or_default();
-    format!("{bound}{note}\n")
-}
-
-fn ratio_to_bound(row: &ScoreRow<'_>) -> Option<f64> {
-    let bound_m = row.bound_m.filter(|bound_m| *bound_m > 0.0)?;
-    Some(row.score.position_rms_m()? / bound_m)
-}
-
-/// The sensors whose observations were predicted, each with its mean and the verdict on it.
-fn format_sources(tallies: &[SourceTally]) -> String {
-    let judged: Vec<String> = tallies
-        .iter()
-        .filter_map(|tally| {
-            let mean = tally.mean_nis_per_dof()?;
-            let gated = match tally.gated_share() {
-                Some(share) if share > 0.0 => format!(", {:.1} % gated", share * 100.0),
-                Some(_) | None => String::new(),
-            };
-            let name = tally.sensor.name();
-            Some(format!("{name} {mean:.2} {}{gated}", tally.consistency().as_text()))
-        })
-        .collect();
-    if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
-}
-
-fn footnotes(row: &ScoreRow<'_>) -> String {
-    let score = row.score;
-    let lines = [
-        (score.steps_without_estimate(), ", no estimate"),
-        (score.steps_not_finite(), ", not finite"),
-        (score.refused_covariances(), " of its claim and its ANEES, covariance not positive definite"),
-    ]
-    .into_iter()
-    .filter(|(count, _)| *count > 0)
-    .map(|(count, what)| format!("{}: steps left out{what}: {count}\n", row.name));
-    lines.collect::<Vec<_>>().concat()
+    format!("{bound}{note}")
 }
 
 #[cfg(test)]
@@ -101,8 +72,8 @@ mod tests {
     #[test]
     fn a_bound_is_told_with_what_it_leaves_out_and_a_missing_one_with_the_reason() {
         let line = bound_text(Some(0.000_971), Some("without the kicks"));
-        assert_eq!(line, "bound: 0.971 mm rms, without the kicks\n");
-        assert_eq!(bound_text(Some(0.000_971), None), "bound: 0.971 mm rms\n");
-        assert_eq!(bound_text(None, Some("why")), "no bound, why\n");
+        assert_eq!(line, "bound: 0.971 mm rms, without the kicks");
+        assert_eq!(bound_text(Some(0.000_971), None), "bound: 0.971 mm rms");
+        assert_eq!(bound_text(None, Some("why")), "no bound, why");
     }
 }

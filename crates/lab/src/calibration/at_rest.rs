@@ -1,6 +1,6 @@
 //! When a robot stood, and what its gyro and its accelerometers said meanwhile.
 //!
-//! What these readings say of the sensors is found by [`crate::noise_identification`]; docs/lab/calibrate.md, section 5.
+//! What these readings say of the sensors is found by [`crate::noise_identification`]; docs/lab/calibration.md, section 5.
 
 use posebridge_telemetry::{Observation, ObservationKind};
 

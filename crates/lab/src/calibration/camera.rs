@@ -13,8 +13,11 @@
 //! Hartley and Zisserman (2004), Multiple View Geometry, 2nd edition, sections 4.1 and 4.4 (normalisation); Umeyama (1991), IEEE
 //! PAMI 13(4), equations 40 to 43 in the plane.
 
+use nalgebra::{DMatrix, DVector};
+use posebridge_estimator::numerics::statistics::root_mean_square;
+
 use super::CalibrationError;
-use super::least_squares::{fit, solve};
+use super::least_squares::{ScaledCholesky, fit};
 
 /// A point that was found in the image and measured on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,8 +79,8 @@ pub fn fit_homography(points: &[CalibrationPoint]) -> Result<CameraFit, Calibrat
 }
 
 fn rms(residuals_m: &[[f64; 2]]) -> f64 {
-    let squares: f64 = residuals_m.iter().flatten().map(|r| r * r).sum();
-    (squares / residuals_m.len().max(1) as f64).sqrt()
+    let distances: Vec<f64> = residuals_m.iter().map(|[x, y]| x.hypot(*y)).collect();
+    root_mean_square(&distances).unwrap_or(0.0)
 }
 
 fn validate_points(points: &[CalibrationPoint], needed: usize) -> Result<(), CalibrationError> {
@@ -159,21 +162,18 @@ fn rows_of(h: &[f64]) -> [[f64; 3]; 3] {
 
 /// The eight numbers by linear least squares; in coordinates about the centre the ninth is not zero.
 fn linear_homography(points: &[([f64; 2], [f64; 2])]) -> Result<Vec<f64>, CalibrationError> {
-    let mut normal = vec![vec![0.0; 8]; 8];
-    let mut right = vec![0.0; 8];
+    let mut normal = DMatrix::zeros(8, 8);
+    let mut right = DVector::zeros(8);
     for ([u, v], [x, y]) in points {
         for (row, target) in
             [([*u, *v, 1.0, 0.0, 0.0, 0.0, -x * u, -x * v], x), ([0.0, 0.0, 0.0, *u, *v, 1.0, -y * u, -y * v], y)]
         {
-            for i in 0..8 {
-                right[i] += row[i] * target;
-                for j in 0..8 {
-                    normal[i][j] += row[i] * row[j];
-                }
-            }
+            let row = DVector::from_row_slice(&row);
+            right.axpy(*target, &row, 1.0);
+            normal.ger(1.0, &row, &row, 1.0);
         }
     }
-    solve(&normal, &right)
+    Ok(ScaledCholesky::new(&normal)?.solve(&right).iter().copied().collect())
 }
 
 /// Turn, shift and scale from the camera's space to the arena.

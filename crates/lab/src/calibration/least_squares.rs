@@ -13,6 +13,10 @@
 //! # Sources
 //! Marquardt (1963), SIAM Journal 11(2); Newey and West (1987), Econometrica 55(3), equation 5.
 
+use std::ops::AddAssign as _;
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
 use super::CalibrationError;
 
 /// The residuals of each run, in the order of time.
@@ -31,13 +35,13 @@ pub(super) struct LeastSquaresFit {
     /// The unknowns.
     pub(super) values: Vec<f64>,
     /// Their covariance.
-    pub(super) covariance: Vec<Vec<f64>>,
+    covariance: DMatrix<f64>,
 }
 
 impl LeastSquaresFit {
     /// One standard deviation of an unknown.
     pub(super) fn sigma(&self, unknown: usize) -> f64 {
-        self.covariance[unknown][unknown].max(0.0).sqrt()
+        self.covariance[(unknown, unknown)].max(0.0).sqrt()
     }
 }
 
@@ -59,8 +63,11 @@ pub(super) fn fit(
     let mut damping = 0.0;
     for _ in 0..MAX_ITERATIONS {
         let slopes = numeric_jacobian(&values, steps, &residuals);
-        let (normal, gradient) = normal_equations(&slopes, &here, values.len());
-        let step = solve(&damp(&normal, damping), &gradient)?;
+        let (mut normal, gradient) = normal_equations(&slopes, &here);
+        for i in 0..values.len() {
+            normal[(i, i)] *= 1.0 + damping;
+        }
+        let step = ScaledCholesky::new(&normal)?.solve(&gradient);
         let moved: Vec<f64> = values.iter().zip(&step).map(|(v, d)| v - d).collect();
         let there = residuals(&moved);
         let moved_cost = squared_cost(&there);
@@ -94,12 +101,11 @@ pub(super) fn solution_shift(
     residuals: impl Fn(&[f64]) -> Residuals,
 ) -> Result<Vec<Vec<f64>>, CalibrationError> {
     let slopes = numeric_jacobian(values, steps, &residuals);
-    let (normal, _) = normal_equations(&slopes, &residuals(values), values.len());
-    let inverse = inverse(&normal)?;
+    let (normal, _) = normal_equations(&slopes, &residuals(values));
+    let factor = ScaledCholesky::new(&normal)?;
     let moved = disturbances.map(|disturbance| {
-        let (_, gradient) = normal_equations(&slopes, &disturbance, values.len());
-        let row = |row: &Vec<f64>| -row.iter().zip(&gradient).map(|(a, g)| a * g).sum::<f64>();
-        inverse.iter().map(row).collect()
+        let (_, gradient) = normal_equations(&slopes, &disturbance);
+        (-factor.solve(&gradient)).iter().copied().collect()
     });
     Ok(moved.collect())
 }
@@ -128,26 +134,24 @@ fn numeric_jacobian(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -
 }
 
 /// J'r of one sight.
-fn score(slopes: &[Residuals], run: usize, sight: usize, residual: [f64; 2]) -> Vec<f64> {
-    let by_unknown = slopes.iter().map(|slope| {
-        let slope = slope[run][sight];
+fn score(slopes: &[Residuals], run: usize, sight: usize, residual: [f64; 2]) -> DVector<f64> {
+    DVector::from_fn(slopes.len(), |unknown, _| {
+        let slope = slopes[unknown][run][sight];
         slope[0] * residual[0] + slope[1] * residual[1]
-    });
-    by_unknown.collect()
+    })
 }
 
-fn normal_equations(slopes: &[Residuals], residuals: &Residuals, unknowns: usize) -> (Vec<Vec<f64>>, Vec<f64>) {
-    let mut normal = zeros(unknowns);
-    let mut gradient = vec![0.0; unknowns];
+/// J'J and J'r.
+fn normal_equations(slopes: &[Residuals], residuals: &Residuals) -> (DMatrix<f64>, DVector<f64>) {
+    let unknowns = slopes.len();
+    let mut normal = DMatrix::zeros(unknowns, unknowns);
+    let mut gradient = DVector::zeros(unknowns);
     for (run, sights) in residuals.iter().enumerate() {
         for (sight, residual) in sights.iter().enumerate() {
-            let score = score(slopes, run, sight, *residual);
-            for i in 0..unknowns {
-                gradient[i] += score[i];
-                for j in 0..unknowns {
-                    let (a, b) = (slopes[i][run][sight], slopes[j][run][sight]);
-                    normal[i][j] += a[0] * b[0] + a[1] * b[1];
-                }
+            gradient += score(slopes, run, sight, *residual);
+            for (j, slope) in slopes.iter().enumerate() {
+                let column = score(slopes, run, sight, slope[run][sight]);
+                normal.column_mut(j).add_assign(&column);
             }
         }
     }
@@ -158,129 +162,77 @@ fn robust_covariance(
     values: &[f64],
     steps: &[f64],
     residuals: &impl Fn(&[f64]) -> Residuals,
-) -> Result<Vec<Vec<f64>>, CalibrationError> {
-    let unknowns = values.len();
+) -> Result<DMatrix<f64>, CalibrationError> {
     let here = residuals(values);
     let slopes = numeric_jacobian(values, steps, residuals);
-    let (normal, _) = normal_equations(&slopes, &here, unknowns);
-    let mut middle = zeros(unknowns);
+    let (normal, _) = normal_equations(&slopes, &here);
+    let mut middle = DMatrix::zeros(values.len(), values.len());
     for (run, sights) in here.iter().enumerate() {
-        let scores: Vec<Vec<f64>> =
+        let scores: Vec<DVector<f64>> =
             sights.iter().enumerate().map(|(sight, residual)| score(&slopes, run, sight, *residual)).collect();
         add_correlated(&mut middle, &scores);
     }
-    let inverse = inverse(&normal)?;
-    Ok(product(&product(&inverse, &middle), &inverse))
+    let inverse = ScaledCholesky::new(&normal)?.inverse();
+    Ok(&inverse * middle * &inverse)
 }
 
 /// The sums of B over one run.
-fn add_correlated(middle: &mut [Vec<f64>], scores: &[Vec<f64>]) {
+fn add_correlated(middle: &mut DMatrix<f64>, scores: &[DVector<f64>]) {
     let farthest = (scores.len() as f64 * CORRELATED_SHARE) as usize;
     for lag in 0..=farthest {
         let weight = 1.0 - lag as f64 / (farthest as f64 + 1.0);
         for (early, late) in scores.iter().zip(scores.iter().skip(lag)) {
-            for (i, row) in middle.iter_mut().enumerate() {
-                for (j, cell) in row.iter_mut().enumerate() {
-                    let once = early[i] * late[j];
-                    let both = if lag == 0 { once } else { once + late[i] * early[j] };
-                    *cell += weight * both;
-                }
+            middle.ger(weight, early, late, 1.0);
+            if lag > 0 {
+                middle.ger(weight, late, early, 1.0);
             }
         }
     }
-}
-
-fn zeros(size: usize) -> Vec<Vec<f64>> {
-    vec![vec![0.0; size]; size]
-}
-
-fn product(a: &[Vec<f64>], b: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let cell = |i: usize, j: usize| (0..b.len()).map(|k| a[i][k] * b[k][j]).sum();
-    (0..a.len()).map(|i| (0..b.len()).map(|j| cell(i, j)).collect()).collect()
-}
-
-fn damp(normal: &[Vec<f64>], damping: f64) -> Vec<Vec<f64>> {
-    let mut damped = normal.to_vec();
-    for (i, row) in damped.iter_mut().enumerate() {
-        row[i] *= 1.0 + damping;
-    }
-    damped
 }
 
 /// What is left of a pivot beside its row's own size below which its unknown is a mixture of the others.
 const MIN_PIVOT: f64 = 1e-12;
 
-/// The lower triangle L of L L' = D A D with ones on the diagonal of D A D, and D's diagonal.
-fn cholesky_factor(matrix: &[Vec<f64>]) -> Result<(Vec<Vec<f64>>, Vec<f64>), CalibrationError> {
-    let undetermined = CalibrationError::Undetermined("one of the unknowns changes nothing alone");
-    let size = matrix.len();
-    let mut scale = Vec::with_capacity(size);
-    for (i, row) in matrix.iter().enumerate() {
-        if !(row[i] > 0.0 && row[i].is_finite()) {
-            return Err(undetermined);
-        }
-        scale.push(1.0 / row[i].sqrt());
-    }
-    let mut lower = zeros(size);
-    for i in 0..size {
-        for j in 0..=i {
-            let done: f64 = (0..j).map(|k| lower[i][k] * lower[j][k]).sum();
-            let rest = matrix[i][j] * scale[i] * scale[j] - done;
-            if i == j {
-                if rest.is_nan() || rest < MIN_PIVOT {
-                    return Err(undetermined);
-                }
-                lower[i][i] = rest.sqrt();
-            } else {
-                lower[i][j] = rest / lower[j][j];
-            }
-        }
-    }
-    Ok((lower, scale))
+/// The factor of D A D with ones on its diagonal, and D's diagonal: unknowns have units of very different size.
+pub(super) struct ScaledCholesky {
+    factor: Cholesky<f64, Dyn>,
+    scale: DVector<f64>,
 }
 
-/// Solves A x = b for a symmetric positive A.
-///
-/// # Errors
-/// [`CalibrationError::Undetermined`]: A is singular.
-pub(super) fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Result<Vec<f64>, CalibrationError> {
-    let (lower, scale) = cholesky_factor(matrix)?;
-    let size = matrix.len();
-    let mut x: Vec<f64> = right.iter().zip(&scale).map(|(b, s)| b * s).collect();
-    for i in 0..size {
-        let done: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
-        x[i] = (x[i] - done) / lower[i][i];
+impl ScaledCholesky {
+    /// Factorises a symmetric positive matrix A.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Undetermined`]: A is singular.
+    pub(super) fn new(matrix: &DMatrix<f64>) -> Result<Self, CalibrationError> {
+        let undetermined = || CalibrationError::Undetermined("one of the unknowns changes nothing alone");
+        let scale = matrix.diagonal().map(|own| own.sqrt().recip());
+        if !scale.iter().all(|scale| *scale > 0.0 && scale.is_finite()) {
+            return Err(undetermined());
+        }
+        let factor = scaled(matrix, &scale).cholesky().ok_or_else(undetermined)?;
+        let is_regular = factor.l_dirty().diagonal().iter().all(|root| root * root >= MIN_PIVOT);
+        if is_regular { Ok(Self { factor, scale }) } else { Err(undetermined()) }
     }
-    for i in (0..size).rev() {
-        let done: f64 = (i + 1..size).map(|k| lower[k][i] * x[k]).sum();
-        x[i] = (x[i] - done) / lower[i][i];
+
+    /// x of A x = b.
+    pub(super) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
+        self.factor.solve(&right.component_mul(&self.scale)).component_mul(&self.scale)
     }
-    Ok(x.iter().zip(&scale).map(|(x, s)| x * s).collect())
+
+    fn inverse(&self) -> DMatrix<f64> {
+        scaled(&self.factor.inverse(), &self.scale)
+    }
 }
 
-fn inverse(matrix: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, CalibrationError> {
-    let size = matrix.len();
-    let column = |j: usize| {
-        let unit: Vec<f64> = (0..size).map(|i| f64::from(u8::from(i == j))).collect();
-        solve(matrix, &unit)
-    };
-    // Of a symmetric matrix columns are rows.
-    (0..size).map(column).collect()
+/// D A D.
+fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] * scale[i] * scale[j])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_linear_system_is_solved() {
-        let matrix = vec![vec![4.0, 2.0, 0.0], vec![2.0, 5.0, 3.0], vec![0.0, 3.0, 6.0]];
-        // By hand: A (1, -2, 3)' = (0, 1, 12)'.
-        let x = solve(&matrix, &[0.0, 1.0, 12.0]).unwrap();
-        for (found, wanted) in x.iter().zip([1.0, -2.0, 3.0]) {
-            assert!((found - wanted).abs() < 1e-12, "{x:?}");
-        }
-    }
 
     #[test]
     fn unknowns_that_act_alike_are_refused() {

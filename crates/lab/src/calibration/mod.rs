@@ -8,7 +8,7 @@
 //! - [`at_rest`]: gyro and accelerometers of a robot that stands;
 //! - [`camera`]: from pixels to the floor by known points.
 //!
-//! docs/lab/calibrate.md has the equations.
+//! docs/lab/calibration.md has the equations.
 
 pub mod at_rest;
 pub mod camera;

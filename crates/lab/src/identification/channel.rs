@@ -7,7 +7,7 @@
 //! whole ticks: a difference of two uniform errors.
 //!
 //! # Sources
-//! docs/lab/identify.md.
+//! docs/lab/calibration.md, section 7.
 
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId, SensorNoise};
 

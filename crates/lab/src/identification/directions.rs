@@ -6,7 +6,7 @@
 //! ```
 //!
 //! # Sources
-//! The weighted mean with Birge's ratio (1932), as for physical constants; docs/lab/identify.md.
+//! The weighted mean with Birge's ratio (1932), as for physical constants; docs/lab/calibration.md, section 7.
 
 use posebridge_telemetry::UncertainValue;
 

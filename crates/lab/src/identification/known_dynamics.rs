@@ -8,7 +8,7 @@
 //! Both are what [`posebridge_estimator::filters::dynamic`] must equal.
 //!
 //! # Sources
-//! Paper 2 (Markovsky), the stacked system and its recursion; docs/maths/paper2.md section 2.
+//! Paper 2 (Markovsky), the stacked system and its recursion; docs/lab/thermometer.md section M2.
 
 use nalgebra::{DMatrix, DVector};
 use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ROWS};

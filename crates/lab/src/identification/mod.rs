@@ -57,6 +57,8 @@ pub mod simulated;
 pub mod step;
 pub mod step_response;
 
+use posebridge_estimator::numerics::statistics;
+
 pub use channel::SensorChannel;
 pub use directions::{DirectionComparison, compare_directions};
 pub use expectation::{ExpectedDynamics, StepDirection};
@@ -114,6 +116,5 @@ pub fn sorted_by_time(samples: &[TimedSample]) -> Vec<TimedSample> {
 
 /// The mean of the values; `None` without samples.
 pub(crate) fn mean_of(samples: &[TimedSample]) -> Option<f64> {
-    let sum: f64 = samples.iter().map(|sample| sample.value).sum();
-    (!samples.is_empty()).then(|| sum / samples.len() as f64)
+    statistics::mean(samples.iter().map(|sample| sample.value))
 }

@@ -11,7 +11,7 @@
 //! ([`super::parameter_uncertainty`]).
 //!
 //! # Sources
-//! The 75 % quantile of a Gaussian, and the variance 6 sigma^2 of the weights 1, -2, 1; docs/lab/identify.md.
+//! The 75 % quantile of a Gaussian, and the variance 6 sigma^2 of the weights 1, -2, 1; docs/lab/calibration.md, section 7.
 
 use super::{TimedSample, sorted_finite};
 

@@ -22,7 +22,7 @@
 //!
 //! # Sources
 //! Newey and West (1987), (13), for errors whose statistics do not change along the step; Politis (2003), what counts as no correlation;
-//! docs/lab/identify.md.
+//! docs/lab/calibration.md, section 7.
 
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::UncertainValue;

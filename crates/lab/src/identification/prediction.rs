@@ -10,6 +10,8 @@
 //! At rest, before a step is seen, the reading is the quantity. Long after it the model can no longer be wrong, so that
 //! the reading is the quantity again: nothing switches.
 
+use posebridge_estimator::numerics::statistics::quantile;
+
 use super::expectation::{ExpectedDynamics, StepDirection};
 use super::fit::{ResponseFit, ResponseNoise, fit_response};
 use super::onset::{DetectedOnset, OnsetDetector};
@@ -265,16 +267,11 @@ pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) ->
             in_sigmas.push(off / pair[1].sigma);
         }
     }
-    let judged =
-        PredictionScore { mean_error: miss_s / all_s, bound_factor: quantile(in_sigmas, BOUND_RATE) / BOUND_SIGMAS };
+    let judged = PredictionScore {
+        mean_error: miss_s / all_s,
+        bound_factor: quantile(&in_sigmas, BOUND_RATE).unwrap_or(0.0) / BOUND_SIGMAS,
+    };
     judged.mean_error.is_finite().then_some(judged)
-}
-
-/// The value below or at which this share of the values is; 0 without values.
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let count = (share * values.len() as f64).ceil() as usize;
-    values.get(count.saturating_sub(1)).copied().unwrap_or_default()
 }
 
 /// Within this share of the step a sensor has settled.

@@ -33,7 +33,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use posebridge_report::metrics::chi_square;
+use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 
 use super::TimedSample;
 use super::expectation::{ExpectedDynamics, StepDirection};
@@ -215,10 +215,7 @@ impl RunParameters {
             })
             .sum();
         let freedom = (self.each.len() - 1) * self.mean.len();
-        let Some(limit) = chi_square::quantile(0.95, freedom as u64) else {
-            return true;
-        };
-        squares.is_some_and(|squares| squares <= limit)
+        freedom == 0 || squares.is_some_and(|squares| squares <= chi_square_quantile(freedom as u64, 0.95))
     }
 
     fn same(&self) -> Option<DynamicsPrior> {

@@ -18,7 +18,7 @@
 //! Between the start and the fix that gives the heading the robot drives an arc: the chord of an arc points along its middle.
 //!
 //! # Sources
-//! docs/lab/nxt-square.md and docs/lab/indirect.md, "A recording".
+//! docs/lab/square.md and docs/lab/indirect.md, "A recording".
 
 mod observations;
 mod start_and_end;

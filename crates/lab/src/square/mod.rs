@@ -3,7 +3,7 @@
 //! Gets a [`SensorTable`], from a simulated drive or from a file, and a filter's configuration; gives errors, orders, pictures and the page
 //! of `posebridge lab nxt-square`. It draws no drive and reads no file; the compass that it can add draws by a given seed.
 //!
-//! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/maths/paper1.md; docs/lab/nxt-square.md.
+//! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/lab/square.md.
 
 mod figures;
 mod matched;

@@ -1,14 +1,15 @@
-//! The page of the experiment, and the same as text for a terminal.
+//! What the experiment reports.
 
 use posebridge_estimator::FilterConfig;
+use posebridge_estimator::numerics::statistics::root_mean_square;
 use posebridge_estimator::papers::paper1::DEGREE;
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::{NO_VALUE, TextTable};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::tables::NO_VALUE;
 
 use super::figures::SquareExample;
 use super::matched::{SpeedMatrices, WheelMatrices};
 use super::noise::{MeanAndVariance, NoiseRecord};
-use super::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors};
+use super::score::{ErrorMetric, MethodOrder, PathErrors};
 
 /// Methods in the order that the paper promises, over all drives.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,6 +66,10 @@ struct NoiseRow {
     pick: fn(&NoiseRecord) -> Option<MeanAndVariance>,
 }
 
+const SHARE: Format = Format::new(Unit::Percent, 0);
+const SPEED: Format = Format::new(Unit::MillimetresPerSecond, 2);
+const TURN: Format = Format::new(Unit::DegreesPerSecond, 2);
+
 /// A square metre, in square centimetres.
 const CM2_PER_M2: f64 = 1e4;
 /// A square radian, in square degrees.
@@ -118,10 +123,8 @@ impl MethodRanking {
     /// Root mean square of one method's error over the drives that have it; `None` where none has it.
     #[must_use]
     pub fn rms(&self, method: usize, metric: ErrorMetric) -> Option<f64> {
-        let squares: Vec<f64> =
-            self.runs.iter().filter_map(|run| run.get(method)?.value(metric)).map(|error| error * error).collect();
-        let count = squares.len() as f64;
-        (count > 0.0).then(|| (squares.iter().sum::<f64>() / count).sqrt())
+        let errors: Vec<f64> = self.runs.iter().filter_map(|run| run.get(method)?.value(metric)).collect();
+        root_mean_square(&errors)
     }
 
     /// In how many drives one method diverged; [`MethodRanking::rms`] leaves these out.
@@ -133,202 +136,146 @@ impl MethodRanking {
 }
 
 impl SquareReport {
-    /// The page.
+    /// Its tables and pictures, without data for programs.
     #[must_use]
-    pub fn page(&self) -> ReportPage {
-        let mut parts =
-            vec![ReportBlock::Text(self.source.clone()), ReportBlock::PreformattedText(self.command.clone())];
-        parts.extend(self.tables());
-        parts.push(ReportBlock::Heading("Pictures of one drive".to_owned()));
-        parts.extend(self.pictures());
-        ReportPage { title: "The square: encoders, wheel filter, speed filter, EKF".to_owned(), blocks: parts }
-    }
-
-    /// The tables as text for a terminal.
-    #[must_use]
-    pub fn text(&self) -> String {
-        let mut text = self.source.clone() + "\n";
-        for part in self.tables() {
-            text += &block_text(&part);
+    pub fn report(&self) -> Report {
+        let mut report = Report::new("lab-nxt-square", "The square: encoders, wheel filter, speed filter, EKF");
+        report.paragraph(self.source.as_str());
+        report.command(self.command.as_str());
+        self.add_errors(&mut report);
+        for ranking in &self.rankings {
+            add_order(&mut report, ranking);
         }
-        text
+        self.add_readings(&mut report);
+        self.add_noise(&mut report);
+        self.add_pictures(&mut report);
+        report
     }
 
-    fn tables(&self) -> Vec<ReportBlock> {
-        let mut parts = vec![ReportBlock::Heading("How far off".to_owned()), self.error_table()];
-        parts.extend(self.divergences());
-        for chain in &self.rankings {
-            parts.extend(order_parts(chain));
-        }
-        parts.extend(self.reading_parts());
-        parts.extend(self.noise_parts());
-        parts
-    }
-
-    fn error_table(&self) -> ReportBlock {
-        let mut rows: Vec<Vec<String>> = Vec::new();
-        for chain in self.rankings.iter().chain([&self.extended]) {
-            for (method, name) in chain.names.iter().enumerate() {
-                if rows.iter().any(|row| row.first().is_some_and(|known| known == name)) {
-                    continue;
-                }
-                let cell = |metric, factor: f64, digits: usize| {
-                    let value = chain.rms(method, metric).map(|value| value * factor);
-                    value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"))
-                };
-                rows.push(vec![
-                    (*name).to_owned(),
-                    cell(ErrorMetric::Position, 1e3, 1),
-                    cell(ErrorMetric::End, 1e3, 1),
-                    cell(ErrorMetric::Heading, 1f64.to_degrees(), 2),
-                    cell(ErrorMetric::Forward, 1e3, 2),
-                    cell(ErrorMetric::Turn, 1f64.to_degrees(), 2),
-                ]);
-            }
-        }
-        ReportBlock::table(
-            &["method", "position rms [mm]", "at the end [mm]", "heading rms [deg]", "v rms [mm/s]", "w rms [deg/s]"],
-            rows,
-        )
-    }
-
-    /// Who diverged, and how often; empty if none did.
-    fn divergences(&self) -> Option<ReportBlock> {
-        let mut told: Vec<(&str, String)> = Vec::new();
-        for chain in self.rankings.iter().chain([&self.extended]) {
-            for (method, name) in chain.names.iter().enumerate() {
-                let count = chain.diverged(method);
-                if count > 0 && told.iter().all(|(known, _)| known != name) {
-                    let drives = chain.runs.len();
-                    let line = format!("{name} diverged in {count} of {drives} drives, which its figures leave out");
-                    told.push((name, line));
+    fn add_errors(&self, report: &mut Report) {
+        // A method of several rankings has the same errors in each.
+        let mut rows: Vec<(&MethodRanking, usize, &str)> = Vec::new();
+        for ranking in self.rankings.iter().chain([&self.extended]) {
+            for (method, name) in ranking.names.iter().enumerate() {
+                if rows.iter().all(|(.., known)| known != name) {
+                    rows.push((ranking, method, name));
                 }
             }
         }
-        let lines: Vec<String> = told.into_iter().map(|(_, line)| line).collect();
-        (!lines.is_empty()).then_some(ReportBlock::List(lines))
+        let (mm, degrees) = (Format::new(Unit::Millimetres, 1), Format::new(Unit::Degrees, 2));
+        let table = Table::of(&rows)
+            .text("", "method", |(.., name)| (*name).to_owned())
+            .number("", "position rms", mm, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Position))
+            .number("", "at the end", mm, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::End))
+            .number("", "heading rms", degrees, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Heading))
+            .number("", "v rms", SPEED, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Forward))
+            .number("", "w rms", TURN, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Turn));
+        report.heading("How far off");
+        report.table("", &table);
+        let diverged = rows.iter().filter_map(|(ranking, method, name)| {
+            let (count, drives) = (ranking.diverged(*method), ranking.runs.len());
+            (count > 0).then(|| format!("{name} diverged in {count} of {drives} drives, which its figures leave out"))
+        });
+        report.list(diverged);
     }
 
-    fn reading_parts(&self) -> Vec<ReportBlock> {
+    fn add_readings(&self, report: &mut Report) {
         if self.interpretations.is_empty() {
-            return Vec::new();
+            return;
         }
-        let rows = self.interpretations.iter().map(|reading| {
-            let mut row = vec![reading.name.to_owned(), reading.metric.name().to_owned()];
-            let shares = reading.order.steps.iter().map(OrderStep::share);
-            row.extend(shares.map(percent));
-            row.push(percent(share(reading.order.all_hold, reading.order.drives)));
-            let is_so = reading.order.holds_on_average();
-            row.push(if is_so { "yes" } else { "no" }.to_owned());
-            row
-        });
-        let notes = self.interpretations.iter().map(|reading| {
+        let step = |reading: &PaperInterpretation, step: usize| Some(reading.order.steps.get(step)?.share());
+        let table = Table::of(&self.interpretations)
+            .text("", "reading", |reading| reading.name.to_owned())
+            .text("", "compared by", |reading| reading.metric.name().to_owned())
+            .labels(2)
+            .number("", "raw > wheel-kf", SHARE, move |reading| step(reading, 0))
+            .number("", "wheel-kf > velocity-kf", SHARE, move |reading| step(reading, 1))
+            .number("", "velocity-kf > ekf5", SHARE, move |reading| step(reading, 2))
+            .number("", "all three", SHARE, |reading| Some(share(reading.order.all_hold, reading.order.drives)))
+            .text("", "on average", |reading| if reading.order.holds_on_average() { "yes" } else { "no" }.to_owned());
+        report.heading("Other readings of the paper, with its matrices");
+        report.paragraph(
+            "Share of the drives in which each step of the order holds. Only a share of 95 % or more is the order of figure 7. The last \
+             column asks for less: whether the error falls with each step on average, at 95 %.",
+        );
+        report.table("", &table);
+        report.list(self.interpretations.iter().map(|reading| {
             let left_out = excluded_text(&reading.order).map(|text| format!("; {text}"));
-            let (name, note) = (reading.name, reading.note);
-            format!("{name}: {note}{}", left_out.unwrap_or_default())
-        });
-        vec![
-            ReportBlock::Heading("Other readings of the paper, with its matrices".to_owned()),
-            ReportBlock::Text(
-                "Share of the drives in which each step of the order holds. Only a share of 95 % or more is the order of figure 7. The last \
-                 column asks for less: whether the error falls with each step on average, at 95 %."
-                    .to_owned(),
-            ),
-            ReportBlock::table(
-                &[
-                    "reading",
-                    "compared by",
-                    "raw > wheel-kf",
-                    "wheel-kf > velocity-kf",
-                    "velocity-kf > ekf5",
-                    "all three",
-                    "on average",
-                ],
-                rows.collect(),
-            ),
-            ReportBlock::List(notes.collect()),
-        ]
+            format!("{}: {}{}", reading.name, reading.note, left_out.unwrap_or_default())
+        }));
     }
 
-    fn noise_parts(&self) -> Vec<ReportBlock> {
+    fn add_noise(&self, report: &mut Report) {
         let length = |record: Option<&NoiseRecord>| record.map_or(0, |record| record.rows);
-        vec![
-            ReportBlock::Heading("R from a stop and from a straight run".to_owned()),
-            ReportBlock::Text(format!(
-                "The stop has {} rows, the straight run {}. At rest a counter stands still, so its R comes out as zero: only the straight run \
-                 shows the rounding, a twelfth of a tick squared. Gyro and accelerometers are taken from the stop: on the straight run the robot \
-                 steers, and camera x is the motion itself.",
-                length(self.stop.as_ref()),
-                length(self.straight.as_ref())
-            )),
-            ReportBlock::table(
-                &["R of", "paper", "rounding", "stop", "straight run"],
-                NOISE_ROWS.iter().map(|row| self.noise_row(row)).collect(),
-            ),
-        ]
-    }
-
-    fn noise_row(&self, row: &NoiseRow) -> Vec<String> {
-        let number =
-            |value: Option<f64>, digits: usize| value.map_or(NO_VALUE.to_owned(), |value| format!("{value:.digits$}"));
-        let variance = |record: &Option<NoiseRecord>| {
-            let spread = record.as_ref().and_then(row.pick);
-            number(spread.map(|spread| spread.variance), 4)
-        };
         let config = &self.example.config;
-        let rounding = row.rounding.map(|rounding| rounding(config));
-        vec![
-            row.name.to_owned(),
-            number(row.printed, 3),
-            number(rounding, 4),
-            variance(&self.stop),
-            variance(&self.straight),
-        ]
+        let four = Format::new(Unit::None, 4);
+        let variance = |record: &Option<NoiseRecord>, row: &NoiseRow| {
+            let spread = record.as_ref().and_then(row.pick);
+            spread.map(|spread| spread.variance)
+        };
+        let table = Table::of(&NOISE_ROWS)
+            .text("", "R of", |row| row.name.to_owned())
+            .number("", "paper", Format::new(Unit::None, 3), |row| row.printed)
+            .number("", "rounding", four, |row| row.rounding.map(|rounding| rounding(config)))
+            .number("", "stop", four, move |row| variance(&self.stop, row))
+            .number("", "straight run", four, move |row| variance(&self.straight, row));
+        report.heading("R from a stop and from a straight run");
+        report.paragraph(format!(
+            "The stop has {} rows, the straight run {}. At rest a counter stands still, so its R comes out as zero: only the straight run \
+             shows the rounding, a twelfth of a tick squared. Gyro and accelerometers are taken from the stop: on the straight run the robot \
+             steers, and camera x is the motion itself.",
+            length(self.stop.as_ref()),
+            length(self.straight.as_ref())
+        ));
+        report.table("", &table);
     }
 
-    fn pictures(&self) -> Vec<ReportBlock> {
+    fn add_pictures(&self, report: &mut Report) {
         let example = &self.example;
         let chain: Vec<&str> = self.rankings.first().map_or(Vec::new(), |chain| chain.names.clone());
         let own: Vec<&str> = self.rankings.get(1).map_or(Vec::new(), |chain| chain.names.clone());
-        let figure = |svg, caption: &str| ReportBlock::Figure { svg, caption: caption.to_owned() };
-        vec![
-            figure(
-                example.wheel_figure(),
-                "Figure 5: positions lie on each other; the printed filter smooths the speeds and lags where they change.",
-            ),
-            figure(
-                example.speed_figure(&chain),
-                "Figure 6: v and w of the printed filters against the differences of the counts.",
-            ),
-            figure(
-                example.track_figure("Tracks, the paper's matrices", &chain),
-                "Figure 7: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans on the gyro.",
-            ),
-            figure(
-                example.track_figure("Tracks, matrices that follow from the sensors", &own),
-                "Figure 7 with the corrected chain.",
-            ),
-            figure(
-                example.track_figure("Tracks, the outlook", &self.extended.names),
-                "What the paper leaves for later: sigma points, compass, camera, all sensors in one filter.",
-            ),
-        ]
+        report.figure(
+            example.wheel_figure(),
+            "Figure 5: positions lie on each other; the printed filter smooths the speeds and lags where they change.",
+        );
+        report.figure(
+            example.speed_figure(&chain),
+            "Figure 6: v and w of the printed filters against the differences of the counts.",
+        );
+        report.figure(
+            example.track_figure("Tracks, the paper's matrices", &chain),
+            "Figure 7: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans on the gyro.",
+        );
+        report.figure(
+            example.track_figure("Tracks, matrices that follow from the sensors", &own),
+            "Figure 7 with the corrected chain.",
+        );
+        report.figure(
+            example.track_figure("Tracks, the outlook", &self.extended.names),
+            "What the paper leaves for later: sigma points, compass, camera, all sensors in one filter.",
+        );
     }
 }
 
-fn order_parts(chain: &MethodRanking) -> Vec<ReportBlock> {
-    let order = chain.order(ErrorMetric::Position);
-    let mut rows: Vec<Vec<String>> = order.steps.iter().map(order_row).collect();
-    rows.push(vec!["all of them together".to_owned(), percent(share(order.all_hold, order.drives))]);
-    let mut parts = vec![
-        ReportBlock::Heading(format!("The order, {}", chain.matrices)),
-        ReportBlock::table(
-            &["worse than, by position rms", "share of drives", "sign test p", "ratio", "95 % interval", "verdict"],
-            rows,
-        ),
-    ];
-    parts.extend(excluded_text(&order).map(ReportBlock::Text));
-    parts
+fn add_order(report: &mut Report, ranking: &MethodRanking) {
+    let order = ranking.order(ErrorMetric::Position);
+    let three = Format::new(Unit::None, 3);
+    let table = Table::of(&order.steps)
+        .text("", "worse than, by position rms", |step| format!("{} > {}", step.worse, step.better))
+        .number("", "share of drives", SHARE, |step| Some(step.share()))
+        .text("", "sign test p", |step| format!("{:.1e}", step.sign_p))
+        .number("", "ratio", three, |step| Some(step.ratio?[0]))
+        .text("", "95 % interval", |step| {
+            step.ratio.map_or(NO_VALUE.to_owned(), |[_, low, high]| format!("{low:.3} to {high:.3}"))
+        })
+        .text("", "verdict", |step| step.as_text().to_owned());
+    report.heading(format!("The order, {}", ranking.matrices));
+    report.table("", &table);
+    report
+        .paragraph(format!("All of them together: {} of the drives.", SHARE.text(share(order.all_hold, order.drives))));
+    if let Some(text) = excluded_text(&order) {
+        report.paragraph(text);
+    }
 }
 
 /// How many drives an order leaves out; nothing if it leaves out none.
@@ -342,43 +289,6 @@ fn excluded_text(order: &MethodOrder) -> Option<String> {
     })
 }
 
-fn order_row(step: &OrderStep) -> Vec<String> {
-    let [ratio, interval] = step.ratio.map_or([NO_VALUE.to_owned(), NO_VALUE.to_owned()], |ratio| {
-        let [mean, low, high] = ratio;
-        [format!("{mean:.3}"), format!("{low:.3} to {high:.3}")]
-    });
-    vec![
-        format!("{} > {}", step.worse, step.better),
-        percent(step.share()),
-        format!("{:.1e}", step.sign_p),
-        ratio,
-        interval,
-        step.as_text().to_owned(),
-    ]
-}
-
 fn share(holds: u64, drives: u64) -> f64 {
     holds as f64 / drives.max(1) as f64
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
-}
-
-/// A part for a terminal; pictures have none.
-fn block_text(part: &ReportBlock) -> String {
-    match part {
-        ReportBlock::Heading(text) | ReportBlock::Subheading(text) => format!("\n{text}\n"),
-        ReportBlock::Text(text) | ReportBlock::PreformattedText(text) => format!("{text}\n"),
-        ReportBlock::Verdict { word, text, .. } => format!("{word}: {text}\n"),
-        ReportBlock::List(points) => format!("- {}\n", points.join("\n- ")),
-        ReportBlock::Table { header, rows } | ReportBlock::CodeTable { header, rows } => {
-            let mut table = TextTable::new(header.iter().cloned());
-            for row in rows {
-                table.push(row.iter().cloned());
-            }
-            table.render()
-        }
-        ReportBlock::Figure { .. } | ReportBlock::FigureGrid(_) => String::new(),
-    }
 }

@@ -12,7 +12,7 @@
 //! as a good camera errs; the wheels know it to a hundredth.
 //!
 //! # Sources
-//! docs/lab/nxt-square.md, "A recording".
+//! docs/lab/square.md, "A recording".
 
 use posebridge_telemetry::{
     Arena, BrickClock, DriveGeometry, Fix, Heading, Observation, ObservationKind, Point2, Radians, Timestamp,

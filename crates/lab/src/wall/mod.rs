@@ -12,7 +12,7 @@
 //! z(t) = z_0 - v_ss phi_a(t)                     phi_a: the way that a unit input has led in the time since the log began
 //! ```
 //! # Sources
-//! Paper 3 (Lab 7: step test, piecewise lines, d and m); docs/maths/paper3.md; docs/lab/wall.md.
+//! Paper 3 (Lab 7: step test, piecewise lines, d and m); docs/lab/wall.md.
 
 mod fit;
 mod foresee;

@@ -190,8 +190,8 @@ fn event_row(now: Timestamp<HostClock>, event: &Event) -> CsvRow {
             now.as_secs_f64().into(),
             name.into(),
             link.map(|link| u64::from(link.0)).into(),
-            address.map_or(CsvField::Empty, system),
-            address.map_or(CsvField::Empty, component),
+            address.map(system).into(),
+            address.map(component).into(),
             detail.into(),
         ],
     }

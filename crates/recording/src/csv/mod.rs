@@ -28,12 +28,13 @@ mod observations;
 mod row;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::io::Write;
 
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
 use crate::robot_names::RobotNames;
-use row::{CsvField, CsvRow};
+use row::CsvRow;
 
 /// Opens a stream by its name, without extension.
 type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
@@ -41,7 +42,7 @@ type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
 /// Writes events to the streams that they belong to; a stream without events is never opened.
 pub struct CsvWriter<'o, W: Write> {
     open: Box<OpenFile<'o, W>>,
-    files: BTreeMap<String, (W, u64)>,
+    files: BTreeMap<&'static str, (::csv::Writer<W>, u64)>,
     names: RobotNames,
 }
 
@@ -58,7 +59,7 @@ impl<'o, W: Write> CsvWriter<'o, W> {
     pub fn record(&mut self, now: Timestamp<HostClock>, event: &Event) -> std::io::Result<()> {
         self.names.observe(event);
         for row in events::rows(now, event) {
-            self.write(&row)?;
+            self.write(row)?;
         }
         Ok(())
     }
@@ -71,31 +72,23 @@ impl<'o, W: Write> CsvWriter<'o, W> {
         let mut lines = Vec::new();
         for (name, (mut out, count)) in self.files {
             out.flush()?;
-            lines.push((name, count));
+            lines.push((name.to_owned(), count));
         }
         Ok(lines)
     }
 
-    fn write(&mut self, row: &CsvRow) -> std::io::Result<()> {
-        if !self.files.contains_key(row.stream) {
-            let mut out = (self.open)(row.stream)?;
-            writeln!(out, "{}{}", row.header, if row.robot.is_some() { ",robot" } else { "" })?;
-            self.files.insert(row.stream.to_owned(), (out, 0));
-        }
-        let Some((out, count)) = self.files.get_mut(row.stream) else {
-            return Ok(());
-        };
-        *count += 1;
-        for (index, field) in row.fields.iter().enumerate() {
-            if index > 0 {
-                out.write_all(b",")?;
+    fn write(&mut self, mut row: CsvRow) -> std::io::Result<()> {
+        let (out, count) = match self.files.entry(row.stream) {
+            Entry::Occupied(file) => file.into_mut(),
+            Entry::Vacant(entry) => {
+                let mut out = ::csv::Writer::from_writer((self.open)(row.stream)?);
+                out.write_record(row.header.split(',').chain(row.robot.map(|_| "robot")))?;
+                entry.insert((out, 0))
             }
-            field.write(out)?;
-        }
-        if let Some(robot) = row.robot {
-            out.write_all(b",")?;
-            CsvField::from(self.names.label(robot)).write(out)?;
-        }
-        out.write_all(b"\n")
+        };
+        row.fields.extend(row.robot.map(|robot| self.names.label(robot).into()));
+        out.write_record(&row.fields)?;
+        *count += 1;
+        Ok(())
     }
 }

@@ -1,7 +1,5 @@
 //! One line of a CSV file.
 
-use std::io::Write;
-
 use posebridge_telemetry::RobotId;
 
 /// A line for one stream.
@@ -13,70 +11,50 @@ pub(super) struct CsvRow {
     pub(super) robot: Option<RobotId>,
 }
 
-/// What stands between two commas.
-pub(super) enum CsvField {
-    Number(f64),
-    Count(u64),
-    Flag(bool),
-    Text(String),
-    Empty,
-}
+/// The text of a value, before it is quoted; empty for a missing one.
+#[derive(Default)]
+pub(super) struct CsvField(String);
 
-impl CsvField {
-    pub(super) fn write(&self, out: &mut impl Write) -> std::io::Result<()> {
-        match self {
-            // What is no number is nothing to a spreadsheet.
-            Self::Number(number) if number.is_finite() => write!(out, "{number}"),
-            Self::Number(_) | Self::Empty => Ok(()),
-            Self::Count(count) => write!(out, "{count}"),
-            Self::Flag(flag) => write!(out, "{}", u8::from(*flag)),
-            Self::Text(text) => write_text(text, out),
-        }
-    }
-}
-
-/// Quoted where it has to be.
-fn write_text(text: &str, out: &mut impl Write) -> std::io::Result<()> {
-    if text.contains([',', '"', '\n', '\r']) {
-        write!(out, "\"{}\"", text.replace('"', "\"\""))
-    } else {
-        out.write_all(text.as_bytes())
+impl AsRef<[u8]> for CsvField {
+    fn as_ref(&self) -> &[u8] {
+        self.0.as_bytes()
     }
 }
 
 impl From<f64> for CsvField {
     fn from(number: f64) -> Self {
-        Self::Number(number)
+        // What is no number is nothing to a spreadsheet.
+        if number.is_finite() { Self(number.to_string()) } else { Self::default() }
     }
 }
 
 impl From<u64> for CsvField {
     fn from(count: u64) -> Self {
-        Self::Count(count)
+        Self(count.to_string())
     }
 }
 
 impl From<bool> for CsvField {
     fn from(flag: bool) -> Self {
-        Self::Flag(flag)
+        u64::from(flag).into()
     }
 }
 
 impl From<&str> for CsvField {
     fn from(text: &str) -> Self {
-        Self::Text(text.to_owned())
+        Self(text.to_owned())
     }
 }
 
 impl From<String> for CsvField {
     fn from(text: String) -> Self {
-        Self::Text(text)
+        Self(text)
     }
 }
 
 impl<T: Into<Self>> From<Option<T>> for CsvField {
     fn from(value: Option<T>) -> Self {
-        value.map_or(Self::Empty, Into::into)
+        value.map_or_else(Self::default, Into::into)
     }
 }
 
@@ -85,16 +63,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_keep_their_digits_and_texts_are_quoted_where_they_must_be() {
-        let written = |field: CsvField| {
-            let mut out = Vec::new();
-            field.write(&mut out).unwrap();
-            String::from_utf8(out).unwrap()
-        };
-        assert_eq!(written(CsvField::Number(0.1 + 0.2)), "0.30000000000000004");
-        assert_eq!(written(CsvField::Number(f64::NAN)), "");
-        assert_eq!(written(true.into()), "1");
-        assert_eq!(written(Option::<f64>::None.into()), "");
-        assert_eq!(written("a \"b\", c".into()), "\"a \"\"b\"\", c\"");
+    fn numbers_keep_their_digits_and_a_missing_value_is_empty() {
+        assert_eq!(CsvField::from(0.1 + 0.2).0, "0.30000000000000004");
+        assert_eq!(CsvField::from(f64::NAN).0, "");
+        assert_eq!(CsvField::from(true).0, "1");
+        assert_eq!(CsvField::from(Option::<f64>::None).0, "");
     }
 }

@@ -1,8 +1,9 @@
 //! From events to messages.
 
+use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
-    Arena, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkState, Observation,
-    ObservationKind, Pose, RobotId, TimeDelta, Timestamp,
+    Arena, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Observation, ObservationKind,
+    Pose, RobotId, TimeDelta, Timestamp,
 };
 use serde::Serialize;
 
@@ -59,7 +60,7 @@ impl OutputEncoder {
         self.robots.observe_name(event);
         let mut messages = self.messages_of(now, event);
         let warning = self.robots.take_overflow_warning();
-        messages.extend(warning.map(|text| self.log_message(now, 4, "recording", &text)));
+        messages.extend(warning.map(|text| self.log_message(now, WARNING, "recording", &text)));
         messages
     }
 
@@ -204,7 +205,7 @@ impl OutputEncoder {
         }
         if record.outcome == FusionOutcome::PoseReset {
             let text = format!("{} was moved to a {}", outputs.estimate_name(), record.kind);
-            messages.push(self.log_message(now, 4, "estimator", &text));
+            messages.push(self.log_message(now, WARNING, "estimator", &text));
         }
         messages
     }
@@ -267,33 +268,13 @@ impl OutputEncoder {
         messages
     }
 
-    /// What a person would want to read of an event.
+    /// An event in words. A text has its sender as the name of the line.
     fn log_message_of(&self, now: Timestamp<HostClock>, event: &Event) -> Option<EncodedMessage> {
-        let (severity, name, text) = match event {
-            Event::RobotDetected { robot } => (6, "session", format!("robot {robot} was heard")),
-            Event::RobotNamed { robot, name } => (6, "session", format!("robot {robot} is {name}")),
-            Event::RobotLost { robot, silence } => {
-                let silence_s = silence.as_secs_f64();
-                let text = format!("robot {robot} has been silent for {silence_s:.1} s");
-                (4, "session", text)
-            }
-            Event::BrickRestarted { robot } => (4, "session", format!("robot {robot} restarted")),
-            Event::Link { link, state } => match state {
-                LinkState::Up => (6, "link", format!("link {link} is up")),
-                LinkState::Down => (4, "link", format!("link {link} is down")),
-            },
-            Event::Text { source, severity, text } => {
-                return Some(self.log_message(now, *severity, &source.to_string(), text));
-            }
-            Event::ObservationAligned { .. }
-            | Event::ObservationFused { .. }
-            | Event::EstimateUpdated { .. }
-            | Event::Temperature { .. }
-            | Event::BrickClockAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Health { .. }
-            | Event::ReceiveError { .. } => return None,
-        };
+        if let Event::Text { source, severity, text } = event {
+            return Some(self.log_message(now, *severity, &source.to_string(), text));
+        }
+        let (severity, text) = event.describe()?;
+        let name = if matches!(event, Event::Link { .. }) { "link" } else { "session" };
         Some(self.log_message(now, severity, name, &text))
     }
 }

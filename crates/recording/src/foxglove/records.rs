@@ -2,11 +2,15 @@
 //!
 //! A number that is not finite is omitted: JSON has none, and viewers treat `null` as a type of its own.
 
+use std::borrow::Cow;
+
 use posebridge_telemetry::{
-    Calibration, Command, Estimate, FusionRecord, LinkHealth, LinkId, RobotId, SourceHealth, TimeDelta, UncertainValue,
+    Calibration, Command, Estimate, FusionRecord, LinkCounter, LinkHealth, LinkId, RobotId, SourceHealth, TimeDelta,
+    UncertainValue,
 };
-use schemars::JsonSchema;
-use serde::Serialize;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Serialize, Serializer};
+use serde_json::{Map, Value, json};
 
 use crate::container::{RecordingGap, TruthSample};
 
@@ -112,40 +116,8 @@ pub(super) struct SourceRecord {
 pub(super) struct HealthRecord {
     /// Number of the link.
     pub(super) link: u16,
-    /// Bytes received.
-    pub(super) bytes_in: u64,
-    /// Bytes handed to the link.
-    pub(super) bytes_out: u64,
-    /// Frames received whole.
-    pub(super) frames_in: u64,
-    /// Frames sent.
-    pub(super) frames_out: u64,
-    /// Candidates with a wrong checksum.
-    pub(super) checksum_errors: u64,
-    /// Bytes outside every frame.
-    pub(super) garbage_bytes: u64,
-    /// Frames with an unknown message id.
-    pub(super) unknown_ids: u64,
-    /// Candidates whose bytes stopped coming.
-    pub(super) stalls: u64,
-    /// Frames missing in the sequence numbers.
-    pub(super) frames_lost: u64,
-    /// Times the link came up again.
-    pub(super) reconnects: u64,
-    /// Messages dropped because the link was slow or down.
-    pub(super) drops_out: u64,
-    /// Frames refused for their signature.
-    pub(super) refused_frames: u64,
-    /// Frames that came a second time.
-    pub(super) duplicates: u64,
-    /// Frames under our own address that we have not sent.
-    pub(super) namesakes: u64,
-    /// Frames of others passed on to it.
-    pub(super) forwarded: u64,
-    /// Frames kept out by its filter.
-    pub(super) filtered: u64,
-    /// Frames held back by its limits.
-    pub(super) thinned: u64,
+    #[serde(flatten)]
+    counters: LinkCounters,
     /// Round-trip time of the last answered time request, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
@@ -156,6 +128,32 @@ pub(super) struct HealthRecord {
     pub(super) clock_uncertainty_s: Option<f64>,
     /// What each sender sent.
     pub(super) sources: Vec<SourceRecord>,
+}
+
+/// The counters of a link by their keys.
+#[derive(Debug)]
+struct LinkCounters(LinkHealth);
+
+impl Serialize for LinkCounters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(LinkCounter::ALL.iter().map(|counter| (counter.key, (counter.read)(&self.0))))
+    }
+}
+
+impl JsonSchema for LinkCounters {
+    fn schema_name() -> Cow<'static, str> {
+        "LinkCounters".into()
+    }
+
+    fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
+        let entry = |counter: &LinkCounter| {
+            let schema = json!({ "description": counter.help, "format": "uint64", "minimum": 0, "type": "integer" });
+            (counter.key.to_owned(), schema)
+        };
+        let properties: Map<String, Value> = LinkCounter::ALL.iter().map(entry).collect();
+        let required: Vec<&str> = LinkCounter::ALL.iter().map(|counter| counter.key).collect();
+        json_schema!({ "type": "object", "properties": properties, "required": required })
+    }
 }
 
 /// Two clocks were aligned anew.
@@ -401,23 +399,7 @@ impl HealthRecord {
         };
         Self {
             link: link.0,
-            bytes_in: health.bytes_in,
-            bytes_out: health.bytes_out,
-            frames_in: health.frames_in,
-            frames_out: health.frames_out,
-            checksum_errors: health.checksum_errors,
-            garbage_bytes: health.garbage_bytes,
-            unknown_ids: health.unknown_ids,
-            stalls: health.timeouts,
-            frames_lost: health.frames_lost,
-            reconnects: health.reconnects,
-            drops_out: health.drops_out,
-            refused_frames: health.rejected_frames,
-            duplicates: health.duplicates,
-            namesakes: health.address_conflicts,
-            forwarded: health.forwarded,
-            filtered: health.filtered,
-            thinned: health.rate_limited,
+            counters: LinkCounters(*health),
             round_trip_s: health.round_trip.map(TimeDelta::as_secs_f64),
             clock_uncertainty_s: health.clock_uncertainty.map(TimeDelta::as_secs_f64),
             sources: sources.iter().map(source).collect(),

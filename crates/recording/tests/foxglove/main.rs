@@ -433,7 +433,7 @@ fn a_line_keeps_its_words_and_its_severity() {
         line.unwrap_or_else(|| panic!("{words}: {lines:?}")).1
     };
     assert_eq!(level_of("motor hot"), 4.0);
-    assert_eq!(level_of("was heard"), 2.0);
+    assert_eq!(level_of("robot 0/1/1 detected"), 2.0);
     assert_eq!(level_of("link 0 is down"), 3.0);
     assert_eq!(level_of("7 inputs are missing"), 4.0);
     assert_eq!(level_of("moved to a fix"), 3.0);

@@ -9,6 +9,8 @@
 //! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
 //! section 5.4. The verdict on the value is [`super::consistency`]'s; a partial pose (no heading) is not tested here.
 
+use nalgebra::{Matrix3, Vector3};
+use posebridge_estimator::numerics::cholesky::{factorise, solve_lower};
 use posebridge_telemetry::Heading;
 use thiserror::Error;
 
@@ -76,36 +78,16 @@ pub fn anees(errors: &[PoseError]) -> Anees {
 ///
 /// [`NeesError`] if anything is not finite or P is not positive definite.
 pub fn nees(error: [f64; 3], covariance: &[[f64; 3]; 3]) -> Result<f64, NeesError> {
-    let factor = cholesky(covariance)?;
-    let mut whitened = [0.0; POSE_ROWS];
-    for row in 0..POSE_ROWS {
-        let known: f64 = (0..row).map(|k| factor[row][k] * whitened[k]).sum();
-        whitened[row] = (error[row] - known) / factor[row][row];
-    }
-    let value: f64 = whitened.iter().map(|w| w * w).sum();
-    if value.is_finite() { Ok(value) } else { Err(NeesError::NotFinite) }
-}
-
-/// The lower triangular L with L L' = P.
-fn cholesky(p: &[[f64; 3]; 3]) -> Result<[[f64; 3]; 3], NeesError> {
-    if p.iter().flatten().any(|value| !value.is_finite()) {
+    let covariance = Matrix3::from_fn(|row, column| covariance[row][column]);
+    if !covariance.iter().chain(&error).all(|value| value.is_finite()) {
         return Err(NeesError::NotFinite);
     }
-    let mut l = [[0.0; POSE_ROWS]; POSE_ROWS];
-    for row in 0..POSE_ROWS {
-        for column in 0..=row {
-            let known: f64 = (0..column).map(|k| l[row][k] * l[column][k]).sum();
-            let rest = p[row][column] - known;
-            if row > column {
-                l[row][column] = rest / l[column][column];
-            } else if rest > 0.0 {
-                l[row][row] = rest.sqrt();
-            } else {
-                return Err(NeesError::NotPositiveDefinite { row, pivot: rest });
-            }
-        }
-    }
-    Ok(l)
+    let factor = factorise(&covariance, |row, pivot| {
+        let root = (pivot > 0.0).then(|| pivot.sqrt());
+        root.ok_or(NeesError::NotPositiveDefinite { row, pivot })
+    })?;
+    let value = solve_lower(&factor, &Vector3::from(error)).norm_squared();
+    if value.is_finite() { Ok(value) } else { Err(NeesError::NotFinite) }
 }
 
 #[cfg(test)]
@@ -113,15 +95,6 @@ mod tests {
     use super::*;
 
     const P: [[f64; 3]; 3] = [[4.0, 2.0, 0.0], [2.0, 5.0, 3.0], [0.0, 3.0, 6.0]];
-
-    #[test]
-    fn the_factor_of_a_worked_example() {
-        // By hand: l11 = 2, l21 = 1, l22 = 2, l31 = 0, l32 = 3/2, l33 = sqrt(6 - 9/4).
-        let l = cholesky(&P).unwrap();
-        assert_eq!(l[0], [2.0, 0.0, 0.0]);
-        assert_eq!(l[1], [1.0, 2.0, 0.0]);
-        assert_eq!(l[2], [0.0, 1.5, 3.75_f64.sqrt()]);
-    }
 
     #[test]
     fn the_normalised_error_of_a_worked_example() {

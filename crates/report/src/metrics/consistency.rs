@@ -8,8 +8,9 @@
 
 use std::fmt;
 
+use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+
 use super::anees::Anees;
-use super::chi_square;
 
 /// Probability below the band, and above it: 95 % lie within.
 const TAIL_PROBABILITY: f64 = 0.025;
@@ -29,11 +30,9 @@ pub struct ConsistencyBand {
 impl ConsistencyBand {
     /// The band of a mean with this number of degrees of freedom in total; `None` without any.
     pub fn of_mean(degrees_of_freedom: u64) -> Option<Self> {
-        let n = degrees_of_freedom as f64;
-        Some(Self {
-            low: chi_square::quantile(TAIL_PROBABILITY, degrees_of_freedom)? / n,
-            high: chi_square::quantile(1.0 - TAIL_PROBABILITY, degrees_of_freedom)? / n,
-        })
+        let per_degree = |probability| chi_square_quantile(degrees_of_freedom, probability) / degrees_of_freedom as f64;
+        (degrees_of_freedom > 0)
+            .then(|| Self { low: per_degree(TAIL_PROBABILITY), high: per_degree(1.0 - TAIL_PROBABILITY) })
     }
 
     /// The band of the ANEES of a planar pose over this number of independent runs; `None` without any.

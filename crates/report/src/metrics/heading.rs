@@ -1,9 +1,9 @@
 //! How far the heading is off, on the circle.
 
+use posebridge_estimator::numerics::statistics::root_mean_square;
 use posebridge_telemetry::Heading;
 
 use super::error::PoseError;
-use super::root_mean_square::root_mean_square;
 
 /// Root mean square of the heading errors that are there, in radians; each is wrapped into (-pi, pi] first.
 pub fn rms_rad(errors: &[PoseError]) -> Option<f64> {

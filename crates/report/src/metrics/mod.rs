@@ -5,7 +5,6 @@
 //! that is the filter's gate.
 
 pub mod anees;
-pub mod chi_square;
 pub mod consistency;
 pub mod error;
 pub mod heading;
@@ -14,7 +13,6 @@ pub mod nis;
 pub mod path;
 pub mod position;
 pub mod recent;
-mod root_mean_square;
 pub mod summary;
 
 pub use anees::{Anees, NeesError, anees, nees};

@@ -3,9 +3,8 @@
 //! The distance goes to the nearest point of a polyline, whichever leg that is on. It says nothing about being early or
 //! late along the path.
 
+use posebridge_estimator::numerics::statistics::root_mean_square;
 use posebridge_telemetry::{Arena, Point2};
-
-use super::root_mean_square::{largest, root_mean_square};
 
 /// How far positions lie from a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -38,7 +37,7 @@ pub(super) fn summarise_deviations(deviations_m: &[f64]) -> PathError {
         samples: finite.len(),
         dropped: deviations_m.len() - finite.len(),
         rms_m: root_mean_square(&finite),
-        max_m: largest(&finite),
+        max_m: finite.iter().copied().reduce(f64::max),
     }
 }
 

@@ -1,7 +1,8 @@
 //! How far the position is off.
 
+use posebridge_estimator::numerics::statistics::root_mean_square;
+
 use super::error::PoseError;
-use super::root_mean_square::{largest, root_mean_square};
 
 /// Root mean square of the distances, in metres; errors that are not finite are left out.
 pub fn rms_m(errors: &[PoseError]) -> Option<f64> {
@@ -10,7 +11,7 @@ pub fn rms_m(errors: &[PoseError]) -> Option<f64> {
 
 /// The largest distance, in metres; errors that are not finite are left out.
 pub fn max_m(errors: &[PoseError]) -> Option<f64> {
-    largest(&distances_m(errors))
+    distances_m(errors).into_iter().reduce(f64::max)
 }
 
 /// The distance of the last error that is finite, in metres.

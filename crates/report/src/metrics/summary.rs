@@ -4,6 +4,7 @@ use super::anees::{Anees, anees};
 use super::consistency::Consistency;
 use super::error::PoseError;
 use super::{heading, position};
+use posebridge_estimator::numerics::statistics;
 
 /// The accuracy of one run, or the mean over several.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,7 +54,7 @@ pub fn summarise(errors: &[PoseError]) -> ErrorSummary {
 /// Each figure averaged over the runs that have it (so `position_max_m` is the mean of the runs' maxima); the counts
 /// are summed.
 pub fn mean_over_runs(runs: &[ErrorSummary]) -> ErrorSummary {
-    let mean = |figure: fn(&ErrorSummary) -> Option<f64>| mean_of(runs.iter().filter_map(figure));
+    let mean = |figure: fn(&ErrorSummary) -> Option<f64>| statistics::mean(runs.iter().filter_map(figure));
     ErrorSummary {
         samples: runs.iter().map(|run| run.samples).sum(),
         dropped: runs.iter().map(|run| run.dropped).sum(),
@@ -64,11 +65,6 @@ pub fn mean_over_runs(runs: &[ErrorSummary]) -> ErrorSummary {
         heading_rms_rad: mean(|run| run.heading_rms_rad),
         anees: mean(|run| run.anees),
     }
-}
-
-fn mean_of(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]

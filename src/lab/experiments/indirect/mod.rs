@@ -11,7 +11,6 @@ use std::path::PathBuf;
 
 use posebridge_sim::montecarlo::{MAX_RUNS, Scenario};
 
-use self::report::ReportHeader;
 use super::recorded::RecordedArgs;
 use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
@@ -49,8 +48,7 @@ pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
     if let Some(drives) = args.real.drives(&args.output, recorded::TASK)? {
         let found = drives.with_exit_stage(recorded::rounds_of(&drives))?;
         let folder = args.output.folder()?;
-        let outcome = report::outcome(&ReportHeader::from_recordings(&drives), &found);
-        return args.output.write_outcome(&folder, &outcome);
+        return args.output.write_outcome(&folder, &report::of_recordings(&drives, &found));
     }
     let scenario = scenario(args).before_start()?;
     let runs = args.runs.unwrap_or(scenario.runs);
@@ -58,8 +56,7 @@ pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
     let bar = progress_bar(u64::from(runs), "rounds").before_start()?;
     let found = rounds::drive_all(&scenario, runs, || bar.inc(1));
     bar.finish_and_clear();
-    let outcome = report::outcome(&ReportHeader::from_scenario(&scenario, runs), &found);
-    args.output.write_outcome(&folder, &outcome)
+    args.output.write_outcome(&folder, &report::of_scenario(&scenario, runs, &found))
 }
 
 fn scenario(args: &LabIndirectArgs) -> anyhow::Result<Scenario> {

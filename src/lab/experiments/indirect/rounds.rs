@@ -14,7 +14,7 @@ use crate::lab::parallel::run_all;
 
 /// The end of the paper's own run, in x and y, m: what the fused ends are held against.
 pub(super) const PAPER_END_M: (f64, f64) = (0.235, 0.32);
-/// What is left of an accelerometer's bias after it was zeroed by eye, m/s²: 5 mg; docs/maths/paper4.md section 4.
+/// What is left of an accelerometer's bias after it was zeroed by eye, m/s²: 5 mg; docs/lab/indirect.md section M4.
 const BIAS_SIGMA_M_PER_S2: f64 = 0.05;
 
 /// Who estimates, from which sensors.

@@ -24,7 +24,7 @@ const CAMERA: Camera = Camera {
     outliers: None,
     blackout: None,
 };
-/// The sigma of the compass that filters get, in degrees: noise and deviation together, see docs/lab/nxt-square.md.
+/// The sigma of the compass that filters get, in degrees: noise and deviation together, see docs/lab/square.md.
 const COMPASS_SIGMA_DEG: f64 = 5.0;
 
 /// The square of the paper, with its camera.

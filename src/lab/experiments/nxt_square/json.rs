@@ -1,29 +1,27 @@
-//! `lab nxt-square --json`: one object, documented in docs/lab/nxt-square.md. The same drives give the same text.
+//! `lab nxt-square --json`: one object, documented in docs/lab/square.md. The same drives give the same text.
 
 use posebridge_lab::square::{
     ErrorMetric, MeanAndVariance, MethodOrder, MethodRanking, NoiseRecord, OrderStep, PathErrors, SquareReport,
 };
+use posebridge_report::report::Report;
 use serde_json::{Value, json};
 
-/// The object; `recordings` are the files of a real robot's drives.
-pub(super) fn object(report: &SquareReport, recordings: &[String]) -> Value {
-    let settings: Vec<Value> = report.rankings.iter().map(chain).collect();
-    let readings = report.interpretations.iter().map(|reading| {
+/// Adds what programs get; `recordings` are the files of a real robot's drives.
+pub(super) fn add(report: &mut Report, found: &SquareReport, recordings: &[String]) {
+    let readings = found.interpretations.iter().map(|reading| {
         json!({
             "name": reading.name,
             "metric": reading.metric.name(),
             "order": order(&reading.order),
         })
     });
-    json!({
-        "source": report.source,
-        "recordings": recordings,
-        "settings": settings,
-        "outlook": chain(&report.extended),
-        "readings": readings.collect::<Vec<_>>(),
-        "stop": report.stop.as_ref().map(record),
-        "straight": report.straight.as_ref().map(record),
-    })
+    report.data("source", json!(found.source));
+    report.data("recordings", json!(recordings));
+    report.data("settings", found.rankings.iter().map(chain).collect());
+    report.data("outlook", chain(&found.extended));
+    report.data("readings", readings.collect());
+    report.data("stop", json!(found.stop.as_ref().map(record)));
+    report.data("straight", json!(found.straight.as_ref().map(record)));
 }
 
 fn chain(chain: &MethodRanking) -> Value {

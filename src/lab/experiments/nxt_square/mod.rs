@@ -1,6 +1,6 @@
 //! `posebridge lab nxt-square`: the three filters of paper 1 on its square, what is left of their order, and its outlook.
 //!
-//! On simulated drives, on a file of exported sensor data, on recordings, or on a live robot. docs/lab/nxt-square.md is the page
+//! On simulated drives, on a file of exported sensor data, on recordings, or on a live robot. docs/lab/square.md is the page
 //! for people.
 
 mod drives;
@@ -24,7 +24,7 @@ use super::recorded::RecordedArgs;
 use crate::config::RobotProfile;
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
-use crate::tools::experiment_output::{ExperimentOutcome, OutputArgs};
+use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `lab nxt-square`.
 #[derive(clap::Args, Clone, Debug)]
@@ -35,7 +35,7 @@ pub struct LabNxtSquareArgs {
     /// Base seed; drive i draws from it and i.
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real_robot")]
     pub seed: u64,
-    /// Take exported sensor data (docs/lab/nxt-square.md has the columns) instead of simulated drives.
+    /// Take exported sensor data (docs/lab/square.md has the columns) instead of simulated drives.
     #[arg(long, value_name = "FILE.csv", group = "real_robot", conflicts_with_all = ["judge", "settings"])]
     pub data: Option<PathBuf>,
     /// A real robot.
@@ -71,13 +71,9 @@ pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
         Some(report) => report,
         None => simulated(args).while_running()?,
     };
-    let outcome = ExperimentOutcome {
-        name: "lab-nxt-square",
-        page: report.page(),
-        text: report.text(),
-        json: json::object(&report, &recordings),
-    };
-    args.output.write_outcome(&folder, &outcome)
+    let mut tables = report.report();
+    json::add(&mut tables, &report, &recordings);
+    args.output.write_outcome(&folder, &tables)
 }
 
 fn simulated(args: &LabNxtSquareArgs) -> Result<SquareReport> {

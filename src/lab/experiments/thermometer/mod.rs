@@ -6,15 +6,13 @@ mod args;
 mod recording;
 
 use posebridge_lab::identification::lesson::{LessonSection, SECTIONS, bound_run, bounds_section};
-use posebridge_report::chart::render_plot;
-use posebridge_report::page::{ReportBlock, ReportPage};
+use posebridge_report::report::{Report, Table};
 use serde_json::{Map, Value, json};
 
 pub use self::args::LabThermometerArgs;
 use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_all;
-use crate::tools::experiment_output::ExperimentOutcome;
 
 /// Runs the experiment.
 ///
@@ -23,7 +21,7 @@ use crate::tools::experiment_output::ExperimentOutcome;
 pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     let sections = if args.is_real() { recording::sections(args)? } else { simulated(args)? };
-    args.output.write_outcome(&folder, &outcome(args, &sections))
+    args.output.write_outcome(&folder, &report(args, &sections))
 }
 
 /// A part of the work on the simulated sensor.
@@ -67,7 +65,7 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
     Ok(sections)
 }
 
-fn outcome(args: &LabThermometerArgs, sections: &[LessonSection]) -> ExperimentOutcome {
+fn report(args: &LabThermometerArgs, sections: &[LessonSection]) -> Report {
     let source = if args.is_real() {
         let names = args.recordings.iter().map(|path| path.display().to_string());
         let live = args.live.is_requested().then(|| "a live robot".to_owned());
@@ -76,61 +74,41 @@ fn outcome(args: &LabThermometerArgs, sections: &[LessonSection]) -> ExperimentO
     } else {
         format!("simulated sensor, seed {}", args.seed)
     };
-    let mut parts = vec![ReportBlock::Text(format!(
-        "What will a slow sensor show in the end? Source: {source}. docs/lab/thermometer.md has the theory and exercises."
-    ))];
-    parts.extend(sections.iter().flat_map(report_blocks));
-    ExperimentOutcome {
-        name: "lab-thermometer",
-        page: ReportPage { title: "The slow thermometer".to_owned(), blocks: parts },
-        text: sections.iter().map(text_of).collect(),
-        json: json_of(&source, sections),
+    let mut report = Report::new("lab-thermometer", "The slow thermometer");
+    report.background("What will a slow sensor show in the end? docs/lab/thermometer.md has the theory and exercises.");
+    report.paragraph(format!("Source: {source}"));
+    for section in sections {
+        add_section(&mut report, section);
     }
+    report.data("source", json!(source));
+    report.data("sections", sections_json(sections));
+    report
 }
 
-fn report_blocks(section: &LessonSection) -> Vec<ReportBlock> {
-    let mut parts = vec![ReportBlock::Heading(section.title.clone())];
-    parts.extend(section.paragraphs.iter().cloned().map(ReportBlock::Text));
+fn add_section(report: &mut Report, section: &LessonSection) {
+    report.heading(section.title.as_str());
+    for paragraph in &section.paragraphs {
+        report.background(paragraph);
+    }
     if !section.header.is_empty() {
-        parts.push(ReportBlock::Table { header: section.header.clone(), rows: section.rows.clone() });
+        let mut table = Table::of(&section.rows);
+        for (column, heading) in section.header.iter().enumerate() {
+            table = table.text("", heading, move |row| row.get(column).cloned().unwrap_or_default());
+        }
+        report.table("", &table);
     }
-    parts.extend(
-        section
-            .figure
-            .iter()
-            .map(|(picture, caption)| ReportBlock::Figure { svg: render_plot(picture), caption: caption.clone() }),
-    );
-    parts
+    if let Some((plot, caption)) = &section.figure {
+        report.chart(plot, caption);
+    }
 }
 
-/// The section's table for the terminal; nothing for a section that is a picture only.
-fn text_of(section: &LessonSection) -> String {
-    if section.header.is_empty() {
-        return String::new();
-    }
-    let all = || std::iter::once(&section.header).chain(&section.rows);
-    let width = |column: usize| {
-        let cells = all().filter_map(|row| row.get(column));
-        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..section.header.len()).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths);
-        let cells: Vec<String> = cells.map(|(cell, width)| format!("{cell:<width$}")).collect();
-        cells.join("  ").trim_end().to_owned() + "\n"
-    };
-    let rows: String = all().map(line).collect();
-    format!("{}\n{rows}\n", section.title)
-}
-
-/// `{"source", "sections": {name: {number: value}}}`; a figure that cannot be had is null.
-fn json_of(source: &str, sections: &[LessonSection]) -> Value {
+/// `{name: {number: value}}` of the sections that have numbers; a figure that cannot be had is null.
+fn sections_json(sections: &[LessonSection]) -> Value {
     let of = |section: &LessonSection| {
         let numbers = section.values.iter();
         let numbers: Map<String, Value> = numbers.map(|(name, value)| (name.clone(), json!(value))).collect();
         (section.name.to_owned(), Value::Object(numbers))
     };
     let with_numbers = sections.iter().filter(|section| !section.values.is_empty());
-    let all: Map<String, Value> = with_numbers.map(of).collect();
-    json!({"source": source, "sections": all})
+    Value::Object(with_numbers.map(of).collect())
 }

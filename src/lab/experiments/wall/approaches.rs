@@ -15,7 +15,7 @@ use posebridge_sim::wall::{
 use super::steps::StepResults;
 use crate::lab::parallel::run_all;
 
-/// The corrected filter's process noise where the drive has been measured, m per step of 7.6 ms; docs/maths/paper3.md section 5.
+/// The corrected filter's process noise where the drive has been measured, m per step of 7.6 ms; docs/lab/wall.md section M5.
 const MEASURED_DRIVE_PROCESS_M: f64 = 0.01;
 
 /// Who says how far the wall is.

@@ -79,8 +79,8 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
         let folder = args.output.folder()?;
         let live = args.live.is_requested();
         let command = again::rerun_command(live.then_some(prepared.descriptor.as_str()));
-        let outcome = recorded::run(&prepared, command).while_running()?;
-        return args.output.write_outcome(&folder, &outcome);
+        let report = recorded::run(&prepared, command).while_running()?;
+        return args.output.write_outcome(&folder, &report);
     }
     let prepared = simulated::SimulatedSetup {
         scene: scene(args.scene.as_deref(), args.seed).before_start()?,
@@ -90,8 +90,8 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
         link: link_profile::load(&args.profile).before_start()?,
     };
     let folder = args.output.folder()?;
-    let outcome = simulated::run(&prepared).while_running()?;
-    args.output.write_outcome(&folder, &outcome)
+    let report = simulated::run(&prepared).while_running()?;
+    args.output.write_outcome(&folder, &report)
 }
 
 /// What a real robot did, live or recorded.

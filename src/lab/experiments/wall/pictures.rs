@@ -4,8 +4,8 @@ use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
     ApproachEstimator, KalmanNoise, RangeForecast, WallKalman, WallReading, differences, overlapping_lines,
 };
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::page::ReportBlock;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::Report;
 use posebridge_sim::wall::WallScene;
 
 use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
@@ -22,16 +22,19 @@ fn axes(y_name: &str, curves: Vec<Curve>) -> Axes {
     Axes { x_name: "time [s]".to_owned(), y_name: y_name.to_owned(), height_px: 280.0, is_map: false, curves }
 }
 
-fn figure(title: &str, key_figures: &str, axes: Vec<Axes>) -> ReportBlock {
-    let picture = Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes };
-    ReportBlock::Figure {
-        svg: render_plot(&picture),
-        caption: if key_figures.is_empty() { title.to_owned() } else { format!("{title}: {key_figures}") },
-    }
+fn plot(title: &str, key_figures: &str, axes: Vec<Axes>) -> Plot {
+    Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes }
+}
+
+/// Adds the picture, with its title and key figures as its caption.
+pub(super) fn add(report: &mut Report, plot: &Plot) {
+    let Plot { title, key_figures, .. } = plot;
+    let caption = if key_figures.is_empty() { title.clone() } else { format!("{title}: {key_figures}") };
+    report.chart(plot, caption);
 }
 
 /// Readings of the first step, and its speed by differences, by lines and in truth.
-pub(super) fn step(steps: &StepResults) -> ReportBlock {
+pub(super) fn step(steps: &StepResults) -> Plot {
     let speeds = |speeds: Vec<posebridge_lab::wall::SpeedSample>| {
         let points = speeds.into_iter().map(|at| (at.at_s, at.towards_m_per_s));
         points.collect::<Vec<_>>()
@@ -40,7 +43,7 @@ pub(super) fn step(steps: &StepResults) -> ReportBlock {
     let commands = first.commands.iter().zip(&first.towards_m_per_s);
     let truth = commands.map(|(command, speed)| (command.at_s, *speed));
     let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.0, steps.all.rise_90_s.0);
-    figure(
+    plot(
         "Step test",
         &key,
         vec![
@@ -59,7 +62,7 @@ pub(super) fn step(steps: &StepResults) -> ReportBlock {
 }
 
 /// The filter's distance with the paper's three sigmas, less the fitted model's readings.
-pub(super) fn validation(steps: &StepResults) -> ReportBlock {
+pub(super) fn validation(steps: &StepResults) -> Plot {
     let mut curves = vec![curve("readings", CurveShape::Dots(steps.log.readings().collect()))];
     for process_m in [0.01, 0.05, 0.5] {
         let noise = KalmanNoise { process_m, ..KalmanNoise::PAPER };
@@ -75,11 +78,11 @@ pub(super) fn validation(steps: &StepResults) -> ReportBlock {
         }
         curves.push(curve(format!("sigma_u {:.0} mm", 1e3 * process_m), CurveShape::Line(points)));
     }
-    figure("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
+    plot("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
 }
 
 /// The first run of each kind with tuned gains on the brick, and where all runs stopped.
-pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> ReportBlock {
+pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     // The faithful filter's dots would lie under the corrected one's.
     let is_drawn = |driven: &&ApproachResult| {
         let case = driven.case;
@@ -107,7 +110,7 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Report
         curve(name(driven), CurveShape::Dots(stops.collect()))
     });
     let stops = axes("error of the stop [mm]", stops.collect());
-    figure(
+    plot(
         "Approaches with tuned gains, on the brick",
         "above the first run of each kind, below where and when all of them stopped",
         vec![axes("true distance [m]", ways), stops],
@@ -115,7 +118,7 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Report
 }
 
 /// Readings of a recording and what was foretold of each.
-pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f64)]) -> ReportBlock {
+pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f64)]) -> Plot {
     let by = |value: &dyn Fn(&RangeForecast) -> Option<f64>| -> Vec<(f64, f64)> {
         let points = foreseen.iter();
         points.filter_map(|foreseen| Some((foreseen.at_s, value(foreseen)?))).collect()
@@ -135,5 +138,5 @@ pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f6
     if !theirs.is_empty() {
         curves.push(curve("their own filter", CurveShape::Dots(theirs.to_vec())));
     }
-    figure(&format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
+    plot(&format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
 }

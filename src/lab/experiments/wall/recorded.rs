@@ -8,6 +8,7 @@ use posebridge_lab::wall::{
     score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
+use posebridge_report::report::Report;
 use posebridge_telemetry::{Observation, ObservationKind, SensorId};
 
 use super::columns::{ExtraColumn, FOREIGN_FILTER, with_extra};
@@ -18,7 +19,6 @@ use crate::console::progress_bar;
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_all;
 use crate::tools::dataset::{DataSet, report_bad_rows};
-use crate::tools::experiment_output::ExperimentOutcome;
 use crate::tools::own_recording;
 
 /// Names that people give to a column of PWM.
@@ -208,11 +208,11 @@ fn readings_of<'a>(
 }
 
 /// Evaluates every run, on all cores; `command` is the one that gives the page again.
-pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<ExperimentOutcome> {
+pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Report> {
     let bar = progress_bar(prepared.runs.len() as u64, "runs")?;
     let found = run_all(&prepared.runs, evaluate, || bar.inc(1));
     bar.finish_and_clear();
-    Ok(recorded_report::outcome(&prepared.descriptor, command, &found))
+    Ok(recorded_report::report(&prepared.descriptor, command, &found))
 }
 
 fn evaluate(run: &RunLog) -> RunResult {

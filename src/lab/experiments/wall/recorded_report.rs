@@ -1,12 +1,10 @@
 //! The report of the experiment on a recording.
 
 use posebridge_lab::wall::{ForecastScore, GateStatistics, ManualStepFit, RangeForecast, StepFit, WallStepError};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::{NO_VALUE, TextTable};
+use posebridge_report::report::{Format, Report, Table, Unit};
 use serde_json::{Value, json};
 
 use super::pictures;
-use crate::tools::experiment_output::ExperimentOutcome;
 
 /// What was found of one run.
 pub(super) struct RunResult {
@@ -25,89 +23,61 @@ pub(super) struct RunResult {
     pub(super) score_against_foreign: Option<ForecastScore>,
 }
 
-const STEP_HEADER: [&str; 6] = ["run", "readings", "input", "v_ss by lines", "v_ss by fit", "t90 by fit"];
-const SCORE_HEADER: [&str; 9] =
-    ["run", "readings", "filter mm", "line mm", "gate mm", "refused", "readings", "filter mm", "theirs mm"];
-
-/// Tables, page and object; `command` gives them again.
-pub(super) fn outcome(descriptor: &str, command: String, found: &[RunResult]) -> ExperimentOutcome {
-    let steps: Vec<[String; 6]> = found.iter().map(step_row).collect();
-    let scores: Vec<[String; 9]> = found.iter().map(score_row).collect();
-    let step_line = "step: m/s and s under the input 1 (PWM 80, or the whole drive where nobody wrote it down)";
-    let score_line = "each reading foretold from those before it, rms; against a line through two, and against their own filter; \
-         gate: its mean half-width, and how many readings it refused";
-    let text =
-        format!("{step_line}\n{}\n{score_line}\n{}", aligned(STEP_HEADER, &steps), aligned(SCORE_HEADER, &scores));
-    let mut parts = vec![
-        ReportBlock::Text(
-            "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
-             reading is foretold and compared."
-                .to_owned(),
-        ),
-        ReportBlock::PreformattedText(command),
-        ReportBlock::Heading(step_line.to_owned()),
-        ReportBlock::table(&STEP_HEADER, steps.into_iter().map(Vec::from).collect()),
-        ReportBlock::Heading(score_line.to_owned()),
-        ReportBlock::table(&SCORE_HEADER, scores.into_iter().map(Vec::from).collect()),
-    ];
-    let figures = found.iter();
-    parts.extend(figures.map(|run| pictures::foreseen(&run.name, &run.forecasts, &run.foreign_filter)));
-    ExperimentOutcome {
-        name: "lab-wall",
-        page: ReportPage { title: "The distance to a wall: a recording".to_owned(), blocks: parts },
-        text,
-        json: json!({ "recording": descriptor, "runs": found.iter().map(object).collect::<Vec<_>>() }),
+/// `command` gives the report again.
+pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> Report {
+    let mut report = Report::new("lab-wall", "The distance to a wall: a recording");
+    report.background(
+        "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
+         reading is foretold and compared.",
+    );
+    report.command(command);
+    add_steps(&mut report, found);
+    add_scores(&mut report, found);
+    for run in found {
+        pictures::add(&mut report, &pictures::foreseen(&run.name, &run.forecasts, &run.foreign_filter));
     }
+    report.data("recording", json!(descriptor));
+    report.data("runs", found.iter().map(object).collect());
+    report
 }
 
-fn aligned<const COLUMNS: usize>(header: [&str; COLUMNS], rows: &[[String; COLUMNS]]) -> String {
-    let mut table = TextTable::new(header);
-    for row in rows {
-        table.push(row.clone());
-    }
-    table.render()
+const fn input_name(run: &RunResult) -> &'static str {
+    if run.knows_input { "recorded" } else { "assumed" }
 }
 
-fn none() -> String {
-    NO_VALUE.to_owned()
+fn add_steps(report: &mut Report, found: &[RunResult]) {
+    report.heading("Step: m/s and s under the input 1");
+    report.paragraph("The input is 1 at PWM 80, or for the whole drive where nobody wrote it down.");
+    let two = Format::new(Unit::None, 2);
+    let steady = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
+    let rise = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
+    let table = Table::of(found)
+        .text("", "run", |run| run.name.clone())
+        .count("", "readings", |run| run.readings)
+        .text("", "input", |run| input_name(run).to_owned())
+        .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
+        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.0), move |run| Some(steady(run)?.1))
+        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.0), move |run| Some(rise(run)?.1));
+    report.table("", &table);
 }
 
-fn step_row(run: &RunResult) -> [String; 6] {
-    let with_sigma = |(value, sigma): (f64, f64)| format!("{value:.2} +- {sigma:.2}");
-    let by_hand = run.by_hand.as_ref().ok();
-    let fit = run.fit.as_ref().ok();
-    [
-        run.name.clone(),
-        run.readings.to_string(),
-        if run.knows_input { "recorded" } else { "assumed" }.to_owned(),
-        by_hand.map_or_else(none, |hand| format!("{:.2}", hand.steady_m_per_s)),
-        fit.map_or_else(none, |fit| with_sigma(fit.steady_m_per_s)),
-        fit.map_or_else(none, |fit| with_sigma(fit.rise_90_s)),
-    ]
-}
-
-fn score_row(run: &RunResult) -> [String; 9] {
-    let cells = |score: Option<ForecastScore>| match score {
-        Some(score) => [
-            score.readings.to_string(),
-            format!("{:.1}", 1e3 * score.kalman_rms_m),
-            format!("{:.1}", 1e3 * score.other_rms_m),
-        ],
-        None => [none(), none(), none()],
-    };
-    let [count, kalman, line] = cells(run.score_against_line);
-    let [their_count, their_kalman, theirs] = cells(run.score_against_foreign);
-    [
-        run.name.clone(),
-        count,
-        kalman,
-        line,
-        run.gate.map_or_else(none, |gate| format!("{:.0}", 1e3 * gate.mean_m)),
-        run.gate.map_or_else(none, |gate| gate.gated.to_string()),
-        their_count,
-        their_kalman,
-        theirs,
-    ]
+fn add_scores(report: &mut Report, found: &[RunResult]) {
+    report.heading("Each reading foretold from those before it, rms");
+    report.paragraph(
+        "Against a line through two readings, and against their own filter. Gate: its mean half-width, and how many readings it refused.",
+    );
+    let mm = Format::new(Unit::Millimetres, 1);
+    let table = Table::of(found)
+        .text("", "run", |run| run.name.clone())
+        .optional_count("", "readings", |run| Some(run.score_against_line?.readings))
+        .number("", "filter", mm, |run| Some(run.score_against_line?.kalman_rms_m))
+        .number("", "line", mm, |run| Some(run.score_against_line?.other_rms_m))
+        .number("", "gate", Format::new(Unit::Millimetres, 0), |run| Some(run.gate?.mean_m))
+        .optional_count("", "refused", |run| Some(run.gate?.gated))
+        .optional_count("", "theirs: readings", |run| Some(run.score_against_foreign?.readings))
+        .number("", "filter", mm, |run| Some(run.score_against_foreign?.kalman_rms_m))
+        .number("", "theirs", mm, |run| Some(run.score_against_foreign?.other_rms_m));
+    report.table("", &table);
 }
 
 fn object(run: &RunResult) -> Value {
@@ -123,7 +93,7 @@ fn object(run: &RunResult) -> Value {
     json!({
         "name": run.name,
         "readings": run.readings,
-        "input": if run.knows_input { "recorded" } else { "assumed" },
+        "input": input_name(run),
         "fit": run.fit.as_ref().ok().map(|fit| json!({
             "steady_m_per_s": fit.steady_m_per_s.0,
             "steady_sigma_m_per_s": fit.steady_m_per_s.1,

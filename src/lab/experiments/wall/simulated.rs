@@ -3,22 +3,24 @@
 use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
-use posebridge_lab::wall::{NEAR_WALL_M, StepFit, mean_manual_fit};
-use posebridge_report::page::{ReportBlock, ReportPage};
-use posebridge_report::tables::TextTable;
+use posebridge_lab::wall::{GateTrial, NEAR_WALL_M, StepFit, mean_manual_fit};
+use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::WallScene;
 use serde_json::{Value, json};
 
 use super::approaches::{ApproachResult, cases, drive_all};
 use super::pictures;
-use super::steps::{StepResults, ValidationCase, steps};
+use super::steps::{StepResults, steps};
 use crate::console::progress_bar;
 use crate::lab::experiments::again;
-use crate::tools::experiment_output::ExperimentOutcome;
 
 /// The figures of the paper's own step: v_ss in m/s and t_90 in s.
 const PAPER_STEP: (f64, f64) = (1.225, 0.997);
+
+const WHOLE_MM: Format = Format::new(Unit::Millimetres, 0);
+const THREE: Format = Format::new(Unit::None, 3);
+const FIVE: Format = Format::new(Unit::None, 5);
 
 /// What was asked for, read and checked.
 pub(super) struct SimulatedSetup {
@@ -30,130 +32,127 @@ pub(super) struct SimulatedSetup {
 }
 
 /// Runs all drives and reports them.
-pub(super) fn run(prepared: &SimulatedSetup) -> Result<ExperimentOutcome> {
+pub(super) fn run(prepared: &SimulatedSetup) -> Result<Report> {
     let steps = steps(&prepared.scene, prepared.steps)?;
     let kinds = cases(&prepared.scene, steps.all.model()).len() as u64;
     let bar = progress_bar(kinds * u64::from(prepared.runs), "approaches")?;
     let driven = drive_all(&prepared.scene, &steps, prepared.runs, &prepared.link, || bar.inc(1));
     bar.finish_and_clear();
-    let tables = ResultTables::of(prepared, &steps, &driven);
-    Ok(ExperimentOutcome {
-        name: "lab-wall",
-        text: tables.text(),
-        page: page(prepared, &steps, &driven, tables),
-        json: object(prepared, &steps, &driven),
-    })
+    let mut report = Report::new("lab-wall", "The distance to a wall");
+    report.background(
+        "A car drives at a wall. Its range sensor speaks seldom, its motors are slow, and it has to stop a foot before \
+         the wall. What does a model of the motors buy?",
+    );
+    report.command(again::rerun_command(None));
+    report.data("seed", json!(prepared.scene.seed));
+    add_identification(&mut report, prepared, &steps);
+    add_validation(&mut report, &steps);
+    add_gate(&mut report, &steps.gate);
+    add_approaches(&mut report, prepared, &driven);
+    Ok(report)
 }
 
-/// A table with its headline, for the terminal and for the page.
-struct ResultTable {
-    headline: String,
-    header: Vec<&'static str>,
-    rows: Vec<Vec<String>>,
+/// What a step test gives, one way or another.
+struct IdentificationRow {
+    name: String,
+    steady_m_per_s: (f64, Option<f64>),
+    rise_90_s: (f64, Option<f64>),
+    drag_s_per_m: (f64, Option<f64>),
+    mass_s2_per_m: (f64, Option<f64>),
 }
 
-struct ResultTables(Vec<ResultTable>);
-
-impl ResultTables {
-    fn of(prepared: &SimulatedSetup, steps: &StepResults, driven: &[ApproachResult]) -> Self {
-        Self(vec![identification(prepared, steps), validation(steps), gate(steps), approaches(prepared, driven)])
+impl IdentificationRow {
+    fn by_hand(name: impl Into<String>, steady_m_per_s: f64, rise_90_s: f64) -> Self {
+        let model = WallApproachModel::from_step_test(steady_m_per_s, rise_90_s);
+        Self {
+            name: name.into(),
+            steady_m_per_s: (steady_m_per_s, None),
+            rise_90_s: (rise_90_s, None),
+            drag_s_per_m: (model.drag_s_per_m, None),
+            mass_s2_per_m: (model.mass_s2_per_m, None),
+        }
     }
 
-    fn text(&self) -> String {
-        let table = self.0.iter().map(|table| {
-            let mut text = format!("{}\n", table.headline);
-            text += &aligned(&table.header, &table.rows);
-            text
-        });
-        table.collect::<Vec<_>>().join("\n")
-    }
-}
-
-fn aligned(header: &[&str], rows: &[Vec<String>]) -> String {
-    let mut table = TextTable::new(header.iter().copied());
-    for row in rows {
-        table.push(row.iter().cloned());
-    }
-    table.render()
-}
-
-fn with_sigma((value, sigma): (f64, f64), digits: usize) -> String {
-    format!("{value:.digits$} +- {sigma:.digits$}")
-}
-
-/// How far from the truth, in per cent.
-fn format_error(found: f64, truth: f64) -> String {
-    format!("{:+.1} %", 100.0 * (found / truth - 1.0))
-}
-
-/// Rows of the table of the step tests, all against the same truth.
-struct IdentificationTable {
-    truth: WallApproachModel,
-    rows: Vec<Vec<String>>,
-}
-
-impl IdentificationTable {
-    fn push(&mut self, name: &str, figures: [String; 4], model: WallApproachModel) {
-        let [v, t90, d, m] = figures;
-        self.rows.push(vec![
-            name.to_owned(),
-            v,
-            t90,
-            d,
-            format_error(model.drag_s_per_m, self.truth.drag_s_per_m),
-            m,
-            format_error(model.mass_s2_per_m, self.truth.mass_s2_per_m),
-        ]);
-    }
-
-    fn by_hand(&mut self, name: &str, v: f64, t90: f64) {
-        let model = WallApproachModel::from_step_test(v, t90);
-        let figures = [
-            format!("{v:.3}"),
-            format!("{t90:.3}"),
-            format!("{:.5}", model.drag_s_per_m),
-            format!("{:.5}", model.mass_s2_per_m),
-        ];
-        self.push(name, figures, model);
-    }
-
-    fn fitted(&mut self, name: &str, fit: &StepFit) {
-        let figures = [
-            with_sigma(fit.steady_m_per_s, 3),
-            with_sigma(fit.rise_90_s, 3),
-            with_sigma(fit.drag_s_per_m, 4),
-            with_sigma(fit.mass_s2_per_m, 4),
-        ];
-        self.push(name, figures, fit.model());
+    fn fitted(name: impl Into<String>, fit: &StepFit) -> Self {
+        let with_sigma = |(value, sigma): (f64, f64)| (value, Some(sigma));
+        Self {
+            name: name.into(),
+            steady_m_per_s: with_sigma(fit.steady_m_per_s),
+            rise_90_s: with_sigma(fit.rise_90_s),
+            drag_s_per_m: with_sigma(fit.drag_s_per_m),
+            mass_s2_per_m: with_sigma(fit.mass_s2_per_m),
+        }
     }
 }
 
-fn identification(prepared: &SimulatedSetup, steps: &StepResults) -> ResultTable {
-    let truth = steps.truth;
-    let mut table = IdentificationTable { truth, rows: Vec::new() };
-    table.by_hand("the paper's figures", PAPER_STEP.0, PAPER_STEP.1);
+fn identification_rows(steps: &StepResults, count: u32) -> Vec<IdentificationRow> {
+    let mut rows = vec![IdentificationRow::by_hand("the paper's figures", PAPER_STEP.0, PAPER_STEP.1)];
     if let Some(hand) = steps.by_hand.first() {
-        table.by_hand("first step, lines", hand.steady_m_per_s, hand.rise_90_s);
+        rows.push(IdentificationRow::by_hand("first step, lines", hand.steady_m_per_s, hand.rise_90_s));
         let by_difference = hand.steady_by_difference_m_per_s;
-        table.by_hand("first step, differences", by_difference, hand.rise_90_s);
+        rows.push(IdentificationRow::by_hand("first step, differences", by_difference, hand.rise_90_s));
     }
     if let Some(hand) = mean_manual_fit(&steps.by_hand) {
         let name = format!("{} steps, lines, mean", steps.by_hand.len());
-        table.by_hand(&name, hand.steady_m_per_s, hand.rise_90_s);
+        rows.push(IdentificationRow::by_hand(name, hand.steady_m_per_s, hand.rise_90_s));
     }
-    table.fitted("first step, fit", &steps.one);
-    table.fitted(&format!("{} steps, fit", prepared.steps), &steps.all);
-    ResultTable {
-        headline: format!(
-            "step test: full drive to {} m; the car has d = {:.5} s/m, m = {:.5} s2/m; a reading's noise by the fit: {:.1} mm",
-            prepared.scene.step.cutoff_m,
-            truth.drag_s_per_m,
-            truth.mass_s2_per_m,
-            1e3 * steps.all.range_sigma_m
-        ),
-        header: vec!["", "v_ss m/s", "t90 s", "d s/m", "off", "m s2/m", "off"],
-        rows: table.rows,
-    }
+    rows.push(IdentificationRow::fitted("first step, fit", &steps.one));
+    rows.push(IdentificationRow::fitted(format!("{count} steps, fit"), &steps.all));
+    rows
+}
+
+fn add_identification(report: &mut Report, prepared: &SimulatedSetup, steps: &StepResults) {
+    let truth = steps.truth;
+    report.heading(format!("Step test: full drive to {} m", prepared.scene.step.cutoff_m));
+    report.values([
+        Quantity::new("", "true d", truth.drag_s_per_m, Format::new(Unit::Named("s/m"), 5)),
+        Quantity::new("", "true m", truth.mass_s2_per_m, Format::new(Unit::Named("s2/m"), 5)),
+        Quantity::new("", "noise of a reading, fit", steps.all.range_sigma_m, Format::new(Unit::Millimetres, 1)),
+    ]);
+    let off = Format::new(Unit::Percent, 1).signed();
+    let rows = identification_rows(steps, prepared.steps);
+    let table = Table::of(&rows)
+        .text("", "", |row| row.name.clone())
+        .uncertain("", "v_ss m/s", THREE, |row| Some(row.steady_m_per_s.0), |row| row.steady_m_per_s.1)
+        .uncertain("", "t90 s", THREE, |row| Some(row.rise_90_s.0), |row| row.rise_90_s.1)
+        .uncertain("", "d s/m", FIVE, |row| Some(row.drag_s_per_m.0), |row| row.drag_s_per_m.1)
+        .number("", "off", off, |row| Some(row.drag_s_per_m.0 / truth.drag_s_per_m - 1.0))
+        .uncertain("", "m s2/m", FIVE, |row| Some(row.mass_s2_per_m.0), |row| row.mass_s2_per_m.1)
+        .number("", "off", off, |row| Some(row.mass_s2_per_m.0 / truth.mass_s2_per_m - 1.0));
+    report.table("", &table);
+    pictures::add(report, &pictures::step(steps));
+    let model =
+        |model: WallApproachModel| json!({ "drag_s_per_m": model.drag_s_per_m, "mass_s2_per_m": model.mass_s2_per_m });
+    report.data("truth", model(truth));
+    report.data("paper", model(WallApproachModel::from_step_test(PAPER_STEP.0, PAPER_STEP.1)));
+    let by_hand = steps.by_hand.first().map(|hand| {
+        json!({
+            "steady_m_per_s": hand.steady_m_per_s,
+            "steady_by_difference_m_per_s": hand.steady_by_difference_m_per_s,
+            "rise_90_s": hand.rise_90_s,
+            "start_s": hand.start_s,
+            "drag_s_per_m": hand.model.drag_s_per_m,
+            "mass_s2_per_m": hand.model.mass_s2_per_m,
+        })
+    });
+    report.data("by_hand", json!(by_hand));
+    report.data("fit_of_first", fit_json(&steps.one));
+    report.data("fit", fit_json(&steps.all));
+}
+
+fn fit_json(fit: &StepFit) -> Value {
+    json!({
+        "steady_m_per_s": fit.steady_m_per_s.0,
+        "steady_sigma_m_per_s": fit.steady_m_per_s.1,
+        "rise_90_s": fit.rise_90_s.0,
+        "rise_90_sigma_s": fit.rise_90_s.1,
+        "drag_s_per_m": fit.drag_s_per_m.0,
+        "drag_sigma_s_per_m": fit.drag_s_per_m.1,
+        "mass_s2_per_m": fit.mass_s2_per_m.0,
+        "mass_sigma_s2_per_m": fit.mass_s2_per_m.1,
+        "range_sigma_m": fit.range_sigma_m,
+        "readings": fit.readings,
+    })
 }
 
 const fn variant_name(variant: RangeFilterVariant) -> &'static str {
@@ -163,192 +162,84 @@ const fn variant_name(variant: RangeFilterVariant) -> &'static str {
     }
 }
 
-fn validation(steps: &StepResults) -> ResultTable {
-    let rows = steps.validations.iter().map(|validated| {
-        let ValidationCase { process_m, variant, validation: found } = validated;
-        vec![
-            variant_name(*variant).to_owned(),
-            format!("{:.0}", 1e3 * process_m),
-            format!("{:.3}", found.gain),
-            format!("{:.0}", 1e3 * found.gate_m),
-            found.used.to_string(),
-            found.gated.to_string(),
-            format!("{:.1} %", 100.0 * found.predicted_share()),
-            format!("{:.1}", 1e3 * found.innovation_rms_m),
-            format!("{:.2}", found.nis),
-        ]
-    });
-    let loop_s = steps.log.loop_intervals_s();
-    let measured = loop_s.map_or_else(String::new, |(mean, low, high)| {
-        format!("; measured dt {:.2} ms, {:.2} to {:.2}", 1e3 * mean, 1e3 * low, 1e3 * high)
-    });
-    ResultTable {
-        headline: format!("the filter on the first step's own readings, sigma_z 20 mm{measured}"),
-        header: vec!["filter", "sigma_u mm", "gain", "gate mm", "used", "gated", "predicted", "rms mm", "NIS"],
-        rows: rows.collect(),
+fn add_validation(report: &mut Report, steps: &StepResults) {
+    report.heading("The filter on the first step's own readings, sigma_z 20 mm");
+    if let Some((mean_s, low_s, high_s)) = steps.log.loop_intervals_s() {
+        let ms = Format::new(Unit::Milliseconds, 2);
+        report.values([
+            Quantity::new("", "measured dt, mean", mean_s, ms),
+            Quantity::new("", "least", low_s, ms),
+            Quantity::new("", "most", high_s, ms),
+        ]);
     }
+    let table = Table::of(&steps.validations)
+        .text("filter", "filter", |case| variant_name(case.variant).to_owned())
+        .number("process_m", "sigma_u", WHOLE_MM, |case| Some(case.process_m))
+        .labels(2)
+        .number("gain", "gain", THREE, |case| Some(case.validation.gain))
+        .number("gate_m", "gate", WHOLE_MM, |case| Some(case.validation.gate_m))
+        .count("used", "used", |case| case.validation.used)
+        .count("gated", "gated", |case| case.validation.gated)
+        .number("predicted_share", "predicted", Format::new(Unit::Percent, 1), |case| {
+            Some(case.validation.predicted_share())
+        })
+        .number("innovation_rms_m", "rms", Format::new(Unit::Millimetres, 1), |case| {
+            Some(case.validation.innovation_rms_m)
+        })
+        .number("nis", "NIS", Format::new(Unit::None, 2), |case| Some(case.validation.nis));
+    report.table("validation", &table);
+    pictures::add(report, &pictures::validation(steps));
 }
 
-fn gate(steps: &StepResults) -> ResultTable {
-    let rows = steps.gate.iter().map(|trial| {
-        vec![
-            format!("{:.0}", 1e3 * trial.added_m),
-            if trial.is_gated { "refused" } else { "used" }.to_owned(),
-            format!("{:.0}", 1e3 * trial.jumped_m),
-        ]
-    });
-    ResultTable {
-        headline: "gate: a reading of the step made wrong, range-kf, sigma_u 50 mm".to_owned(),
-        header: vec!["added mm", "verdict", "estimate jumps mm"],
-        rows: rows.collect(),
-    }
+fn add_gate(report: &mut Report, trials: &[GateTrial]) {
+    report.heading("Gate: a reading of the step made wrong, range-kf, sigma_u 50 mm");
+    let table = Table::of(trials)
+        .number("added_m", "added", WHOLE_MM, |trial| Some(trial.added_m))
+        .text("", "verdict", |trial| if trial.is_gated { "refused" } else { "used" }.to_owned())
+        .data("refused", |trial| json!(trial.is_gated))
+        .number("jumped_m", "estimate jumps", WHOLE_MM, |trial| Some(trial.jumped_m));
+    report.table("gate", &table);
 }
 
-fn approaches(prepared: &SimulatedSetup, driven: &[ApproachResult]) -> ResultTable {
-    let rows = driven.iter().map(|driven| {
-        let (case, sum, against) = (driven.case, driven.summary, driven.against_line);
-        vec![
-            case.source.name().to_owned(),
-            case.placement.name().to_owned(),
-            case.tuning.to_owned(),
-            format!("{:.0}", case.max_pwm),
-            format!("{:+.0}", 1e3 * sum.mean_error_m),
-            format!("{:.0}", 1e3 * sum.worst_error_m),
-            format!("{}/{}", sum.near, sum.runs),
-            format!("{:.2}", sum.mean_time_s),
-            format!("{:.2}", sum.mean_approach_m_per_s),
-            against.nearer.to_string(),
-            against.both.to_string(),
-        ]
-    });
-    ResultTable {
-        headline: format!(
-            "approaches to {:.0} mm, {} runs each, seed {}; host over {}; nearer, and nearer and faster, than the tuned line on the brick at PWM {:.0}",
-            1e3 * prepared.scene.approach.target_m,
-            prepared.runs,
-            prepared.scene.seed,
-            prepared.profile_name,
-            prepared.scene.approach.most_pwm
-        ),
-        header: vec![
-            "distance by",
-            "on",
-            "gains",
-            "PWM",
-            "error mm",
-            "worst mm",
-            "within 20",
-            "time s",
-            "speed m/s",
-            "nearer",
-            "and faster",
-        ],
-        rows: rows.collect(),
-    }
-}
-
-fn page(prepared: &SimulatedSetup, steps: &StepResults, driven: &[ApproachResult], tables: ResultTables) -> ReportPage {
-    let mut parts = vec![
-        ReportBlock::Text(
-            "A car drives at a wall. Its range sensor speaks seldom, its motors are slow, and it has to stop a foot before \
-             the wall. What does a model of the motors buy?"
-                .to_owned(),
-        ),
-        ReportBlock::PreformattedText(again::rerun_command(None)),
-    ];
-    let figures = [
-        Some(pictures::step(steps)),
-        Some(pictures::validation(steps)),
-        None,
-        Some(pictures::approaches(&prepared.scene, driven)),
-    ];
-    for (table, figure) in tables.0.into_iter().zip(figures) {
-        parts.push(ReportBlock::Heading(table.headline));
-        parts.push(ReportBlock::table(&table.header, table.rows));
-        parts.extend(figure);
-    }
-    parts.push(ReportBlock::Text(
-        "Error: true distance at which the car first stood, minus the target; negative is too near. Time: from the start to that stand. \
-         Speed: the way over that time."
-            .to_owned(),
+fn add_approaches(report: &mut Report, prepared: &SimulatedSetup, driven: &[ApproachResult]) {
+    let approach = &prepared.scene.approach;
+    report.heading(format!(
+        "Approaches to {:.0} mm, {} runs each, seed {}, host over {}",
+        1e3 * approach.target_m,
+        prepared.runs,
+        prepared.scene.seed,
+        prepared.profile_name
     ));
-    ReportPage { title: "The distance to a wall".to_owned(), blocks: parts }
-}
-
-fn object(prepared: &SimulatedSetup, steps: &StepResults, driven: &[ApproachResult]) -> Value {
-    let fit = |fit: &StepFit| {
-        json!({
-            "steady_m_per_s": fit.steady_m_per_s.0,
-            "steady_sigma_m_per_s": fit.steady_m_per_s.1,
-            "rise_90_s": fit.rise_90_s.0,
-            "rise_90_sigma_s": fit.rise_90_s.1,
-            "drag_s_per_m": fit.drag_s_per_m.0,
-            "drag_sigma_s_per_m": fit.drag_s_per_m.1,
-            "mass_s2_per_m": fit.mass_s2_per_m.0,
-            "mass_sigma_s2_per_m": fit.mass_s2_per_m.1,
-            "range_sigma_m": fit.range_sigma_m,
-            "readings": fit.readings,
+    let seconds = Format::new(Unit::Named("s"), 2);
+    let table = Table::of(driven)
+        .text("distance_by", "distance by", |row| row.case.source.name().to_owned())
+        .text("on", "on", |row| row.case.placement.name().to_owned())
+        .text("gains", "gains", |row| row.case.tuning.to_owned())
+        .number("most_pwm", "PWM", Format::new(Unit::None, 0), |row| Some(row.case.max_pwm))
+        .labels(4)
+        .number("mean_error_m", "error", WHOLE_MM.signed(), |row| Some(row.summary.mean_error_m))
+        .data("rms_error_m", |row| json!(row.summary.rms_error_m))
+        .number("worst_error_m", "worst", WHOLE_MM, |row| Some(row.summary.worst_error_m))
+        .text("", "near", |row| format!("{}/{}", row.summary.near, row.summary.runs))
+        .data("near", |row| json!(row.summary.near))
+        .data("runs", |row| json!(row.summary.runs))
+        .data("stopped", |row| json!(row.summary.stopped))
+        .number("mean_time_s", "time", seconds, |row| Some(row.summary.mean_time_s))
+        .number("mean_approach_m_per_s", "speed", Format::new(Unit::Named("m/s"), 2), |row| {
+            Some(row.summary.mean_approach_m_per_s)
         })
-    };
-    let paper = WallApproachModel::from_step_test(PAPER_STEP.0, PAPER_STEP.1);
-    let model =
-        |model: WallApproachModel| json!({ "drag_s_per_m": model.drag_s_per_m, "mass_s2_per_m": model.mass_s2_per_m });
-    let validations = steps.validations.iter().map(|validated| {
-        json!({
-            "filter": variant_name(validated.variant),
-            "process_m": validated.process_m,
-            "gain": validated.validation.gain,
-            "gate_m": validated.validation.gate_m,
-            "used": validated.validation.used,
-            "gated": validated.validation.gated,
-            "predicted_share": validated.validation.predicted_share(),
-            "innovation_rms_m": validated.validation.innovation_rms_m,
-            "nis": validated.validation.nis,
-        })
-    });
-    let gate = steps
-        .gate
-        .iter()
-        .map(|trial| json!({ "added_m": trial.added_m, "refused": trial.is_gated, "jumped_m": trial.jumped_m }));
-    json!({
-        "seed": prepared.scene.seed,
-        "truth": model(steps.truth),
-        "paper": model(paper),
-        "by_hand": steps.by_hand.first().map(|hand| json!({
-            "steady_m_per_s": hand.steady_m_per_s,
-            "steady_by_difference_m_per_s": hand.steady_by_difference_m_per_s,
-            "rise_90_s": hand.rise_90_s,
-            "start_s": hand.start_s,
-            "drag_s_per_m": hand.model.drag_s_per_m,
-            "mass_s2_per_m": hand.model.mass_s2_per_m,
-        })),
-        "fit_of_first": fit(&steps.one),
-        "fit": fit(&steps.all),
-        "validation": validations.collect::<Vec<_>>(),
-        "gate": gate.collect::<Vec<_>>(),
-        "near_m": NEAR_WALL_M,
-        "link": prepared.profile_name,
-        "approaches": driven.iter().map(approach_object).collect::<Vec<_>>(),
-    })
-}
-
-fn approach_object(driven: &ApproachResult) -> Value {
-    let (case, sum) = (driven.case, driven.summary);
-    json!({
-        "distance_by": case.source.name(),
-        "on": case.placement.name(),
-        "gains": case.tuning,
-        "most_pwm": case.max_pwm,
-        "runs": sum.runs,
-        "stopped": sum.stopped,
-        "near": sum.near,
-        "mean_error_m": sum.mean_error_m,
-        "rms_error_m": sum.rms_error_m,
-        "worst_error_m": sum.worst_error_m,
-        "mean_time_s": sum.mean_time_s,
-        "mean_approach_m_per_s": sum.mean_approach_m_per_s,
-        "nearer_than_line": driven.against_line.nearer,
-        "faster_than_line": driven.against_line.faster,
-        "nearer_and_faster_than_line": driven.against_line.both,
-    })
+        .count("nearer_than_line", "nearer", |row| row.against_line.nearer)
+        .data("faster_than_line", |row| json!(row.against_line.faster))
+        .count("nearer_and_faster_than_line", "and faster", |row| row.against_line.both);
+    report.table("approaches", &table);
+    pictures::add(report, &pictures::approaches(&prepared.scene, driven));
+    report.paragraph(format!(
+        "Error: true distance at which the car first stood, minus the target; negative is too near. Near: within {:.0} mm. Time: \
+         from the start to that stand. Speed: the way over that time. Nearer, and nearer and faster: than the tuned line on the \
+         brick at PWM {:.0}.",
+        1e3 * NEAR_WALL_M,
+        approach.most_pwm
+    ));
+    report.data("near_m", json!(NEAR_WALL_M));
+    report.data("link", json!(prepared.profile_name));
 }

@@ -14,7 +14,7 @@
 //! scatter, and never larger than described: what else scatters (a tag off the axle, slip) does not make chords longer.
 //!
 //! # Source
-//! Own; docs/lab/calibrate.md section 3, equation 8.
+//! Own; docs/lab/calibration.md section 3, equation 8.
 
 use posebridge_telemetry::UncertainValue;
 

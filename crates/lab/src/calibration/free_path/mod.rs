@@ -16,7 +16,7 @@
 //! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
 //!
 //! # Source
-//! docs/lab/calibrate.md section 3.
+//! docs/lab/calibration.md section 3.
 
 mod drive;
 mod heading_noise;

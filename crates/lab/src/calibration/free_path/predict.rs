@@ -15,7 +15,7 @@
 //! on the unknowns and is left out.
 //!
 //! # Source
-//! Larsen, Hansen, Andersen and Ravn (1999), Proceedings of FUSION (calibration by innovations); docs/lab/calibrate.md section 3.
+//! Larsen, Hansen, Andersen and Ravn (1999), Proceedings of FUSION (calibration by innovations); docs/lab/calibration.md section 3.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step, step_noise};

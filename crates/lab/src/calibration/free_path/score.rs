@@ -1,6 +1,7 @@
 //! How far dead reckoning alone ends up from where the robot was seen.
 
 use posebridge_estimator::FilterConfig;
+use posebridge_estimator::numerics::statistics;
 
 use super::drive::FreePath;
 use super::hypotheses::estimate_start_heading;
@@ -50,9 +51,8 @@ pub fn dead_reckon(
         .zip(&path.fixes)
         .map(|(ours, sight)| (ours[0] - sight.position_m[0]).hypot(ours[1] - sight.position_m[1]));
     let off: Vec<f64> = off.collect();
-    let squares: f64 = off.iter().map(|m| m * m).sum();
     let error = DeadReckoningError {
-        rms_m: (squares / off.len().max(1) as f64).sqrt(),
+        rms_m: statistics::root_mean_square(&off).unwrap_or(0.0),
         max_m: off.iter().copied().fold(0.0, f64::max),
         end_m: off.last().copied().unwrap_or(0.0),
     };
@@ -62,8 +62,7 @@ pub fn dead_reckon(
 /// The mean of each figure over runs.
 #[must_use]
 pub fn mean_error(errors: &[DeadReckoningError]) -> DeadReckoningError {
-    let count = errors.len().max(1) as f64;
-    let mean = |of: fn(&DeadReckoningError) -> f64| errors.iter().map(of).sum::<f64>() / count;
+    let mean = |of: fn(&DeadReckoningError) -> f64| statistics::mean(errors.iter().map(of)).unwrap_or(0.0);
     DeadReckoningError {
         rms_m: mean(|error| error.rms_m),
         max_m: mean(|error| error.max_m),

@@ -7,6 +7,8 @@
 //! mean of W  between chi2(0.025, W m) / (W m) and chi2(0.975, W m) / (W m) likewise
 //! ```
 
+use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+
 use super::super::panel::ValueRange;
 use super::super::plot::CurveShape;
 use super::super::strip::{StripChart, StripPanel, StyledCurve, render_strip};
@@ -15,7 +17,6 @@ use super::{
     symmetric_range,
 };
 use crate::metrics::ConsistencyBand;
-use crate::metrics::chi_square;
 
 /// Number of NIS values in an average: their band is a fifth wide to either side with two degrees of freedom.
 const WINDOW_SAMPLES: usize = 50;
@@ -91,7 +92,7 @@ fn innovation_panel(samples: &[InnovationSample], component: usize, name: &str, 
 
 fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
     let m = u64::from(degrees);
-    let per_degree = |probability| chi_square::quantile(probability, m).map_or(1.0, |value| value / m as f64);
+    let per_degree = |probability| if m > 0 { chi_square_quantile(m, probability) / m as f64 } else { 1.0 };
     let top = per_degree(NIS_AXIS_QUANTILE) * ABOVE_AXIS_FACTOR;
     let ratio = |sample: &InnovationSample| {
         // What lies above the panel is shown on its edge.

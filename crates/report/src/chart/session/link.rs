@@ -3,7 +3,7 @@
 //! Counters only grow, so a rate is the difference of two of them over the time between; a frame that was missing and comes late is
 //! taken off its count, which is no negative loss.
 
-use posebridge_telemetry::LinkHealth;
+use posebridge_telemetry::LinkCounter;
 
 use super::super::plot::CurveShape;
 use super::super::strip::{StripChart, StripPanel, StyledCurve, render_strip};
@@ -11,24 +11,21 @@ use super::{LinkSample, curve_style};
 
 const HEIGHT_PX: f64 = 92.0;
 
-/// A counter and its name.
-type Counter = (&'static str, fn(&LinkHealth) -> u64);
+const TRAFFIC_COUNTERS: [LinkCounter; 2] = [LinkCounter::FRAMES_IN, LinkCounter::FRAMES_OUT];
 
-const TRAFFIC_COUNTERS: [Counter; 2] = [("received", |health| health.frames_in), ("sent", |health| health.frames_out)];
-
-const ERROR_COUNTERS: [Counter; 9] = [
-    ("lost", |health| health.frames_lost),
-    ("damaged", |health| health.checksum_errors),
-    ("stalls", |health| health.timeouts),
-    ("unknown", |health| health.unknown_ids),
-    ("refused", |health| health.rejected_frames),
-    ("came twice", |health| health.duplicates),
-    ("thinned", |health| health.rate_limited),
-    ("not sent", |health| health.drops_out + health.port.drops_out),
-    ("reconnects", |health| health.reconnects),
+const ERROR_COUNTERS: [LinkCounter; 9] = [
+    LinkCounter::FRAMES_LOST,
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::TIMEOUTS,
+    LinkCounter { label: "unknown", ..LinkCounter::UNKNOWN_IDS },
+    LinkCounter::REJECTED_FRAMES,
+    LinkCounter::DUPLICATES,
+    LinkCounter::RATE_LIMITED,
+    LinkCounter::UNSENT,
+    LinkCounter::RECONNECTS,
 ];
 
-const GARBAGE_COUNTERS: [Counter; 1] = [("garbage bytes", |health| health.garbage_bytes)];
+const GARBAGE_COUNTERS: [LinkCounter; 1] = [LinkCounter::GARBAGE_BYTES];
 
 /// Draws it; returns a whole SVG document. What never happened has no curve.
 #[must_use]
@@ -45,18 +42,18 @@ pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
     render_strip(&StripChart { title: title.to_owned(), x_name: "time [s]".to_owned(), panels })
 }
 
-fn rates(y_name: &str, counters: &[Counter], samples: &[LinkSample]) -> StripPanel {
+fn rates(y_name: &str, counters: &[LinkCounter], samples: &[LinkSample]) -> StripPanel {
     let last = samples.last();
-    let happened = |counter: &&Counter| last.is_some_and(|last| (counter.1)(&last.health) > 0);
+    let happened = |counter: &&LinkCounter| last.is_some_and(|last| (counter.read)(&last.health) > 0);
     let curves = counters.iter().filter(happened).enumerate();
-    let curves = curves.map(|(place, (name, read))| {
+    let curves = curves.map(|(place, counter)| {
         let rate = samples.windows(2).filter_map(|pair| {
             let [before, after] = pair else { return None };
             let elapsed_s = after.t_s - before.t_s;
-            let grown = (read)(&after.health).saturating_sub((read)(&before.health));
+            let grown = (counter.read)(&after.health).saturating_sub((counter.read)(&before.health));
             (elapsed_s > 0.0).then(|| (after.t_s, grown as f64 / elapsed_s))
         });
-        StyledCurve::new(*name, CurveShape::Line(rate.collect()), curve_style(place + 1))
+        StyledCurve::new(counter.label, CurveShape::Line(rate.collect()), curve_style(place + 1))
     });
     StripPanel { y_name: y_name.to_owned(), height_px: HEIGHT_PX, curves: curves.collect(), ..StripPanel::default() }
 }
@@ -93,7 +90,7 @@ fn single_curve_panel(y_name: &str, name: &str, points: Vec<(f64, f64)>) -> Opti
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::TimeDelta;
+    use posebridge_telemetry::{LinkHealth, TimeDelta};
 
     fn sample(t_s: f64, frames_in: u64, frames_lost: u64) -> LinkSample {
         LinkSample {

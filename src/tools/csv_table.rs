@@ -1,44 +1,62 @@
-//! Small tables that a person typed: a line of column names, then numbers, with commas between.
+//! Small tables with the names of their columns in the first line: a person typed them, or a program wrote them.
 
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+use csv::{ReaderBuilder, StringRecord, Terminator, Trim};
 
 /// A file of rows.
-pub(crate) struct CsvTable {
+pub struct CsvTable {
     name: String,
-    columns: Vec<String>,
-    rows: Vec<(usize, Vec<String>)>,
+    columns: StringRecord,
+    rows: Vec<(usize, StringRecord)>,
 }
 
 /// One row, which knows its line.
-pub(crate) struct CsvRow<'a> {
+pub struct CsvRow<'a> {
     table: &'a CsvTable,
     line: usize,
-    cells: &'a [String],
+    cells: &'a StringRecord,
 }
 
 impl CsvTable {
     /// Reads a file; lines that begin with `#` and empty ones are left out.
     ///
     /// # Errors
-    /// It cannot be read, names no columns, or a row has more cells than there are columns: a decimal comma would shift what follows.
-    pub(crate) fn read(path: &Path) -> Result<Self> {
+    /// It cannot be read, names no columns, a quote is not closed in its line, or a row has more cells than there are columns: a decimal
+    /// comma would shift what follows.
+    pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
-        let text = text.trim_start_matches('\u{feff}');
-        let cells = |line: &str| -> Vec<String> { line.split(',').map(|cell| cell.trim().to_owned()).collect() };
-        let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
-        let Some((_, header)) = lines.next() else {
-            bail!("`{name}` is empty: its first line has to name the columns")
-        };
-        let columns = cells(header);
-        let rows: Vec<(usize, Vec<String>)> = lines.map(|(index, line)| (index + 1, cells(line))).collect();
+        Self::parse(name, text.trim_start_matches('\u{feff}'))
+    }
+
+    fn parse(name: String, text: &str) -> Result<Self> {
+        // The lines are chosen here: the crate counts them wrongly after CRLF, blank lines and comments.
+        let (numbers, lines): (Vec<usize>, Vec<&str>) =
+            (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#')).unzip();
+        let text = lines.join("\n");
+        let reader = ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(Trim::All)
+            .terminator(Terminator::Any(b'\n'))
+            .from_reader(text.as_bytes());
+        let mut records = numbers.into_iter().zip(reader.into_records()).map(|(line, cells)| {
+            let cells = cells.with_context(|| format!("`{name}` line {line}"))?;
+            ensure!(
+                !cells.as_slice().contains('\n'),
+                "`{name}` line {line}: a quote is not closed; end the cell with \""
+            );
+            Ok((line, cells))
+        });
+        let Some(header) = records.next() else { bail!("`{name}` is empty: its first line has to name the columns") };
+        let (_, columns) = header?;
+        let rows = records.collect::<Result<Vec<_>>>()?;
         for (line, cells) in &rows {
             // A spreadsheet may end its lines with commas.
-            let beyond = cells.iter().skip(columns.len());
             ensure!(
-                beyond.into_iter().all(String::is_empty),
+                cells.iter().skip(columns.len()).all(str::is_empty),
                 "`{name}` line {line} has {} cells under {} columns; write decimal points, not commas: -12.5",
                 cells.len(),
                 columns.len()
@@ -48,27 +66,28 @@ impl CsvTable {
     }
 
     /// Whether there is such a column.
-    pub(crate) fn has(&self, column: &str) -> bool {
+    pub fn has(&self, column: &str) -> bool {
         self.columns.iter().any(|name| name == column)
     }
 
     /// The names of the columns, as the first line has them.
-    pub(crate) fn columns(&self) -> &[String] {
+    pub fn columns(&self) -> &StringRecord {
         &self.columns
     }
 
     /// The rows in their order.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
+    pub fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
         self.rows.iter().map(|(line, cells)| CsvRow { table: self, line: *line, cells })
     }
 }
 
 impl CsvRow<'_> {
     /// The text in a column.
-    pub(crate) fn text(&self, column: &str) -> Result<&str> {
+    pub fn text(&self, column: &str) -> Result<&str> {
         let CsvTable { name, columns, .. } = self.table;
         let Some(place) = columns.iter().position(|known| known == column) else {
-            bail!("`{name}` has no column `{column}`; it has: {}. Name it in the first line", columns.join(", "))
+            let known: Vec<&str> = columns.iter().collect();
+            bail!("`{name}` has no column `{column}`; it has: {}. Name it in the first line", known.join(", "))
         };
         match self.cells.get(place) {
             Some(text) if !text.is_empty() => Ok(text),
@@ -77,7 +96,7 @@ impl CsvRow<'_> {
     }
 
     /// The number in a column.
-    pub(crate) fn number(&self, column: &str) -> Result<f64> {
+    pub fn number(&self, column: &str) -> Result<f64> {
         let text = self.text(column)?;
         match text.parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
@@ -86,7 +105,7 @@ impl CsvRow<'_> {
     }
 
     /// Where the row stands, for a complaint.
-    pub(crate) fn location(&self) -> String {
+    pub fn location(&self) -> String {
         format!("`{}` line {}", self.table.name, self.line)
     }
 }
@@ -100,6 +119,23 @@ mod tests {
         let path = folder.path().join("t.csv");
         std::fs::write(&path, text).unwrap();
         CsvTable::read(&path)
+    }
+
+    #[test]
+    fn a_line_is_counted_behind_crlf_blank_lines_and_remarks() {
+        let listing = listing("\r\nway,x_mm\r\n \r\n# twice\r\n\r\n\"cw, \"\"slow\"\"\",far\r\n").unwrap();
+        let row = listing.rows().next().unwrap();
+        assert_eq!(row.text("way").unwrap(), "cw, \"slow\"");
+        let error = row.number("x_mm").unwrap_err().to_string();
+        assert!(error.ends_with("t.csv` line 6: `far` in column `x_mm` is no number"), "{error}");
+    }
+
+    #[test]
+    fn an_open_quote_does_not_hide_the_rows_behind_it() {
+        for (text, line) in [("\"way,x_mm\ncw,1\n", 1), ("way,x_mm\n\ncw,1\n\"cw,2\ncw,3\n", 4)] {
+            let error = listing(text).err().unwrap().to_string();
+            assert!(error.contains(&format!("t.csv` line {line}: a quote is not closed")), "{error}");
+        }
     }
 
     #[test]

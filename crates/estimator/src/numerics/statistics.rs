@@ -1,0 +1,49 @@
+//! Means and quantiles.
+
+/// The mean; `None` of nothing.
+#[must_use]
+pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.into_iter().fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// The root of the mean square; `None` of nothing. Scaled by the largest value, so that squares do not overflow.
+#[must_use]
+pub fn root_mean_square(values: &[f64]) -> Option<f64> {
+    let largest = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+    if values.is_empty() || largest == 0.0 {
+        return values.first().map(|_| 0.0);
+    }
+    let mean_square = mean(values.iter().map(|value| (value / largest).powi(2)))?;
+    Some(largest * mean_square.sqrt())
+}
+
+/// The smallest value that this share of the values does not exceed (nearest rank); `None` of nothing.
+#[must_use]
+pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_mean_square_of_3_and_4_is_the_root_of_12_and_a_half() {
+        assert!((root_mean_square(&[3.0, -4.0]).unwrap() - 12.5_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(root_mean_square(&[0.0, 0.0]), Some(0.0));
+        assert_eq!((root_mean_square(&[]), mean([])), (None, None));
+        assert!((root_mean_square(&[1e300, 1e300]).unwrap() / 1e300 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_quantile_is_one_of_the_values() {
+        let values = [4.0, 1.0, 3.0, 2.0];
+        let found = [0.0, 0.25, 0.26, 0.5, 0.95, 1.0].map(|share| quantile(&values, share).unwrap());
+        assert_eq!(found, [1.0, 1.0, 2.0, 2.0, 4.0, 4.0]);
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+}

@@ -1,0 +1,665 @@
+//! The result of a command, given once: text for a terminal, an HTML page and JSON come from the same values.
+//!
+//! Values are in SI units. A [`Format`] says how people read them; JSON holds them as they are, under their keys, which are contracts.
+//!
+//! ```
+//! use posebridge_report::report::{Format, Quantity, Report, Unit};
+//! let mut report = Report::new("demo", "Track width");
+//! report.values([Quantity::new("track_m", "track width", 0.1123, Format::new(Unit::Millimetres, 1)).with_sigma(0.0004)]);
+//! assert_eq!(report.text(), "Track width\n\ntrack width  112.3 ± 0.4 mm\n");
+//! assert_eq!(report.json()["track_m"]["value"], 0.1123);
+//! ```
+
+use serde_json::{Map, Value, json};
+
+use crate::chart::{Plot, render_plot};
+use crate::metrics::VerdictTone;
+use crate::page::{ReportBlock, ReportPage};
+use crate::tables::cells::three_digits;
+use crate::tables::{NO_VALUE, TextTable};
+
+/// The width of a line of text.
+const LINE_WIDTH: usize = 80;
+/// What [`TextTable`] leaves between two columns.
+const GUTTER_WIDTH: usize = 2;
+
+/// In which unit people read an SI value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// The SI unit or no unit at all, without a name.
+    None,
+    /// The value's own unit, with this name.
+    Named(&'static str),
+    /// From metres.
+    Millimetres,
+    /// From radians.
+    Degrees,
+    /// From seconds.
+    Milliseconds,
+    /// From metres per second.
+    MillimetresPerSecond,
+    /// From radians per second.
+    DegreesPerSecond,
+    /// From a share of one.
+    Percent,
+}
+
+impl Unit {
+    fn scale(self) -> f64 {
+        match self {
+            Self::None | Self::Named(_) => 1.0,
+            Self::Millimetres | Self::Milliseconds | Self::MillimetresPerSecond => 1e3,
+            Self::Degrees | Self::DegreesPerSecond => 1_f64.to_degrees(),
+            Self::Percent => 100.0,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Named(name) => name,
+            Self::Millimetres => "mm",
+            Self::Degrees => "deg",
+            Self::Milliseconds => "ms",
+            Self::MillimetresPerSecond => "mm/s",
+            Self::DegreesPerSecond => "deg/s",
+            Self::Percent => "%",
+        }
+    }
+
+    /// The text of a value or a heading, and the unit behind it.
+    fn append_to(self, text: &str) -> String {
+        let name = self.name();
+        if name.is_empty() { text.to_owned() } else { format!("{text} {name}") }
+    }
+}
+
+/// How exactly people read a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Precision {
+    /// Digits after the point.
+    Decimals(usize),
+    /// Three significant digits, for values that span decades.
+    ThreeDigits,
+}
+
+/// How people read a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Format {
+    unit: Unit,
+    precision: Precision,
+    /// With a plus before what is not negative.
+    is_signed: bool,
+}
+
+impl Format {
+    /// With so many digits after the point.
+    #[must_use]
+    pub const fn new(unit: Unit, digits: usize) -> Self {
+        Self { unit, precision: Precision::Decimals(digits), is_signed: false }
+    }
+
+    /// With three significant digits.
+    #[must_use]
+    pub const fn three_digits(unit: Unit) -> Self {
+        Self { unit, precision: Precision::ThreeDigits, is_signed: false }
+    }
+
+    /// The same with a plus before what is not negative.
+    #[must_use]
+    pub const fn signed(self) -> Self {
+        Self { is_signed: true, ..self }
+    }
+
+    /// The number without its unit; a dash where there is none.
+    #[must_use]
+    pub fn number(self, value: Option<f64>) -> String {
+        match (value.map(|value| value * self.unit.scale()), self.precision) {
+            (None, _) => NO_VALUE.to_owned(),
+            (value, Precision::ThreeDigits) => three_digits(value),
+            (Some(value), Precision::Decimals(digits)) if self.is_signed => format!("{value:+.digits$}"),
+            (Some(value), Precision::Decimals(digits)) => format!("{value:.digits$}"),
+        }
+    }
+
+    /// The number and its standard deviation, if it has one, without their unit.
+    fn uncertain_number(self, value: Option<f64>, sigma: Option<f64>) -> String {
+        let number = self.number(value);
+        match value.and(sigma) {
+            Some(sigma) => format!("{number} ± {}", Self { is_signed: false, ..self }.number(Some(sigma))),
+            None => number,
+        }
+    }
+
+    /// The number with its unit.
+    #[must_use]
+    pub fn text(self, value: f64) -> String {
+        self.unit.append_to(&self.number(Some(value)))
+    }
+}
+
+/// A value with a name.
+#[derive(Clone, Debug)]
+pub struct Quantity {
+    key: &'static str,
+    label: String,
+    value: Option<f64>,
+    sigma: Option<f64>,
+    format: Format,
+}
+
+impl Quantity {
+    /// A value for JSON under `key` and for people under `label`. An empty key leaves it out of JSON.
+    pub fn new(key: &'static str, label: impl Into<String>, value: f64, format: Format) -> Self {
+        Self { key, label: label.into(), value: Some(value), sigma: None, format }
+    }
+
+    /// One that may be missing: `null` in JSON and left out for people.
+    pub fn optional(key: &'static str, label: impl Into<String>, value: Option<f64>, format: Format) -> Self {
+        Self { key, label: label.into(), value, sigma: None, format }
+    }
+
+    /// The same with its standard deviation: in JSON an object of `value` and `sigma`.
+    #[must_use]
+    pub fn with_sigma(self, sigma: f64) -> Self {
+        Self { sigma: Some(sigma), ..self }
+    }
+
+    /// What people read, without the label.
+    fn text(&self) -> Option<String> {
+        self.value?;
+        Some(self.format.unit.append_to(&self.format.uncertain_number(self.value, self.sigma)))
+    }
+
+    fn json(&self) -> Value {
+        match self.sigma {
+            Some(sigma) => json!({ "value": self.value, "sigma": sigma }),
+            None => json!(self.value),
+        }
+    }
+}
+
+/// A value in a cell.
+enum Cell {
+    Text(String),
+    Count(Option<usize>),
+    Number(Option<f64>),
+    Uncertain {
+        value: Option<f64>,
+        sigma: Option<f64>,
+    },
+    /// For JSON alone.
+    Data(Value),
+}
+
+/// A column over rows of type `R`.
+struct Column<'a, R> {
+    key: &'static str,
+    /// What people read above it; a column without a heading is for JSON alone.
+    heading: Option<String>,
+    format: Format,
+    cell: Box<dyn Fn(&R) -> Cell + 'a>,
+}
+
+impl<R> Column<'_, R> {
+    fn text(&self, row: &R) -> String {
+        match (self.cell)(row) {
+            Cell::Text(text) => text,
+            Cell::Count(count) => count.map_or_else(|| NO_VALUE.to_owned(), |count| count.to_string()),
+            Cell::Number(value) => self.format.number(value),
+            Cell::Uncertain { value, sigma } => self.format.uncertain_number(value, sigma),
+            Cell::Data(value) => value.to_string(),
+        }
+    }
+
+    fn json(&self, row: &R) -> Value {
+        match (self.cell)(row) {
+            Cell::Text(text) => json!(text),
+            Cell::Count(count) => json!(count),
+            Cell::Number(value) => json!(value),
+            Cell::Uncertain { value, sigma } => json!({ "value": value, "sigma": sigma }),
+            Cell::Data(value) => value,
+        }
+    }
+}
+
+/// A table: rows, and columns that say what of a row they show. A column's key is that of the row's JSON object; an empty one leaves the
+/// column out there.
+pub struct Table<'a, R> {
+    rows: &'a [R],
+    columns: Vec<Column<'a, R>>,
+    /// How many columns name a row.
+    labels: usize,
+}
+
+impl<'a, R> Table<'a, R> {
+    /// A table without columns.
+    #[must_use]
+    pub const fn of(rows: &'a [R]) -> Self {
+        Self { rows, columns: Vec::new(), labels: 1 }
+    }
+
+    /// The same with so many leading columns that name a row, instead of one: text that is too wide for a terminal goes on below, and
+    /// repeats them.
+    #[must_use]
+    pub fn labels(self, labels: usize) -> Self {
+        Self { labels, ..self }
+    }
+
+    /// A column of words.
+    #[must_use]
+    pub fn text(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> String + 'a) -> Self {
+        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Text(value(row)))
+    }
+
+    /// A column of whole numbers.
+    #[must_use]
+    pub fn count(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> usize + 'a) -> Self {
+        self.optional_count(key, heading, move |row| Some(value(row)))
+    }
+
+    /// A column of whole numbers; `None` is a dash for people and `null` in JSON.
+    #[must_use]
+    pub fn optional_count(
+        self,
+        key: &'static str,
+        heading: impl Into<String>,
+        value: impl Fn(&R) -> Option<usize> + 'a,
+    ) -> Self {
+        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Count(value(row)))
+    }
+
+    /// A column of numbers in SI units; `None` is a dash for people and `null` in JSON.
+    #[must_use]
+    pub fn number(
+        self,
+        key: &'static str,
+        heading: impl Into<String>,
+        format: Format,
+        value: impl Fn(&R) -> Option<f64> + 'a,
+    ) -> Self {
+        self.column(key, Some(heading.into()), format, move |row| Cell::Number(value(row)))
+    }
+
+    /// A column of numbers with their standard deviations; in JSON objects of `value` and `sigma`.
+    #[must_use]
+    pub fn uncertain(
+        self,
+        key: &'static str,
+        heading: impl Into<String>,
+        format: Format,
+        value: impl Fn(&R) -> Option<f64> + 'a,
+        sigma: impl Fn(&R) -> Option<f64> + 'a,
+    ) -> Self {
+        let cell = move |row: &R| Cell::Uncertain { value: value(row), sigma: sigma(row) };
+        self.column(key, Some(heading.into()), format, cell)
+    }
+
+    /// A column for JSON alone.
+    #[must_use]
+    pub fn data(self, key: &'static str, value: impl Fn(&R) -> Value + 'a) -> Self {
+        self.column(key, None, Format::new(Unit::None, 0), move |row| Cell::Data(value(row)))
+    }
+
+    fn column(
+        mut self,
+        key: &'static str,
+        heading: Option<String>,
+        format: Format,
+        cell: impl Fn(&R) -> Cell + 'a,
+    ) -> Self {
+        self.columns.push(Column { key, heading, format, cell: Box::new(cell) });
+        self
+    }
+
+    fn header(&self) -> Vec<String> {
+        let shown = |column: &Column<'_, R>| Some(column.format.unit.append_to(column.heading.as_deref()?));
+        self.columns.iter().filter_map(shown).collect()
+    }
+
+    fn cells(&self) -> Vec<Vec<String>> {
+        let shown = || self.columns.iter().filter(|column| column.heading.is_some());
+        self.rows.iter().map(|row| shown().map(|column| column.text(row)).collect()).collect()
+    }
+
+    /// The rows as an array of objects, for JSON that is nested otherwise than [`Report::table`] does it.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let keyed = || self.columns.iter().filter(|column| !column.key.is_empty());
+        let object = |row| keyed().map(|column| (column.key.to_owned(), column.json(row))).collect();
+        self.rows.iter().map(|row| Value::Object(object(row))).collect()
+    }
+}
+
+/// What stands in a report, in order.
+#[derive(Clone, Debug)]
+enum Section {
+    Heading(String),
+    Paragraph(String),
+    List(Vec<String>),
+    Values(Vec<[String; 2]>),
+    Table {
+        header: Vec<String>,
+        rows: Vec<Vec<String>>,
+        labels: usize,
+    },
+    Verdict {
+        tone: VerdictTone,
+        word: String,
+        text: String,
+    },
+    Code(String),
+    /// For the page alone.
+    Page(ReportBlock),
+}
+
+/// The result of a command.
+#[derive(Clone, Debug)]
+pub struct Report {
+    name: &'static str,
+    title: String,
+    sections: Vec<Section>,
+    json: Map<String, Value>,
+}
+
+impl Report {
+    /// A report without content. Its name is that of the command, with its words joined: files are called so.
+    pub fn new(name: &'static str, title: impl Into<String>) -> Self {
+        Self { name, title: title.into(), sections: Vec::new(), json: Map::new() }
+    }
+
+    /// The command's words joined, such as `lab-wall`.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// A headline within the report.
+    pub fn heading(&mut self, text: impl Into<String>) {
+        self.sections.push(Section::Heading(text.into()));
+    }
+
+    /// A paragraph.
+    pub fn paragraph(&mut self, text: impl Into<String>) {
+        self.sections.push(Section::Paragraph(text.into()));
+    }
+
+    /// Remarks, one per line.
+    pub fn list(&mut self, lines: impl IntoIterator<Item = String>) {
+        let lines: Vec<String> = lines.into_iter().collect();
+        if !lines.is_empty() {
+            self.sections.push(Section::List(lines));
+        }
+    }
+
+    /// Values, one per line.
+    pub fn values(&mut self, values: impl IntoIterator<Item = Quantity>) {
+        let mut rows = Vec::new();
+        for value in values {
+            if !value.key.is_empty() {
+                self.json.insert(value.key.to_owned(), value.json());
+            }
+            rows.extend(value.text().map(|text| [value.label, text]));
+        }
+        if !rows.is_empty() {
+            self.sections.push(Section::Values(rows));
+        }
+    }
+
+    /// A table; with a key that is not empty JSON has an array of its rows.
+    pub fn table<R>(&mut self, key: &'static str, table: &Table<'_, R>) {
+        self.sections.push(Section::Table { header: table.header(), rows: table.cells(), labels: table.labels });
+        if !key.is_empty() {
+            self.json.insert(key.to_owned(), table.json());
+        }
+    }
+
+    /// What people should know before they trust the result.
+    pub fn warning(&mut self, text: impl Into<String>) {
+        self.verdict(VerdictTone::Bad, "Warning:", text);
+    }
+
+    /// What is to be thought of something: in a word, and why.
+    pub fn verdict(&mut self, tone: VerdictTone, word: impl Into<String>, text: impl Into<String>) {
+        self.sections.push(Section::Verdict { tone, word: word.into(), text: text.into() });
+    }
+
+    /// Lines that keep their breaks and blanks.
+    pub fn code(&mut self, text: impl Into<String>) {
+        self.sections.push(Section::Code(text.into()));
+    }
+
+    /// A chart, for the page alone.
+    pub fn chart(&mut self, plot: &Plot, caption: impl Into<String>) {
+        self.figure(render_plot(plot), caption);
+    }
+
+    /// A whole SVG document, for the page alone.
+    pub fn figure(&mut self, svg: String, caption: impl Into<String>) {
+        self.page_only(ReportBlock::Figure { svg, caption: caption.into() });
+    }
+
+    /// A paragraph that explains what is compared and why, for the page alone: whoever typed the command knows.
+    pub fn background(&mut self, text: impl Into<String>) {
+        self.page_only(ReportBlock::Text(text.into()));
+    }
+
+    /// The command line that gives the page again, for the page alone.
+    pub fn command(&mut self, text: impl Into<String>) {
+        self.page_only(ReportBlock::PreformattedText(text.into()));
+    }
+
+    /// A block for the page alone, where a terminal would drown in it.
+    pub fn page_only(&mut self, block: ReportBlock) {
+        self.sections.push(Section::Page(block));
+    }
+
+    /// A value for JSON alone.
+    pub fn data(&mut self, key: &str, value: Value) {
+        self.json.insert(key.to_owned(), value);
+    }
+
+    /// Plain text for a terminal: the title, then what follows, with a line feed at the end.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut text = self.title.clone() + "\n";
+        let mut above: Option<&Section> = None;
+        for section in &self.sections {
+            let block = section.text();
+            if block.is_empty() {
+                continue;
+            }
+            let belongs_above = matches!(
+                (above, section),
+                (Some(Section::Heading(_)), _) | (Some(Section::Verdict { .. }), Section::Verdict { .. })
+            );
+            if !belongs_above {
+                text.push('\n');
+            }
+            text += &block;
+            above = Some(section);
+        }
+        text
+    }
+
+    /// The page.
+    #[must_use]
+    pub fn page(&self) -> ReportPage {
+        ReportPage { title: self.title.clone(), blocks: self.sections.iter().map(Section::block).collect() }
+    }
+
+    /// One object for programs.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        Value::Object(self.json.clone())
+    }
+}
+
+impl Section {
+    fn text(&self) -> String {
+        match self {
+            Self::Heading(text) => format!("{text}\n"),
+            Self::Paragraph(text) => wrapped(text),
+            Self::List(lines) => lines.iter().map(|line| wrapped(line)).collect(),
+            Self::Values(rows) => values_text(rows),
+            Self::Table { header, rows, labels } => table_text(header, rows, *labels),
+            Self::Verdict { word, text, .. } => wrapped(&format!("{word} {text}")),
+            Self::Code(text) => text.trim_end_matches('\n').to_owned() + "\n",
+            Self::Page(_) => String::new(),
+        }
+    }
+
+    fn block(&self) -> ReportBlock {
+        match self {
+            Self::Heading(text) => ReportBlock::Heading(text.clone()),
+            Self::Paragraph(text) => ReportBlock::Text(text.clone()),
+            Self::List(lines) => ReportBlock::List(lines.clone()),
+            Self::Values(rows) => {
+                ReportBlock::Table { header: Vec::new(), rows: rows.iter().map(|row| row.to_vec()).collect() }
+            }
+            Self::Table { header, rows, .. } => ReportBlock::Table { header: header.clone(), rows: rows.clone() },
+            Self::Verdict { tone, word, text } => {
+                ReportBlock::Verdict { tone: *tone, word: word.clone(), text: text.clone() }
+            }
+            Self::Code(text) => ReportBlock::PreformattedText(text.clone()),
+            Self::Page(block) => block.clone(),
+        }
+    }
+}
+
+/// Labels to the left, values behind them, both lined up on the left.
+fn values_text(rows: &[[String; 2]]) -> String {
+    let width = rows.iter().map(|[label, _]| label.chars().count()).max().unwrap_or(0);
+    let lines = rows.iter().map(|[label, value]| format!("{label:<width$}  {value}\n"));
+    lines.collect::<Vec<_>>().concat()
+}
+
+/// Columns for which a line has no room go on below, behind those that name the row.
+fn table_text(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
+    let all = || std::iter::once(header).chain(rows.iter().map(Vec::as_slice));
+    let width = |column: usize| {
+        let cells = all().filter_map(|row| row.get(column));
+        GUTTER_WIDTH + cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+    };
+    let label_width: usize = (0..labels).map(width).sum();
+    let (mut parts, mut part, mut used) = (Vec::new(), (0..labels).collect::<Vec<_>>(), label_width);
+    for column in labels..header.len() {
+        if part.len() > labels && used + width(column) > LINE_WIDTH + GUTTER_WIDTH {
+            parts.push(std::mem::replace(&mut part, (0..labels).collect()));
+            used = label_width;
+        }
+        used += width(column);
+        part.push(column);
+    }
+    parts.push(part);
+    let part_text = |part: &Vec<usize>| {
+        let cells =
+            |row: &[String]| -> Vec<String> { part.iter().filter_map(|column| row.get(*column).cloned()).collect() };
+        let mut table = TextTable::new(cells(header));
+        for row in rows {
+            table.push(cells(row));
+        }
+        table.render()
+    };
+    parts.iter().map(part_text).collect::<Vec<_>>().join("\n")
+}
+
+/// The text in lines that end at a blank; a longer word has a line of its own.
+fn wrapped(text: &str) -> String {
+    let mut lines = String::new();
+    let mut column = 0;
+    for word in text.split_whitespace() {
+        let length = word.chars().count();
+        if column > 0 && column + 1 + length > LINE_WIDTH {
+            lines.push('\n');
+            column = 0;
+        } else if column > 0 {
+            lines.push(' ');
+            column += 1;
+        }
+        lines.push_str(word);
+        column += length;
+    }
+    lines + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MM: Format = Format::new(Unit::Millimetres, 1);
+
+    fn report() -> Report {
+        let mut report = Report::new("demo", "Squares & ends");
+        report.values([
+            Quantity::new("bend_rad", "bend per side", -0.1, Format::new(Unit::Degrees, 2).signed()),
+            Quantity::optional("scatter_m", "scatter", None, MM),
+            Quantity::new("track", "track x", 1.02, Format::new(Unit::None, 3)).with_sigma(0.004),
+        ]);
+        let rows = [("cw", Some(0.0123), 3), ("ccw", None, 10)];
+        let table = Table::of(&rows)
+            .text("way", "direction", |(way, ..)| (*way).to_owned())
+            .number("ahead_m", "ahead", MM.signed(), |(_, ahead_m, _)| *ahead_m)
+            .count("", "runs", |(.., runs)| *runs)
+            .data("runs_squared", |(.., runs)| json!(runs * runs));
+        report.heading("Ends");
+        report.table("ends", &table);
+        report.warning("a < b");
+        report.verdict(VerdictTone::Good, "Fine:", "c");
+        report.background("why");
+        report.data("source", json!("drive"));
+        report
+    }
+
+    #[test]
+    fn text_page_and_json_hold_the_same_values() {
+        let report = report();
+        let text = "Squares & ends\n\nbend per side  -5.73 deg\ntrack x        1.020 ± 0.004\n\nEnds\n\
+                    direction  ahead mm  runs\ncw            +12.3     3\nccw               -    10\n\nWarning: a < b\nFine: c\n";
+        assert_eq!(report.text(), text);
+        let json = json!({
+            "bend_rad": -0.1, "scatter_m": null, "track": { "value": 1.02, "sigma": 0.004 },
+            "source": "drive", "ends": [
+                { "way": "cw", "ahead_m": 0.0123, "runs_squared": 9 },
+                { "way": "ccw", "ahead_m": null, "runs_squared": 100 },
+            ],
+        });
+        assert_eq!(report.json(), json);
+        let html = report.page().html();
+        let pieces = [
+            "<h1>Squares &amp; ends</h1>",
+            "<td>-5.73 deg</td>",
+            "<th>ahead mm</th>",
+            "<td>+12.3</td>",
+            "a &lt; b",
+            "<p>why</p>",
+        ];
+        for piece in pieces {
+            assert!(html.contains(piece), "{piece} in {html}");
+        }
+    }
+
+    #[test]
+    fn a_table_that_is_too_wide_goes_on_below_its_labels() {
+        let share = Format::new(Unit::Percent, 1);
+        let heading = "x".repeat(LINE_WIDTH - 14);
+        let table = Table::of(&[0.25])
+            .text("", "a", |_| "row".to_owned())
+            .count("", "b", |_| 7)
+            .number("", &heading, share, |value| Some(*value))
+            .uncertain("c", "c", Format::three_digits(Unit::Millimetres), |value| Some(*value), |_| Some(0.000_123))
+            .labels(2);
+        let mut report = Report::new("wide", "Wide");
+        report.table("rows", &table);
+        let text = report.text();
+        assert!(text.ends_with(" 25.0\n\na    b         c mm\nrow  7  250 ± 0.123\n"), "{text}");
+        assert_eq!(report.json(), json!({ "rows": [{ "c": { "value": 0.25, "sigma": 0.000_123 } }] }));
+    }
+
+    #[test]
+    fn a_paragraph_breaks_between_words_before_the_line_is_full() {
+        let (line, long) = ("x".repeat(LINE_WIDTH - 2), "w".repeat(LINE_WIDTH + 5));
+        assert_eq!(wrapped(&format!("{line} a b\n{long} y")), format!("{line} a\nb\n{long}\ny\n"));
+        assert_eq!(wrapped(""), "\n");
+    }
+}
