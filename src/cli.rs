@@ -64,38 +64,38 @@ pub enum Command {
     Relay(RelayArgs),
     /// Run the estimators over a recording, offline.
     Replay(ReplayArgs),
-    /// Write a recording as CSV, as trajectories for evo, as a telemetry log or as a recording of ours (docs/export.md).
+    /// Write a recording as CSV, as trajectories for evo, as a telemetry log or as a recording of ours (docs/recordings.md).
     Export(ExportArgs),
-    /// Make a recording of ours from a telemetry log or a run of a descriptor (docs/import.md).
+    /// Make a recording of ours from a telemetry log or a run of a descriptor (docs/recordings.md).
     Import(ImportArgs),
-    /// Make a page of a recording that needs nothing else: path, errors, innovations with verdicts, links, clock (docs/report.md).
+    /// Make a page of a recording that needs nothing else: path, errors, innovations with verdicts, links, clock (docs/reports.md).
     Report(ReportArgs),
-    /// Say what a file carries: messages, rates, losses, gaps, clocks, senders (docs/inspect.md).
+    /// Say what a file carries: messages, rates, losses, gaps, clocks, senders (docs/recordings.md).
     Inspect(InspectArgs),
     /// Run an experiment: simulated, and those of the papers on a recording or a live robot as well.
     #[cfg(feature = "lab")]
     Lab(LabArgs),
-    /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibrate.md).
+    /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Calibrate(CalibrateArgs),
-    /// Identify a sensor's noise from a rest or a straight run, and a camera's delay (docs/lab/identify.md).
+    /// Identify a sensor's noise from a rest or a straight run, and a camera's delay (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Identify(IdentifyArgs),
-    /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/tune.md).
+    /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Tune(TuneArgs),
     /// Make a key for signed links.
     Key(KeyArgs),
     /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
     Doctor(DoctorArgs),
-    /// Write a commented configuration for a robot (docs/quick-start-robot.md).
+    /// Write a commented configuration for a robot (docs/getting-started.md).
     #[command(after_long_help = robots_help())]
     Init(InitArgs),
     /// Print, check or describe the configuration.
     Config(ConfigArgs),
-    /// Print a completion script for a shell (docs/install.md).
+    /// Print a completion script for a shell (docs/getting-started.md).
     Completions(CompletionsArgs),
-    /// Print the manual page, or write the pages of all subcommands (docs/install.md).
+    /// Print the manual page, or write the pages of all subcommands (docs/getting-started.md).
     Man(ManArgs),
 }
 

@@ -45,7 +45,7 @@ fn another_client_of_our_tcp_server_does_not_mute_the_brick() {
     let address = station.listening_address("");
     let link = format!("tcp://{address}");
     let _brick = RunningProgram::start(posebridge(folder.path()).args(["sim", "circle", "--link", &link]));
-    station.wait_for("heard link 0 1/1");
+    station.wait_for("robot 0/1/1 detected");
     let mut stranger = std::net::TcpStream::connect(&address).unwrap();
     stranger.write_all(b"x").unwrap();
     drop(stranger);

@@ -306,7 +306,7 @@ fn the_object_has_the_keys_that_its_page_promises() {
     assert_eq!(last["name"], "listening");
     assert_eq!(last["status"], "warning");
 
-    let page = fs::read_to_string(support::root().join("docs/doctor.md")).unwrap();
+    let page = fs::read_to_string(support::root().join("docs/getting-started.md")).unwrap();
     for key in keys(&report).iter().chain(&keys(last)) {
         assert!(page.contains(&format!("| `{key}` |")), "{key}");
         assert!(page.contains(&format!("\"{key}\": {{")), "{key} in the schema");

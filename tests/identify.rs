@@ -6,7 +6,7 @@ mod support;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use posebridge_report::metrics::chi_square;
+use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 use serde_json::Value;
 use support::{posebridge, root, stdout_of};
 
@@ -45,7 +45,7 @@ fn holds(args: &[&str], names: &[&str]) {
             count += 1;
         }
         assert!(count >= 5, "{name}: {count}");
-        let quantile = |p: f64| chi_square::quantile(p, count).unwrap();
+        let quantile = |p: f64| chi_square_quantile(count, p);
         assert!(
             (quantile(OUTSIDE)..quantile(1.0 - OUTSIDE)).contains(&squares),
             "{name}: the mean square of error over sigma is {} of {count}, the worst error {worst} of the truth",

@@ -106,7 +106,8 @@ fn a_run_of_which_the_smoother_says_nothing_is_named_with_the_reason() {
     let reason = refused[0]["reason"].as_str().unwrap();
     let table = lab(folder.path(), &args);
     let said = format!("smooth: says nothing of 2 runs; of run 0: {reason}");
-    assert!(table.lines().any(|line| line == said), "{table}");
+    // A long line breaks between words.
+    assert!(table.replace('\n', " ").contains(&said), "{table}");
 }
 
 #[test]
@@ -132,7 +133,7 @@ fn the_picture_goes_where_it_is_asked_and_a_file_may_be_the_scenario() {
     let short = text.unwrap().replace("duration_s = 20.0", "duration_s = 5.0");
     std::fs::write(folder.path().join("short.toml"), short).unwrap();
     let table = lab(folder.path(), &["--scenario", "short.toml", "--runs", "3", "--out", "pictures"]);
-    assert!(table.starts_with("short: 3 runs, seed 1\nestimator"), "{table}");
+    assert!(table.contains("\nshort: 3 runs, seed 1\nestimator"), "{table}");
     let picture = std::fs::read_to_string(folder.path().join("pictures/lab-accuracy.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("short: 3 runs"));
 }

@@ -43,7 +43,7 @@ fn the_tables_are_these() {
     let picture = std::fs::read_to_string(folder.path().join("lab-links.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("bluetooth-spp"));
     let page = std::fs::read_to_string(folder.path().join("lab-links.html")).unwrap();
-    assert!(page.contains("clock: error of the offset, ms") && page.contains("data:image/svg+xml,"));
+    assert!(page.contains("Clock: error of the offset") && page.contains("data:image/svg+xml,"));
 }
 
 /// Every key with the kinds of its values, one line each.
@@ -78,7 +78,7 @@ fn the_object_has_the_keys_that_its_page_promises_and_the_figures_of_the_tables(
     assert_eq!(parts, ["clock", "pose"]);
     insta::assert_snapshot!("clock_keys", keys(&object["clock"]));
     insta::assert_snapshot!("pose_keys", keys(&object["pose"]));
-    let page = include_str!("../docs/lab-links.md");
+    let page = include_str!("../docs/impairment.md");
     for row in ["clock", "pose"] {
         for key in object[row][0].as_object().unwrap().keys() {
             assert!(page.contains(&format!("\"{key}\"")), "{key} is not on the page");

@@ -351,7 +351,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     let mut station = RunningProgram::start(posebridge(folder).args(live));
     let printed = station.wait_for("recording `out/live.mcap`");
     assert!(printed.contains("drive the square") && printed.contains("6 s"), "{printed}");
-    station.wait_for("heard link 0 1/1");
+    station.wait_for("robot 0/1/1 detected");
     let text = station.output();
     let found: Value = serde_json::from_str(&text).unwrap();
     let raw = &found["settings"][0]["methods"][0];

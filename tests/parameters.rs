@@ -168,7 +168,7 @@ fn start(folder: &Path, config: &str, out: &str) -> (RunningProgram, Gcs) {
         &format!("{out}.txt"),
     ]));
     let gcs = Gcs::call(&station.listening_address(""));
-    station.wait_for("heard link 1 254/190");
+    station.wait_for("robot 1/254/190 detected");
     (station, gcs)
 }
 

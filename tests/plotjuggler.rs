@@ -1,4 +1,4 @@
-//! `--plotjuggler`: the datagrams of the real program, held against the table of docs/plotjuggler.md.
+//! `--plotjuggler`: the datagrams of the real program, held against the table of docs/dashboard.md.
 #![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;

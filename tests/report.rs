@@ -93,7 +93,7 @@ fn the_page_of_a_live_run_needs_nothing_else_and_says_what_replay_says() {
         assert!(names.contains(&name), "{name} in {names:?}");
     }
     assert!(page.contains("&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt; &amp; Co"));
-    assert!(page.contains("<h3>What happened</h3>") && page.contains("link 0 up"));
+    assert!(page.contains("<h3>What happened</h3>") && page.contains("link 0 is up"));
 
     let replayed = replay(folder, &recording);
     let (run, estimator) = (&json["runs"][0], &replayed["estimators"][0]);
@@ -151,7 +151,7 @@ fn a_report_of_another_filter_says_that_it_is_not_what_ran_and_a_truth_may_be_mi
     let said = "Replayed with filter.name=odometry, filter.history_s=2.0: this is not what ran.";
     assert!(page.contains(said), "{}", json["changed"]);
     assert_eq!(json["filter"], "odometry");
-    assert!(!page.contains("link 0 up"), "that was before 2 s");
+    assert!(!page.contains("link 0 is up"), "that was before 2 s");
     // A recording that was cut off has the truth of what it holds.
     let bytes = std::fs::read(folder.join("run/recording.mcap")).unwrap();
     std::fs::write(folder.join("torn.mcap"), &bytes[..bytes.len() / 3]).unwrap();

@@ -107,11 +107,11 @@ fn a_ground_station_commands_the_brick_through_the_station_and_nobody_else_hears
         (FrameSource::new(BRICK), FrameSource::new(CAMERA), FrameSource::new(GCS));
 
     brick.send(&brick_says.frame(&HEARTBEAT)).unwrap();
-    station.wait_for("heard link 0 1/1");
+    station.wait_for("robot 0/1/1 detected");
     camera.send(&camera_says.frame(&HEARTBEAT)).unwrap();
-    station.wait_for("heard link 1 2/100");
+    station.wait_for("robot 1/2/100 detected");
     gcs.write_all(&gcs_says.frame(&HEARTBEAT)).unwrap();
-    station.wait_for("heard link 2 254/190");
+    station.wait_for("robot 2/254/190 detected");
 
     let command = gcs_says.frame(&Message::Command(CommandLong { target: BRICK, command: 400, params: [1.0; 7] }));
     gcs.write_all(&command).unwrap();

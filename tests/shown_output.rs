@@ -14,7 +14,7 @@ use posebridge::cli::Cli;
 use posebridge::tools::man::pages;
 use support::{posebridge, root, stdout_of};
 
-const PAGES: [&str; 2] = ["README.md", "docs/install.md"];
+const PAGES: [&str; 2] = ["README.md", "docs/getting-started.md"];
 /// A page is shown as on a terminal of this width.
 const WIDTH: usize = 80;
 

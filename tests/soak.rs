@@ -1,7 +1,7 @@
 //! A brick that drives its laps without end and a station, for a virtual day over the worst link there is: nothing leaks, every
 //! outage is recovered from, and the station's account of its losses is that of the link's log to the frame.
 //!
-//! Every commit runs half an hour of virtual time; docs/soak.md tells of longer runs:
+//! Every commit runs half an hour of virtual time; docs/impairment.md tells of longer runs:
 //!
 //! ```text
 //! POSEBRIDGE_SOAK_HOURS=24 POSEBRIDGE_SOAK_SEED=3 cargo test --release --test soak -- --nocapture

@@ -2,7 +2,7 @@
 //! the profile `harsh`, one on UDP behind a profile that is as bad to datagrams.
 //!
 //! The station's account of its losses must be that of the relays to the frame, its memory must not grow, and whoever falls silent must
-//! be heard again. Every commit runs it for a quarter of a minute; docs/soak.md tells of longer runs:
+//! be heard again. Every commit runs it for a quarter of a minute; docs/impairment.md tells of longer runs:
 //!
 //! ```text
 //! POSEBRIDGE_SOAK_REAL_HOURS=1 cargo test --release --test soak_real -- --nocapture
@@ -125,10 +125,10 @@ impl SoakSetup {
         std::fs::write(folder.join("station.toml"), config).expect("it can be written");
         let mut station = start(&["run", "--config", "station.toml", "--out", "run"]);
         // Its terminal is there once it hears anybody.
-        station.wait_for("heard link 1 1/1");
+        station.wait_for("robot 1/1/1 detected");
         // The station owns it: a relay that opens it waits where it is full, as it is after a stall, and drops nothing.
         let by_wire = relay(&["serial:brick.tty", "serial:station.tty"], "harsh", "3");
-        station.wait_for("heard link 0 1/1");
+        station.wait_for("robot 0/1/1 detected");
         Self { bricks: [wired, wireless], relays: [by_wire, by_air], station }
     }
 
@@ -139,9 +139,9 @@ impl SoakSetup {
         loop {
             let line = self.station.wait_for("\n");
             let line = line.trim();
-            if let Some(robot) = line.strip_prefix("lost ") {
-                silent.insert(robot.split(',').next().unwrap_or(robot).to_owned());
-            } else if let Some(robot) = line.strip_prefix("heard ") {
+            if let Some((robot, _)) = line.split_once(" lost: silent") {
+                silent.insert(robot.to_owned());
+            } else if let Some(robot) = line.strip_suffix(" detected") {
                 silent.remove(robot);
             } else if let Some(time) = line.strip_prefix("time ") {
                 let time_s = seconds(time);

@@ -1,4 +1,4 @@
-//! The picture of the terminal view in docs/terminal.md: a lap of the simulated brick in virtual time, drawn as `--tui` draws it.
+//! The picture of the terminal view in docs/dashboard.md: a lap of the simulated brick in virtual time, drawn as `--tui` draws it.
 //! `POSEBRIDGE_WRITE_PICTURES=1 cargo test --test terminal_picture` draws it anew.
 #![expect(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 

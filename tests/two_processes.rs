@@ -24,7 +24,7 @@ fn station(folder: &Path, name: &str) -> RunningProgram {
         "--events",
         &events,
     ]));
-    station.wait_for("heard link 0 1/1");
+    station.wait_for("robot 0/1/1 detected");
     station
 }
 
@@ -37,8 +37,8 @@ fn a_killed_brick_comes_back_and_the_station_goes_on() {
     first.kill();
     station.wait_for("link 0 DOWN");
     let _second = brick(folder.path());
-    station.wait_for("was restarted: clock and counters re-based");
-    station.wait_for("heard link 0 1/1");
+    station.wait_for("robot 0/1/1 restarted");
+    station.wait_for("robot 0/1/1 detected");
     station.wait_for("fix accepted");
     station.interrupt();
     let events = std::fs::read_to_string(folder.path().join("run.txt")).unwrap();

@@ -1,6 +1,6 @@
 //! Lines of boards that print: every layout, every chunk size, every damaged byte.
 //!
-//! The lines were written by hand from docs/protocols/line.md; the sentence with a checksum is NMEA's own example.
+//! The lines were written by hand from docs/protocols/boards.md; the sentence with a checksum is NMEA's own example.
 #![expect(clippy::expect_used, reason = "helpers outside #[test]")]
 
 use posebridge_protocol::bricks::text_line::{ChecksumPolicy, Column, LineLayout, Separator, TextLineSettings};

@@ -9,7 +9,7 @@
 //!
 //! # Sources
 //! Pybricks `model_nxt` (servo_settings.c and motor_model.py), decoded into SI; it agrees with the measurements of
-//! philohome.com (170 rpm at 9 V without load, stall 0.50 N m). See docs/simulated-brick.md.
+//! philohome.com (170 rpm at 9 V without load, stall 0.50 N m). See docs/simulator.md.
 
 use crate::time_step::STEP_S;
 

@@ -5,7 +5,7 @@
 //!
 //! # Model
 //! ```text
-//! u(t) = volts from rest_s + dead_time_s on, else 0            the motor: that of docs/simulated-brick.md, with half the robot's mass
+//! u(t) = volts from rest_s + dead_time_s on, else 0            the motor: that of docs/simulator.md, with half the robot's mass
 //! tau = (J + m r^2 / 2) / (Kt/R Ke)                            w_end = (volts - friction / (Kt/R)) / Ke
 //! reading k at the first millisecond after k periods, each period of its own length; angle = floor((phi + phi_0) / tick) tick
 //! ```
@@ -13,7 +13,7 @@
 //! The battery holds its voltage; the wheels do not slip.
 //!
 //! # Sources
-//! The motor: docs/simulated-brick.md. Dead time, periods and the rest: ours, of the size that an NXT has behind a Bluetooth link.
+//! The motor: docs/simulator.md. Dead time, periods and the rest: ours, of the size that an NXT has behind a Bluetooth link.
 
 use crate::motor::Motor;
 use crate::random::RandomStream;

@@ -11,7 +11,7 @@
 //! [`crate::faults`] adds the faults that a person causes.
 //!
 //! # Sources
-//! docs/simulated-brick.md, sections 1 and 2.
+//! docs/simulator.md, sections 1 and 2.
 
 use posebridge_telemetry::{Arena, Heading, Meters, Pose, SlippingWheel, TimeDelta};
 

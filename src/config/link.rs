@@ -25,7 +25,7 @@ pub struct LinkSection {
     /// Wait for the other side to call instead of calling it.
     #[serde(default)]
     pub listen: bool,
-    /// What the brick at its other end speaks, if it is no MAVLink: docs/protocols/README.md.
+    /// What the brick at its other end speaks, if it is no MAVLink: docs/protocols/mavlink.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brick: Option<String>,
     /// Accept MAVLink 1 too.

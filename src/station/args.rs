@@ -22,7 +22,7 @@ pub struct RunArgs {
     /// beside the other links (docs/ground-stations.md).
     #[arg(long = "gcs", value_name = "URL")]
     pub ground_stations: Vec<String>,
-    /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/README.md).
+    /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/mavlink.md).
     #[arg(long, value_name = "PROTOCOL")]
     pub brick: Option<String>,
     /// Take the robot from this file's `[robot]` table: a robot profile or a recording's descriptor.
@@ -73,10 +73,10 @@ pub struct RunArgs {
 /// What is shown besides the page.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ViewFlags {
-    /// Show map, pose, innovations, links and events in this terminal (docs/terminal.md); q ends the run, ? explains the other keys.
+    /// Show map, pose, innovations, links and events in this terminal (docs/dashboard.md); q ends the run, ? explains the other keys.
     #[arg(long)]
     pub tui: bool,
-    /// Send what happens as JSON to PlotJuggler's UDP server there, by default 127.0.0.1:9870 (docs/plotjuggler.md).
+    /// Send what happens as JSON to PlotJuggler's UDP server there, by default 127.0.0.1:9870 (docs/dashboard.md).
     #[arg(
         long,
         value_name = "IP:PORT",

@@ -3,10 +3,59 @@
 use std::fmt::Write as _;
 
 use posebridge_report::tables::{NO_VALUE, TextTable};
-use posebridge_telemetry::{LinkHealth, LinkId, SourceHealth, TimeDelta};
+use posebridge_telemetry::{LinkCounter, LinkHealth, LinkId, SourceHealth, TimeDelta};
 
 /// Between two parts of a line.
 const GUTTER: &str = "  ";
+
+/// What went wrong on a link, in the order of its line.
+const PROBLEM_COUNTERS: [LinkCounter; 13] = [
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::GARBAGE_BYTES,
+    LinkCounter::TIMEOUTS,
+    LinkCounter::UNKNOWN_IDS,
+    LinkCounter::REJECTED_FRAMES,
+    LinkCounter::DUPLICATES,
+    LinkCounter::ADDRESS_CONFLICTS,
+    LinkCounter::FILTERED,
+    LinkCounter::FORWARDED,
+    LinkCounter::RATE_LIMITED,
+    LinkCounter::UNSENT,
+    LinkCounter::QUEUED_FRAMES,
+    LinkCounter::RECONNECTS,
+];
+
+/// A column of a table: its header, and what it shows of a link.
+type Column = (&'static str, fn(&LinkHealth) -> String);
+
+/// The table of what came.
+const RECEIVED_COLUMNS: [Column; 11] = [
+    ("frames", |health| health.frames_in.to_string()),
+    ("lost", |health| health.frames_lost.to_string()),
+    ("damaged", |health| health.checksum_errors.to_string()),
+    ("garbage B", |health| health.garbage_bytes.to_string()),
+    ("stalls", |health| health.timeouts.to_string()),
+    ("unknown", |health| health.unknown_ids.to_string()),
+    ("refused", |health| health.rejected_frames.to_string()),
+    ("twice", |health| health.duplicates.to_string()),
+    ("filtered", |health| health.filtered.to_string()),
+    ("round trip ms", |health| millis(health.round_trip)),
+    ("clock ± ms", |health| millis(health.clock_uncertainty)),
+];
+
+/// The table of what left.
+const SENT_COLUMNS: [Column; 10] = [
+    ("frames", |health| health.frames_out.to_string()),
+    ("bytes", |health| health.bytes_out.to_string()),
+    ("forwarded", |health| health.forwarded.to_string()),
+    ("thinned", |health| health.rate_limited.to_string()),
+    ("not sent", |health| (health.drops_out + health.port.drops_out).to_string()),
+    ("waiting", |health| health.port.queued_frames.to_string()),
+    ("waiting B", |health| health.port.queued_bytes.to_string()),
+    ("takes B/s", |health| rounded(health.port.capacity_bytes_per_s)),
+    ("peers", |health| health.port.peers.to_string()),
+    ("reconnects", |health| health.reconnects.to_string()),
+];
 
 /// The last word on one link.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,24 +79,10 @@ pub fn condition(report: &LinkReport) -> String {
         parts.push(format!("clock ± {:.2} ms", uncertainty.as_millis_f64()));
     }
     parts.push(losses(report));
-    let counts = [
-        (health.checksum_errors, "damaged"),
-        (health.garbage_bytes, "garbage bytes"),
-        (health.timeouts, "stalls"),
-        (health.unknown_ids, "unknown ids"),
-        (health.rejected_frames, "refused"),
-        (health.duplicates, "came twice"),
-        (health.address_conflicts, "by another under our address"),
-        (health.filtered, "filtered"),
-        (health.forwarded, "passed on to it"),
-        (health.rate_limited, "thinned"),
-        (health.drops_out + health.port.drops_out, "not sent"),
-        (u64::from(health.port.queued_frames), "waiting"),
-        (health.reconnects, "reconnects"),
-    ];
-    for (count, name) in counts {
+    for counter in PROBLEM_COUNTERS {
+        let count = (counter.read)(health);
         if count > 0 {
-            parts.push(format!("{name} {count}"));
+            parts.push(format!("{} {count}", counter.label));
         }
     }
     parts.join(GUTTER)
@@ -72,47 +107,11 @@ fn losses(report: &LinkReport) -> String {
 /// Tables of all links: what came, what left, who sent.
 #[must_use]
 pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Clone) -> String {
-    let received = links.clone().map(|(id, report)| received(*id, &report.health));
-    let sent = links.clone().map(|(id, report)| sent(*id, &report.health));
-    let senders = links.flat_map(|(id, report)| {
-        let of_link = report.sources.iter();
-        of_link.map(|counts| sender(*id, counts))
-    });
-    let mut text = table(
-        [
-            "received on",
-            "frames",
-            "lost",
-            "damaged",
-            "garbage B",
-            "stalls",
-            "unknown",
-            "refused",
-            "twice",
-            "filtered",
-            "round trip ms",
-            "clock ± ms",
-        ],
-        received,
-    );
+    let mut text = link_table("received on", &RECEIVED_COLUMNS, links.clone());
     text += "\n";
-    text += &table(
-        [
-            "sent on",
-            "frames",
-            "bytes",
-            "forwarded",
-            "thinned",
-            "not sent",
-            "waiting",
-            "waiting B",
-            "takes B/s",
-            "peers",
-            "reconnects",
-        ],
-        sent,
-    );
-    let senders: Vec<[String; 4]> = senders.collect();
+    text += &link_table("sent on", &SENT_COLUMNS, links.clone());
+    let senders = links.flat_map(|(id, report)| report.sources.iter().map(|counts| sender_row(*id, counts)));
+    let senders: Vec<Vec<String>> = senders.collect();
     if !senders.is_empty() {
         text += "\n";
         text += &table(["sender", "frames", "lost", "lost %"], senders);
@@ -120,51 +119,35 @@ pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Cl
     text
 }
 
-fn received(id: LinkId, health: &LinkHealth) -> [String; 12] {
-    let millis = |span: Option<TimeDelta>| {
-        span.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.2}", span.as_millis_f64()))
-    };
-    [
-        format!("link {id}"),
-        health.frames_in.to_string(),
-        health.frames_lost.to_string(),
-        health.checksum_errors.to_string(),
-        health.garbage_bytes.to_string(),
-        health.timeouts.to_string(),
-        health.unknown_ids.to_string(),
-        health.rejected_frames.to_string(),
-        health.duplicates.to_string(),
-        health.filtered.to_string(),
-        millis(health.round_trip),
-        millis(health.clock_uncertainty),
-    ]
+fn link_table<'a>(
+    title: &str,
+    columns: &[Column],
+    links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)>,
+) -> String {
+    let header = std::iter::once(title).chain(columns.iter().map(|(name, _)| *name));
+    let rows = links.map(|(id, report)| {
+        let cells = columns.iter().map(|(_, cell)| cell(&report.health));
+        std::iter::once(format!("link {id}")).chain(cells).collect()
+    });
+    table(header, rows)
 }
 
-fn sent(id: LinkId, health: &LinkHealth) -> [String; 11] {
-    let capacity = health.port.capacity_bytes_per_s;
-    [
-        format!("link {id}"),
-        health.frames_out.to_string(),
-        health.bytes_out.to_string(),
-        health.forwarded.to_string(),
-        health.rate_limited.to_string(),
-        (health.drops_out + health.port.drops_out).to_string(),
-        health.port.queued_frames.to_string(),
-        health.port.queued_bytes.to_string(),
-        capacity.map_or_else(|| NO_VALUE.to_owned(), |rate| format!("{rate:.0}")),
-        health.port.peers.to_string(),
-        health.reconnects.to_string(),
-    ]
+fn millis(span: Option<TimeDelta>) -> String {
+    span.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.2}", span.as_millis_f64()))
 }
 
-fn sender(id: LinkId, counts: &SourceHealth) -> [String; 4] {
+fn rounded(rate: Option<f64>) -> String {
+    rate.map_or_else(|| NO_VALUE.to_owned(), |rate| format!("{rate:.0}"))
+}
+
+fn sender_row(id: LinkId, counts: &SourceHealth) -> Vec<String> {
     let whole = counts.frames + counts.lost;
     let share =
         if whole == 0 { NO_VALUE.to_owned() } else { format!("{:.2}", counts.lost as f64 / whole as f64 * 100.0) };
-    [format!("link {id} {}", counts.source), counts.frames.to_string(), counts.lost.to_string(), share]
+    vec![format!("link {id} {}", counts.source), counts.frames.to_string(), counts.lost.to_string(), share]
 }
 
-fn table<const COLUMNS: usize>(header: [&str; COLUMNS], rows: impl IntoIterator<Item = [String; COLUMNS]>) -> String {
+fn table<'h>(header: impl IntoIterator<Item = &'h str>, rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut table = TextTable::new(header);
     for row in rows {
         table.push(row);

@@ -143,22 +143,23 @@ impl LiveView {
             Event::Temperature { brick, channel, shown, settled, .. } => {
                 self.thermometers.insert((*brick, *channel), (*shown, *settled));
             }
-            Event::RobotDetected { robot } => self.print_line(&format!("heard {robot}")),
             Event::RobotNamed { robot, name } => {
                 self.robots.entry(*robot).or_default().name = Some(name.clone());
-                self.print_line(&format!("{robot} is {name}"));
             }
-            Event::RobotLost { robot, silence } => {
-                self.print_line(&format!("lost {robot}, silent for {:.1} s", silence.as_secs_f64()));
-            }
-            Event::BrickRestarted { robot } => {
-                self.print_line(&format!("{robot} was restarted: clock and counters re-based"));
-            }
-            Event::Text { source, text, .. } => self.print_line(&format!("{source} says: {text}")),
-            Event::ObservationFused { .. }
+            Event::RobotDetected { .. }
+            | Event::RobotLost { .. }
+            | Event::BrickRestarted { .. }
+            | Event::Text { .. }
+            | Event::ObservationFused { .. }
             | Event::ObservationAligned { .. }
             | Event::CameraClockAligned { .. }
             | Event::ReceiveError { .. } => {}
+        }
+        // The block shows the state of the links.
+        if !matches!(event, Event::Link { .. })
+            && let Some((_, text)) = event.describe()
+        {
+            self.print_line(&text);
         }
     }
 

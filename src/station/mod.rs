@@ -4,7 +4,6 @@
 //! count when they are full. The recorder's is long, and the recording says what it lacks, because with holes its replay is not exact.
 
 pub mod args;
-mod batch_channel;
 pub mod clock_alignment;
 pub mod clock_step;
 mod config_writer;

@@ -4,15 +4,14 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::mpsc::RecvTimeoutError;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use posebridge_recording::event_json;
 use posebridge_telemetry::{Event, HostClock, TimeDelta, Timestamp};
 
-use super::batch_channel::{BatchReceiver, BatchSender, channel};
 use super::event_collector::EventCollector;
 use super::live_status::LiveView;
 use super::per_robot::PerRobot;
@@ -25,7 +24,7 @@ const DRAW_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 
 /// A running observer.
 pub struct Observer {
-    sender: BatchSender<(Timestamp<HostClock>, Arc<[Event]>)>,
+    sender: Sender<(Timestamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<PerRobot<EventCollector>>>,
     dropped: u64,
     /// With an event file nothing may be missing: then the station loop waits for the disk.
@@ -47,11 +46,11 @@ impl Observer {
     /// The event file cannot be created.
     pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
         let events = config.events.map(create).transpose()?;
-        let (sender, batches) = channel(QUEUE_CAPACITY);
+        let (sender, batches) = bounded(QUEUE_CAPACITY);
         let view = config.view;
         let thread = std::thread::Builder::new()
             .name("observer".to_owned())
-            .spawn(move || run_observer(batches, events, view))
+            .spawn(move || run_observer(&batches, events, view))
             .context("starting the observer's thread")?;
         Ok(Self { sender, thread, dropped: 0, blocks_when_full: config.events.is_some() })
     }
@@ -98,14 +97,14 @@ pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> 
 }
 
 fn run_observer(
-    mut batches: BatchReceiver<(Timestamp<HostClock>, Arc<[Event]>)>,
+    batches: &Receiver<(Timestamp<HostClock>, Arc<[Event]>)>,
     mut file: Option<BufWriter<File>>,
     mut view: LiveView,
 ) -> Result<PerRobot<EventCollector>> {
     let mut collectors = PerRobot::new(EventCollector::live);
     let mut drawn = Timestamp::<HostClock>::ZERO;
     loop {
-        match batches.recv(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
+        match batches.recv_timeout(Duration::from_nanos(DRAW_PERIOD.as_nanos().unsigned_abs())) {
             Ok((now, events)) => {
                 for event in events.iter() {
                     if let Some(file) = &mut file {

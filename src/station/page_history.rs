@@ -8,6 +8,7 @@ use posebridge_dashboard::model::Frame;
 use posebridge_dashboard::{SessionViews, SimulatedTruth};
 use posebridge_recording::container::{self, RecordingReader};
 use posebridge_station::Station;
+use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{Address, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
 use super::clock_alignment::ClockAlignment;
@@ -19,8 +20,6 @@ use crate::config::{Config, Overlay, config_with_overlay};
 
 /// How often the state is sent, as in a live session.
 const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
-/// MAVLink's warning: what is missing makes the replay another one than the live run.
-const WARNING: u8 = 4;
 /// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick,
 /// are replayed by `posebridge replay`, or from a later part on.
 const MEMORY_LIMIT: MemoryLimit = MemoryLimit { max_bytes: 256 << 20, on_excess: ExcessPolicy::Skip };
@@ -160,6 +159,7 @@ impl PageHistoryBuilder {
         let mut history = self.gatherer.history();
         let mut noted = SessionViews::new(Vec::new());
         for text in notes.into_lines() {
+            // What is missing makes the replay another one than the live run.
             let said = Event::Text { source, severity: WARNING, text };
             noted.push_event(begun, &said);
         }

@@ -98,16 +98,25 @@ impl<T> PerRobot<T> {
     }
 
     fn entry(&mut self, robot: RobotId) -> &mut RobotEntry<T> {
-        let known = self.entries.iter().position(|entry| entry.robot.is_none_or(|known| known == robot));
-        let index = known.unwrap_or_else(|| {
-            self.entries.push(RobotEntry { robot: None, label: String::new(), value: (self.make)() });
-            self.entries.len() - 1
-        });
-        let entry = &mut self.entries[index];
-        if entry.robot.replace(robot).is_none() {
-            entry.label = self.names.label(robot);
+        let known = self.entries.iter().position(|entry| entry.robot == Some(robot));
+        let index = known.unwrap_or_else(|| self.add(robot));
+        &mut self.entries[index]
+    }
+
+    /// The first robot takes the value that belonged to none.
+    fn add(&mut self, robot: RobotId) -> usize {
+        let label = self.names.label(robot);
+        match self.entries.first_mut() {
+            Some(first) if first.robot.is_none() => {
+                first.robot = Some(robot);
+                first.label = label;
+                0
+            }
+            _ => {
+                self.entries.push(RobotEntry { robot: Some(robot), label, value: (self.make)() });
+                self.entries.len() - 1
+            }
         }
-        entry
     }
 }
 

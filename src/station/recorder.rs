@@ -6,15 +6,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, TrySendError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use posebridge_recording::container::{RecordingHeader, TruthSample};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, Timestamp};
 
-use super::batch_channel::{BatchReceiver, BatchSender, channel};
 pub use super::recording_parts::RecordingTotals;
 use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
 use crate::config::RecordingLimits;
@@ -37,8 +36,8 @@ enum RecorderItem {
 
 /// A running recorder.
 pub struct Recorder {
-    /// Boxed: the channel is a ring of as many places as may wait, and all of them come into memory one after the other.
-    sender: BatchSender<Box<RecorderItem>>,
+    /// Boxed: the channel has memory for as many items as may wait.
+    sender: Sender<Box<RecorderItem>>,
     thread: JoinHandle<Result<RecordingTotals>>,
     /// The first file.
     first: PathBuf,
@@ -86,12 +85,12 @@ impl Recorder {
     }
 
     fn spawn(first: &Path, given: u64, open: impl FnOnce() -> Result<RecordingParts> + Send + 'static) -> Result<Self> {
-        let (sender, items) = channel(QUEUE_CAPACITY);
+        let (sender, items) = bounded(QUEUE_CAPACITY);
         let part = Arc::new(AtomicU32::new(1));
         let current_part = Arc::clone(&part);
         let thread = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || write(open()?, items, &current_part))
+            .spawn(move || write(open()?, &items, &current_part))
             .context("starting the recorder's thread")?;
         Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
     }
@@ -175,7 +174,7 @@ impl Recorder {
 
     /// Hands over something that gives way to the inputs.
     fn offer(&mut self, item: RecorderItem) {
-        let is_crowded = self.sender.backlog() >= OUTPUT_QUEUE_CAPACITY;
+        let is_crowded = self.sender.len() >= OUTPUT_QUEUE_CAPACITY;
         if is_crowded || self.try_send(item).is_err() {
             self.lost_outputs += 1;
         }
@@ -207,15 +206,11 @@ impl StoppingRecorder {
     }
 }
 
-fn write(
-    mut parts: RecordingParts,
-    mut items: BatchReceiver<Box<RecorderItem>>,
-    part: &AtomicU32,
-) -> Result<RecordingTotals> {
+fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &AtomicU32) -> Result<RecordingTotals> {
     let mut given = None;
     loop {
         let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
-        let item = match items.recv(patience) {
+        let item = match items.recv_timeout(patience) {
             Ok(item) => item,
             Err(RecvTimeoutError::Timeout) => {
                 parts.flush()?;
@@ -287,7 +282,7 @@ mod tests {
         assert_eq!(lost_outputs, given - outputs);
         assert_eq!(lost, outputs + 500);
         drop(stuck);
-        while recorder.sender.backlog() > 0 {
+        while !recorder.sender.is_empty() {
             assert!(!recorder.thread.is_finished(), "the recorder has stopped");
             std::thread::yield_now();
         }

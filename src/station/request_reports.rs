@@ -2,11 +2,7 @@
 
 use anyhow::Result;
 use posebridge_telemetry::Input;
-
-/// MAV_SEVERITY_WARNING.
-pub const WARNING: u8 = 4;
-/// MAV_SEVERITY_INFO.
-const INFO: u8 = 6;
+use posebridge_telemetry::severity::{INFO, WARNING};
 
 /// The outcome of a request as an input of the station.
 pub(super) fn report_input(outcome: Result<String>) -> Input {

@@ -9,15 +9,14 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{RecvTimeoutError, TrySendError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use posebridge_station::LinkConfig;
 use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, TimeDelta, Timestamp};
 
-use super::batch_channel::{BatchReceiver, BatchSender, channel};
 use super::traffic_log::TrafficLog;
 use super::watched_file::WatchedFile;
 
@@ -46,7 +45,7 @@ enum Direction {
 pub struct TlogRecorder {
     /// Where it is written.
     pub path: PathBuf,
-    sender: BatchSender<Traffic>,
+    sender: Sender<Traffic>,
     thread: JoinHandle<Result<u64>>,
     dropped: u64,
 }
@@ -70,11 +69,11 @@ impl TlogRecorder {
     /// The file cannot be created; one that is there already is never overwritten.
     pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
         let (out, file) = WatchedFile::create("telemetry log", path)?;
-        let (sender, traffic) = channel(QUEUE_CAPACITY);
+        let (sender, traffic) = bounded(QUEUE_CAPACITY);
         let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
         let thread = std::thread::Builder::new()
             .name("tlog".to_owned())
-            .spawn(move || write(log, traffic, &file, floor_bytes))
+            .spawn(move || write(log, &traffic, &file, floor_bytes))
             .context("starting the telemetry log's thread")?;
         Ok(Self { path: path.to_owned(), sender, thread, dropped: 0 })
     }
@@ -123,14 +122,14 @@ impl TlogRecorder {
 /// Writes until all senders are gone, and returns the number of frames.
 fn write(
     mut log: TrafficLog<BufWriter<File>>,
-    mut traffic: BatchReceiver<Traffic>,
+    traffic: &Receiver<Traffic>,
     file: &WatchedFile,
     floor_bytes: u64,
 ) -> Result<u64> {
     let mut flushed = Timestamp::<HostClock>::ZERO;
     let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
     loop {
-        let is_due = match traffic.recv(patience) {
+        let is_due = match traffic.recv_timeout(patience) {
             Ok(one) => {
                 let written = match one.direction {
                     Direction::In(peer) => log.received(one.now, one.link, peer, &one.bytes),

@@ -1,5 +1,5 @@
 // What the page costs: the first sight of it, its size, the server's share of a core, the screen's rate, and what further browsers do to the
-// estimate. The station sends 50 estimates a second. Figures are printed; the bounds are the promises of docs/page.md.
+// estimate. The station sends 50 estimates a second. Figures are printed; the bounds are the promises of docs/dashboard.md.
 
 import assert from 'node:assert/strict';
 import { writeFile } from 'node:fs/promises';

@@ -2,7 +2,7 @@
 //!
 //! All rows of the five-state filter get the same 4096 inputs, end at the same belief to 1e-9, and take turns round by round;
 //! the ratios are medians of what was seen within one round, so that neither clock boost nor a busy machine decides them. The
-//! flagship's rows go through [`Filter::observe`] as the pipeline does. What the rows are and why: docs/speed.md. Run with
+//! flagship's rows go through [`Filter::observe`] as the pipeline does. What the rows are and why: docs/lab/accuracy.md. Run with
 //! `cargo bench -p posebridge-estimator`; the arguments of criterion apply to its part.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its figures")]

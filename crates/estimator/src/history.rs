@@ -100,8 +100,17 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
             let (slot, state) = (self.slot(next), *state);
             self.recent[slot] = state;
         }
-        self.entries.insert(inserted, entry);
+        if inserted == self.entries.len() {
+            self.entries.push_back(entry);
+        } else {
+            self.entries.insert(inserted, entry);
+        }
         Replay { history: self, inserted, next }
+    }
+
+    /// Whether [`Self::discard_before`] the same instant may discard anything. This takes no search.
+    pub fn has_outdated(&self, stamp: Timestamp<BrickClock>) -> bool {
+        self.entries.get(CHECKPOINT_INTERVAL - 1).is_some_and(|entry| entry.stamp() < stamp)
     }
 
     /// Forgets entries before an instant, up to the last checkpoint there; the state after them is the one before all others.

@@ -1,7 +1,7 @@
 //! The order that paper 1 promises: raw odometry worse than wheel-kf, worse than velocity-kf, worse than ekf5.
 //!
 //! One lap of a 3 m square, 50 ms steps, slip and sensors of support/drive.rs, accelerometers of 0.05 m/s² at the wheels. The
-//! figures are printed; docs/maths/paper1.md section 7 says what they mean.
+//! figures are printed; docs/lab/square.md section M7 says what they mean.
 #![expect(
     clippy::expect_used,
     clippy::print_stdout,

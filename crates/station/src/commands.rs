@@ -8,14 +8,14 @@
 //! 0.999 in the configuration.
 //!
 //! # Sources
-//! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/parameters.md.
+//! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/ground-stations.md.
 
 use posebridge_estimator::{PARAMS, Params, StartPose};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
     Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
-    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch,
+    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, severity,
 };
 
 use crate::estimator::Estimator;
@@ -25,7 +25,6 @@ use crate::receive::ReceiveInfo;
 use crate::robot::Robot;
 use crate::robot_index::RobotIndex;
 use crate::sessions::SenderRole;
-use crate::severity::{SEVERITY_INFO, SEVERITY_WARNING};
 use crate::station::Station;
 
 /// What was done, or why it was not: a line for people.
@@ -82,7 +81,7 @@ impl Station {
         }
         self.report_outcome(&outcome);
         if let Err(why) = &outcome {
-            self.send_text_answer(link, SEVERITY_WARNING, why);
+            self.send_text_answer(link, severity::WARNING, why);
         }
     }
 
@@ -94,15 +93,15 @@ impl Station {
         // 9 is REAL32. Short, because it has to fit into a STATUSTEXT.
         let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
         self.announce_parameter(index);
-        self.send_text_answer(link, SEVERITY_WARNING, &why);
-        self.report_own_text(SEVERITY_WARNING, why);
+        self.send_text_answer(link, severity::WARNING, &why);
+        self.report_own_text(severity::WARNING, why);
     }
 
     /// A peer requests an unknown tunable.
     pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
         let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
-        self.send_text_answer(link, SEVERITY_WARNING, &why);
-        self.report_own_text(SEVERITY_WARNING, why);
+        self.send_text_answer(link, severity::WARNING, &why);
+        self.report_own_text(severity::WARNING, why);
     }
 
     /// A command from a link that no session answers by itself.
@@ -195,7 +194,7 @@ impl Station {
         match outcome {
             Ok(_) => CommandResult::Accepted,
             Err(why) => {
-                self.send_text_answer(link, SEVERITY_WARNING, &why);
+                self.send_text_answer(link, severity::WARNING, &why);
                 CommandResult::Denied
             }
         }
@@ -408,8 +407,8 @@ impl Station {
 
     fn report_outcome(&mut self, outcome: &CommandOutcome) {
         match outcome {
-            Ok(done) => self.report_own_text(SEVERITY_INFO, done.clone()),
-            Err(why) => self.report_own_text(SEVERITY_WARNING, why.clone()),
+            Ok(done) => self.report_own_text(severity::INFO, done.clone()),
+            Err(why) => self.report_own_text(severity::WARNING, why.clone()),
         }
     }
 

@@ -70,7 +70,7 @@ impl EstimatePublisher {
             return Vec::new();
         };
         let announced_as = outputs.announced_as;
-        let due = outputs.schedule.due(source.now).into_iter();
+        let due = outputs.schedule.due(source.now);
         let messages = due.filter_map(|stream| {
             let message = estimate_message(&stream, estimate, announced_as, source)?;
             Some(PublishedMessage { link, kind: stream.kind, message, priority: priority(stream.kind) })

@@ -141,8 +141,11 @@ impl<'a> ForwardingPass<'a> {
 
     /// Brings what a ground station says to a system to the robot that it sees as that system; its bytes, if they change with it.
     fn follow_renaming(&mut self, frame: &FrameRef<'_>, to: &mut Vec<(LinkId, Recipients)>) -> Option<Vec<u8>> {
+        if self.vehicles.is_none() || !self.robots.has_renamed() {
+            return None;
+        }
         let target = target_of(frame.message_id, frame.payload);
-        let system = self.vehicles.and_then(|_| target.system())?;
+        let system = target.system()?;
         let Some(robot) = self.robots.renamed(system) else {
             to.retain(|(link, recipients)| match recipients {
                 Recipients::Peer(peer) => {

@@ -39,7 +39,6 @@ mod robot_index;
 mod robot_table;
 mod sender_identity;
 mod sessions;
-mod severity;
 mod slip_watch;
 mod station;
 mod status_text;

@@ -4,7 +4,7 @@ use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, Estimate, Event, HostClock, LinkId, Observation, ObservationKind, Priority,
-    ReceiveError, RobotId, TimeDelta, Timestamp,
+    ReceiveError, RobotId, TimeDelta, Timestamp, severity,
 };
 
 use crate::clock::align::Alignment;
@@ -19,7 +19,6 @@ use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
 use crate::robot_index::RobotIndex;
 use crate::sender_identity::{MessageOrigin, SenderIdentity};
-use crate::severity::SEVERITY_WARNING;
 use crate::station::Station;
 use crate::thermometer_bank::TemperatureReading;
 
@@ -81,7 +80,7 @@ impl Station {
             is_telemetry: is_telemetry(&observations),
         };
         let mut sender = MessageSender { received, origin, robot: None };
-        match self.robots.identify(now, origin) {
+        match self.robots.identify(now, origin, known) {
             SenderIdentity::Contested => {
                 if origin.is_new {
                     self.keep_contested(received, source, content);
@@ -266,7 +265,7 @@ impl Station {
             if self.robots.take_first_refusal() {
                 let most = self.config.max_robots;
                 let text = format!("more than {most} robots (station.max_robots): those heard last are not followed");
-                self.report_own_text(SEVERITY_WARNING, text);
+                self.report_own_text(severity::WARNING, text);
             }
             if let Some(index) = sender.robot {
                 let robot = self.robots.get(index);
@@ -290,7 +289,7 @@ impl Station {
                 "system {} of robot {address} on link {link} is taken: it is announced as {announced}/{}",
                 address.system, address.component
             );
-            self.report_own_text(SEVERITY_WARNING, text);
+            self.report_own_text(severity::WARNING, text);
             // What is asked of everybody who is new was asked of these ids when the other robot was.
             self.sessions.handle_peer_restart(self.time.now, link, address);
         }
@@ -412,7 +411,6 @@ impl Station {
         if report.is_used {
             self.robots.mark_changed(index);
         }
-        let record = report.record;
         if let ObservationKind::WallRange(range) = observation.measurement {
             let links = &self.links;
             let is_up =
@@ -424,13 +422,14 @@ impl Station {
             }
         }
         let robot_entry = self.robots.get_mut(index);
-        for message in robot_entry.publisher.publish_record(now, &record, &robot_entry.clocks) {
+        for message in robot_entry.publisher.publish_record(now, &report.record, &robot_entry.clocks) {
             self.transmitter().send_published(index, &message);
         }
-        self.emit(Event::ObservationFused { robot, record });
-        if report.slip_began {
+        let slip_began = report.slip_began;
+        self.emit(Event::ObservationFused { robot, record: report.record });
+        if slip_began {
             let text = "wheels slip: gyro and wheels disagree";
-            self.report_own_text(SEVERITY_WARNING, self.robots.labelled(index, text));
+            self.report_own_text(severity::WARNING, self.robots.labelled(index, text));
         }
     }
 
@@ -539,7 +538,7 @@ impl Station {
         if self.thermometers.take_limit_report() {
             self.emit(Event::Text {
                 source: self.config.own_address,
-                severity: SEVERITY_WARNING,
+                severity: severity::WARNING,
                 text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
             });
         }

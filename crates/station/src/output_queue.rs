@@ -20,7 +20,8 @@ pub(crate) struct OutputQueue {
 }
 
 impl OutputQueue {
-    /// Puts an output behind the station's own.
+    /// Puts an output behind the station's own. Not inlined: an output is large, and is then made where it is copied from.
+    #[inline(never)]
     pub(crate) fn push(&mut self, output: Output) {
         self.own.push_back(output);
     }
@@ -28,7 +29,7 @@ impl OutputQueue {
     /// Puts an event behind the station's own output.
     #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
-        self.own.push_back(Output::Event(event));
+        self.push(Output::Event(event));
     }
 
     /// Puts a frame of somebody else behind the others.
@@ -63,7 +64,7 @@ impl OutputQueue {
     }
 
     pub(crate) fn pop(&mut self) -> Option<Output> {
-        self.own.pop_front().or_else(|| self.forwarded.pop_front())
+        if self.own.is_empty() { self.forwarded.pop_front() } else { self.own.pop_front() }
     }
 }
 

@@ -126,15 +126,14 @@ impl OutputSchedule {
         i32::try_from(span.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
     }
 
-    /// Which messages of estimates are due; they count as sent.
-    pub(crate) fn due(&mut self, now: Timestamp<HostClock>) -> Vec<OutputStream> {
+    /// Which messages of estimates are due; one that is taken counts as sent.
+    pub(crate) fn due(&mut self, now: Timestamp<HostClock>) -> impl Iterator<Item = OutputStream> {
         let indices = 0..self.streams.len();
-        let of_estimates = indices.filter_map(|index| {
+        indices.filter_map(move |index| {
             let stream = *self.streams.get(index)?;
             let is_due = stream.kind.is_estimate_output() && self.is_due(&stream, None, now);
             is_due.then_some(stream)
-        });
-        of_estimates.collect()
+        })
     }
 
     /// Whether the range of a sensor is due; then it counts as sent.
@@ -245,7 +244,7 @@ mod tests {
                 };
                 let mut schedule = OutputSchedule::new(&[stream]);
                 let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
-                let sent = estimates.filter(|now| schedule.due(at(*now)).len() == 1);
+                let sent = estimates.filter(|now| schedule.due(at(*now)).count() == 1);
                 let (sent, expected) = (sent.count() as i64, 60_000 / wanted);
                 assert!(
                     (sent - expected).abs() <= 1,
@@ -264,7 +263,7 @@ mod tests {
         };
         let mut schedule = OutputSchedule::new(&[stream]);
         let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
-        let sent: Vec<i64> = silent_until.filter(|now| schedule.due(at(*now)).len() == 1).collect();
+        let sent: Vec<i64> = silent_until.filter(|now| schedule.due(at(*now)).count() == 1).collect();
         let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
         assert_eq!(sent, expected.collect::<Vec<_>>());
     }
@@ -276,13 +275,13 @@ mod tests {
         let mut schedule = OutputSchedule::new(&[stream]);
         assert_eq!(schedule.interval_micros(OutputKind::Attitude), -1);
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 1);
-        assert_eq!(schedule.due(at(0)), [stream]);
-        assert_eq!(schedule.due(at(40)), [stream]);
+        assert!(schedule.due(at(0)).eq([stream]));
+        assert!(schedule.due(at(40)).eq([stream]));
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 40_000);
         schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::from_millis(250)));
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 250_000);
-        assert_eq!(schedule.due(at(41)).len(), 1);
-        assert_eq!(schedule.due(at(290)).len(), 0);
+        assert_eq!(schedule.due(at(41)).count(), 1);
+        assert_eq!(schedule.due(at(290)).count(), 0);
         schedule.set_interval(ids::ODOMETRY, None);
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), -1);
     }

@@ -1,6 +1,6 @@
 //! All robots of a station, in the order in which they were first heard.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_estimator::{FilterEntry, StartPose, find_filter};
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
@@ -50,9 +50,9 @@ pub(crate) struct RobotTable {
     /// What was asked of all robots, for those that appear later.
     settings: CommonSettings,
     /// Robots with something new since their last estimate, in the order of the table.
-    changed: BTreeSet<RobotIndex>,
+    changed: OrderedQueue,
     /// Robots whose estimate the other links have not been sent yet.
-    pending: BTreeSet<RobotIndex>,
+    pending: OrderedQueue,
     /// Intervals that peers asked for, which hold for robots that appear later, too.
     intervals: Vec<(LinkId, u32, Option<TimeDelta>)>,
     /// Before this instant no robot that is alive can have been silent for too long.
@@ -99,8 +99,8 @@ impl RobotTable {
             has_refused: false,
             has_reported_refusal: false,
             settings: CommonSettings::default(),
-            changed: BTreeSet::new(),
-            pending: BTreeSet::new(),
+            changed: OrderedQueue::default(),
+            pending: OrderedQueue::default(),
             intervals: Vec::new(),
             presence_until: None,
         }
@@ -162,9 +162,14 @@ impl RobotTable {
         self.identities.is_known(address)
     }
 
-    /// Who sent a message that came in now.
-    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) -> SenderIdentity {
-        self.identities.identify(now, origin)
+    /// Who sent a message that came in now; `known` is what [`Self::at_endpoint`] says of it.
+    pub(crate) fn identify(
+        &mut self,
+        now: Timestamp<HostClock>,
+        origin: MessageOrigin,
+        known: Option<RobotIndex>,
+    ) -> SenderIdentity {
+        self.identities.identify(now, origin, known)
     }
 
     /// The robot that is heard by an endpoint under an address; `home` is the first link of the endpoint's group.
@@ -189,7 +194,7 @@ impl RobotTable {
 
     /// The address under which ground stations see a sender that is heard by an endpoint; `None` if that is its own.
     pub(crate) fn announced_address(&self, endpoint: Endpoint, home: LinkId, sender: Address) -> Option<Address> {
-        if self.renamed.is_empty() {
+        if !self.has_renamed() {
             return None;
         }
         // The other components of a robot's system go with it.
@@ -199,6 +204,11 @@ impl RobotTable {
         is_renamed.then_some(Address { system: robot.vehicle_address.system, ..sender })
     }
 
+    /// Whether ground stations see any robot as a system that is not its own.
+    pub(crate) fn has_renamed(&self) -> bool {
+        !self.renamed.is_empty()
+    }
+
     /// The robot that ground stations see as a system that is not its own.
     pub(crate) fn renamed(&self, system: SystemId) -> Option<&Robot> {
         self.renamed.get(&system).map(|index| self.get(*index))
@@ -206,7 +216,7 @@ impl RobotTable {
 
     /// Whether what is for a system must not go to an endpoint, because only a robot that is seen as another system is heard there.
     pub(crate) fn is_announced_otherwise(&self, endpoint: Endpoint, system: SystemId) -> bool {
-        let robot = self.only_at(endpoint).filter(|_| !self.renamed.is_empty()).map(|index| self.get(index));
+        let robot = self.only_at(endpoint).filter(|_| self.has_renamed()).map(|index| self.get(index));
         robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
     }
 
@@ -433,6 +443,22 @@ impl RobotTable {
     /// The next robot whose estimate the other links have not been sent yet.
     pub(crate) fn pop_pending(&mut self) -> Option<RobotIndex> {
         self.pending.pop_first()
+    }
+}
+
+/// Robots in the order of their table, each once. Mostly it holds one, for the time of an input: it keeps its memory.
+#[derive(Debug, Default)]
+struct OrderedQueue(VecDeque<RobotIndex>);
+
+impl OrderedQueue {
+    fn insert(&mut self, index: RobotIndex) {
+        if let Err(position) = self.0.binary_search(&index) {
+            self.0.insert(position, index);
+        }
+    }
+
+    fn pop_first(&mut self) -> Option<RobotIndex> {
+        self.0.pop_front()
     }
 }
 

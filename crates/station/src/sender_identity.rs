@@ -142,16 +142,21 @@ impl SenderIdentities {
         robots.iter().copied().filter(move |robot| self.senders[*robot].home == home)
     }
 
-    /// Who sent a message that came in now.
-    pub(crate) fn identify(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) -> SenderIdentity {
+    /// Who sent a message that came in now; `known` is what [`Self::find`] says of it.
+    pub(crate) fn identify(
+        &mut self,
+        now: Timestamp<HostClock>,
+        origin: MessageOrigin,
+        known: Option<RobotIndex>,
+    ) -> SenderIdentity {
         let MessageOrigin { endpoint, home, address, is_new, is_telemetry } = origin;
-        if !self.is_known(address) {
+        if known.is_none() && !self.is_known(address) {
             return SenderIdentity::Unknown;
         }
         if is_telemetry && !is_new {
             self.looped_until.insert(address, now + LOOP_MEMORY);
         }
-        if let Some(robot) = self.find(endpoint, home, address) {
+        if let Some(robot) = known {
             self.move_to(robot, now, origin);
             if is_telemetry && is_new {
                 self.senders[robot].record_telemetry(now);
@@ -222,9 +227,14 @@ mod tests {
         MessageOrigin { endpoint, home: LinkId(link), address: ADDRESS, is_new: true, is_telemetry: true }
     }
 
+    fn identify(identities: &mut SenderIdentities, now: Timestamp<HostClock>, origin: MessageOrigin) -> SenderIdentity {
+        let known = identities.find(origin.endpoint, origin.home, origin.address);
+        identities.identify(now, origin, known)
+    }
+
     fn with_one_robot() -> SenderIdentities {
         let mut identities = SenderIdentities::default();
-        assert_eq!(identities.identify(at(0), telemetry(0, 0)), SenderIdentity::Unknown);
+        assert_eq!(identify(&mut identities, at(0), telemetry(0, 0)), SenderIdentity::Unknown);
         identities.add(at(0), telemetry(0, 0));
         identities
     }
@@ -232,52 +242,52 @@ mod tests {
     #[test]
     fn a_robot_that_comes_back_as_another_peer_goes_on_after_the_old_one_fell_silent() {
         let mut identities = with_one_robot();
-        assert_eq!(identities.identify(at(100), telemetry(0, 1)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(290), telemetry(0, 1)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(300), telemetry(0, 1)), SenderIdentity::Robot(0));
-        assert_eq!(identities.identify(at(310), telemetry(0, 1)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(100), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(290), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(300), telemetry(0, 1)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(310), telemetry(0, 1)), SenderIdentity::Robot(0));
     }
 
     #[test]
     fn a_robot_that_sends_rarely_is_not_taken_for_one_that_reconnected() {
         let mut identities = with_one_robot();
         for millis in (500..=2_500).step_by(500) {
-            assert_eq!(identities.identify(at(millis), telemetry(0, 0)), SenderIdentity::Robot(0));
+            assert_eq!(identify(&mut identities, at(millis), telemetry(0, 0)), SenderIdentity::Robot(0));
         }
-        assert_eq!(identities.identify(at(2_950), telemetry(0, 1)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(3_000), telemetry(0, 0)), SenderIdentity::Robot(0));
-        assert_eq!(identities.identify(at(3_450), telemetry(0, 1)), SenderIdentity::Unknown, "both go on");
+        assert_eq!(identify(&mut identities, at(2_950), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(3_000), telemetry(0, 0)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(3_450), telemetry(0, 1)), SenderIdentity::Unknown, "both go on");
     }
 
     #[test]
     fn a_robot_that_reconnects_soon_after_a_long_pause_stays_the_same_robot() {
         let mut identities = with_one_robot();
-        assert_eq!(identities.identify(at(60_000), telemetry(0, 0)), SenderIdentity::Robot(0));
-        assert_eq!(identities.identify(at(60_100), telemetry(0, 1)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(62_500), telemetry(0, 1)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(60_000), telemetry(0, 0)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(60_100), telemetry(0, 1)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(62_500), telemetry(0, 1)), SenderIdentity::Robot(0));
     }
 
     #[test]
     fn only_telemetry_takes_the_place_of_a_robot_that_is_silent() {
         let mut identities = with_one_robot();
         let camera = MessageOrigin { is_telemetry: false, ..telemetry(0, 1) };
-        assert_eq!(identities.identify(at(400), camera), SenderIdentity::Unknown);
-        assert_eq!(identities.identify(at(500), telemetry(0, 0)), SenderIdentity::Robot(0));
+        assert_eq!(identify(&mut identities, at(400), camera), SenderIdentity::Unknown);
+        assert_eq!(identify(&mut identities, at(500), telemetry(0, 0)), SenderIdentity::Robot(0));
     }
 
     #[test]
     fn the_ids_of_a_robot_that_is_off_are_another_robot_on_another_link() {
         let mut identities = with_one_robot();
-        assert_eq!(identities.identify(at(1_000), telemetry(1, 0)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(4_999), telemetry(1, 0)), SenderIdentity::Contested);
-        assert_eq!(identities.identify(at(5_000), telemetry(1, 0)), SenderIdentity::Unknown);
+        assert_eq!(identify(&mut identities, at(1_000), telemetry(1, 0)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(4_999), telemetry(1, 0)), SenderIdentity::Contested);
+        assert_eq!(identify(&mut identities, at(5_000), telemetry(1, 0)), SenderIdentity::Unknown);
     }
 
     #[test]
     fn a_thermometer_with_the_ids_of_a_robot_on_another_link_is_heard() {
         let mut identities = with_one_robot();
         let thermometer = MessageOrigin { is_telemetry: false, ..telemetry(2, 0) };
-        assert_eq!(identities.identify(at(10), thermometer), SenderIdentity::Unknown);
+        assert_eq!(identify(&mut identities, at(10), thermometer), SenderIdentity::Unknown);
     }
 
     #[test]
@@ -285,12 +295,12 @@ mod tests {
         for link in [0, 1] {
             let mut identities = with_one_robot();
             let other = telemetry(link, 7);
-            assert_eq!(identities.identify(at(10), other), SenderIdentity::Contested, "link {link}");
-            assert_eq!(identities.identify(at(50), telemetry(0, 0)), SenderIdentity::Robot(0));
-            assert_eq!(identities.identify(at(60), other), SenderIdentity::Unknown, "link {link}");
+            assert_eq!(identify(&mut identities, at(10), other), SenderIdentity::Contested, "link {link}");
+            assert_eq!(identify(&mut identities, at(50), telemetry(0, 0)), SenderIdentity::Robot(0));
+            assert_eq!(identify(&mut identities, at(60), other), SenderIdentity::Unknown, "link {link}");
             identities.add(at(60), other);
-            assert_eq!(identities.identify(at(100), telemetry(0, 0)), SenderIdentity::Robot(0));
-            assert_eq!(identities.identify(at(110), other), SenderIdentity::Robot(1));
+            assert_eq!(identify(&mut identities, at(100), telemetry(0, 0)), SenderIdentity::Robot(0));
+            assert_eq!(identify(&mut identities, at(110), other), SenderIdentity::Robot(1));
         }
     }
 
@@ -304,7 +314,7 @@ mod tests {
             let detour = MessageOrigin { is_new: !is_direct_first, ..telemetry(1, 0) };
             let (first, second) = if is_direct_first { (direct, detour) } else { (detour, direct) };
             for origin in [first, second] {
-                assert_ne!(identities.identify(at(millis), origin), SenderIdentity::Unknown, "{millis} ms");
+                assert_ne!(identify(&mut identities, at(millis), origin), SenderIdentity::Unknown, "{millis} ms");
             }
         }
     }

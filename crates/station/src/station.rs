@@ -12,7 +12,7 @@ use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority,
-    RobotId, SensorId, TimeDelta, Timestamp,
+    RobotId, SensorId, TimeDelta, Timestamp, severity,
 };
 
 use crate::codec_events::CodecEvents;
@@ -30,7 +30,6 @@ use crate::robot::Robot;
 use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
 use crate::sessions::{SenderRole, Sessions};
-use crate::severity::SEVERITY_WARNING;
 use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
 use crate::transmitter::Transmitter;
@@ -269,7 +268,7 @@ impl Station {
             self.outputs.emit(Event::ReceiveError { link: id, defect: error });
         }
         for (source, text) in batch.descriptions {
-            self.emit(Event::Text { source, severity: SEVERITY_WARNING, text });
+            self.emit(Event::Text { source, severity: severity::WARNING, text });
         }
         for message in batch.messages {
             self.handle_message(received, &message);
@@ -422,14 +421,14 @@ impl Station {
         while let Some(index) = self.robots.pop_changed() {
             let estimate = self.robots.get(index).estimator.latest_estimate();
             self.request_fixes(estimate.as_ref());
-            let Some(estimate) = estimate else {
+            let Some(estimate) = &estimate else {
                 continue;
             };
             let robot = self.robots.get(index).id;
-            self.emit(Event::EstimateUpdated { robot, estimate });
-            self.publish_estimate(index, robot.link, &estimate);
+            self.emit(Event::EstimateUpdated { robot, estimate: *estimate });
+            self.publish_estimate(index, robot.link, estimate);
             if self.links.len() > 1 || !self.links.contains_key(&robot.link) {
-                self.robots.get_mut(index).publisher.set_pending(&estimate);
+                self.robots.get_mut(index).publisher.set_pending(estimate);
                 self.robots.mark_pending(index);
             }
         }
@@ -478,19 +477,24 @@ impl Station {
     }
 
     /// Puts an event out, and into words for ground stations.
+    #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
         if self.sessions.has_ground_stations() {
-            let context = TextContext {
-                own_address: self.config.own_address,
-                now: self.time.now,
-                robots: &self.robots,
-                links: &self.links,
-                sessions: &self.sessions,
-                router: &self.router,
-            };
-            self.status_texts.push_event(&context, &event);
+            self.push_status_text(&event);
         }
         self.outputs.emit(event);
+    }
+
+    fn push_status_text(&mut self, event: &Event) {
+        let context = TextContext {
+            own_address: self.config.own_address,
+            now: self.time.now,
+            robots: &self.robots,
+            links: &self.links,
+            sessions: &self.sessions,
+            router: &self.router,
+        };
+        self.status_texts.push_event(&context, event);
     }
 
     /// Sends the texts that wait, on every link for ground stations.

@@ -13,14 +13,13 @@ use posebridge_protocol::message::{Message, TextPart};
 use posebridge_protocol::routing::FrameRouter;
 use posebridge_telemetry::{
     Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkId, LinkState, RobotId, SensorId, TimeDelta,
-    Timestamp,
+    Timestamp, severity,
 };
 
 use crate::link_context::LinkContext;
 use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
 use crate::sessions::{SenderRole, Sessions};
-use crate::severity::{SEVERITY_ERROR, SEVERITY_INFO, SEVERITY_NOTICE, SEVERITY_WARNING};
 
 /// Time between two texts of one topic. A person reads a line in less.
 const TOPIC_INTERVAL: TimeDelta = TimeDelta::from_millis(5_000);
@@ -190,33 +189,27 @@ impl StatusTextQueue {
     }
 
     fn text_for_event(&mut self, context: &TextContext<'_>, event: &Event) -> Option<(Topic, u8, String)> {
+        let with_topic = |topic| event.describe().map(|(severity, text)| (topic, severity, text));
         match event {
-            Event::Link { link, state } => text_for_link(context, *link, *state),
+            Event::Link { link, state } => with_topic(topic_of_link(context, *link, *state)?),
             Event::RobotDetected { robot } => {
                 let index = context.robot(*robot)?;
-                let text = format!("robot {} is heard again", robot.address);
-                let is_back = self.lost_robots.remove(&index);
-                is_back.then_some((Topic::RobotSeen(index), SEVERITY_INFO, text))
+                if !self.lost_robots.remove(&index) {
+                    return None;
+                }
+                with_topic(Topic::RobotSeen(index)).map(|(topic, severity, text)| (topic, severity, text + " again"))
             }
-            Event::RobotNamed { robot, name } => {
-                let text = format!("robot {} is {name}", robot.address);
-                Some((Topic::RobotNamed(context.robots.find(*robot)?), SEVERITY_INFO, text))
-            }
-            Event::RobotLost { robot, silence } => {
+            Event::RobotNamed { robot, .. } => with_topic(Topic::RobotNamed(context.robots.find(*robot)?)),
+            Event::RobotLost { robot, .. } => {
                 let index = context.robot(*robot)?;
                 if context.robots.get(index).is_alive(context.now) {
                     return None;
                 }
                 self.lost_robots.insert(index);
-                let (address, silence_s) = (robot.address, silence.as_secs_f64());
-                let text = format!("robot {address} is lost: silent for {silence_s:.1} s");
-                Some((Topic::RobotLost(index), SEVERITY_ERROR, text))
+                // Ground stations speak errors.
+                with_topic(Topic::RobotLost(index)).map(|(topic, _, text)| (topic, severity::ERROR, text))
             }
-            Event::BrickRestarted { robot } => {
-                let index = context.robots.find(*robot)?;
-                let text = format!("robot {} has restarted", robot.address);
-                Some((Topic::Restart(index), SEVERITY_WARNING, text))
-            }
+            Event::BrickRestarted { robot } => with_topic(Topic::Restart(context.robots.find(*robot)?)),
             Event::ObservationFused { record, robot } => {
                 let index = context.robots.find(*robot).unwrap_or_default();
                 let (topic, severity, text) = text_for_record(index, record)?;
@@ -253,26 +246,18 @@ impl StatusTextQueue {
         if before.is_none_or(|before| before == counter) {
             return None;
         }
-        let text = match estimate.last_correction {
-            Some(jump) => format!(
-                "pose was reset: moved by {:.3} m, turned by {:.1} deg",
-                jump.dx_m.hypot(jump.dy_m),
-                jump.turn.0.to_degrees()
-            ),
-            None => "pose was reset".to_owned(),
-        };
-        Some((Topic::Reset(robot), SEVERITY_NOTICE, text))
+        Some((Topic::Reset(robot), severity::NOTICE, estimate.describe_reset()))
     }
 }
 
 /// A ground station sees the state of its own link itself.
-fn text_for_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Option<(Topic, u8, String)> {
+fn topic_of_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Option<Topic> {
     if !context.links.contains_key(&id) || context.sessions.vehicles(id).is_some() {
         return None;
     }
     Some(match state {
-        LinkState::Up => (Topic::LinkUp(id), SEVERITY_INFO, format!("link {id} is up")),
-        LinkState::Down => (Topic::LinkDown(id), SEVERITY_WARNING, format!("link {id} is down")),
+        LinkState::Up => Topic::LinkUp(id),
+        LinkState::Down => Topic::LinkDown(id),
     })
 }
 
@@ -292,7 +277,7 @@ fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u
         | FusionOutcome::PoseReset
         | FusionOutcome::Unused => return None,
     };
-    Some((Topic::FixRejected(robot, record.sensor), SEVERITY_WARNING, words))
+    Some((Topic::FixRejected(robot, record.sensor), severity::WARNING, words))
 }
 
 #[cfg(test)]
@@ -300,11 +285,11 @@ mod tests {
     use super::*;
 
     fn text(words: &str) -> PendingText {
-        PendingText { sender: SenderRole::Station, severity: SEVERITY_INFO, text: words.to_owned() }
+        PendingText { sender: SenderRole::Station, severity: severity::INFO, text: words.to_owned() }
     }
 
     fn parts_of(announcer: &mut StatusTextQueue, words: &str) -> Vec<(String, u16, u8)> {
-        let parts = announcer.split_text(SEVERITY_INFO, words).into_iter();
+        let parts = announcer.split_text(severity::INFO, words).into_iter();
         let said = parts.filter_map(|message| {
             if let Message::StatusText { text, part, .. } = message {
                 Some((text, part.text_id, part.index))

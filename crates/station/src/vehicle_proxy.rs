@@ -10,7 +10,7 @@
 //! - Signed frames must not be changed and leave as they came. While they do, the station does not send as that robot.
 //! - On a link with a key, unsigned frames of others are numbered like everywhere, and stay unsigned. The station's own are signed
 //!   there, and its signature must not stand beside frames that the robot sends without one: it does not speak as the robot there,
-//!   either. docs/adr/0010 gives the reasons.
+//!   either. docs/adr/README.md, decision 10, gives the reasons.
 //!
 //! [`Encoder::readdress`]: posebridge_protocol::dialect::Encoder::readdress
 

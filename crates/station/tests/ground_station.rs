@@ -203,8 +203,8 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
         assert_eq!(received.lost(who), 0, "{who}");
     }
     let texts = received.texts();
-    assert!(texts.contains(&"robot 1/25 is lost: silent for 5.0 s"), "{texts:?}");
-    assert!(texts.contains(&"robot 1/25 is heard again"), "{texts:?}");
+    assert!(texts.contains(&"robot 3/1/25 lost: silent for 5.0 s"), "{texts:?}");
+    assert!(texts.contains(&"robot 3/1/25 detected again"), "{texts:?}");
     // On the robot's own link the station is there all the time: somebody may wait for it.
     assert!(ReceivedFrames::on(&station, LINK).times(STATION, is_beat).len() >= 22);
 }

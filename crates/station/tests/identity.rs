@@ -62,7 +62,8 @@ fn a_robot_with_a_name_is_named_once_and_another_is_not() {
     let named: Vec<Event> = station.events().filter(named).cloned().collect();
     assert_eq!(named, [Event::RobotNamed { robot: robot(NEIGHBOUR), name: "ada".to_owned() }]);
     let sent: Vec<u8> = station.sent().flat_map(|(_, bytes)| bytes.to_vec()).collect();
-    let is_told = |message: &Message| matches!(message, Message::StatusText { text, .. } if text == "robot 2/1 is ada");
+    let is_told =
+        |message: &Message| matches!(message, Message::StatusText { text, .. } if text == "robot 3/2/1 is ada");
     assert_eq!(messages(&sent).iter().filter(|message| is_told(message)).count(), 1);
 }
 

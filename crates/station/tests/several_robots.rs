@@ -19,7 +19,7 @@ use brick::{BRICK, HEARTBEAT, messages, ticks};
 use network::{RemotePeer, passed_on};
 use posebridge_protocol::dialect::ids::{self, COMMAND_REQUEST_MESSAGE};
 use posebridge_protocol::message::{CommandLong, Message, SetMessageInterval, WireStamp};
-use posebridge_station::{OutputKind, StationConfig};
+use posebridge_station::{OutputKind, RobotBlock, RobotConfig, RobotMatch, StationConfig};
 use posebridge_telemetry::{Address, Event, Input, LinkId, Output, PeerId, Recipients, RobotId};
 use station::{LINK, STATION, TestStation, at, config, link, stream};
 
@@ -235,4 +235,32 @@ fn a_robot_that_is_off_does_not_keep_another_with_its_ids_from_being_followed_on
     assert_eq!(station.engine.robots().len(), 2);
     let latest = station.engine.robots()[1].latest_time().expect("it is followed");
     assert_eq!(latest.as_micros(), 20_000_000 + 50_000 * 119);
+}
+
+#[test]
+fn a_robot_of_redundant_links_takes_the_block_of_either_and_hears_its_estimate_on_both() {
+    let links = [LINK, OTHER_LINK];
+    for matched in links {
+        let mut config = config();
+        config.links = links
+            .map(|id| {
+                let mut link = link(id, vec![stream(OutputKind::PlanarPose, 0)]);
+                link.rules.group = Some(0);
+                link
+            })
+            .to_vec();
+        let robot = RobotConfig { name: Some("left".to_owned()), ..config.robot.clone() };
+        config.robots.push(RobotBlock { matches: RobotMatch { link: Some(matched), ..RobotMatch::default() }, robot });
+        let mut station = TestStation::new(&config);
+        let mut robot = RemotePeer::new(BRICK, OTHER_LINK, 0);
+        for k in 0..5 {
+            robot.send(&mut station, at(i64::from(50 * k)), &ticks(50 * k, 0, 0));
+        }
+        assert_eq!(station.engine.robots()[0].name(), Some("left"), "matched by link {matched}");
+        let poses = |on: LinkId| {
+            let sent = sent_since(&station, 0).into_iter();
+            sent.filter(|(link, _, message)| *link == on && matches!(message, Message::PlanarPose(_))).count()
+        };
+        assert_eq!(links.map(poses), [5, 5]);
+    }
 }

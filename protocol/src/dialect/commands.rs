@@ -15,7 +15,7 @@
 //! last four; MAV_CMD_USER_1 to 5 are meant for such commands.
 //!
 //! # Source
-//! common.xml, MAV_CMD and PREFLIGHT_STORAGE_PARAMETER_ACTION; docs/parameters.md.
+//! common.xml, MAV_CMD and PREFLIGHT_STORAGE_PARAMETER_ACTION; docs/ground-stations.md.
 
 use posebridge_telemetry::{
     Command, Heading, Meters, OnlineCalibration, ParameterStorage, Pose, SensorId, SensorSwitch,

@@ -12,6 +12,9 @@ use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
 
+/// The bytes of a frame beside its payload, at most: header, checksum and signature of MAVLink 2.
+const MAX_FRAME_OVERHEAD: usize = 10 + 2 + 13;
+
 /// Writes frames for one link.
 ///
 /// Receivers compute losses per (system, component) and link, so an encoder belongs to one link and counts for each address that
@@ -63,6 +66,7 @@ impl Encoder {
         let payload = payload.bytes();
         let [id0, id1, id2, _] = message_id.to_le_bytes();
         let start = out.len();
+        out.reserve(payload.len() + MAX_FRAME_OVERHEAD);
         match self.version {
             WireVersion::V1 if message_id > 0xFF => return 0,
             WireVersion::V1 => out.extend_from_slice(&[START_BYTE_V1, payload.len() as u8]),

@@ -11,11 +11,11 @@
 //!
 //! # Assumptions
 //! Two different frames within the window do not share a 64-bit hash by chance (10^4 frames: 3 in 10^12).
-//!
-//! # Sources
-//! FNV-1a, 64 bits: Fowler, Noll, Vo, Eastlake, "The FNV Non-Cryptographic Hash Algorithm" (IETF, draft-eastlake-fnv).
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+#[expect(clippy::disallowed_types, reason = "see DuplicateGuard")]
+use std::collections::HashMap;
+use std::collections::{BTreeSet, VecDeque};
+use std::hash::{DefaultHasher, Hasher};
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -34,13 +34,9 @@ const MAX_ENDPOINTS: usize = 32;
 const RESERVED_KEYS: usize = 4_096;
 /// Most keys that may wait to be sorted in.
 const MAX_WAITING: usize = 64;
-/// FNV-1a: offset basis for 64 bits.
-const FNV_BASIS: u64 = 0xCBF2_9CE4_8422_2325;
-/// FNV-1a: prime for 64 bits.
-const FNV_PRIME: u64 = 0x0000_0100_0000_01B3;
 
 /// Under what a frame is remembered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum FrameKey {
     Frame(u64),
     Content(u64),
@@ -48,7 +44,7 @@ pub(super) enum FrameKey {
 
 /// The key of a frame's bytes.
 pub(super) fn frame_key(frame: &[u8]) -> FrameKey {
-    FrameKey::Frame(hash(FNV_BASIS, frame))
+    FrameKey::Frame(hash([frame]))
 }
 
 /// The key of a frame's content, within a group of redundant links.
@@ -60,12 +56,16 @@ pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> FrameKey {
     // MAVLink 1 does not cut off trailing zeros.
     let zeros = frame.payload.iter().rev().take_while(|byte| **byte == 0).count();
     let payload = &frame.payload[..frame.payload.len() - zeros];
-    FrameKey::Content(hash(hash(FNV_BASIS, &head), payload))
+    FrameKey::Content(hash([&head, payload]))
 }
 
-fn hash(start: u64, bytes: &[u8]) -> u64 {
-    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(FNV_PRIME);
-    bytes.iter().fold(start, step)
+/// The same in every run of a program: its keys are fixed.
+fn hash<const N: usize>(parts: [&[u8]; N]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    for part in parts {
+        hasher.write(part);
+    }
+    hasher.finish()
 }
 
 /// A frame that came.
@@ -80,10 +80,11 @@ struct SeenFrame {
 /// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until no reply is due
 /// ([`Self::sort_and_expire`]), and as long as frames come from a single endpoint, where none can be a repeat; what is not sorted
 /// in yet is known all the same.
+#[expect(clippy::disallowed_types, reason = "keys are looked up and never walked through: no order can leak")]
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: TimeDelta,
-    seen: BTreeMap<FrameKey, SeenFrame>,
+    seen: HashMap<FrameKey, SeenFrame>,
     /// Every note, oldest first; a key that was noted again stands here twice.
     expiry_order: VecDeque<(Timestamp<HostClock>, FrameKey)>,
     /// Notes that are not sorted in, oldest first.
@@ -95,11 +96,12 @@ pub(super) struct DuplicateGuard {
     last_endpoint_change: Timestamp<HostClock>,
 }
 
+#[expect(clippy::disallowed_types, reason = "see DuplicateGuard")]
 impl DuplicateGuard {
     pub(super) fn new(window: TimeDelta) -> Self {
         Self {
             window,
-            seen: BTreeMap::new(),
+            seen: HashMap::with_capacity(RESERVED_KEYS),
             expiry_order: VecDeque::with_capacity(RESERVED_KEYS),
             unsorted: VecDeque::with_capacity(MAX_WAITING),
             endpoints: BTreeSet::new(),
@@ -198,14 +200,6 @@ mod tests {
 
     fn endpoint(link: u16) -> Endpoint {
         Endpoint { link: LinkId(link), peer: PeerId(0) }
-    }
-
-    /// Vectors of the draft for 64 bits.
-    #[test]
-    fn the_hash_is_the_published_one() {
-        assert_eq!(hash(FNV_BASIS, b""), 0xCBF2_9CE4_8422_2325);
-        assert_eq!(hash(FNV_BASIS, b"a"), 0xAF63_DC4C_8601_EC8C);
-        assert_eq!(hash(FNV_BASIS, b"foobar"), 0x8594_4171_F739_67E8);
     }
 
     #[test]

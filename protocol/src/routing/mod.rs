@@ -259,8 +259,11 @@ impl FrameRouter {
     /// The link that stands for a group of redundant links: that with the lowest id; the link itself if it is in none.
     #[must_use]
     pub fn first_of_group(&self, link: LinkId) -> LinkId {
-        let mut ids = self.config.links.keys().copied();
-        ids.find(|id| self.are_redundant(*id, link)).unwrap_or(link)
+        let Some(group) = self.group(link) else {
+            return link;
+        };
+        let mut links = self.config.links.iter();
+        links.find(|(_, rules)| rules.group == Some(group)).map_or(link, |(first, _)| *first)
     }
 
     fn group(&self, link: LinkId) -> Option<u16> {

@@ -1,6 +1,6 @@
 //! What happens in a simulation: the path, the robot with its errors, its sensors, its clock and the camera.
 //!
-//! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulated-brick.md` holds
+//! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulator.md` holds
 //! the table of keys with the sources of the defaults. Reading files is the caller's business.
 
 mod bundled;

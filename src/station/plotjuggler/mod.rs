@@ -1,4 +1,4 @@
-//! What happens, as JSON datagrams for PlotJuggler's UDP server (docs/plotjuggler.md).
+//! What happens, as JSON datagrams for PlotJuggler's UDP server (docs/dashboard.md).
 //!
 //! Fed with the messages of the page through a channel that drops and counts ([`FrameTap`]). Sending a datagram never blocks, and
 //! needs no listener.

@@ -26,7 +26,7 @@ fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<S
         Some(_) => ("its signing is not required", "set `required = true` in its `signing`"),
         None => (
             "it is not signed",
-            "make a key with `posebridge key new FILE` and give the link `signing = { key_file = \"FILE\" }` (docs/signing.md)",
+            "make a key with `posebridge key new FILE` and give the link `signing = { key_file = \"FILE\" }` (docs/routing.md)",
         ),
     };
     Some(format!(

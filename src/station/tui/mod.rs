@@ -1,4 +1,4 @@
-//! The terminal view: what the page shows, for people on ssh (docs/terminal.md).
+//! The terminal view: what the page shows, for people on ssh (docs/dashboard.md).
 //!
 //! It is fed with the messages of the page through a channel that drops and counts ([`FrameTap`]), and gives its commands by the same way
 //! as the page. From a [`Model`] to the cells of the screen goes a pure function ([`render::render`]); [`tty`] takes the terminal, never

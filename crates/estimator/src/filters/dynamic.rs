@@ -15,7 +15,7 @@
 //! seen in the sigma that it gives. There is no gate: paper 2 has none, and a wrong model would lock it.
 //!
 //! # Sources
-//! Paper 2 (Markovsky); docs/maths/paper2.md.
+//! Paper 2 (Markovsky); docs/lab/thermometer.md.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{

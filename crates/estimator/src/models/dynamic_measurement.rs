@@ -20,7 +20,7 @@
 //! which lag takes up a step of the input: each takes up the same share.
 //!
 //! # Sources
-//! Paper 2 (Markovsky), the augmented model; docs/maths/paper2.md sections 1 and 2.
+//! Paper 2 (Markovsky), the augmented model; docs/lab/thermometer.md sections M1 and M2.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::SensorId;

@@ -27,7 +27,7 @@
 //! beginning. The heading is not wrapped: a filter that compares it with an integral must know how many turns both have made.
 //!
 //! # Sources
-//! Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; its Jacobian by hand; docs/maths/paper1.md sections 3 and 4.
+//! Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; its Jacobian by hand; docs/lab/square.md sections M3 and M4.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::DriveGeometry;

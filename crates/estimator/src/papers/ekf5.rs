@@ -16,7 +16,7 @@
 //! after each fix that was used: otherwise their drift would be held against every fix for ever.
 //!
 //! # Sources
-//! Paper 1 (Valera et al.), equations 24 to 26; docs/maths/paper1.md section 4.
+//! Paper 1 (Valera et al.), equations 24 to 26; docs/lab/square.md section M4.
 
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, quantities::wrap_rad};

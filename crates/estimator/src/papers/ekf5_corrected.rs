@@ -22,7 +22,7 @@
 //! accelerometer is no mean over the interval. The geometry is taken as given. Fixes are not used: `pose` does that better.
 //!
 //! # Sources
-//! Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/maths/paper1.md section 5.
+//! Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/lab/square.md section M5.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};

@@ -1,4 +1,4 @@
-//! The filters of the papers, faithful to their equations; docs/maths/paper1.md, paper3.md and paper4.md say where they differ.
+//! The filters of the papers, faithful to their equations; docs/lab/{square,wall,indirect}.md say where they differ.
 //!
 //! Paper 2's filter is [`crate::filters::dynamic`]: the thermometers of a running station are made of it.
 

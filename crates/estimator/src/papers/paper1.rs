@@ -1,7 +1,7 @@
 //! What the filters of paper 1 share of its numbers: its sampling interval and its units.
 //!
-//! The paper prints its matrices without units; only centimetres and degrees make sense of them (docs/maths/paper1.md
-//! section 1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so
+//! The paper prints its matrices without units; only centimetres and degrees make sense of them (docs/lab/square.md
+//! section M1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so
 //! the states here are SI and the printed numbers are brought to SI, which changes no gain.
 
 use crate::models::planar_speeds::{Covariance, Mean, N};

@@ -17,7 +17,7 @@
 //! | a reading within 50 ms of the last step | used as if made at that step | used at its own time, and the state carried there |
 //!
 //! # Sources
-//! Paper 3 (Lab 7); docs/maths/paper3.md.
+//! Paper 3 (Lab 7); docs/lab/wall.md.
 
 use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{

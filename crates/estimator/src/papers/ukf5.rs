@@ -16,7 +16,7 @@
 //!
 //! # Sources
 //! Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et al.),
-//! equations 24 to 26; docs/maths/paper1.md section 6.
+//! equations 24 to 26; docs/lab/square.md section M6.
 
 use posebridge_telemetry::estimate::row::HEADING;
 

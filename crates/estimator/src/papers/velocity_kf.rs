@@ -13,7 +13,7 @@
 //! corrected: its gain is zero, as in the paper, and its covariance is that which Joseph's form gives for such a gain.
 //!
 //! # Sources
-//! Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/maths/paper1.md section 3.
+//! Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/lab/square.md section M3.
 
 use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};

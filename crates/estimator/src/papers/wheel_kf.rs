@@ -14,7 +14,7 @@
 //! configured noise of motion plus what the two wheels' own covariances leave open.
 //!
 //! # Sources
-//! Paper 1 (Valera et al.), equations 13 to 19; docs/maths/paper1.md section 2.
+//! Paper 1 (Valera et al.), equations 13 to 19; docs/lab/square.md section M2.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use posebridge_telemetry::{FusionOutcome, FusionRecord, estimate::row};

@@ -15,7 +15,7 @@
 //! the gyro are independent of each other.
 //!
 //! # Source
-//! docs/maths/batch.md.
+//! docs/maths/pose.md.
 
 use posebridge_telemetry::Observation;
 

@@ -19,8 +19,8 @@
 //! uniform noise. A bound that knows more than a filter does is lower, and still a bound.
 //!
 //! # Sources
-//! Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21; docs/maths/batch.md
-//! section 5.
+//! Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21; docs/maths/pose.md
+//! section B5.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 use posebridge_telemetry::{Arena, Calibration, Pose};

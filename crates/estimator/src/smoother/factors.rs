@@ -8,7 +8,7 @@
 //! A row is a residual over its sigma with its derivatives; the cost is the sum of the squares.
 //!
 //! # Source
-//! docs/maths/batch.md section 2.
+//! docs/maths/pose.md section B2.
 
 use posebridge_telemetry::quantities::wrap_rad;
 

@@ -8,7 +8,7 @@
 //! R  = [R_f + (v sigma_t)^2 I, sigma_th^2 + (w sigma_t)^2]
 //! ```
 //! # Source
-//! docs/maths/batch.md section 2; R as in docs/maths/pose.md section 4.
+//! docs/maths/pose.md section B2; R as in docs/maths/pose.md section 4.
 
 use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{Heading, quantities::wrap_rad};

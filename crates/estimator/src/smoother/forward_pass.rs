@@ -5,7 +5,7 @@
 //! the one before it, and after each observation everything that is active moves to the solution so far. That is an
 //! extended information filter; what it leaves behind is a first guess near enough for the descent.
 //!
-//! Source: docs/maths/batch.md sections 3 and 4.
+//! Source: docs/maths/pose.md sections B3 and B4.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -6,7 +6,7 @@
 //! ```
 //! lambda is zero as long as the cost falls; a step that would raise it is not taken, and lambda grows.
 //!
-//! Source: docs/maths/batch.md section 3.
+//! Source: docs/maths/pose.md section B3.
 
 use super::forward_pass::{LinearizedProblem, PassContext, linearize};
 use super::trajectory::OfflineError;

@@ -5,7 +5,7 @@
 //! the error of a filter can be at all. Neither uses a
 //! filter's code. [`rts()`] is the flagship itself, run forwards and back.
 //!
-//! Source: docs/maths/batch.md.
+//! Source: docs/maths/pose.md.
 
 pub mod batch;
 pub mod cramer_rao;

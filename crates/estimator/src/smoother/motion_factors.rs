@@ -9,7 +9,7 @@
 //! d = (s_L + s_R)/2    dth = (s_R - s_L)/b    s_L = s_L0 (1 + e_m - e_d/2)   s_R = s_R0 (1 + e_m + e_d/2)   b = b0 (1 + e_b)
 //! ```
 //! # Sources
-//! models::differential_drive for the noise; docs/maths/batch.md section 2.
+//! models::differential_drive for the noise; docs/maths/pose.md section B2.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{DriveGeometry, Meters};

@@ -1,6 +1,6 @@
 //! What one round of the batch solution leaves to the next, and where the first one begins.
 //!
-//! Source: docs/maths/batch.md section 3.
+//! Source: docs/maths/pose.md section B3.
 
 use super::factors::bias_prior;
 use super::fix_factors::pose_from_fix;

@@ -9,7 +9,7 @@
 //! In both cases nu' S^-1 nu is the NIS of the fix against all other observations.
 //!
 //! # Source
-//! docs/maths/batch.md section 3.
+//! docs/maths/pose.md section B3.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{Calibration, UncertainValue};

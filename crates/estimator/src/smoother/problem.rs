@@ -4,7 +4,7 @@
 //! rest the motion is exact, so these are one pose and not many. What happened is asked of the same tracks that the filters
 //! ask; the order in which the observations came does not matter.
 //!
-//! Source: docs/maths/batch.md sections 1 and 2.
+//! Source: docs/maths/pose.md sections B1 and B2.
 
 use posebridge_telemetry::{BrickClock, Fix, Observation, ObservationKind, TimeDelta, Timestamp};
 

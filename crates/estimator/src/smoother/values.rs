@@ -9,7 +9,7 @@
 //! Headings are not wrapped: they count turns, so that differences over windows need no wrapping either.
 //!
 //! # Source
-//! Barrau and Bonnabel (2018), Annual Review of Control, Robotics, and Autonomous Systems 1; docs/maths/batch.md section 1.
+//! Barrau and Bonnabel (2018), Annual Review of Control, Robotics, and Autonomous Systems 1; docs/maths/pose.md section B1.
 
 use posebridge_telemetry::{Arena, Calibration, Heading, Meters, Pose, UncertainValue};
 

@@ -12,6 +12,7 @@ mod settings;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use posebridge_telemetry::severity::{INFO, WARNING};
 use posebridge_telemetry::{Address, HostClock, PeerId, ReceiveError, Recipients, SourceHealth, TimeDelta, Timestamp};
 
 use self::cameras::{CameraTable, MAX_CAMERAS};
@@ -32,9 +33,6 @@ const MAX_PEERS: usize = 64;
 const MAX_REPLIES: usize = 64;
 /// Most unknown names that are reported.
 const MAX_UNKNOWN_KEYS: usize = 8;
-/// MAV_SEVERITY_WARNING, _INFO.
-const WARNING: u8 = 4;
-const INFO: u8 = 6;
 /// What a [`Defect`] calls a line, which has no number.
 const LINE_ID: u32 = 0;
 

@@ -16,6 +16,7 @@ mod turn_accumulator;
 
 use std::collections::VecDeque;
 
+use posebridge_telemetry::severity::{ERROR, INFO, WARNING};
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
 use self::bytecode::DirectCommand;
@@ -55,10 +56,6 @@ const REJECTED_PAUSE: TimeDelta = TimeDelta::from_millis(1_000);
 /// No motor of the set is faster, counts of 1 degree per second: 260 rpm of the EV3's medium motor at 9 V without load (Philohome,
 /// Pybricks' identified model).
 const LIMITS: MotorLimits = MotorLimits { max_counts_per_s: 1_600.0, margin: 3.0 };
-/// MAV_SEVERITY_ERROR, _WARNING, _INFO.
-const ERROR: u8 = 3;
-const WARNING: u8 = 4;
-const INFO: u8 = 6;
 /// What [`Defect::Payload`] calls an answer: its type on the wire.
 const ANSWER_ID: u32 = 0x02;
 

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use posebridge_telemetry::severity::{INFO, NOTICE, WARNING};
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
 use super::counters::WheelTotals;
@@ -15,7 +16,7 @@ use super::nxt_request::NxtRequest;
 use super::requests::{ReplyMatch, RequestTracker};
 use super::schedule::{PollSchedule, PortState, ReadSize, RequestFailure, ScheduleChange, WheelSource};
 use super::settings::{NxtSensor, NxtSettings};
-use super::status_texts::{INFO, NOTICE, StatusTextFilter, StatusTopic, WARNING};
+use super::status_texts::{StatusTextFilter, StatusTopic};
 use super::telegram::{NxtReply, framed, keep_alive};
 use super::tick::TickClock;
 use crate::bricks::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};

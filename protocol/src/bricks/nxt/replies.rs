@@ -1,5 +1,6 @@
 //! The content of the brick's replies.
 
+use posebridge_telemetry::severity::{INFO, NOTICE, WARNING};
 use posebridge_telemetry::{
     ChannelName, EncoderTicks, Heading, HostClock, MetersPerSecondSquared, ReceiveError, Timestamp,
 };
@@ -14,7 +15,7 @@ use super::requests::PendingRequest;
 use super::schedule::{PortState, RequestFailure};
 use super::settings::{AccelerometerMounting, MotorMounting, MotorPort, NxtSensor};
 use super::status::NxtStatus;
-use super::status_texts::{INFO, NOTICE, StatusTopic, WARNING};
+use super::status_texts::StatusTopic;
 use super::telegram::{NxtReply, bytes_at};
 use super::tick::TickAdvance;
 use crate::bricks::codec::CodecEvent;

@@ -6,11 +6,6 @@ use posebridge_telemetry::Address;
 
 use crate::bricks::codec::CodecEvent;
 
-/// MAVLink severities.
-pub(super) const WARNING: u8 = 4;
-pub(super) const NOTICE: u8 = 5;
-pub(super) const INFO: u8 = 6;
-
 /// What a line is about; a new line about it replaces the old.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum StatusTopic {
@@ -61,6 +56,7 @@ impl StatusTextFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use posebridge_telemetry::severity::INFO;
 
     #[test]
     fn a_line_is_said_once_until_it_changes() {

@@ -10,6 +10,7 @@ mod settings;
 
 use std::collections::BTreeSet;
 
+use posebridge_telemetry::severity::{INFO, WARNING};
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, EncoderTicks, HostClock, Meters, RadiansPerSecond, ReceiveError, SourceHealth,
     TimeDelta, Timestamp,
@@ -34,9 +35,6 @@ const MAX_UNKNOWN: usize = 8;
 const MAX_LINE_BYTES: usize = 256;
 /// The channel of the only thermometer.
 const THERMOMETER: &[u8] = b"temperature";
-/// MAV_SEVERITY_WARNING, _INFO.
-const WARNING: u8 = 4;
-const INFO: u8 = 6;
 /// The message id of a line in [`ReceiveError`]s, which has no number.
 const LINE_ID: u32 = 0;
 /// Counts that fell to zero from more than this multiple of their last change were set to zero.

@@ -9,7 +9,7 @@
 //! documents, never from a station's codec.
 //!
 //! # Sources
-//! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulated-bricks.md describes what is ours.
+//! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulator.md describes what is ours.
 
 mod arithmetic;
 mod machine;

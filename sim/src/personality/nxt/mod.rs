@@ -7,7 +7,7 @@
 //! a pass of 1 ms    buses and ports settle > one telegram is followed > the program runs > motors > the program pushes > the radio sends
 //! ```
 //! # Sources
-//! LEGO Bluetooth developer kit; the published firmware. docs/simulated-bricks.md describes what is ours.
+//! LEGO Bluetooth developer kit; the published firmware. docs/simulator.md describes what is ours.
 
 mod devices;
 mod direct;

@@ -11,6 +11,7 @@ use std::collections::{BTreeSet, VecDeque};
 use posebridge_dashboard::model::{
     ClockRow, ErrorsRow, Frame, LinkRow, LogLine, RecordingNow, SimulatorFacts, TruthPoint,
 };
+use posebridge_telemetry::severity::NOTICE;
 
 pub use recent::RecentPoints;
 pub use robot::{Robot, SourceModel};
@@ -21,8 +22,6 @@ const MAX_ROBOTS: usize = 64;
 const MAX_LINES: usize = 300;
 /// What was done is shown for so long, to be read in passing.
 const NOTICE_DURATION_S: f64 = 5.0;
-/// Severity of a line that the program says itself: MAVLink's notice.
-const NOTICE: u8 = 5;
 
 /// What is known, and what is chosen.
 #[derive(Clone, Debug, Default)]

@@ -1,6 +1,7 @@
 //! What robots, ground stations and the station itself say; the newest line is the last.
 
 use posebridge_dashboard::model::LogLine;
+use posebridge_telemetry::severity::WARNING;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
@@ -14,9 +15,6 @@ use crate::station::tui::theme::{StyleRole, Theme};
 /// See [`super`].
 pub(super) const PANEL: Panel = Panel { title: "Events", lines: |model| model.log.len().max(1), draw };
 
-/// MAVLink severities up to this one mean that something is wrong: 4 is a warning.
-const WARNING: u8 = 4;
-
 fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
     let from = model.log.len().saturating_sub(usize::from(area.height));
     let lines = model.log.iter().skip(from).map(|line| line_of(line, look));
@@ -25,6 +23,7 @@ fn draw(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
 }
 
 fn line_of(line: &LogLine, look: Theme) -> Line<'static> {
+    // Severities up to this one mean that something is wrong.
     let (mark, role) = if line.severity <= WARNING { ("! ", StyleRole::Bad) } else { ("  ", StyleRole::Truth) };
     Line::from(vec![
         Span::styled(format!("{:8.1} s ", line.t_s), look.style(StyleRole::Quiet)),

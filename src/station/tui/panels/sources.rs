@@ -77,7 +77,7 @@ fn four_digits(number: f64) -> String {
     }
 }
 
-/// What the filter is, going by one source: the words of docs/page.md, which are short.
+/// What the filter is, going by one source: the words of docs/dashboard.md, which are short.
 const fn consistency_label(verdict: Consistency) -> (&'static str, StyleRole) {
     match verdict {
         Consistency::OverConfident => ("too sure", StyleRole::Bad),

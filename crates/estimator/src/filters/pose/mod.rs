@@ -137,8 +137,7 @@ impl<const N: usize> PoseFilter<N> {
     fn trim_history(&mut self) {
         let Some(latest) = self.latest_time() else { return };
         let horizon = latest - TimeDelta::from_secs_f64(self.config.params.history_s);
-        let oldest = self.history.entries().front().map(|entry| entry.stamp);
-        if oldest.is_some_and(|oldest| oldest < horizon) {
+        if self.history.has_outdated(horizon) {
             self.history.discard_before(self.settled_until(horizon));
         }
         let base = self.history.base();

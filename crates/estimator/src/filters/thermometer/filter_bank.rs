@@ -18,7 +18,7 @@
 //! lags is a quarter of the slower (a DS18B20 in its sleeve has 5.3 s and 22 s); its share is free.
 //!
 //! # Sources
-//! Paper 2 (Markovsky), least squares; docs/maths/paper2.md, sections 2 and 7.
+//! Paper 2 (Markovsky), least squares; docs/lab/thermometer.md, sections M2 and M7.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -14,7 +14,7 @@
 //! Between two breaks the temperature is constant. What drifts more slowly than the test sees is followed with a lag, by breaks.
 //!
 //! # Sources
-//! Paper 2 (Markovsky); docs/maths/paper2.md, section 7.
+//! Paper 2 (Markovsky); docs/lab/thermometer.md, section M7.
 
 mod change_detector;
 mod filter_bank;

@@ -15,7 +15,7 @@
 //!   p' = p + c dt + b dt^2/2   c' = c + b dt                   g' = g + b_g dt
 //! ```
 //! # Sources
-//! Paper 4, equations 9 to 12 and 21 to 22 (F, Gamma, Q in general form); the choice of states is ours: docs/maths/paper4.md section 2.
+//! Paper 4, equations 9 to 12 and 21 to 22 (F, Gamma, Q in general form); the choice of states is ours: docs/lab/indirect.md section M2.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{DriveGeometry, SensorNoise};

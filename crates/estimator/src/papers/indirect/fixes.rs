@@ -46,7 +46,7 @@ impl NominalPath {
         if !write_innovation(record, &measurement.innovation, &s) {
             return FusionOutcome::Malformed;
         }
-        if record.nis > chi_square_quantile(M as u8, self.config.params.gate_probability) {
+        if record.nis > chi_square_quantile(M as u64, self.config.params.gate_probability) {
             return FusionOutcome::Gated;
         }
         if apply_measurement(&mut self.errors, &mut self.covariance, measurement) {

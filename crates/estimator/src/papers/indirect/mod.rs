@@ -17,7 +17,7 @@
 //! since. The gate for fixes and the way out of it are ours.
 //!
 //! # Sources
-//! Paper 4, equations 1 to 22; docs/maths/paper4.md.
+//! Paper 4, equations 1 to 22; docs/lab/indirect.md.
 
 pub mod error_state;
 mod fixes;

@@ -12,7 +12,7 @@
 //! ```
 //! A timeline of past beliefs answers for earlier instants: as they were estimated then, for nothing is corrected afterwards.
 //!
-//! Source: docs/maths/paper1.md section 1.
+//! Source: docs/lab/square.md section M1.
 
 pub(super) mod innovation;
 pub(super) mod rows;
