@@ -60,7 +60,6 @@ impl Write for LogWriter {
 }
 
 /// Lets lines go to a receiver instead, until [`restore_stderr`].
-#[must_use]
 pub fn redirect_stderr() -> Receiver<String> {
     let route = if std::io::stderr().is_terminal() { RedirectMode::Replace } else { RedirectMode::Tee };
     let (sender, receiver) = sync_channel(QUEUE_LINES);

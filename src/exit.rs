@@ -11,7 +11,6 @@ pub enum Failure {
 
 impl Failure {
     /// 1 ran and failed, 2 could not start.
-    #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
             Self::CouldNotStart(_) => 2,
@@ -20,7 +19,6 @@ impl Failure {
     }
 
     /// What went wrong.
-    #[must_use]
     pub const fn error(&self) -> &anyhow::Error {
         match self {
             Self::CouldNotStart(error) | Self::Failed(error) => error,

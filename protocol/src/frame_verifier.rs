@@ -46,7 +46,6 @@ pub struct FrameVerifier {
 
 impl FrameVerifier {
     /// `signing` is the link's key; without one every frame is taken for its sender's.
-    #[must_use]
     pub fn new(signing: Option<SigningConfig>) -> Self {
         Self {
             signer: signing.map(LinkSigner::new),
@@ -107,7 +106,6 @@ impl FrameVerifier {
     }
 
     /// What each sender has sent, in the order of their addresses.
-    #[must_use]
     pub fn source_health(&self) -> Vec<SourceHealth> {
         let mut sources = self.closed_sources.clone();
         for sequences in self.present.values().chain(self.suspended.values()) {
@@ -118,7 +116,6 @@ impl FrameVerifier {
     }
 
     /// Whether the link has a key.
-    #[must_use]
     pub const fn is_signed(&self) -> bool {
         self.signer.is_some()
     }
@@ -129,13 +126,11 @@ impl FrameVerifier {
     }
 
     /// What must be known after a restart; `None` without a key.
-    #[must_use]
     pub fn signing_state(&self, now: Timestamp<HostClock>) -> Option<SigningState> {
         self.signer.as_ref().map(|signer| signer.state(now))
     }
 
     /// How many signed streams were received for the first time.
-    #[must_use]
     pub fn signing_stream_count(&self) -> u64 {
         self.signer.as_ref().map_or(0, LinkSigner::streams_seen)
     }

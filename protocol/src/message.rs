@@ -194,14 +194,12 @@ pub enum Message {
 
 impl Message {
     /// The number of the tag that a fix is of, if it has one.
-    #[must_use]
     pub const fn fix_tag(&self) -> Option<u32> {
         if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
     }
 
     /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for the conversation, in which an
     /// answer holds two clocks.
-    #[must_use]
     pub const fn stamp(&self) -> Option<WireStamp> {
         match self {
             Self::WheelTicks(WheelTicks { stamp, .. })
@@ -286,7 +284,6 @@ pub struct SetMessageInterval {
 impl SetMessageInterval {
     /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval. Of negative ones
     /// only -1 has a meaning.
-    #[must_use]
     pub fn from_command(command: &CommandLong) -> Option<Self> {
         let [_, interval_micros, ..] = command.params;
         let message_id = command.named_message()?;
@@ -314,7 +311,6 @@ pub struct CommandLong {
 
 impl CommandLong {
     /// The message that a command about a message names by its first parameter; `None` for other commands, and for what is no id.
-    #[must_use]
     pub fn named_message(&self) -> Option<u32> {
         let is_about_one = matches!(
             self.command,
@@ -348,7 +344,6 @@ impl CommandInt {
     /// The same command with seven parameters: coordinates in metres or degrees, to the 24 bits of a float.
     ///
     /// Source: common.xml, COMMAND_INT (fields x and y) and MAV_FRAME (which frames are local).
-    #[must_use]
     pub fn to_long(self) -> CommandLong {
         let unit = match self.frame {
             // LOCAL_NED, LOCAL_ENU, LOCAL_OFFSET_NED to BODY_OFFSET_NED, BODY_FRD to LOCAL_FLU.

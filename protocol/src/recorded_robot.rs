@@ -62,7 +62,6 @@ struct CommandedMotion {
 
 impl RecordedRobot {
     /// A brick whose clock shows `start` when the playing begins.
-    #[must_use]
     pub fn new(start: Timestamp<BrickClock>, geometry: DriveGeometry, name: &str) -> Self {
         let config = SessionConfig {
             own: ADDRESS,
@@ -133,7 +132,6 @@ impl RecordedRobot {
     }
 
     /// Sends an observation; `false` if there is no message for its kind.
-    #[must_use]
     pub fn send(&mut self, observation: &Observation) -> bool {
         let stamp = WireStamp::Micros64(observation.stamp.as_micros().unsigned_abs());
         match self.message(observation, stamp) {
@@ -146,7 +144,6 @@ impl RecordedRobot {
     }
 
     /// What waits to be sent.
-    #[must_use]
     pub fn take_bytes(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.bytes)
     }

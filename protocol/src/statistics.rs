@@ -63,7 +63,6 @@ impl MessageStatistics {
     }
 
     /// The same over what two senders have sent; the silence is the longer of the two.
-    #[must_use]
     pub fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
@@ -75,7 +74,6 @@ impl MessageStatistics {
     }
 
     /// Frames per second; `None` of fewer than two, or without times.
-    #[must_use]
     pub fn rate_hz(&self) -> Option<f64> {
         let elapsed_s = (self.last? - self.first?).as_secs_f64();
         (self.frames > 1 && elapsed_s > 0.0).then(|| (self.frames - 1) as f64 / elapsed_s)
@@ -108,14 +106,12 @@ impl SenderClockStatistics {
     }
 
     /// Rate of the sender's clock against that of the arrivals, less one, in parts per million; `None` over too short a time.
-    #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
         let elapsed_s = self.last.1 - self.first.1;
         (elapsed_s >= MIN_DRIFT_BASELINE_S).then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
     }
 
     /// The sender's clock at the last stamp less that of the arrivals, s.
-    #[must_use]
     pub fn offset_s(&self) -> f64 {
         self.last.0 - self.last.1
     }
@@ -182,7 +178,6 @@ pub struct TrafficStatistics {
 
 impl TrafficStatistics {
     /// A census of nothing.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -223,13 +218,11 @@ impl TrafficStatistics {
     }
 
     /// Every sender, in the order in which they were first heard.
-    #[must_use]
     pub fn sources(&self) -> &[SenderStatistics] {
         &self.sources
     }
 
     /// By message id, over all senders.
-    #[must_use]
     pub fn messages(&self) -> BTreeMap<u32, MessageStatistics> {
         let mut messages: BTreeMap<u32, MessageStatistics> = BTreeMap::new();
         for (id, tally) in self.sources.iter().flat_map(|source| &source.messages) {
@@ -240,13 +233,11 @@ impl TrafficStatistics {
     }
 
     /// Everything.
-    #[must_use]
     pub const fn all(&self) -> &MessageStatistics {
         &self.all
     }
 
     /// How many frames are of this layout.
-    #[must_use]
     pub const fn frames_of_version(&self, version: WireVersion) -> u64 {
         let [v1, v2] = self.versions;
         match version {
@@ -256,25 +247,21 @@ impl TrafficStatistics {
     }
 
     /// Frames with a signature, valid or not.
-    #[must_use]
     pub const fn signed(&self) -> u64 {
         self.signed
     }
 
     /// Frames of senders beyond those that are followed.
-    #[must_use]
     pub const fn untracked_frames(&self) -> u64 {
         self.crowd
     }
 
     /// The first silences of [`MIN_GAP`] or more, and how many there were.
-    #[must_use]
     pub fn gaps(&self) -> (&[TrafficGap], u64) {
         (&self.gaps, self.gap_count)
     }
 
     /// How often the time of a frame lay before that of the frame before it.
-    #[must_use]
     pub const fn time_reversals(&self) -> u64 {
         self.backwards
     }
@@ -327,7 +314,6 @@ impl TrafficStatistics {
 
 impl SenderStatistics {
     /// Frames missing by its sequence numbers; up to half the circle is a loss, more is an old frame.
-    #[must_use]
     pub fn lost(&self) -> u64 {
         let by_link = self.by_link.as_ref().map(|by_link| by_link.lost);
         self.lost.min(by_link.unwrap_or(u64::MAX))

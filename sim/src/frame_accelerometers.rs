@@ -32,7 +32,6 @@ pub struct FrameAccelerometers {
 
 impl FrameAccelerometers {
     /// The drive with these accelerometers in place of any others; run `run` of `seed` draws its own noise.
-    #[must_use]
     pub fn add_to(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
         let felt = self.sample(&drive, seed, run);
         drive.arrivals.retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);

@@ -67,7 +67,6 @@ pub const ENCODER_TICK_RAD: f64 = TICK_RAD;
 
 impl MotorBench {
     /// Runs the test. The seed draws when the encoder is read and where in a tick the shaft stands.
-    #[must_use]
     pub fn run(&self, seed: u64) -> Vec<EncoderReading> {
         let mut motor = Motor::new(self.robot.motor.constants(self.load_kg_m2()));
         let mut pace = RandomStream::new(seed, "bench pace");
@@ -91,7 +90,6 @@ impl MotorBench {
     }
 
     /// The true time constant, in seconds.
-    #[must_use]
     pub fn time_constant_s(&self) -> f64 {
         let motor = &self.robot.motor;
         let inertia_kg_m2 = motor.inertia_kg_m2 + self.load_kg_m2();
@@ -99,7 +97,6 @@ impl MotorBench {
     }
 
     /// The true speed in the end per volt, in rad/s per V: friction eats a part of the voltage.
-    #[must_use]
     pub fn gain_rad_per_s_per_v(&self) -> f64 {
         let motor = &self.robot.motor;
         let friction_v = motor.friction_n_m / motor.torque_n_m_per_v;

@@ -69,7 +69,6 @@ pub struct ReceivedEstimate {
 
 impl ReceivedEstimate {
     /// How old it was when it arrived, in brick time; negative if its stamp lies in the future.
-    #[must_use]
     pub fn age(&self) -> TimeDelta {
         self.arrival - self.estimate_time
     }
@@ -103,7 +102,6 @@ pub struct Simulation {
 
 impl Simulation {
     /// The world of a scenario at its beginning, the robot at rest at the start pose.
-    #[must_use]
     pub fn new(scenario: Scenario) -> Self {
         let path = Path::new(&scenario);
         let brick_clock = SkewedClock::new(scenario.brick.clock());
@@ -149,7 +147,6 @@ impl Simulation {
     }
 
     /// The same world, which keeps neither truth nor estimates nor camera fixes from here on: for runs without end.
-    #[must_use]
     pub fn without_history(mut self) -> Self {
         self.set_history(HistoryPolicy::Nothing);
         self
@@ -184,7 +181,6 @@ impl Simulation {
     }
 
     /// The same world, whose camera is only the eye of another program: it sends nothing, and what it sees is [`Self::poll_image`]'s.
-    #[must_use]
     pub fn with_images(mut self) -> Self {
         if let Some(camera) = &mut self.camera {
             camera.enable_images();

@@ -35,7 +35,6 @@ impl CalibratedRobot {
     ///
     /// Where it started belongs to the run, not to the robot. Its own description would bring back the geometry to which the
     /// calibration does not belong, so it is not adopted.
-    #[must_use]
     pub fn profile(&self) -> RobotFile {
         RobotFile {
             start: None,
@@ -113,7 +112,6 @@ const DAYS_OF_ERA: u64 = 146_097;
 /// Date and time of day in the notation of RFC 3339, to the second.
 ///
 /// Years are counted from March, so that the leap day is the last of its year and months follow a pattern of 153 days in five.
-#[must_use]
 pub fn utc_date(utc_micros: u64) -> String {
     let seconds = utc_micros / 1_000_000;
     let days = seconds / 86_400 + DAYS_BEFORE_EPOCH;

@@ -39,7 +39,6 @@ impl FilterSection {
     }
 
     /// Why it would never give a pose, where that is so; with what to do about it.
-    #[must_use]
     pub fn warning(&self, robot: &RobotFile) -> Option<String> {
         let name = &self.name;
         match find_filter(name)?.initialization {
@@ -68,7 +67,6 @@ impl FilterSection {
 }
 
 /// All filters, for people.
-#[must_use]
 pub fn names_of_filters() -> String {
     let names: Vec<_> = FILTERS.iter().map(|entry| entry.name).collect();
     names.join(", ")

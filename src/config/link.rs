@@ -115,7 +115,6 @@ impl LinkSection {
     }
 
     /// A link with the usual outputs.
-    #[must_use]
     pub fn new(url: &str) -> Self {
         Self {
             url: url.to_owned(),

@@ -62,7 +62,6 @@ impl RobotProfile {
 
 impl Config {
     /// This configuration with the robot of a profile and the tunables that fit it.
-    #[must_use]
     pub fn with_robot(mut self, profile: RobotProfile) -> Self {
         self.robot = profile.robot;
         self.filter.params.extend(profile.filter.params);

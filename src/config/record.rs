@@ -40,7 +40,6 @@ impl Default for RecordSection {
 
 impl RecordSection {
     /// As the recorder takes them.
-    #[must_use]
     pub fn limits(&self) -> RecordingLimits {
         const MEGABYTE: u64 = 1_000_000;
         let limit = |number: u32| (number != 0).then_some(number);

@@ -66,7 +66,6 @@ impl RobotBlockSection {
 
 impl RobotMatchSection {
     /// The same in the station's types.
-    #[must_use]
     pub fn to_match(self) -> RobotMatch {
         RobotMatch {
             link: self.link.map(LinkId),

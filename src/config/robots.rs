@@ -42,14 +42,12 @@ impl BundledRobot {
     }
 
     /// What it is, as the first line of its file says.
-    #[must_use]
     pub fn summary(&self) -> &'static str {
         first_line_of_comment(self.text)
     }
 }
 
 /// All names with what they are, a line each.
-#[must_use]
 pub fn list() -> String {
     let lines = ROBOTS.iter().map(|robot| format!("  {:<15} {}", robot.name, robot.summary()));
     lines.collect::<Vec<_>>().join("\n")

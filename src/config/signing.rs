@@ -75,7 +75,6 @@ const fn default_required() -> bool {
 
 impl SigningSection {
     /// What the station needs, with the key and with what the link begins with.
-    #[must_use]
     pub fn to_signing_config(&self, key: Key, memory: SigningState) -> SigningConfig {
         let accepted: BTreeSet<u32> = self.accept_unsigned.iter().copied().collect();
         SigningConfig {
@@ -89,7 +88,6 @@ impl SigningSection {
 
 impl MemoryRecord {
     /// A memory as it is written down.
-    #[must_use]
     pub fn of(key: &Key, memory: &SigningState) -> Self {
         let stream = |(id, heard): (&StreamId, &SignedStreamState)| StreamRecord {
             system: id.source.system.0,
@@ -109,7 +107,6 @@ impl MemoryRecord {
     }
 
     /// The memory that was written down.
-    #[must_use]
     pub fn memory(&self) -> SigningState {
         let stream = |stream: &StreamRecord| {
             let id = StreamId { source: Address::new(stream.system, stream.component), link_id: stream.link_id };

@@ -186,7 +186,6 @@ impl Config {
     }
 
     /// What the configuration says of a station's robot: its block, else `[robot]`, which also stands for a robot that was not heard.
-    #[must_use]
     pub fn robot_file(&self, robot: Option<&Robot>) -> &RobotFile {
         let block = robot.and_then(Robot::block).and_then(|block| self.robots.get(block));
         block.map_or(&self.robot, |block| &block.robot)
@@ -257,7 +256,6 @@ impl Config {
     }
 
     /// A simulated robot's tag is where its scenario says, unless the configuration says otherwise.
-    #[must_use]
     pub fn with_tag_of(mut self, scenario: &Scenario) -> Self {
         if (self.camera.tag_x_m, self.camera.tag_y_m) == (0.0, 0.0) {
             self.camera.tag_x_m = scenario.camera.tag_x_m;

@@ -30,7 +30,6 @@ struct TomlSection<'a> {
 }
 
 /// The configuration of a robot at this link; `file` is the name that it shows to the reader.
-#[must_use]
 pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String {
     let (_, default) = blocks_of(DEFAULT_TOML);
     let (preamble, own) = blocks_of(robot.text);

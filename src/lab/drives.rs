@@ -27,7 +27,6 @@ pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
 }
 
 /// A filter's configuration from what it may know.
-#[must_use]
 pub fn filter_config(prior: &FilterPrior) -> FilterConfig {
     FilterConfig {
         geometry: prior.geometry,
@@ -44,7 +43,6 @@ pub fn filter_config(prior: &FilterPrior) -> FilterConfig {
 }
 
 /// The drive as the scoring wants it.
-#[must_use]
 pub fn known_drive(drive: &Drive) -> ReferenceDrive {
     let truth = drive.truth.iter().enumerate().map(|(step, pose)| TimedPose { time: drive.time_at(step), pose: *pose });
     let arrivals = drive

@@ -15,7 +15,6 @@ pub struct ClockAlignment {
 
 impl ClockAlignment {
     /// What an event says of the clocks, if it does.
-    #[must_use]
     pub const fn from_event(event: &Event) -> Option<Self> {
         if let Event::BrickClockAligned { host, brick, skew_ppm, .. } = *event {
             return Some(Self { host, brick, skew_ppm });
@@ -24,14 +23,12 @@ impl ClockAlignment {
     }
 
     /// An instant of the host's clock by the brick's.
-    #[must_use]
     pub fn brick_at(&self, host: Timestamp<HostClock>) -> Timestamp<BrickClock> {
         let since_s = (host - self.host).as_secs_f64();
         self.brick + TimeDelta::from_secs_f64(since_s * self.rate())
     }
 
     /// An instant of the brick's clock by the host's.
-    #[must_use]
     pub fn host_at(&self, brick: Timestamp<BrickClock>) -> Timestamp<HostClock> {
         let since_s = (brick - self.brick).as_secs_f64();
         self.host + TimeDelta::from_secs_f64(since_s / self.rate())

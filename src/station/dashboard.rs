@@ -189,7 +189,6 @@ fn facts_of(config: &Config, simulated: Option<&SimulatedBrickInfo<'_>>) -> Resu
 }
 
 /// What the page shows of a simulated brick.
-#[must_use]
 pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
     // One lap of the first: the others are driven on the same path, and the other robots beside it.
     let scenario = simulated.scenarios.first().map_or_else(Scenario::default, |first| (*first).clone());

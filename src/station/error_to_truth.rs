@@ -46,7 +46,6 @@ const MAX_ESTIMATES: usize = 1_024;
 
 impl ErrorToTruth {
     /// Of a brick that is watched.
-    #[must_use]
     pub const fn new(tap: TruthTap) -> Self {
         Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
     }

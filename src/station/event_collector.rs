@@ -54,7 +54,6 @@ enum ObservationRetention {
 
 impl EventCollector {
     /// One for a live run without a known end: it takes all of its memory at once.
-    #[must_use]
     pub fn live() -> Self {
         Self {
             estimates: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
@@ -64,7 +63,6 @@ impl EventCollector {
     }
 
     /// One that keeps every observation: for recordings, whose length is known.
-    #[must_use]
     pub fn with_observations() -> Self {
         Self { retention: ObservationRetention::Observations, ..Self::default() }
     }
@@ -111,7 +109,6 @@ impl EventCollector {
     }
 
     /// The estimates as a track.
-    #[must_use]
     pub fn track(&self) -> PoseTrack {
         let samples =
             self.estimates.items().iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
@@ -145,7 +142,6 @@ impl<T> Default for ThinnedSeries<T> {
 
 impl<T> ThinnedSeries<T> {
     /// An empty list that never holds more than `most` items.
-    #[must_use]
     pub fn with_capacity(capacity: usize) -> Self {
         Self { items: Vec::new(), capacity, stride: 1, pushed: 0, recent: None }
     }
@@ -190,13 +186,11 @@ impl<T> ThinnedSeries<T> {
     }
 
     /// How many items were given to it.
-    #[must_use]
     pub const fn pushed(&self) -> usize {
         self.pushed
     }
 
     /// The items that were kept, oldest first.
-    #[must_use]
     pub fn items(&self) -> &[T] {
         &self.items
     }

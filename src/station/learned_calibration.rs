@@ -45,7 +45,6 @@ impl LearnedCalibration {
     }
 
     /// What a robot's filter has learned; `None` if it learns nothing, or nothing was observed.
-    #[must_use]
     pub fn of_robot(robot: &Robot, run: &str, file: &RobotFile, prior: &Calibration) -> Option<Self> {
         robot.latest_time()?;
         Some(Self {
@@ -72,7 +71,6 @@ fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
 }
 
 /// One line for each number that a run was allowed to learn; nothing if there is none.
-#[must_use]
 pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     let mut text = String::new();
     for learned in runs {

@@ -68,7 +68,6 @@ pub struct LinkReport {
 
 /// The state of a link besides its rates: the timing, and everything that went wrong. Nothing is said of what did not
 /// happen.
-#[must_use]
 pub fn condition(report: &LinkReport) -> String {
     let health = &report.health;
     let mut parts = Vec::new();
@@ -105,7 +104,6 @@ fn losses(report: &LinkReport) -> String {
 }
 
 /// Tables of all links: what came, what left, who sent.
-#[must_use]
 pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Clone) -> String {
     let mut text = link_table("received on", &RECEIVED_COLUMNS, links.clone());
     text += "\n";

@@ -82,7 +82,6 @@ impl LinkView {
 
 impl LiveView {
     /// A block for a run whose progress is known, or not.
-    #[must_use]
     pub fn new(progress: Option<watch::Receiver<f64>>) -> Self {
         let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
         let template = match progress {
@@ -108,14 +107,12 @@ impl LiveView {
     }
 
     /// The same for robots whose true places are known.
-    #[must_use]
     pub fn with_truth(mut self, errors: Vec<ErrorToTruth>) -> Self {
         self.error_to_truth = errors;
         self
     }
 
     /// A block that says nothing, for measurements.
-    #[must_use]
     pub fn silent() -> Self {
         Self { verbosity: Verbosity::Silent, ..Self::new(None) }
     }

@@ -48,7 +48,6 @@ impl<T> PerRobot<T> {
     }
 
     /// The robots, in the order in which they were heard.
-    #[must_use]
     pub fn entries(&self) -> &[RobotEntry<T>] {
         &self.entries
     }
@@ -59,7 +58,6 @@ impl<T> PerRobot<T> {
     }
 
     /// The same, given away.
-    #[must_use]
     pub fn into_entries(self) -> Vec<RobotEntry<T>> {
         self.entries
     }

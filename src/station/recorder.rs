@@ -135,7 +135,6 @@ impl Recorder {
     }
 
     /// Inputs, and batches of what came out, that were dropped so far.
-    #[must_use]
     pub const fn losses(&self) -> (u64, u64) {
         (self.lost, self.lost_outputs)
     }
@@ -148,7 +147,6 @@ impl Recorder {
     }
 
     /// The file that is being written: that of the latest part.
-    #[must_use]
     pub fn current(&self) -> PathBuf {
         part_path(&self.first, self.part.load(Ordering::Relaxed))
     }
@@ -192,7 +190,6 @@ pub struct StoppingRecorder {
 
 impl StoppingRecorder {
     /// Whether [`Self::wait`] would return at once.
-    #[must_use]
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }

@@ -178,13 +178,11 @@ impl RecordingParts {
     }
 
     /// The number that the next input of the session has.
-    #[must_use]
     pub const fn next(&self) -> u64 {
         self.next
     }
 
     /// The number of the part that is being written, from 1.
-    #[must_use]
     pub const fn part(&self) -> u32 {
         self.totals.parts
     }
@@ -254,7 +252,6 @@ impl RecordingParts {
 }
 
 /// The path of a part: `recording.mcap`, `recording.2.mcap`, `recording.3.mcap` and so on.
-#[must_use]
 pub fn part_path(first: &Path, number: u32) -> PathBuf {
     match (number, first.extension()) {
         (..=1, _) => first.to_owned(),

@@ -14,7 +14,6 @@ pub struct RecordingWarnings {
 
 impl RecordingWarnings {
     /// Of what was found already.
-    #[must_use]
     pub fn from_notes(found: &[String]) -> Self {
         let mut notes = Self::default();
         found.iter().cloned().for_each(|note| notes.add(note));
@@ -50,7 +49,6 @@ impl RecordingWarnings {
     }
 
     /// All of them.
-    #[must_use]
     pub fn into_lines(mut self) -> Vec<String> {
         if self.omitted > 0 {
             self.lines.push(format!("{} more places are damaged", self.omitted));
@@ -60,7 +58,6 @@ impl RecordingWarnings {
 }
 
 /// What a recording lacks of its session's beginning, in words; `None` if it begins with the session.
-#[must_use]
 pub fn missing_start(beginning: &PartHeader) -> Option<String> {
     let before = beginning.inputs_before;
     let holder = match &beginning.continues {

@@ -94,7 +94,6 @@ impl SimulatorOverrides {
 impl RequestHandler {
     /// For a run of this configuration in this folder; `recorded_config` is what a recording holds of it, `current` is the recording that
     /// is being written.
-    #[must_use]
     pub fn new(
         folder: PathBuf,
         timer: HostTimer,
@@ -119,7 +118,6 @@ impl RequestHandler {
     }
 
     /// The same for a station that has simulated bricks of its own.
-    #[must_use]
     pub fn with_bricks(mut self, bricks: Vec<ReachableBrick>) -> Self {
         self.bricks = bricks;
         self
@@ -133,13 +131,11 @@ impl RequestHandler {
     }
 
     /// The recording that is being written.
-    #[must_use]
     pub fn current(&self) -> Option<&Path> {
         self.current.as_deref()
     }
 
     /// How the simulated brick was set last.
-    #[must_use]
     pub const fn overrides(&self) -> SimulatorOverrides {
         self.overrides
     }

@@ -29,7 +29,6 @@ pub struct SimulationTruth {
 
 impl SimulationTruth {
     /// The truth of a simulation.
-    #[must_use]
     pub fn from_simulation(simulation: &Simulation) -> Self {
         let samples = simulation.truth();
         let positions: Vec<Point2<Arena>> = samples.iter().map(|sample| sample.pose.origin()).collect();
@@ -50,7 +49,6 @@ impl SimulationTruth {
 }
 
 /// Errors of the estimate and of the brick's own odometry.
-#[must_use]
 pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSummary, ErrorSummary) {
     let estimate = summarise(&errors_of_estimates(collector.estimates.items(), &truth.track));
     let odometry = summarise(&errors_of_track(&truth.odometry, &truth.track));
@@ -58,7 +56,6 @@ pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSumm
 }
 
 /// The table of a run whose truth is known; `other` is the same world steered the other way.
-#[must_use]
 pub fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
     let mut text = run_table(&[
@@ -80,13 +77,11 @@ pub fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<
 }
 
 /// How the observations of each sensor fared.
-#[must_use]
 pub fn sources(collector: &EventCollector) -> String {
     source_table(&collector.sources)
 }
 
 /// How the links did.
-#[must_use]
 pub fn links(collector: &EventCollector) -> String {
     link_report::tables(collector.links.iter())
 }

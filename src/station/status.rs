@@ -12,7 +12,6 @@ use super::recorder::Recorder;
 use crate::config::CALIBRATION_KEYS;
 
 /// What stands in a station, and into which file it is recorded.
-#[must_use]
 pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> StationStatus {
     let recording = recorder.map(Recorder::current);
     let name = recording.as_deref().and_then(Path::file_name);

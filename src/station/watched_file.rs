@@ -32,13 +32,11 @@ impl WatchedFile {
     }
 
     /// Where it was made.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The message of an error.
-    #[must_use]
     pub fn name(&self) -> String {
         format!("{} `{}`", self.description, self.path.display())
     }

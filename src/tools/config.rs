@@ -61,7 +61,6 @@ fn load_config(flags: &ConfigFlags) -> Result<Loaded, Failure> {
 }
 
 /// The tunables, one line each: key, default, range, unit and meaning.
-#[must_use]
 pub fn params() -> String {
     let mut text = String::new();
     for row in posebridge_estimator::PARAMS {
@@ -73,7 +72,6 @@ pub fn params() -> String {
 }
 
 /// The schema, with the filters and their tunables from their tables.
-#[must_use]
 pub fn schema() -> serde_json::Value {
     let mut schema = schemars::schema_for!(Config).to_value();
     let filters: Vec<_> = posebridge_estimator::FILTERS.iter().map(|entry| entry.name).collect();

@@ -68,7 +68,6 @@ impl ThermometerReadings {
     }
 
     /// How it is called among these: by its channel, and by its brick as well where two bricks have a channel of that name.
-    #[must_use]
     pub fn name_among(&self, all: &[Self]) -> String {
         let mut namesakes = all.iter().filter(|one| one.channel == self.channel);
         if namesakes.any(|one| one.brick != self.brick) {
@@ -159,7 +158,6 @@ impl SessionObservations {
 }
 
 /// Whether a path names a recording of ours and not a descriptor of foreign data.
-#[must_use]
 pub fn is_own(path: &Path) -> bool {
     path.extension().is_none_or(|extension| extension != "toml")
 }

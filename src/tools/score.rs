@@ -83,7 +83,6 @@ enum DelayCorrection {
 
 impl Scorer {
     /// Truth where there is some, else the withheld fixes; `prior` is what the estimator knew of systematic errors before the run.
-    #[must_use]
     pub fn new(run: &DatasetRun, prior: &Calibration) -> Self {
         let has_truth = !run.truth.is_empty();
         let mut all_references: Vec<ErrorReference> = if has_truth {
@@ -212,7 +211,6 @@ fn error(estimate: &Estimate, reference: &ErrorReference) -> Option<(PoseError, 
 }
 
 /// A point of the arena as the figures want it.
-#[must_use]
 pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena> {
     Pose::new(Meters(position.x.0), Meters(position.y.0), heading.unwrap_or_default())
 }

@@ -15,7 +15,6 @@ use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 const HEADER: &str = "brick_micros,x_m,y_m,heading_rad,odometry_x_m,odometry_y_m,odometry_heading_rad,cross_track_m";
 
 /// The truth as text.
-#[must_use]
 pub fn write(samples: &[TruthSample]) -> String {
     let mut text = String::from(HEADER);
     text.push('\n');

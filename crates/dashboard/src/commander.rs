@@ -17,7 +17,6 @@ pub struct CommandSubmitter {
 
 impl CommandSubmitter {
     /// Sends a command, for one robot or as one that names none, as the page's buttons do; false if too many wait or the station is ending. Never waits.
-    #[must_use]
     pub fn send(&self, robot: Option<RobotId>, command: Command) -> bool {
         let input = robot.map_or(Input::Command(command), |robot| Input::RobotCommand { robot, command });
         match self.commands.try_send(input) {

@@ -16,7 +16,6 @@ pub struct SessionViews {
 
 impl SessionViews {
     /// For a session with these links, by their URLs.
-    #[must_use]
     pub fn new(links: Vec<String>) -> Self {
         let setting = ViewConfig { links, retention: RetentionPolicy::WholeSession { max_points: MAX_REPLAY_POINTS } };
         Self { views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(), last: Timestamp::ZERO }
@@ -39,7 +38,6 @@ impl SessionViews {
     }
 
     /// The collected history.
-    #[must_use]
     pub fn history(&self) -> Frame {
         let mut history = Frame { now_s: seconds_of(self.last), ..Frame::default() };
         for view in &self.views {

@@ -49,7 +49,6 @@ impl FrameTaps {
     }
 
     /// Whether there are no readers.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.senders.is_empty()
     }
@@ -72,13 +71,11 @@ impl FrameTaps {
 
 impl FrameTap {
     /// The next message; waits for it. `None` when the station ends.
-    #[must_use]
     pub fn recv(&self) -> Option<Arc<Frame>> {
         self.frames.recv().ok()
     }
 
     /// The next message, if there is one.
-    #[must_use]
     pub fn try_recv(&self) -> TapPoll {
         match self.frames.try_recv() {
             Ok(frame) => TapPoll::Frame(frame),
@@ -88,7 +85,6 @@ impl FrameTap {
     }
 
     /// Messages missed because this reader was slow.
-    #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }

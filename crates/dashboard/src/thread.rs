@@ -96,20 +96,17 @@ impl Dashboard {
     }
 
     /// The bound address, if it serves.
-    #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
     /// The URL for a browser of this computer, with the token if one is needed: print it once and keep it secret.
     /// `None` if it does not serve.
-    #[must_use]
     pub fn url(&self) -> Option<String> {
         self.urls().pop()
     }
 
     /// The URLs for all reachable addresses; that of this computer is the last one.
-    #[must_use]
     pub fn urls(&self) -> Vec<String> {
         let Some(address) = self.address else {
             return Vec::new();
@@ -121,7 +118,6 @@ impl Dashboard {
     }
 
     /// A sender of commands for this process.
-    #[must_use]
     pub fn commander(&self) -> CommandSubmitter {
         self.commander.clone()
     }

@@ -27,7 +27,6 @@ impl AccessToken {
     }
 
     /// The token's text; it is printed once.
-    #[must_use]
     pub fn expose(&self) -> &str {
         &self.0
     }

@@ -18,13 +18,11 @@ pub trait Filter: Send {
     ///
     /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] when a number is not finite or a standard deviation is negative:
     /// nothing is then changed.
-    #[must_use]
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome;
 
     /// Changes what the filter goes by, after everything that was observed up to [`Filter::latest_time`].
     ///
     /// [`FusionOutcome::Accepted`], or [`FusionOutcome::Unused`] from a filter that cannot do this while it runs: nothing is then changed.
-    #[must_use]
     fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         let _ = adjustment;
         FusionOutcome::Unused

@@ -176,7 +176,6 @@ pub const FILTERS: &[FilterEntry] = &[
 ];
 
 /// The row with this name.
-#[must_use]
 pub fn find_filter(name: &str) -> Option<&'static FilterEntry> {
     FILTERS.iter().find(|entry| entry.name == name)
 }

@@ -23,14 +23,12 @@ pub struct LinearizedMeasurement<const N: usize, const M: usize> {
 
 impl<const N: usize, const M: usize> LinearizedMeasurement<N, M> {
     /// S = H P H' + R.
-    #[must_use]
     pub fn innovation_covariance(&self, covariance: &SMatrix<f64, N, N>) -> SMatrix<f64, M, M> {
         self.jacobian * covariance * self.jacobian.transpose() + self.noise
     }
 }
 
 /// Normalised innovation squared and log-likelihood of an innovation under N(0, S); `None` when S is not positive definite.
-#[must_use]
 pub fn nis_and_log_likelihood<const M: usize>(
     innovation: &SVector<f64, M>,
     innovation_covariance: &SMatrix<f64, M, M>,
@@ -44,7 +42,6 @@ pub fn nis_and_log_likelihood<const M: usize>(
 }
 
 /// Uses a measurement; `false` leaves state and covariance untouched because R is not positive definite.
-#[must_use]
 pub fn apply_measurement<const N: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -89,7 +86,6 @@ pub struct ScalarMeasurement<const K: usize> {
 
 impl<const K: usize> ScalarMeasurement<K> {
     /// S = H P H' + R.
-    #[must_use]
     pub fn innovation_variance<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> f64 {
         let mut s = self.variance;
         for (&row, &by_row) in self.rows.iter().zip(&self.jacobian) {
@@ -102,7 +98,6 @@ impl<const K: usize> ScalarMeasurement<K> {
 
     /// P H'.
     #[inline]
-    #[must_use]
     pub fn cross_covariance<const N: usize>(&self, covariance: &SMatrix<f64, N, N>) -> SVector<f64, N> {
         // Minus zero, because adding it changes nothing, so that the compiler may leave the first sum out.
         let mut cross = SVector::<f64, N>::repeat(-0.0);
@@ -188,7 +183,6 @@ pub fn use_scalar<const N: usize, const K: usize>(
 /// # Panics
 /// A named row is N or more.
 #[inline]
-#[must_use]
 pub fn preview_scalar<const N: usize, const K: usize, const R: usize>(
     mean: &SVector<f64, N>,
     covariance: &SMatrix<f64, N, N>,

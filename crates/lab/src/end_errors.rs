@@ -60,7 +60,6 @@ pub struct EndErrorSummary {
 }
 
 /// Sums up ends; `limits_m` are those in x and y that count as within.
-#[must_use]
 pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndErrorSummary {
     let ends: Vec<PoseError> = ends.iter().flatten().copied().collect();
     let of = |value: &dyn Fn(&PoseError) -> f64| -> Vec<f64> { ends.iter().map(value).collect() };
@@ -82,7 +81,6 @@ pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndEr
 }
 
 /// In how many runs the first ends nearer to the truth than the second; who has no end is not near.
-#[must_use]
 pub fn count_nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> usize {
     let pairs = ours.iter().zip(theirs);
     let wins = pairs.filter(|(ours, theirs)| match (ours, theirs) {
@@ -104,7 +102,6 @@ pub struct PairedDifference {
 
 /// Compares two estimators over the same runs. The luck of a run is in both, so that the difference is known far better than either
 /// error; `None` with fewer than two runs in which both have an end.
-#[must_use]
 pub fn paired_difference(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> Option<PairedDifference> {
     let pairs = ours.iter().zip(theirs);
     let both: Vec<(f64, f64)> = pairs

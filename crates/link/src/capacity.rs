@@ -50,7 +50,6 @@ pub struct CapacityMeter {
 
 impl CapacityMeter {
     /// A meter that counts gaps of up to `longest_gap` as busy.
-    #[must_use]
     pub fn with_longest_gap(longest_gap: TimeDelta) -> Self {
         Self { longest_gap, ..Self::default() }
     }
@@ -102,7 +101,6 @@ impl CapacityMeter {
     }
 
     /// True if frames waited at the last record or shortly before.
-    #[must_use]
     pub const fn is_busy(&self) -> bool {
         self.backlogged_since.is_some() || self.idle_gap.is_some()
     }
@@ -122,7 +120,6 @@ impl CapacityMeter {
     }
 
     /// The throughput in bytes per second; `None` before the first sample, and when the link has kept up for five seconds.
-    #[must_use]
     pub fn bytes_per_s(&self, now: Timestamp<HostClock>) -> Option<f64> {
         let last_waited = self.last_backlogged?;
         let is_recent = self.backlogged_since.is_some() || now - last_waited <= MEASUREMENT_LIFETIME;

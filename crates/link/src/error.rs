@@ -142,7 +142,6 @@ pub enum OpenError {
 impl OpenError {
     /// True if waiting may help: a device that is not plugged in yet, a server that is not started yet. False if a
     /// person has to change something first.
-    #[must_use]
     pub const fn is_transient(&self) -> bool {
         match self {
             Self::PermissionDenied { .. }
@@ -166,7 +165,6 @@ impl OpenError {
 
     /// True if the program should not start: the error is permanent, or another program uses the serial port. At the start that
     /// is a mistake; later the other program may only probe a device that has just been plugged in again, and the link waits.
-    #[must_use]
     pub const fn prevents_start(&self) -> bool {
         matches!(self, Self::PortInUse { .. }) || !self.is_transient()
     }

@@ -18,13 +18,11 @@ pub struct HostTimer {
 
 impl HostTimer {
     /// Starts the session: `now()` counts from here.
-    #[must_use]
     pub fn start() -> Self {
         Self { start: read_clock(), utc_start_micros: read_utc_micros() }
     }
 
     /// The time since the start of the session; never decreases.
-    #[must_use]
     pub fn now(&self) -> Timestamp<HostClock> {
         let elapsed = read_clock().saturating_duration_since(self.start);
         Timestamp::from_nanos(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
@@ -40,13 +38,11 @@ impl HostTimer {
 
     /// When the session started, in microseconds since 1970 UTC; for file names and headers only. 0 if the computer's
     /// date lies before 1970.
-    #[must_use]
     pub const fn utc_start(&self) -> u64 {
         self.utc_start_micros
     }
 
     /// How far the computer's date has run ahead of this clock since the start of the session; jumps when the date is set.
-    #[must_use]
     pub fn utc_drift(&self) -> TimeDelta {
         let elapsed = self.now() - Timestamp::ZERO;
         let since_start = i128::from(read_utc_micros()) - i128::from(self.utc_start_micros);
@@ -77,7 +73,6 @@ pub struct DeadlineTimer {
 
 impl DeadlineTimer {
     /// A timer that is not set.
-    #[must_use]
     pub fn new(timer: HostTimer) -> Self {
         let sleep = Box::pin(tokio::time::sleep_until(timer.instant(Timestamp::ZERO)));
         Self { timer, sleep, armed_until: None }

@@ -137,13 +137,11 @@ impl ConnectionState {
 
 impl Link {
     /// A link that is opened at the first poll.
-    #[must_use]
     pub fn new(config: LinkOpenConfig, timer: HostTimer) -> Self {
         Self::with_tuning(config, LinkTuning::default(), timer)
     }
 
     /// As [`Link::new`], with other settings.
-    #[must_use]
     pub fn with_tuning(config: LinkOpenConfig, tuning: LinkTuning, timer: HostTimer) -> Self {
         Self {
             backoff: Backoff::new(config.id, SessionSeed::from_timer(&timer), tuning.backoff_delays),
@@ -161,31 +159,26 @@ impl Link {
     }
 
     /// The link's number in this station.
-    #[must_use]
     pub const fn id(&self) -> LinkId {
         self.config.id
     }
 
     /// The URL.
-    #[must_use]
     pub const fn url(&self) -> &LinkUrl {
         &self.config.url
     }
 
     /// True while bytes can flow.
-    #[must_use]
     pub const fn is_up(&self) -> bool {
         matches!(self.state, ConnectionState::Up { .. })
     }
 
     /// True if each [`LinkEvent::Bytes`] is one datagram, so that no frame crosses two of them.
-    #[must_use]
     pub fn is_datagram(&self) -> bool {
         self.config.url.transport().is_datagram()
     }
 
     /// The local socket address while the link is up; `None` where the transport has none.
-    #[must_use]
     pub fn local_address(&self) -> Option<SocketAddr> {
         match &self.state {
             ConnectionState::Up { connection, .. } => connection.local_address(),
@@ -198,7 +191,6 @@ impl Link {
 
     /// True while the link is up and accepts any peer at [`Link::local_address`]: TCP that listens, and UDP without a host to send
     /// to.
-    #[must_use]
     pub fn is_listening(&self) -> bool {
         match &self.state {
             ConnectionState::Up { connection, .. } => connection.is_listening(),
@@ -210,7 +202,6 @@ impl Link {
     }
 
     /// Counters since the link was made.
-    #[must_use]
     pub const fn counters(&self) -> LinkCounters {
         self.counters
     }
@@ -313,7 +304,6 @@ impl Link {
     }
 
     /// The counters and the state of the queue; without peers and frames while the link is down.
-    #[must_use]
     pub fn port_counts(&self) -> LinkCounts {
         let outstanding = self.queue_status();
         LinkCounts {

@@ -21,7 +21,6 @@ pub struct LinkSet {
 
 impl LinkSet {
     /// A set of these links.
-    #[must_use]
     pub const fn new(links: Vec<Link>) -> Self {
         Self { links, next_index: 0 }
     }

@@ -94,7 +94,6 @@ pub enum Transport {
 
 impl Transport {
     /// The word before the colon.
-    #[must_use]
     pub const fn scheme(self) -> &'static str {
         match self {
             Self::Serial => "serial",
@@ -108,7 +107,6 @@ impl Transport {
     }
 
     /// A description of one line.
-    #[must_use]
     pub const fn summary(self) -> &'static str {
         match self {
             Self::Serial => "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal of another program",
@@ -126,7 +124,6 @@ impl Transport {
     }
 
     /// An example of a link's URL.
-    #[must_use]
     pub const fn example(self) -> &'static str {
         match self {
             Self::Serial => "serial:///dev/ttyUSB0?baud=115200",
@@ -140,7 +137,6 @@ impl Transport {
     }
 
     /// The form of its target.
-    #[must_use]
     pub const fn target_kind(self) -> TargetKind {
         match self {
             Self::Serial | Self::Pty | Self::File => TargetKind::Path,
@@ -150,7 +146,6 @@ impl Transport {
     }
 
     /// The options that may follow the question mark.
-    #[must_use]
     pub const fn options(self) -> &'static [OptionHelp] {
         match self {
             Self::Serial => &[BAUD, DTR, RATE],
@@ -163,7 +158,6 @@ impl Transport {
     }
 
     /// True if each delivered chunk is one datagram, so that no frame crosses two of them.
-    #[must_use]
     pub const fn is_datagram(self) -> bool {
         matches!(self, Self::Udp)
     }
@@ -227,7 +221,6 @@ impl OptionKind {
     }
 
     /// The default, as it would be written.
-    #[must_use]
     pub fn default_text(self) -> String {
         match self {
             Self::Integer { default, .. } => default.to_string(),

@@ -199,19 +199,16 @@ impl LinkUrl {
     }
 
     /// The transport that the scheme selects.
-    #[must_use]
     pub const fn transport(&self) -> Transport {
         self.transport
     }
 
     /// The target.
-    #[must_use]
     pub const fn target(&self) -> &Target {
         &self.target
     }
 
     /// The target's path; empty for an address.
-    #[must_use]
     pub fn path(&self) -> &Path {
         match &self.target {
             Target::Path(path) => path,
@@ -220,7 +217,6 @@ impl LinkUrl {
     }
 
     /// The target's host and port; an empty host and port 0 for a path.
-    #[must_use]
     pub fn host_and_port(&self) -> (&str, u16) {
         match &self.target {
             Target::Path(_) | Target::Bluetooth(_) => ("", 0),
@@ -229,13 +225,11 @@ impl LinkUrl {
     }
 
     /// The value of a whole-number option, or its default; 0 for an option of another kind.
-    #[must_use]
     pub fn integer(&self, option: &OptionHelp) -> u32 {
         self.option_text(option).parse().unwrap_or_default()
     }
 
     /// The text of an option in the URL, or its default.
-    #[must_use]
     pub fn option_text(&self, option: &OptionHelp) -> String {
         self.options
             .iter()

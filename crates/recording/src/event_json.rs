@@ -12,7 +12,6 @@ use posebridge_telemetry::{
 use serde_json::{Map, Value, json};
 
 /// One line, without its end.
-#[must_use]
 pub fn to_json_line(event: &Event) -> String {
     let (name, fields) = match event {
         Event::RobotDetected { robot } => ("robot_seen", json!({ "robot": robot_of(*robot) })),

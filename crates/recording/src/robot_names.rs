@@ -39,13 +39,11 @@ impl RobotNames {
     }
 
     /// The name of a robot, if it has one.
-    #[must_use]
     pub fn get(&self, robot: RobotId) -> Option<&str> {
         self.names.get(&robot).map(String::as_str)
     }
 
     /// The name of a robot, else its ids as `link/system/component`.
-    #[must_use]
     pub fn label(&self, robot: RobotId) -> String {
         self.get(robot).map_or_else(|| id_text(robot), str::to_owned)
     }

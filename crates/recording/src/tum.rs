@@ -14,7 +14,6 @@ use std::fmt::Write as _;
 use posebridge_telemetry::{Arena, BrickClock, Pose, Timestamp};
 
 /// One line, with its line feed.
-#[must_use]
 pub fn format_line(time: Timestamp<BrickClock>, pose: Pose<Arena>) -> String {
     let half_rad = 0.5 * pose.heading.rad();
     let mut line = String::new();

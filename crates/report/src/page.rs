@@ -127,7 +127,6 @@ impl ReportBlock {
 
 impl ReportPage {
     /// The whole document.
-    #[must_use]
     pub fn html(&self) -> String {
         self.to_string()
     }

@@ -94,25 +94,21 @@ pub struct Format {
 
 impl Format {
     /// With so many digits after the point.
-    #[must_use]
     pub const fn new(unit: Unit, digits: usize) -> Self {
         Self { unit, precision: Precision::Decimals(digits), is_signed: false }
     }
 
     /// With three significant digits.
-    #[must_use]
     pub const fn three_digits(unit: Unit) -> Self {
         Self { unit, precision: Precision::ThreeDigits, is_signed: false }
     }
 
     /// The same with a plus before what is not negative.
-    #[must_use]
     pub const fn signed(self) -> Self {
         Self { is_signed: true, ..self }
     }
 
     /// The number without its unit; a dash where there is none.
-    #[must_use]
     pub fn number(self, value: Option<f64>) -> String {
         match (value.map(|value| value * self.unit.scale()), self.precision) {
             (None, _) => NO_VALUE.to_owned(),
@@ -132,7 +128,6 @@ impl Format {
     }
 
     /// The number with its unit.
-    #[must_use]
     pub fn text(self, value: f64) -> String {
         self.unit.append_to(&self.number(Some(value)))
     }
@@ -160,7 +155,6 @@ impl Quantity {
     }
 
     /// The same with its standard deviation: in JSON an object of `value` and `sigma`.
-    #[must_use]
     pub fn with_sigma(self, sigma: f64) -> Self {
         Self { sigma: Some(sigma), ..self }
     }
@@ -234,32 +228,27 @@ pub struct Table<'a, R> {
 
 impl<'a, R> Table<'a, R> {
     /// A table without columns.
-    #[must_use]
     pub const fn of(rows: &'a [R]) -> Self {
         Self { rows, columns: Vec::new(), labels: 1 }
     }
 
     /// The same with so many leading columns that name a row, instead of one: text that is too wide for a terminal goes on below, and
     /// repeats them.
-    #[must_use]
     pub fn labels(self, labels: usize) -> Self {
         Self { labels, ..self }
     }
 
     /// A column of words.
-    #[must_use]
     pub fn text(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> String + 'a) -> Self {
         self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Text(value(row)))
     }
 
     /// A column of whole numbers.
-    #[must_use]
     pub fn count(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> usize + 'a) -> Self {
         self.optional_count(key, heading, move |row| Some(value(row)))
     }
 
     /// A column of whole numbers; `None` is a dash for people and `null` in JSON.
-    #[must_use]
     pub fn optional_count(
         self,
         key: &'static str,
@@ -270,7 +259,6 @@ impl<'a, R> Table<'a, R> {
     }
 
     /// A column of numbers in SI units; `None` is a dash for people and `null` in JSON.
-    #[must_use]
     pub fn number(
         self,
         key: &'static str,
@@ -282,7 +270,6 @@ impl<'a, R> Table<'a, R> {
     }
 
     /// A column of numbers with their standard deviations; in JSON objects of `value` and `sigma`.
-    #[must_use]
     pub fn uncertain(
         self,
         key: &'static str,
@@ -296,7 +283,6 @@ impl<'a, R> Table<'a, R> {
     }
 
     /// A column for JSON alone.
-    #[must_use]
     pub fn data(self, key: &'static str, value: impl Fn(&R) -> Value + 'a) -> Self {
         self.column(key, None, Format::new(Unit::None, 0), move |row| Cell::Data(value(row)))
     }
@@ -323,7 +309,6 @@ impl<'a, R> Table<'a, R> {
     }
 
     /// The rows as an array of objects, for JSON that is nested otherwise than [`Report::table`] does it.
-    #[must_use]
     pub fn json(&self) -> Value {
         let keyed = || self.columns.iter().filter(|column| !column.key.is_empty());
         let object = |row| keyed().map(|column| (column.key.to_owned(), column.json(row))).collect();
@@ -369,7 +354,6 @@ impl Report {
     }
 
     /// The command's words joined, such as `lab-wall`.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         self.name
     }
@@ -460,7 +444,6 @@ impl Report {
     }
 
     /// Plain text for a terminal: the title, then what follows, with a line feed at the end.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut text = self.title.clone() + "\n";
         let mut above: Option<&Section> = None;
@@ -483,13 +466,11 @@ impl Report {
     }
 
     /// The page.
-    #[must_use]
     pub fn page(&self) -> ReportPage {
         ReportPage { title: self.title.clone(), blocks: self.sections.iter().map(Section::block).collect() }
     }
 
     /// One object for programs.
-    #[must_use]
     pub fn json(&self) -> Value {
         Value::Object(self.json.clone())
     }

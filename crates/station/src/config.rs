@@ -75,7 +75,6 @@ pub struct RobotMatch {
 
 impl RobotMatch {
     /// Whether it is for a robot that is heard on a link under an address, that of the robot's own frames.
-    #[must_use]
     pub(crate) fn is_for(self, link: LinkId, address: Address) -> bool {
         self.link.is_none_or(|wanted| wanted == link)
             && self.system.is_none_or(|wanted| wanted == address.system)

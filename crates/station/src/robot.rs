@@ -62,50 +62,42 @@ impl Robot {
     }
 
     /// Which robot this is; the default before any robot was heard.
-    #[must_use]
     pub const fn id(&self) -> RobotId {
         self.id
     }
 
     /// The index of the block of [`StationConfig::robots`](crate::StationConfig::robots) that it took; `None` if no block is for it. The
     /// blocks match the address of the robot's own frames, which need not be that of [`Self::id`].
-    #[must_use]
     pub const fn block(&self) -> Option<usize> {
         self.block
     }
 
     /// What people call it; `None` if no block of the configuration gives it a name.
-    #[must_use]
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
     }
 
     /// The address that ground stations see as the vehicle.
-    #[must_use]
     pub const fn vehicle_address(&self) -> Address {
         self.vehicle_address
     }
 
     /// The estimate at an instant of the robot's clock.
-    #[must_use]
     pub fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
         self.estimator.estimate_at(time)
     }
 
     /// The latest instant of any observation.
-    #[must_use]
     pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.estimator.latest_time()
     }
 
     /// What the filter has learned about the robot, relative to [`Self::geometry`].
-    #[must_use]
     pub fn calibration(&self) -> Option<Calibration> {
         self.estimator.calibration()
     }
 
     /// The nominal geometry that the filter works with: the configured one, or the one that the robot has described.
-    #[must_use]
     pub const fn geometry(&self) -> DriveGeometry {
         self.estimator.geometry()
     }

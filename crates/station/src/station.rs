@@ -167,44 +167,37 @@ impl Station {
     }
 
     /// When to call [`handle`](Self::handle) with [`Input::Tick`], at the latest.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let links = self.links.values().filter_map(LinkContext::deadline);
         links.chain(self.sessions.deadline()).chain(self.time.next_health).min()
     }
 
     /// All robots that were heard, in the order of their first message; before any is heard, the one that is configured.
-    #[must_use]
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
     }
 
     /// The first robot's estimate at an instant of its clock; see [`Robot::estimate_at`].
-    #[must_use]
     pub fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
         self.robots.first().estimate_at(stamp)
     }
 
     /// What the first robot's filter has learned; see [`Robot::calibration`].
-    #[must_use]
     pub fn calibration(&self) -> Option<Calibration> {
         self.robots.first().calibration()
     }
 
     /// The tunables as they are set.
-    #[must_use]
     pub const fn params(&self) -> &Params {
         &self.config.robot.filter_config.params
     }
 
     /// The first robot's nominal geometry; see [`Robot::geometry`].
-    #[must_use]
     pub fn geometry(&self) -> DriveGeometry {
         self.robots.first().geometry()
     }
 
     /// The latest instant of any observation of the first robot.
-    #[must_use]
     pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.robots.first().latest_time()
     }
@@ -215,14 +208,12 @@ impl Station {
     }
 
     /// What the signing of a link must still know after a restart, as of `now`; `None` if the link is not signed.
-    #[must_use]
     pub fn signing_state(&self, link: LinkId, now: Timestamp<HostClock>) -> Option<SigningState> {
         self.links.get(&link)?.verifier.signing_state(now)
     }
 
     /// How many signed streams were heard for the first time, over all links. When it has grown, the states should be written down at
     /// once; see [`LinkSigner::streams_seen`](posebridge_protocol::signing::LinkSigner::streams_seen).
-    #[must_use]
     pub fn signing_stream_count(&self) -> u64 {
         self.links.values().map(|link| link.verifier.signing_stream_count()).sum()
     }

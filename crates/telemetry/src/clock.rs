@@ -55,43 +55,36 @@ impl<C: Clock> Timestamp<C> {
     pub const ZERO: Self = Self::from_nanos(0);
 
     /// An instant in nanoseconds since the clock's zero.
-    #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self { nanos, clock: PhantomData }
     }
 
     /// An instant in microseconds since the clock's zero; saturates at the ends of the range.
-    #[must_use]
     pub const fn from_micros(micros: i64) -> Self {
         Self::from_nanos(micros.saturating_mul(1_000))
     }
 
     /// An instant in milliseconds since the clock's zero; saturates at the ends of the range.
-    #[must_use]
     pub const fn from_millis(millis: i64) -> Self {
         Self::from_nanos(millis.saturating_mul(1_000_000))
     }
 
     /// An instant in seconds since the clock's zero, rounded to the nearest nanosecond; saturates, NaN gives zero.
-    #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
         Self::from_nanos(round_to_i64(secs * 1e9))
     }
 
     /// Nanoseconds since the clock's zero.
-    #[must_use]
     pub const fn as_nanos(self) -> i64 {
         self.nanos
     }
 
     /// Microseconds since the clock's zero, rounded towards minus infinity.
-    #[must_use]
     pub const fn as_micros(self) -> i64 {
         self.nanos.div_euclid(1_000)
     }
 
     /// Seconds since the clock's zero.
-    #[must_use]
     pub fn as_secs_f64(self) -> f64 {
         self.nanos as f64 * 1e-9
     }
@@ -157,37 +150,30 @@ impl TimeDelta {
     pub const ZERO: Self = Self(0);
 
     /// A duration in nanoseconds.
-    #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
     /// A duration in microseconds; saturates.
-    #[must_use]
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
     /// A duration in milliseconds; saturates.
-    #[must_use]
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }
     /// A duration in seconds, rounded to the nearest nanosecond; saturates, NaN gives zero.
-    #[must_use]
     pub fn from_secs_f64(secs: f64) -> Self {
         Self(round_to_i64(secs * 1e9))
     }
     /// The duration in nanoseconds.
-    #[must_use]
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
     /// The duration in seconds.
-    #[must_use]
     pub fn as_secs_f64(self) -> f64 {
         self.0 as f64 * 1e-9
     }
     /// The duration in milliseconds, with fractions.
-    #[must_use]
     pub fn as_millis_f64(self) -> f64 {
         self.0 as f64 * 1e-6
     }

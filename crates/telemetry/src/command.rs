@@ -61,7 +61,6 @@ pub enum Command {
 
 impl Command {
     /// Whether it concerns robots, and not the station as a whole.
-    #[must_use]
     pub const fn is_for_robots(&self) -> bool {
         match self {
             Self::SetPose { .. }
@@ -75,7 +74,6 @@ impl Command {
     }
 
     /// The command's name, as recordings spell it.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::SetPose { .. } => "set pose",

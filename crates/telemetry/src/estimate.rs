@@ -45,7 +45,6 @@ pub struct Estimate {
 
 impl Estimate {
     /// The last reset of the pose in words.
-    #[must_use]
     pub fn describe_reset(&self) -> String {
         match self.last_correction {
             Some(PoseCorrection { dx_m, dy_m, turn }) => {
@@ -56,17 +55,14 @@ impl Estimate {
     }
 
     /// Standard deviation of x, in metres.
-    #[must_use]
     pub fn x_sigma_m(&self) -> f64 {
         self.covariance[row::X][row::X].max(0.0).sqrt()
     }
     /// Standard deviation of y, in metres.
-    #[must_use]
     pub fn y_sigma_m(&self) -> f64 {
         self.covariance[row::Y][row::Y].max(0.0).sqrt()
     }
     /// Standard deviation of the heading, in radians.
-    #[must_use]
     pub fn heading_sigma_rad(&self) -> f64 {
         self.covariance[row::HEADING][row::HEADING].max(0.0).sqrt()
     }
@@ -114,7 +110,6 @@ pub struct ScalarEstimate {
 
 impl ScalarEstimate {
     /// Half the width of the interval around the value that holds the quantity with a probability of 95 %, in its unit.
-    #[must_use]
     pub const fn bound_95(&self) -> f64 {
         NORMAL_95 * self.sigma
     }

@@ -145,7 +145,6 @@ pub enum Event {
 impl Event {
     /// Whether viewers show it beside the estimates, on a dashboard or in a recording. Of the observations they show only fixes; the
     /// fusion records cover the others. Receive errors are counted in the health of their link.
-    #[must_use]
     pub const fn is_for_viewers(&self) -> bool {
         match self {
             Self::ObservationAligned { observation, .. } => {
@@ -168,7 +167,6 @@ impl Event {
     }
 
     /// The event in words, with its MAVLink severity; `None` for measurements, estimates and counters.
-    #[must_use]
     pub fn describe(&self) -> Option<(u8, String)> {
         let described = match self {
             Self::RobotDetected { robot } => (INFO, format!("robot {} detected", robot.path())),
@@ -217,7 +215,6 @@ pub enum SignatureError {
 
 impl SignatureError {
     /// The name in exports and event files.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Unsigned => "unsigned",
@@ -292,7 +289,6 @@ pub enum ReceiveError {
 
 impl ReceiveError {
     /// The name in exports and event files.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Checksum { .. } => "checksum",

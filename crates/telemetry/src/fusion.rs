@@ -52,7 +52,6 @@ pub enum FusionOutcome {
 
 impl FusionOutcome {
     /// The outcome in words, as logs and reports print it.
-    #[must_use]
     pub const fn reason(self) -> &'static str {
         match self {
             Self::Accepted => "accepted",

@@ -65,7 +65,6 @@ impl SensorId {
 
     /// The camera with this index, from 0, in the order of their first messages: [`Self::CAMERA`], then up to seven more. All
     /// further ones share the last id.
-    #[must_use]
     pub const fn camera(place: usize) -> Self {
         match place {
             0 => Self::CAMERA,
@@ -77,13 +76,11 @@ impl SensorId {
     const UNNAMED: &'static str = "sensor";
 
     /// Whether it is one of the ids above; live observations have no others.
-    #[must_use]
     pub fn is_known(self) -> bool {
         self.name() != Self::UNNAMED
     }
 
     /// The name for people.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::WHEELS => "wheels",
@@ -119,7 +116,6 @@ impl ChannelName {
 
     /// The name in these bytes, up to the first zero or the longest length. Bytes that are not printable ASCII become question
     /// marks, because names are printed on terminals.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut name = Self::default();
         let said = bytes.iter().take_while(|byte| **byte != 0);
@@ -130,7 +126,6 @@ impl ChannelName {
     }
 
     /// The name as text.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let said = self.bytes.get(..end.unwrap_or(Self::MAX_LEN));
@@ -162,7 +157,6 @@ pub struct Address {
 
 impl Address {
     /// The address `system/component`.
-    #[must_use]
     pub const fn new(system: u8, component: u8) -> Self {
         Self { system: SystemId(system), component: ComponentId(component) }
     }
@@ -185,7 +179,6 @@ pub struct RobotId {
 
 impl RobotId {
     /// The robot as `link/system/component`.
-    #[must_use]
     pub fn path(self) -> String {
         format!("{}/{}", self.link, self.address)
     }

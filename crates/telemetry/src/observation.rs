@@ -83,7 +83,6 @@ pub enum ObservationKind {
 
 impl ObservationKind {
     /// The kind's name, as used in reports and in the configuration.
-    #[must_use]
     pub const fn kind(&self) -> &'static str {
         match self {
             Self::WheelAngles { .. } => "wheel_angles",

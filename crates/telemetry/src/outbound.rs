@@ -15,7 +15,6 @@ pub enum Recipients {
 
 impl Recipients {
     /// Whether a peer is among the recipients.
-    #[must_use]
     pub fn includes(self, peer: PeerId) -> bool {
         match self {
             Self::All => true,

@@ -95,19 +95,16 @@ pub struct Heading(f64);
 
 impl Heading {
     /// Wraps any finite angle onto the circle. A value that is not finite stays as it is, so that a filter sees it.
-    #[must_use]
     pub fn new(angle: Radians) -> Self {
         Self(wrap_rad(angle.0))
     }
 
     /// Wraps an angle in radians onto the circle.
-    #[must_use]
     pub fn from_rad(angle_rad: f64) -> Self {
         Self(wrap_rad(angle_rad))
     }
 
     /// The angle in radians, in (-pi, pi].
-    #[must_use]
     pub const fn rad(self) -> f64 {
         self.0
     }
@@ -136,7 +133,6 @@ impl Sub<Radians> for Heading {
 }
 
 /// Wraps an angle in radians into (-pi, pi]; values that are not finite pass through unchanged.
-#[must_use]
 pub fn wrap_rad(angle_rad: f64) -> f64 {
     if angle_rad > -PI && angle_rad <= PI {
         return angle_rad;

@@ -55,7 +55,6 @@ impl RepeatFilter {
     }
 
     /// The suppressed line with the number of its repetitions.
-    #[must_use]
     pub fn suppressed_summary(&self) -> Option<String> {
         let line = self.last_line.as_ref()?;
         match self.held {

@@ -87,7 +87,6 @@ impl SlippingWheel {
     pub const ALL: [Self; 3] = [Self::Left, Self::Right, Self::Both];
 
     /// Its word, as a command's JSON spells it.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Left => "left",
@@ -111,7 +110,6 @@ impl SteeringSource {
     pub const ALL: [Self; 2] = [Self::Odometry, Self::Estimate];
 
     /// Its word, as a command's JSON spells it.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Odometry => "odometry",
@@ -135,7 +133,6 @@ pub struct NumberField {
 
 impl NumberField {
     /// The permitted range.
-    #[must_use]
     pub const fn range(&self) -> RangeInclusive<f64> {
         self.minimum..=self.maximum
     }
@@ -205,7 +202,6 @@ static DRIVE_TURN: NumberField = NumberField { command: "drive", field: "turn_ra
 
 impl SimulatorCommand {
     /// Its name in JSON.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Kidnap { .. } => "kidnap",

@@ -68,13 +68,11 @@ impl<S> Point2<S> {
     pub const ORIGIN: Self = Self::new(Meters(0.0), Meters(0.0));
 
     /// The point (x, y).
-    #[must_use]
     pub const fn new(x: Meters, y: Meters) -> Self {
         Self { x, y, space: PhantomData }
     }
 
     /// The straight distance between two points of one space.
-    #[must_use]
     pub fn distance(self, other: Self) -> Meters {
         Meters((self.x.0 - other.x.0).hypot(self.y.0 - other.y.0))
     }
@@ -114,13 +112,11 @@ pub type Pose<S> = Transform2<S, Body>;
 
 impl<Target, Source> Transform2<Target, Source> {
     /// The transform whose source origin lies at (x, y) in the target and whose source x axis has this heading there.
-    #[must_use]
     pub const fn new(x: Meters, y: Meters, heading: Heading) -> Self {
         Self { x, y, heading, spaces: PhantomData }
     }
 
     /// The transform back.
-    #[must_use]
     pub fn inverse(self) -> Transform2<Source, Target> {
         let (sin, cos) = self.heading.rad().sin_cos();
         Transform2::new(
@@ -131,7 +127,6 @@ impl<Target, Source> Transform2<Target, Source> {
     }
 
     /// The origin of `Source`, as a point of `Target`.
-    #[must_use]
     pub const fn origin(self) -> Point2<Target> {
         Point2::new(self.x, self.y)
     }

@@ -66,7 +66,6 @@ impl Target {
 }
 
 /// The target with this name.
-#[must_use]
 pub fn target(name: &str) -> Option<&'static Target> {
     TARGETS.iter().find(|target| target.name == name)
 }

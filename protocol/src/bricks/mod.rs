@@ -61,7 +61,6 @@ pub struct BrickProtocol {
 }
 
 /// The protocol with this name.
-#[must_use]
 pub fn brick_protocol(name: &str) -> Option<&'static BrickProtocol> {
     BRICK_PROTOCOLS.iter().find(|protocol| protocol.name == name)
 }

@@ -30,7 +30,6 @@ pub use self::protocol::{Protocol, ProtocolDetection};
 use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 
 /// Guesses the protocol of `bytes`, in the order in which they came; datagrams one behind the other.
-#[must_use]
 pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
     if bytes.is_empty() {
         return UnitCounts::default().detection(Protocol::NoData);

@@ -23,7 +23,6 @@ pub enum Protocol {
 
 impl Protocol {
     /// Its name for people.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mavlink2 => "MAVLink 2",
@@ -38,7 +37,6 @@ impl Protocol {
     }
 
     /// The row of [`crate::bricks::BRICK_PROTOCOLS`] that would read it, if this program has it; `None` for what no robot speaks.
-    #[must_use]
     pub const fn codec(self) -> Option<&'static str> {
         match self {
             Self::Mavlink2 | Self::Mavlink1 => Some("mavlink"),
@@ -50,13 +48,11 @@ impl Protocol {
     }
 
     /// True if each frame proves itself by a checksum, so that a few of them leave no doubt.
-    #[must_use]
     pub const fn is_checked(self) -> bool {
         matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea)
     }
 
     /// True for everything but noise and silence.
-    #[must_use]
     pub const fn is_known(self) -> bool {
         !matches!(self, Self::Unrecognized | Self::NoData)
     }

@@ -35,7 +35,6 @@ pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| 
 });
 
 /// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` for an unknown id.
-#[must_use]
 pub fn message_name(id: u32) -> Option<&'static str> {
     let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
     let own = || posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name());

@@ -27,7 +27,6 @@ pub struct Encoder {
 
 impl Encoder {
     /// An encoder that has sent nothing.
-    #[must_use]
     pub fn new(version: WireVersion) -> Self {
         Self { version, sequences: BTreeMap::new() }
     }

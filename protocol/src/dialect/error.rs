@@ -62,7 +62,6 @@ pub enum PayloadError {
 
 impl PayloadError {
     /// The message's id.
-    #[must_use]
     pub const fn message_id(&self) -> u32 {
         match *self {
             Self::NotFinite { message_id, .. }

@@ -81,7 +81,6 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
 }
 
 /// The timestamp in a verified frame, on its sender's clock; `None` if it has none or it is invalid.
-#[must_use]
 pub fn timestamp_of(frame: &FrameRef<'_>) -> Option<WireStamp> {
     match frame.message_id {
         // The commonest without one need not be decoded for it.

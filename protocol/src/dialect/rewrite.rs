@@ -44,7 +44,6 @@ pub enum RenumberError {
 }
 
 /// Whether a whole frame bears a signature; false of what is no frame.
-#[must_use]
 pub fn is_signed(frame: &[u8]) -> bool {
     FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
 }

@@ -57,7 +57,6 @@ pub enum VerifiedFrame<'a> {
 
 /// Verifies bytes that something else has cut out, a record of a file for instance: they must be exactly one frame. Messages of
 /// foreign dialects are known here, as to [`super::Framer::with_all_dialects`].
-#[must_use]
 pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
     match classify(raw, &FULL_CATALOGUE) {
         FrameCandidate::Supported { header, crc_extra } if header.total == raw.len() => {
@@ -80,7 +79,6 @@ pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
 
 /// The frame that these bytes are, by its header alone; `None` if their number differs from it. For bytes that [`verify`] has
 /// seen, which need not be summed up again.
-#[must_use]
 #[inline]
 pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
     let header = match raw {

@@ -7,7 +7,6 @@ static MCRF4XX: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MCRF4XX
 
 /// The checksum of a frame: over `bytes` (everything between the start byte and the checksum), then over the message's
 /// CRC_EXTRA.
-#[must_use]
 pub fn checksum(bytes: &[u8], crc_extra: u8) -> u16 {
     let mut digest = MCRF4XX.digest();
     digest.update(bytes);

@@ -91,7 +91,6 @@ impl WaitPolicy {
 
 impl Framer {
     /// A framer without any bytes.
-    #[must_use]
     pub fn new(config: FramerConfig) -> Self {
         Self {
             config,
@@ -107,7 +106,6 @@ impl Framer {
 
     /// A framer that verifies the messages of foreign dialects as well, for recordings. A live link forwards them unverified, because
     /// its peers may use a newer version of their dialect.
-    #[must_use]
     pub fn with_all_dialects(config: FramerConfig) -> Self {
         Self { catalogue: &FULL_CATALOGUE, ..Self::new(config) }
     }
@@ -140,7 +138,6 @@ impl Framer {
     }
 
     /// When [`Framer::tick`] must be called if no more bytes come; `None` when nothing waits for the gap.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waits = !self.pending.is_empty() && !self.is_overdue;
         waits.then(|| self.last_byte + self.config.gap)
@@ -196,7 +193,6 @@ impl Framer {
     }
 
     /// The counters since the start.
-    #[must_use]
     pub const fn counters(&self) -> &FramerCounters {
         &self.counters
     }

@@ -92,7 +92,6 @@ pub struct FramerCounters {
 
 impl FramerCounters {
     /// The sum of two framers' counts.
-    #[must_use]
     pub const fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
@@ -124,7 +123,6 @@ pub struct FrameRef<'a> {
 
 impl FrameRef<'_> {
     /// Whether it has a signature, valid or not.
-    #[must_use]
     pub fn is_signed(&self) -> bool {
         matches!(*self.raw, [START_BYTE_V2, _, flags, ..] if flags & FLAG_SIGNED != 0)
     }

@@ -39,7 +39,6 @@ pub struct SequenceTracker {
 
 impl SequenceTracker {
     /// A tracker without any frames.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }

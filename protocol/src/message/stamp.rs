@@ -22,7 +22,6 @@ pub enum WireStamp {
 
 impl WireStamp {
     /// In whole microseconds as it stands there; of an answer the middle between question and answer, by the clock of who asked.
-    #[must_use]
     pub const fn as_micros(self) -> u64 {
         match self {
             Self::Micros32(micros) => micros as u64,

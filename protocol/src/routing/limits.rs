@@ -43,7 +43,6 @@ pub struct LinkRateLimiter {
 
 impl LinkRateLimiter {
     /// A limiter with a full budget at `now`.
-    #[must_use]
     pub fn new(limits: RateLimits, now: Timestamp<HostClock>) -> Self {
         let mut limiter = Self { limits, last_sent: BTreeMap::new(), budget: 0, refilled: now };
         limiter.budget = limiter.max_budget();

@@ -131,7 +131,6 @@ pub struct FrameRouter {
 
 impl FrameRouter {
     /// A router without any frames.
-    #[must_use]
     pub fn new(config: RouterConfig) -> Self {
         Self {
             routes: RouteTable::default(),
@@ -154,7 +153,6 @@ impl FrameRouter {
     }
 
     /// Whether a link's inward filter lets a frame in: one that it does not is neither used nor forwarded.
-    #[must_use]
     pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
         self.config.links.get(&link).is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
     }
@@ -184,7 +182,6 @@ impl FrameRouter {
     }
 
     /// By which other endpoint a frame came first, while that is remembered.
-    #[must_use]
     pub fn first_endpoint(&self, now: Timestamp<HostClock>, from: Endpoint, frame: &FrameRef<'_>) -> Option<Endpoint> {
         let by_bytes = self.duplicates.first_endpoint(now, from, frame_key(frame.raw));
         let group = self.group(from.link).filter(|_| has_timestamp(frame.message_id));
@@ -227,7 +224,6 @@ impl FrameRouter {
     }
 
     /// Where a frame goes whose target's endpoint only the caller knows: there, if the rules let it.
-    #[must_use]
     pub fn destinations_at(
         &self,
         from: Endpoint,
@@ -251,13 +247,11 @@ impl FrameRouter {
     }
 
     /// Whether two links are one, or redundant links of one group: what is heard on either comes from the same robot.
-    #[must_use]
     pub fn are_redundant(&self, a: LinkId, b: LinkId) -> bool {
         a == b || (self.group(a).is_some() && self.group(a) == self.group(b))
     }
 
     /// The link that stands for a group of redundant links: that with the lowest id; the link itself if it is in none.
-    #[must_use]
     pub fn first_of_group(&self, link: LinkId) -> LinkId {
         let Some(group) = self.group(link) else {
             return link;
@@ -368,7 +362,6 @@ impl FrameRouter {
 }
 
 /// The priority of a forwarded frame on a slow link: commands to one and their answers are never dropped.
-#[must_use]
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
     let is_command =
         matches!(frame.message_id, ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL);

@@ -47,7 +47,6 @@ pub struct FrameFilter {
 
 impl FrameFilter {
     /// Whether a frame of this sender with this message passes.
-    #[must_use]
     pub fn admits(&self, source: Address, message_id: u32) -> bool {
         self.messages.admits(&message_id)
             && self.systems.admits(&source.system)
@@ -72,14 +71,12 @@ impl<T> Default for AllowBlockList<T> {
 
 impl<T: PartialEq> AllowBlockList<T> {
     /// Whether `item` is chosen.
-    #[must_use]
     pub fn admits(&self, item: &T) -> bool {
         (self.allow.is_empty() || self.allow.contains(item)) && !self.block.contains(item)
     }
 }
 
 /// The id of the message with this name, in the standard dialect or ours. Case matters, as in the definitions.
-#[must_use]
 pub fn message_id_named(name: &str) -> Option<u32> {
     common::MavMessage::message_id_from_name(name).or_else(|| posebridge::MavMessage::message_id_from_name(name))
 }

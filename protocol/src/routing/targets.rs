@@ -35,7 +35,6 @@ pub enum MessageTarget {
 
 impl MessageTarget {
     /// The system that it is for; `None` for a broadcast.
-    #[must_use]
     pub const fn system(self) -> Option<SystemId> {
         match self {
             Self::Broadcast => None,
@@ -66,7 +65,6 @@ static OFFSETS: LazyLock<Vec<TargetOffsets>> = LazyLock::new(|| {
 });
 
 /// Whom the message `message_id` with this payload is for. Trailing zeros of the payload may be cut off.
-#[must_use]
 pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     let Ok(index) = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id) else {
         return MessageTarget::Broadcast;

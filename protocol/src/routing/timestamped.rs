@@ -44,7 +44,6 @@ const TIMESTAMPED_MESSAGES: &[u32] = &[
 ];
 
 /// Whether equal payloads of this message are one and the same message.
-#[must_use]
 pub fn has_timestamp(message_id: u32) -> bool {
     TIMESTAMPED_MESSAGES.binary_search(&message_id).is_ok()
 }

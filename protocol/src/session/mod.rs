@@ -81,7 +81,6 @@ pub struct Session<C: Clock> {
 
 impl<C: Clock> Session<C> {
     /// A session without any peer; its first heartbeat is due at `now`.
-    #[must_use]
     pub fn new(config: SessionConfig, now: Timestamp<C>) -> Self {
         Self {
             time_requests: TimeRequests::new(config.timesync_period, now),
@@ -173,7 +172,6 @@ impl<C: Clock> Session<C> {
     }
 
     /// The content of a heartbeat; `None` while they are withheld.
-    #[must_use]
     pub fn active_heartbeat(&self) -> Option<Heartbeat> {
         (self.heartbeat_mode == HeartbeatMode::Active).then_some(self.config.heartbeat)
     }
@@ -220,13 +218,11 @@ impl<C: Clock> Session<C> {
     }
 
     /// Whether [`Self::poll`] has nothing.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.outputs.is_empty()
     }
 
     /// When to call [`Session::tick`], at the latest. There is always a next heartbeat.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<C>> {
         // A sign of life since it was found has only put the end off.
         Some(self.idle_until.unwrap_or_else(|| self.find_deadline()))

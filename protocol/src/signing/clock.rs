@@ -20,39 +20,33 @@ impl SigningTime {
     pub const MAX: Self = Self(MAX_UNITS);
 
     /// That many units; the last one there is for more than 48 bits.
-    #[must_use]
     pub const fn from_units(units: u64) -> Self {
         if units > MAX_UNITS { Self::MAX } else { Self(units) }
     }
 
     /// The instant that many microseconds after 1970 UTC; [`Self::ZERO`] for what lies before 2015.
-    #[must_use]
     pub const fn from_unix_micros(micros: u64) -> Self {
         Self::from_units(micros.saturating_sub(EPOCH_UNIX_MICROS) / 10)
     }
 
     /// Its units.
-    #[must_use]
     pub const fn units(self) -> u64 {
         self.0
     }
 
     /// The instant a span later, cut to whole units; saturates, and a negative span changes nothing.
-    #[must_use]
     pub fn saturating_add(self, span: TimeDelta) -> Self {
         let units = u64::try_from(span.as_nanos() / UNIT_NANOS).unwrap_or(0);
         Self::from_units(self.0.saturating_add(units))
     }
 
     /// How much later than `earlier`; zero if it is not.
-    #[must_use]
     pub fn since(self, earlier: Self) -> TimeDelta {
         let units = i64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(i64::MAX);
         TimeDelta::from_nanos(units.saturating_mul(UNIT_NANOS))
     }
 
     /// The smallest that is later; `None` after the last.
-    #[must_use]
     pub fn next(self) -> Option<Self> {
         (self < Self::MAX).then_some(Self(self.0 + 1))
     }

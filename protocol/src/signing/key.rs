@@ -35,14 +35,12 @@ pub enum KeyError {
 
 impl Key {
     /// The key of these bytes.
-    #[must_use]
     pub const fn from_bytes(bytes: [u8; LENGTH]) -> Self {
         Self(bytes)
     }
 
     /// Eight hexadecimal digits that distinguish keys and reveal none: the first four bytes of a SHA-256 over a fixed
     /// text and the key.
-    #[must_use]
     pub fn name(&self) -> String {
         let mut hash = Sha256::new();
         hash.update(NAME_PREFIX);
@@ -52,7 +50,6 @@ impl Key {
     }
 
     /// The secret itself, as a key file holds it: 64 hexadecimal digits.
-    #[must_use]
     pub fn reveal_hex(&self) -> String {
         hex(self.0.iter())
     }

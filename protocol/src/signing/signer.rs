@@ -41,7 +41,6 @@ pub struct LinkSigner {
 
 impl LinkSigner {
     /// A link that goes on from its memory.
-    #[must_use]
     pub fn new(config: SigningConfig) -> Self {
         let memory = config.state;
         Self {
@@ -78,13 +77,11 @@ impl LinkSigner {
 
     /// Whether the sender of an accepted frame is authenticated. A frame without a signature that came in only because of its
     /// message id is not authenticated: anyone can send it, under any address.
-    #[must_use]
     pub fn is_authenticated(&self, frame: &FrameRef<'_>) -> bool {
         self.verifier.accepts_unsigned() || Signature::parse(frame).is_some()
     }
 
     /// What must be known after a restart, as of `now`.
-    #[must_use]
     pub fn state(&self, now: Timestamp<HostClock>) -> SigningState {
         SigningState {
             written_at: self.date(now),
@@ -97,7 +94,6 @@ impl LinkSigner {
 
     /// How many streams were heard for the first time. When it has grown, the memory should be written down at once: of a
     /// stream that is not in it nothing is known after a restart.
-    #[must_use]
     pub const fn streams_seen(&self) -> u64 {
         self.verifier.streams_seen()
     }

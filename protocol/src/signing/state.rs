@@ -67,7 +67,6 @@ impl SigningState {
     /// After [`ShutdownKind::Interrupted`] our own timestamps begin so far ahead that none is used twice. What a stream has said
     /// between the writing and the cut cannot be known; its stamps cannot have gone on by much more than the time since it was
     /// last heard, so that much is refused.
-    #[must_use]
     pub fn resume(mut self, utc: SigningTime, ending: ShutdownKind) -> Self {
         if ending == ShutdownKind::Interrupted {
             let since_writing = if utc > self.written_at {

@@ -108,7 +108,6 @@ pub struct Counters {
 
 impl Counters {
     /// Bytes that did not arrive and will not.
-    #[must_use]
     pub const fn bytes_lost(&self) -> u64 {
         self.bytes_lost_to_full_buffer
             + self.bytes_lost_alone

@@ -81,7 +81,6 @@ pub struct ImpairedDirection {
 impl ImpairedDirection {
     /// A direction on which nothing travels yet. Its randomness derives from `seed` and `name`, so that the two directions of one
     /// link differ.
-    #[must_use]
     pub fn new(profile: &DirectionProfile, kind: LinkKind, seed: u64, name: &str) -> Self {
         let stream = |stage: &str| RandomStream::new(seed, &format!("link {name} {stage}"));
         Self {
@@ -147,14 +146,12 @@ impl ImpairedDirection {
     }
 
     /// When the next bytes arrive, if nothing else is offered.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waiting = self.arrived.front().map(|delivery| delivery.at);
         waiting.or_else(|| self.in_transit.first_key_value().map(|((at, _), _)| *at))
     }
 
     /// Counts since the direction was made.
-    #[must_use]
     pub const fn counters(&self) -> Counters {
         self.account.counters
     }

@@ -112,7 +112,6 @@ impl Default for FrameLedger {
 
 impl FrameLedger {
     /// A ledger of a direction on which nothing travels yet.
-    #[must_use]
     pub fn new() -> Self {
         Self {
             framer: Framer::new(FramerConfig::default()),

@@ -21,7 +21,6 @@ pub enum LinkEnd {
 
 impl LinkEnd {
     /// The end that receives from this one.
-    #[must_use]
     pub const fn other(self) -> Self {
         match self {
             Self::Brick => Self::Station,
@@ -63,7 +62,6 @@ pub struct ImpairedLink {
 
 impl ImpairedLink {
     /// A link that is up at `now`.
-    #[must_use]
     pub fn new(profile: &LinkProfile, seed: u64, now: Timestamp<HostClock>) -> Self {
         let outages = |settings| Outages::new(settings, RandomStream::new(seed, "link outages"), now);
         Self {
@@ -87,7 +85,6 @@ impl ImpairedLink {
     }
 
     /// When the next thing happens, if nothing else is offered.
-    #[must_use]
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let told = self.events.front().map(|event| match event {
             ImpairedLinkEvent::Arrived { delivery, .. } => delivery.at,
@@ -97,7 +94,6 @@ impl ImpairedLink {
     }
 
     /// Counts of the direction that ends at `end`.
-    #[must_use]
     pub const fn counters(&self, end: LinkEnd) -> Counters {
         match end {
             LinkEnd::Station => self.to_station.counters(),

@@ -98,7 +98,6 @@ impl LinkProfile {
 
     /// The same link with more loss of whole units (a probability, clamped to 0 to 1) and more delay (milliseconds, at most ten
     /// minutes) in both directions. A negative value, or one that is not finite, adds nothing.
-    #[must_use]
     pub fn with_extra(mut self, loss: f64, delay_ms: f64) -> Self {
         let passes = 1.0 - within(loss, 1.0);
         let delay_ms = within(delay_ms, checks::LONGEST_MS);

@@ -60,7 +60,6 @@ pub struct FilterPrior {
 
 impl Drive {
     /// The instant of a step's end; the start is the clock's zero.
-    #[must_use]
     pub fn time_at(&self, step: usize) -> Timestamp<BrickClock> {
         time_at(self.step, step)
     }
@@ -83,7 +82,6 @@ fn run_seed(base: u64, run: u32) -> u64 {
 
 impl Scenario {
     /// Draws run number `run`. The same scenario and number give the same drive, bit for bit, whatever was drawn before.
-    #[must_use]
     pub fn drive(&self, run: u32) -> Drive {
         simulate_drive(self, run)
     }

@@ -268,7 +268,6 @@ impl Scenario {
     }
 
     /// The same scenario under another base seed.
-    #[must_use]
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self

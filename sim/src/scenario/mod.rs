@@ -106,42 +106,36 @@ impl Scenario {
     }
 
     /// The same scenario under another seed.
-    #[must_use]
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
     /// The same scenario, steered by something else.
-    #[must_use]
     pub const fn with_steering(mut self, steering: Steering) -> Self {
         self.steering = steering;
         self
     }
 
     /// The same scenario with a brick of another protocol.
-    #[must_use]
     pub const fn with_personality(mut self, personality: Personality) -> Self {
         self.brick.personality = personality;
         self
     }
 
     /// The same scenario over another number of laps; at least one.
-    #[must_use]
     pub fn with_laps(mut self, laps: u32) -> Self {
         self.drive.laps = laps.clamp(1, checks::MAX_LAPS);
         self
     }
 
     /// The same scenario, driven lap after lap without an end.
-    #[must_use]
     pub const fn without_end(mut self) -> Self {
         self.drive.end = DriveEnd::Never;
         self
     }
 
     /// The drive as the brick is configured.
-    #[must_use]
     pub fn drive_geometry(&self) -> DriveGeometry {
         DriveGeometry {
             left_wheel_radius: Meters(self.robot.wheel_radius_m),
@@ -152,7 +146,6 @@ impl Scenario {
     }
 
     /// The noise with which sensors and motion are simulated, one standard deviation each.
-    #[must_use]
     pub fn sensor_noise(&self) -> SensorNoise {
         SensorNoise {
             wheel_travel_m_per_sqrt_m: self.errors.wheel_travel_m_per_sqrt_m,

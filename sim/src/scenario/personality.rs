@@ -19,7 +19,6 @@ pub enum Personality {
 
 impl Personality {
     /// Whether brick and camera use the same protocol on one link.
-    #[must_use]
     pub const fn shares_link_with_camera(self) -> bool {
         matches!(self, Self::Mavlink)
     }

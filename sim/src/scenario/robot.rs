@@ -140,7 +140,6 @@ impl Default for ErrorSettings {
 
 impl ErrorSettings {
     /// No difference at all: the encoders' readings are exact.
-    #[must_use]
     pub const fn none() -> Self {
         Self {
             radius_error: 0.0,
@@ -251,7 +250,6 @@ impl BrickSettings {
     }
 
     /// The address of a component of the brick's system.
-    #[must_use]
     pub fn address_of(&self, component: Address) -> Address {
         Address { system: SystemId(self.system), ..component }
     }

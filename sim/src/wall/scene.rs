@@ -170,7 +170,6 @@ impl WallScene {
     }
 
     /// The same scene under another seed.
-    #[must_use]
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self

@@ -28,7 +28,6 @@ pub struct StepRun {
 const LONGEST_S: f64 = 60.0;
 
 /// Draws step number `run`. The same scene and number give the same readings, bit for bit.
-#[must_use]
 pub fn simulate_step(scene: &WallScene, run: u32) -> StepRun {
     let mut car = Car::new(&scene.car, scene.step.start_m);
     let mut ticks = ControlPeriods::new(scene.control, scene.seed, run);

@@ -56,7 +56,6 @@ impl From<SmootherScore> for EstimatorResult {
 
 impl Estimator {
     /// Every estimator of a pose, in the order of tables and pictures.
-    #[must_use]
     pub fn all() -> Vec<Self> {
         let filters = FILTERS.iter().filter(|entry| entry.quantity == EstimatedQuantity::Pose).map(Self::Filter);
         let clairvoyant = find_filter(MAIN_FILTER).map(Self::TrueGeometry);
@@ -75,13 +74,11 @@ impl Estimator {
     }
 
     /// The names of all.
-    #[must_use]
     pub fn names() -> Vec<String> {
         Self::all().iter().map(Self::name).collect()
     }
 
     /// Its name in tables and on the command line.
-    #[must_use]
     pub fn name(&self) -> String {
         match self {
             Self::Filter(entry) => entry.name.to_owned(),
@@ -92,7 +89,6 @@ impl Estimator {
     }
 
     /// What it is, in one line.
-    #[must_use]
     pub fn summary(&self) -> String {
         match self {
             Self::Filter(entry) => entry.summary.to_owned(),
@@ -110,7 +106,6 @@ impl Estimator {
     }
 
     /// Runs it over a drive. `known` is the same drive as the scoring wants it.
-    #[must_use]
     pub fn score(&self, drive: &Drive, known: &ReferenceDrive) -> EstimatorResult {
         match self {
             Self::Filter(entry) => {

@@ -48,7 +48,6 @@ pub struct LiveRobot<'a> {
 
 impl LiveArgs {
     /// Whether a live robot was asked for.
-    #[must_use]
     pub const fn is_requested(&self) -> bool {
         self.link.is_some() || self.listen.is_some()
     }

@@ -69,7 +69,6 @@ pub const FIELDS: &[Field] = &[
 ];
 
 /// The name in [`FIELDS`] of a field that was sent.
-#[must_use]
 pub fn pattern_of(name: &str) -> Option<&'static str> {
     let sent: Vec<&str> = name.split('/').collect();
     let fits = |field: &&Field| {

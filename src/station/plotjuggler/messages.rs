@@ -138,7 +138,6 @@ fn is_none(number: &Number) -> bool {
 }
 
 /// The datagrams of a message of the station.
-#[must_use]
 pub fn messages(frame: &Frame) -> Vec<String> {
     let mut all = Vec::new();
     for robot in &frame.robots {

@@ -78,7 +78,6 @@ impl SigningSession {
     }
 
     /// The configuration as a recording needs it: with what each signed link began with, and without the keys.
-    #[must_use]
     pub fn config_for_recording(&self, config: &Config) -> Config {
         let mut config = config.clone();
         for (id, signing) in &self.links {

@@ -22,13 +22,11 @@ pub struct SimulatedCable {
 
 impl SimulatedCable {
     /// A cable that stays in.
-    #[must_use]
     pub const fn fixed(port: Link) -> Self {
         Self { port: Some(port), reopen_config: None, replug_at: Timestamp::ZERO, station: None, impairment: None }
     }
 
     /// A cable that can be pulled out and put in again.
-    #[must_use]
     pub fn pluggable(config: LinkOpenConfig, timer: HostTimer) -> Self {
         Self { reopen_config: Some((config.clone(), timer)), ..Self::fixed(Link::new(config, timer)) }
     }

@@ -42,7 +42,6 @@ pub struct ControlReceiver {
 }
 
 /// Both sides.
-#[must_use]
 pub fn controls() -> (SimulatorControls, ControlReceiver) {
     let (sender, commands) = mpsc::channel(COMMAND_CAPACITY);
     let (truth, _) = broadcast::channel(SAMPLE_CAPACITY);

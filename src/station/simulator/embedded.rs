@@ -40,7 +40,6 @@ pub struct EmbeddedBrick {
 
 impl EmbeddedBrick {
     /// One more receiver of the truth, from now on.
-    #[must_use]
     pub fn truth_tap(&self) -> TruthTap {
         TruthTap::new(&self.controls.truth, self.robot)
     }

@@ -48,7 +48,6 @@ pub struct Announcement {
 
 impl Announcement {
     /// Sends `text` on `port` from now on.
-    #[must_use]
     pub const fn new(port: Link, text: Vec<u8>) -> Self {
         Self { port, text, due: TimeDelta::ZERO }
     }
@@ -63,7 +62,6 @@ impl Announcement {
 
 impl BrickPorts {
     /// The brick's link alone.
-    #[must_use]
     pub const fn of(brick: SimulatedCable) -> Self {
         Self { brick, camera: None, images: None, announcement: None }
     }
@@ -130,7 +128,6 @@ pub struct BrickDrive {
 
 impl BrickDrive {
     /// A brick without a progress display and without controls.
-    #[must_use]
     pub fn unattended(simulation: Simulation, ports: BrickPorts) -> Self {
         Self { simulation, ports, progress: watch::channel(0.0).0, controls: None }
     }

@@ -15,13 +15,11 @@ pub struct TruthTap {
 
 impl TruthTap {
     /// A receiver of a robot's truth from now on; `None` for the only one.
-    #[must_use]
     pub fn new(truth: &broadcast::Sender<TimedTruthSample>, robot: Option<RobotId>) -> Self {
         Self { receiver: truth.subscribe(), robot, missed: 0 }
     }
 
     /// Whose truth it is; `None` for that of the only robot.
-    #[must_use]
     pub const fn robot(&self) -> Option<RobotId> {
         self.robot
     }
@@ -39,7 +37,6 @@ impl TruthTap {
     }
 
     /// Samples that were missed so far.
-    #[must_use]
     pub const fn missed(&self) -> u64 {
         self.missed
     }

@@ -3,26 +3,22 @@
 use posebridge_dashboard::model::Number;
 
 /// A number with this number of decimals, or a dash if there is none.
-#[must_use]
 pub(super) fn fixed(number: Number, decimals: usize) -> String {
     number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 /// The same with its sign.
-#[must_use]
 pub(super) fn signed(number: Number, decimals: usize) -> String {
     number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:+.decimals$}"))
 }
 
 /// An angle in degrees.
-#[must_use]
 pub(super) fn degrees(radians: Number, decimals: usize) -> String {
     let degrees = radians.get().map_or(f64::NAN, f64::to_degrees);
     fixed(degrees.into(), decimals)
 }
 
 /// A number of bytes for people.
-#[must_use]
 pub(super) fn bytes(number: u64) -> String {
     match number {
         ..1_000 => format!("{number} B"),
@@ -32,7 +28,6 @@ pub(super) fn bytes(number: u64) -> String {
 }
 
 /// A text from outside without what would steer a terminal: escape sequences go, other control characters become blanks.
-#[must_use]
 pub(super) fn sanitize(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     let mut rest = text.chars().peekable();

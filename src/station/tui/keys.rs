@@ -145,14 +145,12 @@ pub const KEYS: &[KeyBinding] = &[
 ];
 
 /// What a key asks for, if it does anything.
-#[must_use]
 pub fn action_of(stroke: KeyPress) -> Option<UiAction> {
     let key = KEYS.iter().find(|key| key.key_presses.contains(&stroke));
     key.map(|key| key.action)
 }
 
 /// The keys in what a terminal has sent. Whatever else it sends is passed over.
-#[must_use]
 pub fn parse_key_presses(mut bytes: &[u8]) -> Vec<KeyPress> {
     let mut found = Vec::new();
     while let [first, rest @ ..] = bytes {

@@ -27,7 +27,6 @@ pub enum CameraState {
 
 impl OperatorAction {
     /// As a command; the camera is turned into what it is not.
-    #[must_use]
     pub const fn command(self, camera: CameraState) -> Command {
         Command::Simulator(match self {
             Self::Kidnap => SimulatorCommand::Kidnap { forward_m: 0.3, left_m: 0.2, turn_rad: 60_f64.to_radians() },
@@ -45,7 +44,6 @@ impl OperatorAction {
     }
 
     /// What was asked for, in words.
-    #[must_use]
     pub const fn description(self, camera: CameraState) -> &'static str {
         match (self, camera) {
             (Self::Kidnap, _) => "the robot is kidnapped",

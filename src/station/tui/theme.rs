@@ -38,13 +38,11 @@ pub enum StyleRole {
 
 impl Theme {
     /// What a person asked for by `NO_COLOR`: any value but an empty one.
-    #[must_use]
     pub fn from_env(no_color: Option<&std::ffi::OsStr>) -> Self {
         if no_color.is_some_and(|value| !value.is_empty()) { Self::Plain } else { Self::Coloured }
     }
 
     /// The style of a text.
-    #[must_use]
     pub const fn style(self, role: StyleRole) -> Style {
         match self {
             Self::Coloured => Style::new().fg(colour(role)).add_modifier(weight(role)),
@@ -53,7 +51,6 @@ impl Theme {
     }
 
     /// The colour of a line or mark on the map.
-    #[must_use]
     pub const fn colour(self, role: StyleRole) -> Color {
         match self {
             Self::Coloured => colour(role),

@@ -10,7 +10,6 @@ use super::processes::running;
 use super::surroundings::{SystemRoots, names_in, value_in};
 
 /// Looks at adapters, switches and pairings; a computer without a radio is skipped.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &examination.roots;
     let mut verdicts = check_blocked_radios(roots);

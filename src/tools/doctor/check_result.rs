@@ -37,7 +37,6 @@ pub enum Status {
 
 impl Status {
     /// The word in the report.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Skipped => "skipped",
@@ -61,25 +60,21 @@ pub struct CheckResult {
 
 impl CheckResult {
     /// As it should be.
-    #[must_use]
     pub fn ok(what: impl Into<String>) -> Self {
         Self::new(Status::Ok, what, "")
     }
 
     /// There was nothing to look at.
-    #[must_use]
     pub fn skipped(what: impl Into<String>) -> Self {
         Self::new(Status::Skipped, what, "")
     }
 
     /// Something that may be a reason for trouble, with its cure.
-    #[must_use]
     pub fn warning(what: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::new(Status::Warning, what, advice)
     }
 
     /// Something that does not work like this, with its cure.
-    #[must_use]
     pub fn problem(what: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::new(Status::Problem, what, advice)
     }

@@ -7,7 +7,6 @@ use super::open::{OpenOutcome, open, rejected_result, run_in_runtime, unavailabl
 use crate::config::{self, Config, LinkTarget, load_scenario};
 
 /// Loads the configuration, then opens each link of a given file once and closes it.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let path = examination.config.as_deref();
     let name = path.map_or("the embedded default".to_owned(), |path| path.display().to_string());

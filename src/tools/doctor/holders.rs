@@ -12,7 +12,6 @@ use super::processes::processes;
 use super::surroundings::SystemRoots;
 
 /// Looks for holders of every port, and of the devices of the given links.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let devices = devices(examination);
     if devices.is_empty() {

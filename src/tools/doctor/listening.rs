@@ -20,7 +20,6 @@ use crate::console::print_line;
 const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
 
 /// Listens on each link in turn.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     if examination.links.is_empty() {
         return vec![CheckResult::skipped(

@@ -99,7 +99,6 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
 }
 
 /// The verdicts of all checks, in the order of [`CHECKS`].
-#[must_use]
 pub fn run_checks(examination: &DiagnosticContext) -> Vec<Finding> {
     let findings_of = |check: &Check| {
         let name = check.name;

@@ -20,7 +20,6 @@ const PROBED: &str = "ttyACM";
 const IGNORE_TAGS: [&str; 2] = ["E:ID_MM_DEVICE_IGNORE=1", "E:ID_MM_PORT_IGNORE=1"];
 
 /// Looks whether it runs, and which ports it may probe.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &examination.roots;
     if running(roots, &["ModemManager"]).is_none() {

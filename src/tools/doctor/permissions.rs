@@ -11,7 +11,6 @@ use super::surroundings::UserPermissions;
 const GROUP_READ_WRITE: u32 = 0o060;
 
 /// Looks at every port; a port that is closed to the person is a problem.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let ports = serial_ports(&examination.roots);
     if ports.is_empty() {

@@ -39,7 +39,6 @@ pub struct UsbIds {
 }
 
 /// Lists the ports; a computer without one gets a warning, because a robot may as well come by network.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let ports = serial_ports(&examination.roots);
     if ports.is_empty() {
@@ -64,7 +63,6 @@ fn describe(port: &SerialPort) -> String {
 }
 
 /// The ports of the computer, by name.
-#[must_use]
 pub fn serial_ports(roots: &SystemRoots) -> Vec<SerialPort> {
     let names = names_in(&roots.dev);
     let is_port = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));

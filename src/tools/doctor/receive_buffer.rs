@@ -8,7 +8,6 @@ use super::check_result::{CheckResult, DiagnosticContext};
 use super::surroundings::value_in;
 
 /// Compares the limit with the wish.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let path = examination.roots.proc.join("sys/net/core/rmem_max");
     let granted = value_in(&path).and_then(|text| text.parse::<usize>().ok());

@@ -22,7 +22,6 @@ struct CheckRow<'a> {
 }
 
 /// How many findings came out so.
-#[must_use]
 pub fn count(findings: &[Finding], status: Status) -> usize {
     findings.iter().filter(|finding| finding.result.status == status).count()
 }
@@ -55,7 +54,6 @@ impl<'a> CheckRow<'a> {
 }
 
 /// A line per finding, the cure below it, and the sum.
-#[must_use]
 pub fn text(findings: &[Finding]) -> String {
     let name_width = findings.iter().map(|finding| finding.name.len()).max().unwrap_or(0);
     let lines: Vec<_> = findings.iter().map(|finding| format_finding(finding, name_width)).collect();

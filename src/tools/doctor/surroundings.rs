@@ -22,13 +22,11 @@ pub struct SystemRoots {
 
 impl SystemRoots {
     /// Those of the computer that this program runs on.
-    #[must_use]
     pub fn host() -> Self {
         Self::under(Path::new("/"))
     }
 
     /// Those of a computer whose root folder is `root`.
-    #[must_use]
     pub fn under(root: &Path) -> Self {
         Self {
             sys: root.join("sys"),
@@ -62,7 +60,6 @@ pub struct UserGroup {
 
 impl UserPermissions {
     /// The one who has started this program.
-    #[must_use]
     pub fn current() -> Self {
         let groups = nix::unistd::getgroups().unwrap_or_default();
         Self {

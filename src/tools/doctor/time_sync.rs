@@ -12,7 +12,6 @@ use super::processes::running;
 const SERVICES: &[&str] = &["systemd-timesyn", "chronyd", "ntpd", "ntpsec", "openntpd"];
 
 /// Looks for a service, and for whether it has succeeded where it says so.
-#[must_use]
 pub fn check(examination: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &examination.roots;
     let run = &roots.run;

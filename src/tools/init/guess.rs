@@ -14,7 +14,6 @@ const USB_PREFIXES: [&str; 2] = ["ttyACM", "ttyUSB"];
 const MAX_LISTED: usize = 8;
 
 /// The robot's usual link, with a port that is there in the place of its own.
-#[must_use]
 pub(super) fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
     let as_usual = |origin: &str, notes| TemplateLink {
         url: usual.url.clone(),

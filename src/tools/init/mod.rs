@@ -38,7 +38,6 @@ pub struct InitArgs {
 }
 
 /// The robots, from the table.
-#[must_use]
 pub fn robots_help() -> String {
     format!("Robots:\n{}", list_of_robots())
 }

@@ -25,7 +25,6 @@ pub struct FilterResult {
 
 impl FilterResult {
     /// Its name, and its robot where there are several.
-    #[must_use]
     pub fn label(&self) -> String {
         self.robot.as_ref().map_or_else(|| self.name.clone(), |robot| format!("{} {robot}", self.name))
     }

@@ -70,7 +70,6 @@ impl EstimateSource for SmoothedResult {
 
 impl SmoothedRun {
     /// Smooths a run.
-    #[must_use]
     pub fn new(run: &str, config: &FilterConfig, observations: &[Observation]) -> Self {
         let timer = HostTimer::start();
         let before = timer.now();
@@ -92,7 +91,6 @@ impl SmoothedRun {
     }
 
     /// A run that cannot be smoothed.
-    #[must_use]
     pub fn failed(run: &str, reason: SmoothError) -> Self {
         Self {
             run: run.to_owned(),
@@ -105,7 +103,6 @@ impl SmoothedRun {
     }
 
     /// Holds it against the truth or the withheld fixes of a foreign recording.
-    #[must_use]
     pub fn with_scores(mut self, run: &DatasetRun, prior: &Calibration) -> Self {
         if let Ok(found) = &self.result {
             let mut scorer = Scorer::new(run, prior);
@@ -117,21 +114,18 @@ impl SmoothedRun {
     }
 
     /// Its estimates at its own stamps; none without a path.
-    #[must_use]
     pub fn estimates(&self) -> Vec<Estimate> {
         let found = self.result.as_ref().ok();
         found.map_or_else(Vec::new, |found| found.path.estimates().collect())
     }
 
     /// Its path, for the figures.
-    #[must_use]
     pub fn track(&self) -> Option<PoseTrack> {
         let found = self.result.as_ref().ok()?;
         Some(PoseTrack::new(found.path.poses(), MAX_INTERPOLATION_GAP))
     }
 
     /// Its row of the table.
-    #[must_use]
     pub fn row(&self) -> SmoothRow<'_> {
         let found = self.result.as_ref().ok();
         SmoothRow {

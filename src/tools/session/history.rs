@@ -67,7 +67,6 @@ pub struct SessionHistory {
 
 impl SessionHistory {
     /// One that counts time from the first input.
-    #[must_use]
     pub fn new(origin: Timestamp<HostClock>) -> Self {
         let learned = CALIBRATION_KEYS
             .iter()
@@ -87,14 +86,12 @@ impl SessionHistory {
     }
 
     /// The estimates whose position was valid.
-    #[must_use]
     pub fn estimates(&self) -> Vec<Estimate> {
         let estimates = self.estimates.items().iter();
         estimates.map(|(_, estimate)| *estimate).collect()
     }
 
     /// How far each estimate was from the truth.
-    #[must_use]
     pub fn errors(&self, truth: &PoseTrack) -> Vec<ErrorSample> {
         let estimates = self.estimates.items().iter();
         estimates.filter_map(|(t_s, estimate)| ErrorSample::from_estimate(*t_s, estimate, truth)).collect()
@@ -112,14 +109,12 @@ impl SessionHistory {
     }
 
     /// The tally of a sensor.
-    #[must_use]
     pub fn tally(&self, sensor: SensorId) -> Option<&SourceTally> {
         let mut tallies = self.collector.sources.iter();
         tallies.find(|tally| tally.sensor == sensor)
     }
 
     /// From the first input to the last.
-    #[must_use]
     pub fn length(&self) -> TimeDelta {
         self.last - self.origin
     }

@@ -16,7 +16,6 @@ use super::summary::{LINK_COUNTERS, RunSummary, ScoreReference, SessionSummary, 
 use crate::config::CALIBRATION_KEYS;
 
 /// The report, without data for programs: in a terminal errors and verdicts, on the page all of it.
-#[must_use]
 pub fn report(session: &SessionSummary) -> Report {
     let mut report = Report::new("report", format!("Report of {}, filter {}", session.recording, session.filter));
     add_summary(&mut report, session);

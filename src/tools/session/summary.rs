@@ -77,7 +77,6 @@ pub struct SourceSummary {
 
 impl RunSummary {
     /// A verdict for every sensor that was heard.
-    #[must_use]
     pub fn source_summaries(&self) -> Vec<SourceSummary> {
         let sources = self.history.sources.iter();
         sources
@@ -92,7 +91,6 @@ impl RunSummary {
     }
 
     /// The verdict on the whole run: bad if any sensor's is, good if at least one could be tested.
-    #[must_use]
     pub fn verdict(&self) -> (VerdictTone, &'static str, String) {
         let verdicts = self.source_summaries();
         let with = |tone: VerdictTone| {
@@ -116,7 +114,6 @@ impl RunSummary {
 /// The name of the reference, for people.
 impl ScoreReference {
     /// As a sentence has it.
-    #[must_use]
     pub const fn description(self) -> &'static str {
         match self {
             Self::Truth => "the truth",

@@ -41,7 +41,6 @@ pub enum FieldKind {
 
 impl CommandField {
     /// The permitted values of this field of a command.
-    #[must_use]
     pub fn kind_in(&self, command: &str) -> FieldKind {
         let is_it = |known: &&&NumberField| (known.command, known.field) == (command, self.name);
         match self.kind {
@@ -66,7 +65,6 @@ impl CommandField {
 
 impl FieldKind {
     /// The permitted values, in words.
-    #[must_use]
     pub fn expectation(self) -> String {
         match self {
             Self::Number { least, most } => format!("a number from {least} to {most}"),

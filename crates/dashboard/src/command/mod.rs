@@ -32,7 +32,6 @@ pub struct ParsedCommand {
 
 impl ParsedCommand {
     /// The command as an input of the station.
-    #[must_use]
     pub const fn input(&self) -> Input {
         match self.robot {
             Some(robot) => Input::RobotCommand { robot, command: self.command },

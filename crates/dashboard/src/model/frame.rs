@@ -64,7 +64,6 @@ impl Frame {
     }
 
     /// Whether nothing is in it.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.robots.is_empty()
             && self.truth.is_empty()

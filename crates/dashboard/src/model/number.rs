@@ -11,7 +11,6 @@ pub struct Number(Option<f32>);
 
 impl Number {
     /// The number, if it is finite.
-    #[must_use]
     pub fn get(self) -> Option<f64> {
         self.0.map(f64::from)
     }

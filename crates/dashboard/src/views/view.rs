@@ -60,13 +60,11 @@ pub trait View: Send {
 }
 
 /// A robot as messages name it: link, system and component.
-#[must_use]
 pub fn robot_name(robot: RobotId) -> String {
     robot.path()
 }
 
 /// The robot that messages name so.
-#[must_use]
 pub fn parse_robot_name(name: &str) -> Option<RobotId> {
     let mut parts = name.split('/');
     let link = LinkId(parts.next()?.parse().ok()?);

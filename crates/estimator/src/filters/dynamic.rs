@@ -57,7 +57,6 @@ pub struct DynamicFilter {
 impl DynamicFilter {
     /// One thermometer, [`SensorId::THERMOMETER`], of first order with the time constant `dynamic_tau_s`. A time constant that
     /// is not positive ([`crate::Params::set`] lets none in) makes a filter that has no use for any temperature.
-    #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
         let tau_s = config.params.dynamic_tau_s;
         let model = DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty());
@@ -65,7 +64,6 @@ impl DynamicFilter {
     }
 
     /// Any model: several sensors, of any order. Noise, walk and history come from the configuration.
-    #[must_use]
     pub fn with_model(config: &FilterConfig, model: DynamicModel) -> Self {
         let sigma = config.noise.temperature_k;
         let sigma = if sigma > 0.0 { sigma } else { DEFAULT_SIGMA_K };
@@ -82,7 +80,6 @@ impl DynamicFilter {
 
     /// Starts with another doubt than next to no knowledge: one standard deviation of the quantity and of each state, around the
     /// first sample and around zero. Values that are not positive and finite change nothing.
-    #[must_use]
     pub fn with_prior_sigma(mut self, sigma: f64) -> Self {
         if sigma > 0.0 && sigma.is_finite() {
             self.prior_sigma = sigma;
@@ -92,7 +89,6 @@ impl DynamicFilter {
 
     /// What a sensor should show at an instant, and how far a sample may be off, its noise included (one standard deviation squared);
     /// `None` before the first sample and for a sensor that the model does not know.
-    #[must_use]
     pub fn expected(&self, sensor: SensorId, stamp: Timestamp<BrickClock>) -> Option<(f64, f64)> {
         let row = self.model.row_of(sensor)?;
         let state = self.predict_state(self.state?, stamp);

@@ -56,7 +56,6 @@ pub struct OdometryFilter {
 
 impl OdometryFilter {
     /// Starts at the configured pose, or at the arena's origin.
-    #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
         let start = config.start.map_or_else(DeadReckonedState::at_origin, |start| state_at_start(&start));
         Self {

@@ -40,7 +40,6 @@ pub struct StepNoise {
 }
 
 /// Turns wheel travel into body motion, exact while neither wheel slips.
-#[must_use]
 pub fn body_step(travel: WheelTravel, geometry: &DriveGeometry) -> BodyStep {
     BodyStep {
         forward_m: 0.5 * (travel.left_m + travel.right_m),
@@ -49,7 +48,6 @@ pub fn body_step(travel: WheelTravel, geometry: &DriveGeometry) -> BodyStep {
 }
 
 /// How uncertain a step over this travel is.
-#[must_use]
 pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorNoise) -> StepNoise {
     let step = body_step(travel, geometry);
     let b = geometry.track_width.0;

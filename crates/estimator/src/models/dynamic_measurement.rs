@@ -60,7 +60,6 @@ impl DynamicModel {
     }
 
     /// A model without sensors, to which they are added.
-    #[must_use]
     pub fn empty() -> Self {
         Self {
             rates: SMatrix::zeros(),
@@ -151,20 +150,17 @@ impl DynamicModel {
     }
 
     /// H of a sensor, over all rows; `None` for a sensor that the model does not know.
-    #[must_use]
     pub fn row_of(&self, sensor: SensorId) -> Option<[f64; ROWS]> {
         let known = self.sensors.iter().find(|row| row.sensor == sensor)?;
         Some(known.row)
     }
 
     /// How many states the sensors have together.
-    #[must_use]
     pub const fn states(&self) -> usize {
         self.state_count
     }
 
     /// F over a time in seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
-    #[must_use]
     pub fn transition(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let mut f = SMatrix::<f64, ROWS, ROWS>::identity();
         f.fixed_view_mut::<MAX_STATES, MAX_STATES>(1, 1).copy_from(&exponential(&(self.rates * dt_s)));
@@ -173,7 +169,6 @@ impl DynamicModel {
 
     /// Q over a time in seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
     /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
-    #[must_use]
     pub fn random_walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP).log2().ceil().clamp(0.0, MAX_DOUBLINGS);
         let short_s = dt_s * (-doublings).exp2();

@@ -27,14 +27,12 @@ pub struct Se2 {
 
 impl Se2 {
     /// The motion that a twist makes in unit time: forward and to the left in metres, turn in radians.
-    #[must_use]
     pub fn exp([forward_m, left_m, turn_rad]: [f64; 3]) -> Self {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
         Self { x_m: s * forward_m - c * left_m, y_m: c * forward_m + s * left_m, heading_rad: wrap_rad(turn_rad) }
     }
 
     /// The twist whose motion this is, with a turn in (-pi, pi].
-    #[must_use]
     pub fn log(self) -> [f64; 3] {
         let (s, c) = sine_and_cosine_ratios(self.heading_rad);
         let determinant = s * s + c * c;
@@ -42,7 +40,6 @@ impl Se2 {
     }
 
     /// How the motion of a twist changes, seen from its end, with the twist: the right Jacobian of the group.
-    #[must_use]
     pub fn right_jacobian([forward_m, left_m, turn_rad]: [f64; 3]) -> Matrix3<f64> {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
         // (1 - s) / turn and (1 - cos) / turn^2, by series near zero.
@@ -62,7 +59,6 @@ impl Se2 {
     }
 
     /// This pose, moved by `motion` in its own space.
-    #[must_use]
     pub fn compose(self, motion: Self) -> Self {
         let (sin, cos) = self.heading_rad.sin_cos();
         Self {
@@ -73,7 +69,6 @@ impl Se2 {
     }
 
     /// The motion back.
-    #[must_use]
     pub fn inverse(self) -> Self {
         let (sin, cos) = self.heading_rad.sin_cos();
         Self {
@@ -84,14 +79,12 @@ impl Se2 {
     }
 
     /// The motion that leads from this pose to another.
-    #[must_use]
     pub fn between(self, other: Self) -> Self {
         self.inverse().compose(other)
     }
 
     /// Where a point of the space in which this pose is given, in metres, lies for the body: (forward, left), in metres.
     #[inline]
-    #[must_use]
     pub fn point_in_body(self, x_m: f64, y_m: f64) -> [f64; 2] {
         let (sin, cos) = self.heading_rad.sin_cos();
         let (dx_m, dy_m) = (x_m - self.x_m, y_m - self.y_m);
@@ -130,7 +123,6 @@ pub struct ArcStep {
 
 impl ArcStep {
     /// A step of this length that turns by this angle.
-    #[must_use]
     pub fn new(forward_m: f64, turn_rad: f64) -> Self {
         let (sin_half, cos_half) = (0.5 * turn_rad).sin_cos();
         let (chord, chord_by_turn) = chord_ratio_of(0.5 * turn_rad, sin_half, cos_half);

@@ -55,7 +55,6 @@ impl Acceleration {
     /// ```text
     /// a = (a_L + a_R) / 2          alpha = (a_R - a_L) / b
     /// ```
-    #[must_use]
     pub fn from_wheels(left_m_per_s2: f64, right_m_per_s2: f64, geometry: &DriveGeometry) -> Self {
         Self {
             forward_m_per_s2: 0.5 * (left_m_per_s2 + right_m_per_s2),
@@ -85,13 +84,11 @@ impl PredictionStep {
 }
 
 /// Moves the state by `dt_s` seconds: pose by the speeds at the beginning, speeds by the accelerations.
-#[must_use]
 pub fn advance(mean: &Mean, felt: Acceleration, dt_s: f64) -> Mean {
     SparseJacobian::at(mean, dt_s).predict_mean(mean, felt)
 }
 
 /// F: the derivative of [`advance`] by the state, 5 x 5. The input does not enter it.
-#[must_use]
 pub fn jacobian(mean: &Mean, dt_s: f64) -> Covariance {
     let slope = SparseJacobian::at(mean, dt_s);
     let mut f = Covariance::identity();

@@ -46,7 +46,6 @@ pub struct Displacement {
 }
 
 /// Computes where a step leads from a heading, in the space of that heading.
-#[must_use]
 pub fn displace(heading_rad: f64, step: BodyStep, rule: StepRule) -> Displacement {
     let (chord, chord_by_turn) = match rule {
         StepRule::Arc => chord_ratio(step.turn_rad),

@@ -47,20 +47,17 @@ pub struct DiscreteModel {
 
 impl WallApproachModel {
     /// By a step test: the steady speed under the input 1, and the time to 90 % of it; m = d t90 / ln 10.
-    #[must_use]
     pub fn from_step_test(steady_m_per_s: f64, rise_90_s: f64) -> Self {
         let drag_s_per_m = 1.0 / steady_m_per_s;
         Self { drag_s_per_m, mass_s2_per_m: drag_s_per_m * rise_90_s / std::f64::consts::LN_10 }
     }
 
     /// a = d / m, 1/s: the inverse of the time constant.
-    #[must_use]
     pub fn rate_per_s(&self) -> f64 {
         self.drag_s_per_m / self.mass_s2_per_m
     }
 
     /// Euler's rule, as the paper has it. It is unstable for steps beyond 2 m / d.
-    #[must_use]
     pub fn euler(&self, dt_s: f64) -> DiscreteModel {
         DiscreteModel {
             a: Matrix2::new(1.0, -dt_s, 0.0, 1.0 - self.rate_per_s() * dt_s),
@@ -69,7 +66,6 @@ impl WallApproachModel {
     }
 
     /// The exact step for an input that is held. Negative steps lead back.
-    #[must_use]
     pub fn exact(&self, dt_s: f64) -> DiscreteModel {
         let a = self.rate_per_s();
         let decayed = -(-a * dt_s).exp_m1();
@@ -81,7 +77,6 @@ impl WallApproachModel {
     }
 
     /// What white noise on distance (m²/s) and on speed (m²/s³) leaves over a step, `dt_s` at least 0.
-    #[must_use]
     pub fn exact_noise(&self, dt_s: f64, distance_density: f64, speed_density: f64) -> Matrix2<f64> {
         let a = self.rate_per_s();
         let g = -(-a * dt_s).exp_m1() / a;

@@ -53,7 +53,6 @@ impl GyroTrack {
     }
 
     /// The stamp of the last sample up to and including an instant.
-    #[must_use]
     pub fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = count_before(&self.samples, |sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
@@ -61,7 +60,6 @@ impl GyroTrack {
     }
 
     /// The same for an instant that most samples lie behind.
-    #[must_use]
     pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
@@ -69,7 +67,6 @@ impl GyroTrack {
     }
 
     /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
-    #[must_use]
     pub fn covers(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> bool {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let Some(first) = next.checked_sub(1).and_then(|i| self.samples.get(i)) else {
@@ -89,7 +86,6 @@ impl GyroTrack {
     }
 
     /// The turn between two instants of a covered span.
-    #[must_use]
     pub fn turn_between(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> GyroTurn {
         let mut turn = GyroTurn { turn_rad: 0.0, squared_intervals_s2: 0.0 };
         let mut at = from;
@@ -112,7 +108,6 @@ impl GyroTrack {
 
     /// The turn between two instants, the first before the second, if the whole span is covered: as [`Self::covers`] and
     /// [`Self::turn_between`] say, in one pass.
-    #[must_use]
     pub fn covered_turn(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> Option<GyroTurn> {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut last = self.samples.get(next.checked_sub(1)?)?.0;

@@ -54,7 +54,6 @@ pub enum MotionReading {
 
 impl MotionReading {
     /// What an observation says of motion; `None` if it is of another kind.
-    #[must_use]
     pub fn from_observation(observed: &ObservationKind) -> Option<Self> {
         match *observed {
             ObservationKind::WheelAngles { left, right } => Some(Self::Wheels { left_rad: left.0, right_rad: right.0 }),
@@ -74,7 +73,6 @@ impl MotionReading {
     }
 
     /// The kind of this reading.
-    #[must_use]
     pub const fn source(&self) -> MotionSource {
         match self {
             Self::Wheels { .. } => MotionSource::Wheels,

@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 
 /// How many elements from the front belong before: `belongs` holds for them and for no later one, as in
 /// [`VecDeque::partition_point`], but sought from the back in steps that double: what lies there was touched last and is quick to reach.
-#[must_use]
 pub fn count_before<T>(queue: &VecDeque<T>, belongs: impl Fn(&T) -> bool) -> usize {
     // All from here on do not belong.
     let mut end = queue.len();

@@ -59,7 +59,6 @@ pub struct MotionTrack {
 
 impl MotionTrack {
     /// An empty track for a robot of this geometry whose wheels cannot turn faster than the limit.
-    #[must_use]
     pub fn new(geometry: DriveGeometry, max_wheel_rad_per_s: f64) -> Self {
         Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), is_truncated: false }
     }
@@ -125,7 +124,6 @@ impl MotionTrack {
     }
 
     /// What is known about the way from `from` towards `to`, as far as it is of one kind: the same reading on either side.
-    #[must_use]
     pub fn segment(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> TravelSegment {
         let index = count_before(&self.samples, |sample| sample.stamp <= from);
         let Some(after) = self.samples.get(index) else {
@@ -155,7 +153,6 @@ impl MotionTrack {
     }
 
     /// The reading before the one at `stamp` and the travel since, where it is short enough to give a speed.
-    #[must_use]
     pub fn step_to(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, WheelTravel)> {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let sample = self.samples.get(index).filter(|sample| sample.stamp == stamp)?;
@@ -166,7 +163,6 @@ impl MotionTrack {
     }
 
     /// The stamp of the last reading up to and including an instant.
-    #[must_use]
     pub fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = count_before(&self.samples, |sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
@@ -174,7 +170,6 @@ impl MotionTrack {
     }
 
     /// The same for an instant that most readings lie behind.
-    #[must_use]
     pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
@@ -182,7 +177,6 @@ impl MotionTrack {
     }
 
     /// Travel between two instants, linear inside each interval; what is not known counts as rest.
-    #[must_use]
     pub fn travel_between(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> WheelTravel {
         difference(self.travel_at(to), self.travel_at(from))
     }

@@ -18,7 +18,6 @@ const BISECTIONS: usize = 80;
 
 /// The value that a chi-square variable with this number of degrees of freedom (at least 1) stays below with this probability. Within
 /// 1e-9 of 1 it loses digits, because the distribution function is summed from below.
-#[must_use]
 pub fn chi_square_quantile(degrees_of_freedom: u64, probability: f64) -> f64 {
     let n = degrees_of_freedom.max(1) as f64;
     if probability >= 1.0 {

@@ -43,7 +43,6 @@ pub fn factorise<const M: usize, E>(
 }
 
 /// L^-1 times a vector, by forward substitution.
-#[must_use]
 pub fn solve_lower<const M: usize>(lower: &SMatrix<f64, M, M>, right: &SVector<f64, M>) -> SVector<f64, M> {
     let mut solved = *right;
     for i in 0..M {

@@ -1,14 +1,12 @@
 //! Means and quantiles.
 
 /// The mean; `None` of nothing.
-#[must_use]
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.into_iter().fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
 /// The root of the mean square; `None` of nothing. Scaled by the largest value, so that squares do not overflow.
-#[must_use]
 pub fn root_mean_square(values: &[f64]) -> Option<f64> {
     let largest = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     if values.is_empty() || largest == 0.0 {
@@ -19,7 +17,6 @@ pub fn root_mean_square(values: &[f64]) -> Option<f64> {
 }
 
 /// The smallest value that this share of the values does not exceed (nearest rank); `None` of nothing.
-#[must_use]
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -34,7 +34,6 @@ pub struct SpeedChange {
 }
 
 /// The change of the speeds by accelerations that were felt for `dt_s`.
-#[must_use]
 pub fn speed_change(felt: WheelAccelerations, dt_s: f64, geometry: &DriveGeometry, noise: &SensorNoise) -> SpeedChange {
     let b = geometry.track_width.0;
     let sigma = noise.accelerometer_m_per_s2 * dt_s;

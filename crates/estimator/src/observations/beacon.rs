@@ -26,7 +26,6 @@ pub struct Beacon {
 }
 
 /// Innovation, H and R of a range; `None` when the estimate is on the beacon.
-#[must_use]
 pub fn measurement(
     view: &impl PoseView,
     beacon: Beacon,

@@ -13,7 +13,6 @@ use posebridge_telemetry::quantities::wrap_rad;
 use super::model::{JacobianRow, ObservationModel, PoseView};
 
 /// Innovation, H and R of a compass heading.
-#[must_use]
 pub fn measurement(view: &impl PoseView, heading_rad: f64, variance_rad2: f64) -> ObservationModel<1> {
     ObservationModel {
         innovation: Vector1::new(wrap_rad(heading_rad - view.pose().heading_rad)),

@@ -41,7 +41,6 @@ pub struct FixNoise {
 }
 
 /// R of a fix: what it claims or what is configured, times what its source's innovations say.
-#[must_use]
 pub fn fix_noise(
     fix: &Fix,
     configured: &SensorNoise,
@@ -65,7 +64,6 @@ pub fn fix_noise(
 }
 
 /// Innovation, H and R of the position alone.
-#[must_use]
 pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances: &FixContext) -> ObservationModel<2> {
     let moved = circumstances.moved_since;
     let shown = view.pose().compose(moved.inverse());
@@ -99,7 +97,6 @@ pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances
 }
 
 /// Innovation, H and R of position and heading.
-#[must_use]
 pub fn pose(
     view: &impl PoseView,
     fix: &Fix,
@@ -123,7 +120,6 @@ pub fn pose(
 }
 
 /// R of position and heading, whose noise is independent of that of the position.
-#[must_use]
 pub fn with_heading_variance(position: &Matrix2<f64>, heading_rad2: f64) -> Matrix3<f64> {
     let mut noise = Matrix3::from_diagonal_element(heading_rad2);
     noise.fixed_view_mut::<2, 2>(0, 0).copy_from(position);
@@ -131,7 +127,6 @@ pub fn with_heading_variance(position: &Matrix2<f64>, heading_rad2: f64) -> Matr
 }
 
 /// The pose of a robot with this heading, in rad, whose tag is where a fix sees it.
-#[must_use]
 pub fn mid_axle(fix: &Fix, heading_rad: f64) -> Pose<Arena> {
     let lever = lever_in_arena(fix, heading_rad);
     Pose::new(Meters(fix.position.x.0 - lever[0]), Meters(fix.position.y.0 - lever[1]), Heading::from_rad(heading_rad))

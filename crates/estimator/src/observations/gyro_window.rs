@@ -37,7 +37,6 @@ pub struct GyroWindow {
 
 impl GyroWindow {
     /// A window that begins now.
-    #[must_use]
     pub const fn starting(at: Timestamp<BrickClock>) -> Self {
         Self { start: at, until: at, forward_m: 0.0 }
     }
@@ -56,21 +55,18 @@ pub enum EndRounding {
 }
 
 /// Variance of the turn that a gyro reports over samples with this sum of squared lengths, rad².
-#[must_use]
 pub fn gyro_variance(noise: &SensorNoise, squared_secs: f64) -> f64 {
     let rate_var = noise.gyro_rad_per_s.powi(2) + noise.gyro_resolution_rad_per_s.powi(2) / 12.0;
     squared_secs * rate_var
 }
 
 /// Variance of the encoders' heading through the resolution of the counts, rad²: two wheels, each tick²/12.
-#[must_use]
 pub fn rounding_variance(geometry: &DriveGeometry) -> f64 {
     let mean_radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
     (mean_radius_m * geometry.tick.0 / geometry.track_width.0).powi(2) / 6.0
 }
 
 /// As much of a window's turn can be rounding and no more, rad: one count of either wheel.
-#[must_use]
 pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
     (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
@@ -91,7 +87,6 @@ pub struct GyroWindowModel {
 }
 
 /// Innovation, H and R of a window. R holds the rounding at its end where that is another; that at its beginning is a state.
-#[must_use]
 pub fn measurement(
     view: &impl PoseView,
     window: &GyroWindow,

@@ -26,7 +26,6 @@ pub struct RangeBearing {
 }
 
 /// Innovation, H and R of a sighting; `None` when the estimate is on the landmark.
-#[must_use]
 pub fn measurement(
     view: &impl PoseView,
     place: Point2<Arena>,

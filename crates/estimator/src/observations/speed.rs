@@ -30,7 +30,6 @@ pub struct SpeedReading {
 }
 
 /// The wheels' forward speed over a step.
-#[must_use]
 pub fn forward_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> SpeedReading {
     let tick_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0;
     let variance = (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + MIN_FORWARD_VARIANCE;
@@ -38,7 +37,6 @@ pub fn forward_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geomet
 }
 
 /// The wheels' turn rate over a step.
-#[must_use]
 pub fn turn_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> SpeedReading {
     // Both ends are rounded.
     let quantisation = 2.0 * rounding_variance(geometry);
@@ -47,7 +45,6 @@ pub fn turn_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry:
 }
 
 /// The gyro's rate less its bias, which is known so well.
-#[must_use]
 pub fn gyro_reading(rate_rad_per_s: f64, bias_rad_per_s: f64, bias_variance: f64, noise: &SensorNoise) -> SpeedReading {
     SpeedReading {
         value: rate_rad_per_s - bias_rad_per_s,

@@ -27,7 +27,6 @@ struct WallIntersection {
 }
 
 /// Innovation, H and R of a range; `None` when no wall lies ahead.
-#[must_use]
 pub fn measurement(
     view: &impl PoseView,
     walls: &[Wall],

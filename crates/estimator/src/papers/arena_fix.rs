@@ -8,7 +8,6 @@ use crate::update::LinearizedMeasurement;
 
 /// Puts a heading behind a position: its innovation, in rad, is that of the state's `row`, and its variance, in rad², is not shared
 /// with the position.
-#[must_use]
 pub(super) fn with_heading<const N: usize>(
     position: &LinearizedMeasurement<N, 2>,
     row: usize,
@@ -32,7 +31,6 @@ pub(super) fn with_heading<const N: usize>(
 ///                                        [ 0 1  (R l)_x ]          l the tag in the body
 /// ```
 /// The estimate comes first, x in m, y in m and the heading in rad, then the rows of these.
-#[must_use]
 pub(super) fn position_in_arena<const N: usize>(
     [x_m, y_m, heading_rad]: [f64; 3],
     [x, y, heading]: [usize; 3],

@@ -63,13 +63,11 @@ pub enum FixUsage {
 }
 
 /// Builds the filter: as the paper has it with [`SpeedVarianceOrder::Printed`].
-#[must_use]
 pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
     Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes, predict_linearized), config))
 }
 
 /// Q over `dt_s`, SI units.
-#[must_use]
 pub fn process_noise(order: SpeedVarianceOrder, dt_s: f64) -> Covariance {
     // Paper 1, equation 26, in the order x, y, th, v, w.
     let diagonal = match order {

@@ -106,7 +106,6 @@ fn rounding_variances(geometry: &DriveGeometry) -> [f64; 2] {
 }
 
 /// F: the derivative of the motion by the state, 9 x 9.
-#[must_use]
 pub fn jacobian(mean: &SVector<f64, N>, dt_s: f64) -> SMatrix<f64, N, N> {
     let mut f = Covariance::identity();
     let five = planar_speeds::jacobian(&five_state_mean(mean), dt_s);
@@ -117,7 +116,6 @@ pub fn jacobian(mean: &SVector<f64, N>, dt_s: f64) -> SMatrix<f64, N, N> {
 }
 
 /// Moves the state by `dt_s` seconds.
-#[must_use]
 pub fn advance(mean: &SVector<f64, N>, felt: Acceleration, dt_s: f64) -> SVector<f64, N> {
     let mut next = *mean;
     next.fixed_rows_mut::<5>(0).copy_from(&planar_speeds::advance(&five_state_mean(mean), felt, dt_s));

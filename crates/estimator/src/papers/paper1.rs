@@ -16,13 +16,11 @@ pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 pub const UNITS: [f64; N] = [CENTIMETRE, CENTIMETRE, DEGREE, CENTIMETRE, DEGREE];
 
 /// A printed diagonal of five variances in SI units.
-#[must_use]
 pub fn variances_si(diagonal: [f64; N]) -> [f64; N] {
     std::array::from_fn(|i| diagonal[i] * UNITS[i] * UNITS[i])
 }
 
 /// A printed diagonal of five variances as a matrix in SI units.
-#[must_use]
 pub fn covariance_si(diagonal: [f64; N]) -> Covariance {
     Covariance::from_diagonal(&Mean::from(variances_si(diagonal)))
 }

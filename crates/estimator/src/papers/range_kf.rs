@@ -81,7 +81,6 @@ pub struct RangeFilter {
 
 impl RangeFilter {
     /// Waits for its first reading.
-    #[must_use]
     pub fn new(config: &FilterConfig, variant: RangeFilterVariant) -> Self {
         let params = &config.params;
         let sigma_m = config.noise.wall_range_m;

@@ -56,7 +56,6 @@ pub struct SingleWheelFilter {
 
 impl SingleWheelFilter {
     /// A wheel at rest at zero whose counter has the variance R, in degrees².
-    #[must_use]
     pub fn at_rest(variance: f64) -> Self {
         Self { mean: Vector2::zeros(), covariance: Matrix2::identity() * INITIAL_VARIANCE, variance }
     }

@@ -82,7 +82,6 @@ pub enum FixContent {
 /// The least mean squared position error after each step, m²: the trace of the bound's position block.
 ///
 /// As many as the run has steps with a pose before and after; empty for an empty run.
-#[must_use]
 pub fn cramer_rao_bound(config: &FilterConfig, run: &GroundTruthRun<'_>) -> Vec<f64> {
     let steps = run.travel.len().min(run.poses.len().saturating_sub(1));
     let mut recursion = BoundRecursion::new(config, run);

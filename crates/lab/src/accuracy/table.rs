@@ -19,21 +19,18 @@ pub struct ScoreRow<'a> {
 
 impl ScoreRow<'_> {
     /// Its error as a multiple of the bound; `None` where there is none.
-    #[must_use]
     pub fn ratio_to_bound(&self) -> Option<f64> {
         let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
         Some(self.score.position_rms_m()? / bound_m)
     }
 
     /// The sensors whose observations were predicted, each with its mean and the verdict on it.
-    #[must_use]
     pub fn sources(&self) -> String {
         let judged: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
         if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
     }
 
     /// What its errors leave out.
-    #[must_use]
     pub fn footnotes(&self) -> Vec<String> {
         let score = self.score;
         let left_out = [

@@ -31,7 +31,6 @@ impl RestObservations {
     /// Picks the readings made while no wheel had moved for [`MIN_STANDSTILL_S`] and would not move before the next wheel reading.
     ///
     /// Takes observations in the order of their stamps. Without wheel readings nothing counts as rest.
-    #[must_use]
     pub fn from_observations(observations: &[Observation]) -> Self {
         let mut resting = Self::default();
         for (from_s, until_s) in rest_intervals(observations) {

@@ -37,7 +37,6 @@ pub struct Homography {
 
 impl Homography {
     /// Where a point of the image lies on the floor, in metres; not finite on the image of the horizon.
-    #[must_use]
     pub fn to_floor(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let [x, y, w] = self.rows.map(|[a, b, c]| a * u + b * v + c);
         [x / w, y / w]

@@ -24,7 +24,6 @@ pub struct ClockRow {
 /// Runs every method of [`METHODS`] over every case of [`CLOCK_CASES`] with these seeds: a row for each, case by case.
 ///
 /// The same seeds give the same rows. Without seeds no method starts.
-#[must_use]
 pub fn compare_methods(seeds: &[u64]) -> Vec<ClockRow> {
     let pairs = CLOCK_CASES.iter().flat_map(|case| METHODS.iter().map(move |method| (case, method)));
     pairs.map(|(case, method)| row_of(case, method, seeds)).collect()

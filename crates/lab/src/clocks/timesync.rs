@@ -37,7 +37,6 @@ pub struct TimeSyncFilter {
 
 impl TimeSyncFilter {
     /// A filter that uses round trips shorter than `gate_s`; infinite: all.
-    #[must_use]
     pub const fn new(gate_s: f64) -> Self {
         Self { gate_s, offset_s: 0.0, change_s: 0.0, samples: 0, deviations: 0 }
     }

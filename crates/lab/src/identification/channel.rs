@@ -31,7 +31,6 @@ pub enum SensorChannel {
 
 impl SensorChannel {
     /// For people.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Temperature => "temperature",
@@ -43,7 +42,6 @@ impl SensorChannel {
     }
 
     /// The unit of its samples.
-    #[must_use]
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Temperature => "°C",
@@ -53,7 +51,6 @@ impl SensorChannel {
     }
 
     /// The samples in the order of time, in seconds of the brick's clock; those that are not finite or not later than the one before are left out.
-    #[must_use]
     pub fn samples(self, observations: &[Observation]) -> Vec<TimedSample> {
         let values: Vec<TimedSample> = self.finite_samples(observations).collect();
         let values = sorted_by_time(&values);
@@ -64,7 +61,6 @@ impl SensorChannel {
     }
 
     /// How many of the sensor's observations [`Self::samples`] leaves out.
-    #[must_use]
     pub fn excluded_count(self, observations: &[Observation]) -> usize {
         let values: Vec<TimedSample> = self.finite_samples(observations).collect();
         values.len() - sorted_by_time(&values).len()
@@ -77,7 +73,6 @@ impl SensorChannel {
     }
 
     /// What its samples are.
-    #[must_use]
     pub const fn sampling(self) -> Sampling {
         match self {
             Self::LeftWheel | Self::RightWheel => Sampling::Differences,
@@ -100,7 +95,6 @@ impl SensorChannel {
     }
 
     /// The noise of a sample by the robot's description, or by the samples themselves where it says nothing; `None` where neither does.
-    #[must_use]
     pub fn noise(self, noise: &SensorNoise, geometry: &DriveGeometry, samples: &[TimedSample]) -> Option<f64> {
         let described = match self {
             Self::Temperature => noise.temperature_k,
@@ -134,14 +128,12 @@ fn mean_interval_s(samples: &[TimedSample]) -> Option<f64> {
 }
 
 /// The speed of a wheel whose encoder was read at these instants, by equation (18): instants in seconds, angles in radians.
-#[must_use]
 pub fn wheel_speed(readings: &[(f64, f64)]) -> Vec<TimedSample> {
     let angles: Vec<TimedSample> = readings.iter().map(|&(at_s, value)| TimedSample { at_s, value }).collect();
     differences(&sorted_finite(&angles))
 }
 
 /// The sigma of such a speed, in rad/s, of an encoder with this tick in radians; `None` for fewer than two samples.
-#[must_use]
 pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> {
     Some(tick_rad / mean_interval_s(samples)? / 6.0_f64.sqrt())
 }

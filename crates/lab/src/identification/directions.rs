@@ -25,7 +25,6 @@ pub struct DirectionComparison {
 
 impl DirectionComparison {
     /// Whether they differ, at a level of 1 %.
-    #[must_use]
     pub fn differ(&self) -> bool {
         self.z.abs() > TWO_SIDED_SIGMAS
     }
@@ -35,7 +34,6 @@ impl DirectionComparison {
 const TWO_SIDED_SIGMAS: f64 = 2.575_829;
 
 /// Compares one number of several steps; `None` unless there are steps both ways, each with a sigma of more than zero.
-#[must_use]
 pub fn compare_directions(steps: &[(StepDirection, UncertainValue)]) -> Option<DirectionComparison> {
     let of = |way: StepDirection| {
         let own = steps.iter().filter(|(which, _)| *which == way);

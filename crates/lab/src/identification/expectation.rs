@@ -13,7 +13,6 @@ pub enum StepDirection {
 
 impl StepDirection {
     /// That of a step.
-    #[must_use]
     pub fn from_step(step: f64) -> Self {
         if step < 0.0 { Self::Down } else { Self::Up }
     }
@@ -38,7 +37,6 @@ impl ExpectedDynamics {
     /// Dynamics that are known for certain: time constants in seconds with their shares, which add up to one.
     ///
     /// `None` for time constants that are not positive, or for more lags than a response may have.
-    #[must_use]
     pub fn known(lags: &[(f64, f64)]) -> Option<Self> {
         let certain = |mean: f64| GaussianPrior { mean, sigma: CERTAIN_SIGMA };
         let ln_lags: Vec<GaussianPrior> = lags.iter().map(|(tau_s, _)| certain(tau_s.ln())).collect();

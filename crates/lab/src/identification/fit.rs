@@ -47,7 +47,6 @@ pub struct ResponseFit {
 
 impl ResponseFit {
     /// Standard deviation of what the sensor shows in the end, equation (6).
-    #[must_use]
     pub fn final_sigma(&self) -> f64 {
         let p = &self.covariance;
         let variance = p[(0, 0)] + 2.0 * p[(0, 1)] + p[(1, 1)];
@@ -55,20 +54,17 @@ impl ResponseFit {
     }
 
     /// Half the logarithm of the determinant of P; `None` if P is not positive definite.
-    #[must_use]
     pub fn half_ln_determinant(&self) -> Option<f64> {
         let factor = self.covariance.clone().cholesky()?;
         Some(factor.l().diagonal().map(f64::ln).sum())
     }
 
     /// Standard deviation of ln tau_j; infinite for a lag that is not there.
-    #[must_use]
     pub fn ln_lag_sigma(&self, j: usize) -> f64 {
         self.sigma_of(row::LAGS + j, self.response.lags.len(), j)
     }
 
     /// Standard deviation of s_j; infinite for a lag that is not there. The last share has that of the sum of the others.
-    #[must_use]
     pub fn share_sigma(&self, j: usize) -> f64 {
         let order = self.response.lags.len();
         let first = row::LAGS + order;
@@ -94,7 +90,6 @@ impl ResponseFit {
 /// Finds the response of least (3) from a guess; `None` where the samples or the prior are no usable numbers.
 ///
 /// The samples are in the order of time. The guess has as many lags as the prior.
-#[must_use]
 pub fn fit_response(
     samples: &[TimedSample],
     noise: &ResponseNoise,

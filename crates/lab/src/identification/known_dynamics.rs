@@ -19,7 +19,6 @@ use super::TimedSample;
 /// Three samples of a sensor of first order, equally far apart in time: u = (y_1 y_3 - y_2^2) / (y_1 + y_3 - 2 y_2).
 ///
 /// `None` where the samples lie on a line.
-#[must_use]
 pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
     let bend = first + third - 2.0 * second;
     let found = (first * third - second * second) / bend;
@@ -66,7 +65,6 @@ fn stack_samples(
 /// Block least squares (11) for a quantity that is constant, seen by sensors of known dynamics.
 ///
 /// The samples are in the order of time. `None` without samples, if the model does not know a sensor, or if the numbers are not usable.
-#[must_use]
 pub fn block_least_squares(
     model: &DynamicModel,
     samples: &[(SensorId, TimedSample)],
@@ -83,7 +81,6 @@ pub fn block_least_squares(
 }
 
 /// Recursive least squares (12), with the same prior; as [`block_least_squares`].
-#[must_use]
 pub fn recursive_least_squares(
     model: &DynamicModel,
     samples: &[(SensorId, TimedSample)],

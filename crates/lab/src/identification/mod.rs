@@ -82,7 +82,6 @@ pub struct TimedSample {
 
 impl TimedSample {
     /// Whether both numbers are finite.
-    #[must_use]
     pub const fn is_finite(&self) -> bool {
         self.at_s.is_finite() && self.value.is_finite()
     }
@@ -107,7 +106,6 @@ pub(crate) fn sorted_finite(samples: &[TimedSample]) -> Vec<TimedSample> {
 /// The samples that are usable, whatever the order in which they came: finite, by rising time, the first of those at one instant.
 ///
 /// One stamp that is too late would otherwise take everything after it along.
-#[must_use]
 pub fn sorted_by_time(samples: &[TimedSample]) -> Vec<TimedSample> {
     let mut samples = samples.to_vec();
     samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));

@@ -33,7 +33,6 @@ pub struct ResponseNoise {
 
 impl ResponseNoise {
     /// White noise and a model without fault.
-    #[must_use]
     pub const fn white(sigma: f64) -> Self {
         Self { sigma, model_share: 0.0, error_duration_s: 0.0 }
     }

@@ -21,7 +21,6 @@ const MEDIAN_OF_NORMAL: f64 = 0.674_49;
 const MIN_SAMPLES: usize = 8;
 
 /// Equation (16), in the sensor's unit; `None` for too few samples, or for samples that are all the same.
-#[must_use]
 pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
     let samples = sorted_finite(samples);
     if samples.len() < MIN_SAMPLES {

@@ -43,7 +43,6 @@ pub struct StepSegment {
 ///
 /// `None` where nothing moves beyond the noise, or where there are fewer than eight usable samples. Samples that are not finite or
 /// not later than the one before are left out.
-#[must_use]
 pub fn find_step(samples: &[TimedSample], sigma: f64) -> Option<StepSegment> {
     let samples = sorted_finite(samples);
     if !(sigma > 0.0 && sigma.is_finite()) || samples.len() < MIN_SAMPLES {
@@ -174,13 +173,11 @@ impl OnsetDetector {
     const SIGMAS: f64 = 5.5;
 
     /// For a sensor with this noise, standard deviation of a sample.
-    #[must_use]
     pub const fn new(sigma: f64) -> Self {
         Self { sigma }
     }
 
     /// Whether the last of these samples say that a step has begun; samples in the order of time.
-    #[must_use]
     pub fn detect(self, samples: &[TimedSample]) -> Option<DetectedOnset> {
         Self::WIDTHS.into_iter().find_map(|width| self.detect_with_width(samples, width))
     }

@@ -79,7 +79,6 @@ pub struct StepParameters {
 
 impl StepParameters {
     /// The numbers of an identified step, whose quantity stepped by `input_step` if that is known.
-    #[must_use]
     pub fn from_step(found: &IdentifiedStep, input_step: Option<f64>, sampling: Sampling) -> Self {
         let residuals = WeightedResiduals::of(found);
         let covariance = residuals.covariance(found, sampling);

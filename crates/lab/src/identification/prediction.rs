@@ -40,7 +40,6 @@ pub struct EndPrediction {
 
 impl EndPrediction {
     /// The bound: within it the final value is with probability [`BOUND_RATE`].
-    #[must_use]
     pub fn bound(&self) -> (f64, f64) {
         let half = BOUND_SIGMAS * self.sigma;
         (self.value - half, self.value + half)
@@ -52,7 +51,6 @@ impl EndPrediction {
 ///
 /// There is a prediction for each of the first samples after the step was seen, and then for one sample in each fiftieth of the time since.
 /// Samples that are not finite or not later than the one before are left out. Empty for a noise that is not positive and finite.
-#[must_use]
 pub fn predict_with_expectation(
     samples: &[TimedSample],
     sigma: f64,
@@ -62,7 +60,6 @@ pub fn predict_with_expectation(
 }
 
 /// The prediction after the last of these samples; the same as the last of [`predict_with_expectation`], at the cost of one fit.
-#[must_use]
 pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedDynamics) -> Option<EndPrediction> {
     let samples = sorted_finite(samples);
     let detector = OnsetDetector::new(sigma);
@@ -250,7 +247,6 @@ impl Default for PredictionScore {
 }
 
 /// Scores predictions by the final value of the run; `None` where none is in time.
-#[must_use]
 pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) -> Option<PredictionScore> {
     let response = run.response();
     let step = (run.end - response.start).abs();

@@ -53,7 +53,6 @@ impl DynamicsPrior {
     /// m in the order ln tau_1 .. ln tau_n (tau in seconds), s_1 .. s_(n-1), with S and nu (positive, or infinite for a Gaussian).
     ///
     /// `None` if the rows are not those of an order of 1 to [`MAX_ORDER`], or if S is not positive definite.
-    #[must_use]
     pub fn new(mean: DVector<f64>, covariance: DMatrix<f64>, freedom: f64) -> Option<Self> {
         let order = mean.len().div_ceil(2);
         let is_usable = mean.len() % 2 == 1
@@ -68,7 +67,6 @@ impl DynamicsPrior {
     }
 
     /// Independent Gaussians.
-    #[must_use]
     pub fn independent(ln_lags: &[GaussianPrior], shares: &[GaussianPrior]) -> Option<Self> {
         let all: Vec<GaussianPrior> = ln_lags.iter().chain(shares).copied().collect();
         let mean = all.iter().map(|belief| belief.mean);
@@ -81,7 +79,6 @@ impl DynamicsPrior {
     }
 
     /// n, how many lags.
-    #[must_use]
     pub const fn order(&self) -> usize {
         self.order
     }
@@ -92,21 +89,18 @@ impl DynamicsPrior {
     }
 
     /// m and the root of S for the slowest lag's ln tau.
-    #[must_use]
     pub fn slowest(&self) -> GaussianPrior {
         let row = self.order - 1;
         GaussianPrior { mean: self.mean[row], sigma: self.covariance[(row, row)].sqrt() }
     }
 
     /// Half the logarithm of the determinant of S: how much room there is beforehand.
-    #[must_use]
     pub fn half_ln_determinant(&self) -> f64 {
         let cholesky = self.inverse.clone().cholesky();
         cholesky.map_or(0.0, |factor| -factor.l().diagonal().map(f64::ln).sum())
     }
 
     /// The response that is most likely beforehand, with a start, a step and an onset.
-    #[must_use]
     pub fn expected(&self, start: f64, step: f64, onset_s: f64) -> StepResponse {
         let rows = self.mean.iter().copied();
         response_of(&[start, step, onset_s], rows.clone().take(self.order), rows.skip(self.order))
@@ -145,7 +139,6 @@ impl ResponsePrior {
     }
 
     /// The response that is most likely beforehand.
-    #[must_use]
     pub fn expected(&self, start: f64, step: f64) -> StepResponse {
         let mut response = self.dynamics.expected(start, step, self.onset.mean);
         if let (Some(belief), Some(lag)) = (&self.slowest, response.lags.last_mut()) {

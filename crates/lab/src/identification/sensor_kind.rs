@@ -113,7 +113,6 @@ impl SensorKind {
     }
 
     /// Learns from identified runs by their descriptions of one order; `None` if one of them has none.
-    #[must_use]
     pub fn with_order(runs: &[IdentifiedStep], order: usize, likeness: RunSimilarity) -> Option<Self> {
         let mut kind = Self { order, similarity: likeness, sigma_factor: 1.0, up: vec![], down: vec![] };
         for run in runs {
@@ -127,7 +126,6 @@ impl SensorKind {
     }
 
     /// How many exponentials.
-    #[must_use]
     pub const fn order(&self) -> usize {
         self.order
     }
@@ -151,7 +149,6 @@ impl SensorKind {
     }
 
     /// What is expected of a step this way.
-    #[must_use]
     pub fn expectation(&self, direction: StepDirection) -> Option<ExpectedDynamics> {
         let (own, other) = match direction {
             StepDirection::Up => (&self.up, &self.down),
@@ -175,7 +172,6 @@ impl SensorKind {
 }
 
 /// Predicts a run of this kind from sample to sample, as [`predict_with_expectation`](super::prediction::predict_with_expectation) does.
-#[must_use]
 pub fn predict(samples: &[TimedSample], sigma: f64, kind: &SensorKind) -> Vec<EndPrediction> {
     predict_series(samples, sigma, |way| kind.expectation(way))
 }

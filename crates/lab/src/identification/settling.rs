@@ -4,7 +4,6 @@
 /// it holds nothing, or if a number is not finite.
 ///
 /// The series holds instants and values in the order of time. The instant is that of the first value after which none is outside.
-#[must_use]
 pub fn settling_time_s(series: &[(f64, f64)], onset_s: f64, end: f64, limit: f64) -> Option<f64> {
     let is_inside = |value: f64| (value - end).abs() <= limit;
     let last_outside = series.iter().rposition(|(_, value)| !is_inside(*value));

@@ -28,13 +28,11 @@ pub struct SimulatedSensor {
 
 impl SimulatedSensor {
     /// One lag.
-    #[must_use]
     pub fn first_order(tau_s: f64, sigma: f64, period_s: f64) -> Self {
         Self { lags: vec![(tau_s, 1.0)], sigma, resolution: 0.0, period_s }
     }
 
     /// Its readings from time 0 on, this number of samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
-    #[must_use]
     pub fn run(&self, seed: u64, count: usize, truth: impl Fn(f64) -> f64) -> Vec<TimedSample> {
         let mut random = Pcg64::seed_from_u64(seed);
         let mut states: Vec<f64> = self.lags.iter().map(|_| truth(0.0)).collect();

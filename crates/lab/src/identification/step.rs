@@ -46,7 +46,6 @@ pub struct StepOptions {
 
 impl StepOptions {
     /// Nothing is known but the noise.
-    #[must_use]
     pub const fn with_sigma(sigma: f64) -> Self {
         Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
     }
@@ -100,32 +99,27 @@ pub struct IdentifiedStep {
 
 impl IdentifiedStep {
     /// The description that was chosen.
-    #[must_use]
     pub fn chosen(&self) -> &CandidateModel {
         &self.candidates[self.chosen]
     }
 
     /// The description of this order, if it was tried and found.
-    #[must_use]
     pub fn of_order(&self, order: usize) -> Option<&CandidateModel> {
         let mut all = self.candidates.iter();
         all.find(|candidate| candidate.fit.response.lags.len() == order)
     }
 
     /// How many exponentials were chosen.
-    #[must_use]
     pub fn order(&self) -> usize {
         self.response().lags.len()
     }
 
     /// The response that was chosen; its `model` is what the dynamic measurement filter needs.
-    #[must_use]
     pub fn response(&self) -> &StepResponse {
         &self.chosen().fit.response
     }
 
     /// Whether each share of this description is known to differ from zero, at a level of 5 % to one side.
-    #[must_use]
     pub fn is_resolved(candidate: &CandidateModel) -> bool {
         let fit = &candidate.fit;
         let mut lags = fit.response.lags.iter().enumerate();
@@ -133,7 +127,6 @@ impl IdentifiedStep {
     }
 
     /// The lags with their sigmas, the fastest first.
-    #[must_use]
     pub fn lags(&self) -> Vec<IdentifiedLag> {
         let fit = &self.chosen().fit;
         let of = |(j, lag): (usize, &Lag)| IdentifiedLag {

@@ -38,13 +38,11 @@ pub struct StepResponse {
 
 impl StepResponse {
     /// What the sensor shows at an instant, by equation (1).
-    #[must_use]
     pub fn value_at(&self, at_s: f64) -> f64 {
         self.start + self.step * (1.0 - self.remaining(at_s - self.onset_s))
     }
 
     /// r, the share of the step that is still to come after a time in seconds, by equation (2); 1 before the onset.
-    #[must_use]
     pub fn remaining(&self, since_onset_s: f64) -> f64 {
         let since_s = since_onset_s.max(0.0);
         let of = |lag: &Lag| lag.share * (-since_s / lag.time_constant_s).exp();
@@ -52,13 +50,11 @@ impl StepResponse {
     }
 
     /// What it shows in the end.
-    #[must_use]
     pub fn final_value(&self) -> f64 {
         self.start + self.step
     }
 
     /// The longest time constant, in seconds; 0 without lags.
-    #[must_use]
     pub fn slowest_s(&self) -> f64 {
         let lags = self.lags.iter().map(|lag| lag.time_constant_s);
         lags.fold(0.0, f64::max)

@@ -17,7 +17,6 @@ const POINTS_PER_DECADE: f64 = 8.0;
 const MIN_AVERAGES: usize = 9;
 
 /// The deviation of evenly sampled rates, over averaging times up to a ninth of the record.
-#[must_use]
 pub fn allan_deviation(rates: &[f64], dt_s: f64) -> Vec<AllanPoint> {
     if !(dt_s.is_finite() && dt_s > 0.0) || rates.iter().any(|rate| !rate.is_finite()) {
         return Vec::new();

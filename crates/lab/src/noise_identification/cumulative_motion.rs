@@ -22,7 +22,6 @@ pub struct CameraSample {
 }
 
 /// From the wheels' counts, or a foreign odometer where there are none.
-#[must_use]
 pub fn cumulative_motion_of(observations: &[Observation], geometry: &DriveGeometry) -> CumulativeMotion {
     let has_wheels =
         observations.iter().any(|observation| matches!(observation.measurement, ObservationKind::WheelAngles { .. }));
@@ -58,7 +57,6 @@ impl CumulativeMotion {
     }
 
     /// From the first to the last instant, in seconds.
-    #[must_use]
     pub fn time_range_s(&self) -> Option<(f64, f64)> {
         Some((self.samples.first()?[0], self.samples.last()?[0]))
     }

@@ -7,7 +7,6 @@ const SAME_STEP: f64 = 0.05;
 ///
 /// A link that carries a coarse sensor in finer units of its own smears each step a little: what lies close together beside the whole
 /// span counts as one value, if at least three such values are left and their distances share a step.
-#[must_use]
 pub fn find_quantization_step(readings: &[f64]) -> Option<f64> {
     let mut sorted = readings.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -45,7 +45,6 @@ impl RestNoise {
     /// The noise to configure in a filter that adds the rounding to `quantum` itself: never zero.
     ///
     /// Where rounding hides all other noise, the largest that it can be.
-    #[must_use]
     pub const fn without_rounding(&self) -> f64 {
         if self.white > 0.0 { self.white } else { self.white_sigma }
     }

@@ -63,31 +63,26 @@ impl RestRecord {
     }
 
     /// The stretches without a silence; none of them is empty.
-    #[must_use]
     pub fn stretches(&self) -> &[Vec<(f64, f64)>] {
         &self.stretches
     }
 
     /// The usual interval from reading to reading, the median of all, in seconds.
-    #[must_use]
     pub const fn interval_s(&self) -> f64 {
         self.interval_s
     }
 
     /// How long the sensor was silent, each time that it was, in seconds.
-    #[must_use]
     pub fn silences(&self) -> &[f64] {
         &self.silences
     }
 
     /// For how long there are readings, silences left out, in seconds.
-    #[must_use]
     pub fn rest_s(&self) -> f64 {
         self.stretches.iter().filter_map(|one| length_s(one)).sum()
     }
 
     /// The longest stretch, which is never empty.
-    #[must_use]
     pub fn longest(&self) -> &[(f64, f64)] {
         let longest = self.stretches.iter().max_by_key(|stretch| stretch.len());
         longest.map_or(&[], Vec::as_slice)

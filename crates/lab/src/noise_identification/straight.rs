@@ -71,7 +71,6 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
 
 /// What rounding to whole counts makes of a differenced speed, one standard deviation on average over speeds: equation (4), with the
 /// mean interval and the mean wheel radius.
-#[must_use]
 pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> f64 {
     let dt_s = travel.iter().map(|(dt_s, _)| dt_s).sum::<f64>() / travel.len() as f64;
     let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);

@@ -34,7 +34,6 @@ const CURVATURE_STEP: f64 = 0.1;
 const MIN_GAIN: f64 = 1.92;
 
 /// Separates them; `None` for fewer than ten samples that have one before them, or no noise at all.
-#[must_use]
 pub fn decompose_noise(record: &RestRecord) -> Option<NoiseDecomposition> {
     let stretches: Vec<RestStretch> = record
         .stretches()

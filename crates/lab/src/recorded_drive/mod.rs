@@ -93,7 +93,6 @@ impl RecordedDrive {
     }
 
     /// The configuration of a filter, with this drive's start.
-    #[must_use]
     pub fn configure(&self, config: &FilterConfig) -> FilterConfig {
         FilterConfig { start: Some(self.start), ..config.clone() }
     }
@@ -127,14 +126,12 @@ impl RecordedDrive {
     }
 
     /// Where the fixes saw mid-axle, m.
-    #[must_use]
     pub fn fix_positions_m(&self) -> Vec<(f64, f64)> {
         let places = fixes(&self.observations).map(|(_, fix)| mid_axle_position(fix));
         places.map(|place| (place.x.0, place.y.0)).collect()
     }
 
     /// Whether a sensor of this kind was heard.
-    #[must_use]
     pub fn contains(&self, kind: impl Fn(&ObservationKind) -> bool) -> bool {
         self.observations.iter().any(|one| kind(&one.measurement))
     }

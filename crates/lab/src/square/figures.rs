@@ -56,7 +56,6 @@ impl SquareExample {
     }
 
     /// Figure 5: the left wheel's angle and both wheels' speeds, counted and filtered.
-    #[must_use]
     pub fn wheel_figure(&self) -> String {
         let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
         let rows = &self.table.rows;
@@ -94,7 +93,6 @@ impl SquareExample {
     }
 
     /// Figure 6: v and w.
-    #[must_use]
     pub fn speed_figure(&self, names: &[&str]) -> String {
         let panel = |state: usize, truth: usize, factor: f64| {
             let mut curves: Vec<Curve> = names
@@ -118,7 +116,6 @@ impl SquareExample {
     }
 
     /// Figure 7: the tracks of some methods with the reference.
-    #[must_use]
     pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
         let seen: Vec<(f64, f64)> =
             (self.table.references(self.camera_every).into_iter()).flatten().map(|seen| (seen.x_m, seen.y_m)).collect();
@@ -144,7 +141,6 @@ impl SquareExample {
     }
 
     /// The geometry that the filters were configured with.
-    #[must_use]
     pub const fn geometry(&self) -> &DriveGeometry {
         &self.config.geometry
     }

@@ -48,7 +48,6 @@ impl WheelMatrices {
     pub const PRINTED: Self = Self { process: [0.1, 0.0, 10.0], variances: [1.5, 2.5], start: 10.0 };
 
     /// Those that follow from the robot: rounding of the counters, and a wheel whose rate walks as the robot's speed does.
-    #[must_use]
     pub fn of_robot(config: &FilterConfig) -> Self {
         let geometry = &config.geometry;
         let tick_deg = geometry.tick.0.to_degrees();
@@ -66,7 +65,6 @@ impl WheelMatrices {
 
 impl SpeedMatrices {
     /// Those of the paper: equation 23.
-    #[must_use]
     pub fn printed() -> Self {
         let (v, w) = (UNITS[3] * UNITS[3], UNITS[4] * UNITS[4]);
         Self { process: [2.2 * v, 2.2 * w], variances: [5.1 * v, 1.938 * w], start: [10.0 * v, 10.0 * w] }
@@ -78,7 +76,6 @@ impl SpeedMatrices {
     /// R_v = (r tick / T_s)^2 / 12      R_w = (r tick / (b T_s))^2 / 3
     /// Q_v = (sigma_a T_s)^2 / 2        Q_w = 2 (sigma_a T_s / b)^2
     /// ```
-    #[must_use]
     pub fn of_robot(config: &FilterConfig) -> Self {
         let geometry = &config.geometry;
         let b_m = geometry.track_width.0;
@@ -106,7 +103,6 @@ pub struct WheelState {
 
 impl WheelState {
     /// At rest at zero.
-    #[must_use]
     pub const fn at_rest(start: f64) -> Self {
         Self { phi: 0.0, rate: 0.0, covariance: [start, 0.0, start] }
     }
@@ -158,13 +154,11 @@ pub struct MatchedSpeeds {
 
 impl MatchedWheels {
     /// Starts at a pose (x, y, heading), at rest.
-    #[must_use]
     pub fn new(matrices: WheelMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         Self { matrices, geometry, wheels: [WheelState::at_rest(matrices.start); 2], pose, base: None }
     }
 
     /// The wheels, left and right.
-    #[must_use]
     pub const fn wheels(&self) -> &[WheelState; 2] {
         &self.wheels
     }
@@ -208,7 +202,6 @@ fn advance_pose([x, y, heading]: [f64; 3], step: BodyStep) -> [f64; 3] {
 
 impl MatchedSpeeds {
     /// Starts at a pose (x, y, heading), at rest.
-    #[must_use]
     pub fn new(matrices: SpeedMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         let [x, y, heading] = pose;
         Self {

@@ -54,7 +54,6 @@ fn raw() -> Option<Method> {
 }
 
 /// The four of the paper's figure 7 with its matrices, from the worst to the best as it promises.
-#[must_use]
 pub fn printed_methods() -> Vec<Method> {
     let chain =
         [raw(), row("wheel-kf", "wheel-kf", OWN), row("velocity-kf", "velocity-kf", OWN), row("ekf5", "ekf5", OWN)];
@@ -62,7 +61,6 @@ pub fn printed_methods() -> Vec<Method> {
 }
 
 /// The printed chain with the other reading of the order of v and w in the paper's Q.
-#[must_use]
 pub fn swapped_methods() -> Vec<Method> {
     let mut chain = printed_methods();
     if let Some(last) = chain.last_mut() {
@@ -72,7 +70,6 @@ pub fn swapped_methods() -> Vec<Method> {
 }
 
 /// The same chain with matrices that follow from the sensors, and the EKF whose integrated headings keep their errors.
-#[must_use]
 pub fn corrected_methods() -> Vec<Method> {
     let own = |name, kind| Method { name, sensors: OWN, kind };
     let chain = [
@@ -85,7 +82,6 @@ pub fn corrected_methods() -> Vec<Method> {
 }
 
 /// What the paper leaves for later: sigma points, a camera, a compass, and all sensors in one filter.
-#[must_use]
 pub fn extended() -> Vec<Method> {
     let methods = [
         row("ukf5", "ukf5", OWN),
@@ -109,7 +105,6 @@ enum MethodRunner {
 impl Method {
     /// Runs over a table and gives the estimate after each row; not a number where it has none. `camera_every`: of how
     /// many images one is given.
-    #[must_use]
     pub fn run(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<DriveState> {
         let mut follower = self.runner(config);
         let unit_rad = table.unit.rad_per_unit(&config.geometry);

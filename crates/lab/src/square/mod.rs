@@ -40,7 +40,6 @@ const EXACT_START_SIGMA: f64 = 1e-4;
 /// The configuration for one table: the start from its first row, the gyro's bias from the stop that it begins with.
 ///
 /// Without a pose in the first row the configured start stays, and without that the arena's origin.
-#[must_use]
 pub fn prepare_config(table: &SensorTable, base: &FilterConfig) -> FilterConfig {
     let mut config = base.clone();
     config.start = Some(start_pose(table, base));

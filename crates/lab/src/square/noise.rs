@@ -64,13 +64,11 @@ pub struct NoiseRecord {
 }
 
 /// The stop that a drive begins with.
-#[must_use]
 pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     record(table, 0, table.at_rest().len(), geometry)
 }
 
 /// The longest straight run.
-#[must_use]
 pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     let count = table.rows.len();
     let mut longest = (0, 0);

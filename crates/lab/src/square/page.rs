@@ -115,20 +115,17 @@ const NOISE_ROWS: [NoiseRow; 9] = [
 
 impl MethodRanking {
     /// Whether the order holds.
-    #[must_use]
     pub fn order(&self, metric: ErrorMetric) -> MethodOrder {
         super::score::compare_order(&self.names, &self.runs, metric)
     }
 
     /// Root mean square of one method's error over the drives that have it; `None` where none has it.
-    #[must_use]
     pub fn rms(&self, method: usize, metric: ErrorMetric) -> Option<f64> {
         let errors: Vec<f64> = self.runs.iter().filter_map(|run| run.get(method)?.value(metric)).collect();
         root_mean_square(&errors)
     }
 
     /// In how many drives one method diverged; [`MethodRanking::rms`] leaves these out.
-    #[must_use]
     pub fn diverged(&self, method: usize) -> usize {
         let errors = self.runs.iter().filter_map(|run| run.get(method));
         errors.filter(|errors| errors.diverged).count()
@@ -137,7 +134,6 @@ impl MethodRanking {
 
 impl SquareReport {
     /// Its tables and pictures, without data for programs.
-    #[must_use]
     pub fn report(&self) -> Report {
         let mut report = Report::new("lab-nxt-square", "The square: encoders, wheel filter, speed filter, EKF");
         report.paragraph(self.source.as_str());

@@ -22,7 +22,6 @@ use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_position, moved, wheels};
 
 /// The table of a drive; where its path is the reference, the last row has the start as its true position.
-#[must_use]
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
     let mut told: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
     // Of several of one instant the last counts, as in a file.

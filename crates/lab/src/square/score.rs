@@ -35,7 +35,6 @@ pub enum ErrorMetric {
 
 impl ErrorMetric {
     /// Its name, with the unit of the figures.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Position => "position rms",
@@ -66,7 +65,6 @@ pub struct PathErrors {
 
 impl PathErrors {
     /// The one that a metric is about.
-    #[must_use]
     pub const fn value(&self, metric: ErrorMetric) -> Option<f64> {
         match metric {
             ErrorMetric::Position => self.position_m,
@@ -99,7 +97,6 @@ impl SquareSum {
 }
 
 /// The errors of a path that followed a table.
-#[must_use]
 pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize) -> PathErrors {
     let [mut position, mut heading, mut forward, mut turn] = [SquareSum::default(); 4];
     let mut end_m = None;
@@ -129,7 +126,6 @@ pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize
 }
 
 /// v and w at a row, by central differences of the true poses beside it.
-#[must_use]
 pub fn true_speeds(table: &SensorTable, row: usize) -> Option<[f64; 2]> {
     let before = table.rows.get(row.checked_sub(1)?)?;
     let after = table.rows.get(row + 1)?;
@@ -161,19 +157,16 @@ pub struct OrderStep {
 
 impl OrderStep {
     /// The share of drives in which it holds.
-    #[must_use]
     pub fn share(&self) -> f64 {
         self.holds as f64 / self.drives.max(1) as f64
     }
 
     /// Whether the error falls on average: the 95 % interval of the ratio lies above one.
-    #[must_use]
     pub fn holds_on_average(&self) -> bool {
         self.ratio.is_some_and(|ratio| ratio[1] > 1.0)
     }
 
     /// The result of the figures, in words.
-    #[must_use]
     pub fn as_text(&self) -> &'static str {
         match self.ratio {
             _ if self.drives < 2 => "one drive",
@@ -201,7 +194,6 @@ pub struct MethodOrder {
 
 impl MethodOrder {
     /// Whether the error of each step falls on average.
-    #[must_use]
     pub fn holds_on_average(&self) -> bool {
         !self.steps.is_empty() && self.steps.iter().all(OrderStep::holds_on_average)
     }
@@ -209,7 +201,6 @@ impl MethodOrder {
 
 /// Compares methods that stand in the promised order, from the worst to the best. `runs` has the errors of all methods, in the
 /// same order, for each drive; a drive in which one has none is left out.
-#[must_use]
 pub fn compare_order(names: &[&'static str], runs: &[Vec<PathErrors>], metric: ErrorMetric) -> MethodOrder {
     let figures: Vec<Vec<f64>> =
         runs.iter().filter_map(|run| run.iter().map(|errors| errors.value(metric)).collect()).collect();

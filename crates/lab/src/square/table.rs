@@ -22,7 +22,6 @@ pub enum EncoderUnit {
 
 impl EncoderUnit {
     /// One of it, in radians of wheel rotation.
-    #[must_use]
     pub fn rad_per_unit(self, geometry: &DriveGeometry) -> f64 {
         match self {
             Self::Counts => geometry.tick.0,
@@ -87,7 +86,6 @@ pub enum TableSensor {
 
 impl SensorRow {
     /// A row in which no sensor has said anything yet.
-    #[must_use]
     pub fn empty(stamp: Timestamp<BrickClock>) -> Self {
         Self {
             time_s: stamp.as_nanos() as f64 / NANOS_PER_S,
@@ -141,7 +139,6 @@ impl SensorRow {
     }
 
     /// The row's instant.
-    #[must_use]
     pub fn stamp(&self) -> Timestamp<BrickClock> {
         Timestamp::from_nanos(TimeDelta::from_secs_f64(self.time_s).as_nanos())
     }
@@ -172,13 +169,11 @@ impl SensorRow {
 
 impl MeasuredPose {
     /// A pose as it stands in a table.
-    #[must_use]
     pub fn from_pose(pose: Pose<Arena>) -> Self {
         Self { x_m: pose.x.0, y_m: pose.y.0, theta_deg: Some(pose.heading.rad().to_degrees()) }
     }
 
     /// The same as a pose of the arena; a heading that was not seen is zero.
-    #[must_use]
     pub fn pose(&self) -> Pose<Arena> {
         let heading = Heading::from_rad(self.theta_deg.unwrap_or(0.0).to_radians());
         Pose::new(Meters(self.x_m), Meters(self.y_m), heading)
@@ -197,7 +192,6 @@ impl MeasuredPose {
 
 impl SensorTable {
     /// The rows from the first one on until a wheel counts: the stop-and-record test that a drive begins with.
-    #[must_use]
     pub fn at_rest(&self) -> &[SensorRow] {
         let Some(first) = self.rows.first() else {
             return &self.rows;
@@ -209,7 +203,6 @@ impl SensorTable {
 
     /// Of each row, whether the filters that use a camera are given its image: that of every `every`-th one. The first row's does not
     /// count: there all begin.
-    #[must_use]
     pub fn used_images(&self, every: usize) -> Vec<bool> {
         let mut images = 0_usize;
         let rows = self.rows.iter().enumerate();
@@ -223,7 +216,6 @@ impl SensorTable {
 
     /// The reference for a filter in each row: the truth, or, where there is none in the whole table, an image that no filter was
     /// given. The first row is where all begin.
-    #[must_use]
     pub fn references(&self, every: usize) -> Vec<Option<MeasuredPose>> {
         let has_truth = self.has_truth();
         let rows = self.rows.iter().zip(self.used_images(every)).enumerate();
@@ -236,7 +228,6 @@ impl SensorTable {
     }
 
     /// Whether the true pose is known anywhere.
-    #[must_use]
     pub fn has_truth(&self) -> bool {
         self.rows.first().is_some_and(|row| row.truth.is_some())
     }

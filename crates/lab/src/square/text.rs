@@ -46,7 +46,6 @@ pub fn parse(text: &str) -> Result<SensorTable, SensorTextError> {
 }
 
 /// Writes a table: those columns that have something to say.
-#[must_use]
 pub fn write(table: &SensorTable, remark: &str) -> String {
     let columns: Vec<(&str, Vec<Option<f64>>)> = COLUMNS
         .iter()

@@ -27,13 +27,11 @@ const MIN_BLOCKS: usize = 6;
 const MAX_FOLDS: usize = 8;
 
 /// Into how many blocks of time each run is cut, by the number of runs.
-#[must_use]
 pub fn blocks_per_run(runs: usize) -> usize {
     MIN_BLOCKS.div_ceil(runs.max(1))
 }
 
 /// Number of folds for a number of parts.
-#[must_use]
 pub fn fold_count(parts: usize) -> usize {
     parts.min(MAX_FOLDS)
 }
@@ -48,7 +46,6 @@ pub struct TimeBlocks {
 
 impl TimeBlocks {
     /// Cuts from the earliest to the latest stamp; at least one block.
-    #[must_use]
     pub fn from_observations(observations: &[Observation], count: usize) -> Self {
         let stamps = || observations.iter().map(|observation| observation.stamp);
         let first = stamps().min().unwrap_or(Timestamp::ZERO);
@@ -56,13 +53,11 @@ impl TimeBlocks {
     }
 
     /// How many there are.
-    #[must_use]
     pub const fn count(&self) -> usize {
         self.count
     }
 
     /// The block of an instant; instants before the first and after the last belong to these.
-    #[must_use]
     pub fn index(&self, stamp: Timestamp<BrickClock>) -> usize {
         let length_s = self.length.as_secs_f64();
         let into_s = (stamp - self.first).as_secs_f64().clamp(0.0, length_s);
@@ -98,7 +93,6 @@ impl SquaredErrors {
     }
 
     /// Their mean, m².
-    #[must_use]
     pub fn mean_m2(&self) -> Option<f64> {
         (self.count > 0).then(|| self.sum_m2 / self.count as f64)
     }
@@ -141,14 +135,12 @@ pub enum ChoiceReason {
 
 impl ShareChoice {
     /// The share of the way.
-    #[must_use]
     pub fn share(&self) -> f64 {
         SHARES.get(self.index).copied().unwrap_or(1.0)
     }
 }
 
 /// Chooses by equation (4) and by the positions.
-#[must_use]
 pub fn choose(folds: &[FoldScore]) -> ShareChoice {
     let gains = per_share(|s| folds.iter().map(|fold| gain(fold, s)).sum());
     let position_rms_m = per_share(|s| {
@@ -229,7 +221,6 @@ pub enum QualityLoss {
 
 impl FitQuality {
     /// In what these numbers are worse than those at the start; what is no number is worse.
-    #[must_use]
     pub fn loss_against(&self, start: &Self) -> Option<QualityLoss> {
         let less_likely = matches!(
             (self.ln_p_each, start.ln_p_each),

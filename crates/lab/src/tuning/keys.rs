@@ -98,7 +98,6 @@ impl TunedKey {
     }
 
     /// As it is written in a configuration, below the robot or the filter: `noise.fix_position_m`, `filter.accel_m_s2`.
-    #[must_use]
     pub fn name(&self) -> String {
         match self {
             Self::Noise(row) => format!("noise.{}", row.key),
@@ -107,7 +106,6 @@ impl TunedKey {
     }
 
     /// Its value.
-    #[must_use]
     pub fn read(&self, config: &FilterConfig) -> f64 {
         match self {
             Self::Noise(row) => (row.read)(&config.noise),
@@ -133,7 +131,6 @@ fn scale_param(row: &Param, params: &mut Params, factor: f64) {
 }
 
 /// What is tuned unless something else is asked for: the noises above zero that the observations determine.
-#[must_use]
 pub fn default_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<TunedKey> {
     let is_told = |row: &NoiseKey| {
         let mut seen = observations.iter();

@@ -17,7 +17,6 @@ const OUTLIER_SIGMA_FACTOR: f64 = 10.0;
 /// slip_nis     infinite   a slip widens S by what is to be explained: noise of zero would explain everything
 /// gate_prob    0.999999   what is refused says nothing to the state; the density (2) takes care of gross ones
 /// ```
-#[must_use]
 pub const fn offline_params(params: Params) -> Params {
     Params { adapt_gain: 0.0, slip_nis: f64::INFINITY, gate_probability: 0.999_999, ..params }
 }
@@ -73,13 +72,11 @@ impl SourceFit {
     }
 
     /// Mean normalised innovation squared per component, refused ones included; 1 is honest.
-    #[must_use]
     pub fn nis(&self) -> Option<f64> {
         (self.components > 0).then(|| self.nis / self.components as f64)
     }
 
     /// Correlation of successive whitened innovations; 0 for a filter that misses nothing.
-    #[must_use]
     pub fn rho_1(&self) -> Option<f64> {
         (self.squares > 0.0).then(|| self.products / self.squares)
     }
@@ -103,13 +100,11 @@ pub struct RunFit {
 
 impl RunFit {
     /// Sum of ln p over all innovations.
-    #[must_use]
     pub fn log_likelihood(&self) -> f64 {
         self.sources.iter().map(|fit| fit.log_likelihood).sum()
     }
 
     /// Components of all innovations.
-    #[must_use]
     pub fn components(&self) -> u64 {
         self.sources.iter().map(|fit| fit.components).sum()
     }
@@ -169,14 +164,12 @@ pub fn fit_run(observations: &[Observation], filter: &mut dyn Filter) -> RunFit 
 pub const PRIOR_SIGMA: f64 = 1.098_612_288_668_109_8;
 
 /// The second term of equation (3).
-#[must_use]
 pub fn ln_prior(log_scales: &[f64]) -> f64 {
     let squares: f64 = log_scales.iter().map(|x| (x / PRIOR_SIGMA).powi(2)).sum();
     -0.5 * squares
 }
 
 /// The root of the mean square of several runs' root mean squares; `None` of nothing.
-#[must_use]
 pub fn joint_rms(of_runs: &[f64]) -> Option<f64> {
     let squares: f64 = of_runs.iter().map(|rms| rms * rms).sum();
     (!of_runs.is_empty()).then(|| (squares / of_runs.len() as f64).sqrt())

@@ -18,7 +18,6 @@ pub struct SyntheticFixes {
 }
 
 /// Positions out of the truth, with seeded normal noise, as a camera would have seen them.
-#[must_use]
 pub fn fixes_from_truth(
     truth: &[(Timestamp<BrickClock>, Point2<Arena>)],
     glimpses: &SyntheticFixes,

@@ -38,7 +38,6 @@ pub struct StepFit {
 
 impl StepFit {
     /// The drive as the filter's model has it.
-    #[must_use]
     pub const fn model(&self) -> WallApproachModel {
         WallApproachModel { drag_s_per_m: self.drag_s_per_m.0, mass_s2_per_m: self.mass_s2_per_m.0 }
     }
@@ -47,13 +46,11 @@ impl StepFit {
 impl StepFit {
     /// The share of the steady speed that the car has at a time in seconds after the drive began: a fit to steps that end early
     /// extrapolates.
-    #[must_use]
     pub fn share_reached(&self, after_s: f64) -> f64 {
         -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()
     }
 
     /// Time, reading and what this drive makes of it, in s, m and m; the distance at rest is the one that fits the log best.
-    #[must_use]
     pub fn fitted_curve(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
         let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
         let readings = responses(log, rate_per_s);

@@ -32,7 +32,6 @@ pub struct RangeForecast {
 const REFIT_GROWTH: f64 = 1.02;
 
 /// Foretells every reading but the first from those before it.
-#[must_use]
 pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
     let least_gate_m = Params::default().wall_gate_m;
     let mut foreseen = Vec::new();
@@ -83,7 +82,6 @@ pub struct GateStatistics {
 }
 
 /// Sums up the gate; `None` if no reading was held against a prediction.
-#[must_use]
 pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
     let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
     if gates.is_empty() {

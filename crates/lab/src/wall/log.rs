@@ -27,7 +27,6 @@ pub struct WallLog {
 impl WallLog {
     /// Puts entries in the order of time; of one instant, an input comes first. Entries that are not finite, and ranges below
     /// zero, are left out.
-    #[must_use]
     pub fn new(mut entries: Vec<WallEntry>) -> Self {
         entries.retain(|entry| {
             let is_sound = match entry.reading {
@@ -42,7 +41,6 @@ impl WallLog {
     }
 
     /// All entries, in order.
-    #[must_use]
     pub fn entries(&self) -> &[WallEntry] {
         &self.entries
     }
@@ -64,7 +62,6 @@ impl WallLog {
     }
 
     /// The first instant with an input other than zero.
-    #[must_use]
     pub fn drives_from_s(&self) -> Option<f64> {
         let mut inputs = self.inputs();
         inputs.find(|(_, input)| *input != 0.0).map(|(at_s, _)| at_s)
@@ -72,7 +69,6 @@ impl WallLog {
 
     /// The same log, with full drive from its first instant on if it holds no input other than zero: of a car that was driven and
     /// did not write it down.
-    #[must_use]
     pub fn with_assumed_drive(self) -> Self {
         let Some(first) = self.entries.first().copied() else {
             return self;
@@ -86,7 +82,6 @@ impl WallLog {
     }
 
     /// Intervals between the inputs, which a program of this kind gives once in a turn of its loop: mean, shortest and longest, s.
-    #[must_use]
     pub fn loop_intervals_s(&self) -> Option<(f64, f64, f64)> {
         let times: Vec<f64> = self.inputs().map(|(at_s, _)| at_s).collect();
         let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);

@@ -7,7 +7,6 @@ use super::log::WallLog;
 /// The mean interval between the inputs of logs, in seconds; its sigma is that of a mean of intervals that are independent of each other.
 ///
 /// `None` where there are fewer than three intervals, as in a log without its inputs.
-#[must_use]
 pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
     let intervals: Vec<f64> = logs
         .iter()
@@ -20,7 +19,6 @@ pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
 }
 
 /// The same between the readings: a reading that is missed makes a gap twice as long.
-#[must_use]
 pub fn reading_period(logs: &[WallLog]) -> Option<UncertainValue> {
     let intervals: Vec<f64> = logs
         .iter()

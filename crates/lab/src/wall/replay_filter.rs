@@ -102,7 +102,6 @@ pub struct WallKalman {
 
 impl WallKalman {
     /// Waits for its first reading.
-    #[must_use]
     pub fn new(model: WallApproachModel, noise: KalmanNoise, variant: RangeFilterVariant) -> Self {
         let config = FilterConfig {
             geometry: UNUSED_GEOMETRY,

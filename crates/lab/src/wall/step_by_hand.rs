@@ -49,7 +49,6 @@ pub struct ManualStepFit {
 }
 
 /// Speeds between neighbouring readings.
-#[must_use]
 pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     let pairs = readings.windows(2).filter(|pair| pair[1].0 > pair[0].0);
@@ -62,7 +61,6 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
 }
 
 /// Slopes of lines by least squares through pieces of this number of readings, each overlapping half of the one before.
-#[must_use]
 pub fn overlapping_lines(log: &WallLog, piece: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     segments(&readings, piece).filter_map(slope).collect()
@@ -128,7 +126,6 @@ pub fn fit_by_hand(log: &WallLog, piece: usize) -> Result<ManualStepFit, WallSte
 }
 
 /// The mean over several steps; `None` of none.
-#[must_use]
 pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
     let count = steps.len() as f64;
     let mean = |of: fn(&ManualStepFit) -> f64| steps.iter().map(of).sum::<f64>() / count;

@@ -36,7 +36,6 @@ pub struct StopSummary {
 }
 
 /// Sums up approaches; `None` is one that did not end.
-#[must_use]
 pub fn summarise_stops(stops: &[Option<StopResult>]) -> StopSummary {
     let mut sum = StopSummary { runs: stops.len(), ..StopSummary::default() };
     let mut squares = 0.0;
@@ -71,7 +70,6 @@ pub struct StopComparison {
 }
 
 /// Compares run by run. A method that did not stop is neither nearer nor faster than another; who stopped is both than one who did not.
-#[must_use]
 pub fn compare_stops(ours: &[Option<StopResult>], theirs: &[Option<StopResult>]) -> StopComparison {
     let mut found = StopComparison::default();
     for (ours, theirs) in ours.iter().zip(theirs) {

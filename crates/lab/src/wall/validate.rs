@@ -31,7 +31,6 @@ pub struct Validation {
 
 impl Validation {
     /// Share of the turns that had no reading: the paper has 77.4 %.
-    #[must_use]
     pub fn predicted_share(&self) -> f64 {
         if self.turns == 0 {
             return 0.0;
@@ -41,7 +40,6 @@ impl Validation {
 }
 
 /// Runs the filter over a log. The first reading starts it and is not counted.
-#[must_use]
 pub fn validate_model(
     log: &WallLog,
     model: WallApproachModel,
@@ -101,7 +99,6 @@ pub struct GateTrial {
 }
 
 /// Adds `added_m` to reading number `index`; `None` if there is no such reading, or nothing was predicted for it.
-#[must_use]
 pub fn gate_trial(
     log: &WallLog,
     model: WallApproachModel,

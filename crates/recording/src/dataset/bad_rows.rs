@@ -29,7 +29,6 @@ pub enum BadRowReason {
 
 impl BadRowReason {
     /// The reason in words, as reports print it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::MissingColumn => "missing column",

@@ -112,7 +112,6 @@ impl Descriptor {
     }
 
     /// The robot's table with this run's own keys merged over it; an unknown run changes nothing.
-    #[must_use]
     pub fn robot_for(&self, run: &str) -> toml::Table {
         let mut robot = self.robot.clone();
         if let Some(own) = self.resolved.iter().find(|known| known.name == run) {

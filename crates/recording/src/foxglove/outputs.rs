@@ -40,7 +40,6 @@ struct UtcClock {
 impl OutputEncoder {
     /// For a session whose host clock was zero at this UTC, in nanoseconds. Of each robot, estimates, and fusions of one sensor and kind that
     /// were accepted, are thinned to this spacing; whatever was not accepted stays.
-    #[must_use]
     pub fn new(zero_nanos: u64, spacing: TimeDelta) -> Self {
         Self { utc: UtcClock { zero_nanos }, spacing, robots: RobotOutputsTable::default() }
     }

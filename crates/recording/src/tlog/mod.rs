@@ -49,7 +49,6 @@ pub enum ByteOrder {
 impl ByteOrder {
     /// The order of a file whose first time this is: little only if the time lies in the far future the right way round, and in
     /// this century the wrong way round.
-    #[must_use]
     pub fn of_first(time: [u8; TIME_BYTES]) -> Self {
         let is_future = u64::from_be_bytes(time) > NEWEST_MICROS;
         let is_sound_swapped = (OLDEST_MICROS..NEWEST_MICROS).contains(&u64::from_le_bytes(time));
@@ -57,7 +56,6 @@ impl ByteOrder {
     }
 
     /// The time that these bytes mean, in microseconds since 1970.
-    #[must_use]
     pub const fn micros(self, time: [u8; TIME_BYTES]) -> u64 {
         match self {
             Self::Big => u64::from_be_bytes(time),

@@ -88,7 +88,6 @@ enum ParseStep<'a, T> {
 
 impl TlogReader {
     /// A reader at the beginning of a file.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -114,13 +113,11 @@ impl TlogReader {
     }
 
     /// What became of the bytes so far.
-    #[must_use]
     pub const fn counts(&self) -> TlogCounts {
         self.counts
     }
 
     /// The order of the bytes of the times; `None` before the first record.
-    #[must_use]
     pub const fn byte_order(&self) -> Option<ByteOrder> {
         self.order
     }

@@ -10,7 +10,6 @@ const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
 /// of the page.
 ///
 /// Text in a picture is escaped and so holds no quotation mark: what is replaced here is always the figure's own markup.
-#[must_use]
 pub fn inline(svg: &str, prefix: &str) -> String {
     svg.replacen(NAMESPACE, "", 1)
         .replace(" id=\"", &format!(" id=\"{prefix}-"))

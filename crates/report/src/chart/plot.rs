@@ -136,7 +136,6 @@ pub(super) const fn curve_style(index: usize) -> CurveStyle {
 }
 
 /// Draws it; returns a whole SVG document.
-#[must_use]
 pub fn render_plot(plot: &Plot) -> String {
     let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
     let height_px = TOP_PX + heights.sum::<f64>();

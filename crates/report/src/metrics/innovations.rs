@@ -91,26 +91,22 @@ impl InnovationTest {
     }
 
     /// Mean NIS per degree of freedom; `None` before the first that was predicted.
-    #[must_use]
     pub fn mean_nis_per_dof(&self) -> Option<f64> {
         (self.degrees_of_freedom > 0).then(|| self.nis_sum / self.degrees_of_freedom as f64)
     }
 
     /// On how many degrees of freedom the mean stands.
-    #[must_use]
     pub const fn degrees_of_freedom(&self) -> u64 {
         self.degrees_of_freedom
     }
 
     /// Correlation of successive innovations; `None` of fewer than two.
-    #[must_use]
     pub fn correlation(&self) -> Option<f64> {
         let is_known = self.pairs > 0 && self.square_sum > 0.0;
         is_known.then(|| (self.product_sum / self.square_sum).clamp(-1.0, 1.0))
     }
 
     /// The judgement.
-    #[must_use]
     pub fn evaluate(&self) -> InnovationVerdict {
         let correlation = self.correlation();
         let rho = correlation.unwrap_or(0.0).abs().min(MAX_CORRELATION);
@@ -181,7 +177,6 @@ pub enum InnovationFinding {
 
 impl InnovationFinding {
     /// In one word or two, as tables have it.
-    #[must_use]
     pub const fn as_text(self) -> &'static str {
         match self {
             Self::TooFew => "too few to say",
@@ -225,20 +220,17 @@ pub struct InnovationVerdict {
 
 impl InnovationVerdict {
     /// Whether successive innovations are more alike, or more unlike, than chance and usefulness allow.
-    #[must_use]
     pub fn has_correlation(&self) -> bool {
         let limit = self.correlation_bound.unwrap_or(1.0).max(MIN_CORRELATION);
         self.finding != InnovationFinding::TooFew && self.correlation.is_some_and(|rho| rho.abs() > limit)
     }
 
     /// Whether the gate turned many away.
-    #[must_use]
     pub fn has_many_gated(&self) -> bool {
         self.gated_share.is_some_and(|share| share > MAX_GATED_SHARE)
     }
 
     /// How to take it.
-    #[must_use]
     pub fn tone(&self) -> VerdictTone {
         if self.has_correlation() || self.has_many_gated() {
             return VerdictTone::Bad;

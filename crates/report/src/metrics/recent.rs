@@ -30,7 +30,6 @@ impl RecentNis {
     }
 
     /// Their sum per degree of freedom, 1 if the claims are honest; `None` without any.
-    #[must_use]
     pub fn mean_per_degree(&self) -> Option<f64> {
         let degrees = self.degrees_of_freedom();
         let sum: f64 = self.latest.iter().map(|(nis, _)| nis).sum();
@@ -38,7 +37,6 @@ impl RecentNis {
     }
 
     /// Whether the mean lies in the 95 % band of honest claims.
-    #[must_use]
     pub fn consistency(&self) -> Consistency {
         let band = ConsistencyBand::of_mean(self.degrees_of_freedom());
         match (self.mean_per_degree(), band) {

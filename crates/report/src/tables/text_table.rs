@@ -21,7 +21,6 @@ impl TextTable {
     }
 
     /// The text, one line per row, each with a line feed and without trailing blanks.
-    #[must_use]
     pub fn render(&self) -> String {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let widths: Vec<usize> = (0..columns)

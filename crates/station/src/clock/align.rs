@@ -111,7 +111,6 @@ impl<C: Clock> ClockAligner<C> {
 
     /// The instant of a stamp that may be long past, such as that of a fix that the robot passes on: it says nothing about how the
     /// clocks run, and being old is no sign of a restart. `None` before any other stamp of this clock.
-    #[must_use]
     pub fn nearest_instant(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
         self.unwrapper.nearest(stamp)
     }
@@ -144,7 +143,6 @@ impl<C: Clock> ClockAligner<C> {
 
     /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off. Of two stamps that have
     /// arrived the younger one never comes out earlier, whatever was learnt in between; see [`ClockConversion`].
-    #[must_use]
     pub fn host_at(&self, remote: Timestamp<C>) -> Option<(Timestamp<HostClock>, TimeDelta)> {
         let (remote_zero, host_zero) = self.origin?;
         let since = remote - remote_zero;
@@ -157,7 +155,6 @@ impl<C: Clock> ClockAligner<C> {
 
     /// The instant of the host's clock on the remote clock, and how far it may be off. The inverse of [`Self::host_at`]; an instant that
     /// is still to come is a prediction, and may come out otherwise later.
-    #[must_use]
     pub fn remote_at(&self, host: Timestamp<HostClock>) -> Option<(Timestamp<C>, TimeDelta)> {
         let (remote_zero, host_zero) = self.origin?;
         let since_s = (host - host_zero).as_secs_f64();
@@ -175,20 +172,17 @@ impl<C: Clock> ClockAligner<C> {
     }
 
     /// Round trip of the last exchange.
-    #[must_use]
     pub fn round_trip(&self) -> Option<TimeDelta> {
         self.round_trip
     }
 
     /// How far the youngest stamp, converted, may be off.
-    #[must_use]
     pub fn uncertainty(&self) -> Option<TimeDelta> {
         let offset_s = self.conversion.offset_at(self.latest_s)?;
         self.uncertainty_at(self.latest_s, offset_s)
     }
 
     /// The same counter under another name: that of a stranger who turns out to be the robot.
-    #[must_use]
     pub fn cast_clock<D: Clock>(self) -> ClockAligner<D> {
         ClockAligner {
             unwrapper: self.unwrapper,

@@ -58,14 +58,12 @@ pub struct LinearOffset {
 
 impl LinearOffset {
     /// Host minus remote at a remote instant, s.
-    #[must_use]
     pub fn offset_at(&self, remote_s: f64) -> f64 {
         self.offset_s + self.slope * (remote_s - self.at_s)
     }
 
     /// How far the true offset at a remote instant may lie from [`Self::offset_at`], s: it grows with the distance from `at_s`, because
     /// the slope is not known exactly and may change.
-    #[must_use]
     pub fn uncertainty_at(&self, remote_s: f64) -> f64 {
         let away_s = (remote_s - self.at_s).abs();
         self.uncertainty_s + self.slope_uncertainty * away_s + 0.5 * MAX_DRIFT_PER_S * away_s * away_s
@@ -125,7 +123,6 @@ impl ClockBounds {
     }
 
     /// Whether both sides are bounded.
-    #[must_use]
     pub fn is_two_way(&self) -> bool {
         !self.upper.is_empty() && !self.lower.is_empty()
     }

@@ -70,14 +70,12 @@ impl ClockConversion {
     }
 
     /// Host minus remote at a remote instant, s; `None` before the first line.
-    #[must_use]
     pub fn offset_at(&self, remote_s: f64) -> Option<f64> {
         let knot = self.knot(|knot| knot.at_s <= remote_s)?;
         Some(knot.offset_at(remote_s))
     }
 
     /// The remote instant that is converted to `host_s`, s; `None` before the first line.
-    #[must_use]
     pub fn remote_at(&self, host_s: f64) -> Option<f64> {
         let knot = self.knot(|knot| knot.at_s + knot.offset_s <= host_s)?;
         Some(knot.remote_at(host_s))

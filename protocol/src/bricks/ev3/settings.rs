@@ -81,7 +81,6 @@ pub enum SensorPort {
 
 impl SensorPort {
     /// The port with this printed number, 1 to 4.
-    #[must_use]
     pub const fn from_label(number: u8) -> Option<Self> {
         match number {
             1 => Some(Self::P1),
@@ -93,7 +92,6 @@ impl SensorPort {
     }
 
     /// Its printed number, 1 to 4.
-    #[must_use]
     pub const fn label(self) -> u8 {
         self.number() + 1
     }

@@ -24,7 +24,6 @@ impl MotorPort {
     pub const ALL: [Self; 3] = [Self::A, Self::B, Self::C];
 
     /// Its number on the wire.
-    #[must_use]
     pub const fn number(self) -> u8 {
         self as u8
     }

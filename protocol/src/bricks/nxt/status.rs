@@ -17,7 +17,6 @@ impl NxtStatus {
     pub const NO_PROGRAM: Self = Self(0xEC);
 
     /// True for a byte that the firmware knows as a status.
-    #[must_use]
     pub const fn is_known(self) -> bool {
         matches!(
             self.0,
@@ -26,7 +25,6 @@ impl NxtStatus {
     }
 
     /// What it means, and what can be done about it; lower case, no full stop.
-    #[must_use]
     pub const fn meaning(self) -> &'static str {
         match self.0 {
             0x00 => "it was done",

@@ -86,20 +86,17 @@ pub struct OutputState {
 
 impl OutputState {
     /// The motor runs at this power with its speed regulated, until the next command.
-    #[must_use]
     pub const fn run(port: MotorPort, power: i8) -> Self {
         Self { port: Some(port), power, mode: 0b111, regulation: 1, turn_ratio: 0, run_state: 0x20, tacho_limit: 0 }
     }
 
     /// All motors are let go.
-    #[must_use]
     pub const fn coast() -> Self {
         Self { port: None, power: 0, mode: 0, regulation: 0, turn_ratio: 0, run_state: 0, tacho_limit: 0 }
     }
 }
 
 /// SETOUTPUTSTATE: drives a motor.
-#[must_use]
 pub fn set_output_state(state: &OutputState, answer: ReplyRequest) -> Vec<u8> {
     let port = state.port.map_or(0xFF, MotorPort::number);
     let mut telegram = vec![
@@ -117,7 +114,6 @@ pub fn set_output_state(state: &OutputState, answer: ReplyRequest) -> Vec<u8> {
 }
 
 /// STARTPROGRAM: starts a program by its file name, cut to 19 bytes.
-#[must_use]
 pub fn start_program(file_name: &str, answer: ReplyRequest) -> Vec<u8> {
     let mut telegram = vec![DIRECT | answer.bit(), opcode::START_PROGRAM];
     telegram.extend(file_name.bytes().take(FILE_NAME_BYTES - 1));
@@ -126,13 +122,11 @@ pub fn start_program(file_name: &str, answer: ReplyRequest) -> Vec<u8> {
 }
 
 /// STOPPROGRAM: stops whichever runs.
-#[must_use]
 pub fn stop_program(answer: ReplyRequest) -> Vec<u8> {
     vec![DIRECT | answer.bit(), opcode::STOP_PROGRAM]
 }
 
 /// MESSAGEWRITE: a message into a mailbox, with its final zero; `None` if it is too long for one.
-#[must_use]
 pub fn message_write(mailbox: u8, message: &[u8], answer: ReplyRequest) -> Option<Vec<u8>> {
     if message.len() > MAX_MESSAGE_BYTES {
         return None;
@@ -186,7 +180,6 @@ pub(super) fn read_io_map(module: u32, offset: u16, length: u16) -> Vec<u8> {
 }
 
 /// A telegram as it stands on the link: behind its length.
-#[must_use]
 pub fn framed(telegram: &[u8]) -> Vec<u8> {
     let mut bytes = (telegram.len() as u16).to_le_bytes().to_vec();
     bytes.extend_from_slice(telegram);

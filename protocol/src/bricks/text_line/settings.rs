@@ -137,14 +137,12 @@ pub struct Column {
 
 impl Column {
     /// A quantity with the sign that is usual here.
-    #[must_use]
     pub const fn new(quantity: Quantity) -> Self {
         Self { quantity, sense: ColumnSign::Normal }
     }
 
     /// The column with this name, such as `left_ticks`, or `-gyro_deg_per_s` for a gyro that counts clockwise. `None` if there is none, or
     /// if it has no sign to turn.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let (plain, sense) = match name.strip_prefix('-') {
             Some(plain) => (plain, ColumnSign::Inverted),
@@ -274,7 +272,6 @@ pub enum Separator {
 
 impl Separator {
     /// The separator that is written so.
-    #[must_use]
     pub fn from_text(text: &str) -> Option<Self> {
         let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank];
         if text == "\t" {
@@ -284,7 +281,6 @@ impl Separator {
     }
 
     /// As it is written.
-    #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
             Self::Comma => ",",

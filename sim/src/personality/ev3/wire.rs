@@ -34,7 +34,6 @@ const SEND_BUFFERS: usize = 16;
 const RESYNC_TIMEOUT: TimeDelta = TimeDelta::from_millis(100);
 
 /// What a brick that listens on a TCP port of the network says by UDP, to port 3015.
-#[must_use]
 pub fn beacon(tcp_port: u16) -> Vec<u8> {
     format!("Serial-Number: {SERIAL_NUMBER}\r\nPort: {tcp_port}\r\nName: {FACTORY_NAME}\r\nProtocol: EV3\r\n")
         .into_bytes()

@@ -67,7 +67,6 @@ pub struct Selection {
 
 impl Model {
     /// Before anything has happened.
-    #[must_use]
     pub fn new(simulator: Option<SimulatorFacts>) -> Self {
         Self { simulator, ..Self::default() }
     }
@@ -120,21 +119,18 @@ impl Model {
     }
 
     /// What was done last, as long as it is new.
-    #[must_use]
     pub fn notice(&self) -> Option<&'static str> {
         let (noted_s, what) = self.selection.notice?;
         (self.now_s - noted_s <= NOTICE_DURATION_S).then_some(what)
     }
 
     /// The robots to choose from: those with an estimate. A camera is heard as well but has none. Without any, all.
-    #[must_use]
     pub fn visible_robots(&self) -> Vec<&Robot> {
         let estimated: Vec<&Robot> = self.robots.iter().filter(|robot| !robot.estimates.is_empty()).collect();
         if estimated.is_empty() { self.robots.iter().collect() } else { estimated }
     }
 
     /// The chosen robot.
-    #[must_use]
     pub fn selected_robot(&self) -> Option<&Robot> {
         let shown = self.visible_robots();
         let last = shown.len().checked_sub(1)?;
@@ -142,14 +138,12 @@ impl Model {
     }
 
     /// Where the chosen robot really was, if it is simulated.
-    #[must_use]
     pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
         let own = self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty());
         own.or_else(|| (self.visible_robots().len() <= 1).then_some(&self.truth))
     }
 
     /// How far odometry and estimate of the chosen robot are from its truth.
-    #[must_use]
     pub fn selected_errors(&self) -> Option<&ErrorsRow> {
         let own = self.selected_robot().and_then(|robot| robot.errors.as_ref());
         own.or_else(|| self.errors.as_ref().filter(|_| self.visible_robots().len() <= 1))

@@ -52,7 +52,6 @@ impl Robot {
     }
 
     /// What people read: the name, else the id.
-    #[must_use]
     pub fn label(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.id)
     }

@@ -39,7 +39,6 @@ impl<const N: usize> PoseView for PoseState<N> {
 }
 
 /// H over the filter's columns; states that this filter does not have are left out.
-#[must_use]
 pub fn linearize<const N: usize, const M: usize>(model: &ObservationModel<M>) -> LinearizedMeasurement<N, M> {
     let mut jacobian = SMatrix::<f64, M, N>::zeros();
     for (index, row) in model.rows.iter().enumerate() {
@@ -56,7 +55,6 @@ pub fn linearize<const N: usize, const M: usize>(model: &ObservationModel<M>) ->
 }
 
 /// A gyro window over the filter's columns, which every state has.
-#[must_use]
 pub const fn linearize_gyro_window(model: &GyroWindowModel) -> ScalarMeasurement<3> {
     ScalarMeasurement {
         innovation: model.innovation,

@@ -42,7 +42,6 @@ use crate::validation;
 const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 
 /// Builds the flagship with as many states as the configuration asks for.
-#[must_use]
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let calibration = &config.calibration;
     let is_asked = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
@@ -75,7 +74,6 @@ pub struct PoseFilter<const N: usize> {
 
 impl<const N: usize> PoseFilter<N> {
     /// A filter that has seen nothing yet.
-    #[must_use]
     pub fn new(config: &FilterConfig) -> Self {
         Self {
             config: config.clone(),
@@ -101,7 +99,6 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     /// The state after the last entry.
-    #[must_use]
     pub fn state(&self) -> &PoseState<N> {
         self.history.last_state()
     }

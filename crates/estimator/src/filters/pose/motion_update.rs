@@ -29,7 +29,6 @@ pub struct UpdateContext<'a> {
 pub type ChiSquareGates = [f64; 3];
 
 /// The gates of a configuration.
-#[must_use]
 pub fn chi_square_gates(config: &FilterConfig) -> ChiSquareGates {
     [1, 2, 3].map(|degrees| chi_square_quantile(degrees, config.params.gate_probability))
 }

@@ -71,7 +71,6 @@ pub struct NoiseScales {
 
 impl NoiseScales {
     /// By how much the variances of a source are to be multiplied.
-    #[must_use]
     pub fn factor(&self, source: NoiseSource) -> f64 {
         self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
     }
@@ -91,7 +90,6 @@ impl NoiseScales {
 }
 
 /// Which way a component would have its noise changed, and how strongly: its innovation, S_ii and R_i.
-#[must_use]
 pub fn scale_vote(innovation: f64, s: f64, noise: f64) -> f64 {
     (noise / s).sqrt().copysign(innovation * innovation / s - CHI_SQUARE_MEDIAN)
 }

@@ -64,7 +64,6 @@ pub struct Transition {
 
 impl Transition {
     /// A step over known travel with the learned radii and track: its distance, its turn, and what they depend on.
-    #[must_use]
     pub fn over_travel<const N: usize>(
         travel: WheelTravel,
         state: &PoseState<N>,
@@ -90,7 +89,6 @@ impl Transition {
     }
 
     /// A step at held speeds.
-    #[must_use]
     pub fn at_speeds(forward_m: f64, turn_rad: f64) -> Self {
         Self {
             step: ArcStep::new(forward_m, turn_rad),
@@ -101,7 +99,6 @@ impl Transition {
     }
 
     /// F, for those who need the whole matrix.
-    #[must_use]
     pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
         let mut f = SMatrix::identity();
         for column in 0..N {
@@ -303,7 +300,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
-    #[must_use]
     pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();

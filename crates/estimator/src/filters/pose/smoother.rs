@@ -67,7 +67,6 @@ struct ForwardStep {
 }
 
 /// Smooths a run; an empty result means that nothing moved.
-#[must_use]
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
     let (told, track, gyro) = prepare_entries(config, observations);
     let context = UpdateContext { config, track: &track, gyro: &gyro, gates: &motion_update::chi_square_gates(config) };

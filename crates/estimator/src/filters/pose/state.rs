@@ -134,7 +134,6 @@ impl TickActivity {
 
     /// Whether the robot stood from one instant to another: no count changed for clearly longer than between the last changes. A
     /// robot that creeps has longer and longer pauses before it has one that is twice as long as all of the last three.
-    #[must_use]
     pub fn is_stationary(&self, from: Timestamp<BrickClock>, until: Timestamp<BrickClock>) -> bool {
         let longest = self.recent_intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
         longest > TimeDelta::ZERO
@@ -190,7 +189,6 @@ pub struct PoseState<const N: usize> {
 
 impl<const N: usize> PoseState<N> {
     /// The state before any observation.
-    #[must_use]
     pub fn initial(config: &FilterConfig) -> Self {
         let mut state = Self {
             stamp: None,
@@ -227,7 +225,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// All but mean and covariance of a state with another number of rows: these are zero.
-    #[must_use]
     pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
         Self {
             stamp: other.stamp,
@@ -256,7 +253,6 @@ impl<const N: usize> PoseState<N> {
 
     /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what
     /// the refusal itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
-    #[must_use]
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
         Self {
             rejected_fixes: tried.rejected_fixes,
@@ -276,7 +272,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// The estimated pose.
-    #[must_use]
     pub fn arena_pose(&self) -> Pose<Arena> {
         arena_pose(self.pose)
     }
@@ -291,7 +286,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// Whether the heading in the arena is known.
-    #[must_use]
     pub fn is_heading_known(&self) -> bool {
         self.is_heading_known_at(self.covariance[(HEADING, HEADING)])
     }
@@ -379,7 +373,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// The covariance of pose and speeds in the arena, for the outside.
-    #[must_use]
     pub fn published_covariance(&self) -> [[f64; 5]; 5] {
         self.covariance_in_arena(self.pose.heading_rad, &self.pose_covariance())
     }
@@ -416,7 +409,6 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// What has been learned, on top of the prior that it began from.
-    #[must_use]
     pub fn calibration(&self, prior: &Calibration) -> Calibration {
         let known = |row: usize, prior: UncertainValue| {
             if row < N {

@@ -66,7 +66,6 @@ enum ThermometerModel {
 
 impl Thermometer {
     /// A thermometer that has not been read. Walk and history come from the configuration, the noise too where the settings have none.
-    #[must_use]
     pub fn new(config: &FilterConfig, settings: &ThermometerSettings) -> Self {
         let given = [settings.sigma_k, config.noise.temperature_k];
         let sigma_k = given.into_iter().find(|sigma| *sigma > 0.0);
@@ -84,7 +83,6 @@ impl Thermometer {
     }
 
     /// What it will show in the end, as of its last reading, in degrees Celsius; `None` before the first.
-    #[must_use]
     pub fn final_value(&self) -> Option<ScalarEstimate> {
         self.scalar_at(self.last?)
     }

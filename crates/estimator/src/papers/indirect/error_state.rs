@@ -95,7 +95,6 @@ pub struct SampleIntervals {
 }
 
 /// The nominal step from a heading by the wheels' travel.
-#[must_use]
 pub fn nominal_step(
     heading_rad: f64,
     travel: WheelTravel,
@@ -125,7 +124,6 @@ impl NominalStep {
     ///
     /// The rounding of a count is in the measured turn and in the innovation as well. A derivative that follows it is correlated
     /// with the innovation, and a robot that drives straight would learn a wrong track width from its own counts.
-    #[must_use]
     pub fn with_turn(mut self, turn_rad: f64, scales: &GeometryScales, track_width_m: f64) -> Self {
         let [_, _, tb] = *scales;
         self.forward_by_scales[1] = 0.25 * turn_rad * track_width_m * (1.0 + tb);
@@ -136,7 +134,6 @@ impl NominalStep {
 }
 
 /// F of a step.
-#[must_use]
 pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
     let mut f = Covariance::identity();
     let moved = &nominal.displacement;
@@ -159,7 +156,6 @@ pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
 }
 
 /// Gamma Q Gamma' of a step.
-#[must_use]
 pub fn process_noise(
     nominal: &NominalStep,
     elapsed: &SampleIntervals,

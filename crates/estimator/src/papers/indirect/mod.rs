@@ -63,7 +63,6 @@ pub struct IndirectFilter {
 
 impl IndirectFilter {
     /// Starts at the configured pose, or at the arena's origin until the first fix places it.
-    #[must_use]
     pub fn new(config: &FilterConfig, correction: CorrectionMode) -> Self {
         Self {
             config: config.clone(),

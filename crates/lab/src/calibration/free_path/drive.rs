@@ -61,7 +61,6 @@ const UNKNOWN_POSITION_M: f64 = 1e3;
 const UNKNOWN_HEADING_RAD: f64 = 10.0;
 
 /// A stamp in seconds.
-#[must_use]
 pub fn seconds(stamp: Timestamp<BrickClock>) -> f64 {
     stamp.as_nanos() as f64 / 1e9
 }
@@ -71,7 +70,6 @@ impl FreePath {
     ///
     /// Motion that is not known (a counter that jumped) counts as none. Sights that are not finite are left out, and so are those
     /// that follow another within a fifth of a second. Without a start the drive begins at its first sight, with any heading.
-    #[must_use]
     pub fn new(
         name: &str,
         config: &FilterConfig,
@@ -102,7 +100,6 @@ impl FreePath {
     }
 
     /// Length of the way of the axle's middle by the nominal geometry, in metres.
-    #[must_use]
     pub fn length_m(&self) -> f64 {
         let lengths = self.steps.iter().map(|step| {
             let WheelTravel { left_m, right_m } = step.travel;

@@ -52,7 +52,6 @@ impl Wiring {
     ];
 
     /// The name in JSON.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::AsGiven => "AsGiven",
@@ -66,7 +65,6 @@ impl Wiring {
     }
 
     /// Both wheels' travel as it is if this is what is wrong.
-    #[must_use]
     pub const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
         let (left_m, right_m) = match self {
             Self::AsGiven => (left_m, right_m),
@@ -125,7 +123,6 @@ pub struct HypothesisTest {
 
 impl HypothesisTest {
     /// Whether something is wrong that calibration cannot cure.
-    #[must_use]
     pub fn is_sound(&self) -> bool {
         self.found == AS_GIVEN
     }
@@ -133,7 +130,6 @@ impl HypothesisTest {
 
 impl FreePath {
     /// The drive as it was if a hypothesis is true; the track is not part of it.
-    #[must_use]
     pub fn with_hypothesis(&self, hypothesis: &Hypothesis) -> Self {
         let factor = hypothesis.travel_factor;
         let steps = self.steps.iter().map(|step| {

@@ -34,7 +34,6 @@ pub const UNKNOWNS: [CalibrationUnknown; 6] = [
 
 impl CalibrationUnknown {
     /// Its key in `[robot.calibration]`.
-    #[must_use]
     pub const fn key(self) -> &'static str {
         match self {
             Self::RadiusScale => "radius_scale",
@@ -47,7 +46,6 @@ impl CalibrationUnknown {
     }
 
     /// What was known of it before.
-    #[must_use]
     pub const fn prior(self, calibration: &Calibration) -> UncertainValue {
         match self {
             Self::RadiusScale => calibration.radius_scale,
@@ -127,14 +125,12 @@ pub struct PathCalibration {
 
 impl PathCalibration {
     /// What became of an unknown.
-    #[must_use]
     pub fn entry(&self, unknown: CalibrationUnknown) -> UnknownEstimate {
         let place = UNKNOWNS.iter().position(|one| *one == unknown);
         self.entries[place.unwrap_or(0)]
     }
 
     /// The mistake under which the numbers hold.
-    #[must_use]
     pub fn hypothesis(&self) -> Hypothesis {
         self.hypothesis_test.as_ref().map_or(AS_GIVEN, |sanity| sanity.found)
     }

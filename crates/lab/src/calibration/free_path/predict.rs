@@ -41,7 +41,6 @@ pub struct RobotParameters {
 
 impl RobotParameters {
     /// As a description has them: its geometry with the values of its calibration.
-    #[must_use]
     pub fn from_config(config: &FilterConfig) -> Self {
         let known = &config.calibration;
         Self {

@@ -28,7 +28,6 @@ pub struct DeadReckonedPath {
 }
 
 /// The heading with which a drive begins when its own description is followed: as given, or the best one if it is unknown.
-#[must_use]
 pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &FreePath) -> f64 {
     if path.start.heading_sigma_rad <= 1.0 {
         return path.start.pose[2];
@@ -37,7 +36,6 @@ pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &Fr
 }
 
 /// Reckons a drive with these numbers from a start with this heading.
-#[must_use]
 pub fn dead_reckon(
     config: &FilterConfig,
     numbers: &RobotParameters,
@@ -60,7 +58,6 @@ pub fn dead_reckon(
 }
 
 /// The mean of each figure over runs.
-#[must_use]
 pub fn mean_error(errors: &[DeadReckoningError]) -> DeadReckoningError {
     let mean = |of: fn(&DeadReckoningError) -> f64| statistics::mean(errors.iter().map(of)).unwrap_or(0.0);
     DeadReckoningError {

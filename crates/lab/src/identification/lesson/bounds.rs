@@ -24,7 +24,6 @@ const METHODS: [&str; 3] = ["known", "taken_for_known", "identified"];
 pub type BoundRun = [[Option<bool>; 3]; 3];
 
 /// Identifies the sensor by one noisy step and predicts the end of another.
-#[must_use]
 pub fn bound_run(seed: u64) -> BoundRun {
     let sensor = SimulatedSensor::first_order(TAU_S, SIGMA_K, PERIOD_S);
     let count = |until_s: f64| (until_s / PERIOD_S) as usize + 1;
@@ -67,14 +66,12 @@ pub struct BoundTally {
 
 impl BoundTally {
     /// The share of bounds that held; `None` without runs.
-    #[must_use]
     pub fn rate(&self) -> Option<f64> {
         (self.runs > 0).then(|| f64::from(self.inside) / f64::from(self.runs))
     }
 }
 
 /// The section from all runs.
-#[must_use]
 pub fn bounds_section(runs: &[BoundRun]) -> LessonSection {
     let count = runs.len().max(1) as f64;
     // Two standard deviations of a share of this number of runs.

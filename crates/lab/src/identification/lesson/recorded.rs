@@ -39,7 +39,6 @@ pub struct RecordedPrediction {
 
 impl RecordedPrediction {
     /// Predicts a run by others; `None` where there are none, or none of a common order.
-    #[must_use]
     pub fn predict_run(run: &RecordedRun, others: &[&RecordedRun], likeness: RunSimilarity) -> Option<Self> {
         let used: Vec<IdentifiedStep> = others.iter().map(|other| other.identified.clone()).collect();
         let kind = SensorKind::from_runs(&used, likeness).ok()?;
@@ -71,7 +70,6 @@ fn settling_times_s(step: &IdentifiedStep, series: &[(f64, f64)]) -> [Option<f64
 }
 
 /// The sections on recordings: what was identified, and a section for each run that was predicted.
-#[must_use]
 pub fn recorded_sections(
     identified: &[RecordedRun],
     predicted: &[(RecordedRun, RecordedPrediction)],

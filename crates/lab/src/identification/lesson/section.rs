@@ -23,7 +23,6 @@ pub struct LessonSection {
 
 impl LessonSection {
     /// One of its numbers; `None` if it has none of this name, or no value for it.
-    #[must_use]
     pub fn value(&self, name: &str) -> Option<f64> {
         let mut all = self.values.iter();
         all.find(|(known, _)| known == name).and_then(|(_, value)| *value)

@@ -8,7 +8,6 @@ const HEIGHT_PX: f64 = 100.0;
 const S_TO_MS: f64 = 1e3;
 
 /// Draws how the offset changed, the skew and the uncertainty; returns a whole SVG document.
-#[must_use]
 pub fn render_clock(title: &str, samples: &[ClockSample]) -> String {
     render_strip(&StripChart {
         title: title.to_owned(),

@@ -8,7 +8,6 @@ const HEIGHT_PX: f64 = 150.0;
 const M_TO_MM: f64 = 1e3;
 
 /// Draws position and heading error with the estimate's 2-sigma claims; returns a whole SVG document.
-#[must_use]
 pub fn render_errors(title: &str, samples: &[ErrorSample]) -> String {
     render_strip(&StripChart {
         title: title.to_owned(),

@@ -27,7 +27,6 @@ const HEIGHT_PX: f64 = 105.0;
 const NIS_HEIGHT_PX: f64 = 130.0;
 
 /// Draws it; returns a whole SVG document.
-#[must_use]
 pub fn render_innovations(series: &InnovationSeries<'_>) -> String {
     let degrees = most_common_degrees(series.samples);
     let names = components(series.kind);

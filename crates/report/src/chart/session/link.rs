@@ -28,7 +28,6 @@ const ERROR_COUNTERS: [LinkCounter; 9] = [
 const GARBAGE_COUNTERS: [LinkCounter; 1] = [LinkCounter::GARBAGE_BYTES];
 
 /// Draws it; returns a whole SVG document. What never happened has no curve.
-#[must_use]
 pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
     let mut panels = vec![rates("frames/s", &TRAFFIC_COUNTERS, samples)];
     for (name, counters) in [("per second", &ERROR_COUNTERS[..]), ("bytes/s", &GARBAGE_COUNTERS[..])] {

@@ -45,7 +45,6 @@ pub struct ErrorSample {
 impl ErrorSample {
     /// How far an estimate that was made at `t_s` is from the truth at its own stamp; `None` where there is no truth, or its position
     /// may not be used.
-    #[must_use]
     pub fn from_estimate(t_s: f64, estimate: &Estimate, truth: &PoseTrack) -> Option<Self> {
         let error = PoseError::of_estimate(estimate, truth.at(estimate.stamp)?);
         let sample = Self {
@@ -78,7 +77,6 @@ pub struct InnovationSample {
 
 impl InnovationSample {
     /// What a filter's record says; `None` where the observation did not reach the gate, or nothing was predicted.
-    #[must_use]
     pub fn from_record(t_s: f64, record: &FusionRecord) -> Option<Self> {
         let is_used = match record.outcome {
             FusionOutcome::Accepted | FusionOutcome::Slip => true,
@@ -161,7 +159,6 @@ pub struct ClockSample {
 /// The unit of a number by the end of its key, as people read it, and by what SI is multiplied.
 ///
 /// `gyro_bias_rad_per_s` is shown in degrees per second, a length in millimetres, a time in milliseconds, a ratio in per cent.
-#[must_use]
 pub fn display_unit(key: &str) -> (&'static str, f64) {
     if key.ends_with("_rad_per_s") {
         ("deg/s", 1f64.to_degrees())

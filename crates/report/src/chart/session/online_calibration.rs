@@ -7,7 +7,6 @@ use super::{CLAIM_STYLE, CalibrationSeries, ESTIMATE_STYLE, display_unit};
 const HEIGHT_PX: f64 = 92.0;
 
 /// Draws a panel for each; returns a whole SVG document.
-#[must_use]
 pub fn learning(title: &str, all: &[CalibrationSeries<'_>]) -> String {
     render_strip(&StripChart {
         title: title.to_owned(),

@@ -21,7 +21,6 @@ const HEIGHT_PX: f64 = 430.0;
 const START: Stroke = Stroke::solid(INK, 2.2);
 
 /// Draws it; returns a whole SVG document. Any layer may be missing; refused fixes do not stretch the map.
-#[must_use]
 pub fn render_path(layers: &RunLayers<'_>) -> String {
     let drawable = DrawableLayers::from_layers(layers);
     let mut curves = Vec::new();
