@@ -1,89 +1,57 @@
-//! How long a step of a filter takes, as a multiple of what it cannot take less than.
+//! How long a step of a filter takes.
 //!
-//! All rows of the five-state filter get the same 4096 inputs, end at the same belief to 1e-9, and take turns round by round;
-//! the ratios are medians of what was seen within one round, so that neither clock boost nor a busy machine decides them. The
-//! flagship's rows go through [`Filter::observe`] as the pipeline does. What the rows are and why: docs/lab/accuracy.md. Run with
-//! `cargo bench -p posebridge-estimator`; the arguments of criterion apply to its part.
+//! All rows take turns round by round; the ratios are medians of what was seen within one round, so that neither clock boost nor a
+//! busy machine decides them. The flagship's rows go through [`Filter::observe`] as the pipeline does. What the rows are:
+//! docs/lab/accuracy.md. Run with `cargo bench -p posebridge-estimator`.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
-#[path = "../tests/support/filter_without_history.rs"]
-mod filter_without_history;
-#[path = "../tests/support/robot.rs"]
+#[path = "../tests/estimator/support/robot.rs"]
 mod robot;
-#[path = "../tests/support/speed/mod.rs"]
-mod speed;
-#[path = "../tests/support/steady.rs"]
+#[path = "../tests/estimator/support/steady.rs"]
 mod steady;
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use criterion::{Criterion, Throughput};
-use filter_without_history::{FilterWithoutHistory, learning};
-use posebridge_estimator::{Filter, find_filter};
-use posebridge_telemetry::FusionOutcome;
-use speed::{AGREEMENT, IMPLEMENTATIONS, Input, STEPS, recorded};
-use steady::{LATE_STEPS, fix, gyro, wheels};
+use nalgebra::{Matrix5, Vector5};
+use posebridge_estimator::filters::pose::motion_update::{self, UpdateContext};
+use posebridge_estimator::filters::pose::state::{CORE_STATES, PoseState};
+use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep};
+use posebridge_estimator::motion::{GyroTrack, MotionReading, MotionTrack};
+use posebridge_estimator::numerics::chi_square::{ChiSquareGates, chi_square_gates};
+use posebridge_estimator::update::{ScalarMeasurement, use_scalar};
+use posebridge_estimator::{Filter, FilterConfig, find_filter};
+use posebridge_telemetry::estimate::row;
+use posebridge_telemetry::{FusionOutcome, FusionRecord, ObservationKind, TimeDelta};
+use robot::learning_geometry;
+use steady::{LATE_STEPS, STEP, fix, gyro, stamp, wheels};
 
 /// Rounds of the comparison; odd, so that there is a middle.
 const ROUNDS: usize = 301;
-/// Steps of the flagship in each round: as many as of every other row, so that all of them begin a round equally cold.
-const FLAGSHIP_STEPS: i64 = STEPS as i64;
+/// Steps of every row in each round, so that all of them begin a round equally cold.
+const STEPS: i64 = 4096;
 /// Late fixes in each round, of each camera.
 const LATE_FIXES: i64 = 20;
 /// A minute at 20 Hz fills every history.
 const WARM_UP: i64 = 1_200;
-/// Predict and four gated scalar updates may take this many times as long as the floor.
-const LIBRARY_BAR: f64 = 2.0;
-/// A step of the flagship's state, with gyro window and calibration states, may take this many times as long as the floor.
-const STATE_BAR: f64 = 6.0;
+/// A step of the flagship's state, with gyro window and calibration states, may take this many times as long as one of five states.
+const STATE_BAR: f64 = 3.5;
 /// A fix that comes 300 ms late at 20 Hz may take this long, µs.
 const LATE_FIX_BAR_US: f64 = 10.0;
 
 fn main() {
-    let inputs = recorded();
-    assert_agreement(&inputs);
-    run_criterion(&inputs);
     // Without `--bench` somebody only wants to know that it runs.
     let is_bench = std::env::args().any(|argument| argument == "--bench");
-    compare(&inputs, if is_bench { ROUNDS } else { 1 });
-}
-
-/// What is compared must be the same thing.
-fn assert_agreement(inputs: &[Input]) {
-    let floor = (IMPLEMENTATIONS[0].run)(inputs);
-    for implementation in &IMPLEMENTATIONS {
-        let distance = (implementation.run)(inputs).distance(&floor);
-        assert!(distance < AGREEMENT, "{}: {distance:e}", implementation.name);
-    }
-}
-
-fn run_criterion(inputs: &[Input]) {
-    let mut criterion = Criterion::default()
-        .warm_up_time(Duration::from_millis(300))
-        .measurement_time(Duration::from_secs(1))
-        .sample_size(30)
-        .configure_from_args();
-    let mut group = criterion.benchmark_group("five states");
-    group.throughput(Throughput::Elements(STEPS as u64));
-    for implementation in &IMPLEMENTATIONS {
-        group.bench_function(implementation.name, |bencher| {
-            bencher.iter(|| (implementation.run)(black_box(inputs)));
-        });
-    }
-    group.finish();
-    criterion.final_summary();
+    compare(if is_bench { ROUNDS } else { 1 });
 }
 
 /// The rounds of all rows, and what follows from them.
-fn compare(inputs: &[Input], rounds: usize) {
-    let mut timings: [Vec<f64>; IMPLEMENTATIONS.len()] = std::array::from_fn(|_| Vec::with_capacity(rounds));
-    let mut step_ns = Vec::with_capacity(rounds);
-    let mut fix_at_5_hz_us = Vec::new();
-    let mut fix_at_20_hz_us = Vec::new();
-    let mut state_ns = Vec::with_capacity(rounds);
-    let mut bare = FilterWithoutHistory::new(&learning());
+fn compare(rounds: usize) {
+    let (mut five_ns, mut state_ns, mut step_ns) = (vec![], vec![], vec![]);
+    let (mut fix_at_5_hz_us, mut fix_at_20_hz_us) = (vec![], vec![]);
+    let mut five = FiveStates::default();
+    let mut bare = FilterWithoutHistory::new(&learning_geometry());
     for _ in 0..WARM_UP {
         bare.drive_on();
     }
@@ -91,25 +59,16 @@ fn compare(inputs: &[Input], rounds: usize) {
     let mut at_5_hz = Flagship::new(Camera::Every(4));
     let mut at_20_hz = Flagship::new(Camera::Every(1));
     for _ in 0..rounds {
-        for (implementation, samples) in IMPLEMENTATIONS.iter().zip(&mut timings) {
-            let elapsed = time(|| {
-                black_box((implementation.run)(black_box(inputs)));
-            });
-            samples.push(nanos(elapsed) / STEPS as f64);
-        }
-        let elapsed = time(|| (0..FLAGSHIP_STEPS).for_each(|_| bare.drive_on()));
-        state_ns.push(nanos(elapsed) / FLAGSHIP_STEPS as f64);
-        step_ns.push(plain.nanos_per_step());
+        five_ns.push(nanos_per_step(|| five.step()));
+        state_ns.push(nanos_per_step(|| bare.drive_on()));
+        step_ns.push(nanos_per_step(|| plain.drive_on()));
         at_5_hz.time_fixes(&mut fix_at_5_hz_us);
         at_20_hz.time_fixes(&mut fix_at_20_hz_us);
     }
     println!("\nmedians of {rounds} rounds of {STEPS} steps, all rows in turn; ratios within a round");
-    let floor = &timings[0];
-    for (implementation, samples) in IMPLEMENTATIONS.iter().zip(&timings) {
-        print_row(implementation.name, samples, floor);
-    }
-    print_row("pose: its state, gyro + wheels", &state_ns, floor);
-    print_row("pose: observe(gyro) + observe(wheels)", &step_ns, floor);
+    print_row("five states: predict + 4 gated scalars", &five_ns, &five_ns);
+    print_row("pose: its state, gyro + wheels", &state_ns, &five_ns);
+    print_row("pose: observe(gyro) + observe(wheels)", &step_ns, &five_ns);
     for (name, samples) in [
         ("pose: a fix 300 ms late, camera at 5 Hz", &fix_at_5_hz_us),
         ("pose: a fix 300 ms late, camera at 20 Hz", &fix_at_20_hz_us),
@@ -117,19 +76,17 @@ fn compare(inputs: &[Input], rounds: usize) {
         println!("{name:42} {:8.2} us/fix", median(samples));
     }
     println!();
-    println!("library / floor: {:.2} (bar {LIBRARY_BAR:.1})", ratio(&timings[1], floor));
     println!(
-        "pose state / floor: {:.1} (bar {STATE_BAR:.1}); with history and records: {:.1}",
-        ratio(&state_ns, floor),
-        ratio(&step_ns, floor)
+        "pose state / five states: {:.1} (bar {STATE_BAR:.1}); with history and records: {:.1}",
+        ratio(&state_ns, &five_ns),
+        ratio(&step_ns, &five_ns)
     );
     let late_us = median(&fix_at_20_hz_us);
     println!("late fix at 20 Hz: {late_us:.2} us (bar {LATE_FIX_BAR_US:.0} us)");
 }
 
-fn print_row(name: &str, samples: &[f64], floor: &[f64]) {
-    let ns = median(samples);
-    println!("{name:42} {ns:8.1} ns/step {:6.2} x floor", ratio(samples, floor));
+fn print_row(name: &str, samples: &[f64], five: &[f64]) {
+    println!("{name:42} {:8.1} ns/step {:6.2} x five states", median(samples), ratio(samples, five));
 }
 
 /// The median of the ratios of two rows, round by round.
@@ -155,6 +112,37 @@ fn time(run: impl FnOnce()) -> Duration {
     start.elapsed()
 }
 
+fn nanos_per_step(mut step: impl FnMut()) -> f64 {
+    nanos(time(|| (0..STEPS).for_each(|_| step()))) / STEPS as f64
+}
+
+/// The five states of paper 1, equation 24, by the library's own parts: predict, then speed and heading by the encoders, heading and
+/// turn rate by the gyro, each held against a gate. The robot stands.
+struct FiveStates {
+    mean: Vector5<f64>,
+    covariance: Matrix5<f64>,
+}
+
+impl Default for FiveStates {
+    fn default() -> Self {
+        Self { mean: Vector5::zeros(), covariance: Matrix5::identity() * 0.05 }
+    }
+}
+
+impl FiveStates {
+    fn step(&mut self) {
+        const OBSERVED: [(usize, f64); 4] =
+            [(row::FORWARD, 4e-4), (row::HEADING, 1e-4), (row::HEADING, 3.6e-5), (row::TURN, 4e-4)];
+        let motion = PredictionStep { interval_s: STEP.as_secs_f64(), variances: [1e-6, 1e-6, 1e-6, 4e-4, 1e-3] };
+        motion.predict(&mut self.mean, &mut self.covariance, black_box(Acceleration::default()));
+        for (row, variance) in OBSERVED {
+            let innovation = black_box(0.0) - self.mean[row];
+            let scalar = ScalarMeasurement { innovation, rows: [row], jacobian: [1.0], variance };
+            black_box(use_scalar(&mut self.mean, &mut self.covariance, &scalar, 36.0));
+        }
+    }
+}
+
 /// Whether there are late fixes, and every how many steps.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Camera {
@@ -172,7 +160,7 @@ struct Flagship {
 impl Flagship {
     fn new(camera: Camera) -> Self {
         let Some(entry) = find_filter("pose") else { unreachable!("the flagship stands in the table") };
-        let mut flagship = Self { filter: (entry.build)(&learning()), camera, step: 0 };
+        let mut flagship = Self { filter: (entry.build)(&learning_geometry()), camera, step: 0 };
         for _ in 0..WARM_UP {
             flagship.drive_on();
             if flagship.is_fix_due() {
@@ -204,11 +192,6 @@ impl Flagship {
         elapsed
     }
 
-    fn nanos_per_step(&mut self) -> f64 {
-        let elapsed = time(|| (0..FLAGSHIP_STEPS).for_each(|_| self.drive_on()));
-        nanos(elapsed) / FLAGSHIP_STEPS as f64
-    }
-
     fn time_fixes(&mut self, micros: &mut Vec<f64>) {
         for _ in 0..LATE_FIXES {
             self.drive_on();
@@ -216,5 +199,66 @@ impl Flagship {
                 micros.push(1e-3 * nanos(self.use_late_fix()));
             }
         }
+    }
+}
+
+/// As much of the past as the filter keeps.
+const KEPT: TimeDelta = TimeDelta::from_millis(3_000);
+
+/// A step of the flagship's state and of what is known of wheels and gyro, without history and records around it.
+struct FilterWithoutHistory {
+    config: FilterConfig,
+    gates: ChiSquareGates,
+    track: MotionTrack,
+    gyro: GyroTrack,
+    state: PoseState<CORE_STATES>,
+    record: FusionRecord,
+    step: i64,
+}
+
+impl FilterWithoutHistory {
+    fn new(config: &FilterConfig) -> Self {
+        let first = wheels(0);
+        Self {
+            config: config.clone(),
+            gates: chi_square_gates(config.params.gate_probability),
+            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
+            gyro: GyroTrack::default(),
+            state: PoseState::initial(config),
+            record: FusionRecord {
+                sensor: first.sensor,
+                kind: first.measurement.kind(),
+                stamp: first.stamp,
+                lag: TimeDelta::ZERO,
+                outcome: FusionOutcome::Accepted,
+                innovation: [0.0; 3],
+                innovation_covariance: [[0.0; 3]; 3],
+                nis: 0.0,
+                degrees_of_freedom: 0,
+                log_likelihood: 0.0,
+            },
+            step: 0,
+        }
+    }
+
+    /// One step: the gyro speaks, then the wheels; the pose is carried on, and a gyro window closes every fourth time.
+    fn drive_on(&mut self) {
+        self.step += 1;
+        let now = stamp(self.step);
+        let (ObservationKind::TurnRate(rate), ObservationKind::WheelAngles { left, right }) =
+            (gyro(self.step).measurement, wheels(self.step).measurement)
+        else {
+            return;
+        };
+        self.gyro.insert(now, rate.0);
+        let reading = MotionReading::Wheels { left_rad: left.0, right_rad: right.0 };
+        self.track.insert(now, &reading);
+        let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
+        self.state.predict_speeds_and_bias(now, &self.config);
+        motion_update::update_turn_rate(&mut self.state, rate.0, &context);
+        self.state.advance(now, &self.track, &self.config);
+        motion_update::update_motion(&mut self.state, now, &context, &mut self.record);
+        self.track.discard_before(now - KEPT);
+        self.gyro.discard_before(now - KEPT);
     }
 }

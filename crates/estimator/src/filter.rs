@@ -11,24 +11,23 @@ use crate::params::Params;
 
 /// What every filter does.
 pub trait Filter: Send {
-    /// Uses an observation at its own time, however late it came, and says what became of it.
+    /// Fuses an observation and reports the outcome with its innovation.
     fn observe(&mut self, observation: &Observation) -> FusionRecord;
 
-    /// Moves the estimate, after everything that was observed up to [`Filter::latest_time`]; counted as a reset.
+    /// Sets the pose at [`Filter::latest_time`], after all observations of that instant; counts as a reset.
     ///
-    /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] when a number is not finite or a standard deviation is negative:
-    /// nothing is then changed.
+    /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] and no change when a number is not finite or a sigma is negative.
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome;
 
-    /// Changes what the filter goes by, after everything that was observed up to [`Filter::latest_time`].
+    /// Applies a command after all observations up to [`Filter::latest_time`].
     ///
-    /// [`FusionOutcome::Accepted`], or [`FusionOutcome::Unused`] from a filter that cannot do this while it runs: nothing is then changed.
+    /// [`FusionOutcome::Accepted`], or [`FusionOutcome::Unused`] and no change from a filter that does not support it.
     fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         let _ = adjustment;
         FusionOutcome::Unused
     }
 
-    /// The brick's clock starts anew: what was observed is forgotten, the pose is kept with more doubt.
+    /// Restarts after a reset of the brick's clock: forgets all observations and keeps the pose with a larger covariance.
     fn restart_clock(&mut self);
 
     /// The latest stamp of an observation.
@@ -38,7 +37,7 @@ pub trait Filter: Send {
     /// observation and for instants older than the history.
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
 
-    /// What it has learned about the robot; `None` for a filter that learns nothing.
+    /// The learned calibration; `None` for a filter that learns nothing.
     fn calibration(&self) -> Option<Calibration> {
         None
     }
@@ -61,21 +60,20 @@ pub struct StartPose {
     pub heading_sigma_rad: f64,
 }
 
-/// What a person changes about a filter that runs.
+/// A command of the operator to a running filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FilterCommand {
-    /// Go by these tunables from now on. What comes late after this is used with them, too, and so is what it makes the filter go
-    /// through again.
+    /// Replace the tunables. Late observations, and what is replayed for them, use the new ones too.
     SetParams(Params),
-    /// Know no longer where the robot is; counted as a reset. The next fixes decide.
+    /// Make the pose unknown until the next fix; counts as a reset.
     ResetPose,
-    /// Take the robot's constants as they stand, or learn them further.
+    /// Freeze the calibration, or learn it further.
     SetOnlineCalibration(OnlineCalibration),
-    /// Forget what was learned about the robot, its gyro's bias included: begin again from the configured calibration.
+    /// Return to the configured calibration, including the gyro bias.
     ResetCalibration,
 }
 
-/// What a filter is built from.
+/// The configuration of a filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilterConfig {
     /// The robot's nominal geometry.
@@ -86,8 +84,41 @@ pub struct FilterConfig {
     pub start: Option<StartPose>,
     /// The tunables.
     pub params: Params,
-    /// What is known beforehand about systematic errors, and how well. A sigma of zero: taken as given, not estimated.
+    /// Priors of the systematic errors. A sigma of zero: taken as given, not estimated.
     pub calibration: Calibration,
     /// What stands in the arena.
     pub arena_map: Arc<ArenaMap>,
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use posebridge_telemetry::{Meters, Radians};
+
+    use super::*;
+
+    /// A small robot with a known start and nothing to calibrate.
+    pub(crate) fn config() -> FilterConfig {
+        FilterConfig {
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.028),
+                right_wheel_radius: Meters(0.028),
+                track_width: Meters(0.112),
+                tick: Radians(0.017_453_3),
+            },
+            noise: SensorNoise {
+                wheel_travel_m_per_sqrt_m: 0.0008,
+                turn_rad_per_sqrt_rad: 0.004,
+                gyro_rad_per_s: 0.01,
+                gyro_bias_rad_per_s: 0.02,
+                fix_position_m: 0.005,
+                fix_heading_rad: 0.02,
+                temperature_k: 0.1,
+                ..SensorNoise::EXACT
+            },
+            start: Some(StartPose { pose: Pose::default(), position_sigma_m: 1e-4, heading_sigma_rad: 1e-4 }),
+            params: Params::default(),
+            calibration: Calibration::default(),
+            arena_map: Arc::default(),
+        }
+    }
 }

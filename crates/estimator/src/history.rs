@@ -28,7 +28,7 @@ const CHECKPOINT_INTERVAL: usize = 8;
 /// as large as it was in a station that runs for weeks.
 const INITIAL_CHECKPOINTS: usize = 32;
 
-/// What a filter uses at one instant.
+/// An input of a filter at one instant.
 pub trait HistoryEntry {
     /// The instant.
     fn stamp(&self) -> Timestamp<BrickClock>;
@@ -278,28 +278,6 @@ mod tests {
     fn state_at(history: &FixedLagHistory<Append, Digest>, millis: i64) -> (Digest, usize) {
         let (kept, unapplied) = history.state_at_or_before(ms(millis));
         unapplied.fold((*kept, 0), |(state, count), entry| (applied(state, entry), count + 1))
-    }
-
-    #[test]
-    fn late_entries_lead_to_the_state_of_entries_in_order() {
-        let in_order = history_of(&ENTRIES);
-        for order in [[3, 2, 1, 0], [1, 0, 3, 2], [2, 3, 0, 1], [0, 3, 1, 2]] {
-            let late = history_of(&order.map(|index| ENTRIES[index]));
-            assert_eq!(late.last_state(), in_order.last_state(), "{order:?}");
-            for millis in [9, 10, 15, 20, 29, 30, 99] {
-                assert_eq!(state_at(&late, millis), state_at(&in_order, millis), "{order:?} at {millis} ms");
-            }
-        }
-    }
-
-    #[test]
-    fn an_insertion_replays_the_entry_and_what_comes_after_it() {
-        let mut history = history_of(&[ENTRIES[0], ENTRIES[2], ENTRIES[3]]);
-        let mut replay = history.insert(ENTRIES[1], None);
-        assert!(replay.next().is_some_and(|step| step.is_inserted && *step.entry == ENTRIES[1]));
-        assert!(replay.next().is_some_and(|step| !step.is_inserted && *step.entry == ENTRIES[2]));
-        assert!(replay.next().is_some_and(|step| !step.is_inserted && *step.entry == ENTRIES[3]));
-        assert!(replay.next().is_none());
     }
 
     #[test]

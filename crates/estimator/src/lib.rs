@@ -19,7 +19,6 @@
 
 mod filter;
 pub mod filters;
-mod fusion_records;
 pub mod history;
 pub mod models;
 pub mod motion;

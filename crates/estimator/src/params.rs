@@ -66,8 +66,9 @@ pub struct Param {
     pub write: fn(&mut Params, f64),
 }
 
+/// A row: field, key, unit, default, range, what it does.
 macro_rules! param {
-    ($key:literal, $unit:literal, $default:literal, $range:expr, $field:ident, $doc:literal) => {
+    ($field:ident: $key:literal [$unit:literal], $default:literal in $range:expr; $doc:literal) => {
         Param {
             key: $key,
             unit: $unit,
@@ -83,163 +84,56 @@ macro_rules! param {
 /// Every tunable. Adding one: a field of [`Params`] and a row here.
 pub const PARAMS: &[Param] = &[
     // 99.9 %: with a well-chosen R one good fix in a thousand is lost, and half-metre outliers do no harm.
-    param!(
-        "gate_prob",
-        "",
-        0.999,
-        0.5..=0.999_999,
-        gate_probability,
-        "a fix is used if its normalised innovation is below this quantile of chi-square"
-    ),
-    param!(
-        "history_s",
-        "s",
-        3.0,
-        0.1..=60.0,
-        history_s,
-        "how late an observation may come and still be applied at its own time"
-    ),
+    param!(gate_probability: "gate_prob" [""], 0.999 in 0.5..=0.999_999;
+        "a fix is used if its normalised innovation is below this quantile of chi-square"),
+    param!(history_s: "history_s" ["s"], 3.0 in 0.1..=60.0;
+        "how late an observation may come and still be applied at its own time"),
     // 0.2 s: four readings of a 20 Hz brick average the gyro, and a window rarely holds rest and motion at once.
-    param!(
-        "gyro_window_s",
-        "s",
-        0.2,
-        0.0..=5.0,
-        gyro_window_s,
-        "length of the window in which the gyro is held against the encoders' heading"
-    ),
+    param!(gyro_window_s: "gyro_window_s" ["s"], 0.2 in 0.0..=5.0;
+        "length of the window in which the gyro is held against the encoders' heading"),
     // Chi-square with one degree of freedom, 99.9 %.
-    param!(
-        "slip_nis",
-        "",
-        10.83,
-        4.0..=100.0,
-        slip_nis,
-        "above this normalised innovation gyro and encoders disagree: the wheels slipped"
-    ),
+    param!(slip_nis: "slip_nis" [""], 10.83 in 4.0..=100.0;
+        "above this normalised innovation gyro and encoders disagree: the wheels slipped"),
     // A LEGO motor reaches 0.5 m/s in about 0.1 s at full voltage; a robot under control stays well below that.
-    param!(
-        "accel_m_s2",
-        "m/s2",
-        1.0,
-        0.01..=50.0,
-        acceleration_m_per_s2,
-        "how fast the forward speed may change, one standard deviation after one second"
-    ),
-    param!(
-        "turn_acc_rad_s2",
-        "rad/s2",
-        6.0,
-        0.01..=500.0,
-        turn_acceleration_rad_per_s2,
-        "how fast the turn rate may change, one standard deviation after one second"
-    ),
+    param!(acceleration_m_per_s2: "accel_m_s2" ["m/s2"], 1.0 in 0.01..=50.0;
+        "how fast the forward speed may change, one standard deviation after one second"),
+    param!(turn_acceleration_rad_per_s2: "turn_acc_rad_s2" ["rad/s2"], 6.0 in 0.01..=500.0;
+        "how fast the turn rate may change, one standard deviation after one second"),
     // A LEGO motor turns 18 rad/s unloaded at 9 V; fast hobby motors about five times that.
-    param!(
-        "max_wheel_rad_s",
-        "rad/s",
-        100.0,
-        1.0..=1_000.0,
-        max_wheel_rad_per_s,
-        "a wheel cannot turn faster: a larger jump of the counters re-bases them"
-    ),
-    param!(
-        "fix_timeout_s",
-        "s",
-        2.0,
-        0.1..=600.0,
-        fix_timeout_s,
-        "without a fix for longer than this the estimate is flagged as dead reckoning"
-    ),
-    param!(
-        "reset_after_s",
-        "s",
-        1.5,
-        0.1..=600.0,
-        reset_after_s,
-        "fixes that agree with each other but not with the estimate for this long move the estimate"
-    ),
-    param!("reset_after_n", "", 5.0, 2.0..=1_000.0, reset_after_fixes, "and at least this many of them"),
+    param!(max_wheel_rad_per_s: "max_wheel_rad_s" ["rad/s"], 100.0 in 1.0..=1_000.0;
+        "a wheel cannot turn faster: a larger jump of the counters re-bases them"),
+    param!(fix_timeout_s: "fix_timeout_s" ["s"], 2.0 in 0.1..=600.0;
+        "without a fix for longer than this the estimate is flagged as dead reckoning"),
+    param!(reset_after_s: "reset_after_s" ["s"], 1.5 in 0.1..=600.0;
+        "fixes that agree with each other but not with the estimate for this long move the estimate"),
+    param!(reset_after_fixes: "reset_after_n" [""], 5.0 in 2.0..=1_000.0;
+        "and at least this many of them"),
     // 3 %: about fifty observations are remembered, so that the scale follows a camera that is moved within seconds.
-    param!(
-        "adapt_gain",
-        "",
-        0.03,
-        0.0..=0.5,
-        adapt_gain,
-        "how fast the noise of a source follows its innovations; 0 takes it as configured"
-    ),
-    param!(
-        "student_dof",
-        "",
-        0.0,
-        0.0..=100.0,
-        student_dof,
-        "degrees of freedom of Student's t for absolute observations, instead of the gate; 0 for Gaussian with gate"
-    ),
+    param!(adapt_gain: "adapt_gain" [""], 0.03 in 0.0..=0.5;
+        "how fast the noise of a source follows its innovations; 0 takes it as configured"),
+    param!(student_dof: "student_dof" [""], 0.0 in 0.0..=100.0;
+        "degrees of freedom of Student's t for absolute observations, instead of the gate; 0 for Gaussian with gate"),
     // A tyre that loses a tenth of a per cent over a kilometre.
-    param!(
-        "wear_per_sqrt_m",
-        "",
-        0.000_03,
-        0.0..=0.1,
-        wear_per_sqrt_m,
-        "how fast wheel radii and track may change: sigma after one metre, while fixes tell of it"
-    ),
+    param!(wear_per_sqrt_m: "wear_per_sqrt_m" [""], 0.000_03 in 0.0..=0.1;
+        "how fast wheel radii and track may change: sigma after one metre, while fixes tell of it"),
     // 148 s: a LEGO thermometer whose readings 21, 15, 11 degrees come a minute apart (paper 2), 60 s / ln 1.5.
-    param!(
-        "dynamic_tau_s",
-        "s",
-        148.0,
-        0.001..=100_000.0,
-        dynamic_tau_s,
-        "time constant of the thermometer, for the prediction of its final value"
-    ),
+    param!(dynamic_tau_s: "dynamic_tau_s" ["s"], 148.0 in 0.001..=100_000.0;
+        "time constant of the thermometer, for the prediction of its final value"),
     // Paper 2 measures a constant.
-    param!(
-        "dynamic_walk",
-        "K/s^0.5",
-        0.0,
-        0.0..=1_000.0,
-        dynamic_walk_k_per_sqrt_s,
-        "random walk of the measured temperature itself; 0 for a constant"
-    ),
+    param!(dynamic_walk_k_per_sqrt_s: "dynamic_walk" ["K/s^0.5"], 0.0 in 0.0..=1_000.0;
+        "random walk of the measured temperature itself; 0 for a constant"),
     // Paper 3: 1 / (1225 mm/s), the speed of its step test.
-    param!(
-        "wall_drag_s_m",
-        "s/m",
-        0.816_33,
-        0.001..=1_000.0,
-        wall_drag_s_per_m,
-        "drag of the robot that approaches a wall: motor input per steady speed"
-    ),
+    param!(wall_drag_s_per_m: "wall_drag_s_m" ["s/m"], 0.816_33 in 0.001..=1_000.0;
+        "drag of the robot that approaches a wall: motor input per steady speed"),
     // Paper 3: drag x 0.997 s / ln 10.
-    param!(
-        "wall_mass_s2_m",
-        "s2/m",
-        0.353_46,
-        0.000_1..=1_000.0,
-        wall_mass_s2_per_m,
-        "mass of the robot that approaches a wall: motor input per acceleration"
-    ),
+    param!(wall_mass_s2_per_m: "wall_mass_s2_m" ["s2/m"], 0.353_46 in 0.000_1..=1_000.0;
+        "mass of the robot that approaches a wall: motor input per acceleration"),
     // Paper 3: Sigma_u = diag(50^2, 50^2), in mm and mm/s, per step of its loop.
-    param!(
-        "wall_process_m",
-        "m, m/s",
-        0.05,
-        0.000_01..=10.0,
-        wall_process_m,
-        "process noise of distance and speed before a wall, one standard deviation per step of 7.6 ms"
-    ),
+    param!(wall_process_m: "wall_process_m" ["m, m/s"], 0.05 in 0.000_01..=10.0;
+        "process noise of distance and speed before a wall, one standard deviation per step of 7.6 ms"),
     // Paper 3 names GATE_MIN and gives no number. Below this no reading of its sensor is worth refusing.
-    param!(
-        "wall_gate_m",
-        "m",
-        0.1,
-        0.0..=100.0,
-        wall_gate_m,
-        "a range is never refused for an innovation smaller than this"
-    ),
+    param!(wall_gate_m: "wall_gate_m" ["m"], 0.1 in 0.0..=100.0;
+        "a range is never refused for an innovation smaller than this"),
 ];
 
 impl Default for Params {
@@ -275,8 +169,7 @@ impl Default for Params {
 impl Params {
     /// Sets one tunable by its key.
     ///
-    /// # Errors
-    /// The key is unknown, or the value is outside the row's range.
+    /// Errors: the key is unknown, or the value is outside the row's range.
     pub fn set(&mut self, key: &str, value: f64) -> Result<(), ParamError> {
         let row =
             PARAMS.iter().find(|row| row.key == key).ok_or_else(|| ParamError::Unknown { key: key.to_owned() })?;

@@ -1,19 +1,24 @@
 //! The one table that names every filter.
 
 use crate::filter::{Filter, FilterConfig};
-use crate::filters::{dynamic, odometry, pose, thermometer};
+use crate::filters::dynamic::DynamicFilter;
+use crate::filters::odometry::OdometryFilter;
+use crate::filters::pose;
+use crate::filters::thermometer::{Thermometer, ThermometerSettings};
 use crate::papers::ekf5::{self, FixUsage, SpeedVarianceOrder};
-use crate::papers::{ekf5_corrected, indirect, range_kf, ukf5, velocity_kf, wheel_kf};
+use crate::papers::indirect::{CorrectionMode, IndirectFilter};
+use crate::papers::range_kf::{RangeFilter, RangeFilterVariant};
+use crate::papers::{ekf5_corrected, ukf5, velocity_kf, wheel_kf};
 
 /// One row of [`FILTERS`].
 pub struct FilterEntry {
     /// Its name in the configuration and in reports.
     pub name: &'static str,
-    /// What it is, in one line.
+    /// One line of description.
     pub summary: &'static str,
     /// What it estimates.
     pub quantity: EstimatedQuantity,
-    /// What it does with an observation that comes late.
+    /// How it treats a late observation.
     pub late_data: LateDataPolicy,
     /// How it comes to know where the robot is.
     pub initialization: Initialization,
@@ -41,7 +46,7 @@ pub enum Initialization {
     NotApplicable,
 }
 
-/// What a filter does with an observation that comes late.
+/// How a filter treats a late observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LateDataPolicy {
     /// It is used at its own time: the order of arrival does not matter.
@@ -58,7 +63,7 @@ pub const FILTERS: &[FilterEntry] = &[
         quantity: EstimatedQuantity::Pose,
         late_data: LateDataPolicy::Replayed,
         initialization: Initialization::Start,
-        build: |config| Box::new(odometry::OdometryFilter::new(config)),
+        build: |config| Box::new(OdometryFilter::new(config)),
     },
     FilterEntry {
         name: "pose",
@@ -68,112 +73,97 @@ pub const FILTERS: &[FilterEntry] = &[
         initialization: Initialization::Fix,
         build: pose::build,
     },
-    FilterEntry {
-        name: "wheel-kf",
-        summary: "paper 1: a Kalman filter per wheel, then odometry",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Start,
-        build: wheel_kf::build,
-    },
-    FilterEntry {
-        name: "velocity-kf",
-        summary: "paper 1: a Kalman filter for both speeds with the accelerations as input, then odometry",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Start,
-        build: velocity_kf::build,
-    },
-    FilterEntry {
-        name: "ekf5",
-        summary: "paper 1: pose and speeds in one EKF, with integrated headings as observations",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Start,
-        build: |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Unused),
-    },
-    FilterEntry {
-        name: "ekf5-camera",
-        summary: "paper 1 and its outlook: ekf5 with gated fixes, used when they come",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Fix,
-        build: |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Used),
-    },
-    FilterEntry {
-        name: "ekf5-corrected",
-        summary: "ekf5 with the errors of its integrated headings as states and configured noise",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Start,
-        build: ekf5_corrected::build,
-    },
-    FilterEntry {
-        name: "ukf5",
-        summary: "ekf5 with sigma points in place of the Jacobian",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Start,
-        build: ukf5::build,
-    },
-    FilterEntry {
-        name: "dynamic",
-        summary: "paper 2: the final value of a slow thermometer, from its approach",
-        quantity: EstimatedQuantity::Scalar,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::NotApplicable,
-        build: |config| Box::new(dynamic::DynamicFilter::new(config)),
-    },
-    FilterEntry {
-        name: "dynamic-live",
-        summary: "paper 2 left running: finds each new approach, and learns how slow the thermometer is",
-        quantity: EstimatedQuantity::Scalar,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::NotApplicable,
-        build: |config| {
-            let settings = thermometer::ThermometerSettings::default();
-            Box::new(thermometer::Thermometer::new(config, &settings))
-        },
-    },
-    FilterEntry {
-        name: "range-kf",
-        summary: "paper 3: distance to a wall from time of flight and motor input, as printed",
-        quantity: EstimatedQuantity::Scalar,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::NotApplicable,
-        build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::RangeFilterVariant::Paper)),
-    },
-    FilterEntry {
-        name: "range-kf-corrected",
-        summary: "paper 3 with noise per second, an exact hold and readings at their own time",
-        quantity: EstimatedQuantity::Scalar,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::NotApplicable,
-        build: |config| Box::new(range_kf::RangeFilter::new(config, range_kf::RangeFilterVariant::Corrected)),
-    },
-    FilterEntry {
-        name: "indirect",
-        summary: "paper 4: errors of the wheels' path by accelerometers and gyro, fed forward",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Fix,
-        build: |config| {
-            let correction = indirect::CorrectionMode::FeedForward;
-            Box::new(indirect::IndirectFilter::new(config, correction))
-        },
-    },
-    FilterEntry {
-        name: "indirect-feedback",
-        summary: "the same with the errors fed back into the path",
-        quantity: EstimatedQuantity::Pose,
-        late_data: LateDataPolicy::OnArrival,
-        initialization: Initialization::Fix,
-        build: |config| {
-            let correction = indirect::CorrectionMode::Feedback;
-            Box::new(indirect::IndirectFilter::new(config, correction))
-        },
-    },
+    FilterEntry::of_paper(
+        "wheel-kf",
+        "paper 1: a Kalman filter per wheel, then odometry",
+        Initialization::Start,
+        wheel_kf::build,
+    ),
+    FilterEntry::of_paper(
+        "velocity-kf",
+        "paper 1: a Kalman filter for both speeds with the accelerations as input, then odometry",
+        Initialization::Start,
+        velocity_kf::build,
+    ),
+    FilterEntry::of_paper(
+        "ekf5",
+        "paper 1: pose and speeds in one EKF, with integrated headings as observations",
+        Initialization::Start,
+        |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Unused),
+    ),
+    FilterEntry::of_paper(
+        "ekf5-camera",
+        "paper 1 and its outlook: ekf5 with gated fixes, used when they come",
+        Initialization::Fix,
+        |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Used),
+    ),
+    FilterEntry::of_paper(
+        "ekf5-corrected",
+        "ekf5 with the errors of its integrated headings as states and configured noise",
+        Initialization::Start,
+        ekf5_corrected::build,
+    ),
+    FilterEntry::of_paper(
+        "ukf5",
+        "ekf5 with sigma points in place of the Jacobian",
+        Initialization::Start,
+        ukf5::build,
+    ),
+    FilterEntry::of_one_quantity(
+        "dynamic",
+        "paper 2: the final value of a slow thermometer, from its approach",
+        |config| Box::new(DynamicFilter::new(config)),
+    ),
+    FilterEntry::of_one_quantity(
+        "dynamic-live",
+        "paper 2 left running: finds each new approach, and learns how slow the thermometer is",
+        |config| Box::new(Thermometer::new(config, &ThermometerSettings::default())),
+    ),
+    FilterEntry::of_one_quantity(
+        "range-kf",
+        "paper 3: distance to a wall from time of flight and motor input, as printed",
+        |config| Box::new(RangeFilter::new(config, RangeFilterVariant::Paper)),
+    ),
+    FilterEntry::of_one_quantity(
+        "range-kf-corrected",
+        "paper 3 with noise per second, an exact hold and readings at their own time",
+        |config| Box::new(RangeFilter::new(config, RangeFilterVariant::Corrected)),
+    ),
+    FilterEntry::of_paper(
+        "indirect",
+        "paper 4: errors of the wheels' path by accelerometers and gyro, fed forward",
+        Initialization::Fix,
+        |config| Box::new(IndirectFilter::new(config, CorrectionMode::FeedForward)),
+    ),
+    FilterEntry::of_paper(
+        "indirect-feedback",
+        "the same with the errors fed back into the path",
+        Initialization::Fix,
+        |config| Box::new(IndirectFilter::new(config, CorrectionMode::Feedback)),
+    ),
 ];
+
+impl FilterEntry {
+    /// A paper's filter of the pose, which uses observations when they come.
+    const fn of_paper(
+        name: &'static str,
+        summary: &'static str,
+        initialization: Initialization,
+        build: fn(&FilterConfig) -> Box<dyn Filter>,
+    ) -> Self {
+        let (quantity, late_data) = (EstimatedQuantity::Pose, LateDataPolicy::OnArrival);
+        Self { name, summary, quantity, late_data, initialization, build }
+    }
+
+    const fn of_one_quantity(
+        name: &'static str,
+        summary: &'static str,
+        build: fn(&FilterConfig) -> Box<dyn Filter>,
+    ) -> Self {
+        let (quantity, late_data) = (EstimatedQuantity::Scalar, LateDataPolicy::OnArrival);
+        Self { name, summary, quantity, late_data, initialization: Initialization::NotApplicable, build }
+    }
+}
 
 /// The row with this name.
 pub fn find_filter(name: &str) -> Option<&'static FilterEntry> {

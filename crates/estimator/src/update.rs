@@ -10,7 +10,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::numerics::cholesky::{lower_triangle, solve_lower};
 use crate::numerics::covariance::symmetrise;
 
-/// What is to be used: innovation, its derivative by the state, its noise.
+/// A linearised measurement: innovation, its derivative by the state, its noise.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearizedMeasurement<const N: usize, const M: usize> {
     /// z - h(x), angles wrapped.
@@ -146,8 +146,7 @@ pub enum UpdateOutcome {
 /// The sparse form of the update: S, the gain and the new covariance from the named rows alone. `covariance` must be symmetric;
 /// it stays so to the last bit.
 ///
-/// # Panics
-/// A named row is N or more.
+/// Panics: a named row is N or more.
 #[inline]
 pub fn use_scalar<const N: usize, const K: usize>(
     mean: &mut SVector<f64, N>,
@@ -180,8 +179,7 @@ pub fn use_scalar<const N: usize, const K: usize>(
 /// What [`use_scalar`] without a gate would make of some rows, which must rise: their mean and their covariance; `None` if it would change
 /// nothing. Bit for bit the same, without the other rows.
 ///
-/// # Panics
-/// A named row is N or more.
+/// Panics: a named row is N or more.
 #[inline]
 pub fn preview_scalar<const N: usize, const K: usize, const R: usize>(
     mean: &SVector<f64, N>,
@@ -221,55 +219,5 @@ fn subtract_outer_square<const N: usize>(p: &mut SMatrix<f64, N, N>, c: &SVector
             p[(row, column)] = value;
             p[(column, row)] = value;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
-
-    fn correlated() -> (Vector3<f64>, Matrix3<f64>, LinearizedMeasurement<3, 2>) {
-        let mean = Vector3::new(1.0, -2.0, 0.5);
-        let covariance = Matrix3::new(2.0, 0.3, 0.1, 0.3, 1.0, -0.2, 0.1, -0.2, 0.5);
-        let measurement = LinearizedMeasurement {
-            innovation: Vector2::new(0.7, -0.4),
-            jacobian: Matrix2x3::new(1.0, 0.0, 0.3, 0.0, 1.0, -0.8),
-            noise: Matrix2::new(0.4, 0.15, 0.15, 0.2),
-        };
-        (mean, covariance, measurement)
-    }
-
-    #[test]
-    fn whitened_scalars_equal_the_batch_update_with_a_matrix_inverse() {
-        let (mut mean, mut covariance, measurement) = correlated();
-        let s = measurement.innovation_covariance(&covariance);
-        let gain = covariance * measurement.jacobian.transpose() * s.try_inverse().unwrap();
-        let batch_mean = mean + gain * measurement.innovation;
-        let batch_covariance = (Matrix3::identity() - gain * measurement.jacobian) * covariance;
-        assert!(apply_measurement(&mut mean, &mut covariance, &measurement));
-        assert!((mean - batch_mean).norm() < 1e-12);
-        assert!((covariance - batch_covariance).norm() < 1e-12);
-    }
-
-    #[test]
-    fn consistency_equals_the_formula_with_a_matrix_inverse() {
-        let (_, covariance, measurement) = correlated();
-        let s = measurement.innovation_covariance(&covariance);
-        let (nis, log_likelihood) = nis_and_log_likelihood(&measurement.innovation, &s).unwrap();
-        let expected = (measurement.innovation.transpose() * s.try_inverse().unwrap() * measurement.innovation)[0];
-        assert!((nis - expected).abs() < 1e-12);
-        let by_formula = -0.5 * (expected + ((std::f64::consts::TAU).powi(2) * s.determinant()).ln());
-        assert!((log_likelihood - by_formula).abs() < 1e-12);
-    }
-
-    #[test]
-    fn noise_that_is_no_covariance_is_refused_and_changes_nothing() {
-        let (mut mean, mut covariance, mut measurement) = correlated();
-        let before = (mean, covariance);
-        measurement.noise[(0, 1)] = 5.0;
-        measurement.noise[(1, 0)] = 5.0;
-        assert!(!apply_measurement(&mut mean, &mut covariance, &measurement));
-        assert_eq!((mean, covariance), before);
     }
 }

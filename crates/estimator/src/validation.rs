@@ -1,15 +1,17 @@
-//! What every filter asks of an observation before it looks at its own state: whether its values are numbers, whether its time is
-//! current, and whether it observes motion.
+//! Validation of observations, independent of a filter's state, and the records that every filter returns.
 
 use std::cmp::Reverse;
 
+use nalgebra::{SMatrix, SVector};
+use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
     Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, Pose, PoseCorrection, Radians,
-    SensorId, TimeDelta, Timestamp, quantities::wrap_rad,
+    SensorId, TimeDelta, Timestamp,
 };
 
 use crate::filter::StartPose;
 use crate::motion::{InsertOutcome, MotionReading};
+use crate::update::{ScalarOutcome, UpdateOutcome, nis_and_log_likelihood};
 
 /// A stamp further ahead than this is damage, not the future.
 const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
@@ -25,8 +27,8 @@ pub(crate) const RESTART_POSITION_SIGMA_M: f64 = 0.1;
 /// The same for its heading, rad.
 pub(crate) const RESTART_HEADING_SIGMA_RAD: f64 = 0.3;
 
-/// Why an observation cannot be used whatever the state, if so. `latest` is the latest instant that was observed.
-pub(crate) fn reject_invalid(
+/// Why an observation is rejected whatever the state: damaged, too old, or from the far future. `latest` is the latest timestamp so far.
+fn reject_invalid(
     observation: &Observation,
     latest: Option<Timestamp<BrickClock>>,
     history_s: f64,
@@ -42,8 +44,8 @@ pub(crate) fn reject_invalid(
     (observation.stamp < horizon).then_some(FusionOutcome::TooOld)
 }
 
-/// The observations of a whole run whose numbers can be borne, in the order of time; of one instant the better source of motion
-/// comes first, so that the estimate does not depend on the order of arrival.
+/// The valid observations of a run in time order; at one instant the better source of motion comes first, so that the result does
+/// not depend on the order of arrival.
 pub(crate) fn valid_in_time_order(observations: &[Observation]) -> Vec<&Observation> {
     let mut latest = None;
     let mut sound = Vec::with_capacity(observations.len());
@@ -60,8 +62,7 @@ pub(crate) fn valid_in_time_order(observations: &[Observation]) -> Vec<&Observat
     sound
 }
 
-/// Why a reading cannot follow the one before it, if so: readings of one kind are used in their order and once, and the interval
-/// between two of them must be more than zero.
+/// Rejects a reading that repeats the timestamp of the previous one of its kind, or is older.
 pub(crate) fn reject_repeated(
     before: Option<Timestamp<BrickClock>>,
     stamp: Timestamp<BrickClock>,
@@ -73,11 +74,6 @@ pub(crate) fn reject_repeated(
     (stamp < before).then_some(FusionOutcome::TooOld)
 }
 
-/// How far an observation is behind the latest one.
-pub(crate) fn lag_of(observation: &Observation, latest: Option<Timestamp<BrickClock>>) -> TimeDelta {
-    latest.map_or(TimeDelta::ZERO, |latest| (latest - observation.stamp).max(TimeDelta::ZERO))
-}
-
 /// The change from one pose to another.
 pub(crate) fn correction_between(before: Pose<Arena>, after: Pose<Arena>) -> PoseCorrection {
     PoseCorrection {
@@ -87,7 +83,7 @@ pub(crate) fn correction_between(before: Pose<Arena>, after: Pose<Arena>) -> Pos
     }
 }
 
-/// Whether a robot can be put there: finite, and no negative standard deviation.
+/// Whether all numbers are finite and no sigma is negative.
 pub(crate) fn is_valid_start(start: &StartPose) -> bool {
     let sigmas = [start.position_sigma_m, start.heading_sigma_rad];
     are_within_limits(&[start.pose.x.0, start.pose.y.0, start.pose.heading.rad()])
@@ -99,7 +95,7 @@ fn are_within_limits(values: &[f64]) -> bool {
     values.iter().all(|value| value.abs() <= MAX_MAGNITUDE)
 }
 
-/// Whether every number of an observation is one that arithmetic can bear.
+/// Whether every number of an observation is finite and within limits.
 fn is_finite(observed: &ObservationKind) -> bool {
     match *observed {
         ObservationKind::WheelAngles { left, right } => are_within_limits(&[left.0, right.0]),
@@ -134,18 +130,24 @@ fn is_finite_fix(fix: &Fix) -> bool {
         && covariance
 }
 
-/// A record of an observation for which nothing was predicted.
-pub(crate) fn record_without_prediction(
+/// Applies an observation unless it is invalid whatever the state, and returns its record; `apply` gets one with the outcome `Unused`.
+pub(crate) fn observe_if_valid(
     observation: &Observation,
-    lag: TimeDelta,
-    verdict: FusionOutcome,
+    latest: Option<Timestamp<BrickClock>>,
+    history_s: f64,
+    apply: impl FnOnce(&mut FusionRecord),
 ) -> FusionRecord {
-    FusionRecord {
+    let mut record = FusionRecord {
         kind: observation.measurement.kind(),
-        lag,
-        outcome: verdict,
+        lag: latest.map_or(TimeDelta::ZERO, |latest| (latest - observation.stamp).max(TimeDelta::ZERO)),
+        outcome: FusionOutcome::Unused,
         ..blank_record(observation.sensor, observation.stamp)
+    };
+    match reject_invalid(observation, latest, history_s) {
+        Some(rejected) => record.outcome = rejected,
+        None => apply(&mut record),
     }
+    record
 }
 
 /// A record of no kind, for an input that is not reported.
@@ -172,5 +174,71 @@ pub(crate) const fn fusion_outcome(added: InsertOutcome) -> FusionOutcome {
         InsertOutcome::Superseded => FusionOutcome::Unused,
         InsertOutcome::Duplicate => FusionOutcome::Malformed,
         InsertOutcome::TooOld => FusionOutcome::TooOld,
+    }
+}
+
+// Filling in a record: an innovation at once, or what the sequential scalar updates of one observation come to together.
+
+/// Writes an innovation with its covariance into a record; `false`, and nothing written, when the covariance is none.
+pub(crate) fn write_innovation<const M: usize>(
+    record: &mut FusionRecord,
+    innovation: &SVector<f64, M>,
+    s: &SMatrix<f64, M, M>,
+) -> bool {
+    let Some((nis, log_likelihood)) = nis_and_log_likelihood(innovation, s) else {
+        return false;
+    };
+    for row in 0..M {
+        record.innovation[row] = innovation[row];
+        for column in 0..M {
+            record.innovation_covariance[row][column] = s[(row, column)];
+        }
+    }
+    record.nis = nis;
+    record.degrees_of_freedom = M as u8;
+    record.log_likelihood = log_likelihood;
+    true
+}
+
+/// Enters one more innovation with its S; beyond three there is no room.
+///
+/// Each is taken after the ones before it have been used, so they are independent: their NIS and log-likelihoods add up.
+pub(crate) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome: &ScalarOutcome) {
+    let i = usize::from(record.degrees_of_freedom);
+    if outcome.outcome == UpdateOutcome::Indefinite || i >= record.innovation.len() {
+        return;
+    }
+    record.innovation[i] = innovation;
+    record.innovation_covariance[i][i] = outcome.innovation_variance;
+    record.nis += outcome.nis;
+    record.degrees_of_freedom += 1;
+    record.log_likelihood -= 0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
+}
+
+/// The outcome of setting a pose on a filter that has none.
+pub(crate) fn outcome_without_pose(start: &StartPose) -> FusionOutcome {
+    if is_valid_start(start) { FusionOutcome::Unused } else { FusionOutcome::Malformed }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_innovations_in_a_row_are_as_likely_as_both_at_once() {
+        let mut record = blank_record(SensorId::THERMOMETER, Timestamp::ZERO);
+        for (innovation, s) in [(0.5_f64, 4.0), (-2.0, 1.0)] {
+            let outcome = ScalarOutcome {
+                innovation_variance: s,
+                nis: innovation * innovation / s,
+                outcome: UpdateOutcome::Used,
+            };
+            add_innovation(&mut record, innovation, &outcome);
+        }
+        let s = nalgebra::Matrix2::new(4.0, 0.0, 0.0, 1.0);
+        let together = nis_and_log_likelihood(&nalgebra::Vector2::new(0.5, -2.0), &s).unwrap();
+        assert!((record.nis - together.0).abs() < 1e-12);
+        assert!((record.log_likelihood - together.1).abs() < 1e-12);
+        assert_eq!(record.degrees_of_freedom, 2);
     }
 }

@@ -14,8 +14,7 @@
 //! The dynamics are right and the input is constant (or walks, with `dynamic_walk`). A trend or a wrong time constant is not
 //! seen in the sigma that it gives. There is no gate: paper 2 has none, and a wrong model would lock it.
 //!
-//! # Sources
-//! Paper 2 (Markovsky); docs/lab/thermometer.md.
+//! Source: Paper 2 (Markovsky); docs/lab/thermometer.md.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
@@ -24,16 +23,16 @@ use posebridge_telemetry::{
 };
 
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::{add_innovation, outcome_without_pose};
 use crate::models::dynamic_measurement::{DynamicModel, MAX_STATES, QUANTITY, ROWS};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation;
+use crate::validation::{add_innovation, outcome_without_pose};
 
 /// Large enough to weigh next to nothing against two samples, small enough to leave ten digits of P.
 const PRIOR_SIGMAS: f64 = 1e5;
 /// Half a last digit of a thermometer with sixteen steps per kelvin: what is taken where the robot's file gives no noise.
-const DEFAULT_SIGMA_K: f64 = 0.03;
+pub(super) const DEFAULT_SIGMA_K: f64 = 0.03;
 
 #[derive(Clone, Copy, Debug)]
 struct State {
@@ -87,7 +86,7 @@ impl DynamicFilter {
         self
     }
 
-    /// What a sensor should show at an instant, and how far a sample may be off, its noise included (one standard deviation squared);
+    /// The expected sample of a sensor at an instant and its variance, noise included;
     /// `None` before the first sample and for a sensor that the model does not know.
     pub fn expected(&self, sensor: SensorId, stamp: Timestamp<BrickClock>) -> Option<(f64, f64)> {
         let row = self.model.row_of(sensor)?;
@@ -185,15 +184,11 @@ impl DynamicFilter {
 
 impl Filter for DynamicFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest_time();
-        let lag = validation::lag_of(observation, latest);
-        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
-        if let Some(verdict) = validation::reject_invalid(observation, latest, self.history_s) {
-            record.outcome = verdict;
-        } else if let ObservationKind::Temperature(temperature) = observation.measurement {
-            self.use_sample(&mut record, observation, temperature.0);
-        }
-        record
+        validation::observe_if_valid(observation, self.latest_time(), self.history_s, |record| {
+            if let ObservationKind::Temperature(temperature) = observation.measurement {
+                self.use_sample(record, observation, temperature.0);
+            }
+        })
     }
 
     /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
@@ -201,7 +196,7 @@ impl Filter for DynamicFilter {
         outcome_without_pose(start)
     }
 
-    /// How long the break was is not known, and the sensor's state went on: it starts anew.
+    /// Restarts without a state: the length of the break is unknown, and the sensor went on.
     fn restart_clock(&mut self) {
         self.state = None;
         self.last_samples = [None; MAX_STATES];

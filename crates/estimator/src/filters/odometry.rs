@@ -5,27 +5,22 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Matrix2, SMatrix};
+use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
     PoseCorrection, RadiansPerSecond, TimeDelta, Timestamp, Validity,
 };
 
 use crate::filter::{Filter, FilterCommand, FilterConfig, StartPose};
-use crate::models::differential_drive::{body_step, step_noise};
-use crate::models::se2::{StepRule, displace};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
-use crate::numerics::covariance::symmetrise;
+use crate::models::differential_drive::{body_step, propagate_pose, step_noise};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SPEED_HOLD};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
-
-/// Speeds are stale when no motion was observed for this long.
-const SPEEDS_VALID: TimeDelta = TimeDelta::from_millis(500);
 
 #[derive(Clone, Copy, Debug)]
 struct DeadReckonedState {
     stamp: Option<Timestamp<BrickClock>>,
     pose: Pose<Arena>,
-    covariance: SMatrix<f64, 3, 3>,
+    covariance: Matrix3<f64>,
     forward_m_per_s: f64,
     turn_rad_per_s: f64,
 }
@@ -35,7 +30,7 @@ impl DeadReckonedState {
         Self {
             stamp: None,
             pose: Pose::default(),
-            covariance: SMatrix::zeros(),
+            covariance: Matrix3::zeros(),
             forward_m_per_s: 0.0,
             turn_rad_per_s: 0.0,
         }
@@ -84,27 +79,10 @@ impl OdometryFilter {
         let travel = self.track.travel_between(start, to);
         let step = body_step(travel, &self.config.geometry);
         let noise = step_noise(travel, &self.config.geometry, &self.config.noise);
-        let moved = displace(from.pose.heading.rad(), step, StepRule::Midpoint);
-        next.pose = Pose::new(
-            Meters(from.pose.x.0 + moved.dx_m),
-            Meters(from.pose.y.0 + moved.dy_m),
-            Heading::from_rad(from.pose.heading.rad() + step.turn_rad),
-        );
-        let mut by_state = SMatrix::<f64, 3, 3>::identity();
-        by_state[(0, 2)] = moved.by_heading[0];
-        by_state[(1, 2)] = moved.by_heading[1];
-        let by_noise = SMatrix::<f64, 3, 2>::new(
-            moved.by_forward[0],
-            moved.by_turn[0],
-            moved.by_forward[1],
-            moved.by_turn[1],
-            0.0,
-            1.0,
-        );
-        let q =
-            Matrix2::new(noise.forward_var_m2, noise.forward_turn_m_rad, noise.forward_turn_m_rad, noise.turn_var_rad2);
-        next.covariance = by_state * from.covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
-        symmetrise(&mut next.covariance);
+        let pose = Vector3::new(from.pose.x.0, from.pose.y.0, from.pose.heading.rad());
+        let (pose, covariance) = propagate_pose(&pose, &from.covariance, step, &noise);
+        next.pose = Pose::new(Meters(pose[0]), Meters(pose[1]), Heading::from_rad(pose[2]));
+        next.covariance = covariance;
         next.forward_m_per_s = step.forward_m / dt_s;
         next.turn_rad_per_s = step.turn_rad / dt_s;
         next
@@ -155,23 +133,20 @@ fn state_at_start(start: &StartPose) -> DeadReckonedState {
     }
 }
 
-/// The covariance of a pose whose coordinates are known so well.
-fn diagonal_pose_covariance(position_sigma_m: f64, heading_sigma_rad: f64) -> SMatrix<f64, 3, 3> {
+/// The diagonal covariance of a pose with these sigmas.
+fn diagonal_pose_covariance(position_sigma_m: f64, heading_sigma_rad: f64) -> Matrix3<f64> {
     let position_m2 = position_sigma_m.powi(2);
     let heading_rad2 = heading_sigma_rad.powi(2);
-    SMatrix::from_diagonal(&nalgebra::Vector3::new(position_m2, position_m2, heading_rad2))
+    Matrix3::from_diagonal(&Vector3::new(position_m2, position_m2, heading_rad2))
 }
 
 impl Filter for OdometryFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest_time();
-        let refused = validation::reject_invalid(observation, latest, self.config.params.history_s);
-        let verdict = match (refused, MotionReading::from_observation(&observation.measurement)) {
-            (Some(verdict), _) => verdict,
-            (None, Some(reading)) => self.insert_motion(observation.stamp, &reading),
-            (None, None) => FusionOutcome::Unused,
-        };
-        validation::record_without_prediction(observation, validation::lag_of(observation, latest), verdict)
+        validation::observe_if_valid(observation, self.latest_time(), self.config.params.history_s, |record| {
+            if let Some(reading) = MotionReading::from_observation(&observation.measurement) {
+                record.outcome = self.insert_motion(observation.stamp, &reading);
+            }
+        })
     }
 
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
@@ -236,7 +211,7 @@ impl Filter for OdometryFilter {
             validity: Validity {
                 position: self.is_placed,
                 heading: self.is_placed,
-                speeds: self.latest_time().is_some_and(|latest| stamp - latest <= SPEEDS_VALID),
+                speeds: self.latest_time().is_some_and(|latest| stamp - latest <= SPEED_HOLD),
             },
             is_dead_reckoning: true,
             fix_age: None,

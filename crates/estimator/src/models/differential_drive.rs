@@ -11,13 +11,14 @@
 //! ```
 //! At rest there is no noise: a robot that stands does not become uncertain.
 //!
-//! # Sources
-//! Paper 1, equation 14 (with half the track for its r); square-root-of-distance law: Borenstein and Feng (1996);
+//! Source: Paper 1, equation 14 (with half the track for its r); square-root-of-distance law: Borenstein and Feng (1996);
 //! docs/maths/pose.md section 2.
 
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
-use super::se2::BodyStep;
+use super::se2::{BodyStep, StepRule, displace};
+use crate::numerics::covariance::symmetrise;
 
 /// Travel of the two wheels' contact points, in metres, forward positive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -64,6 +65,63 @@ pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorN
     }
 }
 
+/// A step of wheels and a track with relative errors, which are those of the mean radius, of the radii against each other (right
+/// minus left) and of the track; and how the step depends on them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CalibratedStep {
+    /// The travel of the true wheels.
+    pub travel: WheelTravel,
+    /// Distance and change of heading.
+    pub step: BodyStep,
+    /// Derivatives of the distance by the errors, m.
+    pub forward_by_scales: [f64; 3],
+    /// Derivatives of the change of heading by the errors, rad.
+    pub turn_by_scales: [f64; 3],
+}
+
+/// What wheel travel by the nominal geometry was with these relative errors.
+#[inline]
+pub fn calibrated_step(
+    travel: WheelTravel,
+    geometry: &DriveGeometry,
+    [mean, difference, track]: [f64; 3],
+) -> CalibratedStep {
+    let track_m = geometry.track_width.0 * (1.0 + track);
+    let scaled = WheelTravel {
+        left_m: travel.left_m * (1.0 + mean - 0.5 * difference),
+        right_m: travel.right_m * (1.0 + mean + 0.5 * difference),
+    };
+    let turn_rad = (scaled.right_m - scaled.left_m) / track_m;
+    let (sum_m, difference_m) = (travel.left_m + travel.right_m, travel.right_m - travel.left_m);
+    CalibratedStep {
+        travel: scaled,
+        step: BodyStep { forward_m: 0.5 * (scaled.left_m + scaled.right_m), turn_rad },
+        forward_by_scales: [0.5 * sum_m, 0.25 * difference_m, 0.0],
+        turn_by_scales: [difference_m / track_m, 0.5 * sum_m / track_m, -turn_rad / (1.0 + track)],
+    }
+}
+
+/// A pose (x, y, heading) and its covariance after a step by the papers' midpoint rule; the heading is not wrapped.
+pub(crate) fn propagate_pose(
+    pose: &Vector3<f64>,
+    covariance: &Matrix3<f64>,
+    step: BodyStep,
+    noise: &StepNoise,
+) -> (Vector3<f64>, Matrix3<f64>) {
+    let moved = displace(pose[2], step, StepRule::Midpoint);
+    let mut f = Matrix3::identity();
+    f[(0, 2)] = moved.by_heading[0];
+    f[(1, 2)] = moved.by_heading[1];
+    let [along_x, along_y] = moved.by_forward;
+    let [turn_x, turn_y] = moved.by_turn;
+    let g = Matrix3x2::new(along_x, turn_x, along_y, turn_y, 0.0, 1.0);
+    let shared = noise.forward_turn_m_rad;
+    let q = Matrix2::new(noise.forward_var_m2, shared, shared, noise.turn_var_rad2);
+    let mut propagated = f * covariance * f.transpose() + g * q * g.transpose();
+    symmetrise(&mut propagated);
+    (pose + Vector3::new(moved.dx_m, moved.dy_m, step.turn_rad), propagated)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -100,5 +158,22 @@ mod tests {
         assert_eq!(step_noise(WheelTravel::default(), &GEOMETRY, &noise), StepNoise::default());
         let one_wheel = step_noise(WheelTravel { left_m: 0.0, right_m: 0.04 }, &GEOMETRY, &noise);
         assert!((one_wheel.forward_turn_m_rad - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn derivatives_by_the_scales_agree_with_central_differences() {
+        let travel = WheelTravel { left_m: 0.013, right_m: -0.004 };
+        let scales = [0.01, -0.02, 0.05];
+        let found = calibrated_step(travel, &GEOMETRY, scales);
+        for column in 0..3 {
+            let at = |h: f64| {
+                let mut moved = scales;
+                moved[column] += h;
+                calibrated_step(travel, &GEOMETRY, moved).step
+            };
+            let (ahead, behind) = (at(1e-6), at(-1e-6));
+            assert!((found.forward_by_scales[column] - (ahead.forward_m - behind.forward_m) / 2e-6).abs() < 1e-8);
+            assert!((found.turn_by_scales[column] - (ahead.turn_rad - behind.turn_rad) / 2e-6).abs() < 1e-8);
+        }
     }
 }

@@ -19,8 +19,7 @@
 //! The input is the same for all sensors; the dynamics are linear, stable and known. Of a sensor with several lags it is not known
 //! which lag takes up a step of the input: each takes up the same share.
 //!
-//! # Sources
-//! Paper 2 (Markovsky), the augmented model; docs/lab/thermometer.md sections M1 and M2.
+//! Source: Paper 2 (Markovsky), the augmented model; docs/lab/thermometer.md sections M1 and M2.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::SensorId;
@@ -53,8 +52,7 @@ struct SensorOutput {
 impl DynamicModel {
     /// One sensor of first order, as Newton's law of cooling has it: dy/dt = (u - y) / tau.
     ///
-    /// # Errors
-    /// The time constant, in seconds, is not positive and finite.
+    /// Errors: the time constant, in seconds, is not positive and finite.
     pub fn first_order(sensor: SensorId, time_constant_s: f64) -> Result<Self, ModelError> {
         Self::empty().with_lags(sensor, 1.0, &[time_constant_s])
     }
@@ -71,8 +69,7 @@ impl DynamicModel {
 
     /// Adds a sensor that approaches `gain` u as a sum of exponentials with these time constants, in seconds.
     ///
-    /// # Errors
-    /// A time constant or the gain is no usable number, two time constants are equal (their shares could not be told apart),
+    /// Errors: a time constant or the gain is no usable number, two time constants are equal (their shares could not be told apart),
     /// the sensor is in the model already, or there are more than [`MAX_STATES`] states.
     pub fn with_lags(self, sensor: SensorId, gain: f64, time_constants_s: &[f64]) -> Result<Self, ModelError> {
         let mut block = SMatrix::zeros();
@@ -93,8 +90,7 @@ impl DynamicModel {
     /// Adds a sensor with the differential equation y^(n) + a_(n-1) y^(n-1) + .. + a_0 y = a_0 gain u, by a_0 to a_(n-1); a_j in
     /// 1/s to the power of n - j.
     ///
-    /// # Errors
-    /// The equation is not stable (Routh's criterion), the gain is no usable number, the sensor is in the model already, or
+    /// Errors: the equation is not stable (Routh's criterion), the gain is no usable number, the sensor is in the model already, or
     /// there are more than [`MAX_STATES`] states.
     pub fn with_coefficients(self, sensor: SensorId, gain: f64, coefficients: &[f64]) -> Result<Self, ModelError> {
         let order = coefficients.len();

@@ -8,8 +8,7 @@
 //! ```
 //! A step along an arc of length d that turns by dth is exp((d, 0), dth).
 //!
-//! # Source
-//! Barrau and Bonnabel (2017), section V; docs/maths/pose.md section 1.
+//! Source: Barrau and Bonnabel (2017), section V; docs/maths/pose.md section 1.
 
 use nalgebra::Matrix3;
 use posebridge_telemetry::quantities::wrap_rad;

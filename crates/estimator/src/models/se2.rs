@@ -7,8 +7,7 @@
 //! y' = y + c d sin a
 //! th' = th + dth
 //! ```
-//! # Sources
-//! Paper 1 (Valera et al.), equation 13, which has c = 1 (the midpoint rule); docs/maths/pose.md section 2.
+//! Source: Paper 1 (Valera et al.), equation 13, which has c = 1 (the midpoint rule); docs/maths/pose.md section 2.
 
 use super::lie::chord_ratio;
 

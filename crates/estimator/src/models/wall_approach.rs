@@ -17,8 +17,7 @@
 //! # Assumptions
 //! The drag is linear and the input constant during the step; the floor is level.
 //!
-//! # Sources
-//! Paper 3 (Lab 7: step test, d and m, Euler's rule); exact discretisation: Van Loan (1978); docs/lab/wall.md sections M1, M2.
+//! Source: Paper 3 (Lab 7: step test, d and m, Euler's rule); exact discretisation: Van Loan (1978); docs/lab/wall.md sections M1, M2.
 
 use nalgebra::{Matrix2, Vector2};
 

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
+use super::count_before;
 use super::reading::InsertOutcome;
-use super::search::count_before;
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
 const SAMPLE_HOLD: TimeDelta = TimeDelta::from_millis(60);
@@ -184,14 +184,5 @@ mod tests {
         assert!(!gyro.covers(ms(0), ms(161)) && !gyro.covers(ms(50), ms(550)));
         gyro.insert(ms(250), 0.0);
         assert!(gyro.covers(ms(50), ms(550)));
-    }
-
-    #[test]
-    fn what_the_track_says_does_not_depend_on_the_order_of_arrival() {
-        let in_order = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0)]);
-        let backwards = gyro(&[(40, 2.0), (20, 1.0), (0, 9.0)]);
-        assert_eq!(in_order.turn_between(ms(3), ms(39)), backwards.turn_between(ms(3), ms(39)));
-        assert_eq!(in_order.last_at_or_before(ms(39)), Some(ms(20)));
-        assert_eq!(in_order.last_at_or_before(ms(-1)), None);
     }
 }

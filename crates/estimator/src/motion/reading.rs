@@ -53,7 +53,7 @@ pub enum MotionReading {
 }
 
 impl MotionReading {
-    /// What an observation says of motion; `None` if it is of another kind.
+    /// The motion reading of an observation; `None` for other kinds.
     pub fn from_observation(observed: &ObservationKind) -> Option<Self> {
         match *observed {
             ObservationKind::WheelAngles { left, right } => Some(Self::Wheels { left_rad: left.0, right_rad: right.0 }),

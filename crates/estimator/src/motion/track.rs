@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
+use super::count_before;
 use super::reading::{InsertOutcome, MotionReading, MotionSource};
-use super::search::count_before;
 use crate::models::differential_drive::{WheelTravel, body_step};
 
 /// Over an interval between two counter readings that is longer than this the path is no longer taken for an arc: five lost
@@ -123,7 +123,7 @@ impl MotionTrack {
         left_rad.abs() <= limit_rad && right_rad.abs() <= limit_rad
     }
 
-    /// What is known about the way from `from` towards `to`, as far as it is of one kind: the same reading on either side.
+    /// The travel from `from` towards `to`, up to the next reading.
     pub fn segment(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> TravelSegment {
         let index = count_before(&self.samples, |sample| sample.stamp <= from);
         let Some(after) = self.samples.get(index) else {
@@ -250,36 +250,6 @@ mod tests {
         let track = track(&[(0, wheels(0.0, 0.0)), (100, wheels(1.0, 2.0))]);
         let half = track.travel_between(ms(0), ms(50));
         assert!((half.left_m - 0.015).abs() < 1e-12 && (half.right_m - 0.03).abs() < 1e-12);
-    }
-
-    #[test]
-    fn travel_does_not_depend_on_the_order_of_arrival_not_even_across_a_jump() {
-        let readings =
-            [(0, wheels(70.1, 70.3)), (100, wheels(71.3, 72.7)), (200, wheels(0.1, 0.2)), (300, wheels(1.9, 2.3))];
-        let in_order = track(&readings);
-        for order in [[3, 2, 1, 0], [2, 0, 3, 1], [1, 3, 0, 2]] {
-            let shuffled = track(&order.map(|i| readings[i]));
-            for (from, to) in [(0, 300), (50, 150), (120, 270)] {
-                assert_eq!(
-                    in_order.travel_between(ms(from), ms(to)),
-                    shuffled.travel_between(ms(from), ms(to)),
-                    "{order:?}"
-                );
-            }
-        }
-        assert_eq!(
-            in_order.segment(ms(150), ms(300)),
-            TravelSegment::Gap { until: ms(200) },
-            "nobody knows what was driven across the jump"
-        );
-    }
-
-    #[test]
-    fn counters_that_jump_are_a_new_base_and_not_motion() {
-        let mut track = track(&[(0, wheels(500.0, 500.0)), (50, wheels(501.0, 501.0))]);
-        assert_eq!(track.insert(ms(100), &wheels(0.0, 0.0)), InsertOutcome::Rebased(ms(50)));
-        track.insert(ms(150), &wheels(1.0, 1.0));
-        assert!((track.travel_between(ms(0), ms(150)).left_m - 0.06).abs() < 1e-12);
     }
 
     #[test]

@@ -14,8 +14,7 @@ pub(crate) fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Opt
 /// Cholesky's decomposition L L' of a symmetric matrix. Only the lower triangle is read. `root_of` says of a row and its pivot,
 /// what is left of the diagonal there, what the diagonal of L becomes; with zero the whole column does.
 ///
-/// # Errors
-/// The first of `root_of`.
+/// Errors: the first of `root_of`.
 pub fn factorise<const M: usize, E>(
     matrix: &SMatrix<f64, M, M>,
     root_of: impl Fn(usize, f64) -> Result<f64, E>,

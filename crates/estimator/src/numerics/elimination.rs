@@ -12,8 +12,7 @@
 //! cov(v, s') = -(1/r_v) sum r_s cov(s, s')                   in reverse order: the joint covariance of each front,
 //! var v      = (1 - r_v sum r_s cov(s, v)) / r_v^2           which is Takahashi's selected inverse on a chain
 //! ```
-//! # Sources
-//! Bierman (1977), Factorization Methods for Discrete Sequential Estimation, chapters 4 and 5; Takahashi, Fagan and Chen
+//! Source: Bierman (1977), Factorization Methods for Discrete Sequential Estimation, chapters 4 and 5; Takahashi, Fagan and Chen
 //! (1973); docs/maths/pose.md section B4.
 
 /// Most variables that are active at once: two poses, the heading where a window began, two biases and six constants are 15.

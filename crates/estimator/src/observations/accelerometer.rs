@@ -11,6 +11,8 @@
 
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
+use crate::models::planar_speeds::Acceleration;
+
 /// Forward acceleration at each wheel over an interval, m/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelAccelerations {
@@ -36,11 +38,12 @@ pub struct SpeedChange {
 /// The change of the speeds by accelerations that were felt for `dt_s`.
 pub fn speed_change(felt: WheelAccelerations, dt_s: f64, geometry: &DriveGeometry, noise: &SensorNoise) -> SpeedChange {
     let b = geometry.track_width.0;
+    let body = Acceleration::from_wheels(felt.left_m_per_s2, felt.right_m_per_s2, geometry);
     let sigma = noise.accelerometer_m_per_s2 * dt_s;
     SpeedChange {
-        forward_m_per_s: 0.5 * (felt.left_m_per_s2 + felt.right_m_per_s2) * dt_s,
+        forward_m_per_s: body.forward_m_per_s2 * dt_s,
         forward_variance: 0.5 * sigma * sigma,
-        turn_rad_per_s: (felt.right_m_per_s2 - felt.left_m_per_s2) / b * dt_s,
+        turn_rad_per_s: body.turn_rad_per_s2 * dt_s,
         turn_variance: 2.0 * sigma * sigma / (b * b),
     }
 }

@@ -18,7 +18,7 @@ use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quant
 use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 use crate::models::lie::Se2;
 
-/// What is known besides the fix itself; by default that the robot stands and the stamp is right.
+/// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot stands and the timestamp is exact.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FixContext {
     /// How the body has moved between the instant that the fix shows and its stamp.

@@ -42,7 +42,7 @@ impl GyroWindow {
     }
 }
 
-/// What the rounding of the encoders' heading is at the end of a window.
+/// The rounding of the encoders' heading at the end of a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EndRounding {
     /// Another one than at its beginning: the wheels moved, or may have.

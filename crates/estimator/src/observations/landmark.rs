@@ -16,7 +16,7 @@ use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 /// Nearer than this a bearing says nothing, m.
 const MIN_RANGE_M: f64 = 0.01;
 
-/// What a sighting says: range in m, bearing in rad counter-clockwise from forward.
+/// A measured range and bearing: range in m, bearing in rad counter-clockwise from forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeBearing {
     /// Distance from mid-axle.

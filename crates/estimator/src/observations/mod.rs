@@ -1,4 +1,4 @@
-//! What a filter expects a sensor to say: one file per kind of observation, each with h(x), H and R.
+//! Observation models: one file per kind of observation, each with h(x), H and R.
 
 pub mod accelerometer;
 pub mod beacon;

@@ -1,4 +1,4 @@
-//! What an observation model asks of a filter and what it gives back: states by name, never by the filter's rows.
+//! The interface between observation models and filters: states by name, never by the filter's rows.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -44,7 +44,7 @@ pub fn turn_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry:
     SpeedReading { value: step.turn_rad / dt_s, variance }
 }
 
-/// The gyro's rate less its bias, which is known so well.
+/// The gyro's rate minus its estimated bias, with the variance of both.
 pub fn gyro_reading(rate_rad_per_s: f64, bias_rad_per_s: f64, bias_variance: f64, noise: &SensorNoise) -> SpeedReading {
     SpeedReading {
         value: rate_rad_per_s - bias_rad_per_s,

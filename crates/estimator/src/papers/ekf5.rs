@@ -15,22 +15,20 @@
 //! at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the counters, and, with fixes,
 //! after each fix that was used: otherwise their drift would be held against every fix for ever.
 //!
-//! # Sources
-//! Paper 1 (Valera et al.), equations 24 to 26; docs/lab/square.md section M4.
+//! Source: Paper 1 (Valera et al.), equations 24 to 26; docs/lab/square.md section M4.
 
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, quantities::wrap_rad};
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord};
 
-use super::arena_fix::{position_in_arena, with_heading};
-use super::paper_scaffold::{
-    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, innovation, rows,
-};
+use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::rows;
+use super::rows::{position_in_arena, with_heading};
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::write_innovation;
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::{FixContext, fix_noise};
-use crate::update::{LinearizedMeasurement, ScalarMeasurement, apply_measurement};
+use crate::update::{LinearizedMeasurement, ScalarMeasurement};
 
 /// Variance of v_enc, (cm/s)²: paper 1, equation 26.
 const FORWARD_VARIANCE: f64 = 5.1;
@@ -124,18 +122,11 @@ impl FiveStateEkf {
         context: &SampledContext,
         record: &mut FusionRecord,
     ) -> FusionOutcome {
-        let s = measurement.innovation_covariance(&self.covariance);
-        if !write_innovation(record, &measurement.innovation, &s) {
-            return FusionOutcome::Malformed;
+        let outcome = rows::gate_and_apply(&mut self.mean, &mut self.covariance, measurement, &context.gates, record);
+        if outcome == FusionOutcome::Accepted {
+            self.rebase_headings();
         }
-        if record.nis > context.gates[M - 1] {
-            return FusionOutcome::Gated;
-        }
-        if !apply_measurement(&mut self.mean, &mut self.covariance, measurement) {
-            return FusionOutcome::Malformed;
-        }
-        self.rebase_headings();
-        FusionOutcome::Accepted
+        outcome
     }
 }
 
@@ -192,7 +183,7 @@ impl SampledFilter for FiveStateEkf {
             scalar_observation(&self.mean, FORWARD, speed_m_per_s, FORWARD_VARIANCE),
             scalar_observation(&self.mean, HEADING, self.wheel_heading_rad, WHEEL_HEADING_VARIANCE),
         ];
-        innovation::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
+        rows::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
     fn use_gyro(
@@ -206,7 +197,7 @@ impl SampledFilter for FiveStateEkf {
         self.gyro_heading_rad += (rate_rad_per_s - known_bias) * dt_s;
         let seen_rad = self.gyro_heading_rad;
         let scalar = scalar_observation(&self.mean, HEADING, seen_rad, GYRO_HEADING_VARIANCE);
-        innovation::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
+        rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 
     fn use_fix(

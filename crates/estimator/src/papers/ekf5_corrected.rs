@@ -21,19 +21,18 @@
 //! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations say how they change: one sample of an
 //! accelerometer is no mean over the interval. The geometry is taken as given. Fixes are not used: `pose` does that better.
 //!
-//! # Sources
-//! Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/lab/square.md section M5.
+//! Source: Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/lab/square.md section M5.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::{DriveGeometry, FusionOutcome, FusionRecord, UncertainValue};
 
-use super::paper_scaffold::{
-    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, innovation, rows,
-};
+use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
+use super::rows;
 use crate::filter::{Filter, FilterConfig, StartPose};
 use crate::models::differential_drive::{WheelTravel, step_noise};
 use crate::models::planar_speeds::{self, Acceleration};
+use crate::motion::UNOBSERVED_M_PER_SQRT_S;
 use crate::numerics::covariance::symmetrise;
 use crate::observations::gyro_window::gyro_variance;
 use crate::update::ScalarMeasurement;
@@ -256,7 +255,7 @@ impl SampledFilter for CorrectedEkf {
         self.mean = f * self.mean;
         self.covariance = f * self.covariance * f.transpose();
         rows::add_unobserved_motion(&mut self.covariance, dt_s);
-        self.add_unobserved_path(rows::UNOBSERVED_M_PER_SQRT_S.powi(2) * dt_s);
+        self.add_unobserved_path(UNOBSERVED_M_PER_SQRT_S.powi(2) * dt_s);
         // The speeds afterwards owe nothing to what was predicted before: a path that was missed is no error of theirs.
         for (row, density) in
             [(FORWARD, config.params.acceleration_m_per_s2), (TURN, config.params.turn_acceleration_rad_per_s2)]
@@ -303,7 +302,7 @@ impl SampledFilter for CorrectedEkf {
                 variance: self.rounding[1],
             },
         ];
-        innovation::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
+        rows::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
     fn use_gyro(
@@ -323,6 +322,6 @@ impl SampledFilter for CorrectedEkf {
             jacobian: [1.0, 1.0],
             variance: INTEGRAL_VARIANCE,
         };
-        innovation::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
+        rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 }

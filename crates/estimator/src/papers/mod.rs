@@ -2,13 +2,13 @@
 //!
 //! Paper 2's filter is [`crate::filters::dynamic`]: the thermometers of a running station are made of it.
 
-mod arena_fix;
 pub mod ekf5;
 pub mod ekf5_corrected;
 pub mod indirect;
 pub mod paper1;
 mod paper_scaffold;
 pub mod range_kf;
+mod rows;
 mod state_history;
 pub mod ukf5;
 pub mod velocity_kf;

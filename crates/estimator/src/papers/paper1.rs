@@ -1,4 +1,4 @@
-//! What the filters of paper 1 share of its numbers: its sampling interval and its units.
+//! Sampling interval and units of paper 1.
 //!
 //! The paper prints its matrices without units; only centimetres and degrees make sense of them (docs/lab/square.md
 //! section M1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so

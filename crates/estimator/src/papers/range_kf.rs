@@ -16,8 +16,7 @@
 //! | process noise | Sigma_u = diag(50 mm, 50 mm/s)^2 at every step, however short | that much per 7.6 ms, by its density |
 //! | a reading within 50 ms of the last step | used as if made at that step | used at its own time, and the state carried there |
 //!
-//! # Sources
-//! Paper 3 (Lab 7); docs/lab/wall.md.
+//! Source: Paper 3 (Lab 7); docs/lab/wall.md.
 
 use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{
@@ -27,11 +26,11 @@ use posebridge_telemetry::{
 
 use super::state_history::StateHistory;
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::{add_innovation, outcome_without_pose};
 use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation;
+use crate::validation::{add_innovation, outcome_without_pose};
 
 /// The mean interval of the paper's loop: what its process noise per step is for.
 const PAPER_STEP_S: f64 = 0.0076;
@@ -222,17 +221,13 @@ impl RangeFilter {
 
 impl Filter for RangeFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest_time();
-        let lag = validation::lag_of(observation, latest);
-        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
-        if let Some(verdict) = validation::reject_invalid(observation, latest, self.history_s) {
-            record.outcome = verdict;
-        } else if let ObservationKind::BodyVelocity { forward, .. } = observation.measurement {
-            record.outcome = self.observe_command(observation.stamp, forward.0);
-        } else if let ObservationKind::WallRange(range) = observation.measurement {
-            self.observe_range(&mut record, observation.stamp, range.0);
-        }
-        record
+        validation::observe_if_valid(observation, self.latest_time(), self.history_s, |record| {
+            if let ObservationKind::BodyVelocity { forward, .. } = observation.measurement {
+                record.outcome = self.observe_command(observation.stamp, forward.0);
+            } else if let ObservationKind::WallRange(range) = observation.measurement {
+                self.observe_range(record, observation.stamp, range.0);
+            }
+        })
     }
 
     /// There is no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
@@ -240,7 +235,7 @@ impl Filter for RangeFilter {
         outcome_without_pose(start)
     }
 
-    /// How far it drove in the break is not known: the next reading starts it anew.
+    /// Restarts with the next reading: the distance driven during the break is unknown.
     fn restart_clock(&mut self) {
         self.state = None;
         self.history.clear();

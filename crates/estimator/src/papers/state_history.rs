@@ -13,7 +13,7 @@ pub(super) struct StateHistory<T> {
 }
 
 impl<T: Copy> StateHistory<T> {
-    /// An empty one that reaches back so far.
+    /// An empty history of this length.
     pub(super) fn new(length_s: f64) -> Self {
         Self { entries: VecDeque::new(), length: TimeDelta::from_secs_f64(length_s) }
     }

@@ -14,8 +14,7 @@
 //! The observations are rows of the state. For a linear h the sigma points give the Kalman update itself, so the update is that
 //! of the EKF, and only the prediction differs.
 //!
-//! # Sources
-//! Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et al.),
+//! Source: Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et al.),
 //! equations 24 to 26; docs/lab/square.md section M6.
 
 use posebridge_telemetry::estimate::row::HEADING;
@@ -42,8 +41,7 @@ pub struct NotPositiveSemidefinite {
 
 /// Mean and covariance after `dt_s` by sigma points, without process noise; SI units, rows as telemetry's `estimate::row`.
 ///
-/// # Errors
-/// [`NotPositiveSemidefinite`] when the covariance has no square root.
+/// Errors: [`NotPositiveSemidefinite`] when the covariance has no square root.
 pub fn predict(
     mean: &Mean,
     covariance: &Covariance,
@@ -79,8 +77,7 @@ pub fn predict(
 
 /// The lower triangle L with L L' = P. A row without variance gets a column of zeros.
 ///
-/// # Errors
-/// [`NotPositiveSemidefinite`] when P has a negative eigenvalue beyond rounding or is not finite.
+/// Errors: [`NotPositiveSemidefinite`] when P has a negative eigenvalue beyond rounding or is not finite.
 pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositiveSemidefinite> {
     let root = factorise(covariance, |row, pivot| {
         let rounding = ROUNDING * covariance[(row, row)].abs();

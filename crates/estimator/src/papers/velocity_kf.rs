@@ -12,20 +12,18 @@
 //! The paper gives the pose no covariance. Here pose and speeds share one matrix in which the pose is carried along but never
 //! corrected: its gain is zero, as in the paper, and its covariance is that which Joseph's form gives for such a gain.
 //!
-//! # Sources
-//! Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/lab/square.md section M3.
+//! Source: Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/lab/square.md section M3.
 
 use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};
 use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
-use super::paper_scaffold::{
-    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, rows,
-};
+use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::rows;
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::write_innovation;
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, PredictionStep};
+use crate::validation::write_innovation;
 
 /// Diagonal of R, (cm/s)² and (degrees/s)²: paper 1, equation 23.
 const MEASUREMENT_VARIANCES: [f64; 2] = [5.1, 1.938];
@@ -95,10 +93,6 @@ impl SampledFilter for VelocityKf {
     fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
         rows::bridge_gap(&mut self.mean, &mut self.covariance, speeds, path_m2);
     }
-
-    fn rebase_wheels(&mut self, _context: &SampledContext) {}
-
-    fn rebase_gyro(&mut self) {}
 
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let body = step.body_step(&context.config.geometry);

@@ -13,23 +13,21 @@
 //! The intervals are those that were observed; Q grows with them. The paper gives the pose no covariance: it is that of the
 //! configured noise of motion plus what the two wheels' own covariances leave open.
 //!
-//! # Sources
-//! Paper 1 (Valera et al.), equations 13 to 19; docs/lab/square.md section M2.
+//! Source: Paper 1 (Valera et al.), equations 13 to 19; docs/lab/square.md section M2.
 
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
-use posebridge_telemetry::{FusionOutcome, FusionRecord, estimate::row};
+use nalgebra::{Matrix2, Matrix3, SVector, Vector2, Vector3};
+use posebridge_telemetry::estimate::row;
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
-use super::paper_scaffold::{
-    GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep, rows,
-};
+use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::SAMPLING_INTERVAL_S;
+use super::rows;
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::write_innovation;
-use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, step_noise};
+use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, propagate_pose, step_noise};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
-use crate::models::se2::{StepRule, displace};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
+use crate::validation::write_innovation;
 
 /// Variance of a reading of the left counter, degrees²: paper 1, equation 19.
 pub const LEFT_VARIANCE: f64 = 1.5;
@@ -110,7 +108,7 @@ pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 impl WheelKf {
-    /// What the filtered wheels travelled since the pose was moved.
+    /// Travel of the filtered wheels since the last pose update.
     fn travel(&self, context: &SampledContext) -> WheelTravel {
         let geometry = &context.config.geometry;
         let turned = |wheel: usize| (self.wheels[wheel].mean[ANGLE] - self.moved[wheel]).to_radians();
@@ -125,25 +123,13 @@ impl WheelKf {
         let travel = self.travel(context);
         let config = &context.config;
         let step = body_step(travel, &config.geometry);
-        let moved = displace(self.pose[row::HEADING], step, StepRule::Midpoint);
-        let pose = self.pose + Vector3::new(moved.dx_m, moved.dy_m, step.turn_rad);
-        let mut f = Matrix3::identity();
-        f[(0, 2)] = moved.by_heading[0];
-        f[(1, 2)] = moved.by_heading[1];
-        let [along_x, along_y] = moved.by_forward;
-        let [turn_x, turn_y] = moved.by_turn;
-        let g = SMatrix::<f64, 3, 2>::new(along_x, turn_x, along_y, turn_y, 0.0, 1.0);
         let noise = step_noise(travel, &config.geometry, &config.noise);
-        let shared = noise.forward_turn_m_rad + open.forward_turn_m_rad;
-        let q = Matrix2::new(
-            noise.forward_var_m2 + open.forward_var_m2,
-            shared,
-            shared,
-            noise.turn_var_rad2 + open.turn_var_rad2,
-        );
-        let mut covariance = f * self.pose_covariance * f.transpose() + g * q * g.transpose();
-        symmetrise(&mut covariance);
-        (pose, covariance)
+        let noise = StepNoise {
+            forward_var_m2: noise.forward_var_m2 + open.forward_var_m2,
+            turn_var_rad2: noise.turn_var_rad2 + open.turn_var_rad2,
+            forward_turn_m_rad: noise.forward_turn_m_rad + open.forward_turn_m_rad,
+        };
+        propagate_pose(&self.pose, &self.pose_covariance, step, &noise)
     }
 
     /// Variances of the body's motion that follow from those of the wheels, left and right, in degrees².
@@ -243,8 +229,6 @@ impl SampledFilter for WheelKf {
         self.commit_angles(context);
         self.counted_deg = self.moved;
     }
-
-    fn rebase_gyro(&mut self) {}
 
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let turned = [step.left_rad, step.right_rad];

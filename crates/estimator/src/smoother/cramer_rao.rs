@@ -18,16 +18,14 @@
 //! Fixes see mid-axle with the configured noise and without delay or lever to be found; nothing slips; the gyro's rounding is
 //! uniform noise. A bound that knows more than a filter does is lower, and still a bound.
 //!
-//! # Sources
-//! Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21; docs/maths/pose.md
+//! Source: Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21; docs/maths/pose.md
 //! section B5.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 use posebridge_telemetry::{Arena, Calibration, Pose};
 
-use super::factors::bias_prior;
-use super::motion_factors::{calibrated_step, true_travel};
-use super::values::{CONSTANTS, constants_of};
+use super::factors::{UNKNOWN_POSITION_SIGMA_M, bias_prior, calibrated_motion, true_geometry};
+use super::problem::{CONSTANTS, constants_of};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, step_noise};
 use crate::models::se2::{BodyStep, StepRule, displace};
@@ -175,10 +173,10 @@ impl<'a> BoundRecursion<'a> {
             return;
         }
         let (before, after) = (self.run.poses[step - 1], self.run.poses[step]);
-        let known = calibrated_step(travel, self.config, &self.constants);
+        let known = calibrated_motion(travel, self.config, &self.constants);
         let moved = displace(
             before.heading.rad(),
-            BodyStep { forward_m: known.forward_m, turn_rad: (after.heading - before.heading).0 },
+            BodyStep { forward_m: known.step.forward_m, turn_rad: (after.heading - before.heading).0 },
             StepRule::Arc,
         );
         let mut by_state = Covariance::identity();
@@ -190,7 +188,7 @@ impl<'a> BoundRecursion<'a> {
         }
         by_noise[(HEADING, 1)] = 1.0;
         for constant in 0..3 {
-            let (d, dth) = (known.by_constant[0][constant], known.by_constant[1][constant]);
+            let (d, dth) = (known.forward_by_scales[constant], known.turn_by_scales[constant]);
             for axis in [X, Y] {
                 by_state[(axis, FIRST_CONSTANT + constant)] = moved.by_forward[axis] * d + moved.by_turn[axis] * dth;
             }
@@ -198,8 +196,7 @@ impl<'a> BoundRecursion<'a> {
             by_state[(STEP_ERROR, FIRST_CONSTANT + constant)] = dth;
         }
         by_noise[(STEP_ERROR, 1)] = 1.0;
-        let (true_travel, geometry) = true_travel(travel, self.config, &self.constants);
-        let noise = step_noise(true_travel, &geometry, &self.config.noise);
+        let noise = step_noise(known.travel, &true_geometry(self.config, &self.constants), &self.config.noise);
         let cross = noise.forward_turn_m_rad;
         let q = Matrix2::new(noise.forward_var_m2, cross, cross, noise.turn_var_rad2);
         *covariance = by_state * *covariance * by_state.transpose() + by_noise * q * by_noise.transpose();
@@ -207,8 +204,6 @@ impl<'a> BoundRecursion<'a> {
     }
 }
 
-/// Anywhere on a large site, m.
-const UNKNOWN_POSITION_SIGMA_M: f64 = 1e4;
 /// Uniform on the circle, rad.
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1.813_799_364_234_217_8;
 
@@ -246,7 +241,7 @@ mod tests {
     #[test]
     fn it_is_the_information_recursion_where_that_exists() {
         // Without a gyro and with nothing to calibrate, x on a straight is a random walk of its own: Q is regular.
-        let mut config = crate::smoother::tests::config();
+        let mut config = crate::filter::tests::config();
         config.noise.gyro_rad_per_s = 1e6;
         config.noise.turn_rad_per_sqrt_rad = 0.0;
         let start = config.start.unwrap();
@@ -279,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_late_fix_helps_late_and_then_as_much() {
-        let config = crate::smoother::tests::config();
+        let config = crate::filter::tests::config();
         let (at_once, late) = (straight(&config, 0), straight(&config, 3));
         assert!(late[3] > at_once[3] && late[5] > at_once[5]);
         // After step 7 both know the fix of step 4; summed in another order, so up to rounding.
@@ -287,21 +282,8 @@ mod tests {
     }
 
     #[test]
-    fn a_perfect_gyro_leaves_nothing_but_the_noise_of_the_distance() {
-        let mut config = crate::smoother::tests::config();
-        config.noise.gyro_rad_per_s = 1e-9;
-        config.noise.gyro_bias_rad_per_s = 0.0;
-        // No fix ever arrives.
-        let own = straight(&config, 1000)[39];
-        let start = config.start.unwrap();
-        let wheel_var = config.noise.wheel_travel_m_per_sqrt_m.powi(2) * 0.4;
-        let expected = 2.0 * start.position_sigma_m.powi(2) + (0.4 * start.heading_sigma_rad).powi(2) + 0.5 * wheel_var;
-        assert!((own / expected - 1.0).abs() < 1e-3, "{own} against {expected}");
-    }
-
-    #[test]
     fn at_rest_and_for_an_empty_run_it_is_what_was_known() {
-        let config = crate::smoother::tests::config();
+        let config = crate::filter::tests::config();
         let poses = [Pose::default(); 3];
         let travel = [WheelTravel::default(); 2];
         let run = GroundTruthRun { poses: &poses, travel: &travel, step_s: 0.05, fixes: &[] };

@@ -7,22 +7,30 @@
 //! ```
 //! A row is a residual over its sigma with its derivatives; the cost is the sum of the squares.
 //!
-//! # Source
-//! docs/maths/pose.md section B2.
+//! Source: docs/maths/pose.md section B2.
 
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{DriveGeometry, Heading, Meters};
 
-use super::problem::{GyroInterval, SmoothingProblem};
-use super::values::{ProblemValues, UnwrappedPose, VariableLayout, constants_of};
+use super::problem::{
+    AssociatedFix, CONSTANTS, FIX_DELAY, GyroInterval, MotionSegment, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE,
+    SmoothingProblem, TAG_FORWARD, TAG_LEFT, TRACK_SCALE, UnwrappedPose, VariableLayout, constants_of,
+};
 use crate::filter::{FilterConfig, StartPose};
+use crate::models::differential_drive::{CalibratedStep, WheelTravel, calibrated_step, step_noise};
+use crate::models::lie::Se2;
+use crate::models::se2::{BodyStep, StepRule, displace};
+use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 use crate::numerics::elimination::Variable;
+use crate::observations::fix::{FixContext, FixNoise, fix_noise};
 
 /// Most unknowns in one row: two poses and three constants.
 pub(super) const MAX_ROW_ENTRIES: usize = 9;
 /// Least sigma of a start, a bias or a constant, in its own unit.
 const MIN_SIGMA: f64 = 1e-7;
 /// Sigma of an unknown start, m: anywhere on a large site. Fixes then decide.
-const UNKNOWN_POSITION_SIGMA_M: f64 = 1e4;
+pub(super) const UNKNOWN_POSITION_SIGMA_M: f64 = 1e4;
 /// Any heading at all, rad: so much more than a turn that it says nothing.
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1e2;
 
@@ -94,7 +102,7 @@ pub(super) fn bias_prior(config: &FilterConfig) -> (f64, f64) {
     (known.value, sigma.max(MIN_SIGMA))
 }
 
-/// What is known of the bias over a window before the gyro is looked at: its prior, or its walk since the window before.
+/// The prior of the bias over a window, or its random walk since the window before.
 pub(super) fn bias_row(problem: &SmoothingProblem<'_>, values: &ProblemValues, window: usize) -> WhitenedRow {
     let bias = values.biases[window];
     let Some(before) = window.checked_sub(1) else {
@@ -126,4 +134,334 @@ pub(super) fn window_row(
         return row;
     }
     row.with_derivative(layout.pose(window.from, 2), weight).with_derivative(layout.pose(window.to, 2), -weight)
+}
+
+// The motion from one pose to the next, as whitened rows.
+//
+//     D = T_k^-1 T_k+1 = (u, phi)          e = (cos phi/2, sin phi/2)    n = (-sin phi/2, cos phi/2)    c = sin(phi/2)/(phi/2)
+//     r = [ e'u / c - d ]                  the arc through both poses is as long as the wheels say
+//         [ phi - dth   ]                  and turns as far
+//         [ n'u         ]                  and leaves no lateral error
+//     d = (s_L + s_R)/2    dth = (s_R - s_L)/b    s_L = s_L0 (1 + e_m - e_d/2)   s_R = s_R0 (1 + e_m + e_d/2)   b = b0 (1 + e_b)
+// Source: models::differential_drive for the noise; docs/maths/pose.md section B2.
+
+/// Lateral error of an arc, and the least of its other errors, m per sqrt(m) of the wheels' path: a thousandth of what a good
+/// wheel slips. It stands for "none": without it the motion of three coordinates would have noise in two only.
+const LATERAL_M_PER_SQRT_M: f64 = 1e-6;
+/// Where the path is next to nothing, m²: ten nanometres.
+const MIN_VARIANCE_M2: f64 = 1e-16;
+
+/// The body step of wheel travel with these calibration constants.
+pub(super) fn calibrated_motion(
+    travel: WheelTravel,
+    config: &FilterConfig,
+    constants: &[f64; CONSTANTS],
+) -> CalibratedStep {
+    let scales = [RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE].map(|constant| constants[constant]);
+    calibrated_step(travel, &config.geometry, scales)
+}
+
+/// The geometry with the true track, as a calibration has it.
+pub(super) fn true_geometry(config: &FilterConfig, constants: &[f64; CONSTANTS]) -> DriveGeometry {
+    let track_m = config.geometry.track_width.0 * (1.0 + constants[TRACK_SCALE]);
+    DriveGeometry { track_width: Meters(track_m), ..config.geometry }
+}
+
+/// What turns a motion's residual (distance, turn, lateral) into unit variance.
+pub(super) type Whitener = Matrix3<f64>;
+
+/// The whitener of a move, with the noise of the travel by this calibration; `None` when the noise is no number.
+pub(super) fn whitener(by: &MotionSegment, config: &FilterConfig, constants: &[f64; CONSTANTS]) -> Option<Whitener> {
+    let covariance = match *by {
+        MotionSegment::Unobserved(secs) => {
+            let position_m2 = UNOBSERVED_M_PER_SQRT_S.powi(2) * secs;
+            let heading_rad2 = UNOBSERVED_RAD_PER_SQRT_S.powi(2) * secs;
+            Matrix3::from_diagonal(&Vector3::new(position_m2, heading_rad2, position_m2))
+        }
+        MotionSegment::Driven { travel, path_var_m2 } => {
+            let CalibratedStep { travel, .. } = calibrated_motion(travel, config, constants);
+            let geometry = true_geometry(config, constants);
+            let noise = step_noise(travel, &geometry, &config.noise);
+            let path_m = 0.5 * (travel.left_m.abs() + travel.right_m.abs());
+            let floor_m2 = LATERAL_M_PER_SQRT_M.powi(2) * path_m + MIN_VARIANCE_M2;
+            let half_track_m = 0.5 * geometry.track_width.0;
+            let cross = noise.forward_turn_m_rad;
+            Matrix3::new(
+                noise.forward_var_m2 + floor_m2 + path_var_m2,
+                cross,
+                0.0,
+                cross,
+                noise.turn_var_rad2 + floor_m2 / half_track_m.powi(2),
+                0.0,
+                0.0,
+                0.0,
+                floor_m2 + path_var_m2,
+            )
+        }
+    };
+    covariance.cholesky()?.l().try_inverse()
+}
+
+/// Three rows for the motion from one pose to the next.
+pub(super) fn motion_rows(
+    problem: &SmoothingProblem<'_>,
+    values: &ProblemValues,
+    node: usize,
+    whitener: &Whitener,
+) -> [WhitenedRow; 3] {
+    let (from, to) = (values.poses[node], values.poses[node + 1]);
+    let (residual, by_unknown) = match problem.segments[node] {
+        MotionSegment::Driven { travel, .. } => {
+            let step = calibrated_motion(travel, problem.config, &values.constants);
+            arc_residual(from, to, &step)
+        }
+        MotionSegment::Unobserved(_) => offset_residual(from, to),
+    };
+    let (white, by_unknown) = (whitener * residual, whitener * by_unknown);
+    let layout = problem.layout();
+    std::array::from_fn(|i| {
+        let mut row = WhitenedRow::from_residual(white[i]);
+        for column in 0..6 {
+            let variable = layout.pose(node + column / 3, column % 3);
+            row = row.with_derivative(variable, by_unknown[(i, column)]);
+        }
+        for (column, constant) in [RADIUS_SCALE, RADIUS_DIFFERENCE, TRACK_SCALE]
+            .into_iter()
+            .enumerate()
+            .filter(|(_, constant)| problem.is_free[*constant])
+        {
+            row = row.with_derivative(constant, by_unknown[(i, 6 + column)]);
+        }
+        row
+    })
+}
+
+/// The second pose in the space of the first: u = (forward, left) and phi.
+fn relative(from: UnwrappedPose, to: UnwrappedPose) -> ([f64; 2], f64) {
+    let (sin, cos) = from.heading_rad.sin_cos();
+    let (dx_m, dy_m) = (to.x_m - from.x_m, to.y_m - from.y_m);
+    let u = [cos * dx_m + sin * dy_m, cos * dy_m - sin * dx_m];
+    (u, to.heading_rad - from.heading_rad)
+}
+
+/// Residual of an arc between two poses (distance, turn, lateral) and its derivatives by xi of both and by the constants.
+///
+/// ```text
+/// T_k Exp(xi)     u moves by -rho - theta J u, phi by -theta
+/// T_k+1 Exp(xi)   u moves by R(phi) rho,       phi by theta
+/// ```
+fn arc_residual(
+    from: UnwrappedPose,
+    to: UnwrappedPose,
+    step: &CalibratedStep,
+) -> (Vector3<f64>, SMatrix<f64, 3, MAX_ROW_ENTRIES>) {
+    let (u, phi) = relative(from, to);
+    let (sin, cos) = (0.5 * phi).sin_cos();
+    let along = cos * u[0] + sin * u[1];
+    let lateral = cos * u[1] - sin * u[0];
+    // Seen along its chord, an arc of length one ends at the ratio of chord to arc.
+    let unit = BodyStep { forward_m: 1.0, turn_rad: phi };
+    let seen = displace(-0.5 * phi, unit, StepRule::Arc);
+    let (chord, chord_by_turn) = (seen.dx_m, seen.by_turn[0]);
+    let length = along / chord;
+    let residual = Vector3::new(length - step.step.forward_m, phi - step.step.turn_rad, lateral);
+    let length_by_phi = 0.5 * lateral / chord - length * chord_by_turn / chord;
+    let (d, dth) = (step.forward_by_scales, step.turn_by_scales);
+    let by_unknown = SMatrix::from_row_slice(&[
+        // Distance.
+        -cos / chord,
+        -sin / chord,
+        lateral / chord - length_by_phi,
+        cos / chord,
+        -sin / chord,
+        length_by_phi,
+        -d[0],
+        -d[1],
+        -d[2],
+        // Turn.
+        0.0,
+        0.0,
+        -1.0,
+        0.0,
+        0.0,
+        1.0,
+        -dth[0],
+        -dth[1],
+        -dth[2],
+        // Lateral.
+        sin,
+        -cos,
+        -0.5 * along,
+        sin,
+        cos,
+        -0.5 * along,
+        0.0,
+        0.0,
+        0.0,
+    ]);
+    (residual, by_unknown)
+}
+
+/// The same where nothing is known of the motion: (forward, turn, left) against none.
+fn offset_residual(from: UnwrappedPose, to: UnwrappedPose) -> (Vector3<f64>, SMatrix<f64, 3, MAX_ROW_ENTRIES>) {
+    let (u, phi) = relative(from, to);
+    let (sin, cos) = phi.sin_cos();
+    let mut by_unknown = SMatrix::zeros();
+    for (row, values) in
+        [[-1.0, 0.0, u[1], cos, -sin, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0], [0.0, -1.0, -u[0], sin, cos, 0.0]]
+            .into_iter()
+            .enumerate()
+    {
+        for (column, value) in values.into_iter().enumerate() {
+            by_unknown[(row, column)] = value;
+        }
+    }
+    (Vector3::new(u[0], phi, u[1]), by_unknown)
+}
+
+// A fix's observation of the pose in its image, as whitened rows.
+//
+//     T' = T Exp(-(tau - tau_0) [v, 0, w]')          the pose at which the fix was true, if its delay is tau and not tau_0
+//     h  = p' + R' (l + [tag_forward, tag_left]')    and th'
+//     nu = z - h                                      angles wrapped
+//     R  = [R_f + (v sigma_t)^2 I, sigma_th^2 + (w sigma_t)^2]
+// Source: docs/maths/pose.md section B2; R as in docs/maths/pose.md section 4.
+
+/// No camera is better than a micrometre or a microradian: a fix without noise would weigh without bound.
+const MIN_VARIANCE: f64 = 1e-12;
+
+/// Rows for x, y and, if there is one, the heading of a fix; the third is empty otherwise. `None` when its covariance is none.
+pub(super) fn fix_rows(
+    problem: &SmoothingProblem<'_>,
+    seen: &AssociatedFix,
+    values: &ProblemValues,
+) -> Option<([WhitenedRow; 3], u8)> {
+    let noise = noise_of_fix(problem, seen);
+    let white = noise.position.cholesky()?.l().try_inverse()?;
+    let at = true_pose(values.poses[seen.node], seen, values);
+    let (sin, cos) = at.heading_rad.sin_cos();
+    let lever = lever_in_arena(seen, values, at);
+    let seen_at = Vector2::new(seen.fix.position.x.0, seen.fix.position.y.0);
+    let innovation = white * (seen_at - Vector2::new(at.x_m, at.y_m) - lever);
+    // Minus the derivatives of h: of the pose's xi, of the delay, of the lever.
+    let (v, w) = (seen.forward_m_per_s, seen.turn_rad_per_s);
+    let ahead = -white * Vector2::new(cos, sin);
+    let aside = -white * Vector2::new(-sin, cos);
+    let turned = -white * Vector2::new(-lever.y, lever.x);
+    let delayed = -(ahead * v + turned * w);
+    let layout = problem.layout();
+    let mut rows = [0, 1, 2].map(|axis| {
+        if axis == 2 {
+            return WhitenedRow::default();
+        }
+        let row = WhitenedRow::from_residual(innovation[axis])
+            .with_derivative(layout.pose(seen.node, 0), ahead[axis])
+            .with_derivative(layout.pose(seen.node, 1), aside[axis])
+            .with_derivative(layout.pose(seen.node, 2), turned[axis]);
+        let row = with_constant(problem, row, FIX_DELAY, delayed[axis]);
+        let row = with_constant(problem, row, TAG_FORWARD, ahead[axis]);
+        with_constant(problem, row, TAG_LEFT, aside[axis])
+    });
+    let Some(heading) = seen.fix.heading else {
+        return Some((rows, 2));
+    };
+    let weight = 1.0 / noise.heading_rad2.max(MIN_VARIANCE).sqrt();
+    let row = WhitenedRow::from_residual(weight * wrap_rad(heading.rad() - at.heading_rad))
+        .with_derivative(layout.pose(seen.node, 2), -weight);
+    rows[2] = with_constant(problem, row, FIX_DELAY, weight * w);
+    Some((rows, 3))
+}
+
+fn with_constant(problem: &SmoothingProblem<'_>, row: WhitenedRow, constant: usize, derivative: f64) -> WhitenedRow {
+    if problem.is_free[constant] { row.with_derivative(constant, derivative) } else { row }
+}
+
+fn noise_of_fix(problem: &SmoothingProblem<'_>, seen: &AssociatedFix) -> FixNoise {
+    let mut noise = fix_noise(
+        &seen.fix,
+        &problem.config.noise,
+        [1.0, 1.0],
+        &FixContext {
+            moved_since: Se2::default(),
+            stamp_sigma_s: seen.stamp_sigma_s,
+            forward_m_per_s: seen.forward_m_per_s,
+            turn_rad_per_s: seen.turn_rad_per_s,
+        },
+    );
+    noise.position += Matrix2::from_diagonal_element(MIN_VARIANCE);
+    noise
+}
+
+/// Where the robot was when the fix was true.
+fn true_pose(node: UnwrappedPose, seen: &AssociatedFix, values: &ProblemValues) -> UnwrappedPose {
+    let earlier_s = values.constants[FIX_DELAY] - seen.delay_s;
+    node.retract([-earlier_s * seen.forward_m_per_s, 0.0, -earlier_s * seen.turn_rad_per_s])
+}
+
+fn lever_in_arena(seen: &AssociatedFix, values: &ProblemValues, at: UnwrappedPose) -> Vector2<f64> {
+    let (sin, cos) = at.heading_rad.sin_cos();
+    let forward = seen.fix.tag_in_body.x.0 + values.constants[TAG_FORWARD];
+    let left = seen.fix.tag_in_body.y.0 + values.constants[TAG_LEFT];
+    Vector2::new(cos * forward - sin * left, sin * forward + cos * left)
+}
+
+/// The pose that a fix alone suggests, with this heading where it has none.
+pub(super) fn pose_from_fix(seen: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> UnwrappedPose {
+    let at = UnwrappedPose {
+        x_m: seen.fix.position.x.0,
+        y_m: seen.fix.position.y.0,
+        heading_rad: seen.fix.heading.map_or(heading_rad, Heading::rad),
+    };
+    let lever = lever_in_arena(seen, values, at);
+    UnwrappedPose { x_m: at.x_m - lever.x, y_m: at.y_m - lever.y, ..at }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const H: f64 = 1e-6;
+
+    fn without_scales(forward_m: f64, turn_rad: f64) -> CalibratedStep {
+        CalibratedStep { step: BodyStep { forward_m, turn_rad }, ..CalibratedStep::default() }
+    }
+
+    fn check(
+        residual: impl Fn(UnwrappedPose, UnwrappedPose) -> (Vector3<f64>, SMatrix<f64, 3, MAX_ROW_ENTRIES>),
+        from: UnwrappedPose,
+        to: UnwrappedPose,
+    ) {
+        let (_, by_unknown) = residual(from, to);
+        for column in 0..6 {
+            let at = |h: f64| {
+                let mut xi = [0.0; 3];
+                xi[column % 3] = h;
+                if column < 3 { residual(from.retract(xi), to).0 } else { residual(from, to.retract(xi)).0 }
+            };
+            let difference = (at(H) - at(-H)) / (2.0 * H);
+            for row in 0..3 {
+                let by = by_unknown[(row, column)];
+                assert!((by - difference[row]).abs() < 1e-8, "({row}, {column}): {by} against {}", difference[row]);
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_of_the_motion_agree_with_central_differences() {
+        let from = UnwrappedPose { x_m: 0.3, y_m: -0.7, heading_rad: 5.1 };
+        for xi in [[0.2, 0.01, 0.4], [-0.1, 0.0, 0.0], [0.01, -0.02, -1.3]] {
+            let step = without_scales(0.19, 0.38);
+            let to = from.retract(xi);
+            check(|from, to| arc_residual(from, to, &step), from, to);
+            check(offset_residual, from, to);
+        }
+    }
+
+    #[test]
+    fn an_arc_that_the_wheels_told_leaves_no_residual() {
+        let step = without_scales(0.25, -0.45);
+        let from = UnwrappedPose::default();
+        let to = from.retract([0.25, 0.0, -0.45]);
+        assert!(arc_residual(from, to, &step).0.norm() < 1e-15);
+    }
 }

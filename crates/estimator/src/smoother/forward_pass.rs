@@ -9,15 +9,17 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::factors::{WhitenedRow, bias_row, constant_row, start_rows, window_row};
-use super::fix_factors::fix_rows;
-use super::motion_factors::{Whitener, calibrated_step, motion_rows};
-use super::problem::{AssociatedFix, MotionSegment, SmoothingProblem};
-use super::values::{CONSTANTS, ProblemValues, VariableKind, VariableLayout};
+use super::factors::{
+    WhitenedRow, Whitener, bias_row, calibrated_motion, constant_row, fix_rows, motion_rows, start_rows, window_row,
+};
+use super::problem::{
+    AssociatedFix, CONSTANTS, MotionSegment, ProblemValues, SmoothingProblem, VariableKind, VariableLayout,
+};
+use crate::models::se2::BodyStep;
 use crate::numerics::elimination::{EliminationChain, EliminationFront};
 use crate::update::nis_and_log_likelihood;
 
-/// What a problem is walked with.
+/// The inputs of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct PassContext<'p, 'a> {
     /// The problem.
@@ -193,8 +195,8 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         self.values.poses[node] = match self.context.problem.segments[node - 1] {
             MotionSegment::Driven { travel, .. } => {
                 let config = self.context.problem.config;
-                let step = calibrated_step(travel, config, &self.values.constants);
-                from.retract([step.forward_m, 0.0, step.turn_rad])
+                let BodyStep { forward_m, turn_rad } = calibrated_motion(travel, config, &self.values.constants).step;
+                from.retract([forward_m, 0.0, turn_rad])
             }
             MotionSegment::Unobserved(_) => from,
         };

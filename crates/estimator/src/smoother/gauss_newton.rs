@@ -1,6 +1,5 @@
 //! The damped Gauss-Newton descent, from a first guess to the values of least cost.
 //!
-//! # Model
 //! ```text
 //! (J'J + lambda I) delta = -J'r         Levenberg (1944); units of m, rad, rad/s, s, and one for the scales
 //! ```
@@ -9,8 +8,8 @@
 //! Source: docs/maths/pose.md section B3.
 
 use super::forward_pass::{LinearizedProblem, PassContext, linearize};
+use super::problem::ProblemValues;
 use super::trajectory::OfflineError;
-use super::values::ProblemValues;
 
 /// More steps than this and it does not converge: a few are usual.
 const MAX_STEPS: u32 = 100;
@@ -38,8 +37,7 @@ pub(super) struct Optimum {
 
 /// Descends from `values`.
 ///
-/// # Errors
-/// [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small; [`OfflineError::NotFinite`] when the
+/// Errors: [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small; [`OfflineError::NotFinite`] when the
 /// first guess has no cost.
 pub(super) fn minimize(ground: PassContext<'_, '_>, mut values: ProblemValues) -> Result<Optimum, OfflineError> {
     let layout = ground.problem.layout();

@@ -1,4 +1,4 @@
-//! What the covariances at the optimum say about fixes, poses and constants.
+//! Leave-one-out tests of the fixes, and covariances of poses and constants, at the optimum.
 //!
 //! # Model
 //! ```text
@@ -8,25 +8,22 @@
 //! ```
 //! In both cases nu' S^-1 nu is the NIS of the fix against all other observations.
 //!
-//! # Source
-//! docs/maths/pose.md section B3.
+//! Source: docs/maths/pose.md section B3.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{Calibration, UncertainValue};
 
-use super::factors::{WhitenedRow, bias_prior};
-use super::fix_factors::fix_rows;
+use super::factors::{WhitenedRow, bias_prior, fix_rows};
 use super::gauss_newton::Optimum;
-use super::problem::{ReadingPose, SmoothingProblem};
-use super::trajectory::SmoothedPose;
-use super::values::{
-    CONSTANTS, FIX_DELAY, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE, TAG_FORWARD, TAG_LEFT, TRACK_SCALE,
-    VariableKind,
+use super::problem::{
+    CONSTANTS, FIX_DELAY, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE, ReadingPose, SmoothingProblem, TAG_FORWARD,
+    TAG_LEFT, TRACK_SCALE, VariableKind,
 };
+use super::trajectory::SmoothedPose;
 use crate::numerics::elimination::JointCovariance;
 use crate::update::nis_and_log_likelihood;
 
-/// What the covariances at the optimum say about fixes, poses and constants.
+/// Leave-one-out NIS of each fix, and covariances of poses and constants, at the optimum.
 pub(super) struct GatedObservation {
     /// Which fixes of the run agree with all the others.
     pub(super) passes_gate: Vec<bool>,
@@ -145,7 +142,7 @@ fn leave_one_out_nis(rows: &[WhitenedRow; 3], joint: &JointCovariance, sign: f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::smoother::outer_iterations::{OuterIteration, whiteners};
+    use crate::smoother::batch::{OuterIteration, whiteners};
     use crate::smoother::problem::RunData;
     use posebridge_telemetry::{
         Fix, Heading, Meters, Observation, ObservationKind, Point2, Radians, SensorId, TimeDelta, Timestamp,
@@ -181,7 +178,7 @@ mod tests {
 
     /// NIS of a fix when these are left out.
     fn nis_of(index: usize, left_out: &[usize]) -> f64 {
-        let config = crate::smoother::tests::config();
+        let config = crate::filter::tests::config();
         let all = observations();
         let run = RunData::new(&config, &all);
         let problem = run.problem(0.0);

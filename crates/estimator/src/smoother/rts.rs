@@ -17,8 +17,7 @@ use crate::filters::pose::smoother::{SmoothedState, smooth};
 /// filter met them; `fixes_used` and `fixes_left_out` count all of these, landmarks and ranges too; `iterations` and
 /// `gyro_windows` are those of one pass: 1 and 0.
 ///
-/// # Errors
-/// Nothing moved, neither start nor fix gives a position, or the configuration is not finite.
+/// Errors: nothing moved, neither start nor fix gives a position, or the configuration is not finite.
 pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<SmoothedTrajectory, OfflineError> {
     if !is_valid_config(config) {
         return Err(OfflineError::NotFinite);

@@ -4,12 +4,11 @@ use std::cmp::Ordering;
 
 use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, Heading, ObservationKind, SensorId, TimeDelta, Timestamp};
 
-use super::reset::StateCommand;
-use crate::filter::StartPose;
+use super::relocalize::StateCommand;
 use crate::history::HistoryEntry;
 use crate::observations::accelerometer::WheelAccelerations;
 
-/// What stands in the history.
+/// The effect of one history entry on the state.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum UpdateKind {
     TurnRate(f64),
@@ -17,21 +16,18 @@ pub(super) enum UpdateKind {
     Motion,
     /// Something absolute was seen: a fix, a landmark, a range, a heading.
     Absolute(ObservationKind, TimeDelta),
-    SetPose(StartPose),
-    /// A person changed what is known, but not where the robot is.
     Command(StateCommand),
 }
 
 impl UpdateKind {
-    /// Order among the actions of one instant, so that the order of arrival does not matter. Commands of a person come last, in
-    /// the order in which they were given: who moves the robot knows what the sensors have said.
+    /// Order of the updates of one instant, so that the order of arrival does not matter. Commands come last, in the order given.
     pub(super) const fn rank(&self) -> u8 {
         match self {
             Self::TurnRate(_) => 0,
             Self::Accelerations(_) => 1,
             Self::Motion => 2,
             Self::Absolute(..) => 3,
-            Self::SetPose(_) | Self::Command(_) => 4,
+            Self::Command(_) => 4,
         }
     }
 
@@ -64,7 +60,7 @@ pub(super) struct PoseEntry {
 }
 
 impl PoseEntry {
-    /// Whether this is a sight that was not used.
+    /// Whether this is an absolute observation that was not used.
     pub(super) const fn is_without_effect(&self, verdict: FusionOutcome) -> bool {
         matches!(self.update, UpdateKind::Absolute(..))
             && !matches!(verdict, FusionOutcome::Accepted | FusionOutcome::PoseReset)

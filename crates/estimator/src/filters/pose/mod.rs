@@ -9,14 +9,11 @@
 mod absolute_update;
 pub mod columns;
 mod entry;
-mod iterated_update;
 pub mod motion_update;
 pub mod noise_scales;
-pub mod observer_frames;
 mod predict;
 pub mod propagation;
 mod relocalize;
-mod reset;
 pub mod smoother;
 pub mod state;
 
@@ -28,12 +25,13 @@ use posebridge_telemetry::{
 };
 
 use self::entry::{PoseEntry, UpdateKind};
-use self::motion_update::{ChiSquareGates, UpdateContext};
-use self::reset::StateCommand;
+use self::motion_update::UpdateContext;
+use self::relocalize::StateCommand;
 use self::state::{CAMERA_STATES, CORE_STATES, PoseState, RANGE_STATES};
 use crate::filter::{Filter, FilterCommand, FilterConfig, StartPose};
 use crate::history::{FixedLagHistory, ReplayStep};
 use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
+use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
 use crate::observations::accelerometer::WheelAccelerations;
 use crate::params::Params;
 use crate::validation;
@@ -79,7 +77,7 @@ impl<const N: usize> PoseFilter<N> {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             gyro: GyroTrack::default(),
-            gates: motion_update::chi_square_gates(config),
+            gates: chi_square_gates(config.params.gate_probability),
             history: FixedLagHistory::new(PoseState::initial(config)),
             slip_reported_at: None,
         }
@@ -103,7 +101,7 @@ impl<const N: usize> PoseFilter<N> {
         self.history.last_state()
     }
 
-    /// Inserts an entry at its own time and applies again whatever it changes: everything after `changed_after`.
+    /// Inserts an entry at its own time and replays everything after `changed_after`.
     fn insert(&mut self, entry: PoseEntry, changed_after: Option<Timestamp<BrickClock>>, record: &mut FusionRecord) {
         let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
         let mut replay = self.history.insert(entry, changed_after);
@@ -153,10 +151,7 @@ impl<const N: usize> PoseFilter<N> {
             return;
         };
         match action {
-            UpdateKind::Absolute(..)
-            | UpdateKind::Accelerations(_)
-            | UpdateKind::SetPose(_)
-            | UpdateKind::Command(_) => {
+            UpdateKind::Absolute(..) | UpdateKind::Accelerations(_) | UpdateKind::Command(_) => {
                 self.insert_unless_duplicate(observation, action, record);
             }
             UpdateKind::TurnRate(rate) => {
@@ -201,63 +196,50 @@ impl<const N: usize> PoseFilter<N> {
         self.insert(pose_entry(observation, action), changed_after, record);
     }
 
-    /// A person's command is applied after all observations of its instant; before the first observation there is nothing to be after.
-    fn insert_command(&mut self, action: UpdateKind) {
+    /// Applies a command after all observations of its instant, or to the initial state before the first one.
+    fn insert_command(&mut self, command: StateCommand) {
         let Some(stamp) = self.latest_time() else {
-            match action {
-                UpdateKind::SetPose(start) => self.history.base_mut().reset_pose_to(&start),
-                UpdateKind::Command(revision) => self.history.base_mut().apply_command(revision, &self.config),
-                UpdateKind::TurnRate(_)
-                | UpdateKind::Accelerations(_)
-                | UpdateKind::Motion
-                | UpdateKind::Absolute(..) => {}
-            }
+            self.history.base_mut().apply_command(command, &self.config);
             return;
         };
-        let entry = PoseEntry { stamp, sensor: SensorId(0), update: action };
+        let entry = PoseEntry { stamp, sensor: SensorId(0), update: UpdateKind::Command(command) };
         self.insert(entry, None, &mut scratch_record(&entry));
     }
 
     /// All tunables are read where they are used, but for two that something was made of.
     fn set_params(&mut self, params: &Params) {
         self.config.params = *params;
-        self.gates = motion_update::chi_square_gates(&self.config);
+        self.gates = chi_square_gates(params.gate_probability);
         self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
     }
 }
 
 impl<const N: usize> Filter for PoseFilter<N> {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let latest = self.latest_time();
-        let lag = validation::lag_of(observation, latest);
-        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Accepted);
-        let refused = validation::reject_invalid(observation, latest, self.config.params.history_s);
-        if let Some(verdict) = refused {
-            record.outcome = verdict;
-        } else {
-            self.observe_valid(observation, &mut record);
-            self.report_slip(&mut record, &observation.measurement);
-        }
-        record
+        validation::observe_if_valid(observation, self.latest_time(), self.config.params.history_s, |record| {
+            record.outcome = FusionOutcome::Accepted;
+            self.observe_valid(observation, record);
+            self.report_slip(record, &observation.measurement);
+        })
     }
 
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         if !validation::is_valid_start(start) {
             return FusionOutcome::Malformed;
         }
-        self.insert_command(UpdateKind::SetPose(*start));
+        self.insert_command(StateCommand::SetPose(*start));
         FusionOutcome::PoseReset
     }
 
     fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         match adjustment {
             FilterCommand::SetParams(params) => self.set_params(params),
-            FilterCommand::ResetPose => self.insert_command(UpdateKind::Command(StateCommand::ResetPose)),
+            FilterCommand::ResetPose => self.insert_command(StateCommand::ResetPose),
             FilterCommand::SetOnlineCalibration(learning) => {
-                self.insert_command(UpdateKind::Command(StateCommand::SetOnlineCalibration(*learning)));
+                self.insert_command(StateCommand::SetOnlineCalibration(*learning));
             }
             FilterCommand::ResetCalibration => {
-                self.insert_command(UpdateKind::Command(StateCommand::ResetCalibration));
+                self.insert_command(StateCommand::ResetCalibration);
             }
         }
         FusionOutcome::Accepted
@@ -301,7 +283,7 @@ const fn pose_entry(observation: &Observation, action: UpdateKind) -> PoseEntry 
     PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action }
 }
 
-/// What an observation does to the filter; `None` for a kind that it has no use for.
+/// The update that an observation makes; `None` for a kind that the filter does not use.
 fn update_kind(observation: &Observation) -> Option<UpdateKind> {
     match observation.measurement {
         ObservationKind::Fix(_)
@@ -349,7 +331,7 @@ fn apply_update<const N: usize>(
             state.stamp = state.stamp.or(Some(stamp));
             state.predict_speeds_and_bias(stamp, context.config);
         }
-        UpdateKind::Motion | UpdateKind::Absolute(..) | UpdateKind::SetPose(_) | UpdateKind::Command(_) => {
+        UpdateKind::Motion | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
             state.advance(stamp, context.track, context.config);
         }
     }
@@ -358,7 +340,6 @@ fn apply_update<const N: usize>(
         UpdateKind::Accelerations(felt) => motion_update::update_accelerations(state, felt, stamp, context),
         UpdateKind::Motion => motion_update::update_motion(state, stamp, context, record),
         UpdateKind::Absolute(seen, sigma) => absolute_update::update_absolute(state, &seen, sigma, context, record),
-        UpdateKind::SetPose(start) => state.reset_pose_to(&start),
         UpdateKind::Command(revision) => state.apply_command(revision, context.config),
     }
 }

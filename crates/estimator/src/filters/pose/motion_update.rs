@@ -7,13 +7,14 @@ use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDO
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::motion::{GyroTrack, MotionTrack};
-use crate::numerics::chi_square::chi_square_quantile;
+use crate::numerics::chi_square::ChiSquareGates;
 use crate::observations::accelerometer::{WheelAccelerations, speed_change};
 use crate::observations::gyro_window::{EndRounding, largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
 use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
+use crate::validation::add_innovation;
 
-/// What the update of one observation needs besides the state.
+/// The inputs of an update besides the state.
 pub struct UpdateContext<'a> {
     /// The filter's configuration.
     pub config: &'a FilterConfig,
@@ -21,16 +22,8 @@ pub struct UpdateContext<'a> {
     pub track: &'a MotionTrack,
     /// The gyro.
     pub gyro: &'a GyroTrack,
-    /// The gate for one, two and three components.
+    /// The gates of the configuration.
     pub gates: &'a ChiSquareGates,
-}
-
-/// The gate: quantiles of chi-square with one, two and three degrees of freedom.
-pub type ChiSquareGates = [f64; 3];
-
-/// The gates of a configuration.
-pub fn chi_square_gates(config: &FilterConfig) -> ChiSquareGates {
-    [1, 2, 3].map(|degrees| chi_square_quantile(degrees, config.params.gate_probability))
 }
 
 /// A gyro that has been silent for longer no longer outranks the encoders' turn rate.
@@ -38,7 +31,7 @@ const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
 /// Accelerations further apart than this say nothing about the time between.
 const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 
-/// Motion was observed: the pose has been carried there already; speeds and gyro window follow.
+/// Updates speeds and gyro window by a motion reading, to whose instant the pose has been propagated.
 pub fn update_motion<const N: usize>(
     state: &mut PoseState<N>,
     stamp: Timestamp<BrickClock>,
@@ -64,7 +57,7 @@ pub fn update_motion<const N: usize>(
     let length_s = context.config.params.gyro_window_s;
     match state.window {
         None => {
-            // What the rounding was where the last window ended says nothing about where this one begins.
+            // The rounding at the end of the last window says nothing about the beginning of this one.
             state.reset_rounding(rounding_variance(&context.config.geometry));
             state.restart_window(stamp);
         }
@@ -72,7 +65,7 @@ pub fn update_motion<const N: usize>(
             if context.gyro.covers(window.start, stamp)
                 && let Some((scalar, outcome)) = update_gyro_window(state, context)
             {
-                record_scalar_innovation(record, &scalar, &outcome);
+                add_innovation(record, scalar.innovation, &outcome);
             } else {
                 state.reset_rounding(rounding_variance(&context.config.geometry));
             }
@@ -82,14 +75,14 @@ pub fn update_motion<const N: usize>(
     }
 }
 
-/// The gyro spoke: the turn rate follows at once, the heading when the window closes.
+/// Updates the turn rate by a gyro sample; the heading follows when the window closes.
 pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &UpdateContext<'_>) {
     let (bias_rad_per_s, bias_variance) = (state.mean[GYRO_BIAS], state.covariance[(GYRO_BIAS, GYRO_BIAS)]);
     let reading = speed::gyro_reading(rate_rad_per_s, bias_rad_per_s, bias_variance, &context.config.noise);
     state.turn.observe(reading);
 }
 
-/// The accelerometers spoke: the speeds follow.
+/// Changes the speeds by an acceleration sample.
 pub fn update_accelerations<const N: usize>(
     state: &mut PoseState<N>,
     felt: WheelAccelerations,
@@ -204,7 +197,7 @@ fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, ni
     state.covariance[(LEFT, LEFT)] += across_m2;
 }
 
-/// What the rounding is where the window ends.
+/// The rounding at the end of the window.
 fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> EndRounding {
     match state.window {
         Some(window) if state.tick_activity.is_stationary(window.start, window.until) => EndRounding::Unchanged,
@@ -231,12 +224,4 @@ pub(super) fn preview_gyro_window<const N: usize>(
             ScalarOutcome { innovation_variance: s, nis: scalar.innovation.powi(2) / s, outcome: UpdateOutcome::Used };
         (scalar, outcome)
     })
-}
-
-fn record_scalar_innovation(record: &mut FusionRecord, scalar: &ScalarMeasurement<3>, outcome: &ScalarOutcome) {
-    record.innovation[0] = scalar.innovation;
-    record.innovation_covariance[0][0] = outcome.innovation_variance;
-    record.nis = outcome.nis;
-    record.degrees_of_freedom = 1;
-    record.log_likelihood = -0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
 }

@@ -9,10 +9,8 @@ use super::motion_update::{self, UpdateContext};
 use super::state::{FORWARD, HEADING, LEFT, PoseBlock, PoseState, PositionState, arena_pose};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
+use crate::motion::SPEED_HOLD;
 use crate::update::preview_scalar;
-
-/// Speeds are stale when no motion was observed for this long.
-const SPEEDS_VALID: TimeDelta = TimeDelta::from_millis(500);
 
 /// The pose and its error, as they are shown.
 struct PublishedPose {
@@ -72,7 +70,7 @@ fn build_estimate<const N: usize>(
         validity: Validity {
             position: state.position_state != PositionState::Unknown,
             heading: state.is_heading_known_at(shown.covariance[2][2]),
-            speeds: state.last_motion.is_some_and(|last| stamp - last <= SPEEDS_VALID),
+            speeds: state.last_motion.is_some_and(|last| stamp - last <= SPEED_HOLD),
         },
         is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
         fix_age,

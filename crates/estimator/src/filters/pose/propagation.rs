@@ -8,25 +8,18 @@
 //! ```
 //! The errors' motion does not depend on where the robot is or where it points: therefore the filter works with an unknown heading.
 //!
-//! # Source
-//! docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
+//! Source: docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
 
 use nalgebra::SMatrix;
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
 use super::state::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN};
 use crate::filter::FilterConfig;
-use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
+use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
 use crate::models::lie::{ArcStep, Se2};
-use crate::motion::{MotionTrack, TravelSegment};
+use crate::models::se2::BodyStep;
+use crate::motion::{MotionTrack, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 
-/// Speeds are held no longer than this after the last motion observation.
-const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
-/// What a robot may do while nothing observes its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
-/// walking pace.
-const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
-/// The same for its heading, rad per sqrt(s).
-const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
 /// Accelerations measured longer ago than this say nothing about how the speeds change now.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
 
@@ -54,10 +47,10 @@ impl GyroWindowStatus {
 pub struct Transition {
     /// The step in the body's space.
     pub step: ArcStep,
-    /// Derivatives of the distance by the errors of mean radius and of the difference of radii.
-    pub forward_by_scales: [f64; 2],
     /// Derivatives of the turn by the errors of mean radius, of the difference of radii and of the track.
     pub turn_by_scales: [f64; 3],
+    /// Derivatives of the distance by the same errors, which the track's error does not change.
+    pub forward_by_scales: [f64; 3],
     /// Whether the turn counts for an open window.
     pub window: GyroWindowStatus,
 }
@@ -69,20 +62,13 @@ impl Transition {
         state: &PoseState<N>,
         geometry: &DriveGeometry,
     ) -> (Self, f64, f64) {
-        let (mean, difference) = (state.mean[RADIUS], state.mean[DIFFERENCE]);
-        let track_m = geometry.track_width.0 * (1.0 + state.mean[TRACK]);
-        let left_m = travel.left_m * (1.0 + mean - 0.5 * difference);
-        let right_m = travel.right_m * (1.0 + mean + 0.5 * difference);
-        let forward_m = 0.5 * (left_m + right_m);
-        let turn_rad = (right_m - left_m) / track_m;
+        let scales = [RADIUS, DIFFERENCE, TRACK].map(|row| state.mean[row]);
+        let moved = calibrated_step(travel, geometry, scales);
+        let BodyStep { forward_m, turn_rad } = moved.step;
         let transition = Self {
             step: ArcStep::new(forward_m, turn_rad),
-            forward_by_scales: [0.5 * (travel.left_m + travel.right_m), 0.25 * (travel.right_m - travel.left_m)],
-            turn_by_scales: [
-                (travel.right_m - travel.left_m) / track_m,
-                0.5 * (travel.right_m + travel.left_m) / track_m,
-                -turn_rad / (1.0 + state.mean[TRACK]),
-            ],
+            forward_by_scales: moved.forward_by_scales,
+            turn_by_scales: moved.turn_by_scales,
             window: state.window.map_or(GyroWindowStatus::Closed, |_| GyroWindowStatus::Open),
         };
         (transition, forward_m, turn_rad)
@@ -92,7 +78,7 @@ impl Transition {
     pub fn at_speeds(forward_m: f64, turn_rad: f64) -> Self {
         Self {
             step: ArcStep::new(forward_m, turn_rad),
-            forward_by_scales: [0.0; 2],
+            forward_by_scales: [0.0; 3],
             turn_by_scales: [0.0; 3],
             window: GyroWindowStatus::Closed,
         }
@@ -299,7 +285,7 @@ impl<const N: usize> PoseState<N> {
         self.pose = self.pose.compose(transition.step.motion);
     }
 
-    /// The motion of the body from `from` until now, so far as it is known: for what was seen a little earlier than it says.
+    /// The motion of the body from `from` until now, as far as it is known: for fixes that were exposed before their timestamp.
     pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();
@@ -326,33 +312,14 @@ impl<const N: usize> PoseState<N> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
     use crate::filters::pose::state::CORE_STATES;
-    use crate::params::Params;
-    use posebridge_telemetry::{Calibration, Meters, Radians, SensorNoise};
-
-    /// A robot without errors.
-    pub(in super::super) fn config() -> FilterConfig {
-        FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.03),
-                right_wheel_radius: Meters(0.03),
-                track_width: Meters(0.1),
-                tick: Radians(0.017),
-            },
-            noise: SensorNoise::EXACT,
-            start: None,
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        }
-    }
 
     #[test]
     fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
         let ms = Timestamp::from_millis;
-        let config = config();
+        let config = crate::filter::tests::config();
         let mut whole = PoseState::<CORE_STATES>::initial(&config);
         whole.predict_speeds_and_bias(ms(0), &config);
         whole.last_acceleration = Some(ms(0));

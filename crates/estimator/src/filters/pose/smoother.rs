@@ -11,20 +11,19 @@
 //! no Jacobian of what lies between, and bears rows that are forgotten on the way (gyro windows), which make the predicted
 //! covariance singular. The inverse is taken on what is uncertain at all.
 //!
-//! # Source
-//! Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
+//! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
 
 use nalgebra::{DMatrix, DVector};
-use posebridge_telemetry::{BrickClock, Calibration, FusionOutcome, Observation, Timestamp};
+use posebridge_telemetry::{BrickClock, Calibration, Observation, Timestamp};
 
 use super::entry::{PoseEntry, UpdateKind};
-use super::motion_update::{self, UpdateContext};
-use super::state::{FORWARD, HEADING, LEFT, PoseState, RANGE_STATES};
+use super::motion_update::UpdateContext;
+use super::state::{PoseState, RANGE_STATES};
 use super::{apply_update, scratch_record, update_kind};
 use crate::filter::FilterConfig;
 use crate::history::HistoryEntry;
-use crate::models::lie::Se2;
 use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
+use crate::numerics::chi_square::chi_square_gates;
 use crate::numerics::covariance::inverse_of_uncertain;
 use crate::validation;
 
@@ -43,11 +42,11 @@ pub struct SmoothedState {
 /// A run forwards and back.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SmootherResult {
-    /// The states after each motion reading and each sight that was used, in the order of time.
+    /// The states after each motion reading and each absolute observation that was used, in the order of time.
     pub states: Vec<SmoothedState>,
-    /// Sum of the NIS of the sights that were used.
+    /// Sum of the NIS of the absolute observations that were used.
     pub nis: f64,
-    /// How many sights were used.
+    /// How many absolute observations were used.
     pub used: usize,
     /// How many were not.
     pub rejected: usize,
@@ -55,7 +54,7 @@ pub struct SmootherResult {
     pub calibration: Calibration,
 }
 
-/// What the way back needs of one observation.
+/// The quantities of one observation that the backward pass needs.
 struct ForwardStep {
     stamp: Timestamp<BrickClock>,
     after: PoseState<RANGE_STATES>,
@@ -69,7 +68,8 @@ struct ForwardStep {
 /// Smooths a run; an empty result means that nothing moved.
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
     let (told, track, gyro) = prepare_entries(config, observations);
-    let context = UpdateContext { config, track: &track, gyro: &gyro, gates: &motion_update::chi_square_gates(config) };
+    let context =
+        UpdateContext { config, track: &track, gyro: &gyro, gates: &chi_square_gates(config.params.gate_probability) };
     let initial = PoseState::<RANGE_STATES>::initial(config);
     let mut smoothing =
         SmootherResult { states: Vec::new(), nis: 0.0, used: 0, rejected: 0, calibration: config.calibration };
@@ -95,10 +95,9 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
             UpdateKind::TurnRate(rate) => gyro.insert(observation.stamp, rate),
             UpdateKind::Motion => MotionReading::from_observation(&observation.measurement)
                 .map_or(InsertOutcome::TooOld, |reading| track.insert(observation.stamp, &reading)),
-            UpdateKind::Accelerations(_)
-            | UpdateKind::Absolute(..)
-            | UpdateKind::SetPose(_)
-            | UpdateKind::Command(_) => InsertOutcome::Inserted(None),
+            UpdateKind::Accelerations(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
+                InsertOutcome::Inserted(None)
+            }
         };
         if matches!(added, InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_)) {
             told.push(PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action });
@@ -137,17 +136,12 @@ fn forward_pass(
         let before = state;
         let mut record = scratch_record(entry);
         apply_update(&mut state, entry, context, &mut record);
+        if entry.is_without_effect(record.outcome) {
+            smoothing.rejected += 1;
+            state = before.after_rejection(&state);
+            continue;
+        }
         if matches!(entry.update, UpdateKind::Absolute(..)) {
-            if !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
-                smoothing.rejected += 1;
-                state = PoseState {
-                    rejected_fixes: state.rejected_fixes,
-                    noise_scales: state.noise_scales,
-                    observer_frames: state.observer_frames,
-                    ..before
-                };
-                continue;
-            }
             smoothing.used += 1;
             smoothing.nis += record.nis;
         }
@@ -163,25 +157,17 @@ fn forward_pass(
 /// The state with room for its copy.
 fn augmented_state(state: &PoseState<RANGE_STATES>) -> PoseState<AUGMENTED_ROWS> {
     let mut wide = PoseState::<AUGMENTED_ROWS>::resized(state);
-    for row in 0..RANGE_STATES {
-        wide.mean[row] = state.mean[row];
-        for column in 0..RANGE_STATES {
-            wide.covariance[(row, column)] = state.covariance[(row, column)];
-        }
-    }
+    wide.mean.fixed_rows_mut::<RANGE_STATES>(0).copy_from(&state.mean);
+    wide.covariance.fixed_view_mut::<RANGE_STATES, RANGE_STATES>(0, 0).copy_from(&state.covariance);
     wide
 }
 
 /// Makes the copy: the same errors, and no correction yet.
 fn copy_rows(state: &mut PoseState<AUGMENTED_ROWS>) {
-    for row in 0..RANGE_STATES {
-        state.mean[RANGE_STATES + row] = 0.0;
-        for column in 0..RANGE_STATES {
-            let value = state.covariance[(row, column)];
-            state.covariance[(RANGE_STATES + row, column)] = value;
-            state.covariance[(row, RANGE_STATES + column)] = value;
-            state.covariance[(RANGE_STATES + row, RANGE_STATES + column)] = value;
-        }
+    let covariance = state.covariance.fixed_view::<RANGE_STATES, RANGE_STATES>(0, 0).into_owned();
+    state.mean.fixed_rows_mut::<RANGE_STATES>(RANGE_STATES).fill(0.0);
+    for (row, column) in [(RANGE_STATES, 0), (0, RANGE_STATES), (RANGE_STATES, RANGE_STATES)] {
+        state.covariance.fixed_view_mut::<RANGE_STATES, RANGE_STATES>(row, column).copy_from(&covariance);
     }
 }
 
@@ -191,12 +177,8 @@ fn forward_step(state: &PoseState<AUGMENTED_ROWS>, stamp: Timestamp<BrickClock>,
         DMatrix::from_fn(n, n, |i, j| state.covariance[(row_base + rows[i], column_base + rows[j])])
     };
     let mut after = PoseState::<RANGE_STATES>::resized(state);
-    for row in 0..RANGE_STATES {
-        after.mean[row] = state.mean[row];
-        for column in 0..RANGE_STATES {
-            after.covariance[(row, column)] = state.covariance[(row, column)];
-        }
-    }
+    after.mean = state.mean.fixed_rows::<RANGE_STATES>(0).into_owned();
+    after.covariance = state.covariance.fixed_view::<RANGE_STATES, RANGE_STATES>(0, 0).into_owned();
     ForwardStep {
         stamp,
         after,
@@ -242,10 +224,6 @@ fn smoothed_state(
             state.covariance[(row, column)] = smoothed[(i, j)];
         }
     }
-    let twist = [state.mean[FORWARD], state.mean[LEFT], state.mean[HEADING]];
-    state.pose = state.pose.compose(Se2::exp(twist));
-    for row in [FORWARD, LEFT, HEADING] {
-        state.mean[row] = 0.0;
-    }
+    state.inject();
     state
 }

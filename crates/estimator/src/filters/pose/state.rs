@@ -11,17 +11,15 @@
 //! o_i, s_i       offset and scale of the ranges to beacon i, and of those to landmarks (only where they are asked for)
 //! v, w           forward speed and turn rate, beside the others: they foretell, they never move the pose over known travel
 //! ```
-//! # Source
-//! docs/maths/pose.md section 1.
+//! Source: docs/maths/pose.md section 1.
 
 use nalgebra::{SMatrix, SVector};
+use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, Heading, Meters, Pose, PoseCorrection, TimeDelta, Timestamp, UncertainValue,
-    quantities::wrap_rad,
 };
 
-use super::noise_scales::NoiseScales;
-use super::observer_frames::ObserverFrames;
+use super::noise_scales::{NoiseScales, ObserverFrames};
 use crate::filter::{FilterConfig, StartPose};
 use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, rounding_variance};
@@ -174,7 +172,7 @@ pub struct PoseState<const N: usize> {
     pub last_acceleration: Option<Timestamp<BrickClock>>,
     /// Fixes refused since the last one that was used.
     pub rejected_fixes: RejectedFixes,
-    /// What the innovations of each source say about its noise.
+    /// The learned noise scale of each source.
     pub noise_scales: NoiseScales,
     /// How often each observer's own space has jumped.
     pub observer_frames: ObserverFrames,
@@ -285,12 +283,7 @@ impl<const N: usize> PoseState<N> {
         self.mean[HEADING] = 0.0;
     }
 
-    /// Whether the heading in the arena is known.
-    pub fn is_heading_known(&self) -> bool {
-        self.is_heading_known_at(self.covariance[(HEADING, HEADING)])
-    }
-
-    /// The same of a heading with this variance.
+    /// Whether a heading with this variance is known in the arena.
     pub(super) fn is_heading_known_at(&self, heading_rad2: f64) -> bool {
         self.position_state == PositionState::Known && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
     }

@@ -12,8 +12,7 @@
 //! With these numbers white noise makes a break about once in exp(2 * 8) readings (Wald's approximation), which at 10 Hz is ten days;
 //! a step of many sigmas makes one with the third reading, and a single damaged reading makes none.
 //!
-//! # Sources
-//! Page (1954), the cumulative sum test.
+//! Source: Page (1954), the cumulative sum test.
 
 /// Further from what is expected than this, in sigmas, a reading is not used, and counts as this far.
 const GATE: f64 = 5.0;
@@ -26,7 +25,7 @@ const PRIOR_READINGS: f64 = 10.0;
 /// Number of readings behind the spread.
 const MEMORY_READINGS: f64 = 100.0;
 
-/// What a reading is.
+/// The class of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ReadingClass {
     /// Within what was expected.

@@ -14,11 +14,10 @@
 //! p(ln tau)     ~ exp(-J / 2)            weight of a kind ~ integral of p over ln tau
 //! ```
 //! # Assumptions
-//! The temperature is constant since the bank began; what is not, is found by [`super::surprise`], which begins anew. The faster of two
+//! The temperature is constant since the bank began; what is not, is found by [`super::change_detector`], which restarts the bank. The faster of two
 //! lags is a quarter of the slower (a DS18B20 in its sleeve has 5.3 s and 22 s); its share is free.
 //!
-//! # Sources
-//! Paper 2 (Markovsky), least squares; docs/lab/thermometer.md, sections M2 and M7.
+//! Source: Paper 2 (Markovsky), least squares; docs/lab/thermometer.md, sections M2 and M7.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -36,7 +35,7 @@ const LN_TAU_STEP: f64 = 0.1;
 const NODE_COUNT: usize = 71;
 /// The slower of two lags over the faster.
 const LAG_RATIO: i32 = 4;
-/// What a bath may differ from what the thermometer shows, one standard deviation.
+/// Prior sigma of the difference between the bath and the first reading.
 const PRIOR_SIGMA_K: f64 = 50.0;
 /// Points at which the posterior of ln tau is looked at.
 const QUADRATURE_POINTS: usize = 48;
@@ -104,7 +103,7 @@ impl FilterBank {
         Self { hypotheses, weights: [0.0; 3], variance: sigma_k * sigma_k }
     }
 
-    /// Begins anew with its first reading, which is used like any other afterwards.
+    /// Restarts at its first reading, which is then used like any other.
     pub(super) fn restart(&mut self, reading: f64) {
         for kind in &mut self.hypotheses {
             kind.restart(reading);
@@ -284,18 +283,12 @@ impl TimeConstantNode {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use posebridge_telemetry::{
-        Calibration, Celsius, DriveGeometry, Meters, Observation, ObservationKind, Radians, SensorId, SensorNoise,
-        TimeDelta, Timestamp,
-    };
+    use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, TimeDelta, Timestamp};
 
     use super::*;
-    use crate::filter::{Filter, FilterConfig};
+    use crate::filter::Filter;
     use crate::filters::dynamic::DynamicFilter;
     use crate::models::dynamic_measurement::DynamicModel;
-    use crate::params::Params;
 
     /// Readings twice a second of a sensor with this response, from 20 degrees towards 50, without noise.
     fn played(left: impl Fn(f64) -> f64, sigma_k: f64, until_s: f64) -> FilterBank {
@@ -324,19 +317,7 @@ mod tests {
 
     #[test]
     fn a_node_is_the_filter_of_the_paper_with_its_time_constant() {
-        let config = FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.028),
-                right_wheel_radius: Meters(0.028),
-                track_width: Meters(0.112),
-                tick: Radians(0.017),
-            },
-            noise: SensorNoise { temperature_k: 0.1, ..SensorNoise::EXACT },
-            start: None,
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: Arc::default(),
-        };
+        let config = crate::filter::tests::config();
         let sensor = SensorId::THERMOMETER;
         let node = 26;
         for (kind, ratios) in [(1, vec![1.0]), (2, vec![1.0, 4.0])] {

@@ -6,15 +6,14 @@
 //!
 //! # Model
 //! ```text
-//! dynamics given     the filter of paper 2, begun anew at every break
-//! none given         all time constants at once, begun anew at every break
+//! dynamics given     the filter of paper 2, restarted at every break
+//! none given         all time constants at once, restarted at every break
 //! bound              sigma of the final value, times kappa of the surprise test
 //! ```
 //! # Assumptions
 //! Between two breaks the temperature is constant. What drifts more slowly than the test sees is followed with a lag, by breaks.
 //!
-//! # Sources
-//! Paper 2 (Markovsky); docs/lab/thermometer.md, section M7.
+//! Source: Paper 2 (Markovsky); docs/lab/thermometer.md, section M7.
 
 mod change_detector;
 mod filter_bank;
@@ -26,17 +25,13 @@ use posebridge_telemetry::{
 
 use self::change_detector::{ChangeDetector, ReadingClass};
 use self::filter_bank::{FilterBank, MeanVariance};
-use super::dynamic::DynamicFilter;
+use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter};
 use crate::filter::{Filter, FilterConfig, StartPose};
-use crate::fusion_records::{add_innovation, outcome_without_pose};
 use crate::models::dynamic_measurement::DynamicModel;
 use crate::update::{ScalarOutcome, UpdateOutcome};
-use crate::validation;
+use crate::validation::{self, add_innovation, outcome_without_pose};
 
-/// Half a last digit of a thermometer with sixteen steps per kelvin: what is taken where no noise is given.
-const DEFAULT_SIGMA_K: f64 = 0.03;
-
-/// What is known of a thermometer.
+/// The settings of a thermometer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ThermometerSettings {
     /// How [`SensorId::THERMOMETER`] follows the temperature; `None` lets it be learnt from the readings.
@@ -82,7 +77,7 @@ impl Thermometer {
         Self { model, change_detector: ChangeDetector::default(), history_s: config.params.history_s, last: None }
     }
 
-    /// What it will show in the end, as of its last reading, in degrees Celsius; `None` before the first.
+    /// The predicted final value as of the last reading, in degrees Celsius; `None` before the first.
     pub fn final_value(&self) -> Option<ScalarEstimate> {
         self.scalar_at(self.last?)
     }
@@ -91,8 +86,9 @@ impl Thermometer {
         let expected = self.model.expected(observation.stamp);
         if let Some(expected) = expected {
             let innovation = shown - expected.mean;
-            let outcome = scalar_outcome(innovation, expected.variance);
-            add_innovation(record, innovation, &outcome);
+            let nis = innovation * innovation / expected.variance;
+            let outcome = UpdateOutcome::Used;
+            add_innovation(record, innovation, &ScalarOutcome { innovation_variance: expected.variance, nis, outcome });
             match self.change_detector.classify(innovation / expected.variance.sqrt()) {
                 ReadingClass::Expected => {}
                 ReadingClass::Outlier => {
@@ -115,7 +111,7 @@ impl Thermometer {
 }
 
 impl ThermometerModel {
-    /// What a reading of this instant should show; `None` before the first.
+    /// The expected reading at this instant; `None` before the first.
     fn expected(&mut self, stamp: Timestamp<BrickClock>) -> Option<MeanVariance> {
         match self {
             Self::Known(filter) => {
@@ -174,30 +170,18 @@ impl ThermometerModel {
     }
 }
 
-fn scalar_outcome(innovation: f64, variance: f64) -> ScalarOutcome {
-    ScalarOutcome {
-        innovation_variance: variance,
-        nis: innovation * innovation / variance,
-        outcome: UpdateOutcome::Used,
-    }
-}
-
 impl Filter for Thermometer {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let lag = validation::lag_of(observation, self.last);
-        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
-        let refused = validation::reject_invalid(observation, self.last, self.history_s);
-        if let Some(verdict) = refused {
-            record.outcome = verdict;
-        } else if let (ObservationKind::Temperature(shown), SensorId::THERMOMETER) =
-            (observation.measurement, observation.sensor)
-        {
-            match validation::reject_repeated(self.last, observation.stamp) {
-                Some(verdict) => record.outcome = verdict,
-                None => self.use_reading(&mut record, observation, shown.0),
+        validation::observe_if_valid(observation, self.last, self.history_s, |record| {
+            if let (ObservationKind::Temperature(shown), SensorId::THERMOMETER) =
+                (observation.measurement, observation.sensor)
+            {
+                match validation::reject_repeated(self.last, observation.stamp) {
+                    Some(verdict) => record.outcome = verdict,
+                    None => self.use_reading(record, observation, shown.0),
+                }
             }
-        }
-        record
+        })
     }
 
     /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
@@ -205,7 +189,7 @@ impl Filter for Thermometer {
         outcome_without_pose(start)
     }
 
-    /// How long the break was is not known: it begins anew. What was learnt of the noise stays.
+    /// Restarts, because the length of the break is unknown; keeps the learned noise.
     fn restart_clock(&mut self) {
         self.model.reset();
         self.last = None;

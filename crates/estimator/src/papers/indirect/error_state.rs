@@ -14,13 +14,12 @@
 //!   e_th' = e_th + T c         e_s' = e_s + D c                D = dd/dc   T = d(dth)/dc
 //!   p' = p + c dt + b dt^2/2   c' = c + b dt                   g' = g + b_g dt
 //! ```
-//! # Sources
-//! Paper 4, equations 9 to 12 and 21 to 22 (F, Gamma, Q in general form); the choice of states is ours: docs/lab/indirect.md section M2.
+//! Source: Paper 4, equations 9 to 12 and 21 to 22 (F, Gamma, Q in general form); the choice of states is ours: docs/lab/indirect.md section M2.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
-use crate::models::differential_drive::{StepNoise, WheelTravel, step_noise};
+use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
 use crate::models::se2::{BodyStep, Displacement, StepRule, displace};
 use crate::numerics::covariance::symmetrise;
 use crate::observations::gyro_window::gyro_variance;
@@ -83,7 +82,7 @@ pub struct NominalStep {
     pub path_var_m2: f64,
 }
 
-/// What the instruments gathered during a step.
+/// Sampling intervals of the instruments during a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SampleIntervals {
     /// Its length, s.
@@ -102,19 +101,13 @@ pub fn nominal_step(
     geometry: &DriveGeometry,
     noise: &SensorNoise,
 ) -> NominalStep {
-    let [m, dr, tb] = *scales;
-    let b = geometry.track_width.0 * (1.0 + tb);
-    let scaled =
-        WheelTravel { left_m: travel.left_m * (1.0 + m - 0.5 * dr), right_m: travel.right_m * (1.0 + m + 0.5 * dr) };
-    let step =
-        BodyStep { forward_m: 0.5 * (scaled.left_m + scaled.right_m), turn_rad: (scaled.right_m - scaled.left_m) / b };
-    let (sum_m, difference_m) = (travel.left_m + travel.right_m, travel.right_m - travel.left_m);
+    let moved = calibrated_step(travel, geometry, *scales);
     NominalStep {
-        step,
-        displacement: displace(heading_rad, step, StepRule::Arc),
-        forward_by_scales: [0.5 * sum_m, 0.25 * difference_m, 0.0],
-        turn_by_scales: [difference_m / b, 0.5 * sum_m / b, -step.turn_rad / (1.0 + tb)],
-        noise: step_noise(scaled, geometry, noise),
+        step: moved.step,
+        displacement: displace(heading_rad, moved.step, StepRule::Arc),
+        forward_by_scales: moved.forward_by_scales,
+        turn_by_scales: moved.turn_by_scales,
+        noise: step_noise(moved.travel, geometry, noise),
         path_var_m2: 0.0,
     }
 }

@@ -3,25 +3,14 @@
 //! Each sum is compared with the nominal path at instants that lie within the wheels' last step, so that angle meets angle: the
 //! rounding of the counters then enters once and does not add up.
 
-use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+use posebridge_telemetry::{BrickClock, FusionOutcome, TimeDelta, Timestamp};
 
-/// Across a longer silence nothing is summed up: the instrument starts anew.
+use crate::validation::reject_repeated;
+
+/// After a longer silence the integral restarts.
 const MAX_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
-/// What became of a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum SampleOutcome {
-    /// Summed up.
-    Continued,
-    /// The first, or the first after a silence.
-    Started,
-    /// Its stamp is that of the sample before.
-    Duplicate,
-    /// Older than the sample before.
-    TooOld,
-}
-
-/// When an instrument spoke, and how its sums stand with the filter.
+/// Timing of an instrument, and whether the filter tracks its integrals.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct InstrumentTiming {
     last: Option<Timestamp<BrickClock>>,
@@ -34,31 +23,20 @@ pub(super) struct InstrumentTiming {
 }
 
 impl InstrumentTiming {
-    /// The interval that a sample ends, in seconds; zero for the first.
-    fn record_sample(&mut self, stamp: Timestamp<BrickClock>) -> (SampleOutcome, f64) {
-        let Some(last) = self.last else {
-            self.restart(stamp);
-            return (SampleOutcome::Started, 0.0);
-        };
-        if stamp == last {
-            return (SampleOutcome::Duplicate, 0.0);
+    /// The interval that a sample ends, in seconds; zero for the first, and for the first after a silence. Or why it is not used.
+    fn record_sample(&mut self, stamp: Timestamp<BrickClock>) -> Result<f64, FusionOutcome> {
+        if let Some(verdict) = reject_repeated(self.last, stamp) {
+            return Err(verdict);
         }
-        if stamp < last {
-            return (SampleOutcome::TooOld, 0.0);
+        if self.is_silent_at(stamp) {
+            *self = Self { last: Some(stamp), ..Self::default() };
+            return Ok(0.0);
         }
-        if stamp - last > MAX_INTERVAL {
-            self.restart(stamp);
-            return (SampleOutcome::Started, 0.0);
-        }
-        let interval_s = (stamp - last).as_secs_f64();
+        let interval_s = self.last.map_or(0.0, |last| (stamp - last).as_secs_f64());
         self.last = Some(stamp);
         self.squared_intervals_s2 += interval_s * interval_s;
         self.is_compared = false;
-        (SampleOutcome::Continued, interval_s)
-    }
-
-    fn restart(&mut self, stamp: Timestamp<BrickClock>) {
-        *self = Self { last: Some(stamp), ..Self::default() };
+        Ok(interval_s)
     }
 
     /// The instant of the sums, when they were not yet compared.
@@ -86,10 +64,10 @@ pub(super) struct GyroAngle {
 
 impl GyroAngle {
     /// Sums up the mean rate since the sample before.
-    pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> SampleOutcome {
-        let (sampled, interval_s) = self.timing.record_sample(stamp);
+    pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> Result<(), FusionOutcome> {
+        let interval_s = self.timing.record_sample(stamp)?;
         self.angle_rad += rate_rad_per_s * interval_s;
-        sampled
+        Ok(())
     }
 }
 
@@ -105,14 +83,19 @@ pub(super) struct AccelerometerIntegral {
 
 impl AccelerometerIntegral {
     /// Sums up accelerations, m/s² and rad/s², twice: each is the mean since the sample before.
-    pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, forward: f64, turn: f64) -> SampleOutcome {
-        let (sampled, interval_s) = self.timing.record_sample(stamp);
+    pub(super) fn integrate(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        forward: f64,
+        turn: f64,
+    ) -> Result<(), FusionOutcome> {
+        let interval_s = self.timing.record_sample(stamp)?;
         let half_s2 = 0.5 * interval_s * interval_s;
         self.distance_m += self.speed_m_per_s * interval_s + forward * half_s2;
         self.speed_m_per_s += forward * interval_s;
         self.angle_rad += self.turn_rad_per_s * interval_s + turn * half_s2;
         self.turn_rad_per_s += turn * interval_s;
-        sampled
+        Ok(())
     }
 }
 
@@ -128,9 +111,9 @@ mod tests {
     fn constant_acceleration_gives_speed_and_distance_whatever_the_intervals() {
         let mut sums = AccelerometerIntegral::default();
         let verdicts = [0, 100, 130, 330, 330, 200, 500].map(|at| sums.integrate(ms(at), 2.0, -4.0));
-        assert_eq!(verdicts[0], SampleOutcome::Started);
-        assert_eq!(verdicts[4], SampleOutcome::Duplicate);
-        assert_eq!(verdicts[5], SampleOutcome::TooOld);
+        assert_eq!(verdicts[0], Ok(()));
+        assert_eq!(verdicts[4], Err(FusionOutcome::Malformed));
+        assert_eq!(verdicts[5], Err(FusionOutcome::TooOld));
         assert!((sums.speed_m_per_s - 1.0).abs() < 1e-12);
         assert!((sums.distance_m - 0.25).abs() < 1e-12);
         assert!((sums.angle_rad + 0.5).abs() < 1e-12);
@@ -139,11 +122,11 @@ mod tests {
     #[test]
     fn after_a_silence_an_instrument_begins_anew() {
         let mut gyro = GyroAngle::default();
-        gyro.integrate(ms(0), 1.0);
+        gyro.integrate(ms(0), 1.0).unwrap();
         gyro.timing.is_tracked = true;
-        assert_eq!(gyro.integrate(ms(300), 1.0), SampleOutcome::Continued);
+        gyro.integrate(ms(300), 1.0).unwrap();
         assert!(gyro.timing.is_tracked && gyro.timing.is_silent_at(ms(601)));
-        assert_eq!(gyro.integrate(ms(601), 1.0), SampleOutcome::Started);
+        gyro.integrate(ms(601), 1.0).unwrap();
         assert!(!gyro.timing.is_tracked);
     }
 }

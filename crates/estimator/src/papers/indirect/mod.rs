@@ -16,11 +16,9 @@
 //! Observations are used when they come, against the state that is there, as in the paper: a late fix errs by what was driven
 //! since. The gate for fixes and the way out of it are ours.
 //!
-//! # Sources
-//! Paper 4, equations 1 to 22; docs/lab/indirect.md.
+//! Source: Paper 4, equations 1 to 22; docs/lab/indirect.md.
 
 pub mod error_state;
-mod fixes;
 mod instruments;
 mod nominal_path;
 mod path_state;
@@ -33,7 +31,6 @@ use posebridge_telemetry::{
 };
 
 use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
-use self::instruments::SampleOutcome;
 pub use self::nominal_path::CorrectionMode;
 use self::nominal_path::NominalPath;
 use self::path_state::PathState;
@@ -76,7 +73,7 @@ impl IndirectFilter {
     }
 
     fn observe_motion(&mut self, record: &mut FusionRecord, stamp: Timestamp<BrickClock>, reading: &MotionReading) {
-        let is_late = self.path.stamp().is_some_and(|last| stamp < last);
+        let is_late = self.path.stamp.is_some_and(|last| stamp < last);
         let added = self.track.insert(stamp, reading);
         record.outcome = match (added, is_late) {
             // The path has gone past it: as late as it is, it changes nothing.
@@ -95,13 +92,9 @@ impl IndirectFilter {
         self.save_state(stamp);
     }
 
-    fn observe_sample(&mut self, record: &mut FusionRecord, sampled: SampleOutcome) {
-        record.outcome = match sampled {
-            SampleOutcome::Continued | SampleOutcome::Started => FusionOutcome::Accepted,
-            SampleOutcome::Duplicate => FusionOutcome::Malformed,
-            SampleOutcome::TooOld => FusionOutcome::TooOld,
-        };
-        if record.outcome == FusionOutcome::Accepted {
+    fn observe_sample(&mut self, record: &mut FusionRecord, sampled: Result<(), FusionOutcome>) {
+        record.outcome = sampled.err().unwrap_or(FusionOutcome::Accepted);
+        if sampled.is_ok() {
             self.path.compare_instruments(record);
             self.save_state(record.stamp);
         }
@@ -114,7 +107,7 @@ impl IndirectFilter {
             record.outcome = verdict;
             return;
         }
-        record.outcome = if self.path.is_placed() {
+        record.outcome = if self.path.is_placed {
             self.path.use_fix(record, fix, stamp_sigma_s)
         } else {
             self.path.initialize_from_fix(fix);
@@ -129,8 +122,8 @@ impl IndirectFilter {
         }
         self.last_fixes.insert(record.sensor, stamp);
         self.rejected_fixes = None;
-        self.path.record_fix_time(stamp);
-        if self.path.stamp().is_none() {
+        self.path.last_fix = self.path.last_fix.max(Some(stamp));
+        if self.path.stamp.is_none() {
             self.path.start_at(stamp);
         }
         self.save_state(stamp);
@@ -147,7 +140,7 @@ impl IndirectFilter {
     /// Records the latest instant, and the state at the path's end.
     fn save_state(&mut self, stamp: Timestamp<BrickClock>) {
         self.latest = self.latest.max(Some(stamp));
-        if let Some(end) = self.path.stamp() {
+        if let Some(end) = self.path.stamp {
             self.history.push(end, self.path.path_state());
         }
     }
@@ -155,24 +148,20 @@ impl IndirectFilter {
 
 impl Filter for IndirectFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        let lag = validation::lag_of(observation, self.latest);
-        let mut record = validation::record_without_prediction(observation, lag, FusionOutcome::Unused);
-        let history_s = self.config.params.history_s;
         let stamp = observation.stamp;
-        if let Some(verdict) = validation::reject_invalid(observation, self.latest, history_s) {
-            record.outcome = verdict;
-        } else if let Some(reading) = MotionReading::from_observation(&observation.measurement) {
-            self.observe_motion(&mut record, stamp, &reading);
-        } else if let ObservationKind::TurnRate(rate) = observation.measurement {
-            let sampled = self.path.add_gyro(stamp, rate.0);
-            self.observe_sample(&mut record, sampled);
-        } else if let ObservationKind::WheelAccelerations { left, right } = observation.measurement {
-            let sampled = self.path.add_accelerations(stamp, left.0, right.0);
-            self.observe_sample(&mut record, sampled);
-        } else if let ObservationKind::Fix(fix) = observation.measurement {
-            self.observe_fix(&mut record, &fix, observation.stamp_sigma.as_secs_f64());
-        }
-        record
+        validation::observe_if_valid(observation, self.latest, self.config.params.history_s, |record| {
+            if let Some(reading) = MotionReading::from_observation(&observation.measurement) {
+                self.observe_motion(record, stamp, &reading);
+            } else if let ObservationKind::TurnRate(rate) = observation.measurement {
+                let sampled = self.path.gyro.integrate(stamp, rate.0);
+                self.observe_sample(record, sampled);
+            } else if let ObservationKind::WheelAccelerations { left, right } = observation.measurement {
+                let sampled = self.path.add_accelerations(stamp, left.0, right.0);
+                self.observe_sample(record, sampled);
+            } else if let ObservationKind::Fix(fix) = observation.measurement {
+                self.observe_fix(record, &fix, observation.stamp_sigma.as_secs_f64());
+            }
+        })
     }
 
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {

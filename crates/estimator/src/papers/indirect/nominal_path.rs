@@ -1,19 +1,26 @@
 //! The nominal path with its errors: what moves it, what is measured against it, and what comes out.
 
-use posebridge_telemetry::{Arena, BrickClock, FusionRecord, Heading, Meters, Pose, PoseCorrection, Timestamp};
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, PoseCorrection, Timestamp,
+};
 
 use super::error_state::{
     ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, ErrorState,
-    FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
+    FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, N, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
     TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, predict, process_noise, start_row, transition,
 };
-use super::instruments::{AccelerometerIntegral, GyroAngle, SampleOutcome};
+use super::instruments::{AccelerometerIntegral, GyroAngle};
 use super::path_state::PathState;
-use crate::filter::FilterConfig;
-use crate::fusion_records::add_innovation;
+use crate::filter::{FilterConfig, StartPose};
 use crate::models::differential_drive::WheelTravel;
+use crate::models::planar_speeds::Acceleration;
 use crate::motion::{MotionTrack, TravelSegment};
-use crate::update::{ScalarMeasurement, use_scalar};
+use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
+use crate::observations::fix::{FixContext, FixNoise, fix_noise, mid_axle};
+use crate::papers::rows::{self, position_in_arena, with_heading};
+use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
+use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
 
 /// What is left of an accelerometer's zero after it was set to zero at rest, m/s²: a hundredth of g.
 const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
@@ -47,6 +54,7 @@ pub(super) struct PathPoint {
 /// The nominal path, its errors and the instruments beside it.
 pub(super) struct NominalPath {
     pub(super) config: FilterConfig,
+    gates: ChiSquareGates,
     pub(super) correction: CorrectionMode,
     pub(super) x_m: f64,
     pub(super) y_m: f64,
@@ -75,6 +83,7 @@ impl NominalPath {
         let known = &config.calibration;
         let mut path = Self {
             config: config.clone(),
+            gates: chi_square_gates(config.params.gate_probability),
             correction,
             x_m: 0.0,
             y_m: 0.0,
@@ -111,15 +120,6 @@ impl NominalPath {
             path.reset_to(start);
         }
         path
-    }
-
-    /// The end of the path.
-    pub(super) const fn stamp(&self) -> Option<Timestamp<BrickClock>> {
-        self.stamp
-    }
-
-    pub(super) const fn is_placed(&self) -> bool {
-        self.is_placed
     }
 
     /// A number that is learned, and its standard deviation: what went into the path, and what is still an error of it.
@@ -211,14 +211,15 @@ impl NominalPath {
         self.start_at(to);
     }
 
-    pub(super) fn add_gyro(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> SampleOutcome {
-        self.gyro.integrate(stamp, rate_rad_per_s)
-    }
-
     /// Forward accelerations at the left and at the right wheel, m/s².
-    pub(super) fn add_accelerations(&mut self, stamp: Timestamp<BrickClock>, left: f64, right: f64) -> SampleOutcome {
-        let turn = (right - left) / self.config.geometry.track_width.0;
-        self.accelerometers.integrate(stamp, 0.5 * (left + right), turn)
+    pub(super) fn add_accelerations(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        left: f64,
+        right: f64,
+    ) -> Result<(), FusionOutcome> {
+        let body = Acceleration::from_wheels(left, right, &self.config.geometry);
+        self.accelerometers.integrate(stamp, body.forward_m_per_s2, body.turn_rad_per_s2)
     }
 
     /// Holds the instruments against the path, where their sums end within its last step.
@@ -346,7 +347,7 @@ impl NominalPath {
         }
     }
 
-    /// An instrument that fell silent is let go, lest its errors grow without bound.
+    /// Stops tracking an instrument that is silent, because its errors would grow without bound.
     fn drop_silent_instruments(&mut self, at: Timestamp<BrickClock>) {
         if self.gyro.timing.is_silent_at(at) {
             self.gyro.timing.is_tracked = false;
@@ -399,6 +400,119 @@ impl NominalPath {
             last_fix: self.last_fix,
             reset_counter: self.reset_counter,
             last_jump: self.last_jump,
+        }
+    }
+}
+
+// Fixes against the nominal path, and relocation of the path.
+
+/// Heading of a robot whose first fix had none: uniform on the circle, rad².
+const UNKNOWN_HEADING_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+
+impl NominalPath {
+    /// Uses a fix against the path as it is, however late the fix came.
+    pub(super) fn use_fix(&mut self, record: &mut FusionRecord, fix: &Fix, stamp_sigma_s: f64) -> FusionOutcome {
+        let noise = self.fix_noise(fix, stamp_sigma_s);
+        // dz - H e: paper 4's linearisation about the nominal path.
+        let path = [self.x_m, self.y_m, self.end.angle_rad];
+        let (dz, jacobian) = position_in_arena(path, [X, Y, HEADING], fix);
+        let position =
+            LinearizedMeasurement { innovation: dz - jacobian * self.errors, jacobian, noise: noise.position };
+        let verdict = if let Some(heading) = fix.heading {
+            let turn_rad = wrap_rad(heading.rad() - self.end.angle_rad - self.errors[HEADING]);
+            let full = with_heading(&position, HEADING, turn_rad, noise.heading_rad2);
+            self.apply_measurement(record, &full)
+        } else {
+            self.apply_measurement(record, &position)
+        };
+        self.apply_feedback();
+        verdict
+    }
+
+    fn apply_measurement<const M: usize>(
+        &mut self,
+        record: &mut FusionRecord,
+        measurement: &LinearizedMeasurement<N, M>,
+    ) -> FusionOutcome {
+        rows::gate_and_apply(&mut self.errors, &mut self.covariance, measurement, &self.gates, record)
+    }
+
+    fn fix_noise(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {
+        let circumstances = FixContext {
+            stamp_sigma_s,
+            forward_m_per_s: self.forward_m_per_s,
+            turn_rad_per_s: self.turn_rad_per_s,
+            ..FixContext::default()
+        };
+        fix_noise(fix, &self.config.noise, [1.0, 1.0], &circumstances)
+    }
+
+    /// The robot is where a fix sees it: the first fix, or the one that ends a long disagreement.
+    pub(super) fn initialize_from_fix(&mut self, fix: &Fix) {
+        let noise = self.fix_noise(fix, 0.0);
+        let before = self.pose();
+        let (heading_rad, heading_rad2) = match fix.heading {
+            Some(heading) => (heading.rad(), noise.heading_rad2),
+            None if self.is_placed => (before.heading.rad(), self.covariance[(HEADING, HEADING)]),
+            None => (before.heading.rad(), UNKNOWN_HEADING_RAD2),
+        };
+        self.relocate(&mid_axle(fix, heading_rad));
+        for (i, row) in [X, Y].into_iter().enumerate() {
+            for (j, column) in [X, Y].into_iter().enumerate() {
+                self.covariance[(row, column)] = noise.position[(i, j)];
+            }
+        }
+        self.covariance[(HEADING, HEADING)] = heading_rad2;
+        self.record_correction(before);
+    }
+
+    /// The robot is where a person says.
+    pub(super) fn set_pose(&mut self, start: &StartPose) {
+        let before = self.pose();
+        self.reset_to(start);
+        self.record_correction(before);
+    }
+
+    pub(super) fn reset_to(&mut self, start: &StartPose) {
+        self.relocate(&start.pose);
+        for row in [X, Y] {
+            self.covariance[(row, row)] = start.position_sigma_m.powi(2);
+        }
+        self.covariance[(HEADING, HEADING)] = start.heading_sigma_rad.powi(2);
+    }
+
+    /// Moves the path to a pose and restarts the instruments, which refer to the old heading.
+    fn relocate(&mut self, pose: &Pose<Arena>) {
+        self.x_m = pose.x.0;
+        self.y_m = pose.y.0;
+        self.end.angle_rad = pose.heading.rad();
+        self.debounced_angle_rad = self.end.angle_rad;
+        self.previous = None;
+        for row in [X, Y, HEADING, DISTANCE] {
+            clear_row(&mut self.errors, &mut self.covariance, row);
+        }
+        self.reset_instruments();
+        self.is_placed = true;
+    }
+
+    fn record_correction(&mut self, before: Pose<Arena>) {
+        self.reset_counter = self.reset_counter.wrapping_add(1);
+        self.last_jump = Some(validation::correction_between(before, self.pose()));
+    }
+
+    /// Nothing that was stamped holds any longer, and the robot may have been carried.
+    pub(super) fn restart_clock(&mut self) {
+        self.reset_instruments();
+        self.stamp = None;
+        self.previous = None;
+        self.last_motion = None;
+        self.last_fix = None;
+        self.forward_m_per_s = 0.0;
+        self.turn_rad_per_s = 0.0;
+        for (row, sigma) in
+            [(X, RESTART_POSITION_SIGMA_M), (Y, RESTART_POSITION_SIGMA_M), (HEADING, RESTART_HEADING_SIGMA_RAD)]
+        {
+            self.covariance[(row, row)] += sigma * sigma;
         }
     }
 }

@@ -8,10 +8,9 @@ use posebridge_telemetry::{
 
 use crate::filter::FilterConfig;
 use crate::models::se2::{BodyStep, StepRule, displace};
+use crate::motion::SPEED_HOLD;
 use crate::numerics::covariance::symmetrise;
 
-/// Speeds are stale when no motion was observed for this long, and are held as long when the future is asked for.
-const SPEEDS_VALID: TimeDelta = TimeDelta::from_millis(500);
 /// Over a step of the wheels the speed is a mean; by its end it may have changed so much.
 const TYPICAL_STEP_S: f64 = 0.05;
 
@@ -38,7 +37,7 @@ impl PathState {
         at: Timestamp<BrickClock>,
         stamp: Timestamp<BrickClock>,
     ) -> Estimate {
-        let held_until = self.last_motion.map_or(at, |moved| moved + SPEEDS_VALID);
+        let held_until = self.last_motion.map_or(at, |moved| moved + SPEED_HOLD);
         let dt_s = (stamp.min(held_until) - at).as_secs_f64().max(0.0);
         let (pose, pose_covariance) = self.predict_pose(config, dt_s);
         let mut covariance = [[0.0; 5]; 5];
@@ -60,7 +59,7 @@ impl PathState {
             validity: Validity {
                 position: self.is_placed,
                 heading: self.has_heading,
-                speeds: self.last_motion.is_some_and(|moved| stamp - moved <= SPEEDS_VALID),
+                speeds: self.last_motion.is_some_and(|moved| stamp - moved <= SPEED_HOLD),
             },
             is_dead_reckoning: fix_age.is_none_or(|age| age.as_secs_f64() > params.fix_timeout_s),
             fix_age,

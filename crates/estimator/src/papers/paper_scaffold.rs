@@ -1,0 +1,524 @@
+//! The scaffold of the filters of paper 1: everything but their equations.
+//!
+//! Observations are used when they come. Each one moves the state to its own instant, if that is ahead, and is then applied; one
+//! from the past is applied to the present, or refused where it would make an interval negative. So the order of the sensors
+//! within one instant does not matter, and a filter's own file holds its matrices and nothing else.
+//!
+//! ```text
+//! speeds are held for 0.5 s after the last reading of the wheels, accelerations for 0.3 s after they were felt;
+//! behind that the pose stays and only the doubt grows
+//! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
+//! robot is taken to have driven at the counters' mean speeds
+//! ```
+//! A timeline of past beliefs answers for earlier instants: as they were estimated then, for nothing is corrected afterwards.
+//!
+//! Source: docs/lab/square.md section M1.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::estimate::row;
+use posebridge_telemetry::{
+    BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
+    MetersPerSecond, Observation, ObservationKind, Pose, PoseCorrection, RadiansPerSecond, SensorId, TimeDelta,
+    Timestamp, UncertainValue, Validity,
+};
+
+use super::state_history::StateHistory;
+use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::models::differential_drive::{WheelTravel, body_step};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
+use crate::models::se2::BodyStep;
+use crate::motion::SPEED_HOLD;
+use crate::numerics::chi_square::chi_square_gates;
+use crate::observations::fix::{FixContext, fix_noise, mid_axle};
+use crate::validation;
+use crate::validation::reject_repeated;
+
+/// Accelerations are held for this long: as long as an interval that is no gap.
+const ACCELERATION_HOLD: TimeDelta = MAX_STEP;
+
+/// The state at one instant, with all that a prediction from there needs.
+#[derive(Clone, Copy)]
+struct FilterSnapshot<M> {
+    stamp: Option<Timestamp<BrickClock>>,
+    filter: M,
+    acceleration: Option<(Timestamp<BrickClock>, Acceleration)>,
+    last_motion: Option<Timestamp<BrickClock>>,
+    last_fix: Option<Timestamp<BrickClock>>,
+    /// The pose was given, by the configuration, a person or a fix.
+    is_placed: bool,
+}
+
+impl<M: SampledFilter> FilterSnapshot<M> {
+    fn advance_to(&mut self, stamp: Timestamp<BrickClock>, context: &SampledContext) {
+        let Some(from) = self.stamp.filter(|from| *from < stamp) else {
+            self.stamp = self.stamp.or(Some(stamp));
+            return;
+        };
+        // Before the first reading of the wheels nothing has gone stale yet.
+        let held_until = self.last_motion.unwrap_or(from) + SPEED_HOLD;
+        let moving_until = held_until.clamp(from, stamp);
+        let (felt, felt_until) = self
+            .acceleration
+            .map_or_else(|| (Acceleration::default(), from), |(felt_at, felt)| (felt, felt_at + ACCELERATION_HOLD));
+        let changing_until = felt_until.clamp(from, moving_until);
+        if changing_until > from {
+            let dt_s = (changing_until - from).as_secs_f64();
+            self.filter.predict(dt_s, felt, context);
+        }
+        if moving_until > changing_until {
+            let dt_s = (moving_until - changing_until).as_secs_f64();
+            self.filter.predict(dt_s, Acceleration::default(), context);
+        }
+        if stamp > moving_until {
+            self.filter.predict_unobserved((stamp - moving_until).as_secs_f64(), context);
+        }
+        self.stamp = Some(stamp);
+    }
+
+    /// Crosses what of a gap has not been predicted yet at the mean speeds by the counters.
+    fn bridge_gap(&mut self, step: &WheelStep, stamp: Timestamp<BrickClock>, context: &SampledContext) {
+        let Some(from) = self.stamp.filter(|from| *from < stamp) else {
+            return;
+        };
+        let body = step.body_step(&context.config.geometry);
+        let gap_s = step.interval.as_secs_f64();
+        let left_s = (stamp - from).as_secs_f64();
+        let share = left_s / gap_s;
+        // In which order distance and turn came is unknown: the direction of the way is uniform within the turn.
+        let path_m2 = share * (body.forward_m * body.turn_rad).powi(2) / 12.0;
+        let speeds = [body.forward_m / gap_s, body.turn_rad / gap_s];
+        self.filter.bridge_gap(speeds, path_m2);
+        self.filter.predict(left_s, Acceleration::default(), context);
+        self.stamp = Some(stamp);
+    }
+}
+
+/// A filter that uses observations when they come.
+pub(super) struct OnArrivalFilter<M> {
+    context: SampledContext,
+    counters: WheelCounters,
+    last_gyro: Option<Timestamp<BrickClock>>,
+    last_acceleration: Option<Timestamp<BrickClock>>,
+    last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
+    current: FilterSnapshot<M>,
+    /// The state after each instant within the history.
+    history: StateHistory<FilterSnapshot<M>>,
+    reset_counter: u8,
+    last_jump: Option<PoseCorrection>,
+}
+
+impl<M: SampledFilter> OnArrivalFilter<M> {
+    /// Starts at the configured pose, or at the arena's origin.
+    pub(super) fn new(mut maths: M, config: &FilterConfig) -> Self {
+        if let Some(start) = &config.start {
+            maths.initialize_pose(start);
+        }
+        let first = FilterSnapshot {
+            stamp: None,
+            filter: maths,
+            acceleration: None,
+            last_motion: None,
+            last_fix: None,
+            is_placed: config.start.is_some(),
+        };
+        Self {
+            context: SampledContext { config: config.clone(), gates: chi_square_gates(config.params.gate_probability) },
+            counters: WheelCounters::default(),
+            last_gyro: None,
+            last_acceleration: None,
+            last_fixes: BTreeMap::new(),
+            current: first,
+            history: StateHistory::new(config.params.history_s),
+            reset_counter: 0,
+            last_jump: None,
+        }
+    }
+
+    /// Stores a state: one for each instant, as far back as the history reaches.
+    fn save(&mut self, next: FilterSnapshot<M>) {
+        self.current = next;
+        if let Some(stamp) = next.stamp {
+            self.history.push(stamp, next);
+        }
+    }
+
+    /// Goes on from a state that does not depend on those before it, which are forgotten.
+    fn restart_history(&mut self, next: FilterSnapshot<M>) {
+        self.history.clear();
+        self.save(next);
+    }
+
+    fn observe_valid(&mut self, observation: &Observation, record: &mut FusionRecord) -> FusionOutcome {
+        let stamp = observation.stamp;
+        let uses = |extra| self.current.filter.uses(extra);
+        if let ObservationKind::WheelAngles { left, right } = observation.measurement {
+            self.observe_wheels(stamp, [left.0, right.0], record)
+        } else if let ObservationKind::TurnRate(rate) = observation.measurement
+            && uses(OptionalSensor::Gyro)
+        {
+            self.observe_gyro(stamp, rate.0, record)
+        } else if let ObservationKind::WheelAccelerations { left, right } = observation.measurement
+            && uses(OptionalSensor::Accelerometers)
+        {
+            self.observe_accelerations(stamp, Acceleration::from_wheels(left.0, right.0, &self.context.config.geometry))
+        } else if let ObservationKind::Fix(fix) = observation.measurement
+            && uses(OptionalSensor::Camera)
+        {
+            self.observe_fix(observation, &fix, record)
+        } else {
+            FusionOutcome::Unused
+        }
+    }
+
+    fn observe_wheels(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        angles_rad: [f64; 2],
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let reading = self.counters.observe(stamp, angles_rad, &self.context.config);
+        let mut next = self.current;
+        let verdict = match reading {
+            CounterOutcome::Rejected(verdict) => return verdict,
+            CounterOutcome::First | CounterOutcome::Rebased => {
+                next.advance_to(stamp, &self.context);
+                next.filter.rebase_wheels(&self.context);
+                if reading == CounterOutcome::First { FusionOutcome::Accepted } else { FusionOutcome::Rebased }
+            }
+            CounterOutcome::Step(step) => {
+                if step.is_gap() {
+                    next.bridge_gap(&step, stamp, &self.context);
+                } else {
+                    next.advance_to(stamp, &self.context);
+                }
+                next.filter.use_wheels(&step, &self.context, record)
+            }
+        };
+        next.last_motion = next.last_motion.max(Some(stamp));
+        self.save(next);
+        verdict
+    }
+
+    fn observe_gyro(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        rate_rad_per_s: f64,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        if let Some(verdict) = reject_repeated(self.last_gyro, stamp) {
+            return verdict;
+        }
+        let interval = self.last_gyro.map(|before| stamp - before);
+        self.last_gyro = Some(stamp);
+        let mut next = self.current;
+        next.advance_to(stamp, &self.context);
+        let short = interval.filter(|interval| *interval <= MAX_STEP);
+        let verdict = if let Some(interval) = short {
+            let dt_s = interval.as_secs_f64();
+            next.filter.use_gyro(rate_rad_per_s, dt_s, &self.context, record)
+        } else {
+            next.filter.rebase_gyro();
+            FusionOutcome::Accepted
+        };
+        self.save(next);
+        verdict
+    }
+
+    fn observe_accelerations(&mut self, stamp: Timestamp<BrickClock>, felt: Acceleration) -> FusionOutcome {
+        if let Some(verdict) = reject_repeated(self.last_acceleration, stamp) {
+            return verdict;
+        }
+        self.last_acceleration = Some(stamp);
+        let mut next = self.current;
+        next.advance_to(stamp, &self.context);
+        next.acceleration = Some((stamp, felt));
+        self.save(next);
+        FusionOutcome::Accepted
+    }
+
+    fn observe_fix(&mut self, observation: &Observation, fix: &Fix, record: &mut FusionRecord) -> FusionOutcome {
+        let before = self.last_fixes.get(&observation.sensor).copied();
+        if let Some(verdict) = reject_repeated(before, observation.stamp) {
+            return verdict;
+        }
+        let mut next = self.current;
+        next.advance_to(observation.stamp, &self.context);
+        let verdict = if next.is_placed {
+            let stamp_sigma_s = observation.stamp_sigma.as_secs_f64();
+            next.filter.use_fix(fix, stamp_sigma_s, &self.context, record)
+        } else {
+            initialize_from_fix(&mut next.filter, fix, &self.context)
+        };
+        if verdict == FusionOutcome::Accepted {
+            next.is_placed = true;
+            next.last_fix = next.last_fix.max(Some(observation.stamp));
+            self.last_fixes.insert(observation.sensor, observation.stamp);
+            self.save(next);
+        }
+        verdict
+    }
+
+    fn build_estimate(&self, at: &FilterSnapshot<M>, stamp: Timestamp<BrickClock>) -> Estimate {
+        let belief = at.filter.gaussian_state(&self.context);
+        let fix_age = at.last_fix.map(|last_fix| (stamp - last_fix).max(TimeDelta::ZERO));
+        let timeout = TimeDelta::from_secs_f64(self.context.config.params.fix_timeout_s);
+        Estimate {
+            stamp,
+            pose: pose_of(&belief.mean),
+            forward_speed: MetersPerSecond(belief.mean[row::FORWARD]),
+            turn_rate: RadiansPerSecond(belief.mean[row::TURN]),
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| belief.covariance[(i, j)])),
+            validity: Validity {
+                position: at.is_placed,
+                heading: at.is_placed,
+                speeds: at.last_motion.is_some_and(|last| stamp - last <= SPEED_HOLD),
+            },
+            is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
+            fix_age,
+            reset_counter: self.reset_counter,
+            last_correction: self.last_jump,
+        }
+    }
+}
+
+/// Places a robot that has no pose yet: a fix without a heading cannot.
+fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &SampledContext) -> FusionOutcome {
+    let Some(heading) = fix.heading else {
+        return FusionOutcome::Unused;
+    };
+    let circumstances = FixContext::default();
+    let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
+    maths.initialize_pose(&StartPose {
+        pose: mid_axle(fix, heading.rad()),
+        position_sigma_m: (0.5 * noise.position.trace()).sqrt(),
+        heading_sigma_rad: noise.heading_rad2.sqrt(),
+    });
+    FusionOutcome::Accepted
+}
+
+fn pose_of(mean: &Mean) -> Pose<posebridge_telemetry::Arena> {
+    Pose::new(Meters(mean[row::X]), Meters(mean[row::Y]), Heading::from_rad(mean[row::HEADING]))
+}
+
+impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
+    fn observe(&mut self, observation: &Observation) -> FusionRecord {
+        let history_s = self.context.config.params.history_s;
+        validation::observe_if_valid(observation, self.latest_time(), history_s, |record| {
+            record.outcome = self.observe_valid(observation, record);
+        })
+    }
+
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        if !validation::is_valid_start(start) {
+            return FusionOutcome::Malformed;
+        }
+        let mut next = self.current;
+        let before = pose_of(&next.filter.gaussian_state(&self.context).mean);
+        next.filter.initialize_pose(start);
+        next.is_placed = true;
+        self.restart_history(next);
+        self.reset_counter = self.reset_counter.wrapping_add(1);
+        self.last_jump = Some(validation::correction_between(before, start.pose));
+        FusionOutcome::PoseReset
+    }
+
+    fn restart_clock(&mut self) {
+        let mut next =
+            FilterSnapshot { stamp: None, acceleration: None, last_motion: None, last_fix: None, ..self.current };
+        let position_m = validation::RESTART_POSITION_SIGMA_M;
+        let heading_rad = validation::RESTART_HEADING_SIGMA_RAD;
+        next.filter.reset_speeds(position_m, heading_rad, &self.context);
+        self.counters = WheelCounters::default();
+        self.last_gyro = None;
+        self.last_acceleration = None;
+        self.last_fixes.clear();
+        self.restart_history(next);
+    }
+
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.current.stamp
+    }
+
+    fn calibration(&self) -> Option<Calibration> {
+        let gyro_bias_rad_per_s = self.current.filter.gyro_bias()?;
+        Some(Calibration { gyro_bias_rad_per_s, ..self.context.config.calibration })
+    }
+
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        let (_, mut at) = self.history.last_at_or_before(stamp)?;
+        at.advance_to(stamp, &self.context);
+        Some(self.build_estimate(&at, stamp))
+    }
+}
+
+// The interface to one filter's equations.
+
+/// Configuration and gates for a filter's equations.
+pub(super) struct SampledContext {
+    /// The filter's configuration.
+    pub(super) config: FilterConfig,
+    /// Quantiles of chi-square with one, two and three degrees of freedom.
+    pub(super) gates: [f64; 3],
+}
+
+/// The sensors that not every filter has a use for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum OptionalSensor {
+    Gyro,
+    Accelerometers,
+    Camera,
+}
+
+/// Pose and speeds with their covariance, rows as [`row`], SI units, heading not wrapped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct GaussianState {
+    pub(super) mean: Mean,
+    pub(super) covariance: Covariance,
+}
+
+/// One filter's maths.
+pub(super) trait SampledFilter: Copy + Send {
+    /// Whether it has a use for a sensor besides the wheels.
+    fn uses(&self, extra: OptionalSensor) -> bool;
+
+    /// The estimated pose and speeds.
+    fn gaussian_state(&self, context: &SampledContext) -> GaussianState;
+
+    /// The bias of the gyro, in rad/s, where it is a state.
+    fn gyro_bias(&self) -> Option<UncertainValue> {
+        None
+    }
+
+    /// Moves the pose to a start; what is known about the speeds stays.
+    fn initialize_pose(&mut self, start: &StartPose);
+
+    /// Forgets the speeds, and adds uncertainty to the pose: standard deviations in m and rad.
+    fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext);
+
+    /// Predicts over `dt_s` with the speeds that are held.
+    fn predict(&mut self, dt_s: f64, felt: Acceleration, context: &SampledContext);
+
+    /// Lets `dt_s` pass in which nothing observes the motion.
+    fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext);
+
+    /// Uses these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64);
+
+    /// The counters have a new base: what the wheels did up to here is what was predicted.
+    fn rebase_wheels(&mut self, context: &SampledContext) {
+        let _ = context;
+    }
+
+    /// The gyro's integral begins here.
+    fn rebase_gyro(&mut self) {}
+
+    /// Uses what the wheels turned since the reading before.
+    fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome;
+
+    /// Uses the mean turn rate of the last `dt_s`, bias included, in rad/s.
+    fn use_gyro(
+        &mut self,
+        rate_rad_per_s: f64,
+        dt_s: f64,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let _ = (rate_rad_per_s, dt_s, context, record);
+        FusionOutcome::Unused
+    }
+
+    /// Uses a fix whose stamp may be off by `stamp_sigma_s`.
+    fn use_fix(
+        &mut self,
+        fix: &Fix,
+        stamp_sigma_s: f64,
+        context: &SampledContext,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        let _ = (fix, stamp_sigma_s, context, record);
+        FusionOutcome::Unused
+    }
+}
+
+// The travel between two neighbouring readings of the wheels' counters, in the order in which they come.
+
+/// A longer interval between two readings is a gap: five lost readings in a row at the papers' 20 Hz are still bridged.
+pub(super) const MAX_STEP: TimeDelta = TimeDelta::from_millis(300);
+
+/// The wheels' rotation between two readings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct WheelStep {
+    /// Length of the interval, more than zero.
+    pub(super) interval: TimeDelta,
+    /// The left wheel's rotation, rad.
+    pub(super) left_rad: f64,
+    /// The right wheel's rotation, rad.
+    pub(super) right_rad: f64,
+}
+
+impl WheelStep {
+    /// Distance and turn that go with the rotation.
+    pub(super) fn body_step(&self, geometry: &DriveGeometry) -> BodyStep {
+        let travel = WheelTravel {
+            left_m: geometry.left_wheel_radius.0 * self.left_rad,
+            right_m: geometry.right_wheel_radius.0 * self.right_rad,
+        };
+        body_step(travel, geometry)
+    }
+
+    /// Whether the interval is so long that its mean speed is no speed.
+    pub(super) fn is_gap(&self) -> bool {
+        self.interval > MAX_STEP
+    }
+}
+
+/// A reading of the counters compared with the one before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum CounterOutcome {
+    /// It is the first: the base from which the wheels turn.
+    First,
+    /// The wheels turned so far since the reading before.
+    Step(WheelStep),
+    /// No wheel turns that fast: the counters were zeroed or have leapt, and this is their new base.
+    Rebased,
+    /// It comes twice or from the past; the reading before stays the last one.
+    Rejected(FusionOutcome),
+}
+
+/// The last reading of both counters.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct WheelCounters {
+    last: Option<(Timestamp<BrickClock>, [f64; 2])>,
+}
+
+impl WheelCounters {
+    /// Takes a reading of both wheels' total rotation, in rad.
+    pub(super) fn observe(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        angles_rad: [f64; 2],
+        config: &FilterConfig,
+    ) -> CounterOutcome {
+        let before = self.last;
+        if let Some(verdict) = reject_repeated(before.map(|(stamp, _)| stamp), stamp) {
+            return CounterOutcome::Rejected(verdict);
+        }
+        self.last = Some((stamp, angles_rad));
+        let Some((before_stamp, before_rad)) = before else {
+            return CounterOutcome::First;
+        };
+        let step = WheelStep {
+            interval: stamp - before_stamp,
+            left_rad: angles_rad[0] - before_rad[0],
+            right_rad: angles_rad[1] - before_rad[1],
+        };
+        // Two counts of slack: quantisation alone must never look like a jump.
+        let limit_rad = config.params.max_wheel_rad_per_s * step.interval.as_secs_f64() + 2.0 * config.geometry.tick.0;
+        if step.left_rad.abs() <= limit_rad && step.right_rad.abs() <= limit_rad {
+            CounterOutcome::Step(step)
+        } else {
+            CounterOutcome::Rebased
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! Operations on the rows of pose and speeds of any of these filters, and their updates by several scalars and by fixes.
+
+use nalgebra::{SMatrix, SVector, Vector2, Vector3};
+use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord};
+
+use crate::filter::StartPose;
+use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
+use crate::observations::fix::{lever_in_arena, with_heading_variance};
+use crate::update::{LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, use_scalar};
+use crate::validation::write_innovation;
+
+/// Moves the pose to a start, independent of all other rows.
+pub(super) fn initialize_pose<const N: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    start: &StartPose,
+) {
+    let pose = start.pose;
+    for (row, value, sigma) in [
+        (X, pose.x.0, start.position_sigma_m),
+        (Y, pose.y.0, start.position_sigma_m),
+        (HEADING, pose.heading.rad(), start.heading_sigma_rad),
+    ] {
+        mean[row] = value;
+        set_independent_variance(covariance, row, sigma * sigma);
+    }
+}
+
+/// Adds standard deviations, in m and rad, to the pose.
+pub(super) fn inflate_pose<const N: usize>(covariance: &mut SMatrix<f64, N, N>, position_m: f64, heading_rad: f64) {
+    covariance[(X, X)] += position_m * position_m;
+    covariance[(Y, Y)] += position_m * position_m;
+    covariance[(HEADING, HEADING)] += heading_rad * heading_rad;
+}
+
+/// Lets the pose walk at random for `dt_s`.
+pub(super) fn add_unobserved_motion<const N: usize>(covariance: &mut SMatrix<f64, N, N>, dt_s: f64) {
+    let root_s = dt_s.sqrt();
+    inflate_pose(covariance, UNOBSERVED_M_PER_SQRT_S * root_s, UNOBSERVED_RAD_PER_SQRT_S * root_s);
+}
+
+/// Adds standard deviations, in m and rad, to the pose, and makes the speeds zero with these variances, independent of all other
+/// rows.
+pub(super) fn reset_speeds<const N: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    position_m: f64,
+    heading_rad: f64,
+    speed_variances: [f64; 2],
+) {
+    inflate_pose(covariance, position_m, heading_rad);
+    for (row, variance) in [FORWARD, TURN].into_iter().zip(speed_variances) {
+        mean[row] = 0.0;
+        set_independent_variance(covariance, row, variance);
+    }
+}
+
+/// Takes these speeds, and adds the variance of an unknown path to the position.
+pub(super) fn bridge_gap<const N: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    speeds: [f64; 2],
+    path_m2: f64,
+) {
+    mean[FORWARD] = speeds[0];
+    mean[TURN] = speeds[1];
+    covariance[(X, X)] += path_m2;
+    covariance[(Y, Y)] += path_m2;
+}
+
+/// Gives a row a variance of its own, independent of all other rows.
+pub(super) fn set_independent_variance<const N: usize>(covariance: &mut SMatrix<f64, N, N>, row: usize, variance: f64) {
+    covariance.row_mut(row).fill(0.0);
+    covariance.column_mut(row).fill(0.0);
+    covariance[(row, row)] = variance;
+}
+
+// Innovations of several scalars at once: used one after the other, recorded together.
+
+/// Uses scalars whose noises are independent of each other, all predicted from the state as it is, without a gate.
+///
+/// [`Verdict::Malformed`], and nothing changes, when their covariance is none.
+pub(super) fn apply_all<const N: usize, const K: usize, const M: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    scalars: &[ScalarMeasurement<K>; M],
+    record: &mut FusionRecord,
+) -> FusionOutcome {
+    let innovation = SVector::from_fn(|i, _| scalars[i].innovation);
+    let s = SMatrix::<f64, M, M>::from_fn(|i, j| {
+        let noise = if i == j { scalars[i].variance } else { 0.0 };
+        noise + cross_variance(&scalars[i], &scalars[j], covariance)
+    });
+    if !write_innovation(record, &innovation, &s) {
+        return FusionOutcome::Malformed;
+    }
+    let (before, covariance_before) = (*mean, *covariance);
+    for scalar in scalars {
+        // What the scalars before it have moved is already explained.
+        let explained: f64 =
+            scalar.rows.iter().zip(&scalar.jacobian).map(|(&row, by)| by * (mean[row] - before[row])).sum();
+        let rest = ScalarMeasurement { innovation: scalar.innovation - explained, ..*scalar };
+        if use_scalar(mean, covariance, &rest, f64::INFINITY).outcome != UpdateOutcome::Used {
+            (*mean, *covariance) = (before, covariance_before);
+            return FusionOutcome::Malformed;
+        }
+    }
+    FusionOutcome::Accepted
+}
+
+/// h P h' of two scalars.
+fn cross_variance<const N: usize, const K: usize>(
+    a: &ScalarMeasurement<K>,
+    b: &ScalarMeasurement<K>,
+    covariance: &SMatrix<f64, N, N>,
+) -> f64 {
+    let mut sum = 0.0;
+    for (&row, &by) in a.rows.iter().zip(&a.jacobian) {
+        for (&column, &by_column) in b.rows.iter().zip(&b.jacobian) {
+            sum += by * by_column * covariance[(row, column)];
+        }
+    }
+    sum
+}
+
+// Innovation and H of a fix for the states of the papers, which hold x, y and heading themselves, in the arena.
+
+/// Uses a measurement unless its NIS exceeds the gate of as many components; the record says what happened.
+pub(super) fn gate_and_apply<const N: usize, const M: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    measurement: &LinearizedMeasurement<N, M>,
+    gates: &[f64; 3],
+    record: &mut FusionRecord,
+) -> FusionOutcome {
+    let s = measurement.innovation_covariance(covariance);
+    if !write_innovation(record, &measurement.innovation, &s) {
+        FusionOutcome::Malformed
+    } else if record.nis > gates[M - 1] {
+        FusionOutcome::Gated
+    } else if apply_measurement(mean, covariance, measurement) {
+        FusionOutcome::Accepted
+    } else {
+        FusionOutcome::Malformed
+    }
+}
+
+/// Puts a heading behind a position: its innovation, in rad, is that of the state's `row`, and its variance, in rad², is not shared
+/// with the position.
+pub(super) fn with_heading<const N: usize>(
+    position: &LinearizedMeasurement<N, 2>,
+    row: usize,
+    turn_rad: f64,
+    heading_rad2: f64,
+) -> LinearizedMeasurement<N, 3> {
+    let mut jacobian = SMatrix::<f64, 3, N>::zeros();
+    jacobian.fixed_rows_mut::<2>(0).copy_from(&position.jacobian);
+    jacobian[(2, row)] = 1.0;
+    LinearizedMeasurement {
+        innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
+        jacobian,
+        noise: with_heading_variance(&position.noise, heading_rad2),
+    }
+}
+
+/// Innovation and H of a fix's position for a state that holds x, y and heading themselves, in the arena.
+///
+/// ```text
+/// nu = z - (x, y) - R(th) l          H = [ 1 0 -(R l)_y ]
+///                                        [ 0 1  (R l)_x ]          l the tag in the body
+/// ```
+/// The estimate comes first, x in m, y in m and the heading in rad, then the rows of these.
+pub(super) fn position_in_arena<const N: usize>(
+    [x_m, y_m, heading_rad]: [f64; 3],
+    [x, y, heading]: [usize; 3],
+    fix: &Fix,
+) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
+    let lever = lever_in_arena(fix, heading_rad);
+    let mut jacobian = SMatrix::<f64, 2, N>::zeros();
+    jacobian[(0, x)] = 1.0;
+    jacobian[(1, y)] = 1.0;
+    jacobian[(0, heading)] = -lever[1];
+    jacobian[(1, heading)] = lever[0];
+    let seen = Vector2::new(fix.position.x.0, fix.position.y.0);
+    (seen - Vector2::new(x_m, y_m) - lever, jacobian)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observations::fix::mid_axle;
+    use posebridge_telemetry::{Meters, Point2};
+
+    const FIX: Fix = Fix {
+        position: Point2::new(Meters(1.3), Meters(-0.4)),
+        heading: None,
+        covariance: None,
+        tag_in_body: Point2::new(Meters(0.2), Meters(-0.1)),
+        reset_counter: 0,
+    };
+
+    fn innovation(at: [f64; 3]) -> Vector2<f64> {
+        position_in_arena::<3>(at, [0, 1, 2], &FIX).0
+    }
+
+    #[test]
+    fn a_robot_that_turned_left_has_its_tag_ahead_of_it_to_the_north() {
+        let pose = mid_axle(&FIX, std::f64::consts::FRAC_PI_2);
+        // The tag is 0.2 m ahead, which is north, and 0.1 m to the right, which is east.
+        assert!((pose.x.0 - 1.2).abs() < 1e-12 && (pose.y.0 + 0.6).abs() < 1e-12);
+        assert!(innovation([pose.x.0, pose.y.0, pose.heading.rad()]).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_jacobian_of_a_position_in_the_arena_agrees_with_central_differences() {
+        let at = [0.7, 0.2, -2.3];
+        let jacobian = position_in_arena::<3>(at, [0, 1, 2], &FIX).1;
+        let h = 1e-6;
+        for column in 0..3 {
+            let (mut above, mut below) = (at, at);
+            above[column] += h;
+            below[column] -= h;
+            // The innovation falls by as much as the prediction grows.
+            let slope = (innovation(below) - innovation(above)) / (2.0 * h);
+            assert!((jacobian.column(column) - slope).norm() < 1e-9, "{column}");
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Whatever comes, in whatever order: what cannot be used is refused with a reason and changes nothing, and what is believed stays
+//! sound. All kinds of observation, all states, random sequences from a fixed seed.
+
+use std::f64::consts::PI;
+
+use nalgebra::DMatrix;
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{FusionOutcome, Observation, SensorId, TimeDelta};
+use proptest::prelude::*;
+
+use crate::support::any::{AnyMeasurement, any_observation, cases, damages, learning_everything, of, without_learning};
+
+/// What is believed of the last second and of the next, each in digits that tell any two numbers apart, and what was learned.
+struct FilterReadout {
+    estimates: Vec<Option<String>>,
+    learned: String,
+}
+
+fn readout<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> FilterReadout {
+    let instants = (-10..=10).map(|k| about.stamp + TimeDelta::from_millis(k * 100));
+    FilterReadout {
+        estimates: instants.map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}"))).collect(),
+        learned: format!("{:?}", filter.calibration()),
+    }
+}
+
+/// Holds two beliefs against each other. What is told of an instant may be forgotten, because even an observation that is not used
+/// moves the end of the history, and the first of all gives the filter its first instant.
+fn assert_unchanged(before: &FilterReadout, after: &FilterReadout, what: &str) {
+    assert_eq!(before.learned, after.learned, "{what}");
+    for (before, after) in before.estimates.iter().zip(&after.estimates) {
+        if before.is_some() && after.is_some() {
+            assert_eq!(before, after, "{what}");
+        }
+    }
+    let newest = before.estimates.last().and_then(Option::as_ref);
+    assert!(newest.is_none() || after.estimates.last() == Some(&newest.cloned()), "{what}");
+}
+
+const fn leaves_all_as_it_was(verdict: FusionOutcome) -> bool {
+    matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld | FusionOutcome::Gated | FusionOutcome::Unused)
+}
+
+/// Every eigenvalue of the correlations is positive, but for rounding; rows that are certain are left out.
+fn assert_positive(what: &str, p: &DMatrix<f64>) {
+    assert!(p.iter().all(|value| value.is_finite()), "{what}: {p}");
+    assert_eq!(*p, p.transpose(), "{what}");
+    assert!(p.diagonal().min() >= 0.0, "{what}: {p}");
+    let uncertain: Vec<usize> = (0..p.nrows()).filter(|&i| p[(i, i)] > 0.0).collect();
+    let sigmas: Vec<f64> = uncertain.iter().map(|&i| p[(i, i)].sqrt()).collect();
+    let correlations = DMatrix::from_fn(uncertain.len(), uncertain.len(), |i, j| {
+        p[(uncertain[i], uncertain[j])] / (sigmas[i] * sigmas[j])
+    });
+    if !uncertain.is_empty() {
+        let lowest = correlations.symmetric_eigenvalues().min();
+        assert!(lowest > -1e-9, "{what}: eigenvalue {lowest:e} of {p}");
+    }
+}
+
+fn assert_state_sound<const N: usize>(filter: &PoseFilter<N>) {
+    let state = filter.state();
+    let p = DMatrix::from_iterator(N, N, state.covariance.iter().copied());
+    assert_positive("state", &p);
+    assert!(state.mean.iter().all(|value| value.is_finite()));
+    let heading_rad = state.pose.heading_rad;
+    assert!(heading_rad > -PI && heading_rad <= PI, "{heading_rad}");
+    assert!(state.forward.variance >= 0.0 && state.turn.variance >= 0.0);
+}
+
+/// Gives a sequence to the filter, with damaged copies, doubles and latecomers in between.
+fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId, AnyMeasurement)]) {
+    let mut filter = PoseFilter::<N>::new(config);
+    let mut millis = 10_000;
+    for (step_ms, sensor, seen) in steps {
+        millis += step_ms;
+        let observation = of(millis, *sensor, seen.0);
+        let before = readout(&filter, &observation);
+        let record = filter.observe(&observation);
+        assert!(record.nis >= 0.0 && record.nis.is_finite(), "{record:?}");
+        assert!(record.log_likelihood.is_finite(), "{record:?}");
+        assert!(!record.outcome.reason().is_empty());
+        let after = readout(&filter, &observation);
+        if leaves_all_as_it_was(record.outcome) {
+            let what = format!("{:?}: {observation:?}", record.outcome);
+            assert_unchanged(&before, &after, &what);
+        }
+        let again = filter.observe(&observation).outcome;
+        assert!(leaves_all_as_it_was(again), "{again:?} twice: {observation:?}");
+        let twice = readout(&filter, &observation);
+        assert_unchanged(&after, &twice, &format!("twice: {observation:?}"));
+        for damaged in damages(&observation) {
+            let verdict = filter.observe(&damaged).outcome;
+            assert!(matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld), "{verdict:?}: {damaged:?}");
+            let still = readout(&filter, &observation);
+            assert_unchanged(&after, &still, &format!("{damaged:?}"));
+        }
+        assert_state_sound(&filter);
+        let latest = filter.latest_time().map(|latest| latest + TimeDelta::from_millis(300));
+        if let Some(estimate) = latest.and_then(|latest| filter.estimate_at(latest)) {
+            let published = estimate.covariance;
+            assert_positive("published", &DMatrix::from_fn(5, 5, |row, column| published[row][column]));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(cases(40, 20_260_103))]
+
+    #[test]
+    fn with_every_state_whatever_comes_is_used_soundly_or_refused(
+        steps in prop::collection::vec(any_observation(), 1..60),
+        has_start in any::<bool>(),
+        has_students_t in any::<bool>(),
+    ) {
+        let mut config = learning_everything();
+        config.start = config.start.filter(|_| has_start);
+        config.params.student_dof = if has_students_t { 4.0 } else { 0.0 };
+        play_anything::<RANGE_STATES>(&config, &steps);
+        play_anything::<CAMERA_STATES>(&config, &steps);
+    }
+
+    #[test]
+    fn with_known_constants_whatever_comes_is_used_soundly_or_refused(
+        steps in prop::collection::vec(any_observation(), 1..100),
+        has_start in any::<bool>(),
+    ) {
+        let mut config = without_learning();
+        config.start = config.start.filter(|_| has_start);
+        play_anything::<CORE_STATES>(&config, &steps);
+    }
+}

@@ -1,0 +1,178 @@
+//! The constants of a robot, learned while it drives: wheels, track, gyro bias, the camera's delay and the tag's place.
+
+use std::f64::consts::FRAC_PI_2;
+
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, DIFFERENCE, RADIUS, TRACK};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{Calibration, SensorId, TimeDelta, UncertainValue};
+
+use crate::support::alter::{altered, with_tag_moved};
+use crate::support::filters::named;
+use crate::support::robot::{GEOMETRY_SIGMAS, NOISE, config, learning_geometry, unknown};
+use crate::support::simulation::{CAMERA_10_HZ, Camera, Drive, RobotSimulation, STEP_S, drive_lap, drive_steps, stamp};
+
+/// Two minutes of straights and turns in place, to the left and to the right.
+fn course() -> Vec<(f64, f64)> {
+    let mut steps = vec![(0.0, 0.0); 40];
+    for leg in 0..12 {
+        let quarter = if leg % 3 == 2 { -FRAC_PI_2 } else { FRAC_PI_2 };
+        steps.extend([(0.2 * STEP_S, 0.0); 140]);
+        steps.extend([(0.0, quarter / 40.0); 40]);
+    }
+    steps
+}
+
+/// A drive of a robot whose geometry is drawn, with the true constants: radius scale, difference, track scale, bias at the end.
+fn drawn(seed: u64) -> (Drive, [f64; 4]) {
+    let mut world = RobotSimulation::new(seed);
+    let [mean, difference, track] = world.draw_geometry();
+    let drive = drive_steps(&mut world, course(), Some(CAMERA_10_HZ));
+    (drive, [mean, difference, track, world.bias_rad_per_s])
+}
+
+fn played<const N: usize>(config: &FilterConfig, drive: &Drive) -> PoseFilter<N> {
+    let mut filter = PoseFilter::<N>::new(config);
+    for arrival in &drive.arrivals {
+        filter.observe(&arrival.observation);
+    }
+    filter
+}
+
+fn of_robot(calibration: &Calibration) -> [UncertainValue; 4] {
+    [calibration.radius_scale, calibration.radius_difference, calibration.track_scale, calibration.gyro_bias_rad_per_s]
+}
+
+/// Chi-square with 40 and with 120 degrees of freedom, 0.05 % on either side, divided by these.
+const BAND_OF_40: std::ops::Range<f64> = 0.42..1.905;
+const BAND_OF_120: std::ops::Range<f64> = 0.628..1.481;
+
+/// Every constant must be learned with the error that it claims in each run, and to less than a sigma in the last.
+fn check_learned<const N: usize>(
+    most: [(&str, f64); N],
+    runs: u64,
+    band: &std::ops::Range<f64>,
+    run: impl Fn(u64) -> [(UncertainValue, f64); N],
+) {
+    let (mut nees, mut sigmas) = ([0.0; N], [0.0; N]);
+    for seed in 0..runs {
+        for (i, (known, truth)) in run(seed).into_iter().enumerate() {
+            let error = known.value - truth;
+            assert!(error.abs() < 4.0 * known.sigma, "seed {seed}, {}: {error} of {}", most[i].0, known.sigma);
+            nees[i] += (error / known.sigma).powi(2) / runs as f64;
+            sigmas[i] = known.sigma;
+        }
+    }
+    for (i, (name, most)) in most.into_iter().enumerate() {
+        println!("{name}: NEES {:.2}, sigma {:.2e}", nees[i], sigmas[i]);
+        assert!(band.contains(&nees[i]), "{name}: {}", nees[i]);
+        assert!(sigmas[i] < most, "{name}: {}", sigmas[i]);
+    }
+}
+
+#[test]
+fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
+    let [radius, difference, track] = GEOMETRY_SIGMAS.map(|sigma| 0.25 * sigma);
+    let most =
+        [("radius_scale", radius), ("radius_difference", difference), ("track_scale", track), ("gyro_bias", f64::MAX)];
+    check_learned(most, 120, &BAND_OF_120, |seed| {
+        let (drive, truth) = drawn(seed);
+        let found = of_robot(&played::<CORE_STATES>(&learning_geometry(), &drive).calibration().unwrap());
+        [0, 1, 2, 3].map(|i| (found[i], truth[i]))
+    });
+}
+
+#[test]
+fn what_is_given_for_certain_stays_as_it_was_given() {
+    let mut given = config();
+    given.calibration.radius_scale.value = 0.004;
+    given.calibration.track_scale.value = -0.01;
+    for seed in 0..3 {
+        let (drive, _) = drawn(seed);
+        let filter = played::<CORE_STATES>(&given, &drive);
+        let found = filter.calibration().unwrap();
+        let exactly = |value| UncertainValue { value, sigma: 0.0 };
+        assert_eq!(found.radius_scale, exactly(0.004));
+        assert_eq!(found.radius_difference, exactly(0.0));
+        assert_eq!(found.track_scale, exactly(-0.01));
+        let p = filter.state().covariance;
+        for row in [RADIUS, DIFFERENCE, TRACK] {
+            assert_eq!(p.row(row).amax(), 0.0, "row {row} is certain");
+        }
+    }
+}
+
+#[test]
+fn without_fixes_what_was_learned_is_kept_and_does_not_grow_uncertain() {
+    let (drive, _) = drawn(5);
+    let blind_from = 700;
+    let drive = altered(drive, |observation| {
+        let is_blind = observation.stamp >= stamp(blind_from);
+        (observation.sensor != SensorId::CAMERA || !is_blind).then_some(observation)
+    });
+    let mut filter = PoseFilter::<CORE_STATES>::new(&learning_geometry());
+    let mut before = None;
+    for arrival in &drive.arrivals {
+        filter.observe(&arrival.observation);
+        // Three seconds after the last fix nothing tells of wear any longer.
+        if arrival.step == blind_from + 60 {
+            before = filter.calibration();
+        }
+    }
+    let (before, after) = (before.unwrap(), filter.calibration().unwrap());
+    for (before, after) in of_robot(&before).into_iter().zip(of_robot(&after)).take(3) {
+        assert!(before.sigma > 0.0);
+        assert!(after.sigma <= before.sigma * (1.0 + 1e-9), "{before:?} {after:?}");
+        let moved = (after.value - before.value).abs();
+        assert!(moved < 2.0 * before.sigma, "{before:?} {after:?}");
+    }
+}
+
+#[test]
+fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
+    let (drive, _) = drawn(6);
+    let mut camera = learning_geometry();
+    camera.calibration.fix_delay_s = unknown(0.1);
+    camera.calibration.tag_forward_m = unknown(0.03);
+    let mut filter = played::<CAMERA_STATES>(&camera, &drive);
+    let before = filter.calibration().unwrap();
+    filter.restart_clock();
+    let after = filter.calibration().unwrap();
+    let but_bias = Calibration { gyro_bias_rad_per_s: before.gyro_bias_rad_per_s, ..after };
+    assert_eq!(but_bias, before);
+    // The gyro warms up anew.
+    assert_eq!(after.gyro_bias_rad_per_s, unknown(NOISE.gyro_bias_rad_per_s));
+}
+
+#[test]
+fn delay_and_lever_are_learned_as_well_as_is_claimed() {
+    let (late, forward_m, left_m) = (TimeDelta::from_millis(150), 0.03, -0.02);
+    let mut told = config();
+    told.calibration.fix_delay_s = unknown(0.15);
+    told.calibration.tag_forward_m = unknown(0.03);
+    told.calibration.tag_left_m = unknown(0.03);
+    let most = [("fix_delay_s", 0.01), ("tag_forward_m", 0.003), ("tag_left_m", 0.003)];
+    check_learned(most, 40, &BAND_OF_40, |seed| {
+        let camera = Camera { delay: 4, ..CAMERA_10_HZ };
+        let drive = drive_steps(&mut RobotSimulation::new(seed), course(), Some(camera));
+        let drive = with_tag_moved(drive, (forward_m, left_m), late);
+        let found = played::<CAMERA_STATES>(&told, &drive).calibration().unwrap();
+        [(found.fix_delay_s, late.as_secs_f64()), (found.tag_forward_m, forward_m), (found.tag_left_m, left_m)]
+    });
+}
+
+#[test]
+fn the_filter_in_the_table_has_as_many_states_as_are_asked_for() {
+    let drive = drive_lap(Some(CAMERA_10_HZ), 1);
+    let mut asked = config();
+    asked.calibration.fix_delay_s = unknown(0.1);
+    let mut filter = named("pose", &asked);
+    for arrival in drive.arrivals.iter().take(1_000) {
+        filter.observe(&arrival.observation);
+    }
+    let found = filter.calibration().unwrap();
+    assert!(found.fix_delay_s.sigma < 0.05, "{found:?}");
+    assert_eq!(found.tag_forward_m, UncertainValue::default());
+    let plain = named("pose", &config());
+    assert_eq!(plain.calibration().unwrap().fix_delay_s, UncertainValue::default());
+}

@@ -1,0 +1,146 @@
+//! A robot that is placed by a fix, at first or after a reset, while tag and delay are not what the fix says.
+
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::columns::linearize;
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, DELAY, TAG_FORWARD, TAG_LEFT};
+use posebridge_estimator::observations::fix::{self, FixContext};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{
+    Fix, FusionOutcome, Heading, Meters, Point2, PositionCovariance, TimeDelta, UncertainValue,
+};
+
+use crate::support::alter::{
+    CAMERA, CORNER, altered_fixes, at, error_at, fixes, share_accepted, with_tag_moved, without_headings,
+};
+use crate::support::filters::{started_at, without_start};
+use crate::support::observe::fix as fix_at;
+use crate::support::robot::{DEGREE, config};
+use crate::support::score::play;
+use crate::support::simulation::{Camera, Drive, RobotSimulation, STEP_S, drive_lap, drive_steps, stamp};
+
+const LATE: TimeDelta = TimeDelta::from_millis(150);
+const TAG_M: (f64, f64) = (0.2, -0.1);
+
+fn exactly(value: f64) -> UncertainValue {
+    UncertainValue { value, sigma: 0.0 }
+}
+
+/// The robot, told where its tag is beyond what the fixes say, and how late these are.
+fn with_known_tag_and_delay(mut config: FilterConfig) -> FilterConfig {
+    config.calibration.tag_forward_m = exactly(TAG_M.0);
+    config.calibration.tag_left_m = exactly(TAG_M.1);
+    config.calibration.fix_delay_s = exactly(LATE.as_secs_f64());
+    config
+}
+
+/// Fixes of that tag, that late, from a step on.
+fn drive_with_fixes_from(first: usize, seed: u64) -> Drive {
+    let camera = Camera { delay: 5, spread: 0, ..CAMERA };
+    let drive = with_tag_moved(drive_lap(Some(camera), seed), TAG_M, LATE);
+    altered_fixes(drive, |step, fix| (step >= first).then_some(fix))
+}
+
+#[test]
+fn a_first_fix_places_the_robot_by_the_tag_and_the_delay_that_are_known() {
+    // At rest, on the straight, and while it turns on the spot.
+    for first in [0, 100, CORNER.start + 18] {
+        for seed in 0..5 {
+            let drive = drive_with_fixes_from(first, seed);
+            let played = play(&drive, &with_known_tag_and_delay(without_start()));
+            let end = first + 60;
+            let share = share_accepted(&fixes(&played, &(first..end)));
+            assert!(share > 0.9, "from {first}, seed {seed}: {share}");
+            assert_eq!(at(&played, end).reset_counter, 0, "from {first}");
+            let (position_m, heading_rad) = error_at(&drive, &played, end);
+            assert!(position_m < 0.02, "from {first}, seed {seed}: {position_m}");
+            assert!(heading_rad < 3.0 * DEGREE, "from {first}, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_first_fix_without_a_heading_does_the_same() {
+    for seed in 0..5 {
+        let drive = without_headings(drive_with_fixes_from(0, seed));
+        let played = play(&drive, &with_known_tag_and_delay(without_start()));
+        let share = share_accepted(&fixes(&played, &(0..200)));
+        assert!(share > 0.95, "seed {seed}: {share}");
+        assert_eq!(at(&played, 200).reset_counter, 0, "seed {seed}");
+        assert!(error_at(&drive, &played, 200).0 < 0.02, "seed {seed}");
+    }
+}
+
+#[test]
+fn one_reset_is_enough_for_a_robot_whose_tag_is_known_to_be_elsewhere() {
+    for seed in 0..5 {
+        let drive = drive_with_fixes_from(0, seed);
+        let played = play(&drive, &with_known_tag_and_delay(started_at(1.0, -0.5, 0.1)));
+        assert_eq!(at(&played, 200).reset_counter, 1, "seed {seed}");
+        assert!(error_at(&drive, &played, 200).0 < 0.02, "seed {seed}");
+    }
+}
+
+fn placed_by(seen: Fix) -> PoseFilter<CAMERA_STATES> {
+    let unknown = |sigma| UncertainValue { value: 0.03, sigma };
+    let mut config = without_start();
+    config.calibration.tag_forward_m = unknown(0.02);
+    config.calibration.tag_left_m = unknown(0.01);
+    config.calibration.fix_delay_s = exactly(0.0);
+    let mut filter = PoseFilter::new(&config);
+    assert_eq!(filter.observe(&fix_at(0, seen)).outcome, FusionOutcome::Accepted);
+    filter
+}
+
+/// A fix far out on the robot, with a noise that is no circle.
+fn lopsided(heading: Option<Heading>) -> Fix {
+    Fix {
+        position: Point2::new(Meters(1.3), Meters(-0.4)),
+        heading,
+        covariance: Some(PositionCovariance { xx_m2: 4e-4, xy_m2: 1e-4, yy_m2: 9e-4, heading_rad2: 1e-2 }),
+        tag_in_body: Point2::new(Meters(0.4), Meters(-0.3)),
+        reset_counter: 0,
+    }
+}
+
+#[test]
+fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_seen() {
+    for heading in [Some(Heading::from_rad(2.2)), None] {
+        let seen = lopsided(heading);
+        let filter = placed_by(seen);
+        let state = filter.state();
+        let noise = fix::fix_noise(&seen, &config().noise, [1.0, 1.0], &FixContext::default());
+        let found = linearize::<CAMERA_STATES, 2>(&fix::position(state, &seen, &noise, &FixContext::default()));
+        assert!(found.innovation.amax() < 1e-12, "{heading:?}");
+        let foretold = found.jacobian * state.covariance * found.jacobian.transpose();
+        let off = (foretold - found.noise).amax();
+        assert!(off < 1e-12, "{heading:?}: {off:e}");
+        // Nothing was learned about the tag, and where the robot is hangs on where the tag is.
+        assert!((state.covariance[(TAG_FORWARD, TAG_FORWARD)] - 4e-4).abs() < 1e-15);
+        assert!((state.covariance[(TAG_LEFT, TAG_LEFT)] - 1e-4).abs() < 1e-15);
+        assert!((state.covariance[(0, TAG_FORWARD)] + 4e-4).abs() < 1e-15);
+        assert_eq!(state.covariance.row(DELAY).amax(), 0.0);
+    }
+}
+
+#[test]
+fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() {
+    // Half a second of turning, half a second of rest: the body's space of half a second ago is another than that of now.
+    let late = TimeDelta::from_millis(500);
+    for seed in 0..5 {
+        let mut world = RobotSimulation::new(seed);
+        let camera = Camera { every: 2, delay: 12, spread: 0, outliers: 0.0 };
+        let steps = (0..200).map(|k| (0.0, if k % 20 < 10 { 0.0 } else { 2.0 * STEP_S }));
+        let drive = with_tag_moved(drive_steps(&mut world, steps, Some(camera)), (0.0, 0.0), late);
+        let mut config = started_at(1.0, -0.5, 0.0);
+        config.calibration.fix_delay_s = exactly(late.as_secs_f64());
+        config.params.adapt_gain = 0.0;
+        let played = play(&drive, &config);
+        let reset = played
+            .records
+            .iter()
+            .find(|record| record.outcome == FusionOutcome::PoseReset)
+            .map(|record| record.stamp - stamp(12));
+        let waited = reset.unwrap_or(TimeDelta::from_millis(i64::MAX));
+        assert!(waited < TimeDelta::from_millis(1_700), "seed {seed}: {reset:?}");
+    }
+}

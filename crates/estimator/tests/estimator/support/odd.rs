@@ -1,0 +1,90 @@
+//! States of the pose filter at which signs, wraps and levers show, and errors of a state as the filter counts them.
+
+use posebridge_estimator::filters::pose::state::{
+    BEACONS, DELAY, DIFFERENCE, GYRO_BIAS, PoseState, RADIUS, ROUNDING, TAG_FORWARD, TAG_LEFT, TRACK, WINDOW_TURN,
+};
+use posebridge_estimator::models::lie::Se2;
+use posebridge_estimator::{FilterConfig, Params};
+use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Radians, SensorNoise};
+
+use super::observe::ms;
+
+/// Wheels of unequal size, so that left and right cannot be confused.
+pub(crate) const GEOMETRY: DriveGeometry = DriveGeometry {
+    left_wheel_radius: Meters(0.028),
+    right_wheel_radius: Meters(0.03),
+    track_width: Meters(0.11),
+    tick: Radians(0.017_453_3),
+};
+
+/// A hair before the half circle.
+const SEAM: f64 = std::f64::consts::PI - 2e-7;
+
+/// x, y, heading, forward speed, turn rate: in every quadrant, at the seam of the circle, at rest, backwards, and turning fast.
+const POSES: [[f64; 5]; 6] = [
+    [0.0, 0.0, 0.0, 0.0, 0.0],
+    [1.3, -0.7, 0.4, 0.2, 0.0],
+    [-2.1, 3.9, 1.9, 0.35, 2.5],
+    [5.0, 5.0, -2.6, -0.15, -4.0],
+    [0.1, -9.0, SEAM, 0.4, 1e-5],
+    [-7.0, 0.2, -SEAM, 0.4, -1.2],
+];
+
+/// The step of central differences: a millionth of a metre or radian.
+pub(crate) const H: f64 = 1e-6;
+
+/// A configuration in which nothing adds noise but what is given.
+pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
+    FilterConfig {
+        calibration: Calibration::default(),
+        arena_map: std::sync::Arc::default(),
+        geometry: GEOMETRY,
+        noise,
+        start: None,
+        params: Params { acceleration_m_per_s2: 0.0, turn_acceleration_rad_per_s2: 0.0, ..Params::default() },
+    }
+}
+
+/// The states at 0 ms, with a window that is open and constants that are far from nominal.
+pub(crate) fn odd_states<const N: usize>() -> [PoseState<N>; 6] {
+    POSES.map(|[x_m, y_m, heading_rad, forward, turn]| {
+        let mut state = PoseState::<N>::initial(&config(SensorNoise::EXACT));
+        state.restart_window(ms(0));
+        state.stamp = Some(ms(0));
+        state.last_motion = Some(ms(0));
+        state.pose = Se2 { x_m, y_m, heading_rad };
+        state.forward.value = forward;
+        state.turn.value = turn;
+        for (row, value) in CONSTANTS {
+            if row < N {
+                // Other values in every state.
+                state.mean[row] = value * (1.0 + 0.1 * x_m);
+            }
+        }
+        state
+    })
+}
+
+const CONSTANTS: [(usize, f64); 13] = [
+    (GYRO_BIAS, 0.013),
+    (WINDOW_TURN, -0.04),
+    (RADIUS, 0.02),
+    (DIFFERENCE, -0.03),
+    (TRACK, 0.05),
+    (ROUNDING, 0.002),
+    (DELAY, 0.07),
+    (TAG_FORWARD, 0.011),
+    (TAG_LEFT, -0.023),
+    (BEACONS, 0.31),
+    (BEACONS + 1, 0.04),
+    (BEACONS + 6, -0.12),
+    (BEACONS + 7, -0.03),
+];
+
+/// The state with an error of `by` in one row: X exp(by e) for the pose's rows, a sum for the others.
+pub(crate) fn with_error<const N: usize>(state: &PoseState<N>, row: usize, by: f64) -> PoseState<N> {
+    let mut moved = *state;
+    moved.mean[row] += by;
+    moved.inject();
+    moved
+}

@@ -1,0 +1,364 @@
+//! What must hold for every measurement update, whatever the state, the observation and the order, and the update against a filter
+//! that somebody else wrote: `adskalman`, by Cholesky and in Joseph's form.
+
+use adskalman::{CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
+use nalgebra::{
+    Matrix2, Matrix2x4, Matrix3, Matrix4, Matrix4x2, Matrix5, SMatrix, U2, U4, Vector2, Vector3, Vector4, Vector5,
+};
+use posebridge_estimator::models::planar_speeds::{self, Acceleration};
+use posebridge_estimator::update::{
+    LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, preview_scalar, use_scalar,
+};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+
+use crate::support::any::cases;
+
+/// How far two ways to compute the same thing may lie apart: rounding over all steps, at numbers of about one.
+const AGREEMENT: f64 = 1e-9;
+
+/// A positive definite matrix with eigenvalues from a thousandth up.
+fn covariances<const N: usize>() -> impl Strategy<Value = SMatrix<f64, N, N>> {
+    prop::collection::vec(-1.0..1.0, N * N).prop_map(|values: Vec<f64>| {
+        let root = SMatrix::<f64, N, N>::from_column_slice(&values);
+        let product = root * root.transpose() + SMatrix::identity() * 1e-3;
+        0.5 * (product + product.transpose())
+    })
+}
+
+fn vectors<const N: usize>() -> impl Strategy<Value = [f64; N]> {
+    prop::array::uniform::<_, N>(-2.0..2.0_f64)
+}
+
+/// A scalar observation of two different rows of five, its noise over six decades.
+fn scalars() -> impl Strategy<Value = ScalarMeasurement<2>> {
+    let rows = (0..5_usize, 1..5_usize).prop_map(|(first, offset)| [first, (first + offset) % 5]);
+    let variance = (-5.0..1.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent));
+    (-2.0..2.0_f64, rows, vectors::<2>(), variance).prop_map(|(innovation, rows, by_row, variance)| ScalarMeasurement {
+        innovation,
+        rows,
+        jacobian: by_row,
+        variance,
+    })
+}
+
+/// One step of a filter's life.
+#[derive(Clone, Debug)]
+enum FilterStep {
+    Predict(f64, [f64; 2]),
+    Use(ScalarMeasurement<2>, f64),
+}
+
+fn steps() -> impl Strategy<Value = FilterStep> {
+    prop_oneof![
+        1 => (0.001..1.0_f64, vectors::<2>()).prop_map(|(dt, input)| FilterStep::Predict(dt, input)),
+        3 => (scalars(), prop_oneof![Just(f64::INFINITY), Just(10.83)])
+            .prop_map(|(scalar, gate)| FilterStep::Use(scalar, gate)),
+    ]
+}
+
+/// The textbook's update of all components at once, by a matrix inverse.
+fn batch(
+    mean: &Vector5<f64>,
+    covariance: &Matrix5<f64>,
+    measurement: &LinearizedMeasurement<5, 3>,
+) -> Option<(Vector5<f64>, Matrix5<f64>)> {
+    let h = measurement.jacobian;
+    let inverse = measurement.innovation_covariance(covariance).try_inverse()?;
+    let gain = covariance * h.transpose() * inverse;
+    let keep = Matrix5::identity() - gain * h;
+    Some((mean + gain * measurement.innovation, keep * covariance))
+}
+
+fn measurements() -> impl Strategy<Value = LinearizedMeasurement<5, 3>> {
+    (vectors::<3>(), vectors::<15>(), covariances::<3>()).prop_map(|(innovation, jacobian, noise)| {
+        LinearizedMeasurement {
+            innovation: Vector3::from(innovation),
+            jacobian: SMatrix::<f64, 3, 5>::from_row_slice(&jacobian),
+            // Away from zero, so that the textbook's inverse keeps enough digits to be compared with.
+            noise: noise + Matrix3::identity() * 0.05,
+        }
+    })
+}
+
+proptest! {
+    #![proptest_config(cases(256, 0x5ca1_ab1e))]
+
+    #[test]
+    fn over_any_sequence_the_covariance_stays_symmetric_and_positive_definite(
+        start in covariances::<5>(),
+        steps in prop::collection::vec(steps(), 1..200),
+    ) {
+        let mut mean = Vector5::zeros();
+        let mut covariance = start;
+        for step in steps {
+            match step {
+                FilterStep::Predict(interval_s, [forward_m_per_s2, turn_rad_per_s2]) => {
+                    let motion = planar_speeds::PredictionStep { interval_s, variances: [1e-6; 5] };
+                    let input = Acceleration { forward_m_per_s2, turn_rad_per_s2 };
+                    motion.predict(&mut mean, &mut covariance, input);
+                }
+                FilterStep::Use(scalar, gate) => {
+                    let trace = covariance.trace();
+                    let outcome = use_scalar(&mut mean, &mut covariance, &scalar, gate);
+                    prop_assert_ne!(outcome.outcome, UpdateOutcome::Indefinite);
+                    prop_assert!(outcome.innovation_variance >= scalar.variance);
+                    prop_assert!(covariance.trace() <= trace, "an observation takes doubt away");
+                }
+            }
+            prop_assert_eq!(covariance, covariance.transpose());
+            prop_assert!(covariance.cholesky().is_some(), "{}", covariance);
+        }
+    }
+
+    #[test]
+    fn what_is_foretold_of_some_rows_is_what_the_update_makes_of_them(
+        covariance in covariances::<5>(),
+        at in vectors::<5>(),
+        scalar in scalars(),
+        is_indefinite in any::<bool>(),
+    ) {
+        let before = Vector5::from(at);
+        let scalar = ScalarMeasurement {
+            variance: if is_indefinite { -1e9 } else { scalar.variance },
+            ..scalar
+        };
+        let rows = [0, 2, 3];
+        let foretold = preview_scalar(&before, &covariance, &scalar, rows);
+        let (mut mean, mut after) = (before, covariance);
+        let outcome = use_scalar(&mut mean, &mut after, &scalar, f64::INFINITY);
+        let made = (rows.map(|row| mean[row]), rows.map(|i| rows.map(|j| after[(i, j)])));
+        let expected = (outcome.outcome == UpdateOutcome::Used).then_some(made);
+        prop_assert_eq!(foretold, expected, "to the last bit");
+    }
+
+    #[test]
+    fn correlated_components_are_whitened_and_equal_the_batch_update(
+        start in covariances::<5>(),
+        at in vectors::<5>(),
+        measurement in measurements(),
+    ) {
+        let before = Vector5::from(at);
+        let expected = batch(&before, &start, &measurement).unwrap();
+        let (mut mean, mut covariance) = (before, start);
+        prop_assert!(apply_measurement(&mut mean, &mut covariance, &measurement));
+        prop_assert!((mean - expected.0).amax() < AGREEMENT);
+        prop_assert!((covariance - expected.1).amax() < AGREEMENT);
+        prop_assert_eq!(covariance, covariance.transpose());
+    }
+
+    #[test]
+    fn a_scalar_of_few_rows_equals_the_same_one_with_zeros_for_the_others(
+        start in covariances::<5>(),
+        at in vectors::<5>(),
+        scalar in scalars(),
+    ) {
+        let (mut sparse_mean, mut sparse) = (Vector5::from(at), start);
+        let (mut full_mean, mut full) = (Vector5::from(at), start);
+        let mut by_row = [0.0; 5];
+        by_row[scalar.rows[0]] = scalar.jacobian[0];
+        by_row[scalar.rows[1]] = scalar.jacobian[1];
+        let of_all_rows = ScalarMeasurement {
+            innovation: scalar.innovation,
+            rows: [0, 1, 2, 3, 4],
+            jacobian: by_row,
+            variance: scalar.variance,
+        };
+        let few = use_scalar(&mut sparse_mean, &mut sparse, &scalar, f64::INFINITY);
+        let all = use_scalar(&mut full_mean, &mut full, &of_all_rows, f64::INFINITY);
+        prop_assert!((few.nis - all.nis).abs() <= AGREEMENT * all.nis.max(1.0));
+        prop_assert!((sparse_mean - full_mean).amax() < AGREEMENT);
+        prop_assert!((sparse - full).amax() < AGREEMENT);
+    }
+
+    #[test]
+    fn a_gated_scalar_changes_nothing_and_says_by_how_much_it_missed(
+        start in covariances::<5>(),
+        at in vectors::<5>(),
+        scalar in scalars(),
+        share in 0.0..0.999_f64,
+    ) {
+        let (mut mean, mut covariance) = (Vector5::from(at), start);
+        let open = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
+        prop_assume!(open.nis > 0.0);
+        let (mut mean, mut covariance) = (Vector5::from(at), start);
+        let shut = use_scalar(&mut mean, &mut covariance, &scalar, share * open.nis);
+        prop_assert_eq!(shut.outcome, UpdateOutcome::Gated);
+        prop_assert_eq!((shut.nis, shut.innovation_variance), (open.nis, open.innovation_variance));
+        prop_assert_eq!((mean, covariance), (Vector5::from(at), start));
+    }
+
+    #[test]
+    fn a_scalar_that_makes_no_sense_changes_nothing(
+        start in covariances::<5>(),
+        at in vectors::<5>(),
+        scalar in scalars(),
+        bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1e9]),
+        place in 0..3_usize,
+    ) {
+        let mut scalar = scalar;
+        match place {
+            // -1e9 is a number like any other in an innovation, 1e300 squared is not.
+            0 => scalar.innovation = if bad == -1e9 { 1e300 } else { bad },
+            1 => scalar.variance = bad,
+            _ => scalar.jacobian[1] = if bad == -1e9 { 1e300 } else { bad },
+        }
+        let (mut mean, mut covariance) = (Vector5::from(at), start);
+        let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
+        prop_assert_eq!(outcome.outcome, UpdateOutcome::Indefinite, "{:?}", outcome);
+        prop_assert_eq!((mean, covariance), (Vector5::from(at), start));
+    }
+}
+
+#[test]
+fn noise_that_is_no_covariance_changes_nothing() {
+    let mut mean = Vector3::new(1.0, -2.0, 0.5);
+    let mut covariance = Matrix3::identity();
+    let measurement = LinearizedMeasurement {
+        innovation: Vector2::new(0.7, -0.4),
+        jacobian: SMatrix::<f64, 2, 3>::identity(),
+        noise: Matrix2::new(0.4, 5.0, 5.0, 0.2),
+    };
+    assert!(!apply_measurement(&mut mean, &mut covariance, &measurement));
+    assert_eq!((mean, covariance), (Vector3::new(1.0, -2.0, 0.5), Matrix3::identity()));
+}
+
+#[test]
+fn a_covariance_that_is_none_changes_nothing() {
+    for bad in [f64::NAN, f64::INFINITY, -10.0] {
+        let mut covariance = Matrix5::identity();
+        covariance[(2, 2)] = bad;
+        let before = covariance.map(f64::to_bits);
+        let mut mean = Vector5::repeat(0.5);
+        let scalar = ScalarMeasurement { innovation: 0.1, rows: [2], jacobian: [1.0], variance: 0.01 };
+        let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
+        assert_eq!(outcome.outcome, UpdateOutcome::Indefinite, "{bad}");
+        assert_eq!(covariance.map(f64::to_bits), before, "{bad}");
+        assert_eq!(mean, Vector5::repeat(0.5), "{bad}");
+    }
+}
+
+/// One step of a linear system: x' = F x + w, z = H x + v.
+struct Linear {
+    f: Matrix4<f64>,
+    ft: Matrix4<f64>,
+    q: Matrix4<f64>,
+    h: Matrix2x4<f64>,
+    ht: Matrix4x2<f64>,
+    r: Matrix2<f64>,
+}
+
+impl TransitionModelLinearNoControl<f64, U4> for Linear {
+    fn F(&self) -> &Matrix4<f64> {
+        &self.f
+    }
+    fn FT(&self) -> &Matrix4<f64> {
+        &self.ft
+    }
+    fn Q(&self) -> &Matrix4<f64> {
+        &self.q
+    }
+}
+
+impl ObservationModel<f64, U4, U2> for Linear {
+    fn H(&self) -> &Matrix2x4<f64> {
+        &self.h
+    }
+    fn HT(&self) -> &Matrix4x2<f64> {
+        &self.ht
+    }
+    fn R(&self) -> &Matrix2<f64> {
+        &self.r
+    }
+}
+
+/// Draws systems and observations.
+struct RandomSystems(Pcg64);
+
+impl RandomSystems {
+    fn normal(&mut self) -> f64 {
+        self.0.sample(StandardNormal)
+    }
+
+    /// A new system: F near a rotation with damping, so that nothing grows without bound; H, Q and R of any kind.
+    fn system(&mut self) -> Linear {
+        let f = Matrix4::from_fn(|i, j| f64::from(u8::from(i == j)) * 0.8 + 0.1 * self.normal());
+        let h = Matrix2x4::from_fn(|_, _| self.normal());
+        let q = Matrix4::from_fn(|_, _| 0.2 * self.normal());
+        let r = Matrix2::from_fn(|_, _| 0.5 * self.normal());
+        Linear {
+            f,
+            ft: f.transpose(),
+            q: q * q.transpose() + Matrix4::identity() * 1e-3,
+            h,
+            ht: h.transpose(),
+            r: r * r.transpose() + Matrix2::identity() * 1e-2,
+        }
+    }
+}
+
+/// The library's belief.
+#[derive(Clone, Copy)]
+struct LibraryFilter {
+    mean: Vector4<f64>,
+    covariance: Matrix4<f64>,
+}
+
+impl LibraryFilter {
+    fn predict(&mut self, system: &Linear) {
+        self.mean = system.f * self.mean;
+        self.covariance = system.f * self.covariance * system.ft + system.q;
+        posebridge_estimator::numerics::covariance::symmetrise(&mut self.covariance);
+    }
+
+    fn distance(&self, other: &StateAndCovariance<f64, U4>) -> f64 {
+        let mean = (self.mean - other.state()).amax();
+        mean.max((self.covariance - other.covariance()).amax())
+    }
+}
+
+#[test]
+fn scalar_updates_agree_with_a_foreign_filter_over_hundreds_of_random_steps() {
+    let mut draw = RandomSystems(Pcg64::seed_from_u64(0x0a_c1e5));
+    let start = LibraryFilter { mean: Vector4::new(1.0, -0.5, 0.2, 2.0), covariance: Matrix4::identity() * 0.7 };
+    let (mut scalar, mut whitened) = (start, start);
+    let mut foreign = StateAndCovariance::new(start.mean, start.covariance);
+    for step in 0..400 {
+        let system = draw.system();
+        let z = Vector2::new(2.0 * draw.normal(), 2.0 * draw.normal());
+
+        let prior = TransitionModelLinearNoControl::predict(&system, &foreign);
+        let joseph = CovarianceUpdateMethod::JosephForm;
+        foreign = system.update(&prior, &z, joseph).unwrap();
+
+        // By hand: L^-1 z and L^-1 H with R = L L', then each component alone.
+        scalar.predict(&system);
+        let lower = system.r.cholesky().unwrap().l();
+        let white_z = lower.solve_lower_triangular(&z).unwrap();
+        let white_h = lower.solve_lower_triangular(&system.h).unwrap();
+        for i in 0..2 {
+            let row = white_h.row(i);
+            let one = ScalarMeasurement {
+                innovation: white_z[i] - (row * scalar.mean)[0],
+                rows: [0, 1, 2, 3],
+                jacobian: std::array::from_fn(|j| row[j]),
+                variance: 1.0,
+            };
+            let outcome = use_scalar(&mut scalar.mean, &mut scalar.covariance, &one, f64::INFINITY);
+            assert_eq!(outcome.outcome, UpdateOutcome::Used, "step {step}");
+        }
+
+        // By the library's own whitening.
+        whitened.predict(&system);
+        let measurement =
+            LinearizedMeasurement { innovation: z - system.h * whitened.mean, jacobian: system.h, noise: system.r };
+        assert!(apply_measurement(&mut whitened.mean, &mut whitened.covariance, &measurement));
+
+        for (name, own) in [("use_scalar", &scalar), ("apply", &whitened)] {
+            let distance = own.distance(&foreign);
+            assert!(distance < AGREEMENT, "{name}, step {step}: {distance:e}");
+        }
+    }
+}
