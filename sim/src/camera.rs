@@ -1,23 +1,29 @@
 //! The overhead camera: sees the tag on the robot, takes its time, and sends it to the station in its own clock.
 //!
-//! It streams, or it waits to be asked for each fix; or it is only the eye of another program, which then has its images (the corners of
+//! It streams, or it waits to be asked for each fix; or it sends no fixes and shows its images to another program (the corners of
 //! the tag, in pixels) and says itself where the robot was.
+//!
+//! ```text
+//! u = 320 + x / 0.004      v = 240 - y / 0.004      pixels; 4 mm each, image y down
+//! corners: of a square of 0.1 m about the tag, left rear, right rear, right front, left front, seen from the robot
+//! ```
+//! That is what marker detectors give (OpenCV's ArUco, the AprilTag libraries). The image is from straight above, without distortion.
 //!
 //! It shares the link with the brick but is a component of its own. What it sent is logged with the outliers marked, for
 //! tests and scores; the log never reaches the station.
 
 use std::collections::VecDeque;
+use std::fmt::Write as _;
 
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
 use posebridge_telemetry::{
-    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, SensorSwitch, TimeDelta, Timestamp,
+    Address, Arena, Body, CameraClock, Heading, Meters, Point2, Pose, Radians, TimeDelta, Timestamp,
 };
 
 use crate::clock::SkewedClock;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::mavlink_node::{IntervalRequest, MavlinkNode};
-use crate::overhead_view;
 use crate::random::RandomStream;
 use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
 
@@ -45,7 +51,6 @@ pub struct CameraFix {
     pub is_outlier: bool,
 }
 
-/// The camera.
 #[derive(Debug)]
 pub(crate) struct Camera {
     settings: CameraSettings,
@@ -60,13 +65,13 @@ pub(crate) struct Camera {
     /// Seen but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: TimeDelta,
-    history: HistoryPolicy,
+    pub(crate) history: HistoryPolicy,
     log: Vec<CameraFix>,
     /// Images go there, and no fix is sent, once a reader is connected.
     images: Option<VecDeque<String>>,
     image_count: u64,
     /// A hand before the lens: it sees nothing.
-    is_covered: bool,
+    pub(crate) is_covered: bool,
 }
 
 /// Most images that wait to be read; older ones are of no use.
@@ -75,7 +80,7 @@ const MAX_IMAGES: usize = 64;
 impl Camera {
     /// A camera of this address that is switched on at the beginning of the world.
     pub(crate) fn new(settings: CameraSettings, own: Address, seed: u64) -> Self {
-        let clock = SkewedClock::new(settings.clock());
+        let clock = SkewedClock::new(settings.clock_start_micros, settings.clock_skew_ppm, 1);
         let node = MavlinkNode::new(own, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
         Self {
             interval: match settings.images {
@@ -98,7 +103,7 @@ impl Camera {
         }
     }
 
-    /// From here on it is the eye of another program: it shows images and sends nothing.
+    /// From here on it shows images and sends nothing.
     pub(crate) fn enable_images(&mut self) {
         self.images = Some(VecDeque::new());
     }
@@ -108,7 +113,7 @@ impl Camera {
         self.images.as_mut()?.pop_front()
     }
 
-    /// Lives through one step of the world that ends at `world` with the robot at `pose`.
+    /// Advances by one step of the world that ends at `world` with the robot at `pose`.
     pub(crate) fn step(&mut self, world: TimeDelta, pose: Pose<Arena>) {
         let is_asked = std::mem::take(&mut self.is_requested);
         if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
@@ -130,7 +135,6 @@ impl Camera {
         self.apply_intervals(world, &requests);
     }
 
-    /// Takes a message from the link.
     pub(crate) fn handle(&mut self, world: TimeDelta, from: Address, message: &Message) {
         let requests = self.node.handle(self.clock.reading(world), from, message);
         self.apply_intervals(world, &requests);
@@ -145,22 +149,11 @@ impl Camera {
         bytes.filter(|_| self.images.is_none())
     }
 
-    /// A hand covers the lens, or is taken away.
-    pub(crate) const fn set_covered(&mut self, to: SensorSwitch) {
-        self.is_covered = matches!(to, SensorSwitch::Off);
-    }
-
     /// Sets the delay of images from here on. Earlier images keep their delay.
     pub(crate) fn set_delay(&mut self, delay: TimeDelta) {
         self.settings.latency_ms = delay.as_millis_f64();
     }
 
-    /// Keeps so much of its log from here on.
-    pub(crate) const fn set_history(&mut self, history: HistoryPolicy) {
-        self.history = history;
-    }
-
-    /// Everything that was sent.
     pub(crate) fn log(&self) -> &[CameraFix] {
         &self.log
     }
@@ -183,7 +176,13 @@ impl Camera {
         let is_dropped = self.stream.bernoulli(self.settings.dropout) || self.is_dark(world) || self.is_covered;
         let is_outlier = self.stream.bernoulli(self.settings.outlier);
         let gross = f64::from(u8::from(is_outlier));
-        let error = FixNoiseSample::draw(&mut self.stream, &self.settings, gross);
+        // An outlier's own error is drawn in either case.
+        let mut error = |sigma: f64, outlier_sigma: f64| {
+            sigma * self.stream.normal() + gross * outlier_sigma * self.stream.normal()
+        };
+        let x_error_m = error(self.settings.position_sigma_m, self.settings.outlier_sigma_m);
+        let y_error_m = error(self.settings.position_sigma_m, self.settings.outlier_sigma_m);
+        let heading_error_rad = error(self.settings.heading_sigma_deg, self.settings.outlier_sigma_deg).to_radians();
         let jitter_ms = self.settings.jitter_ms * self.stream.uniform(-1.0, 1.0);
         if is_dropped {
             return;
@@ -201,8 +200,8 @@ impl Camera {
             exposed: world,
             sent,
             time: self.clock.reading(world),
-            position: Point2::new(tag.x + Meters(error.x_m), tag.y + Meters(error.y_m)),
-            heading: self.settings.sees_heading.then(|| pose.heading + Radians(error.heading_rad)),
+            position: Point2::new(tag.x + Meters(x_error_m), tag.y + Meters(y_error_m)),
+            heading: self.settings.sees_heading.then(|| pose.heading + Radians(heading_error_rad)),
             true_tag: Pose::new(tag.x, tag.y, pose.heading),
             is_outlier,
         };
@@ -212,7 +211,7 @@ impl Camera {
                 images.pop_front();
             }
             let heading = fix.heading.unwrap_or(pose.heading);
-            images.push_back(overhead_view::image(self.image_count, fix.position, heading));
+            images.push_back(tag_image(self.image_count, fix.position, heading));
             return;
         }
         let place = self.pending.partition_point(|other| other.sent <= sent);
@@ -248,22 +247,43 @@ impl Camera {
     }
 }
 
-/// The error of one fix.
-struct FixNoiseSample {
-    x_m: f64,
-    y_m: f64,
-    heading_rad: f64,
+/// The arena's origin in the image, pixels.
+const ORIGIN_PX: [f64; 2] = [320.0, 240.0];
+const METERS_PER_PX: f64 = 0.004;
+/// Half the side of the tag.
+const HALF_M: f64 = 0.05;
+/// The corners in the tag's space, in halves of its side: forward, left.
+const CORNERS: [[f64; 2]; 4] = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]];
+
+/// An image as a line of JSON, without its end: its number and the corners of the tag.
+fn tag_image(number: u64, tag: Point2<Arena>, heading: Heading) -> String {
+    let tag = Pose::<Arena>::new(tag.x, tag.y, heading);
+    let mut line = format!("{{\"image\": {number}, \"corners_px\": [");
+    for (index, [forward, left]) in CORNERS.into_iter().enumerate() {
+        let corner = Point2::<Body>::new(Meters(HALF_M * forward), Meters(HALF_M * left));
+        let corner = tag * corner;
+        let u_px = ORIGIN_PX[0] + corner.x.0 / METERS_PER_PX;
+        let v_px = ORIGIN_PX[1] - corner.y.0 / METERS_PER_PX;
+        let between = if index > 0 { ", " } else { "" };
+        // Writing to a String cannot fail.
+        let _ = write!(line, "{between}[{u_px:.3}, {v_px:.3}]");
+    }
+    line.push_str("]}");
+    line
 }
 
-impl FixNoiseSample {
-    /// `gross` is 1 for an outlier and 0 otherwise; an outlier's own error is drawn in either case.
-    fn draw(stream: &mut RandomStream, settings: &CameraSettings, gross: f64) -> Self {
-        let mut error =
-            |sigma: f64, outlier_sigma: f64| sigma * stream.normal() + gross * outlier_sigma * stream.normal();
-        Self {
-            x_m: error(settings.position_sigma_m, settings.outlier_sigma_m),
-            y_m: error(settings.position_sigma_m, settings.outlier_sigma_m),
-            heading_rad: error(settings.heading_sigma_deg, settings.outlier_sigma_deg).to_radians(),
-        }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tag_that_looks_north_has_its_front_above() {
+        let heading = Heading::from_rad(std::f64::consts::FRAC_PI_2);
+        let line = tag_image(7, Point2::new(Meters(0.4), Meters(0.2)), heading);
+        assert_eq!(
+            line,
+            "{\"image\": 7, \"corners_px\": [[407.500, 202.500], [432.500, 202.500], \
+             [432.500, 177.500], [407.500, 177.500]]}"
+        );
     }
 }

@@ -91,40 +91,40 @@ fn mean_speeds(pair: &[Pose<Arena>], dt_s: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::montecarlo::Scenario;
 
-    const TEXT: &str = include_str!("../../config/scenarios/lab/indirect.toml");
+    use super::*;
 
-    /// One that ends at rest: the last sample reaches to the middle of the last step only.
+    /// A drive that ends at rest: the last sample reaches to the middle of the last step only.
     fn drive() -> Drive {
-        assert!(TEXT.contains("rest_after_lap_s = 0.0"));
-        let text = TEXT.replace("rest_after_lap_s = 0.0", "rest_after_lap_s = 0.5");
-        Scenario::from_toml(&text).unwrap().drive(0)
+        let text = include_str!("../../config/scenarios/lab/indirect.toml");
+        assert!(text.contains("rest_after_lap_s = 0.0"));
+        Scenario::from_toml(&text.replace("rest_after_lap_s = 0.0", "rest_after_lap_s = 0.5")).unwrap().drive(0)
     }
 
-    fn sums(drive: &Drive) -> (f64, f64, f64) {
-        let dt_s = drive.step.as_secs_f64();
-        let (mut speed, mut way, mut turn) = ((0.0, 0.0), 0.0, 0.0);
-        for arrival in &drive.arrivals {
-            let ObservationKind::WheelAccelerations { left, right } = arrival.observation.measurement else {
-                continue;
-            };
-            let (a, alpha) = (0.5 * (left.0 + right.0), (right.0 - left.0) / 0.112);
-            way += speed.0 * dt_s + 0.5 * a * dt_s * dt_s;
-            turn += speed.1 * dt_s + 0.5 * alpha * dt_s * dt_s;
-            speed = (speed.0 + a * dt_s, speed.1 + alpha * dt_s);
-        }
-        (speed.0, way, turn)
+    fn accelerations(drive: &Drive) -> Vec<(f64, f64)> {
+        let kinds = drive.arrivals.iter().map(|arrival| arrival.observation.measurement);
+        let both = |kind| {
+            if let ObservationKind::WheelAccelerations { left, right } = kind { Some((left.0, right.0)) } else { None }
+        };
+        kinds.filter_map(both).collect()
     }
 
     #[test]
     fn without_noise_their_integrals_are_the_way_and_the_turns() {
         let exact = FrameAccelerometers { sigma_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0, spacing: Meters(0.112) };
         let drive = exact.add_to(drive(), 1, 0);
-        let (speed, way, turn) = sums(&drive);
-        let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, 0.05));
-        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| (way + 0.05 * v, turn + 0.05 * w));
+        let dt_s = 0.05;
+        let (mut speed, mut turn_rate, mut way, mut turn) = (0.0, 0.0, 0.0, 0.0);
+        for (left, right) in accelerations(&drive) {
+            let (a, alpha) = (0.5 * (left + right), (right - left) / 0.112);
+            way += speed * dt_s + 0.5 * a * dt_s * dt_s;
+            turn += turn_rate * dt_s + 0.5 * alpha * dt_s * dt_s;
+            speed += a * dt_s;
+            turn_rate += alpha * dt_s;
+        }
+        let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, dt_s));
+        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| (way + dt_s * v, turn + dt_s * w));
         assert!(speed.abs() < 1e-9, "{speed}");
         assert!((way - true_way).abs() < 1e-9, "{way} {true_way}");
         assert!((turn - true_turn).abs() < 1e-9, "{turn} {true_turn}");
@@ -133,14 +133,10 @@ mod tests {
     }
 
     #[test]
-    fn they_replace_the_others_and_repeat_by_seed_and_run() {
+    fn they_replace_the_others_with_noise_of_their_own_in_each_run() {
         let settings = FrameAccelerometers { sigma_m_per_s2: 0.012, bias_sigma_m_per_s2: 0.05, spacing: Meters(0.112) };
-        let mounted = |run| settings.add_to(drive(), 1, run);
-        let count = |drive: &Drive| {
-            let sensors = drive.arrivals.iter().map(|arrival| arrival.observation.sensor);
-            sensors.filter(|sensor| *sensor == SensorId::ACCELEROMETER).count()
-        };
-        assert_eq!(count(&mounted(0)), count(&drive()));
+        let mounted = |run| accelerations(&settings.add_to(drive(), 1, run));
+        assert_eq!(mounted(0).len(), accelerations(&drive()).len());
         assert_eq!(mounted(0), mounted(0));
         assert_ne!(mounted(0), mounted(1));
     }

@@ -32,7 +32,6 @@ pub(crate) fn trim_history<T>(
 /// How much history a simulation keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HistoryPolicy {
-    /// All of it.
     All,
     /// The last [`HISTORY_DURATION`].
     Recent,

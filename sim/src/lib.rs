@@ -23,11 +23,10 @@
 //! # Ok::<(), posebridge_sim::ScenarioError>(())
 //! ```
 
-mod bundled;
 mod camera;
 mod checks;
 mod clock;
-mod faults;
+mod config_file;
 mod firmware;
 pub mod frame_accelerometers;
 mod history;
@@ -36,7 +35,6 @@ mod mavlink_node;
 pub mod montecarlo;
 mod motor;
 pub mod motor_bench;
-pub mod overhead_view;
 mod path;
 mod personality;
 mod random;
@@ -44,15 +42,13 @@ mod robot_body;
 pub mod scenario;
 mod sensors;
 mod simulation;
-mod thermometer;
-mod time_step;
 pub mod wall;
 mod wheels;
 
 pub use camera::{CAMERA, CameraFix};
+pub use clock::STEP;
 pub use firmware::BRICK;
 pub use history::{HISTORY_DURATION, HISTORY_TRIM_BLOCK};
 pub use personality::ev3_beacon;
 pub use scenario::{BUNDLED, Scenario, ScenarioError, Steering};
 pub use simulation::{CommandExecutor, ReceivedEstimate, Simulation, TruthSample};
-pub use time_step::STEP;

@@ -25,10 +25,8 @@ impl Sink for SdkFrameSink<'_> {
     }
 }
 
-/// Handles a request for a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct IntervalRequest {
-    /// The message.
     pub(crate) message_id: u32,
     /// The interval; `None` stops it, zero asks for the default.
     pub(crate) interval: Option<TimeDelta>,
@@ -40,7 +38,6 @@ pub(crate) struct MavlinkNode<C: Clock> {
     own: Address,
     session: Session<C>,
     encoder: Encoder,
-    /// Whole frames.
     outgoing: Vec<Vec<u8>>,
     /// Messages that are sent once on request.
     offered_messages: Vec<u32>,
@@ -89,13 +86,11 @@ impl<C: Clock> MavlinkNode<C> {
         self.drain()
     }
 
-    /// Lets time pass.
     pub(crate) fn tick(&mut self, now: Timestamp<C>) -> Vec<IntervalRequest> {
         self.session.tick(now);
         self.drain()
     }
 
-    /// Queues a message.
     pub(crate) fn send(&mut self, message: &Message) {
         let mut frame = Vec::new();
         self.encoder.encode(self.own, message, &mut frame);
@@ -121,7 +116,6 @@ impl<C: Clock> MavlinkNode<C> {
         (!self.outgoing.is_empty()).then(|| self.take_frames().concat())
     }
 
-    /// The same, each frame for itself.
     pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
         std::mem::take(&mut self.outgoing)
     }
@@ -131,28 +125,19 @@ impl<C: Clock> MavlinkNode<C> {
         while let Some(output) = self.session.poll() {
             match output {
                 SessionOutput::Send(message) => self.send(&message),
-                SessionOutput::IntervalRequested {
-                    message_id,
-                    interval,
-                    ..
-                } => requests.push(IntervalRequest {
-                    message_id,
-                    interval,
-                }),
+                SessionOutput::IntervalRequested { message_id, interval, .. } => {
+                    requests.push(IntervalRequest { message_id, interval });
+                }
                 SessionOutput::CommandReceived { by, command } => {
                     let is_for_fix = self.is_fix_request(&command);
                     self.is_fix_requested |= is_for_fix;
-                    let result = if is_for_fix {
-                        CommandResult::Accepted
-                    } else {
-                        CommandResult::Unsupported
-                    };
+                    let result = if is_for_fix { CommandResult::Accepted } else { CommandResult::Unsupported };
                     self.session.acknowledge_command(by, command.command, result);
                 }
+                // It offers no parameters.
                 SessionOutput::PeerSeen { .. }
                 | SessionOutput::PeerLost { .. }
                 | SessionOutput::TimeExchanged { .. }
-                // Of these it offers none.
                 | SessionOutput::ParameterSetRequested { .. }
                 | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {}

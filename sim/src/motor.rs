@@ -11,22 +11,9 @@
 //! Pybricks `model_nxt` (servo_settings.c and motor_model.py), decoded into SI; it agrees with the measurements of
 //! philohome.com (170 rpm at 9 V without load, stall 0.50 N m). See docs/simulator.md.
 
-use crate::time_step::STEP_S;
+use crate::clock::STEP_S;
+use crate::scenario::MotorSettings;
 
-/// What a motor is made of, at its output shaft.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct MotorConstants {
-    /// Kt/R, in N m per V.
-    pub(crate) torque_n_m_per_v: f64,
-    /// Ke, in V s per rad.
-    pub(crate) back_emf_v_s_per_rad: f64,
-    /// J with everything that turns along, in kg m².
-    pub(crate) inertia_kg_m2: f64,
-    /// Coulomb friction, in N m.
-    pub(crate) friction_n_m: f64,
-}
-
-/// A turning motor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Motor {
     back_emf_v_s_per_rad: f64,
@@ -41,12 +28,12 @@ pub(crate) struct Motor {
 }
 
 impl Motor {
-    /// A motor at rest at angle zero.
-    pub(crate) fn new(c: MotorConstants) -> Self {
-        let time_constant_s = c.inertia_kg_m2 / (c.torque_n_m_per_v * c.back_emf_v_s_per_rad);
+    /// A motor at rest at angle zero, with what it has to move besides itself, in kg m² at the output shaft.
+    pub(crate) fn new(motor: &MotorSettings, load_kg_m2: f64) -> Self {
+        let time_constant_s = motor.time_constant_s(load_kg_m2);
         Self {
-            back_emf_v_s_per_rad: c.back_emf_v_s_per_rad,
-            friction_v: c.friction_n_m / c.torque_n_m_per_v,
+            back_emf_v_s_per_rad: motor.back_emf_v_s_per_rad,
+            friction_v: motor.friction_n_m / motor.torque_n_m_per_v,
             decay: (-STEP_S / time_constant_s).exp(),
             time_constant_s,
             angle_rad: 0.0,
@@ -80,7 +67,6 @@ impl Motor {
         self.angle_rad
     }
 
-    /// Speed of the output shaft, in radians per second.
     pub(crate) const fn speed_rad_per_s(&self) -> f64 {
         self.speed_rad_per_s
     }
@@ -109,31 +95,24 @@ impl Backlash {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::scenario::MotorSettings;
 
-    fn unloaded() -> Motor {
-        Motor::new(MotorSettings::default().constants(0.0))
-    }
+    use super::*;
 
     fn speed_after(volts: f64, millis: u32) -> f64 {
-        let mut motor = unloaded();
-        for _ in 0..millis {
-            motor.step(volts);
-        }
+        let mut motor = Motor::new(&MotorSettings::default(), 0.0);
+        (0..millis).for_each(|_| motor.step(volts));
         motor.speed_rad_per_s()
     }
 
-    fn rpm(speed_rad_per_s: f64) -> f64 {
-        speed_rad_per_s * 60.0 / std::f64::consts::TAU
-    }
-
     #[test]
-    fn no_load_speeds_are_those_of_the_measured_motor() {
-        // philohome.com and Pybricks: 170 rpm at 9 V, 135 rpm at 7.2 V.
-        assert!((rpm(speed_after(9.0, 2_000)) - 170.0).abs() < 2.0);
-        assert!((rpm(speed_after(7.2, 2_000)) - 135.0).abs() < 2.0);
-        assert!((rpm(speed_after(-9.0, 2_000)) + 170.0).abs() < 2.0);
+    fn no_load_speeds_and_the_dead_band_are_those_of_the_measured_motor() {
+        // philohome.com and Pybricks: 170 rpm at 9 V, 135 rpm at 7.2 V; friction eats a third of a volt.
+        for (volts, rpm) in [(9.0, 170.0), (7.2, 135.0), (-9.0, -170.0)] {
+            let found = speed_after(volts, 2_000) * 60.0 / std::f64::consts::TAU;
+            assert!((found - rpm).abs() < 2.0, "{volts} V: {found} rpm");
+        }
+        assert_eq!(speed_after(0.32, 1_000), 0.0);
+        assert!(speed_after(0.35, 1_000) > 0.0);
     }
 
     #[test]
@@ -141,24 +120,6 @@ mod tests {
         let end = speed_after(9.0, 2_000);
         let reached = (1..2_000).find(|&t| speed_after(9.0, t) >= end * (1.0 - (-1.0_f64).exp()));
         assert!(matches!(reached, Some(95..=110)), "{reached:?} ms");
-    }
-
-    #[test]
-    fn the_dead_band_is_a_third_of_a_volt() {
-        assert_eq!(speed_after(0.32, 1_000), 0.0);
-        assert!(speed_after(0.35, 1_000) > 0.0);
-    }
-
-    #[test]
-    fn a_motor_without_voltage_stops_and_stays() {
-        let mut motor = unloaded();
-        for _ in 0..500 {
-            motor.step(9.0);
-        }
-        for _ in 0..1_000 {
-            motor.step(0.0);
-        }
-        assert_eq!(motor.speed_rad_per_s(), 0.0);
     }
 
     #[test]

@@ -20,15 +20,12 @@ const SEARCH_AHEAD_M: f64 = 0.30;
 /// The place on a leg next to some point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Projection {
-    /// Distance along the leg, in metres.
     pub(crate) along_m: f64,
     /// How far the point lies to the left of the leg, in metres.
     pub(crate) left_m: f64,
-    /// The leg's direction there.
     pub(crate) heading: Heading,
     /// The leg's curvature there, 1/m, positive to the left.
     pub(crate) curvature_per_m: f64,
-    /// Distance of the point from the leg, in metres.
     pub(crate) distance_m: f64,
 }
 
@@ -81,7 +78,10 @@ pub(crate) struct PathLeg {
 }
 
 impl PathLeg {
-    /// Its length in metres.
+    fn straight(start: Pose<Arena>, length_m: f64) -> Self {
+        Self { segments: vec![Segment { start, length_m, curvature_per_m: 0.0 }] }
+    }
+
     pub(crate) fn length_m(&self) -> f64 {
         self.segments.iter().map(|s| s.length_m).sum()
     }
@@ -120,22 +120,19 @@ impl PathLeg {
     }
 }
 
-/// The whole path, all laps.
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
     legs: Vec<PathLeg>,
-    /// The pieces of one lap; all laps lie on them.
     lap: Vec<Segment>,
     /// How many legs make a lap; a path without a stop has a single leg for all of its laps.
     lap_legs: usize,
     is_closed: bool,
 }
 
-/// Laps of a path without a stop that is driven for ever: beyond the first of them the follower goes back by one.
+/// Laps of an endless path without a stop; beyond the first of them the follower goes back by one.
 const SMOOTH_LAPS: usize = 2;
 
 impl Path {
-    /// The path of a scenario.
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let (laps, smooth_laps, is_endless) = match scenario.drive.end {
             DriveEnd::LastLap => (scenario.drive.laps as usize, scenario.drive.laps as usize, false),
@@ -166,15 +163,19 @@ impl Path {
 
     /// One leg of full circles with these curvatures, lap after lap.
     fn smooth(start: Pose<Arena>, laps: usize, curvatures_per_m: &[f64]) -> Self {
-        let mut pen = PathBuilder::new(start);
-        for curvature in curvatures_per_m {
-            pen.push_circle(*curvature);
+        let mut at = start;
+        let mut lap = Vec::new();
+        for curvature_per_m in curvatures_per_m.iter().copied() {
+            // In quarters, so that every projection on a piece is unique.
+            for _ in 0..4 {
+                let segment = Segment { start: at, length_m: TAU / 4.0 / curvature_per_m.abs(), curvature_per_m };
+                at = segment.at(segment.length_m);
+                lap.push(segment);
+            }
         }
-        let leg = PathLeg { segments: pen.segments.repeat(laps) };
-        Self { legs: vec![leg], lap: pen.segments, lap_legs: 1, is_closed: true }
+        Self { legs: vec![PathLeg { segments: lap.repeat(laps) }], lap, lap_legs: 1, is_closed: true }
     }
 
-    /// All legs in the order of driving.
     pub(crate) fn legs(&self) -> &[PathLeg] {
         &self.legs
     }
@@ -189,12 +190,10 @@ impl Path {
         self.is_closed
     }
 
-    /// The length of all laps, in metres.
     pub(crate) fn length_m(&self) -> f64 {
         self.legs.iter().map(PathLeg::length_m).sum()
     }
 
-    /// The length of one lap, in metres.
     pub(crate) fn lap_length_m(&self) -> f64 {
         self.lap.iter().map(|segment| segment.length_m).sum()
     }
@@ -216,12 +215,10 @@ impl Path {
         (best.0, best.1)
     }
 
-    /// Distance of a point from the nearest place of the path, in metres.
     pub(crate) fn distance_m(&self, point: Point2<Arena>) -> f64 {
         self.lap.iter().map(|segment| segment.project(point).distance_m).fold(f64::INFINITY, f64::min)
     }
 
-    /// The path of one lap as points, for drawing.
     pub(crate) fn polyline(&self) -> Vec<Point2<Arena>> {
         let mut points = vec![self.start().origin()];
         for segment in &self.lap {
@@ -237,42 +234,15 @@ impl Path {
     }
 }
 
-/// Draws segments one behind the other.
-struct PathBuilder {
-    at: Pose<Arena>,
-    segments: Vec<Segment>,
-}
-
-impl PathBuilder {
-    const fn new(at: Pose<Arena>) -> Self {
-        Self { at, segments: Vec::new() }
-    }
-
-    fn push_segment(&mut self, length_m: f64, curvature_per_m: f64) {
-        let segment = Segment { start: self.at, length_m, curvature_per_m };
-        self.at = segment.at(length_m);
-        self.segments.push(segment);
-    }
-
-    /// A full circle, in quarters, so that every projection on a piece is unique.
-    fn push_circle(&mut self, curvature_per_m: f64) {
-        for _ in 0..4 {
-            self.push_segment(TAU / 4.0 / curvature_per_m.abs(), curvature_per_m);
-        }
-    }
-}
-
 fn square(start: Pose<Arena>, side_m: f64, turn_rad: f64) -> Vec<PathLeg> {
     let mut at = start;
     let corner = Transform2::<Body, Body>::new(Meters(side_m), Meters(0.0), Heading::from_rad(turn_rad));
-    (0..4)
-        .map(|_| {
-            let mut pen = PathBuilder::new(at);
-            pen.push_segment(side_m, 0.0);
-            at = at * corner;
-            PathLeg { segments: pen.segments }
-        })
-        .collect()
+    let mut sides = Vec::new();
+    for _ in 0..4 {
+        sides.push(PathLeg::straight(at, side_m));
+        at = at * corner;
+    }
+    sides
 }
 
 fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
@@ -303,15 +273,14 @@ fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
 
 fn straight(from: Point2<Arena>, to: Point2<Arena>) -> PathLeg {
     let heading = Heading::from_rad(wrap_rad((to.y - from.y).0.atan2((to.x - from.x).0)));
-    let mut pen = PathBuilder::new(Pose::new(from.x, from.y, heading));
-    pen.push_segment(from.distance(to).0, 0.0);
-    PathLeg { segments: pen.segments }
+    PathLeg::straight(Pose::new(from.x, from.y, heading), from.distance(to).0)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::scenario::{Direction, StartPose};
+
+    use super::*;
 
     fn path(course: Course) -> Path {
         Path::new(&Scenario { path: course, ..Scenario::default() })
@@ -328,6 +297,9 @@ mod tests {
         assert_eq!(square.polyline().len(), 5);
         assert!((square.distance_m(point(0.5, 0.5)) - 0.5).abs() < 1e-12);
         assert!((square.distance_m(point(1.03, 0.4)) - 0.03).abs() < 1e-12);
+        let start = StartPose { x_m: 2.0, y_m: 1.0, heading_deg: 90.0 };
+        let corner = Path::new(&Scenario { start, ..Scenario::default() }).polyline()[1];
+        assert!(corner.distance(point(2.0, 2.0)).0 < 1e-9, "the start pose moves the path");
     }
 
     #[test]
@@ -339,13 +311,10 @@ mod tests {
         assert!((half.along_m - 0.5 * leg.length_m()).abs() < 1e-9);
         assert!((half.left_m - 0.1).abs() < 1e-9 && (half.curvature_per_m - 2.0).abs() < 1e-12);
         assert!((half.heading.rad().abs() - std::f64::consts::PI).abs() < 1e-9);
-    }
 
-    #[test]
-    fn a_right_hand_circle_lies_to_the_right() {
-        let circle = path(Course::Circle { radius_m: 0.5, direction: Direction::Right });
-        assert!(circle.distance_m(point(0.0, -1.0)) < 1e-9);
-        let quarter = circle.legs()[0].project(point(0.5, -0.5), 0.7);
+        let right = path(Course::Circle { radius_m: 0.5, direction: Direction::Right });
+        assert!(right.distance_m(point(0.0, -1.0)) < 1e-9);
+        let quarter = right.legs()[0].project(point(0.5, -0.5), 0.7);
         assert!(quarter.distance_m < 1e-9 && (quarter.along_m - 0.5 * FRAC_PI_2).abs() < 1e-9);
     }
 
@@ -353,28 +322,18 @@ mod tests {
     fn a_projection_near_the_crossing_stays_on_its_own_lobe() {
         let eight = path(Course::FigureEight { radius_m: 0.5 });
         let leg = &eight.legs()[0];
-        let half = 0.5 * leg.length_m();
-        let crossing = leg.project(point(0.0, 0.0), half);
-        assert!((crossing.along_m - half).abs() < 1e-6);
-        assert!(leg.project(point(0.0, 0.0), 0.0).along_m < 1e-6);
+        for near_m in [0.0, 0.5 * leg.length_m()] {
+            assert!((leg.project(point(0.0, 0.0), near_m).along_m - near_m).abs() < 1e-6);
+        }
         assert!(eight.is_closed());
     }
 
     #[test]
     fn further_laps_of_open_way_points_come_back_first() {
-        let scenario = Scenario {
-            path: Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] },
-            ..Scenario::default()
-        };
+        let path = Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] };
+        let scenario = Scenario { path, ..Scenario::default() };
         assert!(!Path::new(&scenario).is_closed());
         let two = Path::new(&scenario.with_laps(2));
         assert!((two.length_m() - (4.0 + 2.0_f64.sqrt())).abs() < 1e-9);
-    }
-
-    #[test]
-    fn the_start_pose_moves_the_path() {
-        let scenario = Scenario { start: StartPose { x_m: 2.0, y_m: 1.0, heading_deg: 90.0 }, ..Scenario::default() };
-        let corner = Path::new(&scenario).polyline()[1];
-        assert!((corner.x.0 - 2.0).abs() < 1e-9 && (corner.y.0 - 2.0).abs() < 1e-9);
     }
 }

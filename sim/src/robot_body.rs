@@ -8,30 +8,30 @@
 //! turn       (s_r - s_l) / true track + k sqrt(|dtheta|) n + kicks
 //! pose       an exact arc of (s_l + s_r) / 2 and turn
 //! ```
-//! [`crate::faults`] adds the faults that a person causes.
-//!
+//! Faults that a person causes:
+//! ```text
+//! carried    0.1 s along a straight line, turned evenly; the wheels spin in the air and count, the gyro feels the turn
+//! no grip    of each step's rotation the share that is lost turns the shaft and moves nothing
+//! ```
 //! # Sources
 //! docs/simulator.md, sections 1 and 2.
 
-use posebridge_telemetry::{Arena, Heading, Meters, Pose, SlippingWheel, TimeDelta};
+use posebridge_telemetry::{Arena, Body, Heading, Meters, Pose, SlippingWheel, TimeDelta, Transform2};
 
-use crate::faults::{Displacement, RobotFaults};
+use crate::clock::{STEP, STEP_S};
 use crate::motor::{Backlash, Motor};
 use crate::random::RandomStream;
 use crate::scenario::{ErrorSettings, Scenario};
-use crate::time_step::STEP_S;
 use crate::wheels::PerWheel;
 
 /// Kicks are spread over this time, in seconds.
 const KICK_S: f64 = 0.2;
-/// A kick turns by this much, in degrees.
 const KICK_DEG: (f64, f64) = (3.0, 8.0);
 /// A slip event spins a wheel by this many degrees of its rotation.
 const SLIP_DEG: (f64, f64) = (10.0, 40.0);
 /// A battery is not simulated below this voltage: a brick switches off there.
 const LOWEST_BATTERY_V: f64 = 5.0;
 
-/// The moving robot.
 #[derive(Clone, Debug)]
 pub(crate) struct RobotBody {
     motors: PerWheel<Motor>,
@@ -52,20 +52,13 @@ impl RobotBody {
     pub(crate) fn new(scenario: &Scenario, start: Pose<Arena>) -> Self {
         let robot = &scenario.robot;
         let errors = &scenario.errors;
-        let mut draw = RandomStream::new(scenario.seed, "geometry");
-        let mean = errors.radius_error + errors.radius_error_sigma * draw.normal();
-        let mismatch = errors.radius_mismatch + errors.radius_mismatch_sigma * draw.normal();
-        let track = errors.track_error + errors.track_error_sigma * draw.normal();
-        let radius_m = PerWheel {
-            left: robot.wheel_radius_m * (1.0 + mean - 0.5 * mismatch),
-            right: robot.wheel_radius_m * (1.0 + mean + 0.5 * mismatch),
-        };
+        let (radius_m, track_m) = draw_geometry(scenario.seed, errors, robot.wheel_radius_m, robot.track_width_m);
         let backlash = Backlash::new(robot.backlash_deg.to_radians());
         Self {
-            motors: radius_m.map(|r| Motor::new(robot.motor.constants(0.5 * robot.mass_kg * r * r))),
+            motors: radius_m.map(|r| Motor::new(&robot.motor, 0.5 * robot.mass_kg * r * r)),
             backlash: PerWheel { left: backlash, right: backlash },
             radius_m,
-            track_m: robot.track_width_m * (1.0 + track),
+            track_m,
             battery_v: robot.battery_v,
             battery_drop_v_per_step: robot.battery_drop_v_per_min / 60.0 * STEP_S,
             slip: WheelSlip::new(scenario.seed, *errors),
@@ -105,7 +98,6 @@ impl RobotBody {
         self.faults.lift(self.pose, by);
     }
 
-    /// A wheel loses this share of its grip for a while.
     pub(crate) fn reduce_grip(&mut self, wheel: SlippingWheel, share: f64, duration: TimeDelta) {
         self.faults.reduce_grip(wheel, share, duration);
     }
@@ -124,7 +116,6 @@ impl RobotBody {
         self.turned_rad += turn_rad;
     }
 
-    /// Where the robot is.
     pub(crate) const fn pose(&self) -> Pose<Arena> {
         self.pose
     }
@@ -144,7 +135,6 @@ impl RobotBody {
         self.turned_rad
     }
 
-    /// What the battery gives at this moment, in volts.
     pub(crate) const fn battery_v(&self) -> f64 {
         self.battery_v
     }
@@ -165,13 +155,29 @@ impl RobotBody {
     }
 }
 
-/// What the floor does to the robot.
+/// Draws the true wheel radii and the true track width, in metres.
+pub(crate) fn draw_geometry(
+    seed: u64,
+    errors: &ErrorSettings,
+    wheel_radius_m: f64,
+    track_width_m: f64,
+) -> (PerWheel<f64>, f64) {
+    let mut stream = RandomStream::new(seed, "geometry");
+    let mean = errors.radius_error + errors.radius_error_sigma * stream.normal();
+    let mismatch = errors.radius_mismatch + errors.radius_mismatch_sigma * stream.normal();
+    let track = errors.track_error + errors.track_error_sigma * stream.normal();
+    let radius_m = PerWheel {
+        left: wheel_radius_m * (1.0 + mean - 0.5 * mismatch),
+        right: wheel_radius_m * (1.0 + mean + 0.5 * mismatch),
+    };
+    (radius_m, track_width_m * (1.0 + track))
+}
+
 #[derive(Clone, Debug)]
 struct WheelSlip {
     errors: ErrorSettings,
     noise: RandomStream,
     events: RandomStream,
-    /// Rotation of each wheel that is still to be lost, in radians.
     lost_rad: PerWheel<f64>,
     /// Turn of a kick that is still to come, in radians, and its speed.
     kick_rad: f64,
@@ -237,15 +243,101 @@ impl WheelSlip {
     }
 }
 
+/// A quick hand: so short that a camera of 10 images per second sees the robot in the air once at most. A turn of more than 36 degrees is
+/// then faster than the gyros of the bundled scenarios can measure (360 degrees per second), as it would be in a hand.
+const CARRIED_STEPS: u32 = 100;
+
+/// Where a robot is put down, relative to where it stood. A plain turn, because a half turn may go either way round.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Displacement {
+    pub(crate) forward_m: f64,
+    pub(crate) left_m: f64,
+    pub(crate) turn_rad: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct CarriedRobot {
+    from: Pose<Arena>,
+    by: Displacement,
+    steps: u32,
+}
+
+/// The grip of one wheel while it has lost some.
+#[derive(Clone, Copy, Debug, Default)]
+struct GripLoss {
+    share: f64,
+    steps_left: i64,
+}
+
+impl GripLoss {
+    /// The share of its rotation that reaches the floor in the next step.
+    const fn next(&mut self) -> f64 {
+        if self.steps_left <= 0 {
+            return 1.0;
+        }
+        self.steps_left -= 1;
+        1.0 - self.share
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct RobotFaults {
+    carried: Option<CarriedRobot>,
+    lost_grip: PerWheel<GripLoss>,
+}
+
+impl RobotFaults {
+    const fn lift(&mut self, from: Pose<Arena>, by: Displacement) {
+        self.carried = Some(CarriedRobot { from, by, steps: 0 });
+    }
+
+    fn reduce_grip(&mut self, wheel: SlippingWheel, share: f64, duration: TimeDelta) {
+        let lost = GripLoss { share, steps_left: duration.as_nanos() / STEP.as_nanos() };
+        let wheels = &mut self.lost_grip;
+        match wheel {
+            SlippingWheel::Left => wheels.left = lost,
+            SlippingWheel::Right => wheels.right = lost,
+            SlippingWheel::Both => *wheels = PerWheel { left: lost, right: lost },
+        }
+    }
+
+    /// The share of each wheel's rotation that reaches the floor in the next step.
+    fn grip(&mut self) -> PerWheel<f64> {
+        self.lost_grip.as_mut().map(GripLoss::next)
+    }
+
+    /// Carries a lifted robot on by one step: where it is, and by how much it turned, in radians.
+    fn step_carried(&mut self) -> Option<(Pose<Arena>, f64)> {
+        let carried = self.carried.as_mut()?;
+        carried.steps += 1;
+        let share = f64::from(carried.steps) / f64::from(CARRIED_STEPS);
+        let way = Transform2::<Body, Body>::new(
+            Meters(carried.by.forward_m * share),
+            Meters(carried.by.left_m * share),
+            Heading::from_rad(carried.by.turn_rad * share),
+        );
+        let moved = (carried.from * way, carried.by.turn_rad / f64::from(CARRIED_STEPS));
+        if carried.steps >= CARRIED_STEPS {
+            self.carried = None;
+        }
+        Some(moved)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::MotorSettings;
+
+    const AHEAD: PerWheel<f64> = PerWheel { left: 0.5, right: 0.5 };
+
+    fn drive(body: &mut RobotBody, duty: PerWheel<f64>, millis: u32) {
+        (0..millis).for_each(|_| body.step(duty));
+    }
 
     fn driven(scenario: &Scenario, duty: PerWheel<f64>, millis: u32) -> RobotBody {
         let mut body = RobotBody::new(scenario, Pose::default());
-        for _ in 0..millis {
-            body.step(duty);
-        }
+        drive(&mut body, duty, millis);
         body
     }
 
@@ -255,70 +347,58 @@ mod tests {
         scenario
     }
 
-    const AHEAD: PerWheel<f64> = PerWheel { left: 0.5, right: 0.5 };
-
-    #[test]
-    fn equal_wheels_drive_straight_by_radius_times_angle() {
-        let body = driven(&exact(), AHEAD, 1_000);
-        assert!((body.pose().x.0 - 0.028 * body.shaft_rad().left).abs() < 1e-9);
-        assert!(body.pose().y.0.abs() < 1e-12);
+    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+        let count = values.len() as f64;
+        (values.map(|value| value * value).sum::<f64>() / count).sqrt()
     }
 
     #[test]
-    fn a_larger_right_wheel_turns_the_robot_left_by_the_mismatch_over_the_track() {
+    fn equal_wheels_drive_straight_and_a_larger_right_wheel_turns_left_by_the_mismatch_over_the_track() {
         let mut scenario = exact();
+        let straight = driven(&scenario, AHEAD, 1_000);
+        assert!((straight.pose().x.0 - 0.028 * straight.shaft_rad().left).abs() < 1e-9);
+        assert!(straight.pose().y.0.abs() < 1e-12);
         scenario.errors.radius_mismatch = 0.01;
         let body = driven(&scenario, AHEAD, 2_000);
-        let travel_m = 0.028 * body.shaft_rad().left;
-        let expected_rad = 0.01 * travel_m / 0.112;
+        let expected_rad = 0.01 * 0.028 * body.shaft_rad().left / 0.112;
         assert!((body.turned_rad() / expected_rad - 1.0).abs() < 0.02);
     }
 
+    /// The relative error of a sigma from 200 draws is 5 %.
     #[test]
-    fn wheel_noise_grows_with_the_square_root_of_the_path() {
-        let mut scenario = exact();
-        scenario.errors.wheel_travel_m_per_sqrt_m = 0.004;
-        let runs = 200_u64;
-        let (mut sum_squares, mut path_m) = (0.0, 0.0);
-        for seed in 0..runs {
-            let body = driven(&scenario.clone().with_seed(seed), AHEAD, 1_000);
-            path_m = 0.028 * body.shaft_rad().left;
-            // Two independent wheels: the difference of their travel has twice the variance of one.
-            sum_squares += (body.turned_rad() * 0.112).powi(2) / 2.0;
-        }
-        let sigma = (sum_squares / runs as f64).sqrt();
-        let expected = 0.004 * path_m.sqrt();
-        // The relative error of a sigma from 200 draws is 5 %.
-        assert!((sigma / expected - 1.0).abs() < 0.15, "{sigma} against {expected}");
-    }
-
-    #[test]
-    fn turn_noise_grows_with_the_square_root_of_the_turn() {
-        let mut scenario = exact();
-        scenario.errors.turn_rad_per_sqrt_rad = 0.01;
+    fn the_noise_of_wheels_and_turns_grows_with_the_square_root_of_the_way() {
+        let mut of_wheels = exact();
+        of_wheels.errors.wheel_travel_m_per_sqrt_m = 0.004;
+        let way_m = 0.028 * driven(&exact(), AHEAD, 1_000).shaft_rad().left;
+        // Two independent wheels: the difference of their travel has twice the variance of one.
+        let wheels_rad = 0.004 * (2.0 * way_m).sqrt() / 0.112;
+        let mut of_turns = exact();
+        of_turns.errors.turn_rad_per_sqrt_rad = 0.01;
         let spin = PerWheel { left: -0.5, right: 0.5 };
-        let runs = 200_u64;
-        let (mut sum_squares, mut turn_rad) = (0.0, 0.0);
-        for seed in 0..runs {
-            let body = driven(&scenario.clone().with_seed(seed), spin, 1_000);
-            turn_rad = 2.0 * 0.028 * body.shaft_rad().right / 0.112;
-            sum_squares += (body.turned_rad() - turn_rad).powi(2);
+        let turn_rad = driven(&exact(), spin, 1_000).turned_rad();
+        let cases = [
+            ("wheels", of_wheels, AHEAD, 0.0, wheels_rad),
+            ("turns", of_turns, spin, turn_rad, 0.01 * turn_rad.sqrt()),
+        ];
+        for (name, scenario, duty, mean_rad, expected_rad) in cases {
+            let turned =
+                (0..200_u32).map(|seed| driven(&scenario.clone().with_seed(seed.into()), duty, 1_000).turned_rad());
+            let sigma_rad = rms(turned.map(|turned| turned - mean_rad));
+            assert!((sigma_rad / expected_rad - 1.0).abs() < 0.15, "{name}: {sigma_rad} against {expected_rad}");
         }
-        let sigma = (sum_squares / runs as f64).sqrt();
-        let expected = 0.01 * turn_rad.sqrt();
-        assert!((sigma / expected - 1.0).abs() < 0.15, "{sigma} against {expected}");
     }
 
     #[test]
     fn a_battery_that_runs_down_slows_the_robot_and_stops_at_five_volts() {
         let mut scenario = exact();
         scenario.robot.battery_drop_v_per_min = 6.0;
-        let full = PerWheel { left: 1.0, right: 1.0 };
-        let speed_at = |millis| driven(&scenario, full, millis).forward_m_per_s();
-        let at = |volts: f64| 0.028 * (volts - 0.330) / 0.487;
-        // 8 V at the beginning, 0.1 V less each second; the speed lags by a tenth of a second.
-        assert!((speed_at(10_000) - at(7.0)).abs() < 0.003);
-        assert!((speed_at(60_000) - at(5.0)).abs() < 0.001);
+        let motor = MotorSettings::default();
+        for (millis, volts, bound) in [(10_000, 7.0, 0.003), (60_000, 5.0, 0.001)] {
+            // 8 V at the beginning, 0.1 V less each second; the speed lags by a tenth of a second.
+            let expected = 0.028 * (volts - motor.friction_n_m / motor.torque_n_m_per_v) / motor.back_emf_v_s_per_rad;
+            let speed = driven(&scenario, PerWheel { left: 1.0, right: 1.0 }, millis).forward_m_per_s();
+            assert!((speed - expected).abs() < bound, "{volts} V: {speed} {expected}");
+        }
     }
 
     #[test]
@@ -326,124 +406,90 @@ mod tests {
         let mut scenario = exact();
         scenario.errors.track_error_sigma = 0.02;
         scenario.errors.track_error = 0.01;
-        let errors: Vec<f64> = (0..1_000)
-            .map(|seed| RobotBody::new(&scenario.clone().with_seed(seed), Pose::default()).track_m / 0.112 - 1.0)
-            .collect();
-        let mean = errors.iter().sum::<f64>() / 1_000.0;
-        let sigma = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / 1_000.0).sqrt();
+        let draw =
+            |seed: u32| RobotBody::new(&scenario.clone().with_seed(seed.into()), Pose::default()).track_m / 0.112 - 1.0;
+        let mean = (0..1_000).map(draw).sum::<f64>() / 1_000.0;
+        let sigma = rms((0..1_000).map(|seed| draw(seed) - mean));
         // Good to 0.02 / sqrt(1000) and to 2 %.
-        assert!((mean - 0.01).abs() < 0.002, "{mean}");
-        assert!((sigma - 0.02).abs() < 0.0015, "{sigma}");
-    }
-
-    /// Minutes of motion and rate per minute of the tests of events: 6000 are expected over all seeds.
-    const SEEDS: u64 = 20;
-    const MINUTES: u32 = 10;
-    const PER_MIN: f64 = 30.0;
-
-    /// Checks that events come as often, as large and as often to either side as they should, sizes in degrees, signed.
-    fn check_events(sizes_deg: &[f64], low: f64, high: f64) {
-        let count = sizes_deg.len() as f64;
-        let expected = SEEDS as f64 * f64::from(MINUTES) * PER_MIN;
-        // A rare event per step is binomial: sigma is the root of the count, here 1.3 %; four of them.
-        let bound = 4.0 * expected.sqrt();
-        assert!((count - expected).abs() < bound, "{count} of {expected}");
-        let to_left = sizes_deg.iter().filter(|size| **size > 0.0).count() as f64;
-        assert!((to_left - 0.5 * count).abs() < 0.5 * bound, "{to_left}");
-
-        let mean = sizes_deg.iter().map(|size| size.abs()).sum::<f64>() / count;
-        let smallest = sizes_deg.iter().fold(f64::MAX, |m, size| m.min(size.abs()));
-        let largest = sizes_deg.iter().fold(0.0_f64, |m, size| m.max(size.abs()));
-        // Uniform: sigma of the mean is the width over the root of 12 times the count; the extremes come within a hundredth.
-        let width = high - low;
-        let slack = 1e-9;
-        let mean_bound = 4.0 * width / (12.0 * count).sqrt();
-        assert!((mean - 0.5 * (low + high)).abs() < mean_bound, "{mean}");
-        assert!((low - slack..low + 0.01 * width).contains(&smallest));
-        assert!((high - 0.01 * width..high + slack).contains(&largest));
+        assert!((mean - 0.01).abs() < 0.002 && (sigma - 0.02).abs() < 0.0015, "{mean} {sigma}");
     }
 
     /// What both wheels turn in a step, in radians.
     const TURNING: PerWheel<f64> = PerWheel { left: 0.001, right: 0.001 };
 
-    /// The sizes of all events; `step` makes one step and returns the size of what began in it, or zero.
-    fn events_of(errors: ErrorSettings, mut step: impl FnMut(&mut WheelSlip) -> f64) -> Vec<f64> {
-        let steps = (f64::from(MINUTES) * 60.0 / STEP_S).round() as u32;
-        let mut sizes_deg = vec![];
-        for seed in 0..SEEDS {
+    /// Checks that events come 30 times per minute of motion, with uniform sizes in degrees to either side alike. `step` makes one
+    /// step and returns the signed size of what began in it, or zero.
+    fn check_events(errors: ErrorSettings, low: f64, high: f64, mut step: impl FnMut(&mut WheelSlip) -> f64) {
+        let mut sizes_deg = Vec::new();
+        for seed in 0..20 {
             let mut slip = WheelSlip::new(seed, errors);
-            for _ in 0..steps {
-                let size_deg = step(&mut slip);
-                if size_deg != 0.0 {
-                    sizes_deg.push(size_deg);
-                }
-            }
+            sizes_deg.extend((0..600_000).map(|_| step(&mut slip)).filter(|size| *size != 0.0));
         }
-        sizes_deg
+        // A rare event per step is binomial: sigma is the root of the count, here 1.3 %; four of them.
+        let (count, expected) = (sizes_deg.len() as f64, 6_000.0_f64);
+        let bound = 4.0 * expected.sqrt();
+        assert!((count - expected).abs() < bound, "{count} of {expected}");
+        let to_left = sizes_deg.iter().filter(|size| **size > 0.0).count() as f64;
+        assert!((to_left - 0.5 * count).abs() < 0.5 * bound, "{to_left}");
+        // Uniform: sigma of the mean is the width over the root of 12 times the count; the extremes come within a hundredth.
+        let width = high - low;
+        let mut sizes: Vec<f64> = sizes_deg.iter().map(|size| size.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let mean = sizes.iter().sum::<f64>() / count;
+        assert!((mean - 0.5 * (low + high)).abs() < 4.0 * width / (12.0 * count).sqrt(), "{mean}");
+        assert!((low - 1e-9..low + 0.01 * width).contains(&sizes[0]));
+        assert!((high - 0.01 * width..high + 1e-9).contains(sizes.last().unwrap()));
     }
 
     #[test]
     fn slip_events_come_at_their_rate_and_size_on_either_wheel() {
-        let errors = ErrorSettings { slip_events_per_min: PER_MIN, ..ErrorSettings::none() };
-        let sizes_deg = events_of(errors, |slip| {
+        let errors = ErrorSettings { slip_events_per_min: 30.0, ..ErrorSettings::none() };
+        check_events(errors, 10.0, 40.0, |slip| {
             slip.lost_rad = PerWheel::default();
             let gripped = slip.grip(TURNING);
             let lost = |left: f64, grip: f64| (left + TURNING.left - grip).to_degrees();
             lost(slip.lost_rad.left, gripped.left) - lost(slip.lost_rad.right, gripped.right)
         });
-        check_events(&sizes_deg, 10.0, 40.0);
     }
 
     #[test]
     fn kicks_come_at_their_rate_and_size_to_either_side() {
-        let errors = ErrorSettings { kicks_per_min: PER_MIN, ..ErrorSettings::none() };
-        let sizes_deg = events_of(errors, |slip| {
+        let errors = ErrorSettings { kicks_per_min: 30.0, ..ErrorSettings::none() };
+        check_events(errors, 3.0, 8.0, |slip| {
             slip.kick_rad = 0.0;
             assert_eq!(slip.grip(TURNING), TURNING, "a kick costs no travel");
             slip.kick_rad.to_degrees()
         });
-        check_events(&sizes_deg, 3.0, 8.0);
     }
 
     #[test]
     fn nothing_happens_to_a_robot_at_rest() {
         let mut scenario = exact();
-        scenario.errors.kicks_per_min = 6_000.0;
-        scenario.errors.slip_events_per_min = 6_000.0;
+        (scenario.errors.kicks_per_min, scenario.errors.slip_events_per_min) = (6_000.0, 6_000.0);
         let body = driven(&scenario, PerWheel::default(), 10_000);
-        assert_eq!(body.slip.lost_rad, PerWheel::default());
-        assert_eq!(body.turned_rad(), 0.0);
+        assert_eq!((body.slip.lost_rad, body.turned_rad()), (PerWheel::default(), 0.0));
     }
 
     #[test]
     fn a_slip_event_takes_its_size_from_the_travel_of_one_wheel() {
         let mut body = driven(&exact(), AHEAD, 1_000);
-        let before = (body.shaft_rad().left, body.turned_rad());
+        let before_rad = body.turned_rad();
         body.slip.lost_rad.left = 25_f64.to_radians();
-        for _ in 0..1_000 {
-            body.step(AHEAD);
-        }
-        assert!(body.shaft_rad().left - before.0 > 2.0);
-        let expected_rad = 25_f64.to_radians() * 0.028 / 0.112;
-        assert!((body.turned_rad() - before.1 - expected_rad).abs() < 1e-9);
+        drive(&mut body, AHEAD, 1_000);
+        assert!((body.turned_rad() - before_rad - 25_f64.to_radians() * 0.028 / 0.112).abs() < 1e-9);
     }
 
     #[test]
     fn a_kick_turns_the_robot_by_its_size_within_a_fifth_of_a_second() {
-        let mut scenario = exact();
-        let mut body = driven(&scenario, AHEAD, 1_000);
-        scenario.errors.kicks_per_min = 60_000.0;
-        body.slip.errors = scenario.errors;
+        let mut body = driven(&exact(), AHEAD, 1_000);
+        body.slip.errors.kicks_per_min = 60_000.0;
         body.step(AHEAD);
         body.slip.errors = ErrorSettings::none();
         let size_deg = (body.turned_rad() + body.slip.kick_rad).to_degrees();
         assert!((3.0..8.0).contains(&size_deg.abs()), "{size_deg}");
-        for _ in 0..198 {
-            body.step(AHEAD);
-        }
+        drive(&mut body, AHEAD, 198);
         assert!(body.slip.kick_rad != 0.0, "not before its time");
-        body.step(AHEAD);
-        body.step(AHEAD);
+        drive(&mut body, AHEAD, 2);
         assert!((body.turned_rad().to_degrees() - size_deg).abs() < 1e-9);
     }
 
@@ -452,18 +498,15 @@ mod tests {
         let mut scenario = exact();
         scenario.robot.backlash_deg = 4.0;
         let mut body = driven(&scenario, AHEAD, 1_000);
-        while !body.is_at_rest() {
-            body.step(PerWheel::default());
-        }
-        let at_rest = (body.pose().x.0, body.shaft_rad().left);
+        drive(&mut body, PerWheel::default(), 1_000);
+        assert!(body.is_at_rest());
+        let (x_m, shaft_rad) = (body.pose().x.0, body.shaft_rad().left);
         let back = PerWheel { left: -0.3, right: -0.3 };
-        while body.shaft_rad().left > at_rest.1 - 3.9_f64.to_radians() {
+        while body.shaft_rad().left > shaft_rad - 3.9_f64.to_radians() {
             body.step(back);
         }
-        assert_eq!(body.pose().x.0, at_rest.0);
-        for _ in 0..500 {
-            body.step(back);
-        }
-        assert!(body.pose().x.0 < at_rest.0 - 0.001);
+        assert_eq!(body.pose().x.0, x_m);
+        drive(&mut body, back, 500);
+        assert!(body.pose().x.0 < x_m - 0.001);
     }
 }

@@ -2,11 +2,10 @@
 //!
 //! The firmware reads them through [`SensorBoard`]; the true quantities stay private.
 
+use crate::clock::STEP_S;
 use crate::random::RandomStream;
 use crate::robot_body::RobotBody;
-use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario, TICK_RAD};
-use crate::thermometer::Thermometer;
-use crate::time_step::STEP_S;
+use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario, TICK_RAD, ThermometerSettings};
 use crate::wheels::PerWheel;
 
 /// One reading of the inertial sensors: means since the reading before.
@@ -16,11 +15,9 @@ pub(crate) struct InertialReading {
     pub(crate) turn_rate_rad_per_s: f64,
     /// Sum of the turn rates times their intervals since power-up, in radians.
     pub(crate) turn_rad: f64,
-    /// Forward acceleration at each wheel, in metres per second squared.
     pub(crate) wheels_m_per_s2: PerWheel<f64>,
 }
 
-/// All sensors of the brick.
 #[derive(Clone, Debug)]
 pub(crate) struct SensorBoard {
     encoders: PerWheel<Encoder>,
@@ -78,7 +75,7 @@ impl SensorBoard {
         }
         let interval_s = f64::from(self.steps_since_last) * STEP_S;
         let mean_turn = (self.turned_rad - self.turned_at_last_rad) / interval_s;
-        let turn_rate = self.gyro.read(mean_turn, interval_s);
+        let turn_rate = self.gyro.read(mean_turn.to_degrees(), interval_s).to_radians();
         let accelerations = self
             .wheel_speed_m_per_s
             .zip(self.speed_at_last_m_per_s)
@@ -97,9 +94,9 @@ impl SensorBoard {
         self.thermometer.as_mut().map(Thermometer::read)
     }
 
-    /// The gyro shows so much more from here on, until a power cycle.
+    /// Adds to the bias of the gyro, until a power cycle.
     pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
-        self.gyro.bias_deg_per_s += rad_per_s.to_degrees();
+        self.gyro.step_bias(rad_per_s);
     }
 
     /// A power cycle: counters and the gyro's integral at zero, biases drawn anew.
@@ -139,37 +136,40 @@ impl Encoder {
     }
 }
 
-/// A single-axis gyro.
 #[derive(Clone, Debug)]
-struct Gyro {
+pub(crate) struct Gyro {
     settings: GyroSettings,
     stream: RandomStream,
     bias_deg_per_s: f64,
 }
 
 impl Gyro {
-    fn new(settings: GyroSettings, stream: RandomStream) -> Self {
+    pub(crate) fn new(settings: GyroSettings, stream: RandomStream) -> Self {
         let mut gyro = Self { settings, stream, bias_deg_per_s: 0.0 };
         gyro.power_up();
         gyro
     }
 
-    fn power_up(&mut self) {
+    /// Draws the bias anew.
+    pub(crate) fn power_up(&mut self) {
         self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
     }
 
-    /// Its reading for a mean turn rate in radians per second.
-    fn read(&mut self, turn_rad_per_s: f64, interval_s: f64) -> f64 {
+    pub(crate) fn step_bias(&mut self, rad_per_s: f64) {
+        self.bias_deg_per_s += rad_per_s.to_degrees();
+    }
+
+    /// Its reading for a mean turn rate over an interval, in degrees per second.
+    pub(crate) fn read(&mut self, turn_deg_per_s: f64, interval_s: f64) -> f64 {
         let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
         self.bias_deg_per_s += walk * self.stream.normal();
         let noise = self.settings.sigma_deg_per_s * self.stream.normal();
-        let felt = turn_rad_per_s.to_degrees() + self.bias_deg_per_s + noise;
+        let felt = turn_deg_per_s + self.bias_deg_per_s + noise;
         let range = self.settings.range_deg_per_s;
-        quantise(felt, self.settings.quantum_deg_per_s).max(-range).min(range).to_radians()
+        quantise(felt, self.settings.quantum_deg_per_s).clamp(-range, range)
     }
 }
 
-/// Two accelerometers, one at each wheel.
 #[derive(Clone, Debug)]
 struct Accelerometers {
     settings: AccelerometerSettings,
@@ -197,8 +197,64 @@ impl Accelerometers {
     }
 }
 
+/// A slow thermometer on the brick: the bath's temperature through the sensor's lags.
+///
+/// ```text
+/// dx_j/dt = (u - x_j) / tau_j        y = sum of s_j x_j, sum of s_j = 1        shown = round((y + noise) / step) step
+/// u = before until the instant at which it is dipped in, after from then on; it has rested in `before` for ever
+/// ```
+/// Newton's law of cooling for each lag; two of them for a sensor in a sleeve.
+#[derive(Clone, Debug)]
+struct Thermometer {
+    settings: ThermometerSettings,
+    lags: Vec<FirstOrderLag>,
+    noise: RandomStream,
+    steps: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct FirstOrderLag {
+    share: f64,
+    /// 1 - e^(-step / tau).
+    approach: f64,
+    state_c: f64,
+}
+
+impl Thermometer {
+    /// A thermometer that has rested in its first bath.
+    fn new(settings: &ThermometerSettings, seed: u64) -> Self {
+        let parts = settings.lags_s.iter().zip(&settings.shares);
+        let lag = |(tau_s, share): (&f64, &f64)| FirstOrderLag {
+            share: *share,
+            approach: -(-STEP_S / tau_s).exp_m1(),
+            state_c: settings.before_c,
+        };
+        Self {
+            lags: parts.map(lag).collect(),
+            settings: settings.clone(),
+            noise: RandomStream::new(seed, "thermometer"),
+            steps: 0,
+        }
+    }
+
+    fn step(&mut self) {
+        let elapsed_s = self.steps as f64 * STEP_S;
+        self.steps += 1;
+        let bath_c = if elapsed_s < self.settings.dipped_at_s { self.settings.before_c } else { self.settings.after_c };
+        for lag in &mut self.lags {
+            lag.state_c += lag.approach * (bath_c - lag.state_c);
+        }
+    }
+
+    fn read(&mut self) -> f64 {
+        let true_c: f64 = self.lags.iter().map(|lag| lag.share * lag.state_c).sum();
+        let noisy_c = true_c + self.settings.sigma_k * self.noise.normal();
+        quantise(noisy_c, self.settings.resolution_k)
+    }
+}
+
 /// The nearest whole multiple of `quantum`; the value itself when the quantum is zero.
-fn quantise(value: f64, quantum: f64) -> f64 {
+pub(crate) fn quantise(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }
 
@@ -208,76 +264,61 @@ mod tests {
 
     use super::*;
 
-    fn gyro(change: impl FnOnce(&mut GyroSettings)) -> Gyro {
-        let mut settings =
-            GyroSettings { bias_sigma_deg_per_s: 0.0, bias_walk_deg_per_s_sqrt_s: 0.0, ..GyroSettings::default() };
-        change(&mut settings);
-        Gyro::new(settings, RandomStream::new(11, "gyro"))
+    fn gyro(bias_sigma_deg_per_s: f64, bias_walk_deg_per_s_sqrt_s: f64, seed: u64) -> Gyro {
+        let settings = GyroSettings { bias_sigma_deg_per_s, bias_walk_deg_per_s_sqrt_s, ..GyroSettings::default() };
+        Gyro::new(settings, RandomStream::new(seed, "gyro"))
+    }
+
+    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+        let count = values.len() as f64;
+        (values.map(|value| value * value).sum::<f64>() / count).sqrt()
     }
 
     #[test]
     fn an_encoder_floors_to_whole_degrees_on_both_sides_of_zero() {
         let mut encoder = Encoder::default();
-        encoder.sample(1.99_f64.to_radians());
-        assert_eq!(encoder.count(), 1);
-        encoder.sample(-0.01_f64.to_radians());
-        assert_eq!(encoder.count(), -1);
+        for (shaft_deg, count) in [(1.99_f64, 1), (-0.01, -1)] {
+            encoder.sample(shaft_deg.to_radians());
+            assert_eq!(encoder.count(), count);
+        }
         encoder.zero();
         assert_eq!(encoder.count(), 0);
     }
 
     #[test]
-    fn a_gyro_speaks_in_whole_degrees_per_second_and_saturates() {
-        let mut gyro = gyro(|_| ());
-        for _ in 0..100 {
-            let said = gyro.read(0.7, 0.05).to_degrees();
-            assert!((said - said.round()).abs() < 1e-9, "{said}");
-        }
-        assert!((gyro.read(510.0_f64.to_radians(), 0.05).to_degrees() - 360.0).abs() < 1e-9);
-        assert!((gyro.read(-510.0_f64.to_radians(), 0.05).to_degrees() + 360.0).abs() < 1e-9);
-    }
-
-    #[test]
-    fn gyro_noise_has_its_sigma_plus_that_of_the_quantum() {
-        let mut gyro = gyro(|_| ());
-        let draws = 20_000_u32;
-        let mean_square = (0..draws).map(|_| gyro.read(0.0, 0.05).to_degrees().powi(2)).sum::<f64>() / f64::from(draws);
+    fn a_gyro_has_whole_degrees_per_second_its_noise_and_its_range() {
+        let mut gyro = gyro(0.0, 0.0, 11);
+        let readings: Vec<f64> = (0..20_000).map(|_| gyro.read(0.0, 0.05)).collect();
+        assert!(readings.iter().all(|reading| reading.fract() == 0.0));
         // 0.36 of noise and 1/12 of rounding; a mean square over 20000 draws is good to 1 %.
+        let mean_square = rms(readings.into_iter()).powi(2);
         assert!((mean_square - 0.4433).abs() < 0.025, "{mean_square}");
+        assert_eq!((gyro.read(510.0, 0.05), gyro.read(-510.0, 0.05)), (360.0, -360.0));
     }
 
     #[test]
     fn the_bias_at_power_up_has_its_sigma_and_walks() {
-        let bias = |seed| Gyro::new(GyroSettings::default(), RandomStream::new(seed, "gyro")).bias_deg_per_s;
-        let sigma = ((0..2_000).map(|seed| bias(seed).powi(2)).sum::<f64>() / 2_000.0).sqrt();
-        assert!((sigma - 1.0).abs() < 0.07, "{sigma}");
-
-        let walked = |seed| {
-            let mut gyro = Gyro::new(GyroSettings::default(), RandomStream::new(seed, "gyro"));
-            let start = gyro.bias_deg_per_s;
+        let drawn = rms((0..2_000_u32).map(|seed| gyro(1.0, 0.01, seed.into()).bias_deg_per_s));
+        assert!((drawn - 1.0).abs() < 0.07, "{drawn}");
+        // 0.01 degrees per second after one second, so sqrt(5) times that after five.
+        let walked = rms((0..1_000_u32).map(|seed| {
+            let mut gyro = gyro(0.0, 0.01, seed.into());
             for _ in 0..100 {
                 gyro.read(0.0, 0.05);
             }
-            gyro.bias_deg_per_s - start
-        };
-        let sigma = ((0..1_000).map(|seed| walked(seed).powi(2)).sum::<f64>() / 1_000.0).sqrt();
-        // 0.01 degrees per second after one second, so sqrt(5) times that after five.
-        assert!((sigma - 0.022_36).abs() < 0.002, "{sigma}");
+            gyro.bias_deg_per_s
+        }));
+        assert!((walked - 0.022_36).abs() < 0.002, "{walked}");
     }
 
     #[test]
     fn accelerometers_have_their_quantum_and_noise() {
         let settings = AccelerometerSettings { bias_sigma_m_per_s2: 0.0, ..AccelerometerSettings::default() };
         let mut both = Accelerometers::new(settings, RandomStream::new(5, "accelerometers"));
-        let mut sum_squares = 0.0;
-        for _ in 0..5_000 {
-            let said = both.read(PerWheel::default()).left;
-            let counts = said / 0.049;
-            assert!((counts - counts.round()).abs() < 1e-9, "{said}");
-            sum_squares += said * said;
-        }
-        let sigma = (sum_squares / 5_000.0_f64).sqrt();
+        let readings: Vec<f64> = (0..5_000).map(|_| both.read(PerWheel::default()).left).collect();
+        assert!(readings.iter().all(|reading| (reading / 0.049 - (reading / 0.049).round()).abs() < 1e-9));
         // sqrt(0.075^2 + 0.049^2 / 12)
+        let sigma = rms(readings.into_iter());
         assert!((sigma - 0.0763).abs() < 0.004, "{sigma}");
     }
 
@@ -307,17 +348,35 @@ mod tests {
             assert!((reading.turn_rate_rad_per_s - rate).abs() < 1e-9);
             assert!((reading.turn_rad - body.turned_rad()).abs() < 1e-9);
             assert!((reading.wheels_m_per_s2.right - acceleration).abs() < 1e-9);
+            assert_eq!(board.read_inertial(), reading, "no time has passed");
             (turned, speed) = (body.turned_rad(), body.wheel_speed_m_per_s().right);
         }
         assert!(turned > 0.1 && speed > 0.1);
     }
 
     #[test]
-    fn two_readings_at_one_instant_are_the_same() {
-        let scenario = Scenario::default();
-        let mut board = SensorBoard::new(&scenario);
-        board.sample(&RobotBody::new(&scenario, Pose::default()));
-        let first = board.read_inertial();
-        assert_eq!(board.read_inertial(), first);
+    fn a_thermometer_goes_by_its_exponentials_once_it_is_dipped_in_and_shows_whole_steps_with_its_noise() {
+        let settings = ThermometerSettings {
+            lags_s: vec![5.0, 20.0],
+            shares: vec![0.25, 0.75],
+            sigma_k: 0.0,
+            resolution_k: 0.0,
+            dipped_at_s: 3.0,
+            ..ThermometerSettings::default()
+        };
+        let mut thermometer = Thermometer::new(&settings, 1);
+        for millis in 0..23_000 {
+            let since_s = (f64::from(millis) * STEP_S - 3.0).max(0.0);
+            let left = 0.25 * (-since_s / 5.0).exp() + 0.75 * (-since_s / 20.0).exp();
+            let (found, expected) = (thermometer.read(), 60.0 - 40.0 * left);
+            assert!((found - expected).abs() < 1e-9, "{millis}: {found} {expected}");
+            thermometer.step();
+        }
+        let mut coarse = Thermometer::new(&ThermometerSettings { sigma_k: 0.3, resolution_k: 0.5, ..settings }, 1);
+        let shown: Vec<f64> = (0..2_000).map(|_| coarse.read()).collect();
+        assert!(shown.iter().all(|value| (value * 2.0).fract() == 0.0));
+        // Noise and rounding: 0.09 + 0.25 / 12 = 0.111, give or take three sigma of 2000 draws.
+        let variance = rms(shown.into_iter().map(|value| value - 20.0)).powi(2);
+        assert!((variance - 0.111).abs() < 0.011, "{variance}");
     }
 }

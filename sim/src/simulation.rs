@@ -6,28 +6,25 @@
 //! The world advances only with [`Simulation::step`]. Bytes go in and come out; the caller transports them and paces
 //! the steps.
 
-mod commands;
-
 use std::collections::VecDeque;
 
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerCounters, FramerOutput};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{
-    Address, Arena, BrickClock, DriveGeometry, HostClock, MetersPerSecond, Point2, Pose, RadiansPerSecond, SensorNoise,
-    TimeDelta, Timestamp,
+    Address, Arena, BrickClock, HostClock, MetersPerSecond, Point2, Pose, RadiansPerSecond, SensorSwitch,
+    SimulatorCommand, SteeringSource, TimeDelta, Timestamp,
 };
 
-pub use self::commands::CommandExecutor;
 use crate::camera::{CAMERA, Camera, CameraFix};
-use crate::clock::SkewedClock;
+use crate::clock::{STEP, SkewedClock};
+use crate::firmware::Twist;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
 use crate::personality::{Brick, BrickTime};
-use crate::robot_body::RobotBody;
+use crate::robot_body::{Displacement, RobotBody};
 use crate::scenario::{DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
-use crate::time_step::STEP;
 use crate::wheels::PerWheel;
 
 /// What really happened at one instant. It is never sent to the station.
@@ -61,7 +58,6 @@ pub struct ReceivedEstimate {
     pub sim_time: TimeDelta,
     /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
     pub arrival: Timestamp<BrickClock>,
-    /// Its timestamp on the brick's clock.
     pub estimate_time: Timestamp<BrickClock>,
     /// Where it says the robot was, or will be, at that instant.
     pub pose: Pose<Arena>,
@@ -72,6 +68,14 @@ impl ReceivedEstimate {
     pub fn age(&self) -> TimeDelta {
         self.arrival - self.estimate_time
     }
+}
+
+/// Who has to do the rest of a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandExecutor {
+    Simulation,
+    /// The owner of the brick's link: a profile, or a cable that is pulled.
+    Link,
 }
 
 /// A simulated robot with its brick and its camera.
@@ -104,7 +108,8 @@ impl Simulation {
     /// The world of a scenario at its beginning, the robot at rest at the start pose.
     pub fn new(scenario: Scenario) -> Self {
         let path = Path::new(&scenario);
-        let brick_clock = SkewedClock::new(scenario.brick.clock());
+        let brick = &scenario.brick;
+        let brick_clock = SkewedClock::new(brick.clock_start_micros, brick.clock_skew_ppm, brick.clock_tick_micros);
         let brick = Brick::new(&scenario, path.clone(), brick_clock.reading(TimeDelta::ZERO));
         let camera = scenario
             .camera
@@ -142,7 +147,7 @@ impl Simulation {
     const fn set_history(&mut self, history: HistoryPolicy) {
         self.history = history;
         if let Some(camera) = &mut self.camera {
-            camera.set_history(history);
+            camera.history = history;
         }
     }
 
@@ -180,7 +185,7 @@ impl Simulation {
         self.camera_outgoing.pop_front()
     }
 
-    /// The same world, whose camera is only the eye of another program: it sends nothing, and what it sees is [`Self::poll_image`]'s.
+    /// The same world with a camera that sends no fixes: its images go to another program through [`Self::poll_image`].
     pub fn with_images(mut self) -> Self {
         if let Some(camera) = &mut self.camera {
             camera.enable_images();
@@ -252,17 +257,17 @@ impl Simulation {
 
     /// Whether the path is driven to its end and the robot stands.
     pub fn is_finished(&self) -> bool {
-        self.brick.is_finished() && self.body.is_at_rest()
+        self.brick.program.follower.is_finished() && self.body.is_at_rest()
     }
 
     /// Laps that are done, where the drive has no end ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
     pub fn laps_done(&self) -> u64 {
-        self.brick.laps_done()
+        self.brick.program.follower.laps_done()
     }
 
-    /// How much of the path is driven, 0 to 1; of the lap in hand, where the drive has no end.
+    /// How much of the path is driven, 0 to 1; of the current lap, where the drive has no end.
     pub fn progress(&self) -> f64 {
-        self.brick.progress()
+        self.brick.program.follower.progress()
     }
 
     /// The truth at the beginning and after each telemetry period of world time; of a drive without an end the last of it
@@ -289,11 +294,6 @@ impl Simulation {
     /// Everything that the camera sent so far, outliers marked; of a drive without an end the last of it.
     pub fn camera_fixes(&self) -> &[CameraFix] {
         self.camera.as_ref().map_or(&[], Camera::log)
-    }
-
-    /// The nominal geometry and the sensors' noise: what a careful builder could know of this robot.
-    pub fn robot_description(&self) -> (DriveGeometry, SensorNoise) {
-        (self.scenario.drive_geometry(), self.scenario.sensor_noise())
     }
 
     /// Where the robot was put down.
@@ -359,11 +359,55 @@ impl Simulation {
             pose,
             forward_speed: MetersPerSecond(self.body.forward_m_per_s()),
             turn_rate: RadiansPerSecond(self.body.turn_rad_per_s()),
-            odometry: self.brick.odometry(self.path.start()),
-            onboard_estimate: self.brick.estimated_pose(),
+            odometry: self.brick.program.odometry(self.path.start()),
+            onboard_estimate: self.brick.program.onboard.pose(),
             cross_track_m: self.path.distance_m(pose.origin()),
-            steering: self.brick.steering(self.brick_clock.reading(self.world)),
+            steering: self.brick.program.onboard.steering(self.brick_clock.reading(self.world)),
         });
+    }
+}
+
+impl Simulation {
+    /// Does what a person asks for, from the next step on. Numbers are taken as they are: [`SimulatorCommand::validate`] checks them.
+    ///
+    /// The same commands before the same steps give the same bytes.
+    pub fn execute(&mut self, command: &SimulatorCommand) -> CommandExecutor {
+        match *command {
+            SimulatorCommand::Kidnap { forward_m, left_m, turn_rad } => {
+                self.body.lift(Displacement { forward_m, left_m, turn_rad });
+            }
+            SimulatorCommand::Slip { wheel, factor, duration } => self.body.reduce_grip(wheel, factor, duration),
+            SimulatorCommand::Camera(to) => {
+                if let Some(camera) = &mut self.camera {
+                    camera.is_covered = to == SensorSwitch::Off;
+                }
+            }
+            SimulatorCommand::CameraDelay { delay } => {
+                if let Some(camera) = &mut self.camera {
+                    camera.set_delay(delay);
+                }
+            }
+            SimulatorCommand::GyroBiasStep { rad_per_s } => {
+                self.board.step_gyro_bias(rad_per_s);
+                self.brick.step_gyro_bias(rad_per_s);
+            }
+            SimulatorCommand::Steering(source) => {
+                self.brick.program.onboard.set_steering(match source {
+                    SteeringSource::Odometry => Steering::Odometry,
+                    SteeringSource::Estimate => Steering::Estimate,
+                });
+            }
+            SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s } => {
+                let now = self.brick_clock.reading(self.world);
+                let wanted = Twist { forward_m_per_s, turn_rad_per_s };
+                self.brick.program.drive_manually(now, wanted);
+            }
+            SimulatorCommand::Path => self.brick.program.rejoin(),
+            SimulatorCommand::LinkProfile(_) | SimulatorCommand::PullCable { .. } => {
+                return CommandExecutor::Link;
+            }
+        }
+        CommandExecutor::Simulation
     }
 }
 

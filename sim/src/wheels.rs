@@ -1,11 +1,8 @@
 //! A left and a right: most things in a differential drive come in pairs, and an index would not say which is which.
 
-/// One value per wheel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PerWheel<T> {
-    /// The left wheel's.
     pub(crate) left: T,
-    /// The right wheel's.
     pub(crate) right: T,
 }
 
@@ -19,9 +16,7 @@ impl<T> PerWheel<T> {
     pub(crate) fn zip<U>(self, other: PerWheel<U>) -> PerWheel<(T, U)> {
         PerWheel { left: (self.left, other.left), right: (self.right, other.right) }
     }
-}
 
-impl<T> PerWheel<T> {
     /// Both sides by mutable reference.
     pub(crate) const fn as_mut(&mut self) -> PerWheel<&mut T> {
         PerWheel { left: &mut self.left, right: &mut self.right }

@@ -1,19 +1,21 @@
 //! The messages of a brick that sends MAVLink 2, as component 1 of its system: wheels, inertial readings, its build.
 //!
-//! Its inputs are the brick's clock, the sensors and the station's messages, never the true state.
+//! Its inputs are the brick's clock, the sensors and the station's messages, never the true state. Compact readings are encoded by the
+//! SDK of real robots, so that each run of the simulator tests it. The station decodes with `protocol`, which is an independent
+//! implementation.
 
+use posebridge_brick::{Inertial, InertialParts, Sides, WheelTicks};
+use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp};
 use posebridge_telemetry::{
     Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters, MetersPerSecondSquared, Pose,
-    RadiansPerSecond, SensorNoise, Timestamp,
+    RadiansPerSecond, SensorNoise, TimeDelta, Timestamp,
 };
 
-use super::compact;
-use super::schedule::{Schedule, Topic};
 use crate::clock::register_micros;
-use crate::mavlink_node::MavlinkNode;
+use crate::mavlink_node::{IntervalRequest, MavlinkNode};
 use crate::scenario::{BrickSettings, Scenario, ThermometerSettings, Wire};
-use crate::sensors::SensorBoard;
+use crate::sensors::{InertialReading, SensorBoard};
 use crate::wheels::PerWheel;
 
 /// The brick's address on the link, unless its scenario gives it another system.
@@ -23,7 +25,6 @@ const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mo
 /// The name in PB_ROBOT_DESCRIPTION.
 const NAME: &str = "simulated brick";
 
-/// The talking half of a brick.
 #[derive(Debug)]
 pub(crate) struct BrickMessenger {
     settings: BrickSettings,
@@ -57,7 +58,7 @@ impl BrickMessenger {
         }
     }
 
-    /// Says what is due at `now`.
+    /// Sends what is due at `now`.
     pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard) {
         for request in self.node.tick(self.register_time(now)) {
             self.schedule.apply_request(request, now);
@@ -89,7 +90,7 @@ impl BrickMessenger {
         usable_estimate(message)
     }
 
-    /// A power cycle or a program begun anew: session and message intervals begin anew, and what is sent counts from `zero`.
+    /// A power cycle or a restarted program: session and message intervals are reset, and what is sent counts from `zero`.
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>, zero: PerWheel<i64>) {
         self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
         let own = self.settings.address_of(BRICK);
@@ -97,12 +98,10 @@ impl BrickMessenger {
         self.zero = zero;
     }
 
-    /// The bytes that wait to be sent.
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         self.node.next_bytes()
     }
 
-    /// The same, each frame for itself.
     pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
         self.node.take_frames()
     }
@@ -115,7 +114,7 @@ impl BrickMessenger {
         let counts = counts.zip(self.zero).map(|(count, zero)| count - zero);
         match self.settings.wire {
             Wire::Compact => {
-                let ticks = compact::wheel_ticks(register_micros(now), counts);
+                let ticks = wheel_ticks(register_micros(now), counts);
                 self.node.send_with_sdk(|link, sink| link.wheel_ticks(&ticks, sink));
             }
             Wire::Standard => {
@@ -133,7 +132,7 @@ impl BrickMessenger {
         let reading = board.read_inertial();
         match self.settings.wire {
             Wire::Compact => {
-                let inertial = compact::inertial(register_micros(now), &reading);
+                let inertial = inertial(register_micros(now), &reading);
                 self.node.send_with_sdk(|link, sink| link.inertial(&inertial, sink));
             }
             Wire::Standard => {
@@ -193,5 +192,208 @@ fn usable_estimate(message: &Message) -> Option<(WireStamp, Pose<Arena>)> {
             OdometryPose::Arena(_) | OdometryPose::Odom(_) => None,
         },
         _ => None,
+    }
+}
+
+/// The description comes this often, so that a station that starts late has it soon.
+const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
+/// No message comes more often than the world moves.
+const SHORTEST: TimeDelta = TimeDelta::from_millis(1);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Topic {
+    Wheels,
+    Inertial,
+    Description,
+    Thermometer,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ScheduledMessage {
+    topic: Topic,
+    message_id: u32,
+    default: TimeDelta,
+    interval: Option<TimeDelta>,
+    due: Timestamp<BrickClock>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Schedule {
+    slots: Vec<ScheduledMessage>,
+}
+
+impl Schedule {
+    /// The defaults of a brick that was powered up at `now`; everything is due at once.
+    pub(crate) fn new(
+        settings: &BrickSettings,
+        thermometer: Option<&ThermometerSettings>,
+        now: Timestamp<BrickClock>,
+    ) -> Self {
+        let telemetry = TimeDelta::from_secs_f64(1.0 / settings.telemetry_hz);
+        let (wheels, inertial) = match settings.wire {
+            Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
+            Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
+        };
+        let slot = |topic, message_id, default| ScheduledMessage {
+            topic,
+            message_id,
+            default,
+            interval: Some(default),
+            due: now,
+        };
+        let thermometer = thermometer.map(|settings| {
+            let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
+            let period = TimeDelta::from_secs_f64(1.0 / settings.rate_hz);
+            slot(Topic::Thermometer, message_id, period)
+        });
+        Self {
+            slots: [
+                slot(Topic::Description, ids::PB_ROBOT_DESCRIPTION, DESCRIPTION_PERIOD),
+                slot(Topic::Wheels, wheels, telemetry),
+                slot(Topic::Inertial, inertial, telemetry),
+            ]
+            .into_iter()
+            .chain(thermometer)
+            .collect(),
+        }
+    }
+
+    pub(crate) fn message_ids(&self) -> Vec<u32> {
+        self.slots.iter().map(|slot| slot.message_id).collect()
+    }
+
+    /// Follows a request; one for a message that the brick does not have changes nothing.
+    pub(crate) fn apply_request(&mut self, request: IntervalRequest, now: Timestamp<BrickClock>) {
+        for slot in &mut self.slots {
+            if slot.message_id != request.message_id {
+                continue;
+            }
+            slot.interval = match request.interval {
+                Some(span) if span <= TimeDelta::ZERO => Some(slot.default),
+                Some(span) => Some(span.max(SHORTEST)),
+                None => None,
+            };
+            slot.due = now;
+        }
+    }
+
+    /// The next topic that is due at `now`; each comes once per interval.
+    pub(crate) fn next(&mut self, now: Timestamp<BrickClock>) -> Option<Topic> {
+        for slot in &mut self.slots {
+            let Some(interval) = slot.interval else {
+                continue;
+            };
+            if slot.due > now {
+                continue;
+            }
+            slot.due = slot.due + interval;
+            if slot.due <= now {
+                slot.due = now + interval;
+            }
+            return Some(slot.topic);
+        }
+        None
+    }
+}
+
+/// Unit of PB_INERTIAL.turn_rate, rad/s.
+const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
+/// Unit of PB_INERTIAL.turn_urad.
+const TURN_UNIT_RAD: f64 = 1e-6;
+/// Unit of PB_INERTIAL.accel_left and accel_right, m/s².
+const ACCELERATION_UNIT_M_PER_S2: f64 = 1e-3;
+
+/// Total counts, read at `time_us`; they wrap.
+pub(super) const fn wheel_ticks(time_us: u32, counts: PerWheel<i64>) -> WheelTicks {
+    WheelTicks { time_us, left: counts.left as i32, right: counts.right as i32, valid: Sides::BOTH }
+}
+
+/// A reading that ends at `time_us`. Rates saturate, the total turn wraps.
+pub(super) fn inertial(time_us: u32, reading: &InertialReading) -> Inertial {
+    let acceleration = |m_per_s2: f64| (m_per_s2 / ACCELERATION_UNIT_M_PER_S2).round() as i16;
+    Inertial {
+        time_us,
+        // Through 64 bits, so that the total wraps instead of saturating.
+        turn_urad: (reading.turn_rad / TURN_UNIT_RAD).round() as i64 as i32,
+        turn_rate: (reading.turn_rate_rad_per_s / TURN_RATE_UNIT_RAD_PER_S).round() as i16,
+        accel_left: acceleration(reading.wheels_m_per_s2.left),
+        accel_right: acceleration(reading.wheels_m_per_s2.right),
+        valid: InertialParts::GYRO | InertialParts::ACCELERATIONS,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_brick::Link;
+    use posebridge_protocol::dialect::Encoder;
+    use posebridge_protocol::framing::WireVersion;
+    use posebridge_protocol::message;
+    use posebridge_telemetry::{EncoderTicks, Radians};
+
+    use super::*;
+
+    fn count(schedule: &mut Schedule, topic: Topic, from_ms: i64, to_ms: i64) -> usize {
+        (from_ms..to_ms)
+            .flat_map(|ms| std::iter::from_fn(|| schedule.next(Timestamp::from_millis(ms))).collect::<Vec<_>>())
+            .filter(|due| *due == topic)
+            .count()
+    }
+
+    #[test]
+    fn requests_change_stop_and_restore_intervals_of_their_own_message() {
+        let mut schedule = Schedule::new(&BrickSettings::default(), None, Timestamp::ZERO);
+        let millis = TimeDelta::from_millis;
+        for (second, message_id, interval, expected) in [
+            (0, ids::HEARTBEAT, None, 20),
+            (1, ids::PB_WHEEL_TICKS, Some(millis(100)), 10),
+            (2, ids::PB_WHEEL_TICKS, None, 0),
+            (3, ids::PB_WHEEL_TICKS, Some(TimeDelta::ZERO), 20),
+            (4, ids::PB_WHEEL_TICKS, Some(TimeDelta::from_micros(1)), 1_000),
+        ] {
+            let from_ms = second * 1_000;
+            schedule.apply_request(IntervalRequest { message_id, interval }, Timestamp::from_millis(from_ms));
+            assert_eq!(count(&mut schedule, Topic::Wheels, from_ms, from_ms + 1_000), expected, "second {second}");
+        }
+    }
+
+    /// Compares the frame of the station's own encoder with that of the SDK.
+    fn assert_same_frame(message: &Message, write: impl FnOnce(&mut Link, &mut dyn FnMut(&[u8]))) {
+        let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+        Encoder::new(WireVersion::V2).encode(BRICK, message, &mut ours);
+        write(&mut Link::new(1, 1), &mut |bytes| theirs.extend_from_slice(bytes));
+        assert_eq!(ours, theirs, "{message:?}");
+    }
+
+    #[test]
+    fn readings_are_the_frames_that_the_station_would_make() {
+        for (left, right) in [(0, 0), (360, -360), (1 << 31, -(1 << 31) - 1), (5, 1 << 40)] {
+            let message = Message::WheelTicks(message::WheelTicks {
+                stamp: WireStamp::Micros32(4_294_967_290),
+                left: EncoderTicks(left),
+                right: EncoderTicks(right),
+            });
+            let ticks = wheel_ticks(4_294_967_290, PerWheel { left, right });
+            assert_same_frame(&message, |link, mut sink| link.wheel_ticks(&ticks, &mut sink));
+        }
+        for (rate, turn, acceleration) in
+            [(0.0, 0.0, 0.0), (0.123_456, -7.654_321, 0.981), (-20.0, 5_000.0, -40.0), (20.0, -5_000.0, 40.0)]
+        {
+            let message = Message::Inertial(message::Inertial {
+                stamp: WireStamp::Micros32(77),
+                turn_rate: Some(RadiansPerSecond(rate)),
+                turn: Some(Radians(turn)),
+                wheel_accelerations: Some((
+                    MetersPerSecondSquared(acceleration),
+                    MetersPerSecondSquared(-acceleration),
+                )),
+            });
+            let reading = InertialReading {
+                turn_rate_rad_per_s: rate,
+                turn_rad: turn,
+                wheels_m_per_s2: PerWheel { left: acceleration, right: -acceleration },
+            };
+            let inertial = inertial(77, &reading);
+            assert_same_frame(&message, |link, mut sink| link.inertial(&inertial, &mut sink));
+        }
     }
 }

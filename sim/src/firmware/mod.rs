@@ -4,13 +4,10 @@
 //! [`Program`] drives, the same on every brick; [`BrickMessenger`] sends its MAVLink messages. Other protocols are
 //! [personalities](crate::personality). Nothing here reads the true state.
 
-mod compact;
 mod follower;
 mod messages;
-mod odometry;
 mod onboard_pose;
 mod program;
-mod schedule;
 mod speed_control;
 
 pub(crate) use self::follower::Twist;

@@ -1,4 +1,4 @@
-//! The brick's pose: its own odometry, placed in the arena by the station's estimates.
+//! The brick's pose: dead reckoning from encoder counts and the nominal geometry, placed in the arena by the station's estimates.
 //!
 //! An estimate holds for a past instant of the brick's clock. The brick keeps a short history of its odometry, finds
 //! its odometry pose at that instant, and computes from the two where the origin of its odometry lies in the arena.
@@ -7,18 +7,72 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Heading, Meters, Odom, Pose, TimeDelta, Timestamp, Transform2};
+use posebridge_telemetry::{
+    Arena, BrickClock, DriveGeometry, Heading, Meters, Odom, Pose, TimeDelta, Timestamp, Transform2,
+};
 
 use crate::scenario::Steering;
+use crate::wheels::PerWheel;
+
+/// A pose integrated from encoder counts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DeadReckoning {
+    metres_per_count: PerWheel<f64>,
+    track_m: f64,
+    last: PerWheel<i64>,
+    pose: Pose<Odom>,
+}
+
+impl DeadReckoning {
+    /// Dead reckoning from the origin, with counters at zero.
+    pub(crate) fn new(geometry: &DriveGeometry) -> Self {
+        Self {
+            metres_per_count: PerWheel {
+                left: geometry.left_wheel_radius.0 * geometry.tick.0,
+                right: geometry.right_wheel_radius.0 * geometry.tick.0,
+            },
+            track_m: geometry.track_width.0,
+            last: PerWheel::default(),
+            pose: Pose::default(),
+        }
+    }
+
+    /// Takes the counters' totals and returns the pose.
+    pub(crate) fn update(&mut self, counts: PerWheel<i64>) -> Pose<Odom> {
+        let travel = counts
+            .zip(self.last)
+            .zip(self.metres_per_count)
+            .map(|((after, before), scale)| (after - before) as f64 * scale);
+        self.last = counts;
+        let forward_m = 0.5 * (travel.left + travel.right);
+        let turn_rad = (travel.right - travel.left) / self.track_m;
+        let heading_rad = self.pose.heading.rad();
+        let (sin, cos) = (heading_rad + 0.5 * turn_rad).sin_cos();
+        self.pose = Pose::new(
+            Meters(self.pose.x.0 + forward_m * cos),
+            Meters(self.pose.y.0 + forward_m * sin),
+            Heading::from_rad(heading_rad + turn_rad),
+        );
+        self.pose
+    }
+
+    /// The counters were zeroed: the pose stays, the next totals count from zero.
+    pub(crate) fn counters_zeroed(&mut self) {
+        self.last = PerWheel::default();
+    }
+
+    pub(crate) const fn pose(&self) -> Pose<Odom> {
+        self.pose
+    }
+}
 
 /// Estimates of an instant longer ago than this are not used.
 pub(crate) const MAX_ESTIMATE_AGE: TimeDelta = TimeDelta::from_millis(500);
 /// A predicted estimate may speak of an instant this far ahead.
 const MAX_ESTIMATE_LEAD: TimeDelta = TimeDelta::from_millis(300);
-/// History kept; longer than [`FRESH`], so that every fresh estimate finds its instant.
+/// History kept; longer than [`MAX_ESTIMATE_AGE`], so that every fresh estimate finds its instant.
 const HISTORY: TimeDelta = TimeDelta::from_millis(700);
 
-/// The brick's idea of its own pose.
 #[derive(Clone, Debug)]
 pub(crate) struct OnboardPose {
     steering: Steering,
@@ -38,7 +92,6 @@ impl OnboardPose {
         }
     }
 
-    /// Takes the odometry of this moment.
     pub(crate) fn record(&mut self, now: Timestamp<BrickClock>, pose: Pose<Odom>) {
         self.history.push_back((now, pose));
         while self.history.front().is_some_and(|(stamp, _)| now - *stamp > HISTORY) {
@@ -72,13 +125,11 @@ impl OnboardPose {
         self.last_estimate = None;
     }
 
-    /// The brick's own estimate.
     pub(crate) fn pose(&self) -> Pose<Arena> {
         let odom = self.history.back().map_or_else(Pose::default, |(_, pose)| *pose);
         self.arena_from_odom * odom
     }
 
-    /// What that estimate rests on.
     pub(crate) fn steering(&self, now: Timestamp<BrickClock>) -> Steering {
         match self.last_estimate {
             Some(stamp) if now - stamp <= MAX_ESTIMATE_AGE => Steering::Estimate,
@@ -122,6 +173,8 @@ fn odom_origin(pose: Pose<Arena>, odom: Pose<Odom>) -> Transform2<Arena, Odom> {
 
 #[cfg(test)]
 mod tests {
+    use crate::scenario::Scenario;
+
     use super::*;
 
     fn at(millis: i64) -> Timestamp<BrickClock> {
@@ -132,64 +185,58 @@ mod tests {
         Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad))
     }
 
+    #[test]
+    fn one_update_over_a_bend_goes_along_the_middle_of_it_and_zeroed_counters_are_no_motion() {
+        let mut reckoning = DeadReckoning::new(&Scenario::default().drive_geometry());
+        // 90 degrees of the right wheel are 14 pi mm: a turn of pi/8 over 112 mm, half that way forward.
+        let pose = reckoning.update(PerWheel { left: 0, right: 90 });
+        let turn_rad = std::f64::consts::PI / 8.0;
+        assert!((pose.heading.rad() - turn_rad).abs() < 1e-12);
+        assert!((pose.y.0.atan2(pose.x.0) - 0.5 * turn_rad).abs() < 1e-12);
+        assert!((pose.x.0.hypot(pose.y.0) - 0.007 * std::f64::consts::PI).abs() < 1e-12);
+        reckoning.counters_zeroed();
+        assert_eq!(reckoning.update(PerWheel::default()), pose);
+    }
+
     /// A brick that has driven 0.2 m/s along x for a second, recorded every 10 ms.
     fn driven(steering: Steering) -> OnboardPose {
-        let mut belief = OnboardPose::new(steering, pose(0.0, 0.0, 0.0));
+        let mut onboard = OnboardPose::new(steering, pose(0.0, 0.0, 0.0));
         for i in 0..=100 {
-            belief.record(at(i * 10), pose(0.002 * i as f64, 0.0, 0.0));
+            onboard.record(at(i * 10), pose(0.002 * i as f64, 0.0, 0.0));
         }
-        belief
+        onboard
     }
 
     #[test]
-    fn an_estimate_is_carried_forward_by_the_odometry_since() {
-        let mut belief = driven(Steering::Estimate);
-        belief.apply_estimate(at(1_000), at(905), pose(0.5, 0.3, std::f64::consts::FRAC_PI_2));
-        // 95 ms at 0.2 m/s, in the direction that the estimate says.
-        assert!((belief.pose().x.0 - 0.5).abs() < 1e-9);
-        assert!((belief.pose().y.0 - (0.3 + 0.019)).abs() < 1e-9);
-        assert_eq!(belief.steering(at(1_000)), Steering::Estimate);
-    }
-
-    #[test]
-    fn a_predicted_estimate_is_carried_back() {
-        let mut belief = driven(Steering::Estimate);
-        belief.apply_estimate(at(1_000), at(1_100), pose(0.52, 0.0, 0.0));
-        assert!((belief.pose().x.0 - 0.50).abs() < 1e-9);
-    }
-
-    #[test]
-    fn old_early_and_broken_estimates_change_nothing() {
-        let mut belief = driven(Steering::Estimate);
-        let before = belief.pose();
-        belief.apply_estimate(at(1_000), at(499), pose(9.0, 9.0, 0.0));
-        belief.apply_estimate(at(1_000), at(1_301), pose(9.0, 9.0, 0.0));
-        belief.apply_estimate(at(1_000), at(950), pose(f64::NAN, 9.0, 0.0));
-        assert_eq!(belief.pose(), before);
-    }
-
-    #[test]
-    fn an_estimate_of_half_a_second_ago_is_just_fresh_enough() {
-        let mut belief = driven(Steering::Estimate);
-        belief.apply_estimate(at(1_000), at(500), pose(2.0, 0.0, 0.0));
-        assert!((belief.pose().x.0 - 2.1).abs() < 1e-9);
-        assert_eq!(belief.steering(at(1_000)), Steering::Estimate);
-        assert_eq!(belief.steering(at(1_001)), Steering::Odometry);
+    fn an_estimate_is_carried_forward_or_back_to_now_unless_it_is_too_old_too_early_or_broken() {
+        const RIGHT_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+        let unchanged = (0.2, 0.0);
+        for (steering, stamp_ms, estimate, expected) in [
+            // 95 ms at 0.2 m/s, in the direction that the estimate says.
+            (Steering::Estimate, 905, pose(0.5, 0.3, RIGHT_ANGLE), (0.5, 0.319)),
+            (Steering::Estimate, 1_100, pose(0.52, 0.0, 0.0), (0.5, 0.0)),
+            (Steering::Estimate, 500, pose(2.0, 0.0, 0.0), (2.1, 0.0)),
+            (Steering::Estimate, 499, pose(9.0, 9.0, 0.0), unchanged),
+            (Steering::Estimate, 1_301, pose(9.0, 9.0, 0.0), unchanged),
+            (Steering::Estimate, 950, pose(f64::NAN, 9.0, 0.0), unchanged),
+            (Steering::Odometry, 1_000, pose(1.0, 1.0, 0.0), unchanged),
+        ] {
+            let mut onboard = driven(steering);
+            onboard.apply_estimate(at(1_000), at(stamp_ms), estimate);
+            let found = onboard.pose();
+            assert!((found.x.0 - expected.0).hypot(found.y.0 - expected.1) < 1e-9, "{stamp_ms} ms: {found:?}");
+            let is_used = expected != unchanged;
+            assert_eq!(onboard.steering(at(1_000)) == Steering::Estimate, is_used, "{stamp_ms} ms");
+        }
     }
 
     #[test]
     fn half_a_second_after_the_last_estimate_it_is_odometry_again_from_there() {
-        let mut belief = driven(Steering::Estimate);
-        belief.apply_estimate(at(1_000), at(1_000), pose(1.0, 1.0, 0.0));
-        belief.record(at(1_600), pose(0.3, 0.0, 0.0));
-        assert_eq!(belief.steering(at(1_600)), Steering::Odometry);
-        assert!((belief.pose().x.0 - 1.1).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_brick_that_steers_by_odometry_ignores_estimates() {
-        let mut belief = driven(Steering::Odometry);
-        belief.apply_estimate(at(1_000), at(1_000), pose(1.0, 1.0, 0.0));
-        assert!((belief.pose().x.0 - 0.2).abs() < 1e-9);
+        let mut onboard = driven(Steering::Estimate);
+        onboard.apply_estimate(at(1_000), at(1_000), pose(1.0, 1.0, 0.0));
+        onboard.apply_estimate(at(1_000), at(990), pose(5.0, 5.0, 0.0));
+        onboard.record(at(1_500), pose(0.3, 0.0, 0.0));
+        assert_eq!([1_500, 1_501].map(|ms| onboard.steering(at(ms))), [Steering::Estimate, Steering::Odometry]);
+        assert!((onboard.pose().x.0 - 1.1).abs() < 1e-9, "an overtaken estimate changes nothing");
     }
 }

@@ -8,28 +8,22 @@ use posebridge_telemetry::simulator::DRIVE_HOLD_TIME;
 use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Pose, TimeDelta, Timestamp, Transform2};
 
 use super::follower::{Follower, Twist};
-use super::odometry::DeadReckoning;
-use super::onboard_pose::OnboardPose;
-use super::speed_control::SpeedControl;
+use super::onboard_pose::{DeadReckoning, OnboardPose};
+use super::speed_control::{PERIOD, SpeedControl};
 use crate::clock::register_micros;
 use crate::path::Path;
-use crate::scenario::{Scenario, Steering};
+use crate::scenario::Scenario;
 use crate::wheels::PerWheel;
 
-/// Time between two control steps.
-const CONTROL_PERIOD: TimeDelta = TimeDelta::from_millis(10);
-
-/// The program and its state.
 #[derive(Debug)]
 pub(crate) struct Program {
     geometry: DriveGeometry,
     dead_reckoning: DeadReckoning,
-    belief: OnboardPose,
-    follower: Follower,
+    pub(crate) onboard: OnboardPose,
+    pub(crate) follower: Follower,
     control: PerWheel<SpeedControl>,
     control_due: Timestamp<BrickClock>,
     duty: PerWheel<f64>,
-    fresh_control: SpeedControl,
     /// Where the counters stood when the speed control began.
     control_zero: PerWheel<i64>,
 }
@@ -42,12 +36,11 @@ impl Program {
         Self {
             geometry,
             dead_reckoning: DeadReckoning::new(&geometry),
-            belief: OnboardPose::new(scenario.steering, path.start()),
+            onboard: OnboardPose::new(scenario.steering, path.start()),
             follower: Follower::new(scenario.drive, path),
-            control: PerWheel { left: control.clone(), right: control.clone() },
+            control: PerWheel { left: control.clone(), right: control },
             control_due: now,
             duty: PerWheel::default(),
-            fresh_control: control,
             control_zero: PerWheel::default(),
         }
     }
@@ -67,7 +60,7 @@ impl Program {
         }
     }
 
-    /// Takes an estimate that speaks of `stamp`; returns the instant of the brick's clock that this means.
+    /// Takes an estimate for the instant `stamp`; returns that instant on the brick's clock.
     pub(crate) fn apply_estimate(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -75,15 +68,15 @@ impl Program {
         pose: Pose<Arena>,
     ) -> Timestamp<BrickClock> {
         let instant = unwrap_near(stamp, now);
-        self.belief.apply_estimate(now, instant, pose);
+        self.onboard.apply_estimate(now, instant, pose);
         instant
     }
 
-    /// A power cycle: clock and counters begin anew. The program's place on the path and its odometry are kept, as a program
+    /// A power cycle: clock and counters begin at zero. The program's place on the path and its odometry are kept, as a program
     /// that stores its progress would keep them.
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>) {
         self.dead_reckoning.counters_zeroed();
-        self.belief.clock_restarted();
+        self.onboard.clock_restarted();
         self.begin(now, PerWheel::default());
     }
 
@@ -91,7 +84,7 @@ impl Program {
     /// odometry and its clock are kept.
     pub(crate) fn begin(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         self.follower.clock_restarted();
-        self.control = PerWheel { left: self.fresh_control.clone(), right: self.fresh_control.clone() };
+        self.control.as_mut().map(SpeedControl::restart);
         self.control_due = now;
         self.control_zero = counts;
         self.duty = PerWheel::default();
@@ -103,21 +96,6 @@ impl Program {
         start * Transform2::new(moved.x, moved.y, moved.heading)
     }
 
-    /// The program's own estimate of the pose.
-    pub(crate) fn estimated_pose(&self) -> Pose<Arena> {
-        self.belief.pose()
-    }
-
-    /// What the program steers by at this moment.
-    pub(crate) fn steering(&self, now: Timestamp<BrickClock>) -> Steering {
-        self.belief.steering(now)
-    }
-
-    /// From here on it steers by something else. By odometry it goes on from the last estimate.
-    pub(crate) const fn set_steering(&mut self, steering: Steering) {
-        self.belief.set_steering(steering);
-    }
-
     /// A person wants this motion, for a while.
     pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, wanted: Twist) {
         self.follower.drive_manually(wanted, now + DRIVE_HOLD_TIME);
@@ -125,40 +103,25 @@ impl Program {
 
     /// Back to the path.
     pub(crate) fn rejoin(&mut self) {
-        self.follower.rejoin(self.belief.pose());
-    }
-
-    /// Laps that are done, where the drive has no end.
-    pub(crate) const fn laps_done(&self) -> u64 {
-        self.follower.laps_done()
-    }
-
-    /// How much of the path is driven, 0 to 1.
-    pub(crate) fn progress(&self) -> f64 {
-        self.follower.progress()
-    }
-
-    /// Whether the program is at its end.
-    pub(crate) fn is_finished(&self) -> bool {
-        self.follower.is_finished()
+        self.follower.rejoin(self.onboard.pose());
     }
 
     fn is_due(&mut self, now: Timestamp<BrickClock>) -> bool {
         let is_due = now >= self.control_due;
         if is_due {
-            self.control_due = self.control_due + CONTROL_PERIOD;
+            self.control_due = self.control_due + PERIOD;
         }
         is_due
     }
 
     fn update_odometry(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         let odom = self.dead_reckoning.update(counts);
-        self.belief.record(now, odom);
+        self.onboard.record(now, odom);
     }
 
     fn drive(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         self.update_odometry(now, counts);
-        let twist = self.follower.command(now, self.belief.pose());
+        let twist = self.follower.command(now, self.onboard.pose());
         self.duty = self
             .control
             .as_mut()

@@ -9,10 +9,13 @@
 
 use std::collections::VecDeque;
 
+use posebridge_telemetry::TimeDelta;
+
 use crate::scenario::{MotorSettings, RobotSettings, TICK_RAD};
 
-/// Time between two control steps, in seconds.
-pub(super) const PERIOD_S: f64 = 0.01;
+/// Time between two control steps.
+pub(super) const PERIOD: TimeDelta = TimeDelta::from_millis(10);
+pub(super) const PERIOD_S: f64 = PERIOD.as_nanos() as f64 / 1e9;
 /// Number of control steps over which the speed is measured.
 const WINDOW: usize = 5;
 /// P in units of Ke.
@@ -22,7 +25,6 @@ const INTEGRAL_PER_S: f64 = 10.0;
 /// The reference runs ahead of the wheel by no more than this, in radians.
 const LEAD_RAD: f64 = 0.6;
 
-/// Speed control of one wheel.
 #[derive(Clone, Debug)]
 pub(crate) struct SpeedControl {
     motor: MotorSettings,
@@ -40,6 +42,12 @@ impl SpeedControl {
             reference_rad: 0.0,
             counts: VecDeque::from([0; WINDOW + 1]),
         }
+    }
+
+    /// The motor is at rest again with its counter at zero.
+    pub(crate) fn restart(&mut self) {
+        self.reference_rad = 0.0;
+        self.counts = VecDeque::from([0; WINDOW + 1]);
     }
 
     /// The duty for the next period, -1 to 1.
@@ -69,38 +77,26 @@ impl SpeedControl {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::motor::Motor;
 
-    #[test]
-    fn a_wheel_reaches_its_speed_and_holds_it_against_a_weak_battery() {
-        let robot = RobotSettings::default();
-        let mut control = SpeedControl::new(&robot);
-        let mut motor = Motor::new(robot.motor.constants(0.0));
-        let mut at_one_second = 0.0;
-        for step in 0..300 {
-            let count = (motor.angle_rad() / TICK_RAD).floor() as i64;
-            let duty = control.duty(7.0, count);
-            // A tenth weaker than the brick assumes.
-            (0..10).for_each(|_| motor.step(0.9 * robot.battery_v * duty));
-            if step == 99 {
-                at_one_second = motor.angle_rad();
-            }
-        }
-        let mean = (motor.angle_rad() - at_one_second) / 2.0;
-        assert!((mean - 7.0).abs() < 0.1, "{mean} rad/s");
-    }
+    use super::*;
 
     #[test]
-    fn a_wheel_that_is_told_to_stop_stands_still() {
+    fn a_wheel_reaches_its_speed_against_a_weak_battery_holds_it_and_stops() {
         let robot = RobotSettings::default();
         let mut control = SpeedControl::new(&robot);
-        let mut motor = Motor::new(robot.motor.constants(0.0));
-        for step in 0..200 {
-            let count = (motor.angle_rad() / TICK_RAD).floor() as i64;
-            let duty = control.duty(if step < 100 { 5.0 } else { 0.0 }, count);
-            (0..10).for_each(|_| motor.step(robot.battery_v * duty));
-        }
-        assert_eq!(motor.speed_rad_per_s(), 0.0);
+        let mut motor = Motor::new(&robot.motor, 0.0);
+        let mut drive = |wanted_rad_per_s: f64, steps: u32| {
+            for _ in 0..steps {
+                let duty = control.duty(wanted_rad_per_s, (motor.angle_rad() / TICK_RAD).floor() as i64);
+                // A tenth weaker than the brick assumes.
+                (0..10).for_each(|_| motor.step(0.9 * robot.battery_v * duty));
+            }
+            motor
+        };
+        let at_one_second = drive(7.0, 100).angle_rad();
+        let mean = (drive(7.0, 200).angle_rad() - at_one_second) / 2.0;
+        assert!((mean - 7.0).abs() < 0.1, "{mean} rad/s");
+        assert_eq!(drive(0.0, 100).speed_rad_per_s(), 0.0);
     }
 }

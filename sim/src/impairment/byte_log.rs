@@ -14,29 +14,22 @@ const LOG_ENTRIES: usize = 1 << 20;
 /// Why bytes did not arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossCause {
-    /// The line's buffer was full.
     BufferFull,
     /// The unit was lost whole, by itself.
     Unit,
     /// The link was in its bad state, or the good one's loss took it.
     Burst,
-    /// The byte was missing, by itself.
     Byte,
-    /// The link was down.
     LinkDown,
 }
 
 /// What happened to a range of bytes of a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ByteOutcome {
-    /// They arrived.
     Delivered {
-        /// When.
         at: Timestamp<HostClock>,
     },
-    /// A copy of them arrived.
     Duplicated {
-        /// When.
         at: Timestamp<HostClock>,
     },
     /// They did not arrive.
@@ -48,12 +41,10 @@ pub enum ByteOutcome {
     },
     /// They, and all behind them, waited.
     Stalled {
-        /// How long.
         by: TimeDelta,
     },
     /// They waited while others passed.
     HeldBack {
-        /// How long.
         by: TimeDelta,
     },
 }
@@ -63,30 +54,23 @@ pub enum ByteOutcome {
 pub struct LogEntry {
     /// Which unit, counted from 0 in the order in which they were offered.
     pub unit: u64,
-    /// Which of its bytes.
     pub bytes: Range<usize>,
-    /// What happened to them.
     pub outcome: ByteOutcome,
 }
 
 /// Counts of one direction since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counters {
-    /// Units offered.
     pub units_offered: u64,
-    /// Bytes offered.
     pub bytes_offered: u64,
     /// Chunks delivered, copies included.
     pub chunks_delivered: u64,
     /// Bytes delivered, copies left out.
     pub bytes_delivered: u64,
-    /// Bytes on the way.
     pub bytes_on_the_way: u64,
-    /// Bytes that found the buffer full.
     pub bytes_lost_to_full_buffer: u64,
     /// Bytes of units that were lost whole.
     pub bytes_lost_alone: u64,
-    /// Bytes lost in bursts.
     pub bytes_lost_in_bursts: u64,
     /// Single bytes that were missing.
     pub bytes_missing: u64,
@@ -94,13 +78,11 @@ pub struct Counters {
     pub bytes_lost_to_outages: u64,
     /// Bits turned over.
     pub bits_flipped: u64,
-    /// Units that stalled.
     pub stalls: u64,
     /// Datagrams held back while others passed.
     pub held_back: u64,
     /// Datagrams that arrived twice.
     pub repeated: u64,
-    /// Bytes of their copies.
     pub bytes_repeated: u64,
     /// Log entries that were dropped because they were not read.
     pub log_forgotten: u64,
@@ -117,7 +99,6 @@ impl Counters {
     }
 }
 
-/// Counters and log of one direction.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ByteAccount {
     pub(super) counters: Counters,
@@ -125,34 +106,32 @@ pub(super) struct ByteAccount {
 }
 
 impl ByteAccount {
-    /// A unit came.
     pub(super) const fn on_offered(&mut self, bytes: usize) {
         self.counters.units_offered += 1;
         self.counters.bytes_offered += bytes as u64;
         self.counters.bytes_on_the_way += bytes as u64;
     }
 
-    /// Something happened to a range of its bytes.
-    pub(super) fn record(&mut self, unit: u64, bytes: Range<usize>, fate: ByteOutcome) {
+    pub(super) fn record(&mut self, unit: u64, bytes: Range<usize>, outcome: ByteOutcome) {
         if bytes.is_empty() {
             return;
         }
-        self.count(bytes.len() as u64, fate);
+        self.count(bytes.len() as u64, outcome);
         if self.log.len() >= LOG_ENTRIES {
             self.log.pop_front();
             self.counters.log_forgotten += 1;
         }
-        self.log.push_back(LogEntry { unit, bytes, outcome: fate });
+        self.log.push_back(LogEntry { unit, bytes, outcome });
     }
 
-    /// Gives the log away; it begins anew.
+    /// Returns the log and empties it.
     pub(super) fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log).into()
     }
 
-    const fn count(&mut self, bytes: u64, fate: ByteOutcome) {
+    const fn count(&mut self, bytes: u64, outcome: ByteOutcome) {
         let counters = &mut self.counters;
-        let tally = match fate {
+        let tally = match outcome {
             ByteOutcome::Delivered { .. } => &mut counters.bytes_delivered,
             ByteOutcome::Lost(LossCause::BufferFull) => &mut counters.bytes_lost_to_full_buffer,
             ByteOutcome::Lost(LossCause::Unit) => &mut counters.bytes_lost_alone,

@@ -5,14 +5,10 @@ use std::ops::Range;
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::burst_loss::GilbertElliott;
 use super::byte_log::{ByteAccount, ByteOutcome, Counters, LogEntry, LossCause};
-use super::delay::Delays;
-use super::fragments::Fragments;
-use super::outages::OutageState;
-use super::rate_limiter::{RateLimiter, SentRange};
-use super::settings::{DirectionProfile, LinkKind};
-use super::slots::Slots;
+use super::profile::{DirectionProfile, Fragment, LinkKind, PieceSizes};
+use super::states::{GilbertElliott, OutageState};
+use super::timing::{Delays, RateLimiter, SentRange, Slots};
 use super::unit_draws::{UnitDraw, UnitDraws};
 use crate::random::RandomStream;
 
@@ -22,13 +18,10 @@ const MAX_IN_TRANSIT_BYTES: u64 = 16 * 1024 * 1024;
 /// Bytes that arrive together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery {
-    /// When.
     pub at: Timestamp<HostClock>,
-    /// The bytes, at least one.
     pub bytes: Vec<u8>,
 }
 
-/// A unit that is being offered.
 struct OfferedUnit<'a> {
     number: u64,
     bytes: &'a [u8],
@@ -221,8 +214,9 @@ impl ImpairedDirection {
     /// Notes the arrival of a piece and returns its bytes.
     fn arrive(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) -> Vec<u8> {
         for run in piece.runs {
-            let fate = if piece.is_duplicate { ByteOutcome::Duplicated { at } } else { ByteOutcome::Delivered { at } };
-            self.account.record(piece.unit, run, fate);
+            let outcome =
+                if piece.is_duplicate { ByteOutcome::Duplicated { at } } else { ByteOutcome::Delivered { at } };
+            self.account.record(piece.unit, run, outcome);
         }
         piece.bytes
     }
@@ -268,15 +262,15 @@ impl ImpairedDirection {
             return causes;
         };
         if self.kind == LinkKind::Datagram {
-            let luck = drawn.burst_draws.first().copied().unwrap_or_default();
-            if burst_loss.is_lost(sent.at, luck) {
+            let draw = drawn.burst_draws.first().copied().unwrap_or_default();
+            if burst_loss.is_lost(sent.at, draw) {
                 causes.fill(Some(LossCause::Burst));
             }
             return causes;
         }
-        let luck = drawn.burst_draws.get(sent.bytes.clone());
-        for (cause, luck) in causes.iter_mut().zip(luck.unwrap_or_default()) {
-            if burst_loss.is_lost(sent.at, *luck) {
+        let draws = drawn.burst_draws.get(sent.bytes.clone());
+        for (cause, draw) in causes.iter_mut().zip(draws.unwrap_or_default()) {
+            if burst_loss.is_lost(sent.at, *draw) {
                 *cause = Some(LossCause::Burst);
             }
         }
@@ -335,4 +329,40 @@ fn within(hits: &[u64], piece: &Range<usize>, per_byte: u64) -> impl Iterator<It
     let to = hits.partition_point(|hit| *hit < end);
     let hits = hits.get(from..to).unwrap_or_default();
     hits.iter().map(move |hit| hit - start)
+}
+
+/// Cuts a stream at delivery: a reader must not treat one read as one frame.
+#[derive(Clone, Debug)]
+struct Fragments {
+    settings: Fragment,
+    stream: RandomStream,
+}
+
+impl Fragments {
+    const fn new(settings: Fragment, stream: RandomStream) -> Self {
+        Self { settings, stream }
+    }
+
+    /// The pieces of a chunk, in their order; none is empty.
+    fn split(&mut self, mut chunk: Vec<u8>) -> Vec<Vec<u8>> {
+        let mut pieces = Vec::new();
+        loop {
+            let size = self.size();
+            if chunk.len() <= size {
+                break;
+            }
+            let rest = chunk.split_off(size);
+            pieces.push(std::mem::replace(&mut chunk, rest));
+        }
+        pieces.push(chunk);
+        pieces
+    }
+
+    fn size(&mut self) -> usize {
+        let most = self.settings.most_bytes.max(1);
+        match self.settings.sizes {
+            PieceSizes::Fixed => most as usize,
+            PieceSizes::Random => 1 + self.stream.uniform(0.0, f64::from(most)) as usize,
+        }
+    }
 }

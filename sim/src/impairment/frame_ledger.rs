@@ -23,9 +23,7 @@ const MAX_PENDING: usize = 65_536;
 /// What became of the frames of one sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
-    /// Frames sent.
     pub sent: u64,
-    /// Frames that arrived whole.
     pub whole: u64,
     /// Frames with missing or changed bytes.
     pub lost: u64,
@@ -38,7 +36,6 @@ pub struct FrameCounts {
     pub missing_between: u64,
 }
 
-/// The account of one sender.
 #[derive(Clone, Copy, Debug, Default)]
 struct SenderAccount {
     counts: FrameCounts,
@@ -56,7 +53,6 @@ impl SenderAccount {
     }
 }
 
-/// A frame on its way.
 #[derive(Clone, Debug)]
 struct FrameInTransit {
     byte_range: Range<u64>,
@@ -79,22 +75,13 @@ struct UnitOffset {
 #[derive(Clone, Debug)]
 struct RangeOutcome {
     byte_range: Range<u64>,
-    kind: RangeOutcomeKind,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum RangeOutcomeKind {
-    Arrived,
-    Duplicated,
-    Lost,
-    Changed,
+    outcome: ByteOutcome,
 }
 
 /// Follows the frames of one direction.
 #[derive(Debug)]
 pub struct FrameLedger {
     framer: Framer,
-    /// Bytes offered.
     offered: u64,
     /// Bytes that belong to a frame or to none.
     scanned: u64,
@@ -154,13 +141,9 @@ impl FrameLedger {
     /// Applies the direction's log, which must be complete.
     pub fn apply_log(&mut self, log: &[LogEntry]) {
         for entry in log {
-            let kind = match entry.outcome {
-                ByteOutcome::Delivered { .. } => RangeOutcomeKind::Arrived,
-                ByteOutcome::Duplicated { .. } => RangeOutcomeKind::Duplicated,
-                ByteOutcome::Lost(_) => RangeOutcomeKind::Lost,
-                ByteOutcome::Flipped { .. } => RangeOutcomeKind::Changed,
-                ByteOutcome::Stalled { .. } | ByteOutcome::HeldBack { .. } => continue,
-            };
+            if matches!(entry.outcome, ByteOutcome::Stalled { .. } | ByteOutcome::HeldBack { .. }) {
+                continue;
+            }
             let found = self.units.binary_search_by_key(&entry.unit, |unit| unit.number);
             let Some(unit) = found.ok().and_then(|index| self.units.get(index)) else {
                 continue;
@@ -169,7 +152,7 @@ impl FrameLedger {
             if self.waiting.len() >= MAX_PENDING {
                 self.waiting.pop_front();
             }
-            self.waiting.push_back(RangeOutcome { byte_range: place, kind });
+            self.waiting.push_back(RangeOutcome { byte_range: place, outcome: entry.outcome });
         }
         self.apply_pending();
         self.drop_decided();
@@ -189,33 +172,34 @@ impl FrameLedger {
     /// Applies the pending entries about bytes whose frames are known.
     fn apply_pending(&mut self) {
         let mut waiting = std::mem::take(&mut self.waiting);
-        waiting.retain(|verdict| {
-            let is_known = verdict.byte_range.end <= self.scanned;
+        waiting.retain(|range| {
+            let is_known = range.byte_range.end <= self.scanned;
             if is_known {
-                self.apply(verdict);
+                self.apply(range);
             }
             !is_known
         });
         self.waiting = waiting;
     }
 
-    fn apply(&mut self, verdict: &RangeOutcome) {
-        let first = self.frames.partition_point(|frame| frame.byte_range.end <= verdict.byte_range.start);
+    fn apply(&mut self, range: &RangeOutcome) {
+        let first = self.frames.partition_point(|frame| frame.byte_range.end <= range.byte_range.start);
         for frame in self.frames.range_mut(first..) {
-            if frame.byte_range.start >= verdict.byte_range.end {
+            if frame.byte_range.start >= range.byte_range.end {
                 break;
             }
             let shared =
-                frame.byte_range.end.min(verdict.byte_range.end) - frame.byte_range.start.max(verdict.byte_range.start);
+                frame.byte_range.end.min(range.byte_range.end) - frame.byte_range.start.max(range.byte_range.start);
             let account = self.accounts.entry(frame.source).or_default();
-            match verdict.kind {
-                RangeOutcomeKind::Changed => frame.is_damaged = true,
-                RangeOutcomeKind::Duplicated => frame.count_duplicate(shared, account),
-                RangeOutcomeKind::Arrived => frame.count_bytes(shared, account),
-                RangeOutcomeKind::Lost => {
+            match range.outcome {
+                ByteOutcome::Flipped { .. } => frame.is_damaged = true,
+                ByteOutcome::Duplicated { .. } => frame.count_duplicate(shared, account),
+                ByteOutcome::Delivered { .. } => frame.count_bytes(shared, account),
+                ByteOutcome::Lost(_) => {
                     frame.is_damaged = true;
                     frame.count_bytes(shared, account);
                 }
+                ByteOutcome::Stalled { .. } | ByteOutcome::HeldBack { .. } => {}
             }
         }
     }
@@ -226,7 +210,7 @@ impl FrameLedger {
             self.frames.pop_front();
         }
         let oldest = self.frames.front().map_or(self.scanned, |frame| frame.byte_range.start);
-        // The unit in which the oldest frame begins is still spoken of.
+        // The log may still name the unit in which the oldest frame begins.
         while self.units.len() > MAX_RETAINED && self.units.get(1).is_some_and(|next| next.start <= oldest) {
             self.units.pop_front();
         }
@@ -251,7 +235,6 @@ impl FrameInTransit {
         account.latest_intact = account.latest_intact.max(self.number);
     }
 
-    /// Counts bytes of a copy that have arrived.
     const fn count_duplicate(&mut self, bytes: u64, account: &mut SenderAccount) {
         self.duplicated_bytes += bytes;
         if !self.is_damaged && self.duplicated_bytes == self.byte_range.end - self.byte_range.start {
@@ -263,80 +246,69 @@ impl FrameInTransit {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::impairment::byte_log::LossCause;
+
+    use super::*;
 
     /// A heartbeat of a ground rover, 1/1, number 0.
     const FRAME: [u8; 21] = [0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 10, 0, 0, 4, 3, 0xDE, 0xEB];
     const AT: Timestamp<HostClock> = Timestamp::ZERO;
+    const ARRIVED: ByteOutcome = ByteOutcome::Delivered { at: AT };
 
-    fn entry(unit: u64, bytes: Range<usize>, fate: ByteOutcome) -> LogEntry {
-        LogEntry { unit, bytes, outcome: fate }
+    fn apply(ledger: &mut FrameLedger, log: &[(u64, Range<usize>, ByteOutcome)]) -> FrameCounts {
+        let entries: Vec<LogEntry> = log
+            .iter()
+            .map(|(unit, bytes, outcome)| LogEntry { unit: *unit, bytes: bytes.clone(), outcome: *outcome })
+            .collect();
+        ledger.apply_log(&entries);
+        ledger.counts().next().map_or_else(FrameCounts::default, |(_, counts)| counts)
     }
 
-    fn arrived(unit: u64, bytes: Range<usize>) -> LogEntry {
-        entry(unit, bytes, ByteOutcome::Delivered { at: AT })
-    }
-
-    fn counts(ledger: &FrameLedger) -> FrameCounts {
-        ledger.counts().next().unwrap().1
+    /// A ledger of so many frames, each in a unit of its own.
+    fn offered(frames: u64) -> FrameLedger {
+        let mut ledger = FrameLedger::new();
+        (0..frames).for_each(|unit| ledger.offer(AT, unit, &FRAME));
+        ledger
     }
 
     #[test]
     fn a_frame_counts_once_all_its_bytes_are_decided_whatever_units_they_came_in() {
         let mut ledger = FrameLedger::new();
         ledger.offer(AT, 0, &FRAME[..10]);
-        ledger.apply_log(&[arrived(0, 0..10)]);
-        let rest = [&FRAME[10..], &FRAME, &FRAME[..3]].concat();
-        ledger.offer(AT, 1, &rest);
-        assert_eq!(counts(&ledger).sent, 2);
-        ledger.apply_log(&[arrived(1, 0..11)]);
-        assert_eq!((counts(&ledger).whole, counts(&ledger).lost), (1, 0));
-        ledger.apply_log(&[arrived(1, 11..35)]);
+        apply(&mut ledger, &[(0, 0..10, ARRIVED)]);
+        ledger.offer(AT, 1, &[&FRAME[10..], &FRAME, &FRAME[..3]].concat());
+        let counts = apply(&mut ledger, &[(1, 0..11, ARRIVED)]);
+        assert_eq!((counts.sent, counts.whole, counts.lost), (2, 1, 0));
+        apply(&mut ledger, &[(1, 11..35, ARRIVED)]);
         ledger.offer(AT, 2, &FRAME[3..]);
-        ledger.apply_log(&[arrived(2, 0..18)]);
-        let expected = FrameCounts { sent: 3, whole: 3, ..FrameCounts::default() };
-        assert_eq!(counts(&ledger), expected);
+        let counts = apply(&mut ledger, &[(2, 0..18, ARRIVED)]);
+        assert_eq!(counts, FrameCounts { sent: 3, whole: 3, ..FrameCounts::default() });
     }
 
     #[test]
-    fn a_missing_byte_a_turned_bit_and_a_lost_unit_each_cost_a_frame() {
-        let mut ledger = FrameLedger::new();
-        for unit in 0..6 {
-            ledger.offer(AT, unit, &FRAME);
-        }
-        ledger.apply_log(&[
-            arrived(0, 0..21),
-            entry(1, 5..6, ByteOutcome::Lost(LossCause::Byte)),
-            arrived(1, 0..5),
-            arrived(1, 6..21),
-            entry(2, 20..21, ByteOutcome::Flipped { bit: 3 }),
-            arrived(2, 0..21),
-            entry(3, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
-            arrived(4, 0..21),
-            entry(5, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
-        ]);
-        let expected = FrameCounts { sent: 6, whole: 2, lost: 4, missing_between: 3, ..FrameCounts::default() };
-        assert_eq!(counts(&ledger), expected);
-    }
-
-    #[test]
-    fn a_copy_is_not_a_second_frame() {
-        let mut ledger = FrameLedger::new();
-        ledger.offer(AT, 0, &FRAME);
-        ledger.apply_log(&[arrived(0, 0..21), entry(0, 0..21, ByteOutcome::Duplicated { at: AT })]);
-        assert_eq!((counts(&ledger).whole, counts(&ledger).repeated), (1, 1));
+    fn a_missing_byte_a_turned_bit_and_a_lost_unit_each_cost_a_frame_and_a_copy_is_no_second_one() {
+        let log = [
+            (0, 0..21, ARRIVED),
+            (0, 0..21, ByteOutcome::Duplicated { at: AT }),
+            (1, 5..6, ByteOutcome::Lost(LossCause::Byte)),
+            (1, 0..5, ARRIVED),
+            (1, 6..21, ARRIVED),
+            (2, 20..21, ByteOutcome::Flipped { bit: 3 }),
+            (2, 0..21, ARRIVED),
+            (3, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
+            (4, 0..21, ARRIVED),
+            (5, 0..21, ByteOutcome::Lost(LossCause::LinkDown)),
+        ];
+        let expected =
+            FrameCounts { sent: 6, whole: 2, lost: 4, repeated: 1, missing_between: 3, ..FrameCounts::default() };
+        assert_eq!(apply(&mut offered(6), &log), expected);
     }
 
     #[test]
     fn a_frame_that_comes_more_than_half_a_circle_late_cannot_be_dated() {
         for (newer, expected) in [(128, 0), (129, 1)] {
-            let mut ledger = FrameLedger::new();
-            for unit in 0..=newer {
-                ledger.offer(AT, unit, &FRAME);
-            }
-            ledger.apply_log(&[arrived(newer, 0..21), arrived(0, 0..21)]);
-            assert_eq!(counts(&ledger).undatable, expected, "{newer} newer ones");
+            let counts = apply(&mut offered(newer + 1), &[(newer, 0..21, ARRIVED), (0, 0..21, ARRIVED)]);
+            assert_eq!(counts.undatable, expected, "{newer} newer ones");
         }
     }
 
@@ -345,9 +317,8 @@ mod tests {
         let mut ledger = FrameLedger::new();
         for unit in 0..5_000 {
             ledger.offer(AT, unit, &FRAME);
-            ledger.apply_log(&[arrived(unit, 0..21)]);
+            assert_eq!(apply(&mut ledger, &[(unit, 0..21, ARRIVED)]).whole, unit + 1);
         }
-        assert_eq!(counts(&ledger).whole, 5_000);
         assert!(ledger.frames.len() <= MAX_RETAINED && ledger.units.len() <= MAX_RETAINED + 1);
         assert!(ledger.waiting.is_empty());
     }

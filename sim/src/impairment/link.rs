@@ -6,21 +6,18 @@ use posebridge_telemetry::{HostClock, Timestamp};
 
 use super::byte_log::{Counters, LogEntry};
 use super::direction::{Delivery, ImpairedDirection};
-use super::outages::{OutageState, Outages};
 use super::profile::LinkProfile;
+use super::states::{OutageState, Outages};
 use crate::random::RandomStream;
 
 /// An end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkEnd {
-    /// The robot's.
     Brick,
-    /// The station's.
     Station,
 }
 
 impl LinkEnd {
-    /// The end that receives from this one.
     pub const fn other(self) -> Self {
         match self {
             Self::Brick => Self::Station,
@@ -32,21 +29,15 @@ impl LinkEnd {
 /// What happens on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ImpairedLinkEvent {
-    /// Bytes arrive.
     Arrived {
-        /// Where.
         end: LinkEnd,
-        /// Which, and when.
         delivery: Delivery,
     },
     /// Both directions are gone, with all that was on the way.
     Down {
-        /// Since when.
         at: Timestamp<HostClock>,
     },
-    /// Both directions are back.
     Up {
-        /// Since when.
         at: Timestamp<HostClock>,
     },
 }
@@ -86,11 +77,11 @@ impl ImpairedLink {
 
     /// When the next thing happens, if nothing else is offered.
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        let told = self.events.front().map(|event| match event {
+        let waiting = self.events.front().map(|event| match event {
             ImpairedLinkEvent::Arrived { delivery, .. } => delivery.at,
             ImpairedLinkEvent::Down { at } | ImpairedLinkEvent::Up { at } => *at,
         });
-        told.or_else(|| self.next().map(|(at, _)| at))
+        waiting.or_else(|| self.next().map(|(at, _)| at))
     }
 
     /// Counts of the direction that ends at `end`.
@@ -160,10 +151,8 @@ impl ImpairedLink {
     }
 }
 
-/// What happens next on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NextChange {
-    /// Bytes arrive at this end.
     Arrival(LinkEnd),
     /// The link goes away or comes back.
     Outage,

@@ -18,31 +18,21 @@
 //! # Sources
 //! docs/impairment.md, with the formulas and the origin of the profiles' values.
 
-mod bundled;
-mod burst_loss;
 mod byte_log;
-mod checks;
-mod delay;
 mod direction;
-mod draws;
-mod duplication;
-mod error_gaps;
-mod fragments;
 mod frame_ledger;
 mod link;
-mod outages;
 mod profile;
-mod rate_limiter;
-mod settings;
-mod slots;
+mod states;
+mod timing;
 mod unit_draws;
 
-pub use bundled::PROFILES;
+pub use crate::config_file::ConfigFileError as ProfileError;
 pub use byte_log::{ByteOutcome, Counters, LogEntry, LossCause};
 pub use direction::{Delivery, ImpairedDirection};
 pub use frame_ledger::{FrameCounts, FrameLedger};
 pub use link::{ImpairedLink, ImpairedLinkEvent, LinkEnd};
-pub use profile::{LinkProfile, ProfileError};
-pub use settings::{
-    BurstLoss, Delay, DirectionProfile, Disconnects, Fragment, LinkKind, PieceSizes, Rate, Reorder, Stall,
+pub use profile::{
+    BurstLoss, Delay, DirectionProfile, Disconnects, Fragment, LinkKind, LinkProfile, PROFILES, PieceSizes, Rate,
+    Reorder, Stall,
 };

@@ -1,23 +1,36 @@
 //! A link's profile: what both directions are like, read from strict TOML.
 //!
 //! Unknown keys are errors, and so is a key that makes no sense for the kind of link, because a misspelt impairment is one that
-//! silently does not happen. Reading files is the caller's business.
+//! silently does not happen.
 
 use serde::Deserialize;
 use toml::de::{DeTable, DeValue};
 
-use super::bundled::{self, PROFILES};
-use super::checks;
-use super::settings::{DirectionProfile, Disconnects, LinkKind};
+use crate::checks;
+use crate::config_file::{ConfigFileError, bundled_text, from_toml, line_of};
+
+/// The clean link, which needs no file.
+const NONE: &str = "none";
+
+macro_rules! bundled {
+    ($($name:literal),* $(,)?) => {
+        /// Name and TOML text of every bundled link profile. Adding one: a file in `config/links/` and a line here.
+        pub const PROFILES: &[(&str, &str)] = &[
+            $(($name, include_str!(concat!("../../../config/links/", $name, ".toml")))),*
+        ];
+    };
+}
+
+bundled!["usb", "bluetooth-spp", "hc05-57600", "sik-radio", "wifi", "ble", "harsh",];
+
+/// What error messages call the file.
+const WHAT: &str = "link profile";
 
 /// What a link is like. The default is the clean one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkProfile {
-    /// What travels on it.
     pub kind: LinkKind,
-    /// From the brick to the station.
     pub to_station: DirectionProfile,
-    /// From the station to the brick.
     pub to_brick: DirectionProfile,
     /// How both directions go away together.
     pub disconnects: Option<Disconnects>,
@@ -34,43 +47,14 @@ struct ProfileText {
     disconnects: Option<Disconnects>,
 }
 
-/// Why a profile cannot be had. Lines count from 1.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProfileError {
-    /// The text is not TOML, a key is unknown, or a value does not fit; the message shows the line and the key.
-    #[error("link profile is not usable: {0}")]
-    Toml(toml::de::Error),
-    /// A key does not go together with the others.
-    #[error("link profile is not usable: line {line}: `{key}` {reason}")]
-    Misplaced {
-        /// Line of the profile.
-        line: usize,
-        /// The key.
-        key: String,
-        /// What is wrong and what to do.
-        reason: &'static str,
-    },
-    /// No bundled profile is called like this.
-    #[error("no bundled link profile is called \"{name}\"; there are {known}")]
-    UnknownName {
-        /// The name that was asked for.
-        name: String,
-        /// The names that exist, joined by commas.
-        known: String,
-    },
-}
-
 impl LinkProfile {
-    /// Reads a profile.
-    ///
-    /// # Errors
-    /// [`ProfileError::Toml`] and [`ProfileError::Misplaced`] name the line and the key that is unknown, missing, of the wrong type,
-    /// out of its range, or of no use on this kind of link.
-    pub fn from_toml(text: &str) -> Result<Self, ProfileError> {
-        let read: ProfileText = toml::from_str(text).map_err(ProfileError::Toml)?;
+    /// Reads a profile. An error names the line and the key that is unknown, missing, of the wrong type, out of its range, or of no
+    /// use on this kind of link.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
+        let read: ProfileText = from_toml(WHAT, text)?;
         if let Some((path, reason)) = profile_error(&read) {
-            return Err(ProfileError::Misplaced { line: line_of(text, &path), key: path.join("."), reason });
+            let reason = format!("line {}: `{}` {reason}", line_of_key(text, &path), path.join("."));
+            return Err(ConfigFileError::Impossible { what: WHAT, reason });
         }
         let both = read.both.unwrap_or_default();
         Ok(Self {
@@ -81,18 +65,12 @@ impl LinkProfile {
         })
     }
 
-    /// The bundled profile of this name; `none` is the clean link.
-    ///
-    /// # Errors
-    /// [`ProfileError::UnknownName`] lists the names that exist.
-    pub fn bundled(name: &str) -> Result<Self, ProfileError> {
-        if name == bundled::NONE {
+    /// The bundled profile of this name; `none` is the clean link. An error lists the names that exist.
+    pub fn bundled(name: &str) -> Result<Self, ConfigFileError> {
+        if name == NONE {
             return Ok(Self::default());
         }
-        let (_, text) = PROFILES
-            .iter()
-            .find(|(known, _)| *known == name)
-            .ok_or_else(|| ProfileError::UnknownName { name: name.to_owned(), known: bundled::names() })?;
+        let text = bundled_text("bundled link profile", PROFILES, name, |names| format!("{NONE}, {names}"))?;
         Self::from_toml(text)
     }
 
@@ -147,8 +125,7 @@ fn direction_error(kind: LinkKind, direction: &DirectionProfile) -> Option<(&'st
     faults.into_iter().find_map(|(is_wrong, key, reason)| is_wrong.then_some((key, reason)))
 }
 
-/// The line in which the value of a key begins.
-fn line_of(text: &str, path: &[&str]) -> usize {
+fn line_of_key(text: &str, path: &[&str]) -> usize {
     let offset = DeTable::parse(text).ok().and_then(|table| {
         let mut table = table.into_inner();
         let (last, tables) = path.split_last()?;
@@ -160,8 +137,164 @@ fn line_of(text: &str, path: &[&str]) -> usize {
         }
         table.get(*last).map(|value| value.span().start)
     });
-    let before = text.bytes().take(offset.unwrap_or(0));
-    1 + before.filter(|byte| *byte == b'\n').count()
+    line_of(text, offset.unwrap_or(0))
+}
+
+/// What travels on a link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LinkKind {
+    /// Bytes in their order; boundaries mean nothing; loss takes bytes.
+    #[default]
+    Stream,
+    /// Datagrams: each arrives whole or not at all, perhaps twice, perhaps overtaken.
+    Datagram,
+}
+
+/// One direction of a link. The default passes everything on at once.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DirectionProfile {
+    /// How fast bytes leave, and how many may wait; without it at once.
+    pub rate: Option<Rate>,
+    /// Probability that a unit is lost whole, independently of all others.
+    #[serde(deserialize_with = "checks::probability")]
+    pub loss: f64,
+    /// Loss that comes in bursts: of datagrams, or of a stream's bytes.
+    pub burst_loss: Option<BurstLoss>,
+    /// Probability that a byte of a stream is missing, independently of all others.
+    #[serde(deserialize_with = "checks::probability")]
+    pub byte_loss: f64,
+    /// Probability that a bit arrives wrong, independently of all others.
+    #[serde(deserialize_with = "checks::bit_error_rate")]
+    pub bit_error_rate: f64,
+    /// How long everything takes.
+    pub delay: Delay,
+    /// What takes longer now and then.
+    pub stalls: Vec<Stall>,
+    /// Datagrams that are overtaken.
+    pub reorder: Option<Reorder>,
+    /// Probability that a datagram arrives twice.
+    #[serde(deserialize_with = "checks::probability")]
+    pub duplicate: f64,
+    /// Arrived data is delivered only at this interval in milliseconds, a stream's bytes together; without it at once.
+    #[serde(deserialize_with = "checks::slot_millis")]
+    pub slot_ms: Option<f64>,
+    /// A stream is handed over in pieces.
+    pub fragment: Option<Fragment>,
+}
+
+/// A token bucket with a finite buffer in front of it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rate {
+    /// Bytes that leave per second.
+    #[serde(deserialize_with = "checks::bytes_per_s")]
+    pub bytes_per_s: f64,
+    /// Bytes that may wait, the one that is leaving included; what comes beyond is dropped: a stream's last bytes, a datagram whole.
+    #[serde(deserialize_with = "checks::buffer_bytes")]
+    pub buffer_bytes: u32,
+    /// Bytes that a line which has rested passes on at once.
+    #[serde(default, deserialize_with = "checks::burst_bytes")]
+    pub burst_bytes: u32,
+}
+
+/// Gilbert's and Elliott's two states in continuous time.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BurstLoss {
+    /// Mean time in the good state, in seconds.
+    #[serde(deserialize_with = "checks::secs")]
+    pub mean_good_s: f64,
+    /// Mean time in the bad state, in seconds.
+    #[serde(deserialize_with = "checks::secs")]
+    pub mean_bad_s: f64,
+    /// Probability of loss in the good state, per datagram or per byte of a stream.
+    #[serde(deserialize_with = "checks::probability")]
+    pub loss_good: f64,
+    /// Probability of loss in the bad state, per datagram or per byte of a stream.
+    #[serde(deserialize_with = "checks::probability")]
+    pub loss_bad: f64,
+}
+
+/// A constant and an exponential share.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Delay {
+    /// The least, in milliseconds.
+    #[serde(deserialize_with = "checks::millis")]
+    pub base_ms: f64,
+    /// Mean of what is added to it, in milliseconds.
+    #[serde(deserialize_with = "checks::millis")]
+    pub jitter_mean_ms: f64,
+}
+
+/// A pause that holds up everything behind it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stall {
+    /// Probability per unit.
+    #[serde(deserialize_with = "checks::probability")]
+    pub probability: f64,
+    /// The shortest, in milliseconds.
+    #[serde(deserialize_with = "checks::millis")]
+    pub from_ms: f64,
+    /// The longest, in milliseconds; all between are equally likely.
+    #[serde(deserialize_with = "checks::millis")]
+    pub to_ms: f64,
+}
+
+/// A datagram that waits while those behind it pass.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reorder {
+    /// Probability per datagram.
+    #[serde(deserialize_with = "checks::probability")]
+    pub probability: f64,
+    /// The shortest wait, in milliseconds.
+    #[serde(deserialize_with = "checks::millis")]
+    pub from_ms: f64,
+    /// The longest wait, in milliseconds; all between are equally likely.
+    #[serde(deserialize_with = "checks::millis")]
+    pub to_ms: f64,
+}
+
+/// How a stream is cut where it is handed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fragment {
+    /// The largest piece, in bytes.
+    #[serde(deserialize_with = "checks::piece_bytes")]
+    pub most_bytes: u32,
+    /// How large the pieces are.
+    #[serde(default)]
+    pub sizes: PieceSizes,
+}
+
+/// How large the pieces of a stream are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PieceSizes {
+    /// As large as possible.
+    #[default]
+    Fixed,
+    /// From one byte to the largest, all equally likely.
+    Random,
+}
+
+/// Both directions go away together.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Disconnects {
+    /// Mean time until the link goes down, in seconds; exponential.
+    #[serde(deserialize_with = "checks::secs")]
+    pub mean_up_s: f64,
+    /// The shortest time down, in seconds.
+    #[serde(deserialize_with = "checks::secs")]
+    pub down_from_s: f64,
+    /// The longest time down, in seconds; all between are equally likely.
+    #[serde(deserialize_with = "checks::secs")]
+    pub down_to_s: f64,
 }
 
 #[cfg(test)]
@@ -169,49 +302,39 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bundled_profile_reads_and_does_something() {
+    fn every_bundled_profile_reads_and_does_something_and_an_unknown_name_lists_them() {
         for (name, _) in PROFILES {
             let profile = LinkProfile::bundled(name).unwrap();
-            let clean = DirectionProfile::default();
-            assert_ne!(profile.to_station, clean, "{name}");
-            assert_ne!(profile.to_brick, clean, "{name}");
+            for direction in [profile.to_station, profile.to_brick] {
+                assert_ne!(direction, DirectionProfile::default(), "{name}");
+            }
         }
         assert_eq!(LinkProfile::bundled("none").unwrap(), LinkProfile::default());
-    }
-
-    #[test]
-    fn an_unknown_name_lists_the_known_ones() {
         let said = LinkProfile::bundled("carrier-pigeon").unwrap_err().to_string();
         assert!(said.contains("carrier-pigeon") && said.contains("none, usb,"), "{said}");
     }
 
     #[test]
     fn errors_name_the_line_and_the_key() {
-        let cases = [
-            ("kind = \"stream\"\nspeling = 3\n", "line 2", "speling"),
-            ("[both]\n", "line 1", "kind"),
-            ("kind = \"stream\"\n[both]\nloss = 1.5\n", "line 3", "loss"),
-            ("kind = \"stream\"\n[both]\nloss = nan\n", "line 3", "loss"),
-            ("kind = \"stream\"\n[both.delay]\nbase = 3\n", "line 3", "base"),
-            ("kind = \"stream\"\n\n[both]\nduplicate = 0.1\n", "line 4", "both.duplicate"),
-            ("kind = \"datagram\"\n[to_brick]\nbyte_loss = 0.1\n", "line 3", "to_brick.byte_loss"),
-            (
-                "kind = \"stream\"\n[both]\nstalls = [\n{ probability = 0.1, from_ms = 2, to_ms = 1 }]\n",
-                "line 3",
-                "both.stalls",
-            ),
-            ("kind = \"stream\"\n[to_brick]\n[both]\n", "line 3", "both"),
-            (
-                "kind = \"stream\"\n[disconnects]\nmean_up_s = 9\ndown_from_s = 3\ndown_to_s = 1\n",
-                "line 4",
-                "disconnects.down_from_s",
-            ),
-            ("kind = \"datagram\"\n[both]\nfragment = { most_bytes = 20 }\n", "line 3", "both.fragment"),
-        ];
-        for (text, line, key) in cases {
-            let said = LinkProfile::from_toml(text).unwrap_err().to_string();
-            assert!(said.contains(line), "{said} lacks {line}");
-            assert!(said.contains(key), "{said} lacks {key}");
+        let stalls = "[both]\nstalls = [\n{ probability = 0.1, from_ms = 2, to_ms = 1 }]\n";
+        for (kind, text, line, key) in [
+            ("stream", "speling = 3\n", 2, "speling"),
+            ("pipe", "", 1, "kind"),
+            ("stream", "[both]\nloss = 1.5\n", 3, "loss"),
+            ("stream", "[both]\nloss = nan\n", 3, "loss"),
+            ("stream", "[both.delay]\nbase = 3\n", 3, "base"),
+            ("stream", "[both]\nrate = { bytes_per_s = 9, buffer_bytes = 0 }\n", 3, "buffer_bytes"),
+            ("stream", "\n[both]\nduplicate = 0.1\n", 4, "both.duplicate"),
+            ("stream", "[both]\nreorder = { probability = 0.1, from_ms = 1, to_ms = 2 }\n", 3, "both.reorder"),
+            ("datagram", "[both]\nreorder = { probability = 0.1, from_ms = 3, to_ms = 2 }\n", 3, "both.reorder"),
+            ("datagram", "[to_brick]\nbyte_loss = 0.1\n", 3, "to_brick.byte_loss"),
+            ("datagram", "[both]\nfragment = { most_bytes = 20 }\n", 3, "both.fragment"),
+            ("stream", stalls, 3, "both.stalls"),
+            ("stream", "[to_brick]\n[both]\n", 3, "both"),
+            ("stream", "[disconnects]\nmean_up_s = 9\ndown_from_s = 3\ndown_to_s = 1\n", 4, "disconnects.down_from_s"),
+        ] {
+            let said = LinkProfile::from_toml(&format!("kind = {kind:?}\n{text}")).unwrap_err().to_string();
+            assert!(said.contains(&format!("line {line}")) && said.contains(key), "{said} lacks line {line} or {key}");
         }
     }
 

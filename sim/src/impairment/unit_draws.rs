@@ -4,32 +4,48 @@
 //! stage drops: with a little more loss, other bits would fail and other datagrams be duplicated. So every stage draws
 //! for every offered unit and byte. Two links of one seed that differ in one stage then differ only in the effect of
 //! that stage.
+//!
+//! # Model
+//! ```text
+//! lost whole            with probability loss
+//! bits, bytes           until the next error ~ Geometric(bit error rate), until the next one is missing ~ Geometric(byte loss)
+//! datagrams only        with probability p held back by U(from, to), those behind do not wait; with probability q a copy
+//!                       arrives right behind it
+//! ```
 
 use posebridge_telemetry::TimeDelta;
 
-use super::duplication::Duplication;
-use super::error_gaps::ErrorGaps;
-use super::settings::{DirectionProfile, LinkKind};
+use super::profile::{DirectionProfile, LinkKind, Reorder};
 use crate::random::RandomStream;
 
-/// What was drawn for one unit.
+/// A draw from the exponential distribution: `-mean ln(1 - u)`.
+pub(super) fn exponential(stream: &mut RandomStream, mean: TimeDelta) -> TimeDelta {
+    TimeDelta::from_secs_f64(-mean.as_secs_f64() * (1.0 - stream.uniform(0.0, 1.0)).ln())
+}
+
+/// A draw from the uniform distribution between two spans.
+pub(super) fn uniform(stream: &mut RandomStream, from: TimeDelta, to: TimeDelta) -> TimeDelta {
+    TimeDelta::from_secs_f64(stream.uniform(from.as_secs_f64(), to.as_secs_f64()))
+}
+
+pub(super) fn millis(milliseconds: f64) -> TimeDelta {
+    TimeDelta::from_secs_f64(milliseconds * 1e-3)
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct UnitDraw {
-    /// It is lost whole.
     pub(super) is_lost: bool,
-    /// Its luck in bursts, on [0, 1): of a datagram, or of each byte of a stream. Empty on a link without bursts.
+    /// Uniform on [0, 1), against the probability of burst loss: of a datagram, or of each byte of a stream. Empty on a link
+    /// without bursts.
     pub(super) burst_draws: Vec<f64>,
-    /// Which of its bytes go missing.
     pub(super) missing_bytes: Vec<u64>,
-    /// Which of its bits fail; eight times the byte, and the bit.
+    /// Eight times the byte, and the bit.
     pub(super) flipped_bits: Vec<u64>,
-    /// How long it is held back while others pass, if it is.
     pub(super) held_back: Option<TimeDelta>,
-    /// It arrives twice.
     pub(super) is_duplicated: bool,
 }
 
-/// The sequences of the stages whose chances do not depend on time.
+/// The sequences of the stages whose probabilities do not depend on time.
 #[derive(Clone, Debug)]
 pub(super) struct UnitDraws {
     kind: LinkKind,
@@ -38,11 +54,14 @@ pub(super) struct UnitDraws {
     bursts: Option<RandomStream>,
     missing_bytes: ErrorGaps,
     bit_errors: ErrorGaps,
-    copies: Duplication,
+    reorder: Option<Reorder>,
+    reordering: RandomStream,
+    duplicate: f64,
+    duplicating: RandomStream,
 }
 
 impl UnitDraws {
-    /// The chances of a direction; `stream` gives each stage its sequence.
+    /// `stream` gives each stage its sequence.
     pub(super) fn new(profile: &DirectionProfile, kind: LinkKind, stream: impl Fn(&str) -> RandomStream) -> Self {
         Self {
             kind,
@@ -51,7 +70,10 @@ impl UnitDraws {
             bursts: profile.burst_loss.map(|_| stream("burst loss")),
             missing_bytes: ErrorGaps::new(profile.byte_loss, stream("byte loss")),
             bit_errors: ErrorGaps::new(profile.bit_error_rate, stream("bit errors")),
-            copies: Duplication::new(profile, stream("reorder"), stream("duplicate")),
+            reorder: profile.reorder,
+            reordering: stream("reorder"),
+            duplicate: profile.duplicate,
+            duplicating: stream("duplicate"),
         }
     }
 
@@ -59,17 +81,87 @@ impl UnitDraws {
     pub(super) fn draw(&mut self, bytes: usize) -> UnitDraw {
         let is_datagram = self.kind == LinkKind::Datagram;
         let trials = if is_datagram { 1 } else { bytes };
-        let burst_luck = match &mut self.bursts {
+        let burst_draws = match &mut self.bursts {
             Some(stream) => (0..trials).map(|_| stream.uniform(0.0, 1.0)).collect(),
             None => Vec::new(),
         };
         UnitDraw {
             is_lost: self.losing.bernoulli(self.loss),
-            burst_draws: burst_luck,
+            burst_draws,
             missing_bytes: self.missing_bytes.hits(bytes as u64),
             flipped_bits: self.bit_errors.hits(8 * bytes as u64),
-            held_back: is_datagram.then(|| self.copies.held_back()).flatten(),
-            is_duplicated: is_datagram && self.copies.is_duplicated(),
+            held_back: self.reorder.filter(|_| is_datagram).and_then(|reorder| self.draw_reordering(reorder)),
+            is_duplicated: is_datagram && self.duplicating.bernoulli(self.duplicate),
+        }
+    }
+
+    fn draw_reordering(&mut self, reorder: Reorder) -> Option<TimeDelta> {
+        let is_held_back = self.reordering.bernoulli(reorder.probability);
+        let wait = uniform(&mut self.reordering, millis(reorder.from_ms), millis(reorder.to_ms));
+        is_held_back.then_some(wait)
+    }
+}
+
+/// Independent events at a rate, drawn as the gaps between them: a rate of 1e-6 costs nothing.
+#[derive(Clone, Debug)]
+struct ErrorGaps {
+    probability: f64,
+    /// Trials that still go well; drawn at the first one.
+    until_next: Option<u64>,
+    stream: RandomStream,
+}
+
+impl ErrorGaps {
+    const fn new(probability: f64, stream: RandomStream) -> Self {
+        Self { probability, until_next: None, stream }
+    }
+
+    /// Which of the next `trials` are hit, counted from 0, in their order.
+    fn hits(&mut self, trials: u64) -> Vec<u64> {
+        let mut hits = Vec::new();
+        if self.probability <= 0.0 {
+            return hits;
+        }
+        let mut until_next = match self.until_next {
+            Some(until_next) => until_next,
+            None => failures_before_success(&mut self.stream, self.probability),
+        };
+        let mut passed = 0;
+        while until_next < trials - passed {
+            passed += until_next;
+            hits.push(passed);
+            passed += 1;
+            until_next = failures_before_success(&mut self.stream, self.probability);
+        }
+        self.until_next = Some(until_next - (trials - passed));
+        hits
+    }
+}
+
+/// How many trials fail before the next one succeeds, each with this probability above 0: `floor(ln(1 - u) / ln(1 - p))`.
+fn failures_before_success(stream: &mut RandomStream, probability: f64) -> u64 {
+    // ln_1p keeps the digits of rare errors; a certain success divides by minus infinity and gives 0.
+    ((-stream.uniform(0.0, 1.0)).ln_1p() / (-probability).ln_1p()) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_the_trials_are_counted_does_not_change_the_hits() {
+        for (probability, hits) in [(0.0, 0), (0.2, 195), (1.0, 1_000)] {
+            let gaps = || ErrorGaps::new(probability, RandomStream::new(4, "gaps"));
+            let whole = gaps().hits(1_000);
+            let mut parts = gaps();
+            let mut found = Vec::new();
+            let mut start = 0;
+            for size in [1, 7, 0, 92, 400, 500] {
+                found.extend(parts.hits(size).into_iter().map(|hit| hit + start));
+                start += size;
+            }
+            assert_eq!(found, whole);
+            assert!(whole.len().abs_diff(hits) < 50, "{} of {hits}", whole.len());
         }
     }
 }

@@ -5,18 +5,14 @@ use posebridge_telemetry::{
     TimeDelta, Timestamp, UncertainValue,
 };
 
-use super::camera::CameraSensor;
-use super::grid::first_step_from;
-use super::plan::DrivePlan;
-use super::pose::PlanarPose;
-use super::robot::{Accelerometers, GyroSensor, Robot, WheelTurn, draw_geometry, nominal_geometry};
+use super::plan::{DrivePlan, PlanarPose, first_step_from};
+use super::robot::{Accelerometers, CameraSensor, GyroSensor, Robot, WheelTurn, nominal_geometry, true_geometry};
 use super::scenario::{PriorGeometry, Scenario};
 use crate::random::RandomStream;
 
 /// What happened in one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
-    /// Length of a step.
     pub step: TimeDelta,
     /// The true pose: at the start, then after each step.
     pub truth: Vec<Pose<Arena>>,
@@ -26,9 +22,7 @@ pub struct Drive {
     pub arrivals: Vec<Arrival>,
     /// The error counts from this step on, 1 or later.
     pub scored_from: usize,
-    /// The robot's true geometry.
     pub true_geometry: DriveGeometry,
-    /// The configuration of the filters.
     pub prior: FilterPrior,
 }
 
@@ -37,16 +31,13 @@ pub struct Drive {
 pub struct Arrival {
     /// The step: 0 is the start.
     pub step: usize,
-    /// The observation.
     pub observation: Observation,
 }
 
 /// What a filter may know before the drive begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterPrior {
-    /// The geometry.
     pub geometry: DriveGeometry,
-    /// The noise of sensors and motion.
     pub noise: SensorNoise,
     /// Where the robot starts.
     pub start: Pose<Arena>,
@@ -90,7 +81,7 @@ impl Scenario {
 fn simulate_drive(scenario: &Scenario, run: u32) -> Drive {
     let seed = run_seed(scenario.seed, run);
     let plan = DrivePlan::new(&scenario.path, scenario.step_s);
-    let true_geometry = draw_geometry(scenario, seed);
+    let true_geometry = true_geometry(scenario, seed);
     let step_s = scenario.step_s;
     let mut log = DriveLog {
         step: TimeDelta::from_secs_f64(step_s),

@@ -19,23 +19,17 @@
 //! random stream, as everywhere in [`crate`]. So a run can be repeated alone, and scenarios with the same seed, path
 //! and robot share their truth, whatever their camera.
 
-mod bundled;
-mod camera;
-mod course;
 mod drive;
-mod grid;
-mod path;
 mod plan;
-mod pose;
 mod robot;
 mod scenario;
-mod spline;
 
-pub use bundled::SCENARIOS;
-pub use course::{Course, Laps, Spline, Weave};
+pub use crate::checks::MAX_RUNS;
+pub use crate::config_file::ConfigFileError as ScenarioError;
+pub use crate::scenario::Blackout;
 pub use drive::{Arrival, Drive, FilterPrior};
 pub use robot::WheelTurn;
 pub use scenario::{
-    Accelerometer, Blackout, Camera, CameraSees, GeometryErrors, Gyro, Kicks, MAX_RUNS, MotionNoise, NominalRobot,
-    Outliers, PriorGeometry, PriorSettings, Scenario, ScenarioError,
+    Accelerometer, Camera, CameraSees, Course, GeometryErrors, Gyro, Kicks, Laps, MotionNoise, NominalRobot, Outliers,
+    PriorGeometry, PriorSettings, SCENARIOS, Scenario, Spline, Weave,
 };

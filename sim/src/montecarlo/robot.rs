@@ -1,15 +1,21 @@
-//! The true robot of one run: its geometry, its motion and the sensors on board.
+//! The true robot of one run: its geometry, its motion and its sensors, the camera overhead among them.
+//!
+//! Fixes arrive late, at most one per step. If two are due at the same step, the newer one arrives first and the older one
+//! at the next free step. So a fix may be overtaken, and then arrives a step later than the file's delay.
 
+use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    DriveGeometry, Meters, MetersPerSecondSquared, ObservationKind, Radians, RadiansPerSecond, quantities::wrap_rad,
+    Arena, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, ObservationKind, Point2, Radians,
+    RadiansPerSecond,
 };
 
-use super::plan::StepCommand;
-use super::pose::PlanarPose;
-use super::scenario::{Accelerometer, Gyro, Kicks, MotionNoise, NominalRobot, Scenario};
+use super::plan::{PlanarPose, StepCommand, first_step_from, last_step_until};
+use super::scenario::{Accelerometer, Camera, CameraSees, Gyro, Kicks, MotionNoise, NominalRobot, Scenario};
 use crate::random::RandomStream;
+use crate::robot_body::draw_geometry;
+use crate::scenario::ErrorSettings;
+use crate::sensors::quantise;
 
-/// The nominal geometry.
 pub(super) fn nominal_geometry(robot: &NominalRobot) -> DriveGeometry {
     DriveGeometry {
         left_wheel_radius: Meters(robot.wheel_radius_m),
@@ -19,18 +25,19 @@ pub(super) fn nominal_geometry(robot: &NominalRobot) -> DriveGeometry {
     }
 }
 
-/// The true geometry of a run.
-pub(super) fn draw_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
-    let mut stream = RandomStream::new(seed, "geometry");
-    let errors = &scenario.errors;
-    let mean = errors.radius_scale_sigma * stream.normal();
-    let difference = errors.radius_difference_sigma * stream.normal();
-    let track = errors.track_scale_sigma * stream.normal();
+pub(super) fn true_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
+    let errors = ErrorSettings {
+        radius_error_sigma: scenario.errors.radius_scale_sigma,
+        radius_mismatch_sigma: scenario.errors.radius_difference_sigma,
+        track_error_sigma: scenario.errors.track_scale_sigma,
+        ..ErrorSettings::none()
+    };
     let robot = &scenario.robot;
+    let (radius_m, track_m) = draw_geometry(seed, &errors, robot.wheel_radius_m, robot.track_width_m);
     DriveGeometry {
-        left_wheel_radius: Meters(robot.wheel_radius_m * (1.0 + mean - difference / 2.0)),
-        right_wheel_radius: Meters(robot.wheel_radius_m * (1.0 + mean + difference / 2.0)),
-        track_width: Meters(robot.track_width_m * (1.0 + track)),
+        left_wheel_radius: Meters(radius_m.left),
+        right_wheel_radius: Meters(radius_m.right),
+        track_width: Meters(track_m),
         tick: Radians(robot.tick_deg.to_radians()),
     }
 }
@@ -55,14 +62,10 @@ pub struct WheelTurn {
     pub right: Radians,
 }
 
-/// What one step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RobotMotion {
-    /// The true turn, in radians.
     pub(super) turn_rad: f64,
-    /// Travel of the left wheel, in metres.
     pub(super) left_m: f64,
-    /// Travel of the right wheel, in metres.
     pub(super) right_m: f64,
     /// Rotation of the wheels, slip or not.
     pub(super) wheels: WheelTurn,
@@ -164,7 +167,6 @@ impl KickSource {
     }
 }
 
-/// The gyro.
 pub(super) struct GyroSensor {
     gyro: Gyro,
     step_s: f64,
@@ -190,9 +192,7 @@ impl GyroSensor {
         let rate_deg_per_s =
             turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
         self.bias_deg_per_s += self.gyro.bias_walk_deg_per_s_sqrt_s * self.step_s.sqrt() * self.walk.normal();
-        let resolution = self.gyro.resolution_deg_per_s;
-        let rounded =
-            if resolution > 0.0 { (rate_deg_per_s / resolution).round() * resolution } else { rate_deg_per_s };
+        let rounded = quantise(rate_deg_per_s, self.gyro.resolution_deg_per_s);
         ObservationKind::TurnRate(RadiansPerSecond(rounded.to_radians()))
     }
 }
@@ -226,5 +226,95 @@ impl Accelerometers {
         };
         self.before = *moved;
         observed
+    }
+}
+
+/// The camera of one run, with the fixes that are on their way.
+pub(super) struct CameraSensor {
+    camera: Camera,
+    step_s: f64,
+    noise: RandomStream,
+    delay: RandomStream,
+    outliers: RandomStream,
+    /// Fixes on their way, oldest first.
+    pending: Vec<PendingFix>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PendingFix {
+    pub(super) taken_step: usize,
+    pub(super) observed: ObservationKind,
+    due_step: usize,
+}
+
+impl CameraSensor {
+    pub(super) fn new(camera: Camera, step_s: f64, seed: u64) -> Self {
+        Self {
+            camera,
+            step_s,
+            noise: RandomStream::new(seed, "camera"),
+            delay: RandomStream::new(seed, "camera delay"),
+            outliers: RandomStream::new(seed, "camera outliers"),
+            pending: Vec::new(),
+        }
+    }
+
+    /// Looks at the robot, if it is time to.
+    pub(super) fn observe(&mut self, step: usize, robot: &PlanarPose) {
+        if !step.is_multiple_of(self.camera.every_steps as usize) {
+            return;
+        }
+        let [dx_m, dy_m, turn_rad] = self.error();
+        let due = step + self.draw_delay();
+        if self.is_dark(step) {
+            return;
+        }
+        let fix = Fix {
+            position: Point2::<Arena>::new(Meters(robot.x_m + dx_m), Meters(robot.y_m + dy_m)),
+            heading: match self.camera.sees {
+                CameraSees::Pose => Some(Heading::from_rad(robot.heading_rad + turn_rad)),
+                CameraSees::Position => None,
+            },
+            covariance: None,
+            tag_in_body: Point2::ORIGIN,
+            reset_counter: 0,
+        };
+        self.pending.push(PendingFix { taken_step: step, observed: ObservationKind::Fix(fix), due_step: due });
+    }
+
+    pub(super) fn next_arrival(&mut self, step: usize) -> Option<PendingFix> {
+        let newest_due = self.pending.iter().rposition(|fix| fix.due_step <= step)?;
+        Some(self.pending.remove(newest_due))
+    }
+
+    /// The error of a fix: x and y in metres, heading in radians. Always the same number of draws.
+    fn error(&mut self) -> [f64; 3] {
+        let position_m = self.camera.true_noise_factor * self.camera.position_sigma_m;
+        let heading_rad = self.camera.true_noise_factor * self.camera.heading_sigma_deg.to_radians();
+        let mut error = [position_m, position_m, heading_rad].map(|sigma| sigma * self.noise.normal());
+        if let Some(outliers) = self.camera.outliers {
+            let is_outlier = self.outliers.bernoulli(outliers.probability);
+            for value in &mut error {
+                let more = outliers.sigma_m_rad * self.outliers.normal();
+                if is_outlier {
+                    *value += more;
+                }
+            }
+        }
+        error
+    }
+
+    fn draw_delay(&mut self) -> usize {
+        let spread = self.camera.delay_spread_steps;
+        let least = self.camera.delay_steps - spread;
+        let more = self.delay.uniform(0.0, f64::from(2 * spread + 1)).floor() as u32;
+        (least + more.min(2 * spread)) as usize
+    }
+
+    fn is_dark(&self, step: usize) -> bool {
+        self.camera.blackout.is_some_and(|dark| {
+            let from = first_step_from(dark.from_s, self.step_s);
+            (from..=last_step_until(dark.to_s, self.step_s)).contains(&step)
+        })
     }
 }

@@ -3,19 +3,46 @@
 //! There are no defaults for numbers: a file is the whole experiment. Only the tables `[camera]`, `[kicks]` and
 //! `[accelerometer]` may be missing, and mean that there is none.
 
+use std::f64::consts::FRAC_PI_2;
+
 use serde::Deserialize;
 
-use super::bundled::SCENARIOS;
-use super::course::Course;
-use crate::bundled::text_of;
-use crate::checks::whole;
-use crate::scenario::checks;
+use crate::checks;
+use crate::config_file::{ConfigFileError, bundled_text, from_toml};
+use crate::scenario::Blackout;
+
+/// What error messages call the file.
+const WHAT: &str = "scenario";
+/// Poses closer than this have no direction between them, in metres.
+const SHORTEST_LEG_M: f64 = 1e-3;
+macro_rules! bundled {
+    ($($name:literal),* $(,)?) => {
+        /// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/accuracy/` and a line here.
+        pub const SCENARIOS: &[(&str, &str)] = &[
+            $(($name, include_str!(concat!("../../../config/scenarios/accuracy/", $name, ".toml")))),*
+        ];
+    };
+}
+
+bundled![
+    "camera-10hz",
+    "camera-1hz",
+    "outliers-3pct",
+    "outliers-10pct",
+    "noise-x4",
+    "noise-quarter",
+    "noise-x4-outliers",
+    "blackout",
+    "no-camera",
+    "kicks",
+    "kicks-camera-1hz",
+    "unknown-heading",
+    "wpilib",
+    "paper-square",
+];
 
 /// Most steps of one drive; ten times the longest bundled one.
 pub(super) const MAX_STEPS: f64 = 100_000.0;
-
-/// Most runs of a scenario.
-pub const MAX_RUNS: u32 = 100_000;
 
 /// One experiment: a path, a robot drawn anew in each run, its sensors, and the configuration of the filters.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -24,7 +51,7 @@ pub struct Scenario {
     /// Base seed; run i draws from this and i.
     pub seed: u64,
     /// How many runs make a good mean.
-    #[serde(deserialize_with = "runs")]
+    #[serde(deserialize_with = "checks::runs")]
     pub runs: u32,
     /// The grid of all events, in seconds.
     #[serde(deserialize_with = "checks::positive")]
@@ -32,15 +59,12 @@ pub struct Scenario {
     /// The error counts from here on, in seconds.
     #[serde(deserialize_with = "checks::non_negative")]
     pub score_from_s: f64,
-    /// What is driven.
     pub path: Course,
     /// The robot as its maker describes it.
     pub robot: NominalRobot,
     /// How far the true robot is from that.
     pub errors: GeometryErrors,
-    /// The noise of its motion.
     pub motion: MotionNoise,
-    /// The gyro.
     pub gyro: Gyro,
     /// The camera; none without it.
     pub camera: Option<Camera>,
@@ -56,7 +80,6 @@ pub struct Scenario {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NominalRobot {
-    /// Radius of both wheels, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
     /// Distance between the wheels, in metres.
@@ -74,10 +97,8 @@ pub struct GeometryErrors {
     /// Of the mean wheel radius.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_scale_sigma: f64,
-    /// Of the difference of the wheels' radii.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_difference_sigma: f64,
-    /// Of the track width.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub track_scale_sigma: f64,
 }
@@ -86,10 +107,8 @@ pub struct GeometryErrors {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionNoise {
-    /// Of each wheel's travel, in metres per square root of a metre.
     #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
-    /// Of the heading, in radians per square root of a radian of turn.
     #[serde(deserialize_with = "checks::non_negative")]
     pub turn_rad_per_sqrt_rad: f64,
 }
@@ -126,16 +145,15 @@ pub enum CameraSees {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
-    /// What it measures.
     pub sees: CameraSees,
     /// Number of steps from one image to the next.
-    #[serde(deserialize_with = "count")]
+    #[serde(deserialize_with = "checks::step_count")]
     pub every_steps: u32,
     /// Number of steps from a fix's stamp to its arrival,
-    #[serde(deserialize_with = "delay")]
+    #[serde(deserialize_with = "checks::short_step_count")]
     pub delay_steps: u32,
     /// more or less this number, each equally likely.
-    #[serde(deserialize_with = "delay")]
+    #[serde(deserialize_with = "checks::short_step_count")]
     pub delay_spread_steps: u32,
     /// The configured noise of x and of y, in metres.
     #[serde(deserialize_with = "checks::positive")]
@@ -148,7 +166,7 @@ pub struct Camera {
     pub true_noise_factor: f64,
     /// Fixes that are far off; none without it.
     pub outliers: Option<Outliers>,
-    /// A time without fixes; none without it.
+    /// A time without fixes, by their stamps, both ends included; none without it.
     pub blackout: Option<Blackout>,
 }
 
@@ -156,24 +174,11 @@ pub struct Camera {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outliers {
-    /// Their share.
     #[serde(deserialize_with = "checks::probability")]
     pub probability: f64,
     /// Standard deviation of what is added to x and y, in metres, and to the heading, in radians.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_m_rad: f64,
-}
-
-/// A time without fixes, by their stamps; both ends belong to it.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Blackout {
-    /// Its first instant, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub from_s: f64,
-    /// Its last instant, in seconds.
-    #[serde(deserialize_with = "checks::non_negative")]
-    pub to_s: f64,
 }
 
 /// Kicks: the robot is turned while it drives straight, and its wheels do not measure it.
@@ -189,8 +194,7 @@ pub struct Kicks {
     /// The strongest, in degrees, either way.
     #[serde(deserialize_with = "checks::non_negative")]
     pub most_deg: f64,
-    /// Number of steps of each.
-    #[serde(deserialize_with = "count")]
+    #[serde(deserialize_with = "checks::step_count")]
     pub spread_steps: u32,
 }
 
@@ -207,7 +211,6 @@ pub struct Accelerometer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PriorGeometry {
-    /// That of `[robot]`.
     Nominal,
     /// The true one of this run.
     True,
@@ -217,18 +220,15 @@ pub enum PriorGeometry {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorSettings {
-    /// Which geometry.
     pub geometry: PriorGeometry,
     /// Standard deviation of the error of the mean wheel radius; 0 for "take it as given".
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_scale_sigma: f64,
-    /// The same for the difference of the radii.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_difference_sigma: f64,
     /// The same for the track width.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub track_scale_sigma: f64,
-    /// Noise of each wheel's travel, in metres per square root of a metre.
     #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
     /// Noise of the heading, in radians per square root of a radian of turn.
@@ -246,25 +246,20 @@ pub struct PriorSettings {
 }
 
 impl Scenario {
-    /// Reads a scenario.
-    ///
-    /// # Errors
-    /// [`ScenarioError::Toml`] names the line and the key that is unknown, missing, of the wrong type or out of its range;
-    /// [`ScenarioError::Impossible`] says which numbers do not go together.
-    pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
-        let scenario: Self = toml::from_str(text).map_err(ScenarioError::Toml)?;
-        scenario.check()?;
-        Ok(scenario)
+    /// Reads a scenario. An error names the line and the key that is unknown, missing, of the wrong type or out of its range, or says
+    /// which numbers do not go together.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
+        let scenario: Self = from_toml(WHAT, text)?;
+        match scenario.contradiction() {
+            None => Ok(scenario),
+            Some(reason) => Err(ConfigFileError::Impossible { what: WHAT, reason }),
+        }
     }
 
-    /// The bundled scenario of this name.
-    ///
-    /// # Errors
-    /// [`ScenarioError::UnknownName`] lists the names that exist.
-    pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let text =
-            text_of(SCENARIOS, name).map_err(|known| ScenarioError::UnknownName { name: name.to_owned(), known })?;
-        Self::from_toml(text)
+    /// The bundled scenario of this name. An error lists the names that exist.
+    pub fn bundled(name: &str) -> Result<Self, ConfigFileError> {
+        let known = |names| format!("{names}, or name a TOML file");
+        Self::from_toml(bundled_text("accuracy scenario", SCENARIOS, name, known)?)
     }
 
     /// The same scenario under another base seed.
@@ -273,110 +268,178 @@ impl Scenario {
         self
     }
 
-    fn check(&self) -> Result<(), ScenarioError> {
+    /// Which numbers do not go together, and why.
+    fn contradiction(&self) -> Option<String> {
         if let Course::Spline(spline) = &self.path {
-            let is_bearable = |value: &f64| value.abs() <= checks::LARGEST;
-            if !spline.poses_m_deg.iter().flatten().all(is_bearable) {
-                return Err(impossible("poses_m_deg holds a number that is not finite or too large".to_owned()));
+            // A NaN is bearable nowhere.
+            if !spline.poses_m_deg.iter().flatten().all(|value| value.abs() <= checks::LARGEST) {
+                return Some("poses_m_deg holds a number that is not finite or too large".to_owned());
             }
             if let Some(leg) = spline.leg_without_length() {
-                return Err(impossible(format!(
+                return Some(format!(
                     "poses_m_deg: poses {leg} and {} stand at the same place; a spline has no direction between them",
                     leg + 1
-                )));
+                ));
             }
         }
         let steps = self.path.steps_estimate(self.step_s);
         if !(1.0..=MAX_STEPS).contains(&steps) {
-            return Err(impossible(format!(
+            return Some(format!(
                 "[path] takes {steps:.0} steps of {} s; give a path of 1 to {MAX_STEPS:.0} steps",
                 self.step_s
-            )));
+            ));
         }
-        if self.score_from_s >= steps * self.step_s {
-            return Err(impossible(format!(
-                "score_from_s {} lies behind the end of [path], about {:.1} s",
-                self.score_from_s,
-                steps * self.step_s
-            )));
+        let (score_from_s, end_s) = (self.score_from_s, steps * self.step_s);
+        if score_from_s >= end_s {
+            return Some(format!("score_from_s {score_from_s} lies behind the end of [path], about {end_s:.1} s"));
         }
-        if let Some(camera) = &self.camera
-            && camera.delay_spread_steps > camera.delay_steps
+        if let Some(Camera { delay_steps, delay_spread_steps, .. }) = self.camera
+            && delay_spread_steps > delay_steps
         {
-            return Err(impossible(format!(
-                "[camera] delay_spread_steps {} exceeds delay_steps {}: a fix cannot arrive before it is made",
-                camera.delay_spread_steps, camera.delay_steps
-            )));
+            return Some(format!(
+                "[camera] delay_spread_steps {delay_spread_steps} exceeds delay_steps {delay_steps}: a fix cannot arrive before it is \
+                 made"
+            ));
         }
-        if let Some(kicks) = &self.kicks
-            && kicks.least_deg > kicks.most_deg
+        if let Some(Kicks { least_deg, most_deg, .. }) = self.kicks
+            && least_deg > most_deg
         {
-            return Err(impossible(format!(
-                "[kicks] least_deg {} exceeds most_deg {}",
-                kicks.least_deg, kicks.most_deg
-            )));
+            return Some(format!("[kicks] least_deg {least_deg} exceeds most_deg {most_deg}"));
         }
-        Ok(())
+        None
     }
 }
 
-fn impossible(reason: String) -> ScenarioError {
-    ScenarioError::Impossible { reason }
+/// What is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Course {
+    /// Laps of a square with turns in place, left and right in turn, with a controller that knows the truth.
+    Laps(Laps),
+    /// A constant speed with a turn rate that swings.
+    Weave(Weave),
+    /// Splines through poses, at a trapezoidal speed.
+    Spline(Spline),
 }
 
-/// Why a scenario cannot be had.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ScenarioError {
-    /// The text is not TOML, a key is unknown or missing, or a value does not fit; the message shows the line and the key.
-    #[error("scenario is not usable: {0}")]
-    Toml(toml::de::Error),
-    /// The numbers do not go together.
-    #[error("scenario is not usable: {reason}")]
-    Impossible {
-        /// Which, and why.
-        reason: String,
-    },
-    /// No bundled scenario is called like this.
-    #[error("no accuracy scenario is called \"{name}\"; there are {known}, or name a TOML file")]
-    UnknownName {
-        /// The name that was asked for.
-        name: String,
-        /// The names that exist, joined by commas.
-        known: String,
-    },
+/// Laps of a square.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Laps {
+    /// How many.
+    #[serde(deserialize_with = "checks::laps")]
+    pub laps: u32,
+    #[serde(deserialize_with = "checks::positive")]
+    pub side_m: f64,
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    #[serde(deserialize_with = "checks::positive")]
+    pub turn_rate_rad_per_s: f64,
+    /// Steps over which the speed rises and falls at the ends of each side and turn.
+    #[serde(deserialize_with = "checks::short_step_count")]
+    pub ramp_steps: u32,
+    /// Rest before the first lap, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_s: f64,
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_side_s: f64,
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_turn_s: f64,
+    /// Rest after the extra turn that ends a lap, in seconds.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub rest_after_lap_s: f64,
+    /// The controller on a side: turn per step for each radian of heading error.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub heading_gain: f64,
+    /// The controller on a side: turn per step for each metre beside the line, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub lateral_gain_rad_per_m: f64,
+    /// The most that the controller turns in a step, in radians.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub most_turn_rad: f64,
 }
 
-fn runs<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_RUNS)
+/// A constant speed with the turn rate `amplitude sin(pulsation t)`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Weave {
+    /// How long, in seconds.
+    #[serde(deserialize_with = "checks::positive")]
+    pub duration_s: f64,
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    /// Largest turn rate, in radians per second.
+    #[serde(deserialize_with = "checks::finite")]
+    pub turn_amplitude_rad_per_s: f64,
+    /// How fast the turn rate swings, in radians per second.
+    #[serde(deserialize_with = "checks::finite")]
+    pub turn_pulsation_rad_per_s: f64,
 }
 
-/// At least one.
-fn count<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, 100_000)
+/// Quintic splines from pose to pose, driven as one way with a trapezoidal speed.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spline {
+    /// The poses (x in m, y in m, heading in degrees), from the first to the last.
+    pub poses_m_deg: [[f64; 3]; 5],
+    /// Length of the tangents at both ends of a leg, as a multiple of the straight distance between them.
+    #[serde(deserialize_with = "checks::positive")]
+    pub tangent_scale: f64,
+    #[serde(deserialize_with = "checks::positive")]
+    pub speed_m_per_s: f64,
+    /// Acceleration at the start and at the end, in metres per second squared.
+    #[serde(deserialize_with = "checks::positive")]
+    pub acceleration_m_per_s2: f64,
 }
 
-/// Under a minute at any sensible step: all fixes on their way are kept.
-fn delay<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, 1_000)
+impl Course {
+    /// About how many steps it takes, to be checked before anything is drawn.
+    pub(super) fn steps_estimate(&self, step_s: f64) -> f64 {
+        match self {
+            Self::Laps(laps) => {
+                let ramp_s = f64::from(laps.ramp_steps) * step_s;
+                let side_s = laps.side_m / laps.speed_m_per_s + ramp_s + laps.rest_after_side_s;
+                let turn_s = FRAC_PI_2 / laps.turn_rate_rad_per_s + ramp_s;
+                let lap_s = 4.0 * (side_s + turn_s + laps.rest_after_turn_s) + turn_s + laps.rest_after_lap_s;
+                (laps.rest_s + f64::from(laps.laps) * lap_s) / step_s
+            }
+            Self::Weave(weave) => weave.duration_s / step_s,
+            Self::Spline(spline) => spline.duration_estimate_s() / step_s,
+        }
+    }
+}
+
+impl Spline {
+    /// About how long it takes, from the straight distances and the lengths of the tangents, in seconds.
+    fn duration_estimate_s(&self) -> f64 {
+        let straight_m: f64 = self.legs().map(|(from, to)| distance_m(from, to)).sum();
+        let length_m = straight_m * (1.0 + self.tangent_scale);
+        length_m / self.speed_m_per_s + self.speed_m_per_s / self.acceleration_m_per_s2
+    }
+
+    /// The number, from 1, of the first leg whose ends are less than a millimetre apart.
+    pub(super) fn leg_without_length(&self) -> Option<usize> {
+        let is_short = |(from, to)| distance_m(from, to) < SHORTEST_LEG_M;
+        self.legs().position(is_short).map(|index| index + 1)
+    }
+
+    pub(super) fn legs(&self) -> impl Iterator<Item = ([f64; 3], [f64; 3])> + '_ {
+        self.poses_m_deg.windows(2).map(|pair| (pair[0], pair[1]))
+    }
+}
+
+pub(super) fn distance_m(from: [f64; 3], to: [f64; 3]) -> f64 {
+    (to[0] - from[0]).hypot(to[1] - from[1])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The bundled scenario with some of its text replaced.
-    fn changed(name: &str, from: &str, to: &str) -> Result<Scenario, ScenarioError> {
-        let (_, text) = SCENARIOS.iter().find(|(known, _)| *known == name).unwrap();
-        assert!(text.contains(from), "{name} has no `{from}`");
-        Scenario::from_toml(&text.replace(from, to))
-    }
-
     #[test]
     fn every_file_in_the_folder_is_bundled() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/scenarios/accuracy");
-        let files = std::fs::read_dir(folder).unwrap();
-        for file in files {
+        for file in std::fs::read_dir(folder).unwrap() {
             let path = file.unwrap().path();
             let name = path.file_stem().unwrap().to_str().unwrap();
             assert!(SCENARIOS.iter().any(|(known, _)| *known == name), "{name} is not bundled");
@@ -385,27 +448,24 @@ mod tests {
 
     #[test]
     fn wrong_files_are_refused_with_the_reason() {
-        let cases = [
-            ("step_s = 0.05", "step_s = 0", "step_s"),
-            ("laps = 4", "lapse = 4", "lapse"),
-            ("speed_m_per_s = 0.2", "speed_m_per_s = 1e-5", "steps"),
-            ("delay_spread_steps = 1", "delay_spread_steps = 7", "before it is made"),
-            ("runs = 40", "runs = 0", "runs"),
-            ("from_s = 0.0 ", "from_s = 400.0 ", "score_from_s"),
-            ("wheel_radius_m = 0.028", "wheel_radius_m = nan", "wheel_radius_m"),
-        ];
-        for (from, to, reason) in cases {
-            let message = changed("camera-10hz", from, to).unwrap_err().to_string();
+        for (name, from, to, reason) in [
+            ("camera-10hz", "step_s = 0.05", "step_s = 0", "step_s"),
+            ("camera-10hz", "laps = 4", "lapse = 4", "lapse"),
+            ("camera-10hz", "speed_m_per_s = 0.2", "speed_m_per_s = 1e-5", "steps"),
+            ("camera-10hz", "delay_spread_steps = 1", "delay_spread_steps = 7", "before it is made"),
+            ("camera-10hz", "runs = 40", "runs = 0", "runs"),
+            ("camera-10hz", "from_s = 0.0 ", "from_s = 400.0 ", "score_from_s"),
+            ("camera-10hz", "wheel_radius_m = 0.028", "wheel_radius_m = nan", "wheel_radius_m"),
+            ("kicks", "most_deg = 8.0", "most_deg = 1.0", "exceeds most_deg"),
+            ("wpilib", "[-3.0, 0.0, -90.0]", "[-3.0, inf, -90.0]", "poses_m_deg"),
+            ("wpilib", "[3.0, 0.0, -90.0]", "[0.0, 0.0, 90.0]", "poses 1 and 2"),
+            ("paper-square", "per_s2 = 0.05", "per_s2 = 0", "sigma_m_per_s2"),
+        ] {
+            let (_, text) = SCENARIOS.iter().find(|(known, _)| *known == name).unwrap();
+            assert!(text.contains(from), "{name} has no `{from}`");
+            let message = Scenario::from_toml(&text.replace(from, to)).unwrap_err().to_string();
             assert!(message.contains(reason), "{to}: {message}");
         }
-        let message = changed("kicks", "most_deg = 8.0", "most_deg = 1.0").unwrap_err();
-        assert!(message.to_string().contains("exceeds most_deg"));
-        let message = changed("wpilib", "[-3.0, 0.0, -90.0]", "[-3.0, inf, -90.0]").unwrap_err();
-        assert!(message.to_string().contains("poses_m_deg"));
-        let message = changed("wpilib", "[3.0, 0.0, -90.0]", "[0.0, 0.0, 90.0]").unwrap_err();
-        assert!(message.to_string().contains("poses 1 and 2"), "{message}");
-        let message = changed("paper-square", "per_s2 = 0.05", "per_s2 = 0").unwrap_err();
-        assert!(message.to_string().contains("sigma_m_per_s2"), "{message}");
         let message = Scenario::bundled("camera-5hz").unwrap_err().to_string();
         assert!(message.contains("camera-5hz") && message.contains("paper-square"));
     }

@@ -14,10 +14,11 @@
 //! HiTechnic's pages on gyro, accelerometer and compass (rates, resolutions, ranges). How far motors bend the field and the noise of the
 //! echo: our choice.
 
+use crate::clock::STEP_S;
 use crate::random::RandomStream;
 use crate::robot_body::RobotBody;
 use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario};
-use crate::time_step::STEP_S;
+use crate::sensors::Gyro;
 
 /// Steps between two values of the gyro.
 const GYRO_STEPS: u32 = 3;
@@ -38,7 +39,6 @@ const NO_ECHO: u8 = 255;
 const FARTHEST_CM: f64 = 250.0;
 const STEEPEST_RAD: f64 = 0.8;
 
-/// Everything that can be plugged in.
 #[derive(Clone, Debug)]
 pub(crate) struct PluggedSensors {
     gyro: PluggedGyro,
@@ -52,11 +52,16 @@ pub(crate) struct PluggedSensors {
 }
 
 impl PluggedSensors {
-    /// The sensors of a scenario.
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let stream = |name| RandomStream::new(scenario.seed, name);
         Self {
-            gyro: PluggedGyro::new(scenario.gyro, stream("plugged gyro")),
+            // What a reading is rounded to depends on the brick.
+            gyro: PluggedGyro {
+                gyro: Gyro::new(GyroSettings { quantum_deg_per_s: 0.0, ..scenario.gyro }, stream("plugged gyro")),
+                turned_rad: 0.0,
+                rate_deg_per_s: 0.0,
+                angle_deg: 0.0,
+            },
             accelerometer: PluggedAccelerometer::new(scenario.accelerometer, stream("plugged accelerometer")),
             compass_noise: stream("compass"),
             echo: stream("ultrasonic"),
@@ -83,14 +88,15 @@ impl PluggedSensors {
         self.steps = self.steps.wrapping_add(1);
     }
 
-    /// The gyro shows so much more from here on, until a power cycle.
+    /// Adds to the bias of the gyro, until a power cycle.
     pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
-        self.gyro.bias_deg_per_s += rad_per_s.to_degrees();
+        self.gyro.gyro.step_bias(rad_per_s);
     }
 
-    /// A power cycle: the gyro's integral begins anew and its bias is another.
+    /// A power cycle: the gyro's integral is zero and its bias is drawn again.
     pub(crate) fn restart(&mut self) {
-        self.gyro.power_up();
+        self.gyro.gyro.power_up();
+        self.gyro.angle_deg = 0.0;
     }
 
     /// What the gyro feels, in degrees per second, counter-clockwise positive, bias and noise included.
@@ -132,36 +138,18 @@ impl PluggedSensors {
 
 #[derive(Clone, Debug)]
 struct PluggedGyro {
-    settings: GyroSettings,
-    stream: RandomStream,
-    bias_deg_per_s: f64,
+    gyro: Gyro,
     turned_rad: f64,
     rate_deg_per_s: f64,
     angle_deg: f64,
 }
 
 impl PluggedGyro {
-    fn new(settings: GyroSettings, stream: RandomStream) -> Self {
-        let mut gyro =
-            Self { settings, stream, bias_deg_per_s: 0.0, turned_rad: 0.0, rate_deg_per_s: 0.0, angle_deg: 0.0 };
-        gyro.power_up();
-        gyro
-    }
-
-    fn power_up(&mut self) {
-        self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
-        self.angle_deg = 0.0;
-    }
-
     fn sample(&mut self, turned_rad: f64) {
         let interval_s = f64::from(GYRO_STEPS) * STEP_S;
-        let true_deg_per_s = (turned_rad - self.turned_rad).to_degrees() / interval_s;
+        let turn_deg_per_s = (turned_rad - self.turned_rad).to_degrees() / interval_s;
         self.turned_rad = turned_rad;
-        let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
-        self.bias_deg_per_s += walk * self.stream.normal();
-        let noise = self.settings.sigma_deg_per_s * self.stream.normal();
-        let range = self.settings.range_deg_per_s;
-        self.rate_deg_per_s = (true_deg_per_s + self.bias_deg_per_s + noise).clamp(-range, range);
+        self.rate_deg_per_s = self.gyro.read(turn_deg_per_s, interval_s);
         self.angle_deg += self.rate_deg_per_s * interval_s;
     }
 }
@@ -198,35 +186,23 @@ impl PluggedAccelerometer {
 
 #[cfg(test)]
 mod tests {
-    use posebridge_telemetry::{Heading, Meters, Pose};
-
-    use super::*;
     use crate::scenario::ErrorSettings;
     use crate::wheels::PerWheel;
+    use posebridge_telemetry::{Arena, Heading, Meters, Pose};
 
-    fn exact() -> Scenario {
-        let mut scenario = Scenario {
-            errors: ErrorSettings::none(),
-            gyro: GyroSettings {
-                sigma_deg_per_s: 0.0,
-                bias_sigma_deg_per_s: 0.0,
-                bias_walk_deg_per_s_sqrt_s: 0.0,
-                ..GyroSettings::default()
-            },
-            accelerometer: AccelerometerSettings {
-                sigma_m_per_s2: 0.0,
-                bias_sigma_m_per_s2: 0.0,
-                ..AccelerometerSettings::default()
-            },
-            ..Scenario::default()
-        };
+    use super::*;
+
+    fn felt(start: Pose<Arena>, duty: PerWheel<f64>) -> PluggedSensors {
+        let mut scenario = Scenario { errors: ErrorSettings::none(), ..Scenario::default() };
+        scenario.gyro.sigma_deg_per_s = 0.0;
+        scenario.gyro.bias_sigma_deg_per_s = 0.0;
+        scenario.gyro.bias_walk_deg_per_s_sqrt_s = 0.0;
+        scenario.accelerometer.sigma_m_per_s2 = 0.0;
+        scenario.accelerometer.bias_sigma_m_per_s2 = 0.0;
         scenario.robot.backlash_deg = 0.0;
-        scenario
-    }
-
-    fn felt(scenario: &Scenario, start: Pose<posebridge_telemetry::Arena>, duty: PerWheel<f64>) -> PluggedSensors {
-        let mut body = RobotBody::new(scenario, start);
-        let mut senses = PluggedSensors::new(scenario);
+        scenario.brick.wall_x_m = Some(1.0);
+        let mut body = RobotBody::new(&scenario, start);
+        let mut senses = PluggedSensors::new(&scenario);
         for _ in 0..1_000 {
             body.step(duty);
             senses.step(&body, 0.0);
@@ -236,28 +212,27 @@ mod tests {
 
     #[test]
     fn a_left_turn_is_positive_for_gyro_and_accelerometer_and_negative_for_the_compass() {
-        let duty = PerWheel { left: 0.2, right: 0.4 };
-        let senses = felt(&exact(), Pose::default(), duty);
+        let senses = felt(Pose::default(), PerWheel { left: 0.2, right: 0.4 });
         // 1.6 V between the wheels is 3.3 rad/s of rotation: 28 mm / 112 mm of that turns the body.
         assert!((senses.rate_deg_per_s() - 47.0).abs() < 1.5, "{senses:?}");
         assert!((senses.angle_deg() - 42.0).abs() < 3.0, "{senses:?}");
-        let [forward, left, up] = senses.acceleration_counts();
         // v w = 0.12 m/s times 0.82 rad/s is 2 counts.
-        assert_eq!((forward, left, up), (0, 2, 200));
+        assert_eq!(senses.acceleration_counts(), [0, 2, 200]);
         assert!((30..60).contains(&senses.compass_deg()), "{senses:?}");
     }
 
     #[test]
     fn the_wall_ahead_is_seen_and_the_one_behind_or_beside_is_not() {
-        let mut scenario = exact();
-        scenario.brick.wall_x_m = Some(1.0);
-        let at = |heading_deg: f64| {
-            let heading = Heading::from_rad(heading_deg.to_radians());
-            let start = Pose::new(Meters(0.4), Meters(0.0), heading);
-            felt(&scenario, start, PerWheel::default()).range_cm()
-        };
-        assert!((59..=61).contains(&at(0.0)), "{}", at(0.0));
-        assert!((83..=87).contains(&at(45.0)), "{}", at(45.0));
-        assert_eq!((at(90.0), at(180.0)), (NO_ECHO, NO_ECHO));
+        for (heading_deg, expected) in [
+            (0.0_f64, 59..=61),
+            (45.0, 83..=87),
+            (60.0, NO_ECHO..=NO_ECHO),
+            (90.0, NO_ECHO..=NO_ECHO),
+            (180.0, NO_ECHO..=NO_ECHO),
+        ] {
+            let start = Pose::new(Meters(0.4), Meters(0.0), Heading::from_rad(heading_deg.to_radians()));
+            let range_cm = felt(start, PerWheel::default()).range_cm();
+            assert!(expected.contains(&range_cm), "{heading_deg} degrees: {range_cm}");
+        }
     }
 }

@@ -3,7 +3,8 @@
 use posebridge_telemetry::{Arena, Heading, Meters, Pose};
 use serde::Deserialize;
 
-use super::checks;
+use super::loading;
+use crate::checks;
 
 /// The shape of the path. It begins at its own origin and leaves along x; [`StartPose`] puts it into the arena.
 /// Way-points are an exception: they are taken as they are, relative to the start pose.
@@ -12,32 +13,27 @@ use super::checks;
 pub enum Course {
     /// Straight sides with turns in place; closed.
     Square {
-        /// Length of a side, in metres.
         #[serde(default = "default_side", deserialize_with = "checks::positive")]
         side_m: f64,
-        /// Which way round.
         #[serde(default)]
         direction: Direction,
     },
     /// A circle without a stop; closed.
     Circle {
-        /// Its radius, in metres.
         #[serde(default = "default_radius", deserialize_with = "checks::positive")]
         radius_m: f64,
-        /// Which way round.
         #[serde(default)]
         direction: Direction,
     },
     /// Two circles, the left one first, without a stop; closed.
     FigureEight {
-        /// Radius of each circle, in metres.
         #[serde(default = "default_radius", deserialize_with = "checks::positive")]
         radius_m: f64,
     },
     /// Straight legs between points, with turns in place. Further laps begin with a leg back to the first point.
     Waypoints {
         /// At least two points (x, y), in metres. A scenario may name a file instead, see [`super::Scenario::from_toml_with`].
-        #[serde(deserialize_with = "checks::waypoints")]
+        #[serde(deserialize_with = "loading::waypoints")]
         points_m: Vec<[f64; 2]>,
     },
 }
@@ -93,7 +89,6 @@ pub struct StartPose {
 }
 
 impl StartPose {
-    /// The same as a pose.
     pub(crate) fn pose(self) -> Pose<Arena> {
         Pose::new(Meters(self.x_m), Meters(self.y_m), Heading::from_rad(self.heading_deg.to_radians()))
     }

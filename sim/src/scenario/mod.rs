@@ -3,16 +3,11 @@
 //! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulator.md` holds
 //! the table of keys with the sources of the defaults. Reading files is the caller's business.
 
-mod bundled;
-pub(crate) mod checks;
 mod course;
-mod error;
-mod personality;
+mod loading;
 mod robot;
 mod sensors;
 mod side_by_side;
-mod thermometer;
-mod waypoints;
 
 use std::io;
 use std::path::Path;
@@ -20,15 +15,29 @@ use std::path::Path;
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 use serde::Deserialize;
 
-use crate::bundled::text_of;
+use crate::checks;
+use crate::config_file::bundled_text;
 
-pub use bundled::BUNDLED;
 pub use course::{Course, Direction, DriveEnd, DriveSettings, StartPose};
-pub use error::ScenarioError;
-pub use personality::{BrickProgram, Personality, PortSensor};
-pub use robot::{BrickSettings, ErrorSettings, MissingSensor, MotorSettings, RobotSettings, Wire};
-pub use sensors::{AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings};
-pub use thermometer::ThermometerSettings;
+pub use loading::ScenarioError;
+pub use robot::{
+    BrickProgram, BrickSettings, ErrorSettings, MissingSensor, MotorSettings, Personality, PortSensor, RobotSettings,
+    Wire,
+};
+pub use sensors::{
+    AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings, ThermometerSettings,
+};
+
+/// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/` and a line here.
+pub const BUNDLED: &[(&str, &str)] = &[
+    ("square", include_str!("../../../config/scenarios/square.toml")),
+    ("circle", include_str!("../../../config/scenarios/circle.toml")),
+    ("figure-eight", include_str!("../../../config/scenarios/figure-eight.toml")),
+    ("waypoints", include_str!("../../../config/scenarios/waypoints.toml")),
+    ("straight", include_str!("../../../config/scenarios/straight.toml")),
+    ("rough", include_str!("../../../config/scenarios/rough.toml")),
+    ("thermometer", include_str!("../../../config/scenarios/thermometer.toml")),
+];
 
 /// What the brick steers by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -45,9 +54,7 @@ pub enum Steering {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scenario {
-    /// The one seed of all randomness.
     pub seed: u64,
-    /// What the brick steers by.
     pub steering: Steering,
     /// The path, in its own space; [`StartPose`] places it in the arena.
     pub path: Course,
@@ -59,50 +66,35 @@ pub struct Scenario {
     pub robot: RobotSettings,
     /// How the real robot differs from that.
     pub errors: ErrorSettings,
-    /// The gyro.
     pub gyro: GyroSettings,
-    /// The accelerometers at the wheels.
     pub accelerometer: AccelerometerSettings,
     /// The brick's clock and telemetry.
     pub brick: BrickSettings,
-    /// The overhead camera.
     pub camera: CameraSettings,
     /// A thermometer on the brick, if there is one.
-    #[serde(deserialize_with = "thermometer::checked")]
+    #[serde(deserialize_with = "sensors::thermometer")]
     pub thermometer: Option<ThermometerSettings>,
 }
 
 impl Scenario {
-    /// Reads a scenario from TOML that names no other file; its way-points stand in `points_m`.
-    ///
-    /// # Errors
-    /// [`ScenarioError::Toml`] and [`ScenarioError::Waypoints`] name the line and the key that is unknown, missing, of the wrong
-    /// type or out of its range; [`ScenarioError::WaypointsUnread`] says that a `file` of way-points cannot be had from here.
+    /// Reads a scenario from TOML that names no other file; its way-points stand in `points_m`. An error names the line and the key
+    /// that is unknown, missing, of the wrong type or out of its range.
     pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
         Self::from_toml_with(text, &mut |_| Err(io::Error::other(TEXT_ALONE)))
     }
 
     /// Reads a scenario from TOML, whose `[path.waypoints]` may name a `file` of lines `x_m,y_m`. `read` is given that path as it
     /// is written, so that the caller decides what it is relative to, and is called at most once. The scenario holds the points.
-    ///
-    /// # Errors
-    /// As for [`Self::from_toml`]; [`ScenarioError::WaypointsUnread`] if `read` fails, [`ScenarioError::WaypointsFile`] with the
-    /// line of the file that is no way-point, or out of range, or one too few or too many.
     pub fn from_toml_with(
         text: &str,
         read: &mut dyn FnMut(&Path) -> io::Result<String>,
     ) -> Result<Self, ScenarioError> {
-        waypoints::parse_with_file(text, read)
+        loading::parse_with_file(text, read)
     }
 
-    /// The bundled scenario of this name, if there is one.
-    ///
-    /// # Errors
-    /// [`ScenarioError::UnknownName`] lists the names that exist.
+    /// The bundled scenario of this name. An error lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
-        let text =
-            text_of(BUNDLED, name).map_err(|known| ScenarioError::UnknownName { name: name.to_owned(), known })?;
-        Self::from_toml(text)
+        Self::from_toml(bundled_text("bundled scenario", BUNDLED, name, |names| names)?)
     }
 
     /// The same scenario under another seed.
@@ -167,7 +159,6 @@ impl Scenario {
 /// One encoder count: NXT and EV3 motors resolve one degree of the output shaft.
 pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
-/// Why a scenario without files beside it cannot have one.
 const TEXT_ALONE: &str = "this scenario is read without files beside it; write the points into points_m";
 
 #[cfg(test)]
@@ -175,38 +166,46 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_empty_text_is_the_default_scenario() {
-        assert_eq!(Scenario::from_toml("").expect("defaults"), Scenario::default());
-    }
-
-    #[test]
-    fn every_bundled_scenario_reads() {
+    fn defaults_bundled_scenarios_and_names_read() {
+        assert_eq!(Scenario::from_toml("").unwrap(), Scenario::default());
         for (name, text) in BUNDLED {
-            let read = Scenario::from_toml(text);
-            assert!(read.is_ok(), "{name}: {read:?}");
+            assert!(Scenario::from_toml(text).is_ok(), "{name}: {:?}", Scenario::from_toml(text));
         }
-    }
-
-    #[test]
-    fn an_unknown_bundled_name_lists_the_known_ones() {
-        let message = Scenario::bundled("triangle").expect_err("there is no triangle").to_string();
+        let message = Scenario::bundled("triangle").unwrap_err().to_string();
         assert!(message.contains("triangle") && message.contains("figure-eight"), "{message}");
+        assert_eq!(Scenario::default().thermometer, None);
+        let dipped = Scenario::from_toml("[thermometer]\nafter_c = 48.7\n").unwrap();
+        assert_eq!(dipped.thermometer.unwrap().after_c, 48.7);
     }
 
     #[test]
     fn errors_name_the_line_and_the_key() {
-        let cases = [
-            ("seed = 1\nspeling = 3\n", "line 2", "speling"),
-            ("[robot]\n\ntrack_width_m = -0.1\n", "line 3", "track_width_m"),
-            ("[camera]\nrate_hz = \"fast\"\n", "line 2", "rate_hz"),
-            ("[path.square]\nside_m = nan\n", "line 2", "side_m"),
-            ("[path.waypoints]\npoints_m = [[0, 0]]\n", "line 2", "points_m"),
-            ("[path.spiral]\n", "line 1", "spiral"),
-        ];
-        for (text, line, key) in cases {
-            let message = Scenario::from_toml(text).expect_err("the text is wrong").to_string();
-            assert!(message.contains(line), "{message} lacks {line}");
-            assert!(message.contains(key), "{message} lacks {key}");
+        for (text, line, key) in [
+            ("seed = 1\nspeling = 3\n", 2, "speling"),
+            ("[robot]\n\ntrack_width_m = -0.1\n", 3, "track_width_m"),
+            ("[camera]\nrate_hz = \"fast\"\n", 2, "rate_hz"),
+            ("[path.square]\nside_m = nan\n", 2, "side_m"),
+            ("[path.waypoints]\npoints_m = [[0, 0]]\n", 2, "points_m"),
+            ("[path.spiral]\n", 1, "spiral"),
+            ("[drive]\nlaps = 10001\n", 2, "laps"),
+            ("[brick]\nsystem = 251\n", 2, "system"),
+            ("[brick]\nclock_start_micros = 281474976710656\n", 2, "2^48"),
+            ("[brick]\nclock_tick_micros = 0\n", 2, "tick"),
+            ("[brick]\ntelegram_bytes = 129\n", 2, "telegram"),
+            ("[thermometer]\nchannel = \"water\"\n", 2, "temp"),
+            ("[thermometer]\nchannel = \"temperature1\"\n", 2, "temp"),
+            ("[thermometer]\nlags_s = []\n", 2, "time constants"),
+            ("[thermometer]\nlags_s = [0.0, 3.0]\n", 2, "time constants"),
+            ("[thermometer]\nshares = [0.5, 0.6]\n", 2, "sum up to 1"),
+            ("[thermometer]\nlags_s = [3.0]\n", 1, "one share for each lag"),
+            ("[thermometer]\nafter_c = -300.0\n", 2, "after_c"),
+            ("[thermometer]\nlag_s = 3.0\n", 2, "lag_s"),
+        ] {
+            let message = Scenario::from_toml(text).unwrap_err().to_string();
+            assert!(
+                message.contains(&format!("line {line}")) && message.contains(key),
+                "{message} lacks line {line} or {key}"
+            );
         }
     }
 }

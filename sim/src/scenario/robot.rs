@@ -1,18 +1,14 @@
-//! The robot as its brick is configured, how the real one differs, and the brick itself.
+//! The robot as its brick is configured, how the real one differs, and the brick itself: clock, protocol, program, plugged sensors.
 
 use posebridge_telemetry::{Address, SystemId, TimeDelta};
 use serde::Deserialize;
 
-use super::checks;
-use super::personality::{BrickProgram, Personality, PortSensor};
-use crate::clock::ClockSettings;
-use crate::motor::MotorConstants;
+use crate::checks;
 
 /// The robot as its brick is configured. Defaults: a LEGO NXT on 56 mm wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotSettings {
-    /// Radius of both wheels, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
     /// Distance between the wheels, in metres.
@@ -24,13 +20,11 @@ pub struct RobotSettings {
     /// Play between each encoder and its wheel, in degrees in all.
     #[serde(deserialize_with = "checks::non_negative")]
     pub backlash_deg: f64,
-    /// The battery at the beginning, in volts.
     #[serde(deserialize_with = "checks::positive")]
     pub battery_v: f64,
     /// How fast it runs down, in volts per minute; it stays at 5 V or above.
     #[serde(deserialize_with = "checks::non_negative")]
     pub battery_drop_v_per_min: f64,
-    /// Both motors.
     pub motor: MotorSettings,
 }
 
@@ -74,14 +68,9 @@ impl Default for MotorSettings {
 }
 
 impl MotorSettings {
-    /// The motor's constants with what it has to move besides itself, in kg m² at the output shaft.
-    pub(crate) fn constants(&self, load_kg_m2: f64) -> MotorConstants {
-        MotorConstants {
-            torque_n_m_per_v: self.torque_n_m_per_v,
-            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad,
-            inertia_kg_m2: self.inertia_kg_m2 + load_kg_m2,
-            friction_n_m: self.friction_n_m,
-        }
+    /// With what the motor has to move besides itself, in kg m² at the output shaft.
+    pub(crate) fn time_constant_s(&self, load_kg_m2: f64) -> f64 {
+        (self.inertia_kg_m2 + load_kg_m2) / (self.torque_n_m_per_v * self.back_emf_v_s_per_rad)
     }
 }
 
@@ -185,7 +174,6 @@ pub struct BrickSettings {
     /// How often wheels and inertial sensors are sent, in hertz, unless the station asks for something else.
     #[serde(deserialize_with = "checks::rate_hz")]
     pub telemetry_hz: f64,
-    /// In which messages.
     pub wire: Wire,
     /// The MAVLink system id of brick and camera.
     #[serde(deserialize_with = "checks::vehicle_system")]
@@ -196,7 +184,6 @@ pub struct BrickSettings {
     /// The clock's rate minus one, in parts per million; positive runs fast.
     #[serde(deserialize_with = "checks::skew_ppm")]
     pub clock_skew_ppm: f64,
-    /// The clock's resolution, in microseconds.
     #[serde(deserialize_with = "checks::tick_micros")]
     pub clock_tick_micros: u32,
     /// The protocol of its link.
@@ -204,12 +191,12 @@ pub struct BrickSettings {
     /// What runs on it from the beginning.
     pub program: BrickProgram,
     /// Interval in seconds after which the program is stopped and started again: a LEGO brick then zeroes its counters. Without it never.
-    #[serde(deserialize_with = "checks::optional_seconds")]
+    #[serde(deserialize_with = "checks::restart_interval_s")]
     pub program_restart_s: Option<f64>,
     /// What an EV3 does that is to set up a sensor that is not there.
     pub missing_sensor: MissingSensor,
     /// Time that the radio of an NXT or EV3 needs to turn from receiving to sending, in milliseconds; without it that of the personality.
-    #[serde(deserialize_with = "checks::optional_millis")]
+    #[serde(deserialize_with = "checks::turn_around_ms")]
     pub turn_around_ms: Option<f64>,
     /// Longest telegram that an NXT's firmware takes and sends, in bytes; 64 for old ones.
     #[serde(deserialize_with = "checks::telegram_bytes")]
@@ -249,17 +236,75 @@ impl BrickSettings {
         TimeDelta::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
     }
 
-    /// The address of a component of the brick's system.
     pub fn address_of(&self, component: Address) -> Address {
         Address { system: SystemId(self.system), ..component }
     }
+}
 
-    /// The clock alone.
-    pub(crate) const fn clock(&self) -> ClockSettings {
-        ClockSettings {
-            start_micros: self.clock_start_micros,
-            skew_ppm: self.clock_skew_ppm,
-            tick_micros: self.clock_tick_micros,
+/// The protocol of a brick's link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Personality {
+    /// MAVLink 2, together with the camera on one link.
+    #[default]
+    Mavlink,
+    /// The telegrams of an unmodified LEGO NXT, which answers and never sends first. The camera has a link of its own.
+    Nxt,
+    /// A LEGO NXT whose program pushes a compact MAVLink frame in each telegram. The camera has a link of its own.
+    NxtPush,
+    /// The direct and system commands of an unmodified LEGO EV3. The camera has a link of its own.
+    Ev3,
+}
+
+impl Personality {
+    /// Whether brick and camera use the same protocol on one link.
+    pub const fn shares_link_with_camera(self) -> bool {
+        matches!(self, Self::Mavlink)
+    }
+
+    /// What its radio usually needs to turn around, in milliseconds.
+    pub(crate) const fn turn_around_ms(self) -> f64 {
+        match self {
+            Self::Mavlink => 0.0,
+            // LEGO's own figure for the Bluetooth chip of the NXT, which the RWTH Aachen toolbox waits for.
+            Self::Nxt | Self::NxtPush => 30.0,
+            // No trustworthy figure is published; ours, from the 20 to 60 ms that people report.
+            Self::Ev3 => 20.0,
         }
     }
+}
+
+/// What runs on an NXT or EV3 from the beginning. A MAVLink brick without its program would be mute, so it always runs there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BrickProgram {
+    /// A program that drives the scenario's path and takes the estimate out of its mailbox.
+    #[default]
+    Path,
+    /// None: motors turn only when the station says so.
+    None,
+}
+
+/// A sensor in a port of the NXT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PortSensor {
+    /// Nothing.
+    #[default]
+    None,
+    /// HiTechnic gyro, analog.
+    Gyro,
+    /// HiTechnic accelerometer, on I2C.
+    Accelerometer,
+    /// HiTechnic compass, on I2C.
+    Compass,
+    /// LEGO ultrasonic sensor, on I2C.
+    Ultrasonic,
+    /// LEGO temperature sensor 9749, on I2C.
+    Temperature,
+}
+
+impl PortSensor {
+    /// What is plugged in unless the scenario says otherwise.
+    pub(crate) const USUAL: [Self; 4] = [Self::Gyro, Self::Accelerometer, Self::Compass, Self::Ultrasonic];
 }

@@ -1,9 +1,9 @@
-//! The inertial sensors on board and the camera overhead.
+//! The inertial sensors and the thermometer on board, and the camera overhead.
 
 use serde::Deserialize;
+use serde::de::{Deserializer, Error};
 
-use super::checks;
-use crate::clock::ClockSettings;
+use crate::checks;
 
 /// The gyro. Defaults: the HiTechnic gyro behind a brick that averages over the telemetry interval.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -101,7 +101,6 @@ pub struct CameraSettings {
     pub is_present: bool,
     /// When it takes images.
     pub images: CameraImages,
-    /// Images per second.
     #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
     /// Standard deviation of the position, each axis, in metres.
@@ -176,9 +175,112 @@ impl Default for CameraSettings {
     }
 }
 
-impl CameraSettings {
-    /// The camera's clock, which resolves microseconds.
-    pub(crate) const fn clock(&self) -> ClockSettings {
-        ClockSettings { start_micros: self.clock_start_micros, skew_ppm: self.clock_skew_ppm, tick_micros: 1 }
+/// Its lags, its noise, its baths. Defaults: a DS18B20 in its sleeve, read four times a second.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ThermometerSettings {
+    /// In which message it is sent: `scaled_pressure`, or the name of a NAMED_VALUE_FLOAT, which begins with `temp`.
+    #[serde(deserialize_with = "channel")]
+    pub channel: String,
+    /// How often it is read and sent, in hertz.
+    #[serde(deserialize_with = "checks::rate_hz")]
+    pub rate_hz: f64,
+    /// Time constants, in seconds.
+    #[serde(deserialize_with = "lags")]
+    pub lags_s: Vec<f64>,
+    /// The share of the step that each lag takes; they sum up to 1.
+    #[serde(deserialize_with = "shares")]
+    pub shares: Vec<f64>,
+    /// White noise of a reading, one standard deviation, in kelvin.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub sigma_k: f64,
+    /// The step between two values that it can show, in kelvin; 0 if fine.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub resolution_k: f64,
+    /// The bath in which it has rested, in degrees Celsius.
+    #[serde(deserialize_with = "checks::degrees_c")]
+    pub before_c: f64,
+    /// The bath into which it is dipped, in degrees Celsius.
+    #[serde(deserialize_with = "checks::degrees_c")]
+    pub after_c: f64,
+    /// When, in seconds of world time.
+    #[serde(deserialize_with = "checks::non_negative")]
+    pub dipped_at_s: f64,
+}
+
+impl Default for ThermometerSettings {
+    /// The lags are what `posebridge lab thermometer` finds in recordings of three of them, the step is that of the data sheet.
+    fn default() -> Self {
+        Self {
+            channel: SCALED_PRESSURE.to_owned(),
+            rate_hz: 4.0,
+            lags_s: vec![5.3, 22.0],
+            shares: vec![0.3, 0.7],
+            sigma_k: 0.03,
+            resolution_k: 0.0625,
+            before_c: 20.0,
+            after_c: 60.0,
+            dipped_at_s: 10.0,
+        }
+    }
+}
+
+impl ThermometerSettings {
+    /// Whether it is sent in SCALED_PRESSURE and not as a named value.
+    pub(crate) fn is_scaled_pressure(&self) -> bool {
+        self.channel == SCALED_PRESSURE
+    }
+}
+
+/// The name of the channel that has none on the wire.
+const SCALED_PRESSURE: &str = "scaled_pressure";
+/// Bytes of NAMED_VALUE_FLOAT.name (common.xml).
+const LONGEST_NAME: usize = 10;
+/// Most lags; enough for any sensor.
+const MOST_LAGS: usize = 4;
+
+fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let channel = String::deserialize(deserializer)?;
+    let is_printable = channel.bytes().all(|byte| byte.is_ascii_graphic());
+    let is_name = channel.starts_with("temp") && channel.len() <= LONGEST_NAME && is_printable;
+    if is_name || channel == SCALED_PRESSURE {
+        Ok(channel)
+    } else {
+        Err(D::Error::custom(format!(
+            "a thermometer is sent as {SCALED_PRESSURE} or under a name of at most {LONGEST_NAME} printable characters that begins \
+             with temp, not as {channel:?}"
+        )))
+    }
+}
+
+fn lags<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+    let lags_s = Vec::<f64>::deserialize(deserializer)?;
+    let are_sound = lags_s.iter().all(|tau_s| (1e-3..=1e5).contains(tau_s));
+    if are_sound && (1..=MOST_LAGS).contains(&lags_s.len()) {
+        Ok(lags_s)
+    } else {
+        Err(D::Error::custom(format!(
+            "{lags_s:?} are no time constants; give 1 to {MOST_LAGS} numbers from 0.001 to 100000 seconds"
+        )))
+    }
+}
+
+fn shares<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+    let shares = Vec::<f64>::deserialize(deserializer)?;
+    let sum: f64 = shares.iter().sum();
+    if (sum - 1.0).abs() < 1e-9 {
+        Ok(shares)
+    } else {
+        Err(D::Error::custom(format!("the shares {shares:?} sum up to {sum}; they must sum up to 1")))
+    }
+}
+
+pub(super) fn thermometer<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ThermometerSettings>, D::Error> {
+    let settings = ThermometerSettings::deserialize(deserializer)?;
+    let (lags, shares) = (settings.lags_s.len(), settings.shares.len());
+    if lags == shares {
+        Ok(Some(settings))
+    } else {
+        Err(D::Error::custom(format!("there are {lags} lags_s and {shares} shares; give one share for each lag")))
     }
 }

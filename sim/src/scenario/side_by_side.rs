@@ -1,6 +1,7 @@
 //! One scenario for several robots, side by side in one arena.
 
-use super::{Scenario, ScenarioError, checks};
+use super::{Scenario, ScenarioError};
+use crate::checks;
 use crate::path::Path;
 
 /// Robots and cameras are switched on one after the other: each clock is ahead of the one before by this, in microseconds.
@@ -69,25 +70,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn robots_differ_in_system_seed_and_place_and_the_first_is_the_scenario() {
+    fn robots_differ_in_system_seed_clock_wheels_and_place_and_the_first_is_the_scenario() {
         let scenario = Scenario::default().with_seed(7);
         let robots = scenario.side_by_side(5).unwrap();
         assert_eq!(robots[0], scenario);
-        let systems: Vec<u8> = robots.iter().map(|robot| robot.brick.system).collect();
-        assert_eq!(systems, [1, 2, 3, 4, 5]);
-        let seeds: Vec<u64> = robots.iter().map(|robot| robot.seed).collect();
-        assert_eq!(seeds, [7, 8, 9, 10, 11]);
-        let clocks: Vec<u64> = robots.iter().map(|robot| robot.brick.clock_start_micros).collect();
-        assert!(clocks.windows(2).all(|pair| pair[0] < pair[1]), "{clocks:?}");
+        // A square of one metre, three in a row.
+        let places = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
+        for ((index, robot), (x_m, y_m)) in (0_u8..).zip(&robots).zip(places) {
+            assert_eq!((robot.brick.system, robot.seed), (1 + index, 7 + u64::from(index)));
+            assert!((robot.start.x_m - x_m).hypot(robot.start.y_m - y_m) < 1e-9, "{:?}", robot.start);
+        }
+        assert!(robots.is_sorted_by(|one, next| one.brick.clock_start_micros < next.brick.clock_start_micros));
         let mut radii: Vec<f64> = robots.iter().map(|robot| robot.errors.radius_error).collect();
         radii.sort_by(f64::total_cmp);
         assert!(radii.windows(2).all(|pair| pair[1] - pair[0] > 1e-4), "{radii:?}");
-        // A square of one metre, three in a row.
-        let expected = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
-        for (robot, (x_m, y_m)) in robots.iter().zip(expected) {
-            let start = robot.start;
-            assert!((start.x_m - x_m).hypot(start.y_m - y_m) < 1e-9, "{start:?}");
-        }
     }
 
     #[test]

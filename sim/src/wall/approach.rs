@@ -1,13 +1,22 @@
-//! The approach with the estimator on board.
+//! The approach to the wall, with the estimator on board or on the other side of a link.
+//!
+//! Over a link the brick sends its readings and commands and steers by the replies: a distance and a speed at an instant of its
+//! own clock, which it extrapolates linearly to now. The frames stand for what a brick of this class would say in a protocol
+//! of its own; no other program speaks it:
+//!
+//! ```text
+//! 0xA7 | kind | time, first and second value: three f64, little endian | CRC-16/MCRF4XX of kind and values, little endian
+//! ```
 
-use super::car::{Car, ControlPeriods};
-use super::pid::Pid;
-use super::ranger::{RangeEstimate, RangeReading, Ranger};
-use super::scene::{Gains, WallScene};
+use posebridge_protocol::framing::checksum;
+use posebridge_telemetry::{HostClock, Timestamp};
+
+use super::car::{Car, ControlPeriods, Pid, RangeEstimate, RangeReading, Ranger};
+use super::scene::{Gains, HostSettings, WallScene};
+use crate::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
 
 /// Makes a distance out of readings and commands. All times are the brick's, in seconds.
 pub trait DistanceEstimator {
-    /// Takes a reading.
     fn on_reading(&mut self, reading: RangeReading);
     /// Takes the PWM that holds from an instant on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
@@ -18,7 +27,6 @@ pub trait DistanceEstimator {
 /// How an approach is driven; the scene says the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachTask {
-    /// The controller's gains.
     pub gains: Gains,
     /// Largest PWM, either way.
     pub max_pwm: f64,
@@ -31,11 +39,9 @@ pub struct ApproachTask {
 pub struct ApproachSample {
     /// When, in the brick's seconds.
     pub at_s: f64,
-    /// The true distance, in metres.
     pub distance_m: f64,
     /// The true speed towards the wall, in m/s.
     pub towards_m_per_s: f64,
-    /// The estimate.
     pub estimate: Option<RangeEstimate>,
     /// The PWM from then on.
     pub pwm: f64,
@@ -46,7 +52,6 @@ pub struct ApproachSample {
 pub struct Approach {
     /// Every turn of the loop; the last is the one at which the car stood, if it did.
     pub samples: Vec<ApproachSample>,
-    /// The sensor's reading.
     pub readings: Vec<RangeReading>,
     /// True distance and time at which the car first stood after it had driven; `None` if it did not.
     pub stop: Option<StopPoint>,
@@ -66,11 +71,9 @@ pub fn approach(scene: &WallScene, task: &ApproachTask, estimator: &mut dyn Dist
     drive(scene, task, &mut OnboardLoop(estimator))
 }
 
-/// What the loop asks at each turn.
 pub(super) trait ControlLoop {
     /// Takes the reading of this turn, if there is one, and returns the present estimate.
     fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate>;
-    /// Takes the PWM from this turn on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
 }
 
@@ -89,8 +92,7 @@ impl ControlLoop for OnboardLoop<'_> {
     }
 }
 
-/// The loop on board.
-pub(super) fn drive(scene: &WallScene, task: &ApproachTask, brain: &mut dyn ControlLoop) -> Approach {
+pub(super) fn drive(scene: &WallScene, task: &ApproachTask, control: &mut dyn ControlLoop) -> Approach {
     let settings = &scene.approach;
     let mut car = Car::new(&scene.car, settings.start_m);
     let mut ticks = ControlPeriods::new(scene.control, scene.seed, task.run);
@@ -102,30 +104,233 @@ pub(super) fn drive(scene: &WallScene, task: &ApproachTask, brain: &mut dyn Cont
         integral_most_m_s: settings.integral_most_m_s,
         integral_m_s: 0.0,
     };
-    let mut left = Approach::default();
+    let mut run = Approach::default();
     let (mut at_s, mut dt_s, mut has_driven) = (0.0, 0.0, false);
-    while at_s < settings.longest_s && left.stop.is_none() {
+    while at_s < settings.longest_s && run.stop.is_none() {
         let reading = ranger.read(at_s, car.distance_m);
-        left.readings.extend(reading);
-        let believed = brain.step(at_s, reading);
-        let pwm = believed.map_or(0.0, |believed| pid.steer(believed, dt_s));
-        brain.on_command(at_s, pwm);
-        left.samples.push(ApproachSample {
+        run.readings.extend(reading);
+        let estimate = control.step(at_s, reading);
+        let pwm = estimate.map_or(0.0, |estimate| pid.steer(estimate, dt_s));
+        control.on_command(at_s, pwm);
+        run.samples.push(ApproachSample {
             at_s,
             distance_m: car.distance_m,
             towards_m_per_s: car.towards_m_per_s,
-            estimate: believed,
+            estimate,
             pwm,
         });
         has_driven |= car.towards_m_per_s > 2.0 * settings.still_m_per_s;
         if has_driven && car.towards_m_per_s <= settings.still_m_per_s {
-            left.stop = Some(StopPoint { at_s, distance_m: car.distance_m });
+            run.stop = Some(StopPoint { at_s, distance_m: car.distance_m });
         }
         dt_s = ticks.next_s();
         car.drive(pwm, dt_s);
         at_s += dt_s;
     }
-    left
+    run
+}
+
+/// The link to the host.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HostLink {
+    pub profile: LinkProfile,
+    /// Seed of its randomness; that of the world is the scene's.
+    pub seed: u64,
+}
+
+/// Drives up to the wall by an estimator on the other side of a link.
+pub fn approach_over_link(
+    scene: &WallScene,
+    task: &ApproachTask,
+    link: &HostLink,
+    estimator: &mut dyn DistanceEstimator,
+) -> Approach {
+    let mut control = RemoteLoop {
+        estimator,
+        settings: scene.host,
+        link: ImpairedLink::new(&link.profile, link.seed, Timestamp::ZERO),
+        at_station: WallFramer::default(),
+        at_brick: WallFramer::default(),
+        last_estimate: None,
+        unsent_commands: Vec::new(),
+    };
+    drive(scene, task, &mut control)
+}
+
+struct RemoteLoop<'a> {
+    estimator: &'a mut dyn DistanceEstimator,
+    settings: HostSettings,
+    link: ImpairedLink,
+    at_station: WallFramer,
+    at_brick: WallFramer,
+    /// The newest estimate that the brick has, with its timestamp.
+    last_estimate: Option<(f64, RangeEstimate)>,
+    /// The commands that were not sent yet, with their instants.
+    unsent_commands: Vec<(f64, f64)>,
+}
+
+fn time_from_secs(at_s: f64) -> Timestamp<HostClock> {
+    Timestamp::from_secs_f64(at_s)
+}
+
+impl RemoteLoop<'_> {
+    /// Lets the link do what it does until `at_s`, each thing at its instant.
+    fn advance_to(&mut self, at_s: f64) {
+        let now = time_from_secs(at_s);
+        while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
+            while let Some(event) = self.link.poll(at) {
+                match event {
+                    ImpairedLinkEvent::Arrived { end, delivery } => match end {
+                        LinkEnd::Station => self.at_host(delivery.at, &delivery.bytes),
+                        LinkEnd::Brick => self.at_brick(&delivery.bytes),
+                    },
+                    ImpairedLinkEvent::Down { .. } | ImpairedLinkEvent::Up { .. } => {}
+                }
+            }
+        }
+    }
+
+    fn at_host(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) {
+        for frame in self.at_station.push(bytes) {
+            let of_s = match frame {
+                WallFrame::Reading(at_s, range_m) => {
+                    self.estimator.on_reading(RangeReading { at_s, range_m });
+                    at_s
+                }
+                WallFrame::Command(at_s, pwm) => {
+                    self.estimator.on_command(at_s, pwm);
+                    at_s
+                }
+                WallFrame::Estimate(..) => continue,
+            };
+            if let Some(estimate) = self.estimator.estimate_at(of_s) {
+                let answer = WallFrame::Estimate(of_s, estimate.distance_m, estimate.towards_m_per_s);
+                self.link.offer(LinkEnd::Station, now, &answer.encode());
+            }
+        }
+    }
+
+    fn at_brick(&mut self, bytes: &[u8]) {
+        for frame in self.at_brick.push(bytes) {
+            let WallFrame::Estimate(of_s, distance_m, towards_m_per_s) = frame else {
+                continue;
+            };
+            // Of two estimates of one instant the later one knows more.
+            if self.last_estimate.is_none_or(|(newest_s, _)| newest_s <= of_s) {
+                let estimate = RangeEstimate { distance_m, towards_m_per_s };
+                self.last_estimate = Some((of_s, estimate));
+            }
+        }
+    }
+
+    fn send(&mut self, at_s: f64, frame: WallFrame) {
+        self.link.offer(LinkEnd::Brick, time_from_secs(at_s), &frame.encode());
+        self.advance_to(at_s);
+    }
+}
+
+impl ControlLoop for RemoteLoop<'_> {
+    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate> {
+        self.advance_to(at_s);
+        if let Some(reading) = reading {
+            self.send(at_s, WallFrame::Reading(reading.at_s, reading.range_m));
+        }
+        let (of_s, estimate) = self.last_estimate?;
+        let age_s = at_s - of_s;
+        (age_s <= self.settings.stale_after_s)
+            .then_some(RangeEstimate { distance_m: estimate.distance_m - estimate.towards_m_per_s * age_s, ..estimate })
+    }
+
+    fn on_command(&mut self, at_s: f64, pwm: f64) {
+        self.unsent_commands.push((at_s, pwm));
+        if self.unsent_commands.len() < self.settings.report_every as usize {
+            return;
+        }
+        let mean_pwm = self.unsent_commands.iter().map(|(_, pwm)| pwm).sum::<f64>() / self.unsent_commands.len() as f64;
+        self.unsent_commands.clear();
+        // Sent at their end, as the command from now on: the mean of the next ones is not known yet.
+        self.send(at_s, WallFrame::Command(at_s, mean_pwm));
+    }
+}
+
+const START: u8 = 0xa7;
+const LENGTH: usize = 28;
+/// What the checksum begins with, beside the bytes: none of a real dialect.
+const EXTRA: u8 = 0x57;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum WallFrame {
+    /// Time in s, range in m.
+    Reading(f64, f64),
+    /// From when in s, PWM.
+    Command(f64, f64),
+    /// Time in s, distance in m, speed towards the wall in m/s.
+    Estimate(f64, f64, f64),
+}
+
+impl WallFrame {
+    pub(super) fn encode(self) -> [u8; LENGTH] {
+        let (kind, values) = match self {
+            Self::Reading(at_s, range_m) => (1, [at_s, range_m, 0.0]),
+            Self::Command(at_s, pwm) => (2, [at_s, pwm, 0.0]),
+            Self::Estimate(at_s, distance_m, towards) => (3, [at_s, distance_m, towards]),
+        };
+        let mut bytes = [0; LENGTH];
+        bytes[0] = START;
+        bytes[1] = kind;
+        for (place, value) in bytes[2..26].chunks_exact_mut(8).zip(values) {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
+        let sum = checksum(&bytes[1..26], EXTRA);
+        bytes[26..].copy_from_slice(&sum.to_le_bytes());
+        bytes
+    }
+
+    /// Takes one apart; `None` unless it is whole and every value finite.
+    fn decode(bytes: &[u8; LENGTH]) -> Option<Self> {
+        let [start, kind, ..] = *bytes;
+        let sum = checksum(&bytes[1..26], EXTRA);
+        if start != START || bytes[26..] != sum.to_le_bytes() {
+            return None;
+        }
+        let mut values = [0.0; 3];
+        for (value, place) in values.iter_mut().zip(bytes[2..26].chunks_exact(8)) {
+            *value = f64::from_le_bytes(place.try_into().ok()?);
+        }
+        let [at_s, first, second] = values;
+        if !values.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        match kind {
+            1 => Some(Self::Reading(at_s, first)),
+            2 => Some(Self::Command(at_s, first)),
+            3 => Some(Self::Estimate(at_s, first, second)),
+            _ => None,
+        }
+    }
+}
+
+/// Finds frames in what arrives, in pieces of any size.
+#[derive(Debug, Default)]
+pub(super) struct WallFramer {
+    held: Vec<u8>,
+}
+
+impl WallFramer {
+    /// The frames that are whole now, in order.
+    pub(super) fn push(&mut self, bytes: &[u8]) -> Vec<WallFrame> {
+        self.held.extend_from_slice(bytes);
+        let mut found = Vec::new();
+        let mut at = 0;
+        while let Some(candidate) = self.held.get(at..).and_then(|rest| rest.first_chunk()) {
+            let frame = WallFrame::decode(candidate);
+            // One byte after a defect: a real frame may begin inside it.
+            at += if frame.is_some() { LENGTH } else { 1 };
+            found.extend(frame);
+        }
+        self.held.drain(..at);
+        found
+    }
 }
 
 #[cfg(test)]
@@ -133,18 +338,29 @@ mod tests {
     use super::*;
     use crate::wall::DEFAULT_SCENE;
 
-    /// Holds the last reading.
+    /// Holds the last reading, and counts its inputs.
     #[derive(Default)]
-    struct LastReadingEstimator(Option<f64>);
+    struct LastReadingEstimator {
+        range_m: Option<f64>,
+        readings: usize,
+        commands: usize,
+    }
 
     impl DistanceEstimator for LastReadingEstimator {
         fn on_reading(&mut self, reading: RangeReading) {
-            self.0 = Some(reading.range_m);
+            self.range_m = Some(reading.range_m);
+            self.readings += 1;
         }
-        fn on_command(&mut self, _: f64, _: f64) {}
+        fn on_command(&mut self, _: f64, _: f64) {
+            self.commands += 1;
+        }
         fn estimate_at(&mut self, _: f64) -> Option<RangeEstimate> {
-            self.0.map(|distance_m| RangeEstimate { distance_m, towards_m_per_s: 0.0 })
+            self.range_m.map(|distance_m| RangeEstimate { distance_m, towards_m_per_s: 0.0 })
         }
+    }
+
+    fn scene() -> WallScene {
+        WallScene::from_toml(DEFAULT_SCENE).unwrap()
     }
 
     fn task(kp_pwm_per_m: f64) -> ApproachTask {
@@ -153,23 +369,67 @@ mod tests {
 
     #[test]
     fn a_weak_controller_stops_near_the_target_and_a_strong_one_on_stale_readings_beyond() {
-        let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
-        let weak = approach(&scene, &task(20.0), &mut LastReadingEstimator::default());
+        let drive = |gain| approach(&scene(), &task(gain), &mut LastReadingEstimator::default());
+        let weak = drive(20.0);
         let weak_m = weak.stop.unwrap().distance_m;
         assert!((0.27..0.36).contains(&weak_m), "{weak_m}");
-        let strong = approach(&scene, &task(400.0), &mut LastReadingEstimator::default());
+        let strong = drive(400.0);
         assert!(strong.stop.unwrap().distance_m < 0.2);
-        assert!(strong.samples.iter().all(|moment| moment.pwm.abs() <= 80.0));
-        assert_eq!(weak, approach(&scene, &task(20.0), &mut LastReadingEstimator::default()));
+        assert!(strong.samples.iter().all(|sample| sample.pwm.abs() <= 80.0));
+        assert_eq!(weak, drive(20.0));
     }
 
     #[test]
-    fn who_knows_nothing_does_not_drive() {
-        let mut scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
+    fn without_an_estimate_the_car_does_not_drive() {
+        let mut scene = scene();
         scene.ranger.miss_probability = 1.0;
         scene.approach.longest_s = 1.0;
-        let left = approach(&scene, &task(20.0), &mut LastReadingEstimator::default());
-        assert_eq!(left.stop, None);
-        assert!(left.samples.iter().all(|moment| moment.pwm == 0.0 && moment.distance_m == 3.0));
+        let run = approach(&scene, &task(20.0), &mut LastReadingEstimator::default());
+        assert_eq!(run.stop, None);
+        assert!(run.samples.iter().all(|sample| sample.pwm == 0.0 && sample.distance_m == 3.0));
+    }
+
+    #[test]
+    fn over_a_link_the_brick_steers_by_estimates_as_late_as_the_link() {
+        // Bluetooth takes 15 ms each way at least, and may lose something.
+        for (profile, least_delay_s, least_share) in [("none", 0.0, 1.0), ("bluetooth-spp", 0.03, 0.5)] {
+            let link = HostLink { profile: LinkProfile::bundled(profile).unwrap(), seed: 5 };
+            let mut host = LastReadingEstimator::default();
+            let run = approach_over_link(&scene(), &task(20.0), &link, &mut host);
+            let first_s = run.readings[0].at_s;
+            let delay_s = run.samples.iter().find(|sample| sample.estimate.is_some()).unwrap().at_s - first_s;
+            assert!(delay_s >= least_delay_s && (profile != "none" || delay_s == 0.0), "{profile}: {delay_s}");
+            assert!(host.readings as f64 >= least_share * run.readings.len() as f64, "{profile}");
+            assert!(host.commands as f64 >= least_share * (run.samples.len() / 4) as f64, "{profile}");
+            assert!(run.stop.is_some(), "{profile}");
+        }
+    }
+
+    #[test]
+    fn frames_are_found_in_any_pieces_and_between_garbage() {
+        let frames =
+            [WallFrame::Reading(1.25, 0.304), WallFrame::Command(2.5, -80.0), WallFrame::Estimate(-3.0, 1e-9, 7.0)];
+        let mut bytes = vec![START, 1, 2];
+        for frame in frames {
+            bytes.extend(frame.encode());
+            bytes.push(START);
+        }
+        for piece in 1..40 {
+            let mut framer = WallFramer::default();
+            let mut found: Vec<WallFrame> = bytes.chunks(piece).flat_map(|chunk| framer.push(chunk)).collect();
+            found.extend(framer.push(&[0; LENGTH]));
+            assert_eq!(found, frames, "{piece}");
+        }
+    }
+
+    #[test]
+    fn a_flipped_bit_and_a_value_that_is_none_are_no_frames() {
+        let good = WallFrame::Reading(1.0, 2.0).encode();
+        for index in 0..LENGTH {
+            let mut bad = good;
+            bad[index] ^= 4;
+            assert_eq!(WallFrame::decode(&bad), None, "{index}");
+        }
+        assert_eq!(WallFrame::decode(&WallFrame::Command(f64::NAN, 0.0).encode()), None);
     }
 }

@@ -21,18 +21,14 @@
 
 mod approach;
 mod car;
-mod host;
-mod pid;
-mod ranger;
 mod scene;
-mod step;
-mod wire;
 
-pub use approach::{Approach, ApproachSample, ApproachTask, DistanceEstimator, StopPoint, approach};
-pub use host::{HostLink, approach_over_link};
-pub use ranger::{RangeEstimate, RangeReading};
-pub use scene::{
-    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, Gains, HostSettings, RangerSettings, SceneError,
-    StepSettings, WallScene,
+pub use crate::config_file::ConfigFileError as SceneError;
+pub use approach::{
+    Approach, ApproachSample, ApproachTask, DistanceEstimator, HostLink, StopPoint, approach, approach_over_link,
 };
-pub use step::{StepRun, TimedCommand, simulate_step};
+pub use car::{RangeEstimate, RangeReading, StepRun, TimedCommand, simulate_step};
+pub use scene::{
+    ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, Gains, HostSettings, RangerSettings, StepSettings,
+    WallScene,
+};

@@ -4,11 +4,14 @@
 
 use serde::Deserialize;
 
-use crate::scenario::checks;
+use crate::checks;
+use crate::config_file::{ConfigFileError, from_toml};
 
 /// The scene of the paper.
 pub const DEFAULT_SCENE: &str = include_str!("../../../config/scenarios/lab/wall.toml");
 
+/// What error messages call the file.
+const WHAT: &str = "scene";
 /// Longest step or approach, in turns of the control loop.
 const MOST_TURNS: f64 = 1e6;
 
@@ -18,17 +21,12 @@ const MOST_TURNS: f64 = 1e6;
 pub struct WallScene {
     /// Run i draws from this and i.
     pub seed: u64,
-    /// The drive.
     pub car: CarSettings,
     /// The loop on board.
     pub control: ControlSettings,
-    /// The range sensor.
     pub ranger: RangerSettings,
-    /// The step test.
     pub step: StepSettings,
-    /// The way to the wall.
     pub approach: ApproachSettings,
-    /// The controller's gains.
     pub pid: Gains,
     /// The estimator on the other side of a link.
     pub host: HostSettings,
@@ -53,11 +51,10 @@ pub struct CarSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControlSettings {
-    /// Its mean period, in seconds.
     #[serde(deserialize_with = "checks::positive")]
     pub period_s: f64,
     /// Each period differs by up to this share, either way, each equally likely.
-    #[serde(deserialize_with = "share")]
+    #[serde(deserialize_with = "checks::period_spread")]
     pub period_spread: f64,
 }
 
@@ -65,13 +62,10 @@ pub struct ControlSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
-    /// By the error, PWM per metre.
     #[serde(deserialize_with = "checks::finite")]
     pub kp_pwm_per_m: f64,
-    /// By its sum, PWM per metre and second.
     #[serde(deserialize_with = "checks::finite")]
     pub ki_pwm_per_m_s: f64,
-    /// By its rate, PWM per m/s.
     #[serde(deserialize_with = "checks::finite")]
     pub kd_pwm_s_per_m: f64,
 }
@@ -80,11 +74,10 @@ pub struct Gains {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RangerSettings {
-    /// Its mean period, in seconds.
     #[serde(deserialize_with = "checks::positive")]
     pub period_s: f64,
     /// Each period differs by up to this share, either way, each equally likely.
-    #[serde(deserialize_with = "share")]
+    #[serde(deserialize_with = "checks::period_spread")]
     pub period_spread: f64,
     /// Standard deviation of a reading at no distance, in metres.
     #[serde(deserialize_with = "checks::non_negative")]
@@ -101,13 +94,11 @@ pub struct RangerSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepSettings {
-    /// The PWM of the step.
     #[serde(deserialize_with = "checks::positive")]
     pub pwm: f64,
     /// Distance at rest, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub start_m: f64,
-    /// Rest before the step, in seconds.
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_s: f64,
     /// The first reading below this ends the step, in metres.
@@ -150,7 +141,7 @@ pub struct ApproachSettings {
 #[serde(deny_unknown_fields)]
 pub struct HostSettings {
     /// Number of turns of the brick's loop between two reports of its command.
-    #[serde(deserialize_with = "turns")]
+    #[serde(deserialize_with = "checks::loop_turns")]
     pub report_every: u32,
     /// An estimate that is older stops the motors, in seconds.
     #[serde(deserialize_with = "checks::positive")]
@@ -158,15 +149,14 @@ pub struct HostSettings {
 }
 
 impl WallScene {
-    /// Reads a scene.
-    ///
-    /// # Errors
-    /// [`SceneError::Toml`] names the line and the key that is unknown, missing, of the wrong type or out of its range;
-    /// [`SceneError::Impossible`] says which numbers do not go together.
-    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        let scene: Self = toml::from_str(text).map_err(SceneError::Toml)?;
-        scene.check()?;
-        Ok(scene)
+    /// Reads a scene. An error names the line and the key that is unknown, missing, of the wrong type or out of its range, or says
+    /// which numbers do not go together.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
+        let scene: Self = from_toml(WHAT, text)?;
+        match scene.contradiction() {
+            None => Ok(scene),
+            Some(reason) => Err(ConfigFileError::Impossible { what: WHAT, reason }),
+        }
     }
 
     /// The same scene under another seed.
@@ -175,59 +165,24 @@ impl WallScene {
         self
     }
 
-    fn check(&self) -> Result<(), SceneError> {
+    /// Which numbers do not go together, and why.
+    fn contradiction(&self) -> Option<String> {
         let (step, approach) = (&self.step, &self.approach);
         for (start, start_m, end, end_m) in [
             ("[step] start_m", step.start_m, "cutoff_m", step.cutoff_m),
             ("[approach] start_m", approach.start_m, "target_m", approach.target_m),
         ] {
             if start_m <= end_m {
-                return Err(impossible(format!(
-                    "{start} {start_m} is not beyond {end} {end_m}; start further from the wall"
-                )));
+                return Some(format!("{start} {start_m} is not beyond {end} {end_m}; start further from the wall"));
             }
         }
         let turns = approach.longest_s / self.control.period_s;
-        if turns > MOST_TURNS {
-            return Err(impossible(format!(
+        (turns > MOST_TURNS).then(|| {
+            format!(
                 "[approach] longest_s {} takes {turns:.0} turns of [control] period_s {}; give at most {MOST_TURNS:.0}",
                 approach.longest_s, self.control.period_s
-            )));
-        }
-        Ok(())
-    }
-}
-
-fn impossible(reason: String) -> SceneError {
-    SceneError::Impossible { reason }
-}
-
-/// Why a scene cannot be had.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SceneError {
-    /// The text is not TOML, a key is unknown or missing, or a value does not fit; the message shows the line and the key.
-    #[error("scene is not usable: {0}")]
-    Toml(toml::de::Error),
-    /// The numbers do not go together.
-    #[error("scene is not usable: {reason}")]
-    Impossible {
-        /// Which, and what to do.
-        reason: String,
-    },
-}
-
-/// At most half, so that a period stays one.
-fn share<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    crate::checks::within(deserializer, 0.0, 0.5)
-}
-
-fn turns<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    let turns = u32::deserialize(deserializer)?;
-    if (1..=1_000).contains(&turns) {
-        Ok(turns)
-    } else {
-        Err(serde::de::Error::custom(format!("{turns} is outside 1 to 1000; give a number in that range")))
+            )
+        })
     }
 }
 

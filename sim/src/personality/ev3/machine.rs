@@ -1,8 +1,12 @@
-//! The operands of the EV3's byte codes, and the memory that they point into.
+//! The memory and the operands of the EV3's byte codes, and the codes that move, calculate and jump: as much as clients put into direct
+//! commands.
 //!
 //! ```text
 //! 00vvvvvv            constant of six bits with a sign          10000sss ..   constant: 1 byte, 2, 3 is four bytes, 0 or 4 a text up to its zero
 //! 01giiiii            variable i, g 1 global and 0 local        11g00sss ..   variable, its number in 1, 2 or 4 bytes
+//!
+//! 10..1F   add, subtract, multiply, divide    for each width        30..3F   move from a width to a width
+//! 40..42   jump, if false, if true            64..7B   jump if <, >, =, !=, <=, >= for each width        8D 06   absolute value
 //! ```
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, byte codes: parameter encoding.
@@ -11,7 +15,6 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ExecutionFault;
 
-/// The width of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OperandWidth {
     /// DATA8.
@@ -70,7 +73,6 @@ impl BytecodeMachine {
         self.place
     }
 
-    /// Goes to another place.
     pub(super) const fn jump_to(&mut self, place: usize) {
         self.place = place;
     }
@@ -110,7 +112,6 @@ impl BytecodeMachine {
         Ok(f32::from_bits(bits as u32))
     }
 
-    /// The next operand as a text.
     pub(super) fn text(&mut self) -> Result<Vec<u8>, ExecutionFault> {
         match self.operand()? {
             Operand::Text(text) => Ok(text),
@@ -212,6 +213,96 @@ fn load_int(memory: &[u8], at: usize, width: OperandWidth) -> Result<i32, Execut
     loaded.ok_or(ExecutionFault)
 }
 
+enum Number {
+    Whole(i32),
+    Real(f32),
+}
+
+/// Follows a byte code of these kinds; `None` if it is of another kind.
+pub(super) fn calculate(code: u8, machine: &mut BytecodeMachine) -> Option<Result<(), ExecutionFault>> {
+    match code {
+        0x10..=0x1F => Some(combine((code - 0x10) >> 2, OperandWidth::of(code), machine)),
+        0x30..=0x3F => Some(convert(OperandWidth::of((code - 0x30) >> 2), OperandWidth::of(code), machine)),
+        0x40..=0x42 => Some(jump(code, machine)),
+        0x64..=0x7B => Some(jump_compared((code - 0x64) >> 2, OperandWidth::of(code), machine)),
+        _ => None,
+    }
+}
+
+/// MATH: the absolute value alone.
+pub(super) fn math(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
+    const ABSOLUTE: i32 = 6;
+    if machine.byte()? != ABSOLUTE {
+        return Err(ExecutionFault);
+    }
+    let value = machine.real()?;
+    machine.write_real(value.abs())
+}
+
+fn load(width: OperandWidth, machine: &mut BytecodeMachine) -> Result<Number, ExecutionFault> {
+    if width == OperandWidth::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Whole) }
+}
+
+fn combine(operation: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
+    match (load(width, machine)?, load(width, machine)?) {
+        (Number::Real(a), Number::Real(b)) => machine.write_real(match operation {
+            0 => a + b,
+            1 => a - b,
+            2 => a * b,
+            _ => a / b,
+        }),
+        (Number::Whole(a), Number::Whole(b)) => {
+            let result = match operation {
+                0 => a.wrapping_add(b),
+                1 => a.wrapping_sub(b),
+                2 => a.wrapping_mul(b),
+                _ => a.checked_div(b).unwrap_or(0),
+            };
+            machine.write_int(width, result)
+        }
+        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => Err(ExecutionFault),
+    }
+}
+
+fn convert(from: OperandWidth, to: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
+    match (load(from, machine)?, to) {
+        (Number::Whole(value), OperandWidth::Real) => machine.write_real(value as f32),
+        (Number::Whole(value), _) => machine.write_int(to, value),
+        (Number::Real(value), OperandWidth::Real) => machine.write_real(value),
+        (Number::Real(value), OperandWidth::Byte) => machine.write_int(to, i32::from(value as i8)),
+        (Number::Real(value), OperandWidth::Word) => machine.write_int(to, i32::from(value as i16)),
+        (Number::Real(value), OperandWidth::Long) => machine.write_int(to, value as i32),
+    }
+}
+
+fn jump(code: u8, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
+    let is_taken = match code {
+        0x40 => true,
+        0x41 => machine.byte()? == 0,
+        _ => machine.byte()? != 0,
+    };
+    let by = machine.int(OperandWidth::Long)?;
+    if is_taken { machine.jump(by) } else { Ok(()) }
+}
+
+fn jump_compared(comparison: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
+    let order = match (load(width, machine)?, load(width, machine)?) {
+        (Number::Real(a), Number::Real(b)) => a.partial_cmp(&b),
+        (Number::Whole(a), Number::Whole(b)) => Some(a.cmp(&b)),
+        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => None,
+    };
+    let is_taken = order.is_some_and(|order| match comparison {
+        0 => order.is_lt(),
+        1 => order.is_gt(),
+        2 => order.is_eq(),
+        3 => order.is_ne(),
+        4 => order.is_le(),
+        _ => order.is_ge(),
+    });
+    let by = machine.int(OperandWidth::Long)?;
+    if is_taken { machine.jump(by) } else { Ok(()) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -223,32 +314,27 @@ mod tests {
     }
 
     #[test]
-    fn constants_of_every_length_are_read() {
-        let cases: &[(&[u8], i32)] = &[
-            (&[0x1F], 31),
-            (&[0x3F], -1),
-            (&[0x20], -32),
-            (&[0x81, 0x9C], -100),
-            (&[0x82, 0xE8, 0x03], 1_000),
-            (&[0x83, 1, 0, 0, 0x80], -0x7FFF_FFFF),
+    fn constants_and_variables_of_every_length_are_read() {
+        let cases: &[(&[u8], OperandWidth, i32)] = &[
+            (&[0x1F], OperandWidth::Long, 31),
+            (&[0x3F], OperandWidth::Long, -1),
+            (&[0x20], OperandWidth::Long, -32),
+            (&[0x81, 0x9C], OperandWidth::Long, -100),
+            (&[0x82, 0xE8, 0x03], OperandWidth::Long, 1_000),
+            (&[0x83, 1, 0, 0, 0x80], OperandWidth::Long, -0x7FFF_FFFF),
+            (&[0x60], OperandWidth::Byte, -2),
+            (&[0xE1, 0], OperandWidth::Word, -2),
+            (&[0xE2, 0, 0], OperandWidth::Byte, -2),
+            (&[0xE3, 0, 0, 0, 0], OperandWidth::Long, 0x7FFF_FFFE),
         ];
-        for (code, value) in cases {
-            assert_eq!(machine(code).int(OperandWidth::Long), Ok(*value), "{code:02x?}");
+        for (code, width, value) in cases {
+            assert_eq!(machine(code).int(*width), Ok(*value), "{code:02x?}");
         }
         assert_eq!(machine(&[0x84, b'a', b'b', 0]).text(), Ok(b"ab".to_vec()));
     }
 
     #[test]
-    fn a_variable_is_as_wide_as_it_is_read() {
-        for code in [&[0x60][..], &[0xE1, 0], &[0xE2, 0, 0], &[0xE3, 0, 0, 0, 0]] {
-            assert_eq!(machine(code).int(OperandWidth::Byte), Ok(-2), "{code:02x?}");
-            assert_eq!(machine(code).int(OperandWidth::Word), Ok(-2), "{code:02x?}");
-            assert_eq!(machine(code).int(OperandWidth::Long), Ok(0x7FFF_FFFE), "{code:02x?}");
-        }
-    }
-
-    #[test]
-    fn what_is_put_lies_where_the_operand_says() {
+    fn what_is_written_lies_where_the_operand_says() {
         let mut machine = machine(&[0x61, 0x40, 0xC1, 36]);
         machine.write_int(OperandWidth::Word, 0x0102).unwrap();
         assert_eq!(machine.globals(), [0xFE, 2, 1, 0x7F]);
@@ -268,5 +354,32 @@ mod tests {
         }
         assert_eq!(machine(&[0x61]).write_real(1.0), Err(ExecutionFault));
         assert_eq!(machine(&[]).jump(-1), Err(ExecutionFault));
+    }
+
+    #[test]
+    fn numbers_are_added_moved_and_compared() {
+        // Codes, and the first byte of the global memory after them.
+        let cases: &[(&str, &[u8], u8)] = &[
+            ("40 + -2 as bytes", &[0x10, 0x81, 40, 0x3E, 0x60], 38),
+            ("40 - 2 as bytes", &[0x14, 0x81, 40, 2, 0x60], 38),
+            ("7 * 6 as longs", &[0x1A, 7, 6, 0x60], 42),
+            ("7 / 2 as longs", &[0x1E, 7, 2, 0x60], 3),
+            ("7 / 0 as longs", &[0x1E, 7, 0, 0x60], 0),
+            ("the move is jumped over: 5 >= 4", &[0x7A, 5, 4, 3, 0x30, 9, 0x60], 0),
+            ("3 >= 4 is false", &[0x7A, 3, 4, 3, 0x30, 9, 0x60], 9),
+            ("jump if false", &[0x41, 0, 3, 0x30, 9, 0x60], 0),
+            (
+                "7 as a real number, halved, as a byte",
+                &[0x33, 7, 0x40, 0x33, 2, 0x44, 0x1F, 0x40, 0x44, 0x40, 0x3C, 0x40, 0x60],
+                3,
+            ),
+        ];
+        for (name, code, expected) in cases {
+            let mut machine = BytecodeMachine::new(code, 8, 8);
+            while let Some(code) = machine.next_code() {
+                calculate(code, &mut machine).unwrap().unwrap();
+            }
+            assert_eq!(machine.globals()[0], *expected, "{name}");
+        }
     }
 }

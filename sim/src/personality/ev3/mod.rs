@@ -11,26 +11,19 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulator.md describes what is ours.
 
-mod arithmetic;
 mod machine;
 mod motors;
 mod opcodes;
 mod sensors;
 mod wire;
 
-#[cfg(test)]
-mod tests;
-
-use std::collections::VecDeque;
-
-use posebridge_telemetry::{Arena, BrickClock, Pose, TimeDelta, Timestamp};
+use posebridge_telemetry::TimeDelta;
 
 use self::machine::BytecodeMachine;
 use self::motors::Motors;
 use self::sensors::SensorPorts;
 use self::wire::{Ev3Wire, FACTORY_NAME};
-use super::estimate::{EV3_MAILBOX, estimate_from};
-use super::firmware_pass::FirmwarePass;
+use super::lego::{FirmwarePass, LegoFirmware};
 use crate::scenario::{BrickProgram, Scenario};
 use crate::wheels::PerWheel;
 
@@ -48,6 +41,7 @@ const SYSTEM_FAILED: u8 = 0x05;
 const WRITE_MAILBOX: u8 = 0x9E;
 const STATUS_OK: u8 = 0x00;
 const STATUS_UNKNOWN_ERROR: u8 = 0x0A;
+const ESTIMATE_MAILBOX: &[u8] = b"estimate";
 /// Byte codes that are followed in one pass; a jump back to itself must not hold up the world.
 const CODES_PER_PASS: usize = 1_000;
 
@@ -84,8 +78,6 @@ pub(super) struct Ev3 {
     name: String,
     volume: i32,
     sleep_min: i32,
-    outgoing: VecDeque<Vec<u8>>,
-    estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
 impl Ev3 {
@@ -103,71 +95,16 @@ impl Ev3 {
             name: FACTORY_NAME.to_owned(),
             volume: 50,
             sleep_min: 30,
-            outgoing: VecDeque::new(),
-            estimates: Vec::new(),
         }
     }
 
-    /// One pass; returns the duty of both motors.
-    pub(super) fn step(&mut self, moment: &mut FirmwarePass<'_>) -> PerWheel<f64> {
-        // A command that waits for a sensor that is not there would wait for ever: the next one takes its place.
-        let is_free = self.command.is_none() || self.sensors.is_waiting_forever();
-        if is_free && let Some(frame) = self.wire.next_frame() {
-            self.sensors.cancel_wait();
-            self.begin(&frame);
-        }
-        if let Some(command) = self.command.take() {
-            self.run_command(command, moment);
-        }
-        self.run(moment);
-        let duty = self.motors.step(moment.sim_time, moment.counts());
-        self.outgoing.extend(self.wire.step(moment.sim_time));
-        duty
-    }
-
-    /// Takes bytes that arrive from the station.
-    pub(super) fn receive(&mut self, world: TimeDelta, bytes: &[u8]) {
-        self.wire.receive(world, bytes);
-    }
-
-    /// The link has a new peer.
-    pub(super) fn reopen(&mut self) {
-        self.wire.reopen();
-        self.command = None;
-    }
-
-    /// Switched off and on: as from the beginning, but for its name.
-    pub(super) fn restart(&mut self, moment: &mut FirmwarePass<'_>) {
-        self.reopen();
-        self.forget(moment);
-        self.is_running = self.scenario_program == BrickProgram::Path;
-    }
-
-    /// Stops the program and starts it again: motors, counters and sensors begin anew.
-    pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
-        if self.is_running {
-            self.forget(moment);
-            moment.program.begin(moment.now, moment.counts());
-        }
-    }
-
-    fn forget(&mut self, moment: &FirmwarePass<'_>) {
-        self.motors.step(moment.sim_time, moment.counts());
+    fn forget(&mut self, pass: &FirmwarePass<'_>) {
+        self.motors.step(pass.sim_time, pass.counts());
         self.motors.stop(0xF);
         self.motors.clear_counts(0xF);
         self.motors.reset_tachos(0xF);
         self.sensors.reset();
         self.mailbox_message = None;
-    }
-
-    /// The next frame on its way to the station.
-    pub(super) fn next_bytes(&mut self) -> Option<Vec<u8>> {
-        self.outgoing.pop_front()
-    }
-
-    /// The estimates that the program took out of its mailbox: instant and pose.
-    pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
-        std::mem::take(&mut self.estimates)
     }
 
     fn begin(&mut self, frame: &[u8]) {
@@ -197,13 +134,13 @@ impl Ev3 {
     }
 
     /// Goes on with a command until it ends, fails or waits.
-    fn run_command(&mut self, mut command: Command, moment: &mut FirmwarePass<'_>) {
+    fn run_command(&mut self, mut command: Command, pass: &mut FirmwarePass<'_>) {
         for _ in 0..CODES_PER_PASS {
             let place = command.machine.program_counter();
             let Some(code) = command.machine.next_code() else {
                 return self.answer(&command, DIRECT_DONE);
             };
-            match self.execute(code, &mut command.machine, moment) {
+            match self.execute(code, &mut command.machine, pass) {
                 Ok(Flow::Next) => {}
                 Ok(Flow::End) => return self.answer(&command, DIRECT_DONE),
                 Ok(Flow::Wait) => {
@@ -232,24 +169,61 @@ impl Ev3 {
             return STATUS_UNKNOWN_ERROR;
         };
         // A message to a mailbox that no program has opened is lost, as in the brick.
-        if self.is_running && name == EV3_MAILBOX {
+        if self.is_running && name == ESTIMATE_MAILBOX {
             self.mailbox_message = Some(payload.to_vec());
         }
         STATUS_OK
     }
 
     /// Lets the program run, which looks into its mailbox first.
-    fn run(&mut self, moment: &mut FirmwarePass<'_>) {
+    fn run(&mut self, pass: &mut FirmwarePass<'_>) {
         if !self.is_running {
-            moment.program.observe_odometry(moment.now, moment.counts());
-            return;
+            return pass.idle();
         }
-        if let Some((stamp, pose)) = self.mailbox_message.take().and_then(|mail| estimate_from(&mail)) {
-            let instant = moment.program.apply_estimate(moment.now, stamp, pose);
-            self.estimates.push((instant, pose));
+        if let Some(message) = self.mailbox_message.take() {
+            pass.apply_mail(&message);
         }
-        let duty = moment.program.step(moment.now, moment.counts());
-        self.motors.drive(duty);
+        self.motors.drive(pass.run_program());
+    }
+}
+
+impl LegoFirmware for Ev3 {
+    fn step(&mut self, pass: &mut FirmwarePass<'_>) -> PerWheel<f64> {
+        // A command that waits for a sensor that is not there would wait for ever: the next one takes its place.
+        let is_free = self.command.is_none() || self.sensors.is_waiting_forever();
+        if is_free && let Some(frame) = self.wire.next_frame() {
+            self.sensors.cancel_wait();
+            self.begin(&frame);
+        }
+        if let Some(command) = self.command.take() {
+            self.run_command(command, pass);
+        }
+        self.run(pass);
+        let duty = self.motors.step(pass.sim_time, pass.counts());
+        pass.outgoing.extend(self.wire.step(pass.sim_time));
+        duty
+    }
+
+    fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
+        self.wire.receive(now, bytes);
+    }
+
+    fn reopen(&mut self) {
+        self.wire.reopen();
+        self.command = None;
+    }
+
+    fn restart(&mut self, pass: &mut FirmwarePass<'_>) {
+        self.reopen();
+        self.forget(pass);
+        self.is_running = self.scenario_program == BrickProgram::Path;
+    }
+
+    fn restart_program(&mut self, pass: &mut FirmwarePass<'_>) {
+        if self.is_running {
+            self.forget(pass);
+            pass.program.begin(pass.now, pass.counts());
+        }
     }
 }
 

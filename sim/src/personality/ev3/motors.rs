@@ -20,7 +20,6 @@ use crate::firmware::SpeedControl;
 use crate::scenario::{RobotSettings, TICK_RAD};
 use crate::wheels::PerWheel;
 
-/// Number of ports.
 pub(super) const PORTS: usize = 4;
 /// Where the wheels' motors are plugged in.
 const LEFT: usize = 1;
@@ -34,7 +33,6 @@ const PERCENT_PER_DEG: f64 = 0.4;
 const SLOWEST_PERCENT: f64 = 5.0;
 const FULL_PERCENT: f64 = 100.0;
 
-/// How a motor is driven.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MotorDrive {
     /// Share of the battery's voltage, -1 to 1.
@@ -54,7 +52,6 @@ pub(super) enum StopCondition {
     Time(TimeDelta),
 }
 
-/// One port.
 #[derive(Clone, Debug)]
 struct MotorOutput {
     /// What START starts.
@@ -70,16 +67,13 @@ struct MotorOutput {
     duty: f64,
 }
 
-/// All ports.
 #[derive(Clone, Debug)]
 pub(super) struct Motors {
     ports: [MotorOutput; PORTS],
-    fresh_control: SpeedControl,
     passes: u32,
 }
 
 impl Motors {
-    /// Ports at rest.
     pub(super) fn new(robot: &RobotSettings) -> Self {
         let control = SpeedControl::new(robot);
         let port = || MotorOutput {
@@ -93,21 +87,17 @@ impl Motors {
             control: control.clone(),
             duty: 0.0,
         };
-        Self { ports: [port(), port(), port(), port()], fresh_control: control, passes: 0 }
+        Self { ports: [port(), port(), port(), port()], passes: 0 }
     }
 
-    /// Whether a motor is plugged in there.
     pub(super) const fn is_motor(port: usize) -> bool {
         matches!(port, LEFT | RIGHT)
     }
 
     /// Follows the encoders by one pass and returns the duty of both motors.
     pub(super) fn step(&mut self, world: TimeDelta, positions: PerWheel<i64>) -> PerWheel<f64> {
-        for (place, position) in [(LEFT, positions.left), (RIGHT, positions.right)] {
-            if let Some(port) = self.ports.get_mut(place) {
-                port.position = position;
-            }
-        }
+        self.ports[LEFT].position = positions.left;
+        self.ports[RIGHT].position = positions.right;
         let is_due = self.passes.is_multiple_of(CONTROL_PASSES);
         self.passes = self.passes.wrapping_add(1);
         for port in &mut self.ports {
@@ -116,28 +106,25 @@ impl Motors {
                 port.control_speed();
             }
         }
-        let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        PerWheel { left: duty(LEFT), right: duty(RIGHT) }
+        PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
     /// What the program on the brick does: both motors on at these duties.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
-            if let Some(port) = self.ports.get_mut(place) {
-                port.running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
-                port.polarity = 1.0;
-            }
+            self.ports[place].running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
+            self.ports[place].polarity = 1.0;
         }
     }
 
     /// What START is to start on the ports of a bit field.
     pub(super) fn set(&mut self, field: i32, drive: MotorDrive) {
-        self.each(field, |port, _| port.setting = drive);
+        self.each(field, |port| port.setting = drive);
     }
 
     /// Turns forward and backward around, or sets them: -1, 0 for the other way round, 1.
     pub(super) fn set_polarity(&mut self, field: i32, polarity: i32) {
-        self.each(field, |port, _| {
+        self.each(field, |port| {
             port.polarity = match polarity.signum() {
                 0 => -port.polarity,
                 sign => f64::from(sign),
@@ -145,35 +132,31 @@ impl Motors {
         });
     }
 
-    /// Starts what was set.
     pub(super) fn start(&mut self, field: i32) {
-        self.each(field, |port, fresh| {
+        self.each(field, |port| {
             // A movement with an end of its own goes on.
             if !matches!(port.running, Some((_, StopCondition::Turned(_) | StopCondition::Time(_)))) {
                 let drive = port.setting;
-                port.begin(drive, StopCondition::Stopped, fresh);
+                port.begin(drive, StopCondition::Stopped);
             }
         });
     }
 
-    /// Begins a movement with an end of its own.
     pub(super) fn begin(&mut self, field: i32, drive: MotorDrive, until: StopCondition) {
-        self.each(field, |port, fresh| port.begin(drive, until, fresh));
+        self.each(field, |port| port.begin(drive, until));
     }
 
-    /// Stops the ports of a bit field.
     pub(super) fn stop(&mut self, field: i32) {
-        self.each(field, |port, _| port.running = None);
+        self.each(field, |port| port.running = None);
     }
 
     /// Zeroes the counters that are read as sensors.
     pub(super) fn clear_counts(&mut self, field: i32) {
-        self.each(field, |port, _| port.count_zero = port.position);
+        self.each(field, |port| port.count_zero = port.position);
     }
 
-    /// Zeroes the tachos of the movements.
     pub(super) fn reset_tachos(&mut self, field: i32) {
-        self.each(field, |port, _| port.tacho_zero = port.position);
+        self.each(field, |port| port.tacho_zero = port.position);
     }
 
     /// Whether one of the ports of a bit field has a movement with an end before it.
@@ -189,7 +172,6 @@ impl Motors {
         port.map_or(0, |port| (port.position - port.count_zero) as i32)
     }
 
-    /// The tacho of a port, in degrees, and its power or speed in percent.
     pub(super) fn tacho(&self, port: usize) -> (i32, i32) {
         let Some(port) = self.ports.get(port) else {
             return (0, 0);
@@ -198,20 +180,20 @@ impl Motors {
         ((port.position - port.tacho_zero) as i32, percent)
     }
 
-    fn each(&mut self, field: i32, mut change: impl FnMut(&mut MotorOutput, &SpeedControl)) {
+    fn each(&mut self, field: i32, mut change: impl FnMut(&mut MotorOutput)) {
         for (bit, port) in (0..).zip(&mut self.ports) {
             if field >> bit & 1 == 1 {
-                change(port, &self.fresh_control);
+                change(port);
             }
         }
     }
 }
 
 impl MotorOutput {
-    fn begin(&mut self, drive: MotorDrive, until: StopCondition, fresh: &SpeedControl) {
+    fn begin(&mut self, drive: MotorDrive, until: StopCondition) {
         self.running = Some((drive, until));
         self.start_position = self.position;
-        self.control = fresh.clone();
+        self.control.restart();
     }
 
     fn step(&mut self, world: TimeDelta) {
@@ -256,50 +238,49 @@ mod tests {
 
     const B: i32 = 2;
 
-    fn at(left: i64) -> PerWheel<i64> {
-        PerWheel { left, right: 0 }
-    }
-
     fn motors() -> Motors {
         Motors::new(&RobotSettings::default())
+    }
+
+    /// The duty of the left motor after a pass at a time in milliseconds and a position in degrees.
+    fn step(motors: &mut Motors, millis: i64, left: i64) -> f64 {
+        motors.step(TimeDelta::from_millis(millis), PerWheel { left, right: 0 }).left
     }
 
     #[test]
     fn power_waits_for_the_start_and_the_polarity_turns_it_around() {
         let mut motors = motors();
         motors.set(B, MotorDrive::Power(0.4));
-        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.0);
+        assert_eq!(step(&mut motors, 0, 0), 0.0);
         motors.start(B);
-        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.4);
+        assert_eq!(step(&mut motors, 0, 0), 0.4);
         motors.set_polarity(B, 0);
-        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, -0.4);
+        assert_eq!(step(&mut motors, 0, 0), -0.4);
         motors.stop(B);
-        assert_eq!(motors.step(TimeDelta::ZERO, at(0)).left, 0.0);
+        assert_eq!(step(&mut motors, 0, 0), 0.0);
     }
 
     #[test]
     fn a_movement_is_busy_until_its_end() {
-        let mut motors = motors();
-        motors.begin(B, MotorDrive::Power(0.3), StopCondition::Turned(90));
-        motors.step(TimeDelta::ZERO, at(-89));
-        assert!(motors.is_busy(B) && motors.is_busy(15) && !motors.is_busy(4));
-        motors.step(TimeDelta::ZERO, at(-90));
-        assert!(!motors.is_busy(B));
-        motors.begin(B, MotorDrive::Speed(30.0), StopCondition::Time(TimeDelta::from_millis(5)));
-        motors.step(TimeDelta::from_millis(4), at(0));
-        assert!(motors.is_busy(B));
-        motors.step(TimeDelta::from_millis(5), at(0));
-        assert!(!motors.is_busy(B));
+        let until = StopCondition::Time(TimeDelta::from_millis(5));
+        for (end, last, first_after) in [(StopCondition::Turned(90), (0, -89), (0, -90)), (until, (4, 0), (5, 0))] {
+            let mut motors = motors();
+            motors.begin(B, MotorDrive::Power(0.3), end);
+            step(&mut motors, last.0, last.1);
+            assert!(motors.is_busy(B) && motors.is_busy(15) && !motors.is_busy(4));
+            step(&mut motors, first_after.0, first_after.1);
+            assert!(!motors.is_busy(B));
+        }
     }
 
     #[test]
     fn counter_and_tacho_are_zeroed_for_themselves() {
         let mut motors = motors();
-        motors.step(TimeDelta::ZERO, at(50));
+        step(&mut motors, 0, 50);
         motors.clear_counts(B);
-        motors.step(TimeDelta::ZERO, at(60));
+        step(&mut motors, 0, 60);
         motors.reset_tachos(15);
-        motors.step(TimeDelta::ZERO, at(65));
+        step(&mut motors, 0, 65);
         assert_eq!((motors.count(1), motors.tacho(1).0), (15, 5));
         assert_eq!((motors.count(0), motors.count(9)), (0, 0));
     }

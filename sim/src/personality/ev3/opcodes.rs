@@ -7,11 +7,10 @@
 
 use posebridge_telemetry::TimeDelta;
 
-use super::super::firmware_pass::FirmwarePass;
-use super::arithmetic::{calculate, math};
-use super::machine::{BytecodeMachine, ExecutionFault, OperandWidth};
+use super::super::lego::FirmwarePass;
+use super::machine::{BytecodeMachine, ExecutionFault, OperandWidth, calculate, math};
 use super::motors::{MotorDrive, StopCondition};
-use super::sensors::{SensorInputs, SensorReading, SensorRequest};
+use super::sensors::{SensorReading, SensorRequest};
 use super::wire::SERIAL_NUMBER;
 use super::{Ev3, Flow};
 
@@ -35,57 +34,59 @@ impl Ev3 {
         &mut self,
         code: u8,
         machine: &mut BytecodeMachine,
-        moment: &mut FirmwarePass<'_>,
+        pass: &mut FirmwarePass<'_>,
     ) -> Result<Flow, ExecutionFault> {
         if let Some(done) = calculate(code, machine) {
             return done.map(|()| Flow::Next);
         }
         match code {
             // NOP and OBJECT_END.
-            0x01 => Ok(Flow::Next),
-            0x0A => Ok(Flow::End),
+            0x01 => {}
+            0x0A => return Ok(Flow::End),
             // PROGRAM_STOP: the program of the user is the only one.
             0x02 => {
                 machine.int(OperandWidth::Word)?;
                 self.is_running = false;
                 self.motors.stop(0xF);
-                Ok(Flow::Next)
             }
-            0x7C => self.info(machine),
-            0x81 => ui_read(machine, moment),
-            0x82 => ui_write(machine),
+            0x7C => self.info(machine)?,
+            0x81 => ui_read(machine, pass)?,
+            // UI_WRITE: the lamp, which is not simulated.
+            0x82 => {
+                expect_command(machine, 0x1B)?;
+                machine.byte()?;
+            }
             // TIMER_READ: milliseconds since the program began, and a direct command is its own program.
-            0x87 => machine.write_int(OperandWidth::Long, 0).map(|()| Flow::Next),
-            0x8F => {
-                let micros = moment.now.as_micros() as i32;
-                machine.write_int(OperandWidth::Long, micros).map(|()| Flow::Next)
-            }
-            0x8D => math(machine).map(|()| Flow::Next),
-            0x90 => {
-                machine.write_int(OperandWidth::Byte, 0)?;
-                Ok(Flow::Next)
-            }
-            0x94 => sound(machine),
-            0x99 => self.input_device(machine, moment),
-            0x9A | 0x9D => self.input_read(code, machine, moment),
+            0x87 => machine.write_int(OperandWidth::Long, 0)?,
+            0x8F => machine.write_int(OperandWidth::Long, pass.now.as_micros() as i32)?,
+            0x8D => math(machine)?,
+            0x90 => machine.write_int(OperandWidth::Byte, 0)?,
+            0x94 => sound(machine)?,
+            0x99 => return self.input_device(machine, pass),
+            0x9A | 0x9D => self.input_read(code, machine, pass)?,
             0x9C => {
                 let (layer, port) = (machine.byte()?, machine.byte()?);
-                let is_ready = self.sensors.is_ready(moment.sim_time, port_of(layer, port));
-                Ok(if is_ready { Flow::Next } else { Flow::Wait })
+                if !self.sensors.is_ready(pass.sim_time, port_of(layer, port)) {
+                    return Ok(Flow::Wait);
+                }
             }
-            0xA0..=0xB4 => self.output(code, machine, moment).map(|()| Flow::Next),
+            0xA0..=0xB4 => self.output(code, machine, pass)?,
             0xC5 => {
                 machine.write_int(OperandWidth::Long, MEMORY_KB.0)?;
                 machine.write_int(OperandWidth::Long, MEMORY_KB.1)?;
-                Ok(Flow::Next)
             }
-            0xD3 => self.com_get(machine),
-            0xD4 => self.com_set(machine),
-            _ => Err(ExecutionFault),
+            0xD3 => self.com_get(machine)?,
+            // COM_SET: SET_BRICKNAME alone.
+            0xD4 => {
+                expect_command(machine, 0x08)?;
+                self.name = String::from_utf8_lossy(&machine.text()?).into_owned();
+            }
+            _ => return Err(ExecutionFault),
         }
+        Ok(Flow::Next)
     }
 
-    fn info(&mut self, machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
+    fn info(&mut self, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
         match machine.byte()? {
             0x04 => machine.write_int(OperandWidth::Byte, self.volume)?,
             0x05 => self.volume = machine.byte()?,
@@ -93,48 +94,34 @@ impl Ev3 {
             0x07 => self.sleep_min = machine.byte()?,
             _ => return Err(ExecutionFault),
         }
-        Ok(Flow::Next)
+        Ok(())
     }
 
-    fn com_get(&mut self, machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
+    fn com_get(&mut self, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
         match machine.byte()? {
             // GET_BRICKNAME.
             0x0D => {
                 let room = machine.byte()?;
-                machine.write_text(&self.name, room)?;
+                machine.write_text(&self.name, room)
             }
             // GET_NETWORK: name, address of the hardware, address on the network.
             0x0E => {
                 let (_hardware, room) = (machine.byte()?, machine.byte()?);
                 machine.write_text("posebridge", room)?;
                 machine.write_text(SERIAL_NUMBER, room)?;
-                machine.write_text("127.0.0.1", room)?;
+                machine.write_text("127.0.0.1", room)
             }
-            _ => return Err(ExecutionFault),
+            _ => Err(ExecutionFault),
         }
-        Ok(Flow::Next)
     }
 
-    fn com_set(&mut self, machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
-        // SET_BRICKNAME.
-        if machine.byte()? != 0x08 {
-            return Err(ExecutionFault);
-        }
-        self.name = String::from_utf8_lossy(&machine.text()?).into_owned();
-        Ok(Flow::Next)
-    }
-
-    fn input_device(
-        &mut self,
-        machine: &mut BytecodeMachine,
-        moment: &FirmwarePass<'_>,
-    ) -> Result<Flow, ExecutionFault> {
+    fn input_device(&mut self, machine: &mut BytecodeMachine, pass: &FirmwarePass<'_>) -> Result<Flow, ExecutionFault> {
         let command = machine.byte()?;
         let layer = machine.byte()?;
         match command {
             // CLR_ALL.
             0x0A => {
-                self.sensors.clear(moment.senses);
+                self.sensors.clear(pass.senses);
                 self.motors.clear_counts(0xF);
                 return Ok(Flow::Next);
             }
@@ -152,18 +139,14 @@ impl Ev3 {
                 let (kind, mode) = self.sensors.kind_and_mode(port);
                 machine.write_int(OperandWidth::Byte, i32::from(kind))?;
                 machine.write_int(OperandWidth::Byte, i32::from(mode))?;
-                Ok(Flow::Next)
             }
             // CLR_CHANGES.
-            0x1A => {
-                self.sensors.clear(moment.senses);
-                Ok(Flow::Next)
-            }
+            0x1A => self.sensors.clear(pass.senses),
             // READY_PCT, READY_RAW, READY_SI.
             0x1B..=0x1D => {
                 let (kind, mode) = (machine.byte()?, machine.byte()?);
                 let count = machine.byte()?;
-                let reading = self.read(moment, SensorRequest { port, kind, mode });
+                let reading = self.read(pass, SensorRequest { port, kind, mode });
                 let reading = self.sensors.await_reading(reading);
                 if reading == SensorReading::NotYet {
                     return Ok(Flow::Wait);
@@ -171,10 +154,10 @@ impl Ev3 {
                 for index in 0..usize::try_from(count).map_err(|_negative| ExecutionFault)? {
                     put_reading(command, &reading, index, machine)?;
                 }
-                Ok(Flow::Next)
             }
-            _ => Err(ExecutionFault),
+            _ => return Err(ExecutionFault),
         }
+        Ok(Flow::Next)
     }
 
     /// INPUT_READ and INPUT_READSI, which take what is there without waiting.
@@ -182,26 +165,24 @@ impl Ev3 {
         &mut self,
         code: u8,
         machine: &mut BytecodeMachine,
-        moment: &FirmwarePass<'_>,
-    ) -> Result<Flow, ExecutionFault> {
+        pass: &FirmwarePass<'_>,
+    ) -> Result<(), ExecutionFault> {
         let (layer, port) = (machine.byte()?, machine.byte()?);
         let (kind, mode) = (machine.byte()?, machine.byte()?);
-        let reading = self.read(moment, SensorRequest { port: port_of(layer, port), kind, mode });
+        let reading = self.read(pass, SensorRequest { port: port_of(layer, port), kind, mode });
         let format = if code == 0x9A { READY_PCT } else { READY_SI };
-        put_reading(format, &reading, 0, machine)?;
-        Ok(Flow::Next)
+        put_reading(format, &reading, 0, machine)
     }
 
-    fn read(&mut self, moment: &FirmwarePass<'_>, request: SensorRequest) -> SensorReading {
-        let sources = SensorInputs { senses: moment.senses, motors: &self.motors };
-        self.sensors.read(moment.sim_time, request, sources)
+    fn read(&mut self, pass: &FirmwarePass<'_>, request: SensorRequest) -> SensorReading {
+        self.sensors.read(pass.sim_time, request, pass.senses, &self.motors)
     }
 
     fn output(
         &mut self,
         code: u8,
         machine: &mut BytecodeMachine,
-        moment: &FirmwarePass<'_>,
+        pass: &FirmwarePass<'_>,
     ) -> Result<(), ExecutionFault> {
         let (layer, which) = (machine.byte()?, machine.byte()?);
         // Other layers are other bricks; there are none.
@@ -227,7 +208,7 @@ impl Ev3 {
             // TEST.
             0xA9 => machine.write_int(OperandWidth::Byte, i32::from(self.motors.is_busy(which)))?,
             // STEP_POWER, TIME_POWER, STEP_SPEED, TIME_SPEED.
-            0xAC..=0xAF => self.movement(code, which, machine, moment.sim_time)?,
+            0xAC..=0xAF => self.movement(code, which, machine, pass.sim_time)?,
             // CLR_COUNT, GET_COUNT.
             0xB2 => self.motors.clear_counts(which),
             0xB3 => machine.write_int(OperandWidth::Long, self.motors.count(port))?,
@@ -286,54 +267,44 @@ fn put_reading(
     }
 }
 
-fn ui_read(machine: &mut BytecodeMachine, moment: &FirmwarePass<'_>) -> Result<Flow, ExecutionFault> {
-    let command = machine.byte()?;
-    match command {
-        0x01 => machine.write_real(moment.battery_v as f32)?,
-        0x02 => machine.write_real(CURRENT_A)?,
+fn ui_read(machine: &mut BytecodeMachine, pass: &FirmwarePass<'_>) -> Result<(), ExecutionFault> {
+    let text = match machine.byte()? {
+        0x01 => return machine.write_real(pass.battery_v as f32),
+        0x02 => return machine.write_real(CURRENT_A),
         // GET_TBATT: the battery is as warm as the room.
-        0x05 => machine.write_real(21.0)?,
+        0x05 => return machine.write_real(21.0),
         0x12 => {
-            let percent = (moment.battery_v - EMPTY_V) / (FULL_V - EMPTY_V) * 100.0;
-            machine.write_int(OperandWidth::Byte, percent.clamp(0.0, 100.0) as i32)?;
+            let percent = (pass.battery_v - EMPTY_V) / (FULL_V - EMPTY_V) * 100.0;
+            return machine.write_int(OperandWidth::Byte, percent.clamp(0.0, 100.0) as i32);
         }
-        _ => {
-            let text = match command {
-                0x03 => OS_VERSION,
-                0x09 => HARDWARE_VERSION,
-                0x0A => FIRMWARE_VERSION,
-                0x0B => FIRMWARE_BUILD,
-                0x0C => OS_BUILD,
-                _ => return Err(ExecutionFault),
-            };
-            let room = machine.byte()?;
-            machine.write_text(text, room)?;
-        }
-    }
-    Ok(Flow::Next)
-}
-
-/// The lamp, which is not simulated.
-fn ui_write(machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
-    if machine.byte()? != 0x1B {
-        return Err(ExecutionFault);
-    }
-    machine.byte()?;
-    Ok(Flow::Next)
+        0x03 => OS_VERSION,
+        0x09 => HARDWARE_VERSION,
+        0x0A => FIRMWARE_VERSION,
+        0x0B => FIRMWARE_BUILD,
+        0x0C => OS_BUILD,
+        _ => return Err(ExecutionFault),
+    };
+    let room = machine.byte()?;
+    machine.write_text(text, room)
 }
 
 /// BREAK and TONE, which are not simulated.
-fn sound(machine: &mut BytecodeMachine) -> Result<Flow, ExecutionFault> {
+fn sound(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     match machine.byte()? {
-        0x00 => {}
+        0x00 => Ok(()),
         0x01 => {
             machine.byte()?;
             machine.int(OperandWidth::Word)?;
             machine.int(OperandWidth::Word)?;
+            Ok(())
         }
-        _ => return Err(ExecutionFault),
+        _ => Err(ExecutionFault),
     }
-    Ok(Flow::Next)
+}
+
+/// The one subcommand that is followed.
+fn expect_command(machine: &mut BytecodeMachine, command: i32) -> Result<(), ExecutionFault> {
+    if machine.byte()? == command { Ok(()) } else { Err(ExecutionFault) }
 }
 
 /// A port of this brick; any other layer has none.

@@ -25,14 +25,12 @@ const SENSOR_PORTS: usize = 4;
 const FIRST_MOTOR: usize = 16;
 const GYRO_PORT: usize = 1;
 const ULTRASONIC_PORT: usize = 3;
-/// A change of mode takes this long.
 const MODE_CHANGE: TimeDelta = TimeDelta::from_millis(100);
 /// Largest reading of each device, which is 100 percent.
 const GYRO_FULL_DEG_PER_S: f64 = 440.0;
 const RANGE_FULL_CM: f64 = 255.0;
 const MOTOR_FULL: f64 = 100.0;
 
-/// The modes of the sensors.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SensorPorts {
     missing: MissingSensor,
@@ -44,14 +42,6 @@ pub(super) struct SensorPorts {
     angle_zero_deg: f64,
 }
 
-/// What a reading is made of.
-#[derive(Clone, Copy)]
-pub(super) struct SensorInputs<'a> {
-    pub(super) senses: &'a PluggedSensors,
-    pub(super) motors: &'a Motors,
-}
-
-/// A request to read a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SensorRequest {
     pub(super) port: usize,
@@ -61,7 +51,6 @@ pub(super) struct SensorRequest {
     pub(super) mode: i32,
 }
 
-/// What a port has to say.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum SensorReading {
     /// Its mode is being changed.
@@ -101,15 +90,19 @@ impl SensorPorts {
         reading
     }
 
-    /// Type and mode of a port.
     pub(super) fn kind_and_mode(&self, port: usize) -> (u8, u8) {
         let kind = kind(port);
         let mode = self.modes.get(port).copied().unwrap_or_default();
         (kind, if kind == NO_SENSOR { 0 } else { mode })
     }
 
-    /// Reads a port.
-    pub(super) fn read(&mut self, now: TimeDelta, request: SensorRequest, sources: SensorInputs<'_>) -> SensorReading {
+    pub(super) fn read(
+        &mut self,
+        now: TimeDelta,
+        request: SensorRequest,
+        senses: &PluggedSensors,
+        motors: &Motors,
+    ) -> SensorReading {
         let SensorRequest { port, kind: wanted, mode } = request;
         let kind = kind(port);
         if kind == NO_SENSOR || (wanted != 0 && wanted != i32::from(kind)) {
@@ -117,8 +110,8 @@ impl SensorPorts {
         }
         if let Some(motor) = port.checked_sub(FIRST_MOTOR) {
             return match mode {
-                0 | -1 => SensorReading::Values(vec![f64::from(sources.motors.count(motor))], MOTOR_FULL),
-                2 => SensorReading::Values(vec![f64::from(sources.motors.tacho(motor).1)], MOTOR_FULL),
+                0 | -1 => SensorReading::Values(vec![f64::from(motors.count(motor))], MOTOR_FULL),
+                2 => SensorReading::Values(vec![f64::from(motors.tacho(motor).1)], MOTOR_FULL),
                 _ => SensorReading::NoSensor,
             };
         }
@@ -126,14 +119,14 @@ impl SensorPorts {
         if self.ready_at.get(port).is_some_and(|settled| now < *settled) {
             return SensorReading::NotYet;
         }
-        let rate = -sources.senses.rate_deg_per_s().round();
-        let angle = (self.angle_zero_deg - sources.senses.angle_deg()).round();
+        let rate = -senses.rate_deg_per_s().round();
+        let angle = (self.angle_zero_deg - senses.angle_deg()).round();
         match (kind, self.modes.get(port).copied().unwrap_or_default()) {
             (GYRO, 0) => SensorReading::Values(vec![angle], GYRO_FULL_DEG_PER_S),
             (GYRO, 1) => SensorReading::Values(vec![rate], GYRO_FULL_DEG_PER_S),
             (GYRO, 3) => SensorReading::Values(vec![angle, rate], GYRO_FULL_DEG_PER_S),
             (ULTRASONIC, 0) => {
-                let range_cm = f64::from(sources.senses.range_cm());
+                let range_cm = f64::from(senses.range_cm());
                 SensorReading::Values(vec![range_cm], RANGE_FULL_CM)
             }
             _ => SensorReading::NoSensor,

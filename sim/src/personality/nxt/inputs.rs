@@ -16,7 +16,6 @@ use crate::scenario::PortSensor;
 
 use super::super::plugged_sensors::PluggedSensors;
 
-/// Number of ports.
 pub(super) const PORTS: usize = 4;
 /// Bytes of one port in the Input module.
 const MAP_BYTES: usize = 20;
@@ -40,7 +39,6 @@ const LOW_SPEED_PASSES: u32 = 60;
 /// Where rest values lie.
 const REST_COUNTS: (f64, f64) = (580.0, 625.0);
 
-/// One port.
 #[derive(Clone, Copy, Debug, Default)]
 struct InputPort {
     sensor: PortSensor,
@@ -51,7 +49,6 @@ struct InputPort {
     invalid_passes: u32,
 }
 
-/// All ports.
 #[derive(Clone, Debug)]
 pub(super) struct InputPorts {
     ports: [InputPort; PORTS],
@@ -66,7 +63,6 @@ impl InputPorts {
         Self { ports, gyro_rest }
     }
 
-    /// Converts once.
     pub(super) fn step(&mut self, senses: &PluggedSensors) {
         let gyro = (self.gyro_rest + senses.rate_deg_per_s()).round();
         for port in &mut self.ports {
@@ -102,7 +98,6 @@ impl InputPorts {
         }
     }
 
-    /// Whether there is such a port.
     pub(super) fn has(&self, port: u8) -> bool {
         usize::from(port) < self.ports.len()
     }
@@ -126,7 +121,6 @@ impl InputPorts {
         Some(values)
     }
 
-    /// The Input module.
     pub(super) fn map(&self) -> Vec<u8> {
         self.ports.iter().flat_map(InputPort::map).collect()
     }
@@ -188,46 +182,31 @@ const fn is_low_speed(kind: u8) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::scenario::Scenario;
 
-    fn inputs() -> InputPorts {
-        InputPorts::new(PortSensor::USUAL, 5)
-    }
+    use super::*;
 
     #[test]
     fn a_port_that_was_set_up_is_invalid_until_it_has_settled() {
-        let mut inputs = inputs();
+        let mut inputs = InputPorts::new(PortSensor::USUAL, 5);
         let senses = PluggedSensors::new(&Scenario::default());
         assert!(inputs.set(0, LIGHT_INACTIVE, 0));
-        let valid = |inputs: &InputPorts| inputs.values(0).unwrap()[1];
+        let valid = |inputs: &InputPorts| (inputs.values(0).unwrap()[1], inputs.map()[16]);
         for _ in 0..ANALOG_PASSES {
-            assert_eq!((valid(&inputs), inputs.map()[16]), (0, 1));
+            assert_eq!(valid(&inputs), (0, 1));
             inputs.step(&senses);
         }
-        assert_eq!((valid(&inputs), inputs.map()[16]), (1, 0));
+        assert_eq!(valid(&inputs), (1, 0));
         let raw = u16::from_le_bytes([inputs.map()[2], inputs.map()[3]]);
         assert!((570..=635).contains(&raw), "{raw}");
         // What a light sensor would show is another thing than the raw value.
         assert_eq!(inputs.values(0).unwrap()[7..9], (1_023 - raw).to_le_bytes());
-    }
-
-    #[test]
-    fn only_known_ports_and_types_can_be_set_up() {
-        let mut inputs = inputs();
-        assert!(!inputs.set(4, 0, 0) && !inputs.set(0, 19, 0));
-        assert!(inputs.values(4).is_none() && !inputs.has(4));
-    }
-
-    #[test]
-    fn rest_values_differ_from_gyro_to_gyro() {
-        let rest = |seed| InputPorts::new(PortSensor::USUAL, seed).gyro_rest;
-        assert!((580.0..625.0).contains(&rest(1)) && rest(1) != rest(2));
+        assert_ne!(inputs.gyro_rest, InputPorts::new(PortSensor::USUAL, 6).gyro_rest, "each gyro has its own");
     }
 
     #[test]
     fn a_port_without_an_analog_sensor_shows_the_pull_up() {
-        let mut inputs = inputs();
+        let mut inputs = InputPorts::new(PortSensor::USUAL, 5);
         inputs.set(1, LOW_SPEED_9V, MODE_PERCENT);
         inputs.step(&PluggedSensors::new(&Scenario::default()));
         assert_eq!(inputs.map()[22..28], [0xFF, 3, 0xFF, 3, 100, 0]);

@@ -1,26 +1,27 @@
-//! The NXT's four I2C channels: transactions that take their time, and the LowSpeed module.
+//! The NXT's four I2C channels, and the sensors on them: registers that a station writes and reads.
 //!
 //! # Model
 //! ```text
 //! time on the bus = (bytes out + [1 for the address again] + bytes in) * 10 bits / 9600 per second
 //! answer          pushed into a ring of 16 bytes at InPtr; LSREAD takes everything between OutPtr and InPtr out
+//! request         the device's address, a register, and what is written there; an answer is read from that register on
 //! ```
-//! A station that reads the module instead finds its answer in the bytes before InPtr, and BytesToRx at 0 when it is there.
+//! A station that reads the LowSpeed module instead finds its answer in the bytes before InPtr, and BytesToRx at 0 when it is there.
 //!
 //! # Sources
-//! LEGO's NXT firmware: struct of the LowSpeed module, ring buffers, states. 9600 bits per second: LEGO's hardware developer kit.
+//! LEGO's NXT firmware: struct of the LowSpeed module, ring buffers, states. 9600 bits per second and the ultrasonic sensor: LEGO's
+//! hardware developer kit. HiTechnic's pages on accelerometer and compass; Texas Instruments' TMP275 data sheet, the part in LEGO's
+//! temperature sensor 9749.
 
-use crate::scenario::PortSensor;
-
-use super::devices::{DeviceInputs, I2cDevice};
+use super::super::plugged_sensors::PluggedSensors;
 use super::inputs::PORTS;
-use super::status;
+use super::telegram::status;
+use crate::scenario::PortSensor;
 
 /// Bytes that a request or an answer can have.
 pub(super) const MAX_MESSAGE_BYTES: usize = 16;
 /// Milliseconds that a byte takes on the bus.
 const MS_PER_BYTE: f64 = 10.0 / 9.6;
-/// The module's status of a channel.
 const STATE_IDLE: u8 = 0;
 const STATE_COMMUNICATING: u8 = 3;
 const STATE_ERROR: u8 = 4;
@@ -38,7 +39,6 @@ enum ChannelState {
     Failed,
 }
 
-/// One channel.
 #[derive(Clone, Debug, Default)]
 struct LowSpeedChannel {
     device: I2cDevice,
@@ -52,14 +52,12 @@ struct LowSpeedChannel {
     unread: usize,
 }
 
-/// All channels.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LowSpeedBus {
     channels: [LowSpeedChannel; PORTS],
 }
 
 impl LowSpeedBus {
-    /// Passes one millisecond on all buses.
     pub(super) fn step(&mut self, inside: DeviceInputs<'_>) {
         for channel in &mut self.channels {
             channel.step(inside);
@@ -93,7 +91,6 @@ impl LowSpeedBus {
         }
     }
 
-    /// Takes out what waits.
     pub(super) fn read(&mut self, port: u8) -> Result<Vec<u8>, u8> {
         let unread = self.ready(port)?;
         let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
@@ -111,7 +108,6 @@ impl LowSpeedBus {
         }
     }
 
-    /// The LowSpeed module.
     pub(super) fn map(&self) -> Vec<u8> {
         let mut map = Vec::with_capacity(167);
         for channel in &self.channels {
@@ -190,19 +186,176 @@ impl LowSpeedChannel {
     }
 }
 
+/// The address of HiTechnic's and LEGO's sensors, and that of the temperature sensor, both with the bit for reading at 0.
+const USUAL_ADDRESS: u8 = 0x02;
+const TEMPERATURE_ADDRESS: u8 = 0x98;
+/// Registers: name tags, units, interval, command or mode, first reading.
+const VERSION: u8 = 0x00;
+const MAKER: u8 = 0x08;
+const KIND: u8 = 0x10;
+const UNITS: u8 = 0x14;
+const INTERVAL: usize = 0x40;
+const COMMAND: usize = 0x41;
+const READINGS: u8 = 0x42;
+/// Commands of the ultrasonic sensor.
+const SINGLE_SHOT: u8 = 0x01;
+const CONTINUOUS: u8 = 0x02;
+const WARM_RESET: u8 = 0x04;
+/// The TMP275's registers.
+const POINT_TEMPERATURE: u8 = 0x00;
+const POINT_CONFIGURATION: u8 = 0x01;
+/// Its counts per kelvin when all twelve bits are used.
+const COUNTS_PER_K: f64 = 16.0;
+
+/// What a sensor's inside is like at this moment.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DeviceInputs<'a> {
+    /// Everything but the temperature.
+    pub(super) senses: &'a PluggedSensors,
+    pub(super) temperature_c: f64,
+}
+
+/// The memory of whatever sits in one port.
+#[derive(Clone, Debug)]
+pub(super) struct I2cDevice {
+    registers: [u8; 256],
+    /// The TMP275's pointer and configuration.
+    pointer: u8,
+    configuration: u8,
+}
+
+impl Default for I2cDevice {
+    fn default() -> Self {
+        let mut registers = [0; 256];
+        registers[INTERVAL] = 1;
+        registers[COMMAND] = CONTINUOUS;
+        Self { registers, pointer: POINT_TEMPERATURE, configuration: 0 }
+    }
+}
+
+impl I2cDevice {
+    /// One transaction with `sensor`: the request, then `wanted` bytes of answer. `None` if no device has that address.
+    pub(super) fn transact(
+        &mut self,
+        sensor: PortSensor,
+        request: &[u8],
+        wanted: usize,
+        inside: DeviceInputs<'_>,
+    ) -> Option<Vec<u8>> {
+        let (address, rest) = request.split_first()?;
+        match (sensor, *address) {
+            (PortSensor::Temperature, TEMPERATURE_ADDRESS) => {
+                Some(self.thermometer(rest, wanted, inside.temperature_c))
+            }
+            (PortSensor::Accelerometer | PortSensor::Compass | PortSensor::Ultrasonic, USUAL_ADDRESS) => {
+                let (first, values) = rest.split_first().map_or((0, rest), |(r, v)| (*r, v));
+                for (register, value) in (usize::from(first)..).zip(values) {
+                    self.put(register, *value);
+                }
+                self.refresh(sensor, inside.senses);
+                if (sensor, first) == (PortSensor::Ultrasonic, UNITS) {
+                    // Read by its own number, the unit is there; read through from the kind on, it is not.
+                    self.write_registers(UNITS, b"10E-2m\0");
+                }
+                let from = usize::from(first);
+                let bytes = self.registers.iter().cycle().skip(from).take(wanted);
+                Some(bytes.copied().collect())
+            }
+            _ => None,
+        }
+    }
+
+    /// Only the command and the interval can be written.
+    fn put(&mut self, register: usize, value: u8) {
+        match register {
+            INTERVAL => self.registers[INTERVAL] = value,
+            COMMAND if value == WARM_RESET => *self = Self::default(),
+            COMMAND => self.registers[COMMAND] = value,
+            _ => {}
+        }
+    }
+
+    fn refresh(&mut self, sensor: PortSensor, senses: &PluggedSensors) {
+        let (version, maker, kind): (&[u8], &[u8], &[u8]) = match sensor {
+            PortSensor::Accelerometer => (b"\xfdV1.1   ", b"HiTechnc", b"Accel.  "),
+            PortSensor::Compass => (b"\xfdV1.23  ", b"HiTechnc", b"Compass "),
+            PortSensor::Ultrasonic => (b"V1.0\0\0\0\0", b"LEGO\0\0\0\0", b"Sonar\0\0\0"),
+            PortSensor::None | PortSensor::Gyro | PortSensor::Temperature => (b"", b"", b""),
+        };
+        self.write_registers(VERSION, version);
+        self.write_registers(MAKER, maker);
+        self.write_registers(KIND, kind);
+        match sensor {
+            PortSensor::Accelerometer => {
+                let [high, low] = acceleration_registers(senses.acceleration_counts());
+                self.write_registers(READINGS, &high);
+                self.write_registers(READINGS + 3, &low);
+            }
+            PortSensor::Compass => {
+                let degrees = senses.compass_deg();
+                // Measuring, whatever mode was written.
+                self.registers[COMMAND] = 0;
+                self.write_registers(READINGS, &[(degrees / 2) as u8, (degrees % 2) as u8]);
+                self.write_registers(READINGS + 2, &degrees.to_le_bytes());
+            }
+            PortSensor::Ultrasonic => {
+                if matches!(self.registers[COMMAND], SINGLE_SHOT | CONTINUOUS) {
+                    let others = [255; 7];
+                    self.write_registers(READINGS, &[senses.range_cm()]);
+                    self.write_registers(READINGS + 1, &others);
+                }
+                if self.registers[COMMAND] == SINGLE_SHOT {
+                    self.registers[COMMAND] = 0;
+                }
+            }
+            PortSensor::None | PortSensor::Gyro | PortSensor::Temperature => {}
+        }
+    }
+
+    fn write_registers(&mut self, first: u8, bytes: &[u8]) {
+        let from = usize::from(first);
+        for (register, byte) in self.registers.iter_mut().skip(from).zip(bytes) {
+            *register = *byte;
+        }
+    }
+
+    fn thermometer(&mut self, request: &[u8], wanted: usize, temperature_c: f64) -> Vec<u8> {
+        if let Some((pointer, values)) = request.split_first() {
+            self.pointer = *pointer;
+            if let (POINT_CONFIGURATION, Some(value)) = (self.pointer, values.first()) {
+                self.configuration = *value;
+            }
+        }
+        if self.pointer == POINT_CONFIGURATION {
+            return vec![self.configuration; wanted];
+        }
+        // Bits 6 and 5: 9, 10, 11 or 12 bits are converted, the others are zero.
+        let unused_bits = 3 - ((self.configuration >> 5) & 3);
+        let counts = (temperature_c * COUNTS_PER_K).floor().clamp(-2_048.0, 2_047.0) as i16;
+        let register = (counts >> unused_bits << unused_bits) << 4;
+        let bytes = register.to_be_bytes().into_iter().chain(std::iter::repeat(0xFF));
+        bytes.take(wanted).collect()
+    }
+}
+
+/// Ten bits of each axis with a sign: the upper eight, then the lower two.
+fn acceleration_registers(counts: [i16; 3]) -> [[u8; 3]; 2] {
+    [counts.map(|count| (count >> 2) as u8), counts.map(|count| (count & 3) as u8)]
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::personality::plugged_sensors::PluggedSensors;
     use crate::scenario::Scenario;
+
+    use super::*;
+
+    const REQUEST: &[u8] = &[0x02, 0x42];
 
     fn pass(bus: &mut LowSpeedBus, count: u32) {
         let senses = PluggedSensors::new(&Scenario::default());
         let inside = DeviceInputs { senses: &senses, temperature_c: 20.0 };
         (0..count).for_each(|_| bus.step(inside));
     }
-
-    const REQUEST: &[u8] = &[0x02, 0x42];
 
     #[test]
     fn an_answer_is_pending_for_as_long_as_its_bytes_take() {
@@ -234,23 +387,60 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_port_is_a_bus_error_until_the_next_transaction() {
+    fn an_empty_port_is_a_bus_error_until_the_next_transaction_and_what_does_not_fit_is_refused() {
         let mut bus = LowSpeedBus::default();
         bus.write(2, PortSensor::None, REQUEST, 6).unwrap();
         pass(&mut bus, 10);
-        assert_eq!(bus.ready(2), Err(status::BUS_ERROR));
-        assert_eq!(bus.read(2), Err(status::BUS_ERROR));
+        assert_eq!((bus.ready(2), bus.read(2)), (Err(status::BUS_ERROR), Err(status::BUS_ERROR)));
         bus.write(2, PortSensor::Ultrasonic, REQUEST, 6).unwrap();
         pass(&mut bus, 10);
         assert_eq!(bus.ready(2), Ok(6));
-    }
-
-    #[test]
-    fn what_does_not_fit_is_refused() {
-        let mut bus = LowSpeedBus::default();
         assert_eq!(bus.write(4, PortSensor::None, REQUEST, 6), Err(status::OUT_OF_RANGE));
         assert_eq!(bus.write(0, PortSensor::None, &[], 1), Err(status::ILLEGAL_SIZE));
         assert_eq!(bus.write(0, PortSensor::None, &[2], 17), Err(status::ILLEGAL_SIZE));
         assert_eq!(bus.map().len(), 166);
+    }
+
+    #[test]
+    fn an_acceleration_is_eight_bits_with_a_sign_and_two_without() {
+        assert_eq!(acceleration_registers([-1, 2, 203]), [[0xFF, 0, 50], [3, 2, 3]]);
+        assert_eq!(acceleration_registers([-512, 511, -6])[0], [0x80, 0x7F, 0xFE]);
+    }
+
+    #[test]
+    fn sensors_answer_at_their_own_address_with_their_name_and_the_resolution_that_was_set() {
+        let senses = PluggedSensors::new(&Scenario::default());
+        let transact = |device: &mut I2cDevice, sensor, request: &[u8], wanted, temperature_c| {
+            device.transact(sensor, request, wanted, DeviceInputs { senses: &senses, temperature_c })
+        };
+        let answers: &[(PortSensor, &[u8], &[u8])] = &[
+            (PortSensor::Ultrasonic, &[0x02, 0x08], b"LEGO\0\0\0\0Sonar\0\0\0"),
+            (PortSensor::Ultrasonic, &[0x02, 0x14], b"10E-2m\0"),
+            (PortSensor::Ultrasonic, &[0x02, 0x42], &[255]),
+            (PortSensor::Compass, &[0x02, 0x10], b"Compass "),
+        ];
+        for (sensor, request, expected) in answers {
+            let answer = transact(&mut I2cDevice::default(), *sensor, request, expected.len(), 0.0);
+            assert_eq!(answer.as_deref(), Some(*expected), "{sensor:?} {request:02x?}");
+        }
+        for (sensor, request) in [
+            (PortSensor::Compass, &[0x98, 0x00][..]),
+            (PortSensor::Compass, &[]),
+            (PortSensor::Temperature, &[0x02, 0x42]),
+            (PortSensor::Gyro, &[0x02, 0x42]),
+        ] {
+            assert_eq!(transact(&mut I2cDevice::default(), sensor, request, 2, 0.0), None, "{sensor:?} {request:02x?}");
+        }
+        // 21.7 is 0x15b sixteenths; 9 bits keep halves of a degree until it is told otherwise.
+        let mut thermometer = I2cDevice::default();
+        for (request, wanted, temperature_c, expected) in [
+            (&[0x98, 0x00][..], 2, 21.7, &[0x15, 0x80][..]),
+            (&[0x98, 0x00], 2, -0.1, &[0xFF, 0x80]),
+            (&[0x98, 0x01, 0x60], 1, 21.7, &[0x60]),
+            (&[0x98, 0x00], 2, 21.7, &[0x15, 0xB0]),
+        ] {
+            let answer = transact(&mut thermometer, PortSensor::Temperature, request, wanted, temperature_c);
+            assert_eq!(answer.unwrap(), expected, "{request:02x?}");
+        }
     }
 }

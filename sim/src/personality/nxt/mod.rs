@@ -9,34 +9,23 @@
 //! # Sources
 //! LEGO Bluetooth developer kit; the published firmware. docs/simulator.md describes what is ours.
 
-mod devices;
-mod direct;
+mod commands;
 mod inputs;
-mod io_map;
 mod low_speed;
-mod mailboxes;
 mod outputs;
-mod status;
-mod system;
 mod telegram;
 mod wire;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Pose, TimeDelta, Timestamp};
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
-use self::devices::DeviceInputs;
 use self::inputs::InputPorts;
-use self::low_speed::LowSpeedBus;
-use self::mailboxes::Mailboxes;
+use self::low_speed::{DeviceInputs, LowSpeedBus};
 use self::outputs::OutputPorts;
-use self::telegram::{CommandFamily, TelegramRequest, reply_telegram};
+use self::telegram::{CommandFamily, TelegramRequest, reply_telegram, status};
 use self::wire::NxtWire;
-use super::estimate::{NXT_INBOX, estimate_from};
-use super::firmware_pass::FirmwarePass;
+use super::lego::{FirmwarePass, LegoFirmware};
 use crate::firmware::BrickMessenger;
 use crate::scenario::{BrickProgram, Personality, Scenario};
 use crate::wheels::PerWheel;
@@ -45,10 +34,17 @@ use crate::wheels::PerWheel;
 const SLEEP_TIMEOUT: TimeDelta = TimeDelta::from_millis(600_000);
 /// The temperature of a room whose thermometer is not simulated, in degrees Celsius.
 const AMBIENT_C: f64 = 21.0;
+const ESTIMATE_INBOX: u8 = 0;
 /// Frames that a pushing program holds back while the radio is busy; the oldest are given up.
 const PUSH_QUEUE_CAPACITY: usize = 8;
 
-/// An NXT.
+/// Number of message queues.
+const QUEUES: usize = 20;
+/// Messages that a queue holds; one more pushes the oldest out.
+const DEPTH: usize = 5;
+/// Longest message with its final zero, in bytes.
+pub(super) const MAX_MESSAGE_BYTES: usize = 59;
+
 #[derive(Debug)]
 pub(super) struct Nxt {
     wire: NxtWire,
@@ -56,7 +52,6 @@ pub(super) struct Nxt {
     outputs: OutputPorts,
     low_speed: LowSpeedBus,
     mailboxes: Mailboxes,
-    /// The name of the program that runs.
     program: Option<Vec<u8>>,
     /// The program's unrequested output, if there is any.
     messenger: Option<BrickMessenger>,
@@ -67,13 +62,10 @@ pub(super) struct Nxt {
     scenario_program: BrickProgram,
     /// It has received something, or it is one that sends first: its program may drive.
     is_addressed: bool,
-    outgoing: VecDeque<Vec<u8>>,
-    estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
 /// The file name of the program that drives the path.
 const PATH_PROGRAM: &[u8] = b"path.rxe";
-/// The name that comes from the factory.
 const FACTORY_NAME: &[u8] = b"NXT";
 
 impl Nxt {
@@ -94,85 +86,23 @@ impl Nxt {
             is_asleep: false,
             scenario_program: brick.program,
             is_addressed: brick.personality == Personality::NxtPush,
-            outgoing: VecDeque::new(),
-            estimates: Vec::new(),
         };
         nxt.autostart();
         nxt
-    }
-
-    /// One pass; returns the duty of both motors.
-    pub(super) fn step(&mut self, moment: &mut FirmwarePass<'_>) -> PerWheel<f64> {
-        if self.program.is_some() {
-            self.awake_since = moment.sim_time;
-        }
-        self.is_asleep |= moment.sim_time - self.awake_since >= SLEEP_TIMEOUT;
-        if self.is_asleep {
-            moment.program.observe_odometry(moment.now, moment.counts());
-            return PerWheel::default();
-        }
-        self.inputs.step(moment.senses);
-        self.low_speed.step(DeviceInputs {
-            senses: moment.senses,
-            temperature_c: moment.board.read_temperature().unwrap_or(AMBIENT_C),
-        });
-        if let Some(telegram) = self.wire.next_telegram() {
-            self.execute(&telegram, moment);
-        }
-        self.run(moment);
-        let duty = self.outputs.step(moment.counts());
-        self.push(moment);
-        self.outgoing.extend(self.wire.step(moment.sim_time));
-        duty
-    }
-
-    /// Takes bytes that arrive from the station.
-    pub(super) fn receive(&mut self, world: TimeDelta, bytes: &[u8]) {
-        if !self.is_asleep {
-            self.wire.receive(world, bytes);
-        }
-    }
-
-    /// The link has a new peer.
-    pub(super) fn reopen(&mut self) {
-        self.wire.reopen();
-    }
-
-    /// Switched off and on: as from the beginning, but for its name and its gyro.
-    pub(super) fn restart(&mut self, moment: &mut FirmwarePass<'_>) {
-        self.wire.reopen();
-        self.is_asleep = false;
-        self.awake_since = moment.sim_time;
-        self.outputs.step(moment.counts());
-        self.forget();
-        if let Some(talk) = &mut self.messenger {
-            talk.restart(moment.now, moment.counts());
-        }
-        self.autostart();
-    }
-
-    /// The next telegram on its way to the station.
-    pub(super) fn next_bytes(&mut self) -> Option<Vec<u8>> {
-        self.outgoing.pop_front()
-    }
-
-    /// The estimates that the program took out of its mailbox: instant and pose.
-    pub(super) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
-        std::mem::take(&mut self.estimates)
     }
 
     fn autostart(&mut self) {
         self.program = (self.scenario_program == BrickProgram::Path).then(|| PATH_PROGRAM.to_vec());
     }
 
-    fn execute(&mut self, telegram: &[u8], moment: &mut FirmwarePass<'_>) {
+    fn execute(&mut self, telegram: &[u8], pass: &mut FirmwarePass<'_>) {
         let Some(request) = TelegramRequest::parse(telegram) else {
             return;
         };
         self.is_addressed = true;
         let answer = match request.family {
-            CommandFamily::Direct => self.direct(request, moment),
-            CommandFamily::System => self.system(request, moment),
+            CommandFamily::Direct => self.direct(request, pass),
+            CommandFamily::System => self.system(request, pass),
         };
         if request.is_answered {
             self.wire.send(&reply_telegram(request.opcode, &answer));
@@ -180,29 +110,24 @@ impl Nxt {
     }
 
     /// Lets the program run, which looks into its mailbox first.
-    fn run(&mut self, moment: &mut FirmwarePass<'_>) {
+    fn run(&mut self, pass: &mut FirmwarePass<'_>) {
         // A program that is polled from outside waits for the first poll, which must see the robot at rest.
         if self.program.is_none() || !self.is_addressed {
-            moment.program.observe_odometry(moment.now, moment.counts());
-            return;
+            return pass.idle();
         }
-        while let Some(message) = self.mailboxes.pop(NXT_INBOX) {
-            if let Some((stamp, pose)) = estimate_from(&message) {
-                let instant = moment.program.apply_estimate(moment.now, stamp, pose);
-                self.estimates.push((instant, pose));
-            }
+        while let Some(message) = self.mailboxes.pop(ESTIMATE_INBOX) {
+            pass.apply_mail(&message);
         }
-        let duty = moment.program.step(moment.now, moment.counts());
-        self.outputs.drive(duty);
+        self.outputs.drive(pass.run_program());
     }
 
-    /// Lets the program say what it has to say. It waits until the last frame is sent, so that the firmware has a buffer for its answers.
-    fn push(&mut self, moment: &mut FirmwarePass<'_>) {
-        let Some(talk) = self.messenger.as_mut().filter(|_| self.program.is_some()) else {
+    /// Sends the frames of a pushing program, one at a time: the firmware keeps a buffer for its answers.
+    fn push(&mut self, pass: &mut FirmwarePass<'_>) {
+        let Some(messenger) = self.messenger.as_mut().filter(|_| self.program.is_some()) else {
             return;
         };
-        talk.step(moment.now, moment.board);
-        self.push_queue.extend(talk.take_frames());
+        messenger.step(pass.now, pass.board);
+        self.push_queue.extend(messenger.take_frames());
         while self.push_queue.len() > PUSH_QUEUE_CAPACITY {
             self.push_queue.pop_front();
         }
@@ -213,21 +138,14 @@ impl Nxt {
         }
     }
 
-    /// A program begins: all ports, counters and mailboxes begin anew.
-    fn start(&mut self, name: &[u8], moment: &mut FirmwarePass<'_>) {
-        self.outputs.step(moment.counts());
+    /// Starts a program: all ports, counters and mailboxes are reset.
+    fn start(&mut self, name: &[u8], pass: &mut FirmwarePass<'_>) {
+        self.outputs.step(pass.counts());
         self.forget();
         self.program = Some(name.to_vec());
-        moment.program.begin(moment.now, moment.counts());
-        if let Some(talk) = &mut self.messenger {
-            talk.restart(moment.now, moment.counts());
-        }
-    }
-
-    /// Stops the program and starts it again.
-    pub(super) fn restart_program(&mut self, moment: &mut FirmwarePass<'_>) {
-        if let Some(name) = self.program.clone() {
-            self.start(&name, moment);
+        pass.program.begin(pass.now, pass.counts());
+        if let Some(messenger) = &mut self.messenger {
+            messenger.restart(pass.now, pass.counts());
         }
     }
 
@@ -243,5 +161,123 @@ impl Nxt {
         self.low_speed.reset();
         self.mailboxes.clear();
         self.push_queue.clear();
+    }
+}
+
+impl LegoFirmware for Nxt {
+    fn step(&mut self, pass: &mut FirmwarePass<'_>) -> PerWheel<f64> {
+        if self.program.is_some() {
+            self.awake_since = pass.sim_time;
+        }
+        self.is_asleep |= pass.sim_time - self.awake_since >= SLEEP_TIMEOUT;
+        if self.is_asleep {
+            pass.idle();
+            return PerWheel::default();
+        }
+        self.inputs.step(pass.senses);
+        self.low_speed.step(DeviceInputs {
+            senses: pass.senses,
+            temperature_c: pass.board.read_temperature().unwrap_or(AMBIENT_C),
+        });
+        if let Some(telegram) = self.wire.next_telegram() {
+            self.execute(&telegram, pass);
+        }
+        self.run(pass);
+        let duty = self.outputs.step(pass.counts());
+        self.push(pass);
+        pass.outgoing.extend(self.wire.step(pass.sim_time));
+        duty
+    }
+
+    fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
+        if !self.is_asleep {
+            self.wire.receive(now, bytes);
+        }
+    }
+
+    fn reopen(&mut self) {
+        self.wire.reopen();
+    }
+
+    /// The gyro's rest value stays.
+    fn restart(&mut self, pass: &mut FirmwarePass<'_>) {
+        self.wire.reopen();
+        self.is_asleep = false;
+        self.awake_since = pass.sim_time;
+        self.outputs.step(pass.counts());
+        self.forget();
+        if let Some(messenger) = &mut self.messenger {
+            messenger.restart(pass.now, pass.counts());
+        }
+        self.autostart();
+    }
+
+    fn restart_program(&mut self, pass: &mut FirmwarePass<'_>) {
+        if let Some(name) = self.program.clone() {
+            self.start(&name, pass);
+        }
+    }
+}
+
+/// The message queues between a station and the program on the brick: 0 to 9 are the program's inboxes, 10 to 19 its outboxes. A
+/// message ends with a zero byte, which counts as a part of it; zeros before it are welcome.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Mailboxes {
+    queues: [VecDeque<Vec<u8>>; QUEUES],
+}
+
+impl Mailboxes {
+    /// Adds a message, `size` bytes long by its sender's word.
+    pub(super) fn write(&mut self, queue: u8, size: u8, message: &[u8]) -> Result<(), u8> {
+        let queue = self.queues.get_mut(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
+        if message.len() != usize::from(size) || message.len() > MAX_MESSAGE_BYTES {
+            return Err(status::ILLEGAL_SIZE);
+        }
+        if message.last() != Some(&0) {
+            return Err(status::OUT_OF_RANGE);
+        }
+        if queue.len() >= DEPTH {
+            queue.pop_front();
+        }
+        queue.push_back(message.to_vec());
+        Ok(())
+    }
+
+    /// The oldest message, its final zero included.
+    pub(super) fn oldest(&self, queue: u8) -> Result<&[u8], u8> {
+        let queue = self.queues.get(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
+        queue.front().map(Vec::as_slice).ok_or(status::MAILBOX_EMPTY)
+    }
+
+    /// Takes the oldest message out.
+    pub(super) fn pop(&mut self, queue: u8) -> Option<Vec<u8>> {
+        self.queues.get_mut(usize::from(queue))?.pop_front()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.queues.iter_mut().for_each(VecDeque::clear);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sixth_message_pushes_the_oldest_out_and_what_is_no_message_is_refused() {
+        let mut boxes = Mailboxes::default();
+        (1..=6).for_each(|number| boxes.write(3, 2, &[number, 0]).unwrap());
+        let taken: Vec<_> = std::iter::from_fn(|| boxes.pop(3)).collect();
+        assert_eq!(taken, [2, 3, 4, 5, 6].map(|number| vec![number, 0]));
+        assert_eq!(boxes.oldest(3), Err(status::MAILBOX_EMPTY));
+        for (queue, size, message, result) in [
+            (20, 1, &[0][..], Err(status::ILLEGAL_MAILBOX)),
+            (0, 3, &[1, 0], Err(status::ILLEGAL_SIZE)),
+            (0, 60, &[0; 60], Err(status::ILLEGAL_SIZE)),
+            (0, 2, &[1, 2], Err(status::OUT_OF_RANGE)),
+            (0, 59, &[0; 59], Ok(())),
+        ] {
+            assert_eq!(boxes.write(queue, size, message), result, "{size} bytes to {queue}");
+        }
     }
 }

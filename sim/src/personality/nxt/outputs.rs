@@ -18,7 +18,6 @@ use crate::firmware::SpeedControl;
 use crate::scenario::{RobotSettings, TICK_RAD};
 use crate::wheels::PerWheel;
 
-/// Number of ports.
 pub(super) const PORTS: usize = 3;
 /// Where the wheels' motors are plugged in.
 const LEFT: usize = 1;
@@ -58,7 +57,6 @@ const REGULATION_AT: usize = 26;
 const OVERLOADED_AT: usize = 27;
 const TURN_RATIO_AT: usize = 28;
 
-/// The command of a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OutputCommand {
     /// Percent, negative backwards.
@@ -75,7 +73,6 @@ pub(super) struct OutputCommand {
     pub(super) limit: u32,
 }
 
-/// Which counter is to be zeroed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TachoCounter {
     /// Since the program began.
@@ -84,7 +81,6 @@ pub(super) enum TachoCounter {
     Block,
 }
 
-/// One port.
 #[derive(Clone, Debug)]
 struct OutputPort {
     command: OutputCommand,
@@ -102,16 +98,13 @@ struct OutputPort {
     written: [u8; MAP_BYTES],
 }
 
-/// All ports.
 #[derive(Clone, Debug)]
 pub(super) struct OutputPorts {
     ports: [OutputPort; PORTS],
-    fresh_control: SpeedControl,
     passes: u32,
 }
 
 impl OutputPorts {
-    /// Ports at rest.
     pub(super) fn new(robot: &RobotSettings) -> Self {
         let control = SpeedControl::new(robot);
         let port = || OutputPort {
@@ -126,16 +119,13 @@ impl OutputPorts {
             is_overloaded: false,
             written: [0; MAP_BYTES],
         };
-        Self { ports: [port(), port(), port()], fresh_control: control, passes: 0 }
+        Self { ports: [port(), port(), port()], passes: 0 }
     }
 
     /// Follows the encoders by one pass and returns the duty of both motors.
     pub(super) fn step(&mut self, positions: PerWheel<i64>) -> PerWheel<f64> {
-        for (place, position) in [(LEFT, positions.left), (RIGHT, positions.right)] {
-            if let Some(port) = self.ports.get_mut(place) {
-                port.position = position;
-            }
-        }
+        self.ports[LEFT].position = positions.left;
+        self.ports[RIGHT].position = positions.right;
         let is_due = self.passes.is_multiple_of(REGULATION_PASSES);
         self.passes = self.passes.wrapping_add(1);
         for (place, port) in self.ports.iter_mut().enumerate() {
@@ -144,19 +134,17 @@ impl OutputPorts {
                 port.regulate(place);
             }
         }
-        let duty = |place: usize| self.ports.get(place).map_or(0.0, |port| port.duty);
-        PerWheel { left: duty(LEFT), right: duty(RIGHT) }
+        PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
     /// Gives an order to a port, or to all; false if there is no such port.
     pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> bool {
-        let fresh = self.fresh_control.clone();
         let places = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
         let Some(ports) = self.ports.get_mut(places) else {
             return false;
         };
         for port in ports {
-            port.apply(order, fresh.clone());
+            port.apply(order);
         }
         true
     }
@@ -164,15 +152,13 @@ impl OutputPorts {
     /// What the program on the brick does: both motors on at these duties.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
-            if let Some(port) = self.ports.get_mut(place) {
-                port.command = OutputCommand {
-                    power: (duty * 100.0).round() as i8,
-                    mode: ON | BRAKE,
-                    run_state: RUNNING,
-                    ..OutputCommand::default()
-                };
-                port.duty = duty;
-            }
+            self.ports[place].duty = duty;
+            self.ports[place].command = OutputCommand {
+                power: (duty * 100.0).round() as i8,
+                mode: ON | BRAKE,
+                run_state: RUNNING,
+                ..OutputCommand::default()
+            };
         }
     }
 
@@ -191,7 +177,7 @@ impl OutputPorts {
     /// A program was started or stopped: all motors idle, all counters at zero.
     pub(super) fn reset(&mut self) {
         for port in &mut self.ports {
-            port.apply(OutputCommand::default(), self.fresh_control.clone());
+            port.apply(OutputCommand::default());
             port.duty = 0.0;
             port.tacho_zero = port.position;
             port.block_zero = port.position;
@@ -212,7 +198,6 @@ impl OutputPorts {
         Some(state)
     }
 
-    /// The Output module.
     pub(super) fn map(&self) -> Vec<u8> {
         let mut map: Vec<u8> = self.ports.iter().flat_map(OutputPort::map).collect();
         // The motors' pulse frequency, in kilohertz.
@@ -222,7 +207,6 @@ impl OutputPorts {
 
     /// Takes what is written into the module. The fields wait until a flag applies them.
     pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
-        let fresh = self.fresh_control.clone();
         for (index, byte) in (offset..).zip(bytes) {
             let port = self.ports.get_mut(index / MAP_BYTES);
             if let Some(place) = port.and_then(|port| port.written.get_mut(index % MAP_BYTES)) {
@@ -230,7 +214,7 @@ impl OutputPorts {
             }
         }
         for port in &mut self.ports {
-            port.reset_control(&fresh);
+            port.apply_written();
         }
     }
 }
@@ -274,17 +258,18 @@ impl OutputPort {
         if self.command.regulation == SYNC && is_slower { power * (1.0 - ratio.abs() / 50.0) } else { power }
     }
 
-    fn apply(&mut self, order: OutputCommand, fresh: SpeedControl) {
+    fn apply(&mut self, order: OutputCommand) {
         self.command = OutputCommand {
             power: order.power.clamp(-100, 100),
             turn_ratio: order.turn_ratio.clamp(-100, 100),
             ..order
         };
         self.start_position = self.position;
-        self.control = fresh;
+        self.control.restart();
     }
 
-    fn reset_control(&mut self, fresh: &SpeedControl) {
+    /// Takes over what was written into the module, as far as its flags say.
+    fn apply_written(&mut self) {
         let written = self.written;
         let flags = std::mem::take(&mut self.written[FLAGS_AT]);
         let is_set = |flag: u8| flags & flag != 0;
@@ -302,7 +287,7 @@ impl OutputPort {
                 let limit = written.get(LIMIT_AT..).and_then(<[u8]>::first_chunk);
                 order.limit = limit.map_or(0, |limit| u32::from_le_bytes(*limit));
             }
-            self.apply(order, fresh.clone());
+            self.apply(order);
         }
         for (flag, zero) in [
             (RESET_TACHO, &mut self.tacho_zero),
@@ -345,35 +330,27 @@ mod tests {
     const RUN: OutputCommand =
         OutputCommand { power: 50, mode: ON, regulation: 0, turn_ratio: 0, run_state: RUNNING, limit: 0 };
 
+    fn outputs() -> OutputPorts {
+        OutputPorts::new(&RobotSettings::default())
+    }
+
     fn at(left: i64, right: i64) -> PerWheel<i64> {
         PerWheel { left, right }
     }
 
     #[test]
-    fn power_is_a_duty_and_an_idle_port_stands() {
-        let mut outputs = OutputPorts::new(&RobotSettings::default());
-        assert!(outputs.command(1, RUN));
-        assert!(outputs.command(2, OutputCommand { power: -120, ..RUN }));
-        let duty = outputs.step(at(0, 0));
-        assert_eq!((duty.left, duty.right), (0.5, -1.0));
-        assert!(outputs.command(0xFF, OutputCommand::default()));
-        let duty = outputs.step(at(0, 0));
-        assert_eq!((duty.left, duty.right), (0.0, 0.0));
-        assert!(!outputs.command(3, RUN));
-    }
-
-    #[test]
-    fn a_limit_ends_the_run() {
-        let mut outputs = OutputPorts::new(&RobotSettings::default());
+    fn power_is_a_duty_of_at_most_one_until_the_limit_is_reached() {
+        let mut outputs = outputs();
         outputs.step(at(1_000, 0));
-        outputs.command(1, OutputCommand { limit: 90, ..RUN });
-        assert_eq!(outputs.step(at(1_089, 0)).left, 0.5);
-        assert_eq!(outputs.step(at(1_090, 0)).left, 0.0);
+        assert!(outputs.command(1, OutputCommand { limit: 90, ..RUN }));
+        assert!(outputs.command(2, OutputCommand { power: -120, ..RUN }));
+        assert_eq!(outputs.step(at(1_089, 0)), PerWheel { left: 0.5, right: -1.0 });
+        assert_eq!(outputs.step(at(1_090, 0)), PerWheel { left: 0.0, right: -1.0 });
     }
 
     #[test]
     fn each_counter_has_its_own_zero() {
-        let mut outputs = OutputPorts::new(&RobotSettings::default());
+        let mut outputs = outputs();
         outputs.step(at(10, 0));
         assert!(outputs.zero(1, TachoCounter::Block));
         outputs.step(at(14, 0));
@@ -382,12 +359,11 @@ mod tests {
         assert_eq!(outputs.ports[1].counts(), [20, 10, 6]);
         outputs.reset();
         assert_eq!(outputs.ports[1].counts(), [0, 0, 0]);
-        assert!(!outputs.zero(3, TachoCounter::Block));
     }
 
     #[test]
     fn what_is_written_into_the_module_waits_for_its_flag() {
-        let mut outputs = OutputPorts::new(&RobotSettings::default());
+        let mut outputs = outputs();
         // Port C: mode on, speed 30, then run state, each in a telegram of its own.
         outputs.write(64 + MODE_AT, &[ON, 30]);
         outputs.write(64 + RUN_STATE_AT, &[RUNNING]);
@@ -401,12 +377,10 @@ mod tests {
 
     #[test]
     fn in_step_a_turn_ratio_slows_the_motor_inside_the_turn() {
-        let mut outputs = OutputPorts::new(&RobotSettings::default());
-        let order = OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio: 25, ..RUN };
-        outputs.command(0xFF, order);
-        let percent = |outputs: &OutputPorts, place: usize| outputs.ports[place].regulated_percent(place);
-        assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (25.0, 50.0));
-        outputs.command(0xFF, OutputCommand { turn_ratio: -50, ..order });
-        assert_eq!((percent(&outputs, LEFT), percent(&outputs, RIGHT)), (50.0, 0.0));
+        for (turn_ratio, expected) in [(25, [25.0, 50.0]), (-50, [50.0, 0.0])] {
+            let mut outputs = outputs();
+            outputs.command(0xFF, OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio, ..RUN });
+            assert_eq!([LEFT, RIGHT].map(|place| outputs.ports[place].regulated_percent(place)), expected);
+        }
     }
 }

@@ -7,13 +7,10 @@
 //! # Sources
 //! LEGO Bluetooth developer kit, appendix 2 (direct commands), and the communication protocol (system commands).
 
-use super::status;
-
 /// The type of a request, with or without the bit for no answer.
 const DIRECT: u8 = 0x00;
 const SYSTEM: u8 = 0x01;
 const NO_ANSWER: u8 = 0x80;
-/// The type of an answer.
 const ANSWER: u8 = 0x02;
 
 /// Opcodes of direct commands.
@@ -50,6 +47,32 @@ pub(super) mod system {
     pub(in super::super) const POLL: u8 = 0xA2;
 }
 
+/// The status bytes of the firmware, as its protocol documents list them.
+pub(super) mod status {
+    pub(in super::super) const OK: u8 = 0x00;
+    /// The I2C transaction is still under way.
+    pub(in super::super) const PENDING: u8 = 0x20;
+    pub(in super::super) const MAILBOX_EMPTY: u8 = 0x40;
+    pub(in super::super) const MODULE_NOT_FOUND: u8 = 0x90;
+    /// The IO map has no such bytes, or more are asked for than fit into a telegram.
+    pub(in super::super) const OUT_OF_BOUNDS: u8 = 0x91;
+    /// The request could not be followed, for instance for want of a program of that name.
+    pub(in super::super) const REQUEST_FAILED: u8 = 0xBD;
+    /// There is no such command.
+    pub(in super::super) const UNKNOWN_OPCODE: u8 = 0xBE;
+    /// The telegram has another length than its command.
+    pub(in super::super) const INSANE_PACKET: u8 = 0xBF;
+    pub(in super::super) const OUT_OF_RANGE: u8 = 0xC0;
+    /// No device answers on the I2C bus.
+    pub(in super::super) const BUS_ERROR: u8 = 0xDD;
+    /// The port is not set up for I2C.
+    pub(in super::super) const CHANNEL_NOT_CONFIGURED: u8 = 0xE0;
+    pub(in super::super) const NO_ACTIVE_PROGRAM: u8 = 0xEC;
+    /// The size makes no sense.
+    pub(in super::super) const ILLEGAL_SIZE: u8 = 0xED;
+    pub(in super::super) const ILLEGAL_MAILBOX: u8 = 0xEE;
+}
+
 /// Who is to follow a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CommandFamily {
@@ -59,14 +82,10 @@ pub(super) enum CommandFamily {
     System,
 }
 
-/// A request, taken apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TelegramRequest<'a> {
-    /// Who is to follow it.
     pub(super) family: CommandFamily,
-    /// Whether an answer is wanted.
     pub(super) is_answered: bool,
-    /// What to do.
     pub(super) opcode: u8,
     /// Everything behind the opcode.
     pub(super) rest: &'a [u8],
@@ -86,24 +105,24 @@ impl<'a> TelegramRequest<'a> {
         Some(Self { family, is_answered: kind & NO_ANSWER == 0, opcode: *opcode, rest })
     }
 
-    /// The byte at `index` behind the opcode.
     pub(super) fn byte(&self, index: usize) -> Result<u8, u8> {
         self.rest.get(index).copied().ok_or(status::INSANE_PACKET)
     }
 
+    fn array<const N: usize>(&self, index: usize) -> Result<[u8; N], u8> {
+        self.rest.get(index..).and_then(<[u8]>::first_chunk).copied().ok_or(status::INSANE_PACKET)
+    }
+
     /// The 16-bit word at `index` behind the opcode.
     pub(super) fn word(&self, index: usize) -> Result<u16, u8> {
-        let bytes = self.rest.get(index..).and_then(<[u8]>::first_chunk);
-        bytes.map(|bytes| u16::from_le_bytes(*bytes)).ok_or(status::INSANE_PACKET)
+        self.array(index).map(u16::from_le_bytes)
     }
 
     /// The 32-bit word at `index` behind the opcode.
     pub(super) fn long(&self, index: usize) -> Result<u32, u8> {
-        let bytes = self.rest.get(index..).and_then(<[u8]>::first_chunk);
-        bytes.map(|bytes| u32::from_le_bytes(*bytes)).ok_or(status::INSANE_PACKET)
+        self.array(index).map(u32::from_le_bytes)
     }
 
-    /// `count` bytes at `index` behind the opcode.
     pub(super) fn bytes(&self, index: usize, count: usize) -> Result<&'a [u8], u8> {
         self.rest.get(index..index + count).ok_or(status::INSANE_PACKET)
     }
@@ -112,7 +131,6 @@ impl<'a> TelegramRequest<'a> {
 /// What an answer holds behind its status, or the status that says why there is none.
 pub(super) type TelegramReply = Result<Vec<u8>, u8>;
 
-/// The telegram of an answer.
 pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
     match answer {
         Ok(body) => [&[ANSWER, opcode, status::OK], body.as_slice()].concat(),
@@ -122,34 +140,32 @@ pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
 
 /// How long a request with this beginning is, in bytes; `None` if its command is unknown or its length is not known yet.
 pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
+    use CommandFamily::{Direct, System};
     let request = TelegramRequest::parse(bytes)?;
-    let counted = |index: usize| request.byte(index).ok().map(usize::from);
-    match (request.family, request.opcode) {
-        (CommandFamily::Direct, opcode) => match opcode {
-            direct::STOP_PROGRAM | direct::BATTERY | direct::STOP_SOUND | direct::KEEP_ALIVE | direct::PROGRAM_NAME => {
-                Some(2)
-            }
-            direct::GET_OUTPUT | direct::GET_INPUT | direct::RESET_SCALED | direct::BUS_STATUS | direct::BUS_READ => {
-                Some(3)
-            }
-            direct::RESET_POSITION => Some(4),
-            direct::SET_INPUT | direct::READ_MESSAGE => Some(5),
-            direct::PLAY_TONE => Some(6),
-            direct::SET_OUTPUT => Some(12),
-            direct::START_PROGRAM => Some(22),
-            direct::PLAY_SOUND => Some(23),
-            direct::WRITE_MESSAGE => counted(1).map(|size| 4 + size),
-            direct::BUS_WRITE => counted(1).map(|size| 5 + size),
-            _ => None,
-        },
-        (CommandFamily::System, opcode) => match opcode {
-            system::VERSIONS | system::DEVICE_INFO => Some(2),
-            system::POLL_LENGTH => Some(3),
-            system::POLL => Some(4),
-            system::READ_MAP => Some(10),
-            system::SET_NAME => Some(18),
-            system::WRITE_MAP => request.word(6).ok().map(|size| 10 + usize::from(size)),
-            _ => None,
-        },
-    }
+    let counted = || request.byte(1).ok().map(usize::from);
+    let length = match (request.family, request.opcode) {
+        (
+            Direct,
+            direct::STOP_PROGRAM | direct::BATTERY | direct::STOP_SOUND | direct::KEEP_ALIVE | direct::PROGRAM_NAME,
+        )
+        | (System, system::VERSIONS | system::DEVICE_INFO) => 2,
+        (
+            Direct,
+            direct::GET_OUTPUT | direct::GET_INPUT | direct::RESET_SCALED | direct::BUS_STATUS | direct::BUS_READ,
+        )
+        | (System, system::POLL_LENGTH) => 3,
+        (Direct, direct::RESET_POSITION) | (System, system::POLL) => 4,
+        (Direct, direct::SET_INPUT | direct::READ_MESSAGE) => 5,
+        (Direct, direct::PLAY_TONE) => 6,
+        (System, system::READ_MAP) => 10,
+        (Direct, direct::SET_OUTPUT) => 12,
+        (System, system::SET_NAME) => 18,
+        (Direct, direct::START_PROGRAM) => 22,
+        (Direct, direct::PLAY_SOUND) => 23,
+        (Direct, direct::WRITE_MESSAGE) => 4 + counted()?,
+        (Direct, direct::BUS_WRITE) => 5 + counted()?,
+        (System, system::WRITE_MAP) => 10 + usize::from(request.word(6).ok()?),
+        _ => return None,
+    };
+    Some(length)
 }

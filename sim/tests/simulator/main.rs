@@ -1,0 +1,10 @@
+//! The simulator from outside: whole drives, bricks over bytes, the camera, impaired links, Monte-Carlo drives.
+#![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
+
+mod bricks;
+mod camera;
+mod drives;
+mod impairment_properties;
+mod impairment_statistics;
+mod montecarlo;
+mod support;
