@@ -1,5 +1,5 @@
 /*
- * A robot's program around the C header, with its board replaced by lines: tests/brick_sdk.rs drives it against the station.
+ * A robot's program around the C header, with its board replaced by lines: tests/bricks/sdk.rs drives it against the station.
  *
  * In:  now_us left right rate_urad_per_s bytes      what the board shows, and what came over the link, hexadecimal, or -
  * Out: bytes x_mm y_mm heading_mrad flags           what the program sends, or -, and the estimate that it has

@@ -1,4 +1,4 @@
-"""A robot's program around the MicroPython module, its board replaced by lines as in robot.c: tests/brick_sdk.rs drives it.
+"""A robot's program around the MicroPython module, its board replaced by lines as in robot.c: tests/bricks/sdk.rs drives it.
 
 python3 brick/check/robot.py brick/micropython
 """

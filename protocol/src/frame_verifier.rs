@@ -56,9 +56,7 @@ impl FrameVerifier {
     }
 
     /// Who sent what a framer has found. An error of the framer has no sender.
-    ///
-    /// # Errors
-    /// The link has a key and the frame's signature does not hold.
+    /// Fails if the link has a key and the frame's signature does not hold.
     pub fn verify(
         &mut self,
         now: Timestamp<HostClock>,

@@ -19,16 +19,12 @@ use crate::session::{Session, SessionConfig, SessionOutput};
 
 /// The player's address: a robot's own component.
 pub const ADDRESS: Address = Address::new(1, 1);
-/// MAV_TYPE_GROUND_ROVER.
 const GROUND_ROVER: u8 = 10;
-/// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
-/// The player's heartbeat.
 const HEARTBEAT: Heartbeat =
     Heartbeat { vehicle_type: GROUND_ROVER, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 /// As often as the simulated brick describes itself: a station that comes later must know the geometry.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
-/// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// No peer is lost while a recording plays.
 const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(3_600_000);

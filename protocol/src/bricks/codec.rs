@@ -105,3 +105,15 @@ pub trait BrickCodec: fmt::Debug + Send {
     /// What each sender has sent, and what of it is missing.
     fn source_health(&self) -> Vec<SourceHealth>;
 }
+
+pub(super) type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
+
+/// A message of a brick whose protocol knows no address.
+pub(super) fn emit_message(sink: &mut CodecEventSink<'_>, message: Message) {
+    sink(CodecEvent::Message { from: DEFAULT_BRICK_ADDRESS, message });
+}
+
+/// A line about a brick whose protocol knows no address.
+pub(super) fn emit_status_text(sink: &mut CodecEventSink<'_>, severity: u8, text: impl Into<String>) {
+    sink(CodecEvent::StatusText { from: DEFAULT_BRICK_ADDRESS, severity, text: text.into() });
+}

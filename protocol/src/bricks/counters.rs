@@ -48,16 +48,19 @@ pub(super) struct MotorCounts {
     pub(super) third: Option<i32>,
 }
 
-/// What a motor can do.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotorLimits {
-    /// Counts per second that none exceeds.
     pub(super) max_counts_per_s: f64,
     /// Counts that two samples may differ by besides.
     pub(super) margin: f64,
 }
 
-/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WheelState {
+    Standing,
+    Turning,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CounterUpdate {
     /// The wheels have turned so far, left and right.
@@ -68,7 +71,6 @@ pub(super) enum CounterUpdate {
     Rejected,
 }
 
-/// The totals of both wheels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotorCounters {
     limits: MotorLimits,
@@ -170,14 +172,12 @@ impl MotorCounters {
 }
 
 impl CounterSample {
-    /// Whether the fastest motor may have brought these counts.
     fn is_reachable(&self, now: &Self, limits: MotorLimits) -> bool {
         let most = limits.max_counts_per_s * (now.at_s - self.at_s) + limits.margin;
         let changes = count_changes(self.counts.wheels, now.counts.wheels);
         changes.iter().all(|change| (*change as f64).abs() <= most)
     }
 
-    /// Whether the counters may have been set to zero in between.
     fn may_have_been_zeroed(&self, now: &Self, limits: MotorLimits) -> bool {
         let zeroed = Self { counts: MotorCounts { wheels: [0; 2], third: None }, ..*self };
         let pairs = self.counts.wheels.iter().zip(&now.counts.wheels);
@@ -186,7 +186,6 @@ impl CounterSample {
         is_nearer && !is_kept && zeroed.is_reachable(now, limits)
     }
 
-    /// Whether the speed before leads to these counts.
     fn is_predicted(&self, now: &Self) -> bool {
         let Some(speed) = self.speed else {
             return true;

@@ -5,16 +5,11 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use crate::message::{Heartbeat, Message};
 
-/// The common interval of heartbeats.
 const PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// MAV_TYPE_GROUND_ROVER.
 const GROUND_ROVER: u8 = 10;
-/// MAV_AUTOPILOT_GENERIC.
 const GENERIC: u8 = 0;
-/// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
 
-/// MAV_TYPE_CAMERA.
 const CAMERA: u8 = 30;
 /// MAV_AUTOPILOT_INVALID: not an autopilot.
 const NOT_AN_AUTOPILOT: u8 = 8;
@@ -28,14 +23,12 @@ pub(super) struct HeartbeatSource {
 }
 
 impl Default for HeartbeatSource {
-    /// A robot's.
     fn default() -> Self {
         Self { vehicle_type: GROUND_ROVER, autopilot: GENERIC, last_sent: None }
     }
 }
 
 impl HeartbeatSource {
-    /// A camera's.
     pub(super) const fn for_camera() -> Self {
         Self { vehicle_type: CAMERA, autopilot: NOT_AN_AUTOPILOT, last_sent: None }
     }

@@ -6,10 +6,8 @@
 /// So much of a line is quoted.
 const MAX_QUOTED: usize = 80;
 
-/// What lies between two line ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SplitItem<'a> {
-    /// A line.
     Line(&'a [u8]),
     /// Number of bytes without a line end.
     TooLong(u32),
@@ -36,7 +34,6 @@ impl<const LONGEST: usize> LineSplitter<LONGEST> {
         self.dropped.saturating_add(self.line.len() as u32)
     }
 
-    /// The line ends here.
     pub(super) fn finish(&mut self, sink: &mut dyn FnMut(SplitItem<'_>)) {
         if self.dropped > 0 {
             sink(SplitItem::TooLong(self.dropped));

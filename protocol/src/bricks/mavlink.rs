@@ -7,7 +7,6 @@ use crate::dialect::{Encoder, decode};
 use crate::framing::{FrameRef, Framer, FramerConfig, FramerCounters, FramerOutput, SequenceTracker, WireVersion};
 use crate::message::Message;
 
-/// The state of one link that speaks MAVLink.
 #[derive(Debug)]
 struct MavlinkCodec {
     config: FramerConfig,

@@ -10,6 +10,7 @@
 pub mod camera_json;
 mod codec;
 mod counters;
+mod estimate;
 pub mod ev3;
 mod heartbeat;
 mod line_splitter;

@@ -65,9 +65,7 @@ pub enum CommandError {
 }
 
 /// What a command asks for.
-///
-/// # Errors
-/// It is none of [`SUPPORTED_COMMANDS`], or a parameter of it makes no sense.
+/// Fails if it is none of [`SUPPORTED_COMMANDS`], or if a parameter of it makes no sense.
 pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
     match command.command {
         ids::COMMAND_PREFLIGHT_STORAGE => decode_storage(command),

@@ -1,4 +1,4 @@
-//! Encodes messages to frames, with the sequence numbers of one link.
+//! Encodes messages to frames with the sequence numbers of one link, and changes frames of others with their checksum.
 
 use std::collections::BTreeMap;
 
@@ -6,9 +6,8 @@ use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
-use super::rewrite::{RenumberError, rewrite};
-use super::{component, ids, posebridge, poses, sensors, services};
-use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum};
+use super::{ids, posebridge, poses, sensors, services};
+use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
 
@@ -92,8 +91,6 @@ impl Encoder {
     /// checksum follows; nothing else changes.
     ///
     /// The checksum's seed is found from the old checksum, so that messages of no dialect can be changed as well.
-    ///
-    /// # Errors
     /// A frame that cannot be changed stays as it is.
     pub fn readdress(&mut self, frame: &mut [u8], sender: Address) -> Result<(), RenumberError> {
         rewrite(frame, |frame, layout| {
@@ -117,46 +114,142 @@ impl Encoder {
     }
 }
 
-/// The payload of any message. The match is exhaustive so that a new message cannot be forgotten here.
+/// Message id and payload; `None` where the dialects have no such message.
 fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
-    let payload = match message {
+    Some(match message {
         Message::WheelTicks(ticks) => (ids::PB_WHEEL_TICKS, posebridge::write_ticks(version, ticks)),
         Message::Inertial(inertial) => (ids::PB_INERTIAL, posebridge::write_inertial(version, inertial)),
         Message::PlanarPose(pose) => (ids::PB_PLANAR_POSE, posebridge::write_pose(version, pose)),
         Message::FusionHealth(health) => (ids::PB_FUSION_HEALTH, posebridge::write_health(version, health)),
         Message::RobotDescription(robot) => (ids::PB_ROBOT_DESCRIPTION, posebridge::write_robot(version, robot)),
-        Message::AutopilotVersion(_)
-        | Message::ProtocolVersion(_)
-        | Message::ComponentInformation(_)
-        | Message::MessageInterval(_)
-        | Message::NamedValue(_)
-        | Message::FloatArray(_) => return component::write(version, message),
-        Message::Heartbeat(_)
-        | Message::SystemTime { .. }
-        | Message::TimeSync(_)
-        | Message::SetMessageInterval(_)
-        | Message::Command(_)
-        | Message::CommandInt(_)
-        | Message::CommandAck(_)
-        | Message::StatusText { .. }
-        | Message::ParamRequestList { .. }
-        | Message::ParamRequestRead { .. }
-        | Message::ParamSet { .. }
-        | Message::ParamSetUnsupported { .. }
-        | Message::ParamValue { .. } => return services::write(version, message),
-        Message::WheelDistance { .. }
-        | Message::ScaledImu(_)
-        | Message::HighresImu(_)
-        | Message::DistanceSensor { .. }
-        | Message::Thermometer { .. } => return sensors::write(version, message),
+        Message::Heartbeat(heartbeat) => (ids::HEARTBEAT, services::write_heartbeat(version, *heartbeat)),
+        Message::SystemTime { unix_micros, since_boot } => {
+            (ids::SYSTEM_TIME, services::write_system_time(version, *unix_micros, *since_boot))
+        }
+        Message::TimeSync(sync) => (ids::TIMESYNC, services::write_time_sync(version, sync)),
+        Message::SetMessageInterval(wanted) => (ids::COMMAND_LONG, services::write_interval(version, wanted)),
+        Message::Command(command) => (ids::COMMAND_LONG, services::write_command(version, command)),
+        Message::CommandInt(command) => (ids::COMMAND_INT, services::write_command_int(version, command)),
+        Message::CommandAck(ack) => (ids::COMMAND_ACK, services::write_ack(version, *ack)),
+        Message::StatusText { severity, text, part } => {
+            (ids::STATUSTEXT, services::write_status_text(version, *severity, text, *part))
+        }
+        Message::ParamRequestList { target } => {
+            (ids::PARAM_REQUEST_LIST, services::write_param_request_list(version, *target))
+        }
+        Message::ParamRequestRead { target, name, index } => {
+            (ids::PARAM_REQUEST_READ, services::write_param_request_read(version, *target, name, *index))
+        }
+        Message::ParamSet { target, name, value } => {
+            (ids::PARAM_SET, services::write_param_set(version, *target, name, *value))
+        }
+        Message::ParamSetUnsupported { target, name, kind } => {
+            (ids::PARAM_SET, services::write_param_set_unsupported(version, *target, name, *kind))
+        }
+        Message::ParamValue { name, value, count, index } => {
+            (ids::PARAM_VALUE, services::write_param_value(version, name, *value, *count, *index))
+        }
+        Message::AutopilotVersion(said) => (ids::AUTOPILOT_VERSION, services::write_autopilot_version(version, *said)),
+        Message::ProtocolVersion(said) => (ids::PROTOCOL_VERSION, services::write_protocol_version(version, *said)),
+        Message::ComponentInformation(said) => {
+            (ids::COMPONENT_INFORMATION_BASIC, services::write_component_information(version, said))
+        }
+        Message::MessageInterval(said) => (ids::MESSAGE_INTERVAL, services::write_message_interval(version, *said)),
+        Message::NamedValue(said) => (ids::NAMED_VALUE_FLOAT, services::write_named_value(version, said)),
+        Message::FloatArray(said) => (ids::DEBUG_FLOAT_ARRAY, services::write_float_array(version, said)),
+        Message::WheelDistance { stamp, left, right } => {
+            (ids::WHEEL_DISTANCE, sensors::write_wheel_distance(version, *stamp, *left, *right))
+        }
+        Message::ScaledImu(imu) => (ids::SCALED_IMU, sensors::write_scaled(version, imu)),
+        Message::HighresImu(imu) => (ids::HIGHRES_IMU, sensors::write_highres(version, imu)),
+        Message::DistanceSensor { stamp, range, sigma } => {
+            (ids::DISTANCE_SENSOR, sensors::write_distance(version, *stamp, *range, *sigma))
+        }
+        Message::Thermometer { stamp, channel, temperature } => {
+            sensors::write_thermometer(version, *stamp, channel, *temperature)
+        }
         // The dialects have none; it comes from bricks with protocols of their own.
         Message::Compass { .. } => return None,
-        Message::VisionPosition(_)
-        | Message::MocapPosition(_)
-        | Message::Odometry(_)
-        | Message::LocalPosition { .. }
-        | Message::Attitude { .. }
-        | Message::EstimatorStatus(_) => return poses::write(version, message),
+        Message::VisionPosition(fix) => (ids::VISION_POSITION_ESTIMATE, poses::write_vision(version, fix)),
+        Message::MocapPosition(fix) => (ids::ATT_POS_MOCAP, poses::write_mocap(version, fix)),
+        Message::Odometry(odometry) => (ids::ODOMETRY, poses::write_odometry(version, odometry)),
+        Message::LocalPosition { stamp, x, y, x_speed, y_speed } => {
+            (ids::LOCAL_POSITION_NED, poses::write_local_position(version, *stamp, *x, *y, *x_speed, *y_speed))
+        }
+        Message::Attitude { stamp, heading, turn_rate } => {
+            (ids::ATTITUDE, poses::write_attitude(version, *stamp, *heading, *turn_rate))
+        }
+        Message::EstimatorStatus(status) => (ids::ESTIMATOR_STATUS, poses::write_estimator_status(version, status)),
+    })
+}
+
+/// Changes a whole, unsigned frame and makes its checksum right. The checksum's seed is found from the old checksum, so that messages of
+/// no dialect can be changed as well.
+/// A frame that cannot be changed stays as it is.
+pub(crate) fn rewrite(
+    frame: &mut [u8],
+    change: impl FnOnce(&mut [u8], &FrameLayout) -> Result<(), RenumberError>,
+) -> Result<(), RenumberError> {
+    let layout = FrameLayout::parse(frame).ok_or(RenumberError::NoFrame)?;
+    if layout.is_signed {
+        return Err(RenumberError::Signed);
+    }
+    let end = layout.end;
+    let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
+    let sum = match frame.get(end..end + 2) {
+        Some(&[low, high]) => u16::from_le_bytes([low, high]),
+        _ => return Err(RenumberError::NoFrame),
     };
-    Some(payload)
+    let crc_extra = crc_extra_of(body, sum).ok_or(RenumberError::Damaged)?;
+    change(frame, &layout)?;
+    let sum = checksum(&frame[1..end], crc_extra);
+    frame[end..end + 2].copy_from_slice(&sum.to_le_bytes());
+    Ok(())
+}
+
+/// Why a frame was not changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RenumberError {
+    /// The bytes are no whole frame.
+    #[error("the bytes are no whole frame")]
+    NoFrame,
+    /// It is signed: only who has the key may change it.
+    #[error("the frame is signed, and only its sender can sign it anew")]
+    Signed,
+    /// No CRC_EXTRA makes its checksum right, so no right one can be given to it.
+    #[error("the frame's checksum is right for no message")]
+    Damaged,
+}
+
+/// Whether a whole frame bears a signature; false of what is no frame.
+pub fn is_signed(frame: &[u8]) -> bool {
+    FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
+}
+
+pub(crate) struct FrameLayout {
+    pub(crate) sequence_at: usize,
+    /// Where the sender's system stands; the component follows it.
+    pub(crate) system_at: usize,
+    pub(crate) payload_at: usize,
+    /// Where the payload ends and the checksum begins.
+    pub(crate) end: usize,
+    is_signed: bool,
+}
+
+impl FrameLayout {
+    pub(crate) fn parse(frame: &[u8]) -> Option<Self> {
+        match *frame {
+            [START_BYTE_V2, len, flags, _, _, _, _, ..] => Some(Self {
+                sequence_at: 4,
+                system_at: 5,
+                payload_at: 10,
+                end: 10 + usize::from(len),
+                is_signed: flags & FLAG_SIGNED != 0,
+            }),
+            [START_BYTE_V1, len, _, _, _, ..] => {
+                Some(Self { sequence_at: 2, system_at: 3, payload_at: 6, end: 6 + usize::from(len), is_signed: false })
+            }
+            _ => None,
+        }
+    }
 }

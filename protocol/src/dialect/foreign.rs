@@ -9,18 +9,14 @@
 //! 19795337), less the messages of `common.xml`; seeds and lengths by pymavlink 2.4.50's `mavparse`. Where pymavlink's
 //! own `ardupilotmega` dialect has a message too, its seed is the same.
 
-/// A message of a dialect that is not spoken here.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ForeignMessage {
-    /// The number on the wire.
     pub(super) id: u32,
-    /// Seed of the checksum.
     pub(super) crc_extra: u8,
     /// Payload length without extension fields.
     pub(super) max_len_v1: u8,
     /// Payload length with extension fields.
     pub(super) max_len_v2: u8,
-    /// The name in the dialect's definition.
     pub(super) name: &'static str,
 }
 

@@ -104,36 +104,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn east_north_and_left_become_what_navigators_expect() {
-        let looking_north = PlanarPoint { x: 3.0, y: 4.0, angle: FRAC_PI_2 };
-        let ned = turn_ned(looking_north);
-        assert_eq!((ned.x, ned.y, ned.angle), (4.0, 3.0, 0.0));
-        let turned_left = PlanarPoint { x: 1.0, y: 0.5, angle: 0.25 };
-        let frd = turn_frd(turned_left);
-        assert_eq!((frd.x, frd.y, frd.angle), (1.0, -0.5, -0.25));
-    }
-
-    /// P' = J P Jᵀ with the Jacobian of each map, worked out element by element.
-    #[test]
-    fn covariances_turn_like_their_jacobians() {
-        let [xx, xy, xh, yy, yh, hh] = [1.0, 0.2, 0.3, 2.0, -0.4, 0.5];
-        let full = [[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]];
-        let check = |jacobian: [[f64; 3]; 3], turned: [f64; 6]| {
-            let element = |i: usize, j: usize| -> f64 {
-                (0..3)
-                    .flat_map(|a| (0..3).map(move |b| (a, b)))
-                    .map(|(a, b)| jacobian[i][a] * full[a][b] * jacobian[j][b])
-                    .sum()
-            };
-            let expected = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
-            assert_eq!(turned, expected.map(|(i, j)| element(i, j)));
-        };
-        let planar = [xx, xy, xh, yy, yh, hh];
-        check([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], turn_ned_covariance(planar));
-        check([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], turn_frd_covariance(planar));
-    }
-
-    #[test]
     fn unknown_covariances_come_in_two_disguises() {
         assert_eq!(planar(&triangle(None)), None);
         assert_eq!(planar(&[0.0; TRIANGLE_LEN]), None);

@@ -9,9 +9,7 @@
 
 pub(crate) mod catalogue;
 pub mod commands;
-mod component;
-mod encoder;
-mod error;
+pub(crate) mod encoder;
 mod foreign;
 pub(crate) mod frames;
 #[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
@@ -20,15 +18,13 @@ pub mod ids;
 mod payload;
 mod posebridge;
 mod poses;
-pub(crate) mod rewrite;
 mod sensors;
 mod services;
 
 pub use catalogue::message_name;
-pub use encoder::Encoder;
-pub use error::PayloadError;
+pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
-pub use rewrite::{RenumberError, is_signed};
+pub use payload::PayloadError;
 
 use crate::framing::FrameRef;
 use crate::message::{Message, WireStamp};
@@ -37,16 +33,14 @@ use crate::message::{Message, WireStamp};
 ///
 /// `None` means that the message is of no use here: an id without a row in [`MESSAGES`], a range finder that looks
 /// sideways, a reading that its sender marks as invalid, an integer parameter.
-///
-/// # Errors
-/// A [`PayloadError`] when the frame is whole but its content makes no sense.
+/// Fails if the frame is whole but its content makes no sense.
 pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
     let payload = frame.payload;
     match frame.message_id {
         ids::HEARTBEAT => Ok(Some(services::heartbeat(payload))),
         ids::SYSTEM_TIME => services::system_time(payload),
-        ids::PARAM_REQUEST_READ => services::param_request_read(payload),
-        ids::PARAM_REQUEST_LIST => services::param_request_list(payload),
+        ids::PARAM_REQUEST_READ => Ok(Some(services::param_request_read(payload))),
+        ids::PARAM_REQUEST_LIST => Ok(Some(services::param_request_list(payload))),
         ids::PARAM_VALUE => Ok(services::param_value(payload)),
         ids::PARAM_SET => Ok(Some(services::param_set(payload))),
         ids::COMMAND_INT => Ok(Some(services::command_int(payload))),
@@ -54,11 +48,11 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::COMMAND_ACK => Ok(Some(services::command_ack(payload))),
         ids::TIMESYNC => services::time_sync(payload),
         ids::STATUSTEXT => Ok(Some(services::status_text(payload))),
-        ids::AUTOPILOT_VERSION => Ok(Some(component::autopilot_version(payload))),
-        ids::PROTOCOL_VERSION => Ok(Some(component::protocol_version(payload))),
-        ids::COMPONENT_INFORMATION_BASIC => Ok(Some(component::component_information(payload))),
-        ids::MESSAGE_INTERVAL => Ok(Some(component::message_interval(payload))),
-        ids::DEBUG_FLOAT_ARRAY => Ok(Some(component::float_array(payload))),
+        ids::AUTOPILOT_VERSION => Ok(Some(services::autopilot_version(payload))),
+        ids::PROTOCOL_VERSION => Ok(Some(services::protocol_version(payload))),
+        ids::COMPONENT_INFORMATION_BASIC => Ok(Some(services::component_information(payload))),
+        ids::MESSAGE_INTERVAL => Ok(Some(services::message_interval(payload))),
+        ids::DEBUG_FLOAT_ARRAY => Ok(Some(services::float_array(payload))),
         ids::SCALED_IMU => sensors::scaled_imu(payload),
         ids::SCALED_PRESSURE => sensors::scaled_pressure(payload),
         ids::NAMED_VALUE_FLOAT => sensors::named_value(payload),

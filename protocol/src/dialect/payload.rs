@@ -1,4 +1,4 @@
-//! Encoding of payloads: little-endian, trailing zeros and extension fields, for any message.
+//! Encoding of payloads: little-endian, trailing zeros and extension fields, for any message; and why a payload is refused.
 //!
 //! Messages without enumerations use the generated types. Those with enumerations are read and written field by field
 //! in wire order, because the generated code rejects a whole message for one value that its XML does not list, and an
@@ -7,14 +7,11 @@
 use mavlink_core::{MavlinkVersion, MessageData};
 use posebridge_telemetry::Address;
 
-use super::error::PayloadError;
 use crate::framing::WireVersion;
-use crate::message::WireStamp;
+use crate::message::{Message, WireStamp};
 
-/// The longest payload.
 pub(super) const MAX_PAYLOAD: usize = 255;
 
-/// A payload ready for the wire.
 #[derive(Debug)]
 pub(super) struct Payload {
     bytes: [u8; MAX_PAYLOAD],
@@ -120,7 +117,6 @@ impl<'a> PayloadReader<'a> {
     }
 }
 
-/// Writes fields one after the other.
 #[derive(Debug)]
 pub(super) struct PayloadWriter {
     bytes: [u8; MAX_PAYLOAD],
@@ -234,9 +230,87 @@ pub(super) const fn millis32(stamp: WireStamp) -> u32 {
     }
 }
 
-/// A stamp in whole microseconds.
 pub(super) const fn micros64(stamp: WireStamp) -> u64 {
     stamp.as_micros()
+}
+
+/// Why the payload of a verified frame is invalid.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PayloadError {
+    /// A number that must be finite is not.
+    #[error("message {message_id}: {field} is {value}, it must be finite")]
+    NotFinite {
+        /// The message's id.
+        message_id: u32,
+        /// The field.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A temperature that no matter has.
+    #[error(
+        "message {message_id}: a temperature of {degrees_c} degrees Celsius is below absolute zero or above the range of any sensor"
+    )]
+    Temperature {
+        /// The message's id.
+        message_id: u32,
+        /// The value.
+        degrees_c: f64,
+    },
+    /// ODOMETRY in a coordinate frame that has no counterpart here.
+    #[error(
+        "message {message_id}: no conversion from MAV_FRAME {frame}; send 1, 4, 14 to 17, 20 or 21 with child 8, 12 or 13"
+    )]
+    UnknownFrame {
+        /// The message's id.
+        message_id: u32,
+        /// MAV_FRAME of the pose or of the speeds.
+        frame: u8,
+    },
+    /// ODOMETRY whose sender says that it has failed.
+    #[error("message {message_id}: its quality is negative, the sender says that it has failed")]
+    SenderFailed {
+        /// The message's id.
+        message_id: u32,
+    },
+    /// WHEEL_DISTANCE for fewer than two wheels.
+    #[error("message {message_id}: {count} wheels, at least 2 are needed")]
+    TooFewWheels {
+        /// The message's id.
+        message_id: u32,
+        /// How many wheels it has.
+        count: u8,
+    },
+    /// The generated type cannot be read from the payload.
+    #[error("message {message_id}: the payload does not fit its definition")]
+    Layout {
+        /// The message's id.
+        message_id: u32,
+        /// What the generated code says.
+        source: mavlink_core::error::ParserError,
+    },
+}
+
+impl PayloadError {
+    /// The message's id.
+    pub const fn message_id(&self) -> u32 {
+        match *self {
+            Self::NotFinite { message_id, .. }
+            | Self::Temperature { message_id, .. }
+            | Self::UnknownFrame { message_id, .. }
+            | Self::SenderFailed { message_id }
+            | Self::TooFewWheels { message_id, .. }
+            | Self::Layout { message_id, .. } => message_id,
+        }
+    }
+}
+
+/// What one payload decodes to: `None` when the message is known and of no use here.
+pub(super) type Decoded = Result<Option<Message>, PayloadError>;
+
+pub(super) fn require_finite(message_id: u32, field: &'static str, value: f64) -> Result<f64, PayloadError> {
+    if value.is_finite() { Ok(value) } else { Err(PayloadError::NotFinite { message_id, field, value }) }
 }
 
 #[cfg(test)]
@@ -249,20 +323,6 @@ mod tests {
         assert_eq!(text_to::<3>("abä"), *b"ab\0");
         assert_eq!(text_from(&text_to::<3>("abä")), "ab");
         assert_eq!(text_from(b"a\xFFb\0rest"), "a\u{FFFD}b");
-    }
-
-    #[test]
-    fn bytes_that_were_cut_off_read_as_zeros() {
-        let mut reader = PayloadReader::new(&[0x34]);
-        assert_eq!((reader.u16(), reader.u32(), reader.u8()), (0x34, 0, 0));
-    }
-
-    #[test]
-    fn version_2_keeps_one_byte_and_version_1_drops_extensions() {
-        let zeros = PayloadWriter::new().u32(0).finish(WireVersion::V2);
-        assert_eq!(zeros.bytes(), [0]);
-        let message = PayloadWriter::new().u8(7).u8(0).extensions().u8(9);
-        assert_eq!(message.finish(WireVersion::V1).bytes(), [7, 0]);
     }
 
     #[test]

@@ -7,12 +7,11 @@ use posebridge_telemetry::{
     TimeDelta,
 };
 
-use super::error::{Decoded, PayloadError, require_finite};
 use super::generated::posebridge::{
     PB_FUSION_HEALTH_DATA, PB_INERTIAL_DATA, PB_PLANAR_POSE_DATA, PB_ROBOT_DESCRIPTION_DATA, PB_WHEEL_TICKS_DATA,
 };
 use super::ids;
-use super::payload::{Payload, decode_generated, micros32, text_from, text_to};
+use super::payload::{Decoded, Payload, PayloadError, decode_generated, micros32, require_finite, text_from, text_to};
 use crate::framing::WireVersion;
 use crate::message::{FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp};
 
@@ -67,7 +66,6 @@ pub(super) fn inertial(payload: &[u8]) -> Decoded {
     Ok(Some(Message::Inertial(inertial_of(payload)?)))
 }
 
-/// What the inertial sensors say.
 #[inline]
 pub(super) fn inertial_of(payload: &[u8]) -> Result<Inertial, PayloadError> {
     let data: PB_INERTIAL_DATA = decode_generated(payload)?;

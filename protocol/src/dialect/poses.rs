@@ -12,13 +12,14 @@ use mavlink::dialects::common::{
 };
 use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond};
 
-use super::error::{Decoded, PayloadError, require_finite};
 use super::frames::{
     PlanarPoint, TRIANGLE_LEN, negate, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
     turn_ned_covariance, yaw,
 };
 use super::ids;
-use super::payload::{Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32};
+use super::payload::{
+    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+};
 use crate::framing::WireVersion;
 use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
 
@@ -44,7 +45,6 @@ mod frame {
 const ESTIMATOR_UNKNOWN: u8 = 0;
 /// MAV_ESTIMATOR_TYPE_VISION: without inertial sensors, it looks from outside.
 const ESTIMATOR_VISION: u8 = 2;
-/// MAV_ESTIMATOR_TYPE_MOCAP.
 const ESTIMATOR_MOCAP: u8 = 6;
 
 pub(super) fn attitude(payload: &[u8]) -> Decoded {
@@ -57,6 +57,24 @@ pub(super) fn attitude(payload: &[u8]) -> Decoded {
     }))
 }
 
+pub(super) fn write_attitude(
+    version: WireVersion,
+    stamp: WireStamp,
+    heading: Heading,
+    turn_rate: RadiansPerSecond,
+) -> Payload {
+    let data = ATTITUDE_DATA {
+        time_boot_ms: millis32(stamp),
+        roll: 0.0,
+        pitch: 0.0,
+        yaw: yaw_from_heading(heading) as f32,
+        rollspeed: 0.0,
+        pitchspeed: 0.0,
+        yawspeed: negate(turn_rate.0) as f32,
+    };
+    Payload::encode(version, &data)
+}
+
 pub(super) fn local_position(payload: &[u8]) -> Decoded {
     let data: LOCAL_POSITION_NED_DATA = decode_generated(payload)?;
     let checked = |field, value: f32| require_finite(ids::LOCAL_POSITION_NED, field, f64::from(value));
@@ -67,6 +85,27 @@ pub(super) fn local_position(payload: &[u8]) -> Decoded {
         x_speed: MetersPerSecond(f64::from(data.vy)),
         y_speed: MetersPerSecond(f64::from(data.vx)),
     }))
+}
+
+/// `x` and `y` are the arena's, east and north.
+pub(super) fn write_local_position(
+    version: WireVersion,
+    stamp: WireStamp,
+    x: Meters,
+    y: Meters,
+    x_speed: MetersPerSecond,
+    y_speed: MetersPerSecond,
+) -> Payload {
+    let data = LOCAL_POSITION_NED_DATA {
+        time_boot_ms: millis32(stamp),
+        x: y.0 as f32,
+        y: x.0 as f32,
+        z: 0.0,
+        vx: y_speed.0 as f32,
+        vy: x_speed.0 as f32,
+        vz: 0.0,
+    };
+    Payload::encode(version, &data)
 }
 
 pub(super) fn vision_position(payload: &[u8]) -> Decoded {
@@ -83,7 +122,7 @@ pub(super) fn vision_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
     let data = VISION_POSITION_ESTIMATE_DATA {
         usec: micros64(fix.stamp),
         x: fix.y.0 as f32,
@@ -113,7 +152,7 @@ pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
     let data = ATT_POS_MOCAP_DATA {
         time_usec: micros64(fix.stamp),
         q: fix.heading.map_or([f32::NAN; 4], |heading| quaternion(yaw_from_heading(heading))),
@@ -199,7 +238,7 @@ const fn unknown_frame(frame: u8) -> PayloadError {
     PayloadError::UnknownFrame { message_id: ids::ODOMETRY, frame }
 }
 
-fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
+pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
     let (frame, wire, covariance) = match odometry.pose {
         OdometryPose::Arena(pose) => {
             (frame::LOCAL_NED, turn_ned(planar_from(pose)), odometry.covariance.map(turn_ned_covariance))
@@ -249,7 +288,7 @@ pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
 }
 
 /// A position that lives on dead reckoning is "relative" and not "absolute". There is no flag for "predicted".
-fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
+pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
     let valid = status.flags;
     let mut flags = EstimatorStatusFlags::empty();
     flags.set(EstimatorStatusFlags::ESTIMATOR_ATTITUDE, valid.heading_valid);
@@ -269,46 +308,6 @@ fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Pay
         flags,
     };
     Payload::encode(version, &data)
-}
-
-/// Writes the messages of this module; `None` for all others.
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "the encoder's match is the exhaustive one and sends only these here"
-)]
-pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
-    let written = match message {
-        Message::VisionPosition(fix) => (ids::VISION_POSITION_ESTIMATE, write_vision(version, fix)),
-        Message::MocapPosition(fix) => (ids::ATT_POS_MOCAP, write_mocap(version, fix)),
-        Message::Odometry(odometry) => (ids::ODOMETRY, write_odometry(version, odometry)),
-        Message::EstimatorStatus(status) => (ids::ESTIMATOR_STATUS, write_estimator_status(version, status)),
-        Message::LocalPosition { stamp, x, y, x_speed, y_speed } => {
-            let data = LOCAL_POSITION_NED_DATA {
-                time_boot_ms: millis32(*stamp),
-                x: y.0 as f32,
-                y: x.0 as f32,
-                z: 0.0,
-                vx: y_speed.0 as f32,
-                vy: x_speed.0 as f32,
-                vz: 0.0,
-            };
-            (ids::LOCAL_POSITION_NED, Payload::encode(version, &data))
-        }
-        Message::Attitude { stamp, heading, turn_rate } => {
-            let data = ATTITUDE_DATA {
-                time_boot_ms: millis32(*stamp),
-                roll: 0.0,
-                pitch: 0.0,
-                yaw: yaw_from_heading(*heading) as f32,
-                rollspeed: 0.0,
-                pitchspeed: 0.0,
-                yawspeed: negate(turn_rate.0) as f32,
-            };
-            (ids::ATTITUDE, Payload::encode(version, &data))
-        }
-        _ => return None,
-    };
-    Some(written)
 }
 
 fn heading_from_yaw(yaw_rad: f64) -> Heading {

@@ -5,10 +5,11 @@
 use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED_IMU_DATA, WHEEL_DISTANCE_DATA};
 use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
-use super::error::{Decoded, PayloadError, require_finite};
 use super::frames::negate;
 use super::ids;
-use super::payload::{Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32};
+use super::payload::{
+    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+};
 use crate::framing::WireVersion;
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
@@ -51,6 +52,12 @@ pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
     }))
 }
 
+pub(super) fn write_wheel_distance(version: WireVersion, stamp: WireStamp, left: Meters, right: Meters) -> Payload {
+    let mut distance = [0.0; 16];
+    (distance[0], distance[1]) = (left.0, right.0);
+    Payload::encode(version, &WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
+}
+
 pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
     let data: SCALED_IMU_DATA = decode_generated(payload)?;
     Ok(Some(Message::ScaledImu(PlanarImu {
@@ -61,7 +68,7 @@ pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
 }
 
 /// SCALED_IMU cannot say that a value is missing: a missing one is written as zero.
-fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
     let turn_rate = imu.turn_rate.unwrap_or_default();
     let acceleration = imu.forward_acceleration.unwrap_or_default();
     let data = SCALED_IMU_DATA {
@@ -92,7 +99,7 @@ pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     })))
 }
 
-fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
     // Not the generated default: that is the first flag, not the empty set.
     let mut fields_updated = HighresImuUpdatedFlags::empty();
     fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO, imu.turn_rate.is_some());
@@ -142,7 +149,7 @@ pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     })
 }
 
-fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
+pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
     let variance_cm2 = sigma.map_or(VARIANCE_UNKNOWN, |sigma| {
         let variance = (sigma.0 / CENTIMETER_M).powi(2).round();
         variance.clamp(0.0, f64::from(VARIANCE_UNKNOWN - 1)) as u8
@@ -202,7 +209,7 @@ fn check_temperature(message_id: u32, degrees_c: f64) -> Result<Celsius, Payload
     }
 }
 
-fn write_thermometer(
+pub(super) fn write_thermometer(
     version: WireVersion,
     stamp: WireStamp,
     channel: &ChannelName,
@@ -223,31 +230,4 @@ fn write_thermometer(
         let payload = writer.f32(temperature.0 as f32).text::<NAME_BYTES>(channel.as_str()).finish(version);
         (ids::NAMED_VALUE_FLOAT, payload)
     }
-}
-
-/// Writes the messages of this module; `None` for all others.
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "the encoder's match is the exhaustive one and sends only these here"
-)]
-pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
-    let written = match message {
-        Message::ScaledImu(imu) => (ids::SCALED_IMU, write_scaled(version, imu)),
-        Message::HighresImu(imu) => (ids::HIGHRES_IMU, write_highres(version, imu)),
-        Message::DistanceSensor { stamp, range, sigma } => {
-            (ids::DISTANCE_SENSOR, write_distance(version, *stamp, *range, *sigma))
-        }
-        Message::Thermometer { stamp, channel, temperature } => {
-            write_thermometer(version, *stamp, channel, *temperature)
-        }
-        Message::WheelDistance { stamp, left, right } => {
-            let mut distance = [0.0; 16];
-            distance[0] = left.0;
-            distance[1] = right.0;
-            let data = WHEEL_DISTANCE_DATA { time_usec: micros64(*stamp), distance, count: 2 };
-            (ids::WHEEL_DISTANCE, Payload::encode(version, &data))
-        }
-        _ => return None,
-    };
-    Some(written)
 }

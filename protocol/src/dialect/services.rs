@@ -1,21 +1,20 @@
-//! Messages of the services: heartbeat, time, commands, parameters, status texts.
+//! Messages of the services: heartbeat, time, commands, parameters, status texts, descriptions of a component, numbers to plot.
 //!
 //! Most have enumerations and are read field by field in wire order (largest type first, extensions last). Source:
 //! MAVLink minimal.xml, standard.xml and common.xml.
 
-use mavlink::dialects::common::{PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA};
-use posebridge_telemetry::Address;
+use mavlink::dialects::common::{SYSTEM_TIME_DATA, TIMESYNC_DATA};
+use posebridge_telemetry::{Address, ChannelName};
 
-use super::error::Decoded;
-use super::ids;
 use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use super::payload::{
-    Payload, PayloadReader, PayloadWriter, decode_generated, millis32, specific_address, text_from, text_to,
+    Decoded, Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, specific_address,
 };
+use super::sensors::NAME_BYTES;
 use crate::framing::WireVersion;
 use crate::message::{
-    CommandAck, CommandInt, CommandLong, Heartbeat, Message, STOP_INTERVAL, SetMessageInterval, TextPart, TimeSync,
-    WireStamp,
+    AutopilotVersion, CommandAck, CommandInt, CommandLong, ComponentInformation, FloatArray, Heartbeat, Message,
+    MessageInterval, NamedValue, ProtocolVersion, STOP_INTERVAL, SetMessageInterval, TextPart, TimeSync, WireStamp,
 };
 
 /// MAVLink's own minor version, in every heartbeat.
@@ -31,7 +30,6 @@ mod whole {
     pub(super) const UINT32: u8 = 5;
     pub(super) const INT32: u8 = 6;
 }
-/// Length of a parameter's name.
 const PARAM_NAME: usize = 16;
 /// Length of one chunk of text.
 pub(super) const STATUS_TEXT: usize = 50;
@@ -47,7 +45,7 @@ pub(super) fn heartbeat(payload: &[u8]) -> Message {
     })
 }
 
-fn write_heartbeat(version: WireVersion, heartbeat: Heartbeat) -> Payload {
+pub(super) fn write_heartbeat(version: WireVersion, heartbeat: Heartbeat) -> Payload {
     PayloadWriter::new()
         .u32(0)
         .u8(heartbeat.vehicle_type)
@@ -75,7 +73,7 @@ pub(super) fn time_sync(payload: &[u8]) -> Decoded {
     })))
 }
 
-fn write_time_sync(version: WireVersion, sync: &TimeSync) -> Payload {
+pub(super) fn write_time_sync(version: WireVersion, sync: &TimeSync) -> Payload {
     let target = sync.target.unwrap_or_default();
     let data = TIMESYNC_DATA {
         tc1: sync.answer_nanos,
@@ -104,7 +102,7 @@ pub(super) fn command_int(payload: &[u8]) -> Message {
     Message::CommandInt(CommandInt { target, frame: reader.u8(), command, params, x, y, z })
 }
 
-fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
+pub(super) fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
     let (current, autocontinue) = (0, 0);
     PayloadWriter::new()
         .f32s(&command.params)
@@ -119,7 +117,7 @@ fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
         .finish(version)
 }
 
-fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
+pub(super) fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
     let confirmation = 0;
     PayloadWriter::new()
         .f32s(&command.params)
@@ -129,7 +127,7 @@ fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
         .finish(version)
 }
 
-fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
+pub(super) fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
     let micros = wanted.interval.map_or(STOP_INTERVAL, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
     params[0] = wanted.message_id as f32;
@@ -147,7 +145,7 @@ pub(super) fn command_ack(payload: &[u8]) -> Message {
     Message::CommandAck(CommandAck { command, result, target: specific_address(reader.address()) })
 }
 
-fn write_ack(version: WireVersion, ack: CommandAck) -> Payload {
+pub(super) fn write_ack(version: WireVersion, ack: CommandAck) -> Payload {
     let (progress, detail) = (0, 0);
     PayloadWriter::new()
         .u16(ack.command)
@@ -168,18 +166,15 @@ pub(super) fn status_text(payload: &[u8]) -> Message {
     }
 }
 
-pub(super) fn param_request_list(payload: &[u8]) -> Decoded {
-    let data: PARAM_REQUEST_LIST_DATA = decode_generated(payload)?;
-    Ok(Some(Message::ParamRequestList { target: Address::new(data.target_system, data.target_component) }))
+pub(super) fn param_request_list(payload: &[u8]) -> Message {
+    Message::ParamRequestList { target: PayloadReader::new(payload).address() }
 }
 
-pub(super) fn param_request_read(payload: &[u8]) -> Decoded {
-    let data: PARAM_REQUEST_READ_DATA = decode_generated(payload)?;
-    Ok(Some(Message::ParamRequestRead {
-        target: Address::new(data.target_system, data.target_component),
-        name: text_from(&*data.param_id),
-        index: data.param_index,
-    }))
+pub(super) fn param_request_read(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let index = reader.i16();
+    let target = reader.address();
+    Message::ParamRequestRead { target, name: reader.text::<PARAM_NAME>(), index }
 }
 
 pub(super) fn param_set(payload: &[u8]) -> Message {
@@ -221,67 +216,149 @@ pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
     is_float.then_some(Message::ParamValue { name, value, count, index })
 }
 
-/// Writes the messages of this module; `None` for all others.
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "the encoder's match is the exhaustive one and sends only these here"
-)]
-pub(super) fn write(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
-    let written = match message {
-        Message::Heartbeat(heartbeat) => (ids::HEARTBEAT, write_heartbeat(version, *heartbeat)),
-        Message::TimeSync(sync) => (ids::TIMESYNC, write_time_sync(version, sync)),
-        Message::SetMessageInterval(wanted) => (ids::COMMAND_LONG, write_interval(version, wanted)),
-        Message::Command(command) => (ids::COMMAND_LONG, write_command(version, command)),
-        Message::CommandInt(command) => (ids::COMMAND_INT, write_command_int(version, command)),
-        Message::CommandAck(ack) => (ids::COMMAND_ACK, write_ack(version, *ack)),
-        Message::SystemTime { unix_micros, since_boot } => {
-            let data = SYSTEM_TIME_DATA { time_unix_usec: *unix_micros, time_boot_ms: millis32(*since_boot) };
-            (ids::SYSTEM_TIME, Payload::encode(version, &data))
-        }
-        Message::StatusText { severity, text, part } => {
-            let writer = PayloadWriter::new().u8(*severity).text::<STATUS_TEXT>(text);
-            let writer = writer.extensions().u16(part.text_id).u8(part.index);
-            (ids::STATUSTEXT, writer.finish(version))
-        }
-        _ => return write_parameter(version, message),
-    };
-    Some(written)
+pub(super) fn write_system_time(version: WireVersion, unix_micros: u64, since_boot: WireStamp) -> Payload {
+    let data = SYSTEM_TIME_DATA { time_unix_usec: unix_micros, time_boot_ms: millis32(since_boot) };
+    Payload::encode(version, &data)
 }
 
-#[expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "the encoder's match is the exhaustive one and sends only these here"
-)]
-fn write_parameter(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
-    let written = match message {
-        Message::ParamRequestList { target } => {
-            let data = PARAM_REQUEST_LIST_DATA { target_system: target.system.0, target_component: target.component.0 };
-            (ids::PARAM_REQUEST_LIST, Payload::encode(version, &data))
-        }
-        Message::ParamRequestRead { target, name, index } => {
-            let data = PARAM_REQUEST_READ_DATA {
-                param_index: *index,
-                target_system: target.system.0,
-                target_component: target.component.0,
-                param_id: text_to::<PARAM_NAME>(name).into(),
-            };
-            (ids::PARAM_REQUEST_READ, Payload::encode(version, &data))
-        }
-        Message::ParamSetUnsupported { target, name, kind } => {
-            let writer = PayloadWriter::new().f32(0.0).address(*target).text::<PARAM_NAME>(name).u8(*kind);
-            (ids::PARAM_SET, writer.finish(version))
-        }
-        Message::ParamSet { target, name, value } => {
-            let writer =
-                PayloadWriter::new().f32(*value).address(*target).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32);
-            (ids::PARAM_SET, writer.finish(version))
-        }
-        Message::ParamValue { name, value, count, index } => {
-            let writer =
-                PayloadWriter::new().f32(*value).u16(*count).u16(*index).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32);
-            (ids::PARAM_VALUE, writer.finish(version))
-        }
-        _ => return None,
-    };
-    Some(written)
+pub(super) fn write_status_text(version: WireVersion, severity: u8, text: &str, part: TextPart) -> Payload {
+    let writer = PayloadWriter::new().u8(severity).text::<STATUS_TEXT>(text);
+    writer.extensions().u16(part.text_id).u8(part.index).finish(version)
+}
+
+pub(super) fn write_param_request_list(version: WireVersion, target: Address) -> Payload {
+    PayloadWriter::new().address(target).finish(version)
+}
+
+pub(super) fn write_param_request_read(version: WireVersion, target: Address, name: &str, index: i16) -> Payload {
+    PayloadWriter::new().i16(index).address(target).text::<PARAM_NAME>(name).finish(version)
+}
+
+pub(super) fn write_param_set(version: WireVersion, target: Address, name: &str, value: f32) -> Payload {
+    PayloadWriter::new().f32(value).address(target).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32).finish(version)
+}
+
+/// The value has a type that cannot be read here, so that none is written.
+pub(super) fn write_param_set_unsupported(version: WireVersion, target: Address, name: &str, kind: u8) -> Payload {
+    PayloadWriter::new().f32(0.0).address(target).text::<PARAM_NAME>(name).u8(kind).finish(version)
+}
+
+pub(super) fn write_param_value(version: WireVersion, name: &str, value: f32, count: u16, index: u16) -> Payload {
+    let writer = PayloadWriter::new().f32(value).u16(count).u16(index);
+    writer.text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32).finish(version)
+}
+
+/// Length of DEBUG_FLOAT_ARRAY.data.
+const ARRAY: usize = 58;
+/// Length of COMPONENT_INFORMATION_BASIC's names, a terminator included.
+const LONG_NAME: usize = 32;
+/// Length of its versions, a terminator included.
+const SHORT_NAME: usize = 24;
+/// Bytes of AUTOPILOT_VERSION's uid, versions of other software and of the board, and of vendor and product, which nothing here has.
+const NO_HARDWARE: [u8; 44] = [0; 44];
+
+pub(super) fn autopilot_version(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let capabilities = reader.u64();
+    let _uid = reader.u64();
+    Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.u32().to_be_bytes() })
+}
+
+pub(super) fn write_autopilot_version(version: WireVersion, said: AutopilotVersion) -> Payload {
+    let no_uid = 0;
+    let writer = PayloadWriter::new().u64(said.capabilities).u64(no_uid);
+    let writer = writer.u32(u32::from_be_bytes(said.software));
+    let writer = writer.raw(&NO_HARDWARE[..40]).extensions();
+    writer.raw(&NO_HARDWARE[..18]).finish(version)
+}
+
+pub(super) fn protocol_version(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    Message::ProtocolVersion(ProtocolVersion {
+        version: reader.u16(),
+        min_version: reader.u16(),
+        max_version: reader.u16(),
+    })
+}
+
+pub(super) fn write_protocol_version(version: WireVersion, said: ProtocolVersion) -> Payload {
+    let no_hashes = [0; 16];
+    PayloadWriter::new().u16(said.version).u16(said.min_version).u16(said.max_version).raw(&no_hashes).finish(version)
+}
+
+pub(super) fn component_information(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let capabilities = reader.u64();
+    let stamp = WireStamp::Millis32(reader.u32());
+    let _manufactured = reader.u32();
+    let vendor = reader.text::<LONG_NAME>();
+    let model = reader.text::<LONG_NAME>();
+    Message::ComponentInformation(ComponentInformation {
+        capabilities,
+        stamp,
+        vendor,
+        model,
+        software_version: reader.text::<SHORT_NAME>(),
+    })
+}
+
+/// Its texts must end with a zero, so that one byte less than the field is taken of each.
+pub(super) fn write_component_information(version: WireVersion, said: &ComponentInformation) -> Payload {
+    let unknown_date = 0;
+    let no_hardware_version = [0; SHORT_NAME];
+    let no_serial_number = [0; LONG_NAME];
+    PayloadWriter::new()
+        .u64(said.capabilities)
+        .u32(millis32(said.stamp))
+        .u32(unknown_date)
+        .text::<{ LONG_NAME - 1 }>(&said.vendor)
+        .u8(0)
+        .text::<{ LONG_NAME - 1 }>(&said.model)
+        .u8(0)
+        .text::<{ SHORT_NAME - 1 }>(&said.software_version)
+        .u8(0)
+        .raw(&no_hardware_version)
+        .raw(&no_serial_number)
+        .finish(version)
+}
+
+pub(super) fn message_interval(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let interval_micros = reader.i32();
+    Message::MessageInterval(MessageInterval { message_id: reader.u16(), interval_micros })
+}
+
+pub(super) fn write_named_value(version: WireVersion, said: &NamedValue) -> Payload {
+    PayloadWriter::new()
+        .u32(millis32(said.stamp))
+        .f32(said.value)
+        .text::<NAME_BYTES>(said.name.as_str())
+        .finish(version)
+}
+
+pub(super) fn float_array(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let stamp = WireStamp::Micros64(reader.u64());
+    let id = reader.u16();
+    let name = ChannelName::from_bytes(&reader.bytes::<NAME_BYTES>());
+    let mut values = reader.f32s::<ARRAY>().to_vec();
+    while values.last().is_some_and(|value| value.to_bits() == 0) {
+        values.pop();
+    }
+    Message::FloatArray(FloatArray { stamp, name, id, values })
+}
+
+pub(super) fn write_float_array(version: WireVersion, said: &FloatArray) -> Payload {
+    let held = said.values.len().min(ARRAY);
+    PayloadWriter::new()
+        .u64(micros64(said.stamp))
+        .u16(said.id)
+        .text::<NAME_BYTES>(said.name.as_str())
+        .extensions()
+        .f32s(&said.values[..held])
+        .finish(version)
+}
+
+pub(super) fn write_message_interval(version: WireVersion, said: MessageInterval) -> Payload {
+    PayloadWriter::new().i32(said.interval_micros).u16(said.message_id).finish(version)
 }

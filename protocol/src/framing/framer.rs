@@ -6,7 +6,7 @@
 //!  ...frames...|...undecided...|...not yet examined...|
 //! ```
 //! Everything before `decided` was emitted as frames or counted as garbage. Between `decided` and `cursor` lie claims of unknown
-//! frames ([`super::unknown_spans`]). The search stops at a start byte whose frame is not complete yet; these bytes stay in `pending`.
+//! frames ([`UnknownSpans`]). The search stops at a start byte whose frame is not complete yet; these bytes stay in `pending`.
 //! When nothing is pending, the search runs on the caller's slice and copies nothing.
 //!
 //! A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
@@ -17,13 +17,11 @@
 
 use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 
-use super::candidate::{FrameCandidate, FrameHeader, classify};
+use super::candidate::{FrameCandidate, FrameHeader, UnknownSpan, UnknownSpans, classify};
 use super::checksum::checksum;
-use super::unknown_spans::{UnknownSpan, UnknownSpans};
 use super::{FramerConfig, FramerCounters, FramerOutput, START_BYTE_V1, START_BYTE_V2, TransportKind};
 use crate::dialect::catalogue::{CATALOGUE, FULL_CATALOGUE, MessageCatalogue};
 
-/// Receives the output.
 type FramerSink<'s> = dyn FnMut(FramerOutput<'_>) + 's;
 
 /// Finds the frames in the bytes of one link.
@@ -61,7 +59,6 @@ pub struct Framer {
     counters: FramerCounters,
 }
 
-/// How far the bytes in `pending` were examined.
 #[derive(Clone, Debug, Default)]
 struct ScanProgress {
     cursor: usize,
@@ -124,7 +121,7 @@ impl Framer {
         if self.pending.is_empty() {
             let wait_policy = self.wait_policy(bytes);
             self.run(bytes, wait_policy, sink);
-            self.keep_pending(&bytes[self.progress.decided..]);
+            self.pending.extend_from_slice(&bytes[self.progress.decided..]);
         } else {
             let mut joined = std::mem::take(&mut self.pending);
             joined.extend_from_slice(bytes);
@@ -175,9 +172,7 @@ impl Framer {
     pub fn finish(&mut self, sink: &mut FramerSink<'_>) {
         let buffer = std::mem::take(&mut self.pending);
         self.run(&buffer, WaitPolicy::GiveUp, sink);
-        self.progress = ScanProgress::default();
-        self.is_overdue = false;
-        self.doubtful_end = 0;
+        self.forget_pending();
     }
 
     /// Handles a loss of the link: emits the complete frames that follow an incomplete one. The remaining bytes were neither damaged
@@ -186,6 +181,10 @@ impl Framer {
         if self.end_of_hidden_frames(&self.pending, WaitPolicy::GiveUp).is_some() {
             self.finish(sink);
         }
+        self.forget_pending();
+    }
+
+    fn forget_pending(&mut self) {
         self.pending.clear();
         self.progress = ScanProgress::default();
         self.is_overdue = false;
@@ -195,10 +194,6 @@ impl Framer {
     /// The counters since the start.
     pub const fn counters(&self) -> &FramerCounters {
         &self.counters
-    }
-
-    fn keep_pending(&mut self, rest: &[u8]) {
-        self.pending.extend_from_slice(rest);
     }
 
     fn drop_decided(&mut self) {
@@ -255,7 +250,6 @@ impl Framer {
     }
 }
 
-/// One pass over a buffer.
 struct ScanPass<'p, 'b, 's> {
     buffer: &'b [u8],
     accept_v1: bool,
@@ -294,7 +288,7 @@ impl ScanPass<'_, '_, '_> {
             }
         }
         match wait_policy {
-            WaitPolicy::GiveUp => self.decide_all(),
+            WaitPolicy::GiveUp => self.decide_to(self.buffer.len()),
             WaitPolicy::WaitFrom(_) => self.advance_decided(),
         }
     }
@@ -373,10 +367,6 @@ impl ScanPass<'_, '_, '_> {
             self.progress.decided = span.end;
             self.progress.frames_end = span.end;
         }
-    }
-
-    fn decide_all(&mut self) {
-        self.decide_to(self.buffer.len());
     }
 
     fn advance_decided(&mut self) {

@@ -15,7 +15,6 @@ mod candidate;
 mod checksum;
 mod framer;
 mod sequence;
-mod unknown_spans;
 
 pub use candidate::{VerifiedFrame, parse_verified, verify};
 pub use checksum::checksum;

@@ -12,7 +12,7 @@
 //! the circle is a loss, more is an old frame.
 //!
 //! # Assumptions
-//! The sender counts by one and keeps about its pace through a silence; see [`pace`]. A sender that was restarted begins anew: its
+//! The sender counts by one and keeps about its pace through a silence; see [`send_rate`]. A sender that was restarted begins anew: its
 //! clock shows it, and what was lost about that instant is not counted, because it is unknown.
 //!
 //! # Sources
@@ -21,7 +21,6 @@
 mod missing;
 mod send_rate;
 mod sender;
-mod sequence_set;
 
 use std::collections::BTreeMap;
 

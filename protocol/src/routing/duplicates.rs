@@ -1,16 +1,27 @@
-//! Knows a frame again that came before by another way.
+//! Recognizes frames that came before by another endpoint, and frames that the station sent itself.
 //!
 //! # Model
 //! ```text
 //! frame key     hash of all bytes of the frame
-//! content key   hash of group, source, message id and payload without trailing zeros; for stamped messages of a group
-//! repeat        a key that was noted within the window, from another way than now
+//! content key   hash of group, source, message id and payload without trailing zeros; for messages of a group with a timestamp
+//! duplicate     a key that was recorded within the window, from another endpoint than now
+//! echo          a frame from our own address whose fingerprint is among those of our last frames, on any link
+//! fingerprint   checksum (16 bits), sequence number, lowest byte of the message id
 //! ```
-//! The same bytes by the very same way are no repeat: weak robots that send every frame with sequence number 0 repeat their
-//! heartbeats bit by bit, and a loop always leads through another way.
+//! The same bytes by the same endpoint are no duplicate: weak robots that send every frame with sequence number 0 repeat their
+//! heartbeats bit by bit, and a loop always leads through another endpoint.
+//!
+//! A sender counts its frames on each link for itself, so the copies of one message on two links differ in sequence number and
+//! checksum; their payloads are equal. For a message with the sender's time in it that is enough to recognize the copy. For
+//! others it is not: two heartbeats or two equal commands are two.
+//!
+//! A link may echo, and a ring of stations brings every broadcast back: that is no news. But a frame under our address that we
+//! never sent comes from a sender with the same address, by default another station. Neither receives the other then, and both
+//! must be warned.
 //!
 //! # Assumptions
-//! Two different frames within the window do not share a 64-bit hash by chance (10^4 frames: 3 in 10^12).
+//! Two different frames within the window do not share a 64-bit hash by chance (10^4 frames: 3 in 10^12). A foreign frame under
+//! our address is taken for an echo once in 2^32 / 8192 = 524288 times.
 
 #[expect(clippy::disallowed_types, reason = "see DuplicateGuard")]
 use std::collections::HashMap;
@@ -19,8 +30,9 @@ use std::hash::{DefaultHasher, Hasher};
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::endpoint::Endpoint;
-use crate::framing::FrameRef;
+use super::endpoints::Endpoint;
+use crate::dialect::ids;
+use crate::framing::{FrameRef, START_BYTE_V1, START_BYTE_V2};
 
 /// So many keys are remembered for each endpoint that was heard; the oldest of all go first. A line of 115200 baud carries 8229 of the
 /// smallest telemetry frames (21 bytes) in 15 s.
@@ -35,14 +47,12 @@ const RESERVED_KEYS: usize = 4_096;
 /// Most keys that may wait to be sorted in.
 const MAX_WAITING: usize = 64;
 
-/// Under what a frame is remembered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum FrameKey {
     Frame(u64),
     Content(u64),
 }
 
-/// The key of a frame's bytes.
 pub(super) fn frame_key(frame: &[u8]) -> FrameKey {
     FrameKey::Frame(hash([frame]))
 }
@@ -68,7 +78,6 @@ fn hash<const N: usize>(parts: [&[u8]; N]) -> u64 {
     hasher.finish()
 }
 
-/// A frame that came.
 #[derive(Clone, Copy, Debug)]
 struct SeenFrame {
     arrival: Timestamp<HostClock>,
@@ -91,7 +100,7 @@ pub(super) struct DuplicateGuard {
     unsorted: VecDeque<(FrameKey, SeenFrame)>,
     /// By which endpoints notes came, at most [`MAX_ENDPOINTS`].
     endpoints: BTreeSet<Endpoint>,
-    /// By which way the last note came, and when one came last by another way than the one before it.
+    /// By which endpoint the last note came, and when one came last by another endpoint than the one before it.
     last_endpoint: Option<Endpoint>,
     last_endpoint_change: Timestamp<HostClock>,
 }
@@ -110,33 +119,38 @@ impl DuplicateGuard {
         }
     }
 
-    /// Notes a key that came by `way`, and returns by which other way it came first within the window.
-    pub(super) fn record(&mut self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
+    /// Notes a key that came by `endpoint`, and returns by which other endpoint it came first within the window.
+    pub(super) fn record(&mut self, now: Timestamp<HostClock>, endpoint: Endpoint, key: FrameKey) -> Option<Endpoint> {
         if self.unsorted.len() >= MAX_WAITING {
             self.sort_and_expire(now);
         }
-        let first = self.first_endpoint(now, way, key);
+        let first = self.first_endpoint(now, endpoint, key);
         if first.is_some() {
             return first;
         }
-        if self.last_endpoint.replace(way) != Some(way) {
+        if self.last_endpoint.replace(endpoint) != Some(endpoint) {
             self.last_endpoint_change = now;
         }
-        self.unsorted.push_back((key, SeenFrame { arrival: now, endpoint: way }));
+        self.unsorted.push_back((key, SeenFrame { arrival: now, endpoint }));
         None
     }
 
-    /// By which other way than `way` a key came first within the window.
-    pub(super) fn first_endpoint(&self, now: Timestamp<HostClock>, way: Endpoint, key: FrameKey) -> Option<Endpoint> {
-        if self.last_endpoint == Some(way) && self.is_single_endpoint(now) {
+    /// By which other endpoint than `endpoint` a key came first within the window.
+    pub(super) fn first_endpoint(
+        &self,
+        now: Timestamp<HostClock>,
+        endpoint: Endpoint,
+        key: FrameKey,
+    ) -> Option<Endpoint> {
+        if self.last_endpoint == Some(endpoint) && self.is_single_endpoint(now) {
             return None;
         }
         let waiting = self.unsorted.iter().rev().find(|(other, _)| *other == key);
         let note = waiting.map(|(_, note)| note).or_else(|| self.seen.get(&key))?;
-        (now - note.arrival < self.window).then_some(note.endpoint).filter(|first| *first != way)
+        (now - note.arrival < self.window).then_some(note.endpoint).filter(|first| *first != endpoint)
     }
 
-    /// Whether all that came within the window came by the way by which the last came: none of it is a repeat.
+    /// Whether all that came within the window came by the endpoint by which the last came: none of it is a repeat.
     fn is_single_endpoint(&self, now: Timestamp<HostClock>) -> bool {
         now - self.last_endpoint_change >= self.window
     }
@@ -157,7 +171,6 @@ impl DuplicateGuard {
         self.expire_sorted(now);
     }
 
-    /// Most keys that are remembered.
     fn max_keys(&self) -> usize {
         KEYS_PER_ENDPOINT * self.endpoints.len().clamp(MIN_ENDPOINTS, MAX_ENDPOINTS)
     }
@@ -185,6 +198,89 @@ impl DuplicateGuard {
             }
         }
     }
+}
+
+/// Number of sent frames that are remembered. At a hundred frames per second on each of four links it is 20 s: longer than a frame is on
+/// its way round a loop.
+const MAX_SENT_FRAMES: usize = 8_192;
+/// Bytes of a frame besides payload and signature: the header with its start byte, and the checksum.
+const BESIDE_PAYLOAD_V1: usize = 8;
+/// The same of a MAVLink 2 frame.
+const BESIDE_PAYLOAD_V2: usize = 12;
+
+#[derive(Clone, Debug)]
+pub(super) struct SentFrameLog(VecDeque<u32>);
+
+impl Default for SentFrameLog {
+    fn default() -> Self {
+        Self(VecDeque::with_capacity(MAX_SENT_FRAMES))
+    }
+}
+
+impl SentFrameLog {
+    pub(super) fn record(&mut self, frame: &[u8]) {
+        if self.0.len() == MAX_SENT_FRAMES {
+            self.0.pop_front();
+        }
+        self.0.extend(fingerprint(frame));
+    }
+
+    pub(super) fn contains(&self, frame: &[u8]) -> bool {
+        fingerprint(frame).is_some_and(|mark| self.0.contains(&mark))
+    }
+}
+
+/// The mark of a whole frame; `None` of what is none.
+fn fingerprint(frame: &[u8]) -> Option<u32> {
+    let (beside, length, sequence, id) = match *frame {
+        [START_BYTE_V2, length, _, _, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V2, length, sequence, id),
+        [START_BYTE_V1, length, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V1, length, sequence, id),
+        _ => return None,
+    };
+    let (_, checksum) = frame.get(..beside + usize::from(length))?.split_last_chunk::<2>()?;
+    Some(u32::from_le_bytes([checksum[0], checksum[1], sequence, id]))
+}
+
+/// Messages whose payload holds the sender's time: all kinds of telemetry that are fused here, and the commonest of the others.
+/// Source: common.xml (fields time_usec and time_boot_ms), our own dialect (time_us). By rising id.
+const TIMESTAMPED_MESSAGES: &[u32] = &[
+    ids::SYSTEM_TIME,
+    24, // GPS_RAW_INT
+    ids::SCALED_IMU,
+    27, // RAW_IMU
+    28, // RAW_PRESSURE
+    ids::SCALED_PRESSURE,
+    ids::ATTITUDE,
+    31, // ATTITUDE_QUATERNION
+    ids::LOCAL_POSITION_NED,
+    33,  // GLOBAL_POSITION_INT
+    36,  // SERVO_OUTPUT_RAW
+    65,  // RC_CHANNELS
+    85,  // POSITION_TARGET_LOCAL_NED
+    101, // GLOBAL_VISION_POSITION_ESTIMATE
+    ids::VISION_POSITION_ESTIMATE,
+    103, // VISION_SPEED_ESTIMATE
+    104, // VICON_POSITION_ESTIMATE
+    ids::HIGHRES_IMU,
+    106, // OPTICAL_FLOW_RAD
+    116, // SCALED_IMU2
+    129, // SCALED_IMU3
+    ids::DISTANCE_SENSOR,
+    ids::ATT_POS_MOCAP,
+    ids::ESTIMATOR_STATUS,
+    ids::NAMED_VALUE_FLOAT,
+    ids::ODOMETRY,
+    ids::DEBUG_FLOAT_ARRAY,
+    ids::WHEEL_DISTANCE,
+    ids::PB_WHEEL_TICKS,
+    ids::PB_INERTIAL,
+    ids::PB_PLANAR_POSE,
+    ids::PB_FUSION_HEALTH,
+];
+
+/// Whether equal payloads of this message are one and the same message.
+pub fn has_timestamp(message_id: u32) -> bool {
+    TIMESTAMPED_MESSAGES.binary_search(&message_id).is_ok()
 }
 
 #[cfg(test)]
@@ -265,6 +361,83 @@ mod tests {
             }
             guard.sort_and_expire(at(0));
             assert_eq!((guard.seen.len(), guard.expiry_order.len()), (expected, expected), "{links} links");
+        }
+    }
+}
+
+#[cfg(test)]
+mod sent_frames_tests {
+    use super::*;
+    use crate::dialect::Encoder;
+    use crate::framing::WireVersion;
+    use crate::message::{Heartbeat, Message};
+    use posebridge_telemetry::Address;
+
+    fn heartbeat(system_status: u8) -> Message {
+        Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status })
+    }
+
+    #[test]
+    fn what_was_said_is_known_in_both_versions_and_nothing_else_is() {
+        for version in [WireVersion::V1, WireVersion::V2] {
+            let mut encoder = Encoder::new(version);
+            let mut words = SentFrameLog::default();
+            let mut next = |status| {
+                let mut bytes = Vec::new();
+                encoder.encode(Address::new(1, 197), &heartbeat(status), &mut bytes);
+                bytes
+            };
+            let (first, second) = (next(4), next(4));
+            words.record(&first);
+            assert!(words.contains(&first), "{version:?}");
+            assert!(!words.contains(&second), "{version:?}: never said");
+            let other = {
+                let mut bytes = Vec::new();
+                let source = Address::new(1, 197);
+                Encoder::new(version).encode(source, &heartbeat(3), &mut bytes);
+                bytes
+            };
+            assert!(!words.contains(&other), "{version:?}: the same number");
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_nobody_s_word_and_the_memory_is_bounded() {
+        let mut words = SentFrameLog::default();
+        for torn in [&[][..], &[START_BYTE_V2; 4], &[START_BYTE_V2; 20], &[START_BYTE_V1; 7], &[0; 40]] {
+            words.record(torn);
+            assert!(!words.contains(torn), "{torn:?}");
+        }
+        let mut frame = [START_BYTE_V1, 0, 0, 1, 197, 0, 0, 0];
+        for k in 0..20_000_u16 {
+            [frame[6], frame[7]] = k.to_le_bytes();
+            words.record(&frame);
+        }
+        assert!(words.contains(&frame) && words.0.len() == MAX_SENT_FRAMES);
+        [frame[6], frame[7]] = [0, 0];
+        assert!(!words.contains(&frame));
+    }
+}
+
+#[cfg(test)]
+mod timestamped_tests {
+    use super::*;
+    use mavlink::dialects::common;
+    use mavlink_core::Message;
+
+    #[test]
+    fn the_list_can_be_searched() {
+        assert!(TIMESTAMPED_MESSAGES.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+
+    #[test]
+    fn every_standard_message_of_the_list_has_a_field_for_the_time() {
+        let standard = TIMESTAMPED_MESSAGES.iter().filter(|id| **id < 42_000);
+        for id in standard {
+            let message = common::MavMessage::default_message_from_id(*id).unwrap();
+            let fields = format!("{message:?}");
+            let is_stamped = ["time_usec:", "time_boot_ms:", "usec:"].iter().any(|field| fields.contains(field));
+            assert!(is_stamped, "{id}: {fields}");
         }
     }
 }

@@ -1,18 +1,18 @@
 //! Whom a frame is passed on to: a station between several links is also a router.
 //!
-//! Gets the frames that [`crate::framing`] finds, with the way by which each came, and says to which links and peers it goes
+//! Gets the frames that [`crate::framing`] finds, with the endpoint by which each came, and says to which links and peers it goes
 //! on. It is a value: it sends nothing, reads no clock and changes no byte. Which frames are used is not decided here, except
 //! that a frame that came before from another endpoint is distinguished from a new one ([`DuplicateStatus`]).
 //!
 //! # Model
 //! ```text
 //! target          0, none, or message id unknown    every other link, and the other peers of the same link
-//! system s        s ≠ own, or component 0           the ways by which s was heard
-//! component s/c   heard                             the ways by which s/c was heard
-//! component s/c   not heard, s ≠ own                the ways by which s was heard
+//! system s        s ≠ own, or component 0           the endpoints by which s was heard
+//! component s/c   heard                             the endpoints by which s/c was heard
+//! component s/c   not heard, s ≠ own                the endpoints by which s was heard
 //! component s/c   not heard, s = own                nobody; nor anybody for the station's own address
 //! ```
-//! Never back to the way that it came from, and never to another link of the same group: those lead to the same robot. Every
+//! Never back to the endpoint that it came from, and never to another link of the same group: those lead to the same robot. Every
 //! rule of the links (whether to forward at all, filters) is applied on top.
 //!
 //! # Sources
@@ -20,32 +20,24 @@
 //! forwarded like broadcasts.
 
 mod duplicates;
-mod endpoint;
-mod limits;
-mod routes;
+mod endpoints;
 mod rules;
-mod sent_frames;
-mod targets;
-mod timestamped;
 
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, TimeDelta, Timestamp};
 
-pub use endpoint::{Endpoint, MAX_PEERS};
-pub use limits::{LinkRateLimiter, RateLimits};
-pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRules, message_id_named};
-pub use targets::{MessageTarget, retarget, target_of};
-pub use timestamped::has_timestamp;
+pub use duplicates::has_timestamp;
+pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, retarget, target_of};
+pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRateLimiter, LinkRules, RateLimits, message_id_named};
 
-use self::duplicates::{DuplicateGuard, content_key, frame_key};
-use self::routes::RouteTable;
-use self::sent_frames::SentFrameLog;
+use self::duplicates::{DuplicateGuard, SentFrameLog, content_key, frame_key};
+use self::endpoints::RouteTable;
 use crate::dialect::ids;
 use crate::framing::FrameRef;
 
 /// A route expires after this long without a frame.
-pub const ROUTE_LIFETIME: TimeDelta = routes::LIFETIME;
+pub const ROUTE_LIFETIME: TimeDelta = endpoints::LIFETIME;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
@@ -87,7 +79,7 @@ impl From<SenderCheck> for SenderInfo {
 /// Whether a frame has come before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DuplicateStatus {
-    /// It has not, or only by the very same way.
+    /// It has not, or only by the very same endpoint.
     New,
     /// It has, over a redundant link to the same sender: it says nothing new.
     Duplicate,
@@ -145,11 +137,11 @@ impl FrameRouter {
         self.sent_frames.record(frame);
     }
 
-    /// The station sends this frame in the name of a sender that is received from `way`: when it comes back from another endpoint, it is a duplicate.
+    /// The station sends this frame in the name of a sender that is received from `endpoint`: when it comes back from another endpoint, it is a duplicate.
     ///
-    /// His own frames stay his own, even one with the same bytes, as long as they come by that way.
-    pub fn record_sent_for(&mut self, now: Timestamp<HostClock>, way: Endpoint, frame: &[u8]) {
-        self.duplicates.record(now, way, frame_key(frame));
+    /// His own frames stay his own, even one with the same bytes, as long as they come by that endpoint.
+    pub fn record_sent_for(&mut self, now: Timestamp<HostClock>, endpoint: Endpoint, frame: &[u8]) {
+        self.duplicates.record(now, endpoint, frame_key(frame));
     }
 
     /// Whether a link's inward filter lets a frame in: one that it does not is neither used nor forwarded.
@@ -264,7 +256,7 @@ impl FrameRouter {
         self.config.links.get(&link)?.group
     }
 
-    /// Takes note of a frame and says whether it came by another way before. Equal bytes and equal content may have come from two
+    /// Takes note of a frame and says whether it came by another endpoint before. Equal bytes and equal content may have come from two
     /// endpoints; what a redundant link has brought is no news, even if a detour was quicker still.
     fn classify_duplicate(
         &mut self,
@@ -331,7 +323,7 @@ impl FrameRouter {
         from: Endpoint,
         target: MessageTarget,
     ) -> Vec<(LinkId, Recipients)> {
-        let ways = match target {
+        let endpoints = match target {
             MessageTarget::Broadcast => return Vec::new(),
             MessageTarget::System(system) => self.routes.to_system(now, system),
             MessageTarget::Component(address) => {
@@ -343,9 +335,14 @@ impl FrameRouter {
                 }
             }
         };
-        let is_other =
-            |way: &Endpoint| *way != from && (way.link == from.link || !self.are_redundant(way.link, from.link));
-        ways.into_iter().filter(is_other).map(|way| (way.link, Recipients::Peer(way.peer))).collect()
+        let is_other = |endpoint: &Endpoint| {
+            *endpoint != from && (endpoint.link == from.link || !self.are_redundant(endpoint.link, from.link))
+        };
+        endpoints
+            .into_iter()
+            .filter(is_other)
+            .map(|endpoint| (endpoint.link, Recipients::Peer(endpoint.peer)))
+            .collect()
     }
 
     fn is_allowed_out(&self, link: LinkId, target: MessageTarget, frame: &FrameRef<'_>) -> bool {

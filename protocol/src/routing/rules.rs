@@ -1,10 +1,20 @@
-//! What may pass on a link: plain values, as the configuration gives them.
+//! What may pass on a link, and how much: filters, a least interval per message, a budget of bytes.
+//!
+//! # Model
+//! ```text
+//! interval   a message of one sender passes if the last one that passed is at least its interval ago
+//! budget     bucket of rate · 0.25 s (at least one whole frame), filled at rate; passes while it is above zero, then pays
+//! ```
+//! The budget may go below zero by one frame, so that a small rate does not shut out large frames; over time the rate holds.
+//! Commands always pass, but pay.
+
+use std::collections::BTreeMap;
 
 use mavlink::dialects::common;
 use mavlink_core::Message;
-use posebridge_telemetry::{Address, ComponentId, SystemId};
+use posebridge_telemetry::{Address, ComponentId, HostClock, SystemId, TimeDelta, Timestamp};
 
-use super::limits::RateLimits;
+use super::endpoints::MAX_PEERS;
 use crate::dialect::generated::posebridge;
 
 /// The rules of one link.
@@ -81,9 +91,94 @@ pub fn message_id_named(name: &str) -> Option<u32> {
     common::MavMessage::message_id_from_name(name).or_else(|| posebridge::MavMessage::message_id_from_name(name))
 }
 
+/// So much of the rate may leave at once: a quarter of a second is what people who steer notice.
+const BURST: TimeDelta = TimeDelta::from_millis(250);
+/// A MAVLink 2 frame with signature.
+const MAX_FRAME_BYTES: i64 = 280;
+/// Most senders whose intervals are kept.
+const MAX_SENDERS: usize = MAX_PEERS;
+const NANOS_PER_SEC: i64 = 1_000_000_000;
+
+/// Limits of one link. The default limits nothing.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RateLimits {
+    /// Least time between two of a message of one sender, by message id.
+    pub min_intervals: BTreeMap<u32, TimeDelta>,
+    /// Bytes per second; `None` for no budget. A frame for several peers of the link is paid for once, and each of them gets it.
+    pub bytes_per_s: Option<u32>,
+}
+
+/// Applies the limits of one link.
+#[derive(Clone, Debug)]
+pub struct LinkRateLimiter {
+    limits: RateLimits,
+    last_sent: BTreeMap<(u32, Address), Timestamp<HostClock>>,
+    /// What may leave, in bytes times nanoseconds per second: integers, so that no rounding adds up.
+    budget: i64,
+    refilled: Timestamp<HostClock>,
+}
+
+impl LinkRateLimiter {
+    /// A limiter with a full budget at `now`.
+    pub fn new(limits: RateLimits, now: Timestamp<HostClock>) -> Self {
+        let mut limiter = Self { limits, last_sent: BTreeMap::new(), budget: 0, refilled: now };
+        limiter.budget = limiter.max_budget();
+        limiter
+    }
+
+    /// Whether a frame of `bytes` bytes may leave at `now`; if so it has been paid for.
+    pub fn admits(&mut self, now: Timestamp<HostClock>, source: Address, message_id: u32, bytes: usize) -> bool {
+        let interval = self.limits.min_intervals.get(&message_id).copied();
+        let key = (message_id, source);
+        let is_early = interval.zip(self.last_sent.get(&key)).is_some_and(|(interval, last)| now - *last < interval);
+        self.refill(now);
+        if is_early || (self.limits.bytes_per_s.is_some() && self.budget <= 0) {
+            return false;
+        }
+        if interval.is_some() {
+            if self.last_sent.len() >= MAX_SENDERS {
+                // More than any real network has: a sender invents addresses. Beginning anew costs one message of each.
+                self.last_sent.clear();
+            }
+            self.last_sent.insert(key, now);
+        }
+        self.consume(bytes);
+        true
+    }
+
+    /// A frame that is not held back leaves at `now`: it only pays.
+    pub fn charge(&mut self, now: Timestamp<HostClock>, bytes: usize) {
+        self.refill(now);
+        self.consume(bytes);
+    }
+
+    fn consume(&mut self, bytes: usize) {
+        let bytes = i64::try_from(bytes).unwrap_or(MAX_FRAME_BYTES);
+        // Never deeper than a burst, or a flood of commands would silence the rest for long.
+        self.budget = (self.budget - bytes.saturating_mul(NANOS_PER_SEC)).max(-self.max_budget());
+    }
+
+    fn refill(&mut self, now: Timestamp<HostClock>) {
+        let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
+        let most = self.max_budget();
+        // Longer than this no bucket takes to fill, and the product stays within 64 bits.
+        let elapsed = (now - self.refilled).max(TimeDelta::ZERO).min(TimeDelta::from_millis(2_000_000));
+        let gained = i128::from(elapsed.as_nanos()) * i128::from(rate);
+        let filled = i128::from(self.budget) + gained;
+        self.budget = i64::try_from(filled).unwrap_or(most).min(most);
+        self.refilled = self.refilled.max(now);
+    }
+
+    fn max_budget(&self) -> i64 {
+        let rate = i64::from(self.limits.bytes_per_s.unwrap_or(0));
+        (rate * BURST.as_nanos()).max(MAX_FRAME_BYTES * NANOS_PER_SEC)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dialect::MESSAGES;
 
     #[test]
     fn an_empty_choice_takes_all_and_a_block_beats_an_allow() {
@@ -110,9 +205,66 @@ mod tests {
 
     #[test]
     fn messages_have_the_names_of_their_definitions() {
-        assert_eq!(message_id_named("HEARTBEAT"), Some(0));
-        assert_eq!(message_id_named("WHEEL_DISTANCE"), Some(9_000));
-        assert_eq!(message_id_named("PB_PLANAR_POSE"), Some(42_102));
+        for message in MESSAGES {
+            assert_eq!(message_id_named(message.name), Some(message.id));
+        }
         assert_eq!(message_id_named("heartbeat"), None);
+    }
+}
+
+#[cfg(test)]
+mod limits_tests {
+    use super::*;
+
+    const ROBOT: Address = Address::new(1, 1);
+
+    fn at(millis: i64) -> Timestamp<HostClock> {
+        Timestamp::from_millis(millis)
+    }
+
+    #[test]
+    fn a_message_is_thinned_to_its_interval_for_each_sender() {
+        let limits =
+            RateLimits { min_intervals: BTreeMap::from([(30, TimeDelta::from_millis(100))]), bytes_per_s: None };
+        let mut limiter = LinkRateLimiter::new(limits, at(0));
+        let mut passed = |source| {
+            let times = (0..50).map(|k| at(k * 20));
+            times.filter(|now| limiter.admits(*now, source, 30, 40)).count()
+        };
+        assert_eq!(passed(ROBOT), 10);
+        assert_eq!(passed(Address::new(2, 1)), 10);
+        assert!(limiter.admits(at(981), ROBOT, 31, 40) && limiter.admits(at(981), ROBOT, 31, 40));
+    }
+
+    #[test]
+    fn the_budget_holds_over_time_for_small_and_for_large_frames() {
+        for (rate, size) in [(1_000, 30), (1_000, 280), (100, 280), (1_000_000, 280)] {
+            let limits = RateLimits { min_intervals: BTreeMap::new(), bytes_per_s: Some(rate) };
+            let mut limiter = LinkRateLimiter::new(limits, at(0));
+            let mut sent = 0;
+            for k in 0..600_000 {
+                if limiter.admits(at(k / 10), ROBOT, 30, size) {
+                    sent += size;
+                }
+            }
+            let allowed = 60 * rate as usize;
+            let slack = (rate as usize / 4).max(280) + 280;
+            assert!(
+                sent <= allowed + slack && sent + slack >= allowed.min(600_000 * size),
+                "{rate} B/s in frames of {size}: {sent}"
+            );
+        }
+    }
+
+    #[test]
+    fn commands_pay_but_a_flood_of_them_silences_the_rest_only_briefly() {
+        let limits = RateLimits { min_intervals: BTreeMap::new(), bytes_per_s: Some(1_000) };
+        let mut limiter = LinkRateLimiter::new(limits, at(0));
+        for _ in 0..1_000 {
+            limiter.charge(at(0), 45);
+        }
+        assert!(!limiter.admits(at(0), ROBOT, 30, 40));
+        assert!(!limiter.admits(at(280), ROBOT, 30, 40));
+        assert!(limiter.admits(at(281), ROBOT, 30, 40));
     }
 }

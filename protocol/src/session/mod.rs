@@ -15,8 +15,6 @@
 mod output;
 mod parameters;
 mod peers;
-mod period;
-mod sender;
 mod time_requests;
 
 use std::collections::VecDeque;
@@ -24,11 +22,10 @@ use std::collections::VecDeque;
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
 
-pub use self::output::SessionOutput;
+use self::output::{MIN_PERIOD, next_period};
+pub use self::output::{SessionOutput, SessionSender};
 use self::parameters::ParameterServer;
 use self::peers::PeerTable;
-use self::period::{MIN_PERIOD, next_period};
-pub use self::sender::SessionSender;
 use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};

@@ -1,7 +1,7 @@
-//! The outputs of a session.
+//! The outputs of a session, its senders, and the schedule of periodic actions.
 
 use posebridge_telemetry::clock::Clock;
-use posebridge_telemetry::{Address, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, PeerId, TimeDelta, Timestamp};
 
 use crate::message::{CommandLong, Heartbeat, Message};
 
@@ -80,4 +80,22 @@ pub enum SessionOutput<C: Clock> {
         /// The name or the index that was asked for, as it came.
         asked: String,
     },
+}
+
+/// Shortest period, so that a zero in a configuration does not busy-loop.
+pub(super) const MIN_PERIOD: TimeDelta = TimeDelta::from_millis(1);
+
+/// The next time of a periodic action: in step with the last one, or from now on when whole periods were missed.
+pub(super) fn next_period<C: Clock>(due: Timestamp<C>, period: TimeDelta, now: Timestamp<C>) -> Timestamp<C> {
+    let next = due + period;
+    if next > now { next } else { now + period }
+}
+
+/// Who sent a message on the session's link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SessionSender {
+    /// The address that the message names.
+    pub address: Address,
+    /// By which peer of the link it came; `None` if that says nothing.
+    pub peer: Option<PeerId>,
 }

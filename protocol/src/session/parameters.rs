@@ -26,7 +26,6 @@ struct OfferedParameter {
     value: f32,
 }
 
-/// A list that is going out.
 #[derive(Clone, Copy, Debug)]
 struct ParameterListing<C: Clock> {
     next: usize,
@@ -39,7 +38,6 @@ fn not_before<C: Clock>(now: Timestamp<C>, earliest: Option<Timestamp<C>>) -> Ti
     earliest.map_or(now, |earliest| earliest.max(now))
 }
 
-/// What is offered on one link.
 #[derive(Debug)]
 pub(super) struct ParameterServer<C: Clock> {
     offered: Vec<OfferedParameter>,
@@ -113,7 +111,6 @@ impl<C: Clock> ParameterServer<C> {
         self.was_requested.then(|| self.value(index))?
     }
 
-    /// The next value of the list, if one is due.
     pub(super) fn due(&mut self, now: Timestamp<C>) -> Option<Message> {
         let listing = self.listing.filter(|listing| listing.due <= now)?;
         let count = self.offered.len();
@@ -127,12 +124,10 @@ impl<C: Clock> ParameterServer<C> {
         self.value(listing.next)
     }
 
-    /// When [`Self::due`] has something.
     pub(super) fn deadline(&self) -> Option<Timestamp<C>> {
         self.listing.map(|listing| listing.due)
     }
 
-    /// The clock was set back.
     pub(super) fn shift_clock(&mut self, fall: TimeDelta) {
         self.next_allowed = self.next_allowed.map(|earliest| earliest - fall);
         if let Some(listing) = &mut self.listing {

@@ -16,13 +16,11 @@ const NOT_AN_AUTOPILOT: u8 = 8;
 const GROUND_STATION: u8 = 6;
 /// Times that one interval is requested before the next one gets its turn.
 const MAX_ATTEMPTS: u8 = 5;
-/// Time between the attempts.
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Where we are with the requests to one robot.
 #[derive(Clone, Copy, Debug)]
 struct RequestProgress<C: Clock> {
-    /// Which of the wanted messages.
     index: usize,
     attempts: u8,
     next: Timestamp<C>,
@@ -45,7 +43,6 @@ struct SessionPeer<C: Clock> {
     request_progress: Option<RequestProgress<C>>,
 }
 
-/// All peers with a recent heartbeat.
 #[derive(Debug)]
 pub(super) struct PeerTable<C: Clock> {
     timeout: TimeDelta,

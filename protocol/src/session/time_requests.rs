@@ -8,20 +8,17 @@ use std::collections::{BTreeSet, VecDeque};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{PeerId, TimeDelta, Timestamp};
 
-use super::period::{MIN_PERIOD, next_period};
-use super::sender::SessionSender;
+use super::output::{MIN_PERIOD, SessionSender, next_period};
 
 /// Requests at the start, and again for each new peer, that come in quick succession: ten exchanges give the hulls of the
 /// clock alignment their first bounds.
 const QUICK_REQUESTS: u8 = 10;
-/// Time between quick requests.
 const QUICK_PERIOD: TimeDelta = TimeDelta::from_millis(100);
 /// An answer that comes later than this says nothing useful about the clock.
 const STALE: TimeDelta = TimeDelta::from_millis(5_000);
 /// The most requests that are remembered: five seconds of quick ones.
 const MAX_OPEN: usize = 50;
 
-/// One request of ours.
 #[derive(Debug)]
 struct OpenTimeRequest<C: Clock> {
     sent: Timestamp<C>,

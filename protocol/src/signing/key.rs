@@ -6,7 +6,6 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-/// Bytes of a key.
 const LENGTH: usize = 32;
 /// Goes before the key where its name is made, so that the name is no part of any signature.
 const NAME_PREFIX: &[u8] = b"posebridge key name:";
@@ -99,21 +98,6 @@ fn hex<'a>(bytes: impl Iterator<Item = &'a u8>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_key_is_read_from_64_digits_and_nothing_else() {
-        let mut bytes = [0; LENGTH];
-        bytes[0] = 0xAB;
-        bytes[31] = 0x0F;
-        let text = format!(" aB{}0f\n", "00".repeat(30));
-        assert_eq!(text.parse(), Ok(Key::from_bytes(bytes)));
-        assert_eq!(Key::from_bytes(bytes).reveal_hex(), text.trim().to_lowercase());
-        assert_eq!("".parse::<Key>(), Err(KeyError::Length { found: 0 }));
-        let long = "0".repeat(65);
-        assert_eq!(long.parse::<Key>(), Err(KeyError::Length { found: 65 }));
-        let odd = format!("{}x{}", "0".repeat(10), "0".repeat(53));
-        assert_eq!(odd.parse::<Key>(), Err(KeyError::Digit { position: 11 }));
-    }
 
     #[test]
     fn no_print_and_no_error_shows_a_key() {

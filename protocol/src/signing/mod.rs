@@ -23,7 +23,6 @@
 //! # Sources
 //! MAVLink guide, "Message Signing": signature, timestamp handling, accepting signed and unsigned packets.
 
-mod clock;
 mod key;
 mod signature;
 mod signer;
@@ -31,9 +30,8 @@ mod state;
 mod verifier;
 
 pub use crate::framing::FLAG_SIGNED;
-pub use clock::SigningTime;
 pub use key::{Key, KeyError};
-pub use signature::FrameSigner;
+pub use signature::{FrameSigner, SigningTime};
 pub use signer::{LinkSigner, SigningConfig};
 pub use state::{ShutdownKind, SignedStreamState, SigningState, StreamId};
 pub use verifier::UnsignedPolicy;

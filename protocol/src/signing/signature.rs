@@ -1,15 +1,70 @@
-//! The 13 bytes behind a frame: made, found and compared.
+//! The 13 bytes behind a frame, and their time: the only use of the calendar in anything that is computed.
 
+use posebridge_telemetry::TimeDelta;
 use sha2::{Digest, Sha256};
 
-use super::clock::SigningTime;
 use super::key::Key;
-use crate::framing::{FrameRef, START_BYTE_V2};
+use crate::framing::{FLAG_SIGNED, FrameRef, START_BYTE_V2};
 
-/// Bytes of the hash that a signature holds.
+/// Bytes of the hash in a signature; link id (1) and timestamp (6) stand before it.
 const MAC: usize = 6;
-/// Bytes of a signature: link id, timestamp, hash.
-const LENGTH: usize = 1 + 6 + MAC;
+/// 2015-01-01 00:00 UTC in microseconds since 1970: 1 420 070 400 s, MAVLink guide, "Timestamp Handling".
+const EPOCH_UNIX_MICROS: u64 = 1_420_070_400_000_000;
+const UNIT_NANOS: i64 = 10_000;
+const MAX_UNITS: u64 = (1 << 48) - 1;
+
+/// An instant as signatures state it: units of 10 µs since 2015-01-01 UTC, 48 bits, which last until 2104.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SigningTime(u64);
+
+impl SigningTime {
+    /// The beginning of 2015.
+    pub const ZERO: Self = Self(0);
+    /// The last one that there is.
+    pub const MAX: Self = Self(MAX_UNITS);
+
+    /// That many units; the last one there is for more than 48 bits.
+    pub const fn from_units(units: u64) -> Self {
+        if units > MAX_UNITS { Self::MAX } else { Self(units) }
+    }
+
+    /// The instant that many microseconds after 1970 UTC; [`Self::ZERO`] for what lies before 2015.
+    pub const fn from_unix_micros(micros: u64) -> Self {
+        Self::from_units(micros.saturating_sub(EPOCH_UNIX_MICROS) / 10)
+    }
+
+    /// Its units.
+    pub const fn units(self) -> u64 {
+        self.0
+    }
+
+    /// The instant a span later, cut to whole units; saturates, and a negative span changes nothing.
+    pub fn saturating_add(self, span: TimeDelta) -> Self {
+        let units = u64::try_from(span.as_nanos() / UNIT_NANOS).unwrap_or(0);
+        Self::from_units(self.0.saturating_add(units))
+    }
+
+    /// How much later than `earlier`; zero if it is not.
+    pub fn since(self, earlier: Self) -> TimeDelta {
+        let units = i64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(i64::MAX);
+        TimeDelta::from_nanos(units.saturating_mul(UNIT_NANOS))
+    }
+
+    /// The smallest that is later; `None` after the last.
+    pub fn next(self) -> Option<Self> {
+        (self < Self::MAX).then_some(Self(self.0 + 1))
+    }
+
+    pub(super) const fn to_wire(self) -> [u8; 6] {
+        let [a, b, c, d, e, f, _, _] = self.0.to_le_bytes();
+        [a, b, c, d, e, f]
+    }
+
+    pub(super) const fn from_wire(wire: [u8; 6]) -> Self {
+        let [a, b, c, d, e, f] = wire;
+        Self(u64::from_le_bytes([a, b, c, d, e, f, 0, 0]))
+    }
+}
 
 /// What one frame of our own is signed with; its timestamp is used up.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +76,7 @@ pub struct FrameSigner<'k> {
 
 impl FrameSigner<'_> {
     /// Appends the signature of the frame that begins at `start` and ends with its checksum at the end of `out`. The
-    /// frame's header must have [`super::FLAG_SIGNED`] set, or no receiver will look for the signature.
+    /// frame's header must have [`FLAG_SIGNED`] set, or no receiver will look for the signature.
     pub fn sign(&self, out: &mut Vec<u8>, start: usize) {
         out.push(self.link_id);
         out.extend_from_slice(&self.timestamp.to_wire());
@@ -30,7 +85,6 @@ impl FrameSigner<'_> {
     }
 }
 
-/// A frame's signature, not yet verified.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Signature<'a> {
     pub(super) link_id: u8,
@@ -41,16 +95,15 @@ pub(super) struct Signature<'a> {
 }
 
 impl<'a> Signature<'a> {
-    /// The signature of a frame, if it has one.
     pub(super) fn parse(frame: &FrameRef<'a>) -> Option<Self> {
         let [START_BYTE_V2, _, flags, ..] = *frame.raw else {
             return None;
         };
-        if flags & super::FLAG_SIGNED == 0 {
+        if flags & FLAG_SIGNED == 0 {
             return None;
         }
         let (covered, mac) = frame.raw.split_last_chunk::<MAC>()?;
-        let (_, said) = covered.split_last_chunk::<{ LENGTH - MAC }>()?;
+        let (_, said) = covered.split_last_chunk::<{ 1 + 6 }>()?;
         let [link_id, a, b, c, d, e, f] = *said;
         Some(Self { link_id, timestamp: SigningTime::from_wire([a, b, c, d, e, f]), mac: *mac, signed_bytes: covered })
     }
@@ -85,13 +138,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bit_of_the_hash_counts() {
-        let a = [0x5A; MAC];
-        assert!(is_equal(a, a));
-        for bit in 0..8 * MAC {
-            let mut b = a;
-            b[bit / 8] ^= 1 << (bit % 8);
-            assert!(!is_equal(a, b), "bit {bit}");
-        }
+    fn the_epoch_is_the_beginning_of_2015() {
+        // `date -u -d 2015-01-01 +%s` says 1420070400.
+        assert_eq!(SigningTime::from_unix_micros(1_420_070_400_000_000), SigningTime::ZERO);
+        assert_eq!(SigningTime::from_unix_micros(1_420_070_401_000_019).units(), 100_001);
+        assert_eq!(SigningTime::from_unix_micros(0), SigningTime::ZERO);
+        assert_eq!(SigningTime::from_unix_micros(u64::MAX), SigningTime::MAX);
+    }
+
+    #[test]
+    fn spans_are_counted_in_whole_units_and_never_backwards() {
+        let start = SigningTime::from_units(7);
+        assert_eq!(start.saturating_add(TimeDelta::from_nanos(19_999)).units(), 8);
+        assert_eq!(start.saturating_add(TimeDelta::from_millis(-1)), start);
+        assert_eq!(SigningTime::MAX.saturating_add(TimeDelta::from_millis(1)), SigningTime::MAX);
+        assert_eq!(SigningTime::from_units(107).since(start), TimeDelta::from_millis(1));
+        assert_eq!(start.since(SigningTime::MAX), TimeDelta::ZERO);
+        assert_eq!(SigningTime::MAX.next(), None);
+    }
+
+    #[test]
+    fn six_bytes_hold_it_whole() {
+        let stamp = SigningTime::from_units(0x1234_5678_9ABC);
+        assert_eq!(stamp.to_wire(), [0xBC, 0x9A, 0x78, 0x56, 0x34, 0x12]);
+        assert_eq!(SigningTime::from_wire(stamp.to_wire()), stamp);
     }
 }

@@ -2,9 +2,8 @@
 
 use posebridge_telemetry::{HostClock, SignatureError, Timestamp};
 
-use super::clock::SigningTime;
 use super::key::Key;
-use super::signature::{FrameSigner, Signature};
+use super::signature::{FrameSigner, Signature, SigningTime};
 use super::state::SigningState;
 use super::verifier::{SignatureVerifier, UnsignedPolicy};
 use crate::framing::FrameRef;
@@ -34,7 +33,6 @@ pub struct LinkSigner {
     start_date: SigningTime,
     /// The time of signatures at the host clock's zero.
     start: SigningTime,
-    /// The last timestamp that was used.
     last_sent: SigningTime,
     verifier: SignatureVerifier,
 }
@@ -61,9 +59,7 @@ impl LinkSigner {
     }
 
     /// Verifies a frame that came at `now`.
-    ///
-    /// # Errors
-    /// Why it must be rejected; it has changed nothing.
+    /// The error is why it must be rejected; it has changed nothing.
     pub fn verify(&mut self, now: Timestamp<HostClock>, frame: &FrameRef<'_>) -> Result<(), SignatureError> {
         let clock = self.clock(now);
         let date = self.date(now);

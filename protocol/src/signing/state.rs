@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Address, TimeDelta};
 
-use super::clock::SigningTime;
+use super::signature::SigningTime;
 
 /// How far a sender's stamps may run ahead of the time that passes: a burst of frames takes one stamp each.
 const BURST: TimeDelta = TimeDelta::from_millis(500);

@@ -4,9 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_telemetry::{SignatureError, TimeDelta};
 
-use super::clock::SigningTime;
 use super::key::Key;
-use super::signature::Signature;
+use super::signature::{Signature, SigningTime};
 use super::state::{SignedStreamState, StreamId};
 use crate::framing::FrameRef;
 
@@ -76,7 +75,6 @@ impl SignatureVerifier {
         Ok(Some(timestamp))
     }
 
-    /// Whether a frame needs no signature, whatever its message.
     pub(super) fn accepts_unsigned(&self) -> bool {
         self.unsigned == UnsignedPolicy::Accept
     }

@@ -5,21 +5,20 @@
 //! explains their use. A camera has its own clock: the session requests its time and the station aligns it, as for a
 //! camera that sends MAVLink.
 
-mod cameras;
-mod replies;
 mod schema;
-mod settings;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_telemetry::severity::{INFO, WARNING};
-use posebridge_telemetry::{Address, HostClock, PeerId, ReceiveError, Recipients, SourceHealth, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    Address, ChannelName, HostClock, PeerId, ReceiveError, Recipients, SourceHealth, TimeDelta, Timestamp,
+};
+use serde_json::json;
 
-use self::cameras::{CameraTable, MAX_CAMERAS};
-use self::replies::ErrorReplies;
+pub use self::schema::CameraJsonSettings;
 use self::schema::{CameraFixMessage, CameraLine, CameraMessage, FieldError};
-pub use self::settings::CameraJsonSettings;
-use super::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use super::heartbeat::HeartbeatSource;
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::dialect::ids;
 use crate::framing::{FramerCounters, TransportKind};
@@ -31,14 +30,10 @@ const MAX_LINE_BYTES: usize = 1_024;
 const MAX_PEERS: usize = 64;
 /// Most replies that wait to be sent; more are dropped, because complaints come again.
 const MAX_REPLIES: usize = 64;
-/// Most unknown names that are reported.
 const MAX_UNKNOWN_KEYS: usize = 8;
-/// What a [`Defect`] calls a line, which has no number.
+/// The message id of a line in [`ReceiveError`](posebridge_telemetry::ReceiveError)s, which has none.
 const LINE_ID: u32 = 0;
 
-type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
-
-/// The state of one link to cameras.
 #[derive(Debug)]
 struct CameraJsonCodec {
     settings: CameraJsonSettings,
@@ -47,14 +42,12 @@ struct CameraJsonCodec {
     replies: VecDeque<(Recipients, Vec<u8>)>,
     counts: FramerCounters,
     unknown: BTreeSet<String>,
-    /// A bad line was quoted since the link came up.
     is_error_reported: bool,
     is_overflow_reported: bool,
     /// Fixes that were asked for.
     requests: u64,
 }
 
-/// One sender.
 #[derive(Debug, Default)]
 struct CameraPeer {
     splitter: LineSplitter<MAX_LINE_BYTES>,
@@ -130,7 +123,7 @@ impl BrickCodec for CameraJsonCodec {
             reason = "a camera is told nothing but questions, however many kinds of message there are"
         )]
         let line = match message {
-            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => replies::time_request(*request_nanos),
+            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => time_request(*request_nanos),
             Message::Command(command) => match self.fix_request(command) {
                 Some(line) => line,
                 None => return 0,
@@ -187,7 +180,6 @@ impl CameraJsonCodec {
         }
     }
 
-    /// Handles the message of a line.
     fn apply_message(
         &mut self,
         now: Timestamp<HostClock>,
@@ -275,7 +267,6 @@ impl CameraJsonCodec {
         }
     }
 
-    /// The question for a fix, if a camera takes it.
     fn fix_request(&mut self, command: &CommandLong) -> Option<Vec<u8>> {
         let is_for_fix = command.command == ids::COMMAND_REQUEST_MESSAGE
             && command.params[0] == ids::VISION_POSITION_ESTIMATE as f32;
@@ -284,7 +275,7 @@ impl CameraJsonCodec {
             return None;
         }
         self.requests += 1;
-        Some(replies::fix_request(camera.name, self.requests))
+        Some(fix_request(camera.name, self.requests))
     }
 
     fn count_error(&mut self, line: &[u8], flaw: &FieldError, sink: &mut CodecEventSink<'_>) {
@@ -304,4 +295,99 @@ impl CameraJsonCodec {
 
 fn emit_status_text(sink: &mut CodecEventSink<'_>, from: Address, severity: u8, text: String) {
     sink(CodecEvent::StatusText { from, severity, text });
+}
+
+/// MAV_COMP_ID_CAMERA of minimal.xml; five more follow it.
+const FIRST_COMPONENT: u8 = 100;
+/// The system of a robot's own cameras.
+const SYSTEM: u8 = 1;
+/// As many cameras as MAVLink has component ids for.
+const MAX_CAMERAS: usize = 6;
+
+#[derive(Clone, Copy, Debug)]
+struct Camera {
+    name: ChannelName,
+    takes_requests: bool,
+    heartbeat: HeartbeatSource,
+    lines: u64,
+}
+
+#[derive(Debug, Default)]
+struct CameraTable(Vec<Camera>);
+
+impl CameraTable {
+    /// The camera with this name, its address, and whether it is new; `None` if there are too many already.
+    fn get_or_insert(&mut self, name: ChannelName) -> Option<(Address, &mut Camera, bool)> {
+        let known = self.0.iter().position(|camera| camera.name == name);
+        let index = match known {
+            Some(index) => index,
+            None if self.0.len() >= MAX_CAMERAS => return None,
+            None => {
+                self.0.push(Camera { name, takes_requests: false, heartbeat: HeartbeatSource::for_camera(), lines: 0 });
+                self.0.len() - 1
+            }
+        };
+        let camera = self.0.get_mut(index)?;
+        Some((address(index), camera, known.is_none()))
+    }
+
+    fn get(&self, wanted: Address) -> Option<&Camera> {
+        let index = usize::from(wanted.component.0.checked_sub(FIRST_COMPONENT)?);
+        self.0.get(index).filter(|_| address(index) == wanted)
+    }
+
+    fn source_health(&self) -> Vec<SourceHealth> {
+        let sources = self.0.iter().enumerate();
+        let sources =
+            sources.map(|(index, camera)| SourceHealth { source: address(index), frames: camera.lines, lost: 0 });
+        sources.collect()
+    }
+}
+
+const fn address(index: usize) -> Address {
+    Address::new(SYSTEM, FIRST_COMPONENT + index as u8)
+}
+
+/// One complaint a second for each sender: a camera that is wrong thirty times a second does not need as many replies.
+const ERROR_REPLY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// When a sender was last sent an error, and how many were held back since.
+#[derive(Clone, Copy, Debug, Default)]
+struct ErrorReplies {
+    last: Option<Timestamp<HostClock>>,
+    suppressed: u64,
+}
+
+impl ErrorReplies {
+    /// The error reply for line number `line` of a sender; `None` if another one has just been sent.
+    fn reply_to(&mut self, now: Timestamp<HostClock>, line: u64, flaw: &FieldError) -> Option<Vec<u8>> {
+        if self.last.is_some_and(|last| now - last < ERROR_REPLY_PERIOD) {
+            self.suppressed = self.suppressed.saturating_add(1);
+            return None;
+        }
+        self.last = Some(now);
+        let mut answer = json!({ "error": flaw.text, "line": line });
+        if let Some(key) = flaw.key {
+            answer["key"] = json!(key);
+        }
+        let unsaid = std::mem::take(&mut self.suppressed);
+        if unsaid > 0 {
+            answer["unsaid"] = json!(unsaid);
+        }
+        Some(encode_line(&answer))
+    }
+}
+
+fn time_request(request: i64) -> Vec<u8> {
+    encode_line(&json!({ "time_request": request }))
+}
+
+fn fix_request(camera: ChannelName, number: u64) -> Vec<u8> {
+    encode_line(&json!({ "camera": camera.as_str(), "fix_request": number }))
+}
+
+fn encode_line(value: &serde_json::Value) -> Vec<u8> {
+    let mut line = value.to_string().into_bytes();
+    line.push(b'\n');
+    line
 }

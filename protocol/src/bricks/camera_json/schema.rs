@@ -12,13 +12,13 @@
 
 use std::ops::RangeInclusive;
 
-use posebridge_telemetry::{ChannelName, Heading, Meters};
+use posebridge_telemetry::{ChannelName, Heading, Meters, TimeDelta};
 use serde_json::{Map, Value};
 
 use super::super::line_splitter::printable;
 use crate::dialect::frames::{PlanarPoint, turn_ned};
+use crate::framing::TransportKind;
 
-/// Every key that means something.
 pub(super) const KEYS: &[&str] = &[
     "camera",
     "exposed_s",
@@ -40,7 +40,6 @@ pub(super) const KEYS: &[&str] = &[
     "time_us",
 ];
 
-/// The name of a camera that does not say one.
 const DEFAULT_CAMERA_NAME: &[u8] = b"camera";
 /// No arena is larger: 100 km.
 const MAX_COORDINATE_M: f64 = 1e5;
@@ -54,36 +53,28 @@ const MAX_ANGLE_RAD: f64 = 1e6;
 /// Nanoseconds in 64 bits end after 292 years; UNIX time is far below.
 const MAX_TIME_S: f64 = 9e9;
 
-/// The message of a line, and its sender.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
-    /// The camera's name.
     pub(super) camera: ChannelName,
     /// Whether it says that it makes a fix when it is asked.
     pub(super) takes_requests: Option<bool>,
-    /// The rest.
     pub(super) message: CameraMessage,
     /// Keys that mean nothing here, made printable.
     pub(super) unknown: Vec<String>,
 }
 
-/// The kinds of line.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum CameraMessage {
-    /// Where the robot was.
     Fix(CameraFixMessage),
     /// The camera's clock between a question and the answer.
     Time {
-        /// What stood in the question.
         request: i64,
         /// Since the clock's zero.
         nanos: i64,
     },
-    /// Nothing but who it is.
     Hello,
 }
 
-/// Where the robot was, in the arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CameraFixMessage {
     /// Middle of the exposure by the camera's clock, microseconds.
@@ -100,12 +91,9 @@ pub(super) struct CameraFixMessage {
     pub(super) tag: Option<u32>,
 }
 
-/// What is wrong with a line.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FieldError {
-    /// With which key, if it is one.
     pub(super) key: Option<&'static str>,
-    /// What.
     pub(super) text: String,
 }
 
@@ -120,9 +108,7 @@ impl FieldError {
 }
 
 /// The message of a line.
-///
-/// # Errors
-/// It is no JSON object, a key is missing or has a value that it cannot have.
+/// Fails if it is no JSON object, or if a key is missing or has a value that it cannot have.
 pub(super) fn parse_line(line: &[u8]) -> Result<CameraLine, FieldError> {
     let value: Value = serde_json::from_slice(line).map_err(|error| json_error(line, &error))?;
     let Value::Object(map) = value else {
@@ -150,7 +136,6 @@ fn json_error(line: &[u8], error: &serde_json::Error) -> FieldError {
     FieldError::for_line(format!("this is no JSON from byte {byte} on{hint}"))
 }
 
-/// The keys of one line.
 struct LineKeys<'a>(&'a Map<String, Value>);
 
 impl LineKeys<'_> {
@@ -313,10 +298,34 @@ impl LineKeys<'_> {
     }
 }
 
-/// An instant of the camera's clock.
 struct CameraInstant {
     micros: u64,
     nanos: i64,
+}
+
+/// Settings for cameras that send JSON.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraJsonSettings {
+    /// Whether a chunk is a datagram, whose end ends its last line.
+    pub framing: TransportKind,
+    /// How long before its arrival a fix without a time was exposed.
+    pub delay: TimeDelta,
+    /// It may be so much more or less.
+    pub delay_spread: TimeDelta,
+    /// Fixes of less quality are left out; 0 to 100 per cent; a camera that has failed sends 0.
+    pub min_quality: f64,
+}
+
+impl Default for CameraJsonSettings {
+    /// A camera program at 30 images per second takes one to three of them for an image.
+    fn default() -> Self {
+        Self {
+            framing: TransportKind::Stream,
+            delay: TimeDelta::from_millis(60),
+            delay_spread: TimeDelta::from_millis(40),
+            min_quality: 1.0,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -332,26 +341,11 @@ mod tests {
 
     #[test]
     fn a_fix_is_told_in_the_arena_or_north_east_down() {
-        let plain = fix("{\"x_m\": 1.5, \"y_m\": -2}");
-        assert_eq!((plain.x, plain.y), (Meters(1.5), Meters(-2.0)));
-        assert_eq!((plain.heading, plain.covariance), (None, None));
         let turned = fix("{\"x_m\": 3, \"y_m\": 4, \"heading_deg\": 30, \"space\": \"ned\"}");
         assert_eq!((turned.x, turned.y), (Meters(4.0), Meters(3.0)));
         assert!((turned.heading.unwrap().rad().to_degrees() - 60.0).abs() < 1e-9);
         let still = fix("{\"x_m\": 3, \"y_m\": 4, \"space\": \"ned\"}");
         assert_eq!(still.heading, None);
-    }
-
-    #[test]
-    fn instants_are_the_same_in_either_unit() {
-        for line in
-            ["{\"x_m\": 0, \"y_m\": 0, \"exposed_s\": 12.5}", "{\"x_m\": 0, \"y_m\": 0, \"exposed_us\": 12500000}"]
-        {
-            assert_eq!(fix(line).exposed_micros, Some(12_500_000), "{line}");
-        }
-        let answer = parse_line(b"{\"time_answer\": 77, \"time_us\": 5}").unwrap();
-        let said = CameraMessage::Time { request: 77, nanos: 5_000 };
-        assert_eq!(answer.message, said);
     }
 
     #[test]

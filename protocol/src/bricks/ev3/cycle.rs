@@ -9,10 +9,9 @@
 
 use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, TimeDelta};
 
-use super::bytecode::DirectCommand;
-use super::sensors::{CycleSensors, MAX_SENSORS, SensorBank, SensorRole};
+use super::sensors::{CycleSensors, MAX_SENSORS, SensorBank, SensorRole, TurnAccumulator};
 use super::settings::{Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection};
-use super::turn_accumulator::TurnAccumulator;
+use super::telegrams::DirectCommand;
 use crate::message::{Inertial, Message, WheelTicks, WireStamp};
 
 /// Bytes of every value.
@@ -22,11 +21,9 @@ const MAX_DEG_PER_S: f64 = 880.0;
 /// The gyro's angle has 16 bits.
 const MAX_DEG: f64 = 32_768.0;
 
-/// The values of a reply.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CycleValues {
     pub(super) micros: u32,
-    /// Left and right.
     pub(super) counts: [i32; 2],
     /// Two values of each sensor; not a number where none is.
     pub(super) sensors: [[f64; 2]; MAX_SENSORS],
@@ -38,7 +35,6 @@ impl CycleValues {
     }
 }
 
-/// Writes the question of a cycle.
 pub(super) fn encode_request(settings: &Ev3Settings, sensors: &SensorBank) -> (DirectCommand, CycleSensors) {
     let mut command = DirectCommand::default();
     command.read_clock();
@@ -48,7 +44,6 @@ pub(super) fn encode_request(settings: &Ev3Settings, sensors: &SensorBank) -> (D
     (command, included)
 }
 
-/// Reads the answer of a cycle; `None` if it is too short.
 pub(super) fn decode_reply(answer: &[u8], included: CycleSensors) -> Option<CycleValues> {
     let mut words = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
     let micros = u32::from_le_bytes(words.next()?);
@@ -63,7 +58,6 @@ pub(super) fn decode_reply(answer: &[u8], included: CycleSensors) -> Option<Cycl
     Some(CycleValues { micros, counts, sensors })
 }
 
-/// The counts with the sign of the motors.
 pub(super) const fn wheel_ticks(settings: &Ev3Settings, stamp: WireStamp, total: [i64; 2]) -> Message {
     let [left, right] = total;
     let (left, right) = match settings.motors {

@@ -4,34 +4,33 @@
 //! the round trip of the request bounds its clock. SPEC.md beside this file defines the bytes. The same telegrams are
 //! used over Bluetooth (RFCOMM), USB and, after a greeting, WiFi (TCP).
 
-mod bytecode;
 mod cycle;
-mod mailbox;
 mod replies;
-mod requests;
 mod sensors;
 mod settings;
 mod stamps;
-mod turn_accumulator;
+mod telegrams;
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::severity::{ERROR, INFO, WARNING};
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
-use self::bytecode::DirectCommand;
-use self::cycle::CycleValues;
-use self::replies::{Ev3Telegram, ReplyBody, ReplyFramer};
-use self::requests::{Ev3Request, OutstandingRequest, OutstandingRequests, ReplyTiming};
-use self::sensors::{CycleSensors, SensorBank, SetUpFailure, WheelState};
+use self::cycle::{CycleValues, decode_reply, encode_request, sensor_message, wheel_ticks};
+use self::replies::{
+    Ev3Request, Ev3Telegram, OutstandingRequest, OutstandingRequests, ReplyBody, ReplyFramer, ReplyTiming,
+};
+use self::sensors::{CycleSensors, SensorBank, SetUpFailure, TurnAccumulator};
 pub use self::settings::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, MotorPort,
     SensorPort,
 };
 use self::stamps::{BrickStamp, StampAdvance, StampChecker};
-use self::turn_accumulator::TurnAccumulator;
-use super::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
-use super::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits};
+use self::telegrams::{DirectCommand, encode_estimate, encode_mailbox_write};
+use super::codec::{
+    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, emit_message, emit_status_text,
+};
+use super::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, WheelState};
 use super::heartbeat::HeartbeatSource;
 use crate::framing::FramerCounters;
 use crate::message::Message;
@@ -56,12 +55,9 @@ const REJECTED_PAUSE: TimeDelta = TimeDelta::from_millis(1_000);
 /// No motor of the set is faster, counts of 1 degree per second: 260 rpm of the EV3's medium motor at 9 V without load (Philohome,
 /// Pybricks' identified model).
 const LIMITS: MotorLimits = MotorLimits { max_counts_per_s: 1_600.0, margin: 3.0 };
-/// What [`Defect::Payload`] calls an answer: its type on the wire.
+/// The message id of a reply in [`ReceiveError::Payload`]: its type on the wire.
 const ANSWER_ID: u32 = 0x02;
 
-type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
-
-/// The state of one link to an EV3.
 #[derive(Debug)]
 struct Ev3Codec {
     settings: Ev3Settings,
@@ -87,18 +83,14 @@ struct Ev3Codec {
     outbox: VecDeque<Vec<u8>>,
     counts: FramerCounters,
     lost: u64,
-    /// The brick's refusal to be read was reported.
     is_rejection_reported: bool,
     estimates_sent: u16,
 }
 
-/// The reply to a request of a cycle.
 #[derive(Clone, Copy, Debug)]
 struct CycleReply {
-    /// When the request was sent.
     sent: Timestamp<HostClock>,
     timing: ReplyTiming,
-    /// The sensors that were read.
     sensors: CycleSensors,
     values: CycleValues,
 }
@@ -167,7 +159,7 @@ impl BrickCodec for Ev3Codec {
             if let Ev3Request::SetUp(index) = question
                 && let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::TimedOut)
             {
-                emit_status_text(sink, WARNING, &text);
+                emit_status_text(sink, WARNING, text);
             }
         }
         self.send_requests(now);
@@ -181,11 +173,11 @@ impl BrickCodec for Ev3Codec {
         let (Message::PlanarPose(pose), Some(name), true) = (message, &self.settings.mailbox, self.is_up) else {
             return 0;
         };
-        let Some(payload) = mailbox::encode_estimate(pose, self.estimates_sent) else {
+        let Some(payload) = encode_estimate(pose, self.estimates_sent) else {
             return 0;
         };
         self.estimates_sent = self.estimates_sent.wrapping_add(1);
-        let telegram = mailbox::encode_mailbox_write(self.requests.allocate_counter(), name, &payload);
+        let telegram = encode_mailbox_write(self.requests.allocate_counter(), name, &payload);
         out.extend_from_slice(&telegram);
         telegram.len()
     }
@@ -200,7 +192,6 @@ impl BrickCodec for Ev3Codec {
     }
 }
 
-/// Asking.
 impl Ev3Codec {
     /// Asks as much as may be asked, and sets when more may be.
     fn send_requests(&mut self, now: Timestamp<HostClock>) {
@@ -241,7 +232,7 @@ impl Ev3Codec {
     }
 
     fn request_cycle(&mut self, now: Timestamp<HostClock>) {
-        let (command, included) = cycle::encode_request(&self.settings, &self.sensors);
+        let (command, included) = encode_request(&self.settings, &self.sensors);
         let patience_ms = REPLY_TIMEOUT_MS << self.timeouts.min(MAX_TIMEOUT_DOUBLINGS);
         self.next_cycle = now + self.cycle_period();
         self.send(now, Ev3Request::Cycle(included), &command, TimeDelta::from_millis(patience_ms));
@@ -259,7 +250,6 @@ impl Ev3Codec {
     }
 }
 
-/// Hearing.
 impl Ev3Codec {
     fn is_awaiting_quiet(&self) -> bool {
         self.framer.waiting_bytes() > 0 || self.is_damaged
@@ -321,17 +311,17 @@ impl Ev3Codec {
                 if shown.is_some_and(f32::is_finite) {
                     self.sensors.is_ready(index);
                 } else if let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::Rejected) {
-                    emit_status_text(sink, WARNING, &text);
+                    emit_status_text(sink, WARNING, text);
                 }
             }
             (Ev3Request::SetUp(index), ReplyBody::Rejected) => {
                 if let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::Rejected) {
-                    emit_status_text(sink, WARNING, &text);
+                    emit_status_text(sink, WARNING, text);
                 }
             }
             (Ev3Request::Cycle(included), ReplyBody::Rejected) => self.handle_rejection(now, included, sink),
             (Ev3Request::Cycle(included), ReplyBody::Values(values)) => {
-                if let Some(values) = cycle::decode_reply(values, included) {
+                if let Some(values) = decode_reply(values, included) {
                     self.handle_cycle(now, CycleReply { sent: request.sent, timing, sensors: included, values }, sink);
                 }
             }
@@ -414,7 +404,7 @@ impl Ev3Codec {
                 return false;
             }
         };
-        emit_message(sink, cycle::wheel_ticks(&self.settings, values.stamp(), total));
+        emit_message(sink, wheel_ticks(&self.settings, values.stamp(), total));
         matches!(counted, CounterUpdate::Total(_))
     }
 
@@ -430,9 +420,9 @@ impl Ev3Codec {
             let Some(role) = role else { continue };
             let shown = values.get(..usize::from(role.value_count())).unwrap_or(&values);
             if let Some(text) = self.sensors.record_reading(index, now, shown) {
-                emit_status_text(sink, WARNING, &text);
+                emit_status_text(sink, WARNING, text);
             }
-            if let Some(message) = cycle::sensor_message(*role, stamp, values, &mut self.turn, elapsed) {
+            if let Some(message) = sensor_message(*role, stamp, values, &mut self.turn, elapsed) {
                 emit_message(sink, message);
             }
         }
@@ -456,18 +446,9 @@ impl Ev3Codec {
         }
     }
 
-    /// A question was given up.
     fn record_timeout(&mut self, sink: &mut CodecEventSink<'_>) {
         self.timeouts = self.timeouts.saturating_add(1);
         self.lost += 1;
         sink(CodecEvent::Error(ReceiveError::SequenceGap { source: DEFAULT_BRICK_ADDRESS, frames: 1 }));
     }
-}
-
-fn emit_message(sink: &mut CodecEventSink<'_>, message: Message) {
-    sink(CodecEvent::Message { from: DEFAULT_BRICK_ADDRESS, message });
-}
-
-fn emit_status_text(sink: &mut CodecEventSink<'_>, severity: u8, text: &str) {
-    sink(CodecEvent::StatusText { from: DEFAULT_BRICK_ADDRESS, severity, text: text.to_owned() });
 }

@@ -1,48 +1,49 @@
-//! Telegrams out of a stream that has neither start byte nor checksum.
+//! Telegrams out of a stream that has neither start byte nor checksum, and the requests that they answer.
 //!
-//! Only a reply to a pending request is accepted: its length, counter and type must be those that the question asked for. Whatever
-//! else stands there costs one byte, and the search goes on behind it. So a lost or damaged byte costs the answer that it hits and none
-//! after it. A telegram that stops in its middle holds back what follows; [`Inbox::give_up`] ends that.
+//! Only a reply to a pending request is accepted: its length, counter and type must be those that the request asked for. Anything
+//! else costs one byte, and the search goes on behind it. So a lost or damaged byte costs the reply that it hits and none after it. A
+//! telegram that stops in its middle holds back what follows; [`ReplyFramer::skip_byte`] ends that.
+//!
+//! Each request has its own counter, and its reply repeats it. So a reply that comes after its request was given up is still recognized.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 Communication Developer Kit, sections 3 and 4; `c_com.h` of the firmware lms2012.
 
+use std::collections::VecDeque;
+
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+
+use super::sensors::CycleSensors;
+
 /// Bytes of the length in front of a telegram.
 const LENGTH_BYTES: usize = 2;
-/// Counter and type.
 const HEAD_BYTES: usize = 3;
 /// Longest telegram that an EV3 sends: its buffer for replies.
 const MAX_TELEGRAM_BYTES: usize = 1024;
-/// Reply to a direct command.
 const REPLY: u8 = 0x02;
-/// Reply to a direct command that failed.
 const ERROR: u8 = 0x04;
 /// System command without reply, as a program on the brick sends it.
 const SYSTEM_COMMAND: u8 = 0x81;
 /// WRITEMAILBOX.
 const WRITE_MAILBOX: u8 = 0x9E;
 
-/// What was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Ev3Telegram {
-    /// The answer to the question with this counter.
-    Reply { counter: u16, answer: ReplyBody },
+    Reply {
+        counter: u16,
+        answer: ReplyBody,
+    },
     /// A program on the brick wrote to a mailbox; it means nothing here.
     Mailbox,
-    /// Number of bytes that are no telegram.
     UnframedBytes(u32),
 }
 
-/// How a question was answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum ReplyBody {
-    /// With these values.
     Values(Vec<u8>),
-    /// The brick could not do it.
     Rejected,
 }
 
-/// What the bytes at the front may be.
 enum FrontMatch {
     Incomplete,
     NoTelegram,
@@ -149,6 +150,129 @@ fn may_be_mailbox(command: &[u8], length: usize) -> bool {
     };
     let said = rest.get(name_bytes..).and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
     said.is_none_or(|said| usize::from(u16::from_le_bytes(*said)) == payload_bytes)
+}
+
+/// Most abandoned requests whose late replies are still recognized. Ten seconds of silence, with the time to wait growing,
+/// give up five.
+const MAX_ABANDONED: usize = 8;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ev3Request {
+    /// To set up the sensor with this index and to read it once.
+    SetUp(usize),
+    /// Clock, counts and these sensors.
+    Cycle(CycleSensors),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct OutstandingRequest {
+    pub(super) request: Ev3Request,
+    counter: u16,
+    /// Bytes of values in its answer.
+    values: usize,
+    pub(super) sent: Timestamp<HostClock>,
+    due: Timestamp<HostClock>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ReplyTiming {
+    OnTime,
+    Late,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct OutstandingRequests {
+    last_counter: u16,
+    waiting: VecDeque<OutstandingRequest>,
+    abandoned: VecDeque<OutstandingRequest>,
+}
+
+impl OutstandingRequests {
+    /// Forgets all questions; their counters are not used again soon.
+    pub(super) fn clear(&mut self) {
+        self.waiting.clear();
+        self.abandoned.clear();
+    }
+
+    pub(super) const fn next_counter(&self) -> u16 {
+        self.last_counter.wrapping_add(1)
+    }
+
+    /// The question with [`Self::next_counter`] left.
+    pub(super) fn record_sent(
+        &mut self,
+        question: Ev3Request,
+        values: usize,
+        now: Timestamp<HostClock>,
+        patience: TimeDelta,
+    ) {
+        self.last_counter = self.next_counter();
+        self.waiting.push_back(OutstandingRequest {
+            request: question,
+            counter: self.last_counter,
+            values,
+            sent: now,
+            due: now + patience,
+        });
+    }
+
+    /// A counter for a telegram that is not answered.
+    pub(super) fn allocate_counter(&mut self) -> u16 {
+        self.last_counter = self.next_counter();
+        self.last_counter
+    }
+
+    pub(super) fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// How many bytes of values the answer to a question has; `None` if there was no request.
+    pub(super) fn values_of(&self, counter: u16) -> Option<usize> {
+        let all = self.waiting.iter().chain(&self.abandoned);
+        let asked = all.into_iter().find(|asked| asked.counter == counter);
+        asked.map(|asked| asked.values)
+    }
+
+    pub(super) fn match_reply(&mut self, counter: u16) -> Option<(OutstandingRequest, ReplyTiming)> {
+        let take = |asked: &mut VecDeque<OutstandingRequest>| {
+            let index = asked.iter().position(|asked| asked.counter == counter)?;
+            asked.remove(index)
+        };
+        if let Some(asked) = take(&mut self.waiting) {
+            return Some((asked, ReplyTiming::OnTime));
+        }
+        take(&mut self.abandoned).map(|asked| (asked, ReplyTiming::Late))
+    }
+
+    pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        self.waiting.iter().map(|asked| asked.due).min()
+    }
+
+    pub(super) fn expired(&mut self, now: Timestamp<HostClock>) -> Option<Ev3Request> {
+        let index = self.waiting.iter().position(|asked| asked.due <= now)?;
+        self.abandon_at(index)
+    }
+
+    /// The next question that left before this one and still waits: answers come in the order of their questions.
+    pub(super) fn pop_overtaken(&mut self, by: &OutstandingRequest) -> Option<Ev3Request> {
+        let is_older = |asked: &OutstandingRequest| by.counter.wrapping_sub(asked.counter) < u16::MAX / 2;
+        let index = self.waiting.iter().position(is_older)?;
+        self.abandon_at(index)
+    }
+
+    /// The next question, whose answer will not come.
+    pub(super) fn abandon_all(&mut self) -> Option<Ev3Request> {
+        self.abandon_at(0)
+    }
+
+    fn abandon_at(&mut self, index: usize) -> Option<Ev3Request> {
+        let asked = self.waiting.remove(index)?;
+        if self.abandoned.len() >= MAX_ABANDONED {
+            self.abandoned.pop_front();
+        }
+        self.abandoned.push_back(asked);
+        Some(asked.request)
+    }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The sensors of the brick and their set-up.
+//! The sensors of the brick, their set-up, and the gyro's angle without wraps.
 //!
 //! Setting a mode makes the brick wait until the sensor has changed over, so it is done once and in a telegram of its
 //! own: then an error names its port. A missing sensor is set up again now and then; the wheels do not wait for it.
@@ -8,10 +8,10 @@
 
 use posebridge_telemetry::{HostClock, Meters, TimeDelta, Timestamp};
 
-use super::bytecode::{DirectCommand, SensorMode};
 use super::settings::{DistanceKind, Ev3Settings, GyroReading, GyroSettings, SensorPort};
+use super::telegrams::{DirectCommand, SensorMode};
+use crate::bricks::counters::WheelState;
 
-/// Most sensors that are read.
 pub(super) const MAX_SENSORS: usize = 2;
 /// A sensor that is not there is asked for again after so long.
 const RETRY_INTERVAL: TimeDelta = TimeDelta::from_millis(10_000);
@@ -26,14 +26,12 @@ const INFRARED_CM: f64 = 0.7;
 /// What the infrared sensor shows for nothing in sight.
 const NO_TARGET: f64 = 100.0;
 
-/// What a sensor is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SensorRole {
     Gyro(GyroSettings),
     Distance(DistanceKind),
 }
 
-/// Which sensors a cycle reads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct CycleSensors(pub(super) [Option<SensorRole>; MAX_SENSORS]);
 
@@ -43,20 +41,11 @@ struct SensorSlot {
     role: SensorRole,
     port: SensorPort,
     state: SetUpState,
-    /// Its absence was reported.
     is_absence_reported: bool,
     /// Set-ups in a row that were not answered.
     unanswered: u32,
 }
 
-/// Whether the wheels stand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum WheelState {
-    Standing,
-    Turning,
-}
-
-/// How a set-up failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SetUpFailure {
     /// The brick said at once that nothing is there.
@@ -92,7 +81,6 @@ impl SensorBank {
         Self(sensors.collect())
     }
 
-    /// The next sensor to be set up.
     pub(super) fn next_pending(&self, now: Timestamp<HostClock>, wheels: WheelState) -> Option<usize> {
         let is_due = |sensor: &SensorSlot| {
             matches!(sensor.state, SetUpState::Pending { from } if from <= now)
@@ -101,7 +89,6 @@ impl SensorBank {
         self.0.iter().position(is_due)
     }
 
-    /// When the next sensor is to be asked for again.
     pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let from = self.0.iter().filter_map(|sensor| match sensor.state {
             SetUpState::Pending { from } => Some(from),
@@ -110,7 +97,6 @@ impl SensorBank {
         from.min()
     }
 
-    /// Writes the set-up of a sensor.
     pub(super) fn write_set_up(&self, index: usize, command: &mut DirectCommand) {
         if let Some(sensor) = self.0.get(index) {
             let mode = sensor.role.sensor_mode();
@@ -134,7 +120,6 @@ impl SensorBank {
         included
     }
 
-    /// A sensor was set up.
     pub(super) fn is_ready(&mut self, index: usize) {
         if let Some(sensor) = self.0.get_mut(index) {
             sensor.state = SetUpState::Ready { silent_since: None };
@@ -210,7 +195,6 @@ impl SensorRole {
         SensorMode { kind, mode }
     }
 
-    /// How many values its mode has.
     pub(super) const fn value_count(self) -> u8 {
         match self {
             Self::Gyro(GyroSettings { reading: GyroReading::RateAndAngle, .. }) => 2,
@@ -243,5 +227,51 @@ impl DistanceKind {
                 is_seen.then_some((Meters(range_m), Some(Meters(0.02 + 0.25 * range_m))))
             }
         }
+    }
+}
+
+/// The sensor's range, degrees per second (LEGO's manual).
+const MAX_DEG_PER_S: f64 = 440.0;
+/// Steps of both angles and of the rate.
+const MARGIN_DEG: f64 = 5.0;
+/// Period of the sensor's angle.
+const PERIOD_DEG: f64 = 65_536.0;
+
+/// The turn since the first sample, degrees, the sensor's own sign, without wraps or jumps.
+///
+/// The sensor counts degrees in 16 bits, and setting its mode, as a program on the brick may do, sets the angle to zero. A change
+/// that the rate does not explain is replaced by the integral of the rate.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct TurnAccumulator {
+    total_deg: f64,
+    last_deg: Option<f64>,
+}
+
+impl TurnAccumulator {
+    /// Takes angle and rate, so long after the ones before.
+    pub(super) fn push(&mut self, since: TimeDelta, angle_deg: f64, rate_deg_per_s: f64) -> f64 {
+        if let Some(last_deg) = self.last_deg {
+            let half = 0.5 * PERIOD_DEG;
+            let change_deg = (angle_deg - last_deg + half).rem_euclid(PERIOD_DEG) - half;
+            let by_rate_deg = rate_deg_per_s * since.as_secs_f64();
+            let most_deg = MAX_DEG_PER_S * since.as_secs_f64() + MARGIN_DEG;
+            self.total_deg += if (change_deg - by_rate_deg).abs() <= most_deg { change_deg } else { by_rate_deg };
+        }
+        self.last_deg = Some(angle_deg);
+        self.total_deg
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_turn_runs_on_across_the_wrap_and_a_reset_of_the_angle() {
+        let mut turn = TurnAccumulator::default();
+        let cycle = TimeDelta::from_millis(100);
+        let angles = [32_760.0, 32_766.0, -32_764.0, -32_758.0, 0.0, 6.0];
+        let turns = angles.map(|angle_deg| turn.push(cycle, angle_deg, 60.0));
+        assert_eq!(turns, [0.0, 6.0, 12.0, 18.0, 24.0, 30.0]);
     }
 }

@@ -50,7 +50,6 @@ pub enum MotorPort {
 }
 
 impl MotorPort {
-    /// Its number on the wire.
     pub(super) const fn number(self) -> u8 {
         self as u8
     }
@@ -96,7 +95,6 @@ impl SensorPort {
         self.number() + 1
     }
 
-    /// Its number on the wire.
     pub(super) const fn number(self) -> u8 {
         self as u8
     }

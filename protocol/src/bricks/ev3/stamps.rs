@@ -12,7 +12,6 @@
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-/// Period of the brick's counter of microseconds.
 const PERIOD_MICROS: i128 = 1 << 32;
 /// A clock may be off by so much of its rate, in hundredths: the station's limit for any brick.
 const LARGEST_SKEW_PERCENT: i64 = 1;
@@ -29,7 +28,6 @@ pub(super) struct BrickStamp {
     pub(super) answered: Timestamp<HostClock>,
 }
 
-/// The outcome of an accepted stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StampAdvance {
     /// The clock ran on, for about so long since the last one; zero for the first of all.
@@ -38,7 +36,6 @@ pub(super) enum StampAdvance {
     Stepped(TimeDelta),
 }
 
-/// The stamps of one brick.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StampChecker {
     last: Option<BrickStamp>,

@@ -1,25 +1,23 @@
-//! The NXT as a brick protocol: sends due requests, passes replies to `replies.rs`, and reports losses.
+//! The NXT as a brick protocol: sends due requests, passes replies to `replies.rs`, and reports losses and silence.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_telemetry::severity::{INFO, NOTICE, WARNING};
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
-use super::counters::WheelTotals;
 use super::digital::DigitalSensor;
 use super::estimate::{EstimateMailbox, PUSHED_INTERVAL};
 use super::framer::{StreamContent, TelegramFramer, TelegramPart};
 use super::gyro::AnalogGyro;
-use super::liveness::{BrickLiveness, HEARTBEAT};
-use super::motion::{MotorReadings, PendingAccelerations};
-use super::nxt_request::NxtRequest;
-use super::requests::{ReplyMatch, RequestTracker};
-use super::schedule::{PollSchedule, PortState, ReadSize, RequestFailure, ScheduleChange, WheelSource};
+use super::motors::{MotorReadings, PendingAccelerations, TickClock, WheelTotals};
+use super::requests::{
+    NxtRequest, PollSchedule, PortState, ReadSize, ReplyMatch, RequestFailure, RequestTracker, ScheduleChange,
+    WheelSource,
+};
 use super::settings::{NxtSensor, NxtSettings};
-use super::status_texts::{StatusTextFilter, StatusTopic};
 use super::telegram::{NxtReply, framed, keep_alive};
-use super::tick::TickClock;
 use crate::bricks::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use crate::bricks::heartbeat::HeartbeatSource;
 use crate::bricks::mavlink;
 use crate::framing::{FramerConfig, FramerCounters, START_BYTE_V2, TransportKind};
 use crate::message::{Message, PlanarPose, WireStamp};
@@ -31,7 +29,6 @@ const KEEP_ALIVE_PERIOD: TimeDelta = TimeDelta::from_millis(60_000);
 /// link: leJOS answers no command of LEGO's, and would find ours in its own input.
 const MAX_UNANSWERED_BARRIERS: u8 = 4;
 
-/// The state of one link to an NXT.
 #[derive(Debug)]
 pub(super) struct NxtCodec {
     pub(super) settings: NxtSettings,
@@ -47,13 +44,13 @@ pub(super) struct NxtCodec {
     /// Fences in a row that were not answered.
     lost_barriers: u8,
     next_keep_alive: Timestamp<HostClock>,
-    pub(super) presence: BrickLiveness,
+    presence: BrickLiveness,
+    heartbeat: HeartbeatSource,
     pub(super) clock: TickClock,
     /// Answers since the clock of the host stood in for the brick's.
     pub(super) replies_since_host_tick: u8,
     pub(super) motors: MotorReadings,
     pub(super) totals: WheelTotals,
-    /// The gyro and its port.
     pub(super) gyro: Option<(u8, AnalogGyro)>,
     pub(super) devices: [Option<DigitalSensor>; 4],
     pub(super) accelerations: PendingAccelerations,
@@ -107,6 +104,7 @@ impl NxtCodec {
             lost_barriers: 0,
             next_keep_alive: Timestamp::ZERO,
             presence: BrickLiveness::default(),
+            heartbeat: HeartbeatSource::default(),
             clock: TickClock::default(),
             replies_since_host_tick: 0,
             motors: MotorReadings::default(),
@@ -122,7 +120,6 @@ impl NxtCodec {
         }
     }
 
-    /// Says a line to people, once.
     pub(super) fn report(
         &mut self,
         topic: StatusTopic,
@@ -214,17 +211,15 @@ impl NxtCodec {
         self.record_activity(now, sink);
     }
 
-    /// The brick has said something.
     fn record_activity(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
-        let sign = self.presence.record_reply(now);
-        if sign.is_back {
+        if self.presence.record_reply(now) {
             self.report(StatusTopic::Presence, NOTICE, "the NXT answers again", sink);
             // It may be another program, or the brick without one: what the old one left unanswered says nothing about it.
             self.lost_barriers = 0;
             self.schedule.try_tick_again(now);
         }
-        if sign.is_heartbeat_due {
-            sink(CodecEvent::Message { from: self.brick, message: Message::Heartbeat(HEARTBEAT) });
+        if let Some(message) = self.heartbeat.heartbeat_if_due(now) {
+            sink(CodecEvent::Message { from: self.brick, message });
         }
     }
 
@@ -255,7 +250,6 @@ impl NxtCodec {
         self.handle_failure(question, RequestFailure::Lost, sink);
     }
 
-    /// A question failed; the consequence is reported.
     pub(super) fn handle_failure(
         &mut self,
         question: &NxtRequest,
@@ -291,7 +285,6 @@ impl NxtCodec {
         self.frames.is_some() && self.lost_barriers >= MAX_UNANSWERED_BARRIERS
     }
 
-    /// Asks whatever is due and has room.
     fn send_requests(&mut self, now: Timestamp<HostClock>) {
         if !self.is_started || self.framer.is_draining() || self.is_blocked_by_program() {
             return;
@@ -460,5 +453,111 @@ impl NxtCodec {
             WireStamp::Millis32(millis) => millis,
             WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => (pose.stamp.as_micros() / 1_000) as u32,
         }
+    }
+}
+
+/// Silence after which the brick counts as lost for the session: LEGO's own limit of two seconds.
+const LOST_AFTER: TimeDelta = TimeDelta::from_millis(2_000);
+
+/// Whether the brick is alive, by its replies.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BrickLiveness {
+    last_reply: Option<Timestamp<HostClock>>,
+    is_lost: bool,
+}
+
+impl BrickLiveness {
+    /// The link came up: from now on it should answer.
+    pub(super) const fn reset(&mut self, now: Timestamp<HostClock>) {
+        self.last_reply = Some(now);
+        self.is_lost = false;
+    }
+
+    /// It answered; true if it was lost before.
+    pub(super) const fn record_reply(&mut self, now: Timestamp<HostClock>) -> bool {
+        self.last_reply = Some(now);
+        std::mem::replace(&mut self.is_lost, false)
+    }
+
+    /// It said something that is no answer.
+    const fn record_activity(&mut self, now: Timestamp<HostClock>) {
+        if !self.is_lost {
+            self.last_reply = Some(now);
+        }
+    }
+
+    pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
+        let last = self.last_reply.filter(|_| !self.is_lost)?;
+        Some(last + LOST_AFTER)
+    }
+
+    /// True once when it is lost.
+    pub(super) fn expire(&mut self, now: Timestamp<HostClock>) -> bool {
+        let is_lost = self.deadline().is_some_and(|due| due <= now);
+        self.is_lost |= is_lost;
+        is_lost
+    }
+}
+
+/// What a line is about; a new line about it replaces the old.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum StatusTopic {
+    Presence,
+    Firmware,
+    Clock,
+    IoMaps,
+    Motors,
+    Outstanding,
+    Program,
+    LateReplies,
+    /// What a program on the brick says by itself.
+    ForeignMessages,
+    Gyro,
+    /// A sensor port, 0 to 3.
+    Port(u8),
+}
+
+#[derive(Debug, Default)]
+pub(super) struct StatusTextFilter {
+    last_texts: BTreeMap<StatusTopic, String>,
+}
+
+impl StatusTextFilter {
+    /// Says a line, unless it is the last one about its topic.
+    fn emit_if_new(
+        &mut self,
+        topic: StatusTopic,
+        severity: u8,
+        text: String,
+        from: Address,
+        sink: &mut dyn FnMut(CodecEvent<'_>),
+    ) {
+        if self.last_texts.get(&topic) == Some(&text) {
+            return;
+        }
+        self.last_texts.insert(topic, text.clone());
+        sink(CodecEvent::StatusText { from, severity, text });
+    }
+
+    /// There is nothing to say about a topic any more; the next text is new.
+    pub(super) fn clear(&mut self, topic: StatusTopic) {
+        self.last_texts.remove(&topic);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_brick_is_lost_after_two_seconds_and_back_with_its_next_answer() {
+        let at = Timestamp::from_millis;
+        let mut presence = BrickLiveness::default();
+        assert_eq!(presence.deadline(), None);
+        presence.reset(at(0));
+        assert!(!presence.record_reply(at(1_950)));
+        assert!(!presence.expire(at(3_949)) && presence.expire(at(3_950)) && !presence.expire(at(9_000)));
+        assert_eq!(presence.deadline(), None);
+        assert!(presence.record_reply(at(9_000)));
     }
 }

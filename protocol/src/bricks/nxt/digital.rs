@@ -31,9 +31,7 @@ const MEASURED: u8 = 0x42;
 const THERMOMETER: u8 = 0x98;
 /// Standard gravity over 200 counts.
 const ACCELERATION_UNIT_M_PER_S2: f64 = 9.806_65 / 200.0;
-/// The ultrasonic sensor's reading without an echo.
 const NO_ECHO: u8 = 255;
-/// Bytes of a port's ring.
 const RING_BYTES: u8 = 16;
 /// Rounds in which an answer may still come before the sensor is asked again.
 const MAX_REPLY_ROUNDS: u8 = 3;
@@ -44,7 +42,6 @@ const SETTLING_TIME: TimeDelta = TimeDelta::from_millis(100);
 /// Most bytes that one of them answers.
 const MAX_REPLY_BYTES: usize = 6;
 
-/// What a sensor measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum DigitalMeasurement {
     /// Along the robot's forward direction.
@@ -57,7 +54,6 @@ pub(super) enum DigitalMeasurement {
     Temperature(Celsius),
 }
 
-/// How one kind of sensor is asked.
 #[derive(Clone, Copy, Debug)]
 struct BusProtocol {
     request: &'static [u8],
@@ -78,12 +74,10 @@ const fn bus_protocol(sensor: NxtSensor) -> Option<BusProtocol> {
     Some(BusProtocol { request: ask, reply_bytes: answer_bytes, prepare, period: TimeDelta::from_millis(period) })
 }
 
-/// True for sensors on the bus.
 pub(super) const fn is_digital(sensor: NxtSensor) -> bool {
     bus_protocol(sensor).is_some()
 }
 
-/// One sensor on the bus.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DigitalSensor {
     sensor: NxtSensor,
@@ -99,7 +93,6 @@ pub(super) struct DigitalSensor {
 }
 
 impl DigitalSensor {
-    /// `None` for what is not on the bus.
     pub(super) const fn new(sensor: NxtSensor) -> Option<Self> {
         let Some(manner) = bus_protocol(sensor) else {
             return None;
@@ -117,7 +110,6 @@ impl DigitalSensor {
         })
     }
 
-    /// The port was set up anew.
     pub(super) const fn restart(&mut self, now: Timestamp<HostClock>) {
         self.is_prepared = self.protocol.prepare.is_none();
         self.due = now;
@@ -136,7 +128,6 @@ impl DigitalSensor {
         self.unanswered >= UNANSWERED_LIMIT
     }
 
-    /// What to write to it now, if anything.
     pub(super) fn write(&mut self, port: u8, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
         if self.asked.is_some() || now < self.due {
             return None;
@@ -153,7 +144,6 @@ impl DigitalSensor {
         Some(telegram::ls_write(port, ask, answer_bytes))
     }
 
-    /// The receive buffer as it stands now.
     pub(super) fn read_ring(&mut self, buffer: DigitalBuffer) -> Option<DigitalMeasurement> {
         if buffer.pending_bytes > 0 {
             self.keep_waiting();
@@ -196,7 +186,6 @@ impl DigitalSensor {
         self.decode_last(DigitalBuffer { ring: data, end, pending_bytes: to_come }.last_bytes())
     }
 
-    /// The answer is not there yet.
     pub(super) fn keep_waiting(&mut self) {
         self.rounds += 1;
         if self.rounds >= MAX_REPLY_ROUNDS {
@@ -210,7 +199,6 @@ impl DigitalSensor {
         self.unanswered = 0;
     }
 
-    /// `last` ends with the answer.
     fn decode_last(&self, last: [u8; MAX_REPLY_BYTES]) -> Option<DigitalMeasurement> {
         let [x, y, z, x_low, y_low, z_low] = last;
         match self.sensor {

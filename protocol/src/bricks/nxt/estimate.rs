@@ -1,19 +1,12 @@
 //! The estimate on its way into a mailbox of the brick, and whether a program reads it there.
 //!
-//! # Layout
-//! ```text
-//! 0 u32 brick time, ms    4 f32 x, m    8 f32 y, m    12 f32 heading, rad    16 f32 sigma, m
-//! 20 u8 flags (bit 0 position valid, bit 1 heading valid)    21 u8 reset counter    22 u16 sequence    little-endian
-//! ```
-//! sigma is the larger of the standard deviations of x and y; infinite when there is none.
-//!
 //! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick they are
 //! not read; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::status::NxtStatus;
-use super::telegram::{ReplyRequest, message_write};
+use super::telegram::{NxtStatus, ReplyRequest, message_write};
+use crate::bricks::estimate::estimate_bytes;
 use crate::message::PlanarPose;
 
 /// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds
@@ -21,28 +14,15 @@ use crate::message::PlanarPose;
 pub(super) const PUSHED_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 /// A program may be started at any time.
 const PROBE_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
-const POSITION_VALID: u8 = 1 << 0;
-const HEADING_VALID: u8 = 1 << 1;
-/// Bytes of an estimate.
-const ESTIMATE_BYTES: usize = 24;
 
-/// Who reads the mailbox.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum MailboxReader {
-    #[default]
-    Unknown,
-    Program,
-    NoReader,
-}
-
-/// The mailbox of one brick.
 #[derive(Debug)]
 pub(super) struct EstimateMailbox {
     number: u8,
     /// Estimates leave no more often than this.
     interval: TimeDelta,
     last: Option<Timestamp<HostClock>>,
-    reader: MailboxReader,
+    /// A program reads it, as far as is known.
+    is_read: bool,
     next_probe: Option<Timestamp<HostClock>>,
     /// The message of the probe, while it waits for its turn.
     probe: Option<Vec<u8>>,
@@ -51,18 +31,9 @@ pub(super) struct EstimateMailbox {
 
 impl EstimateMailbox {
     pub(super) const fn new(number: u8, interval: TimeDelta) -> Self {
-        Self {
-            number,
-            interval,
-            last: None,
-            reader: MailboxReader::Unknown,
-            next_probe: None,
-            probe: None,
-            sequence: 0,
-        }
+        Self { number, interval, last: None, is_read: false, next_probe: None, probe: None, sequence: 0 }
     }
 
-    /// Nothing is known of who reads.
     pub(super) fn reset(&mut self) {
         *self = Self { sequence: self.sequence, ..Self::new(self.number, self.interval) };
     }
@@ -75,14 +46,14 @@ impl EstimateMailbox {
         brick_millis: u32,
     ) -> Option<Vec<u8>> {
         let is_probe = self.probe.is_some() || self.next_probe.is_none_or(|due| now >= due);
-        if !is_probe && self.reader != MailboxReader::Program {
+        if !is_probe && !self.is_read {
             return None;
         }
         if self.last.is_some_and(|last| now - last < self.interval) {
             return None;
         }
         self.last = Some(now);
-        let message = estimate_bytes(pose, brick_millis, self.sequence);
+        let message = estimate_bytes(brick_millis, pose, sigma_m(pose), self.sequence);
         self.sequence = self.sequence.wrapping_add(1);
         if is_probe {
             self.probe = message_write(self.number, &message, ReplyRequest::Required);
@@ -91,38 +62,23 @@ impl EstimateMailbox {
         message_write(self.number, &message, ReplyRequest::NotRequired)
     }
 
-    /// The probe, if one waits for its turn.
     pub(super) fn take_probe(&mut self, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
         let probe = self.probe.take()?;
         self.next_probe = Some(now + PROBE_PERIOD);
         Some(probe)
     }
 
-    /// What became of the probe.
     pub(super) fn record_probe_reply(&mut self, status: NxtStatus) {
         // A full mailbox drops its oldest message: a program will read it, or one runs that does not.
-        self.reader = if status == NxtStatus::OK { MailboxReader::Program } else { MailboxReader::NoReader };
+        self.is_read = status == NxtStatus::OK;
     }
 }
 
-fn estimate_bytes(pose: &PlanarPose, brick_millis: u32, sequence: u16) -> [u8; ESTIMATE_BYTES] {
+/// The larger of the standard deviations of x and y; infinite when there is none.
+fn sigma_m(pose: &PlanarPose) -> f64 {
     let [xx, _, _, yy, ..] = pose.covariance;
     let variance_m2 = xx.max(yy);
-    let sigma_m = if variance_m2 >= 0.0 { variance_m2.sqrt() } else { f64::INFINITY };
-    let position = if pose.flags.position_valid { POSITION_VALID } else { 0 };
-    let heading = if pose.flags.heading_valid { HEADING_VALID } else { 0 };
-    let floats = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad(), sigma_m];
-    let mut bytes = [0; ESTIMATE_BYTES];
-    let parts = brick_millis
-        .to_le_bytes()
-        .into_iter()
-        .chain(floats.into_iter().flat_map(|value| (value as f32).to_le_bytes()))
-        .chain([position | heading, pose.reset_counter])
-        .chain(sequence.to_le_bytes());
-    for (byte, part) in bytes.iter_mut().zip(parts) {
-        *byte = part;
-    }
-    bytes
+    if variance_m2 >= 0.0 { variance_m2.sqrt() } else { f64::INFINITY }
 }
 
 #[cfg(test)]
@@ -151,12 +107,12 @@ mod tests {
             0x78, 0x56, 0x34, 0x12, 0x00, 0x00, 0xC0, 0x3F, 0x00, 0x00, 0x00, 0xC0, 0x00, 0x00, 0x00, 0x3F, 0x00, 0x00,
             0x80, 0x3E, 0x03, 0x03, 0x02, 0x01,
         ];
-        assert_eq!(estimate_bytes(&pose(), 0x1234_5678, 0x0102), expected);
+        assert_eq!(estimate_bytes(0x1234_5678, &pose(), sigma_m(&pose()), 0x0102), expected);
         let mut lost = pose();
         lost.covariance[0] = f64::NAN;
         lost.covariance[3] = f64::NAN;
         lost.flags = PoseFlags::default();
-        let bytes = estimate_bytes(&lost, 0, 0);
+        let bytes = estimate_bytes(0, &lost, sigma_m(&lost), 0);
         assert_eq!(bytes[16..21], [0x00, 0x00, 0x80, 0x7F, 0x00]);
     }
 

@@ -42,7 +42,6 @@ const SIGNATURE_BYTES: usize = 13;
 /// Mailboxes of a brick, with those that its own program writes.
 const MAILBOXES: u8 = 20;
 
-/// What comes from a brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StreamContent {
     /// Replies, and messages from mailbox to mailbox.
@@ -51,7 +50,6 @@ pub(super) enum StreamContent {
     TelegramsAndFrames,
 }
 
-/// A find.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum TelegramPart {
     /// A whole telegram, without its length.
@@ -62,7 +60,6 @@ pub(super) enum TelegramPart {
     OutOfSync { bytes: usize },
 }
 
-/// The state of one link.
 #[derive(Debug)]
 pub(super) struct TelegramFramer {
     content: StreamContent,
@@ -72,7 +69,6 @@ pub(super) struct TelegramFramer {
     draining_since: Option<Timestamp<HostClock>>,
 }
 
-/// What the first bytes of the stream are.
 enum PrefixMatch {
     Incomplete,
     Complete(usize),

@@ -24,6 +24,7 @@
 use posebridge_telemetry::{HostClock, RadiansPerSecond, TimeDelta, Timestamp};
 
 use super::settings::GyroSign;
+use crate::bricks::counters::WheelState;
 
 /// Readings that make a first rest value: under a second's worth, a mean good to 0.3 degrees per second, which is little beside
 /// the bias that a filter expects of this sensor. Robots rarely stand for longer before they drive off.
@@ -50,14 +51,6 @@ const OPEN_INPUT: u16 = 1023;
 /// So long after its first reading a gyro whose rest is not known is worth a word.
 const REST_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// Whether the wheels stand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum WheelState {
-    Standing,
-    Turning,
-}
-
-/// The outcome of a reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum GyroReadout {
     /// The turn rate, counter-clockwise positive, bias included.
@@ -81,7 +74,6 @@ pub(super) enum RestUpdate {
     Corrected(f64),
 }
 
-/// The state of one gyro.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AnalogGyro {
     sign: f64,
@@ -91,7 +83,6 @@ pub(super) struct AnalogGyro {
     first_reading: Option<Timestamp<HostClock>>,
 }
 
-/// A mean, and how far apart its readings are.
 #[derive(Clone, Copy, Debug, Default)]
 struct RunningMean {
     count: u32,
@@ -115,7 +106,7 @@ impl AnalogGyro {
     }
 
     /// What it reads at rest, in counts, if that is known.
-    pub(super) fn rest_value(&self) -> Option<f64> {
+    fn rest_value(&self) -> Option<f64> {
         self.configured_rest.or(self.rest_mean.value())
     }
 
@@ -177,7 +168,6 @@ impl RunningMean {
     }
 }
 
-/// What readings at rest say.
 #[derive(Clone, Copy, Debug, Default)]
 struct RestMean(RunningMean);
 

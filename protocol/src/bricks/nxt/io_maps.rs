@@ -23,7 +23,6 @@ pub(super) struct IoMapWindow {
     pub(super) length: u16,
 }
 
-/// The modules that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FirmwareModule {
     Command,
@@ -46,24 +45,18 @@ impl FirmwareModule {
 /// The brick's clock.
 pub(super) const TICK: IoMapWindow = IoMapWindow { module: FirmwareModule::Command, offset: 20, length: 4 };
 
-/// Bytes of one motor.
 const MOTOR_BYTES: u16 = 32;
-/// Bytes of one analog port.
-pub(super) const INPUT_BYTES: u16 = 20;
-/// Bytes of one digital port's receive buffer.
-pub(super) const BUFFER_BYTES: u16 = 19;
+const INPUT_BYTES: u16 = 20;
+const BUFFER_BYTES: u16 = 19;
 /// Bytes of one motor up to its overload flag, the last that the module documents.
 const MOTOR_USED_BYTES: u16 = 28;
 /// A port's bytes up to its last interesting one, @16.
 const PORT_USED_BYTES: u16 = 17;
 
-/// All three motors.
 pub(super) const ALL_MOTORS: IoMapWindow =
     IoMapWindow { module: FirmwareModule::Output, offset: 0, length: 3 * MOTOR_BYTES };
-/// All four analog ports.
 pub(super) const ALL_INPUTS: IoMapWindow =
     IoMapWindow { module: FirmwareModule::Input, offset: 0, length: 4 * INPUT_BYTES };
-/// All four receive buffers of the digital ports.
 pub(super) const ALL_BUFFERS: IoMapWindow =
     IoMapWindow { module: FirmwareModule::LowSpeed, offset: 0, length: 4 * BUFFER_BYTES };
 
@@ -72,7 +65,6 @@ pub(super) const fn motor_pair(first: u8) -> IoMapWindow {
     IoMapWindow { module: FirmwareModule::Output, offset: MOTOR_BYTES * first as u16, length: MOTOR_BYTES + 4 }
 }
 
-/// One motor.
 pub(super) const fn motor(index: u8) -> IoMapWindow {
     IoMapWindow {
         module: FirmwareModule::Output,
@@ -81,7 +73,6 @@ pub(super) const fn motor(index: u8) -> IoMapWindow {
     }
 }
 
-/// One analog port.
 pub(super) const fn input(port: u8) -> IoMapWindow {
     IoMapWindow {
         module: FirmwareModule::Input,
@@ -90,7 +81,6 @@ pub(super) const fn input(port: u8) -> IoMapWindow {
     }
 }
 
-/// One digital port's receive buffer.
 pub(super) const fn buffer(port: u8) -> IoMapWindow {
     IoMapWindow {
         module: FirmwareModule::LowSpeed,
@@ -106,7 +96,6 @@ pub(super) struct IoMapData<'a> {
     bytes: &'a [u8],
 }
 
-/// One analog port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct AnalogInput {
     /// Of the ten-bit converter.
@@ -117,11 +106,9 @@ pub(super) struct AnalogInput {
     pub(super) is_valid: bool,
 }
 
-/// One digital port's receive buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DigitalBuffer {
     pub(super) ring: [u8; 16],
-    /// Where the next byte will stand.
     pub(super) end: u8,
     /// Bytes of an answer that are still on the bus; none are for a sensor that failed, either.
     pub(super) pending_bytes: u8,

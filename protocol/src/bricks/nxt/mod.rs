@@ -6,37 +6,30 @@
 //!
 //! ```text
 //! framer        bytes of the link to telegrams, and resynchronization
-//! requests      which reply belongs to which request, and which are lost
-//! schedule      the next request: connect, set-up, rounds
-//! replies       the content of replies: counters, gyro, digital sensors, tick, status texts
+//! requests      which reply belongs to which request, which are lost, and the next request
+//! replies       the content of replies: motors, gyro, digital sensors, tick, status texts
 //! estimate      the pose into a mailbox, for a program on the brick if there is one
 //! ```
 //! A program on the brick that sends MAVLink frames is another row of the table, `nxt-push`: the same codec, which then
 //! polls only the clock.
 
 mod codec;
-mod counters;
 mod digital;
 mod estimate;
 mod framer;
 mod gyro;
 mod io_maps;
-mod liveness;
-mod motion;
-mod nxt_request;
+mod motors;
 mod replies;
 mod requests;
-mod schedule;
 mod settings;
-mod status;
-mod status_texts;
 mod telegram;
-mod tick;
 
 pub(super) use codec::{open, open_push};
 pub use settings::{
     AccelerometerMounting, ForwardAxis, GyroSign, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings,
     NxtSettingsError, WheelMotor,
 };
-pub use status::NxtStatus;
-pub use telegram::{OutputState, ReplyRequest, framed, message_write, set_output_state, start_program, stop_program};
+pub use telegram::{
+    NxtStatus, OutputState, ReplyRequest, framed, message_write, set_output_state, start_program, stop_program,
+};

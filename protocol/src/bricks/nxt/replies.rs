@@ -5,19 +5,15 @@ use posebridge_telemetry::{
     ChannelName, EncoderTicks, Heading, HostClock, MetersPerSecondSquared, ReceiveError, Timestamp,
 };
 
-use super::codec::NxtCodec;
+use super::codec::{NxtCodec, StatusTopic};
 use super::digital::{DigitalMeasurement, DigitalSensor};
 use super::gyro::{GyroReadout, RestUpdate};
 use super::io_maps::{AnalogInput, FirmwareModule, IoMapData, IoMapWindow, TICK};
-use super::motion::{AccelerationReading, PendingAccelerations, RequestInterval};
-use super::nxt_request::NxtRequest;
-use super::requests::PendingRequest;
-use super::schedule::{PortState, RequestFailure};
+use super::motors::TickAdvance;
+use super::motors::{AccelerationReading, PendingAccelerations, RequestInterval};
+use super::requests::{NxtRequest, PendingRequest, PortState, RequestFailure};
 use super::settings::{AccelerometerMounting, MotorMounting, MotorPort, NxtSensor};
-use super::status::NxtStatus;
-use super::status_texts::StatusTopic;
-use super::telegram::{NxtReply, bytes_at};
-use super::tick::TickAdvance;
+use super::telegram::{NxtReply, NxtStatus, bytes_at};
 use crate::bricks::codec::CodecEvent;
 use crate::bricks::counters::CounterUpdate;
 use crate::message::{Inertial, Message, PlanarImu, WheelTicks};
@@ -32,7 +28,6 @@ const COUNT_AT: usize = 10;
 type CodecEventSink<'a> = &'a mut dyn FnMut(CodecEvent<'_>);
 
 impl NxtCodec {
-    /// A question was answered.
     pub(super) fn handle_reply(
         &mut self,
         now: Timestamp<HostClock>,

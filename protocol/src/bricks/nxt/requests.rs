@@ -1,4 +1,4 @@
-//! Outstanding requests, their replies and timeouts.
+//! Outstanding requests with their replies and timeouts ([`RequestTracker`]), and the next request ([`PollSchedule`]).
 //!
 //! Replies have no number, and two requests of one kind have replies of one kind. A late reply must not be matched to a
 //! later request, or all following replies would be shifted. The brick answers in order, so after every disturbance one
@@ -10,37 +10,112 @@
 //! waiting      sent, and within the timeout
 //! overdue      sent, timed out, its reply may still come; dropped when the barrier is answered
 //! a reply      matches the oldest overdue request that it can answer, else the oldest waiting one, else none
+//!
+//! next request, the first of these that is due:
+//!   barrier   at connect and after every disturbance
+//!   tick      three at connect, one after every disturbance, one after every nineteenth other request
+//!   set up    each port with a sensor, after connect and whenever the brick's counters started again
+//!   size      how much of an IO map one reply holds: 119 bytes, else 55, else none; until that is known
+//!   trial     with two outstanding: four ticks and four reads of the motors, by turns; all eight must be answered
+//!   mailbox   an estimate that requires a reply
+//!   round     sensors on the bus that were written to, motors, analog ports; at most one round in 10 ms
 //! ```
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::nxt_request::NxtRequest;
-use super::telegram::NxtReply;
+use super::digital::is_digital;
+use super::io_maps::{self, ALL_BUFFERS, ALL_INPUTS, ALL_MOTORS, FirmwareModule, IoMapWindow, TICK, parse_reply};
+use super::settings::{MaxOutstanding, MotorPort, NxtSensor, NxtSettings};
+use super::telegram::{self, NxtReply, bytes_at, opcode};
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum NxtRequest {
+    /// For the firmware's version; it is used for nothing else, so its reply proves that every earlier request is answered or lost.
+    SyncBarrier,
+    IoMap(IoMapWindow),
+    Motor(MotorPort),
+    Analog(u8),
+    /// For what a digital port's sensor has answered.
+    Digital(u8),
+    /// That a port be set up for a sensor of this type.
+    SetUp {
+        port: u8,
+        kind: u8,
+    },
+    /// Puts this telegram into a mailbox, to learn whether a program reads it.
+    Mailbox(Vec<u8>),
+}
+
+impl NxtRequest {
+    pub(super) fn telegram(&self) -> Vec<u8> {
+        match self {
+            Self::SyncBarrier => telegram::firmware_version(),
+            Self::IoMap(window) => telegram::read_io_map(window.module.id(), window.offset, window.length),
+            Self::Motor(port) => telegram::get_output_state(*port),
+            Self::Analog(port) => telegram::get_input_values(*port),
+            Self::Digital(port) => telegram::ls_read(*port),
+            Self::SetUp { port, kind } => telegram::set_input_mode(*port, *kind),
+            Self::Mailbox(telegram) => telegram.clone(),
+        }
+    }
+
+    const fn opcode(&self) -> u8 {
+        match self {
+            Self::SyncBarrier => opcode::FIRMWARE_VERSION,
+            Self::IoMap(_) => opcode::READ_IO_MAP,
+            Self::Motor(_) => opcode::GET_OUTPUT_STATE,
+            Self::Analog(_) => opcode::GET_INPUT_VALUES,
+            Self::Digital(_) => opcode::LS_READ,
+            Self::SetUp { .. } => opcode::SET_INPUT_MODE,
+            Self::Mailbox(_) => opcode::MESSAGE_WRITE,
+        }
+    }
+
+    /// Whether a reply can be to this question: by its opcode, and by the port or the map where the reply repeats it. A refusal need
+    /// not repeat anything.
+    pub(super) fn matches_reply(&self, reply: &NxtReply<'_>) -> bool {
+        if reply.opcode != self.opcode() {
+            return false;
+        }
+        let repeated = bytes_at::<1>(reply.values, 0);
+        match self {
+            _ if reply.status.0 != 0 => true,
+            Self::IoMap(window) => parse_reply(reply)
+                .is_some_and(|(module, length, _)| module == window.module.id() && length == window.length),
+            Self::Motor(port) => repeated == Some([port.number()]),
+            Self::Analog(port) => repeated == Some([*port]),
+            Self::SyncBarrier | Self::Digital(_) | Self::SetUp { .. } | Self::Mailbox(_) => true,
+        }
+    }
+
+    /// True if it is asked in every round, or nearly.
+    pub(super) const fn is_for_data(&self) -> bool {
+        match self {
+            Self::IoMap(window) => !matches!(window.module, FirmwareModule::Command),
+            Self::Motor(_) | Self::Analog(_) | Self::Digital(_) => true,
+            Self::SyncBarrier | Self::SetUp { .. } | Self::Mailbox(_) => false,
+        }
+    }
+}
 
 /// Most given-up questions that are remembered; while a fence waits no others are asked, so there are a few and fences.
 const MAX_OVERDUE: usize = 8;
 
-/// A question on its way.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct PendingRequest {
     pub(super) request: NxtRequest,
     pub(super) sent: Timestamp<HostClock>,
 }
 
-/// Whose answer a reply is.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum ReplyMatch {
-    /// Of a question that waited.
     Reply(PendingRequest),
-    /// Of a question that was given up.
     TooLate,
-    /// Of no request.
     Unexpected,
 }
 
-/// Where the fence stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SyncBarrier {
     Clear,
@@ -48,7 +123,6 @@ enum SyncBarrier {
     Pending,
 }
 
-/// What was counted since the codec was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RequestCounts {
     /// Questions that were answered in time.
@@ -59,7 +133,6 @@ pub(super) struct RequestCounts {
     pub(super) late: u64,
 }
 
-/// The state of one link.
 #[derive(Debug)]
 pub(super) struct RequestTracker {
     timeout: TimeDelta,
@@ -80,14 +153,12 @@ impl RequestTracker {
         }
     }
 
-    /// The link is a new one: no reply to what was asked before can come.
     pub(super) fn restart(&mut self) {
         self.waiting.clear();
         self.overdue.clear();
         self.barrier = SyncBarrier::Wanted;
     }
 
-    /// Whether the fence must be asked next.
     pub(super) fn needs_barrier(&self) -> bool {
         self.barrier == SyncBarrier::Wanted
     }
@@ -117,7 +188,6 @@ impl RequestTracker {
         self.waiting.push_back(PendingRequest { request: question, sent });
     }
 
-    /// Whose answer this is.
     pub(super) fn match_reply(&mut self, reply: &NxtReply<'_>) -> ReplyMatch {
         let fits = |question: &NxtRequest| question.matches_reply(reply);
         if NxtRequest::SyncBarrier.matches_reply(reply) {
@@ -184,10 +254,356 @@ impl RequestTracker {
         self.overdue.push_back(question);
     }
 
-    /// When [`RequestTracker::expire`] must be called.
     pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         self.waiting.front().map(|asked| asked.sent + self.timeout)
     }
+}
+
+/// Ticks at connect: the first places the clock, the others narrow it.
+const FIRST_TICKS: u8 = 3;
+/// Other questions between two ticks: at the pace of Bluetooth, with 30 ms for each, 0.6 s. A clock that is 2000 ppm off drifts
+/// by 1.2 ms in that time, and what ticks cost is a twentieth of the states per second.
+const BETWEEN_TICKS: u8 = 19;
+/// Questions of the trial of two outstanding.
+const TRIAL_REQUESTS: u8 = 8;
+/// Refusals or time-outs of one kind of read in a row that mean that the brick cannot do it.
+const MAX_STRIKES: u8 = 2;
+/// Over a quick link more rounds than this say nothing new: the brick counts once in a millisecond, and a turn of a degree takes longer.
+const MIN_ROUND: TimeDelta = TimeDelta::from_millis(10);
+/// A program on the brick pushes the data; then this is how often its clock is asked.
+const PUSHED_TICK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+/// SETINPUTMODE types: LIGHT_INACTIVE gives a raw value without 9 V pulses, LOWSPEED_9V is the bus with 9 V.
+const LIGHT_INACTIVE: u8 = 0x06;
+const LOWSPEED_9V: u8 = 0x0B;
+
+/// How much of an IO map the brick gives in one reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ReadSize {
+    /// 119 bytes: a whole module.
+    Whole,
+    /// 55 bytes: two motors, one port.
+    Partial,
+    /// None: one command for each motor and port.
+    Single,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WheelSource {
+    Polled,
+    Pushed,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PortState {
+    Unused,
+    Unconfigured,
+    Configuring,
+    /// It was set up and has no valid value yet.
+    Settling,
+    Ready,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RequestFailure {
+    Lost,
+    Rejected,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ScheduleChange {
+    ReadSize,
+    Outstanding,
+    Tick,
+}
+
+#[derive(Debug)]
+pub(super) struct PollSchedule {
+    source: WheelSource,
+    wheels: [MotorPort; 2],
+    sensors: [NxtSensor; 4],
+    pub(super) ports: [PortState; 4],
+    reach: ReadSize,
+    is_reach_known: bool,
+    strikes: u8,
+    outstanding: MaxOutstanding,
+    /// Questions of the trial that have not been asked, and that have not been answered.
+    trial: Option<(u8, u8)>,
+    most: usize,
+    has_tick: bool,
+    is_tick_known: bool,
+    tick_strikes: u8,
+    ticks_remaining: u8,
+    since_tick: u8,
+    next_tick: Timestamp<HostClock>,
+    round: VecDeque<NxtRequest>,
+    next_round: Timestamp<HostClock>,
+}
+
+impl PollSchedule {
+    pub(super) fn new(settings: &NxtSettings, source: WheelSource) -> Self {
+        Self {
+            source,
+            wheels: [settings.left_motor.port, settings.right_motor.port],
+            sensors: settings.sensors,
+            ports: [PortState::Unused; 4],
+            reach: ReadSize::Whole,
+            is_reach_known: false,
+            strikes: 0,
+            outstanding: settings.outstanding,
+            trial: None,
+            most: 1,
+            has_tick: true,
+            is_tick_known: false,
+            tick_strikes: 0,
+            ticks_remaining: 0,
+            since_tick: 0,
+            next_tick: Timestamp::ZERO,
+            round: VecDeque::with_capacity(8),
+            next_round: Timestamp::ZERO,
+        }
+    }
+
+    /// The link came up: everything is found out anew.
+    pub(super) fn reset(&mut self, now: Timestamp<HostClock>) {
+        self.reach = ReadSize::Whole;
+        self.is_reach_known = self.source == WheelSource::Pushed;
+        self.strikes = 0;
+        self.most = 1;
+        self.trial = (self.outstanding == MaxOutstanding::Two && self.source == WheelSource::Polled)
+            .then_some((TRIAL_REQUESTS, TRIAL_REQUESTS));
+        self.has_tick = true;
+        self.is_tick_known = false;
+        self.tick_strikes = 0;
+        self.ticks_remaining = FIRST_TICKS;
+        self.since_tick = 0;
+        self.next_tick = now;
+        self.next_round = now;
+        self.set_up_again();
+    }
+
+    /// The brick forgot its sensors, or may have.
+    pub(super) fn set_up_again(&mut self) {
+        self.round.clear();
+        self.ports = self.sensors.map(|sensor| match (sensor, self.source) {
+            (NxtSensor::None, _) | (_, WheelSource::Pushed) => PortState::Unused,
+            _ => PortState::Unconfigured,
+        });
+    }
+
+    /// The brick was away, and may now be able to report its clock.
+    pub(super) fn try_tick_again(&mut self, now: Timestamp<HostClock>) {
+        if !self.has_tick {
+            self.has_tick = true;
+            self.tick_strikes = 0;
+            self.next_tick = now;
+        }
+    }
+
+    pub(super) fn request_tick(&mut self) {
+        self.ticks_remaining = self.ticks_remaining.max(1);
+    }
+
+    pub(super) const fn max_outstanding(&self) -> usize {
+        self.most
+    }
+
+    pub(super) const fn has_tick(&self) -> bool {
+        self.has_tick
+    }
+
+    /// True once it is known how much of an IO map comes in one reply.
+    pub(super) const fn is_read_size_known(&self) -> bool {
+        self.is_reach_known
+    }
+
+    /// The next question of the plan, fences and mailbox apart; `asked` are the ports on the bus that were written to.
+    pub(super) fn next_request(&mut self, now: Timestamp<HostClock>, asked: &[u8]) -> Option<NxtRequest> {
+        if let Some(tick) = self.next_tick_request(now) {
+            return Some(tick);
+        }
+        if self.source == WheelSource::Pushed {
+            return None;
+        }
+        if let Some(question) = self.next_set_up() {
+            return Some(question);
+        }
+        if !self.is_reach_known {
+            return self.motors().first().cloned();
+        }
+        if let Some((unasked @ 1.., unanswered)) = self.trial {
+            self.trial = Some((unasked - 1, unanswered));
+            self.most = 2;
+            return if unasked % 2 == 0 { Some(NxtRequest::IoMap(TICK)) } else { self.motors().first().cloned() };
+        }
+        if self.round.is_empty() {
+            if now < self.next_round {
+                return None;
+            }
+            self.next_round = now + MIN_ROUND;
+            self.fill_round(asked);
+        }
+        self.since_tick = self.since_tick.saturating_add(1);
+        self.round.pop_front()
+    }
+
+    fn next_tick_request(&mut self, now: Timestamp<HostClock>) -> Option<NxtRequest> {
+        if !self.has_tick {
+            return None;
+        }
+        let is_due = match self.source {
+            WheelSource::Polled => self.since_tick >= BETWEEN_TICKS,
+            WheelSource::Pushed => now >= self.next_tick,
+        };
+        if self.ticks_remaining == 0 && !is_due {
+            return None;
+        }
+        self.ticks_remaining = self.ticks_remaining.saturating_sub(1);
+        self.since_tick = 0;
+        self.next_tick = now + PUSHED_TICK_PERIOD;
+        Some(NxtRequest::IoMap(TICK))
+    }
+
+    fn next_set_up(&mut self) -> Option<NxtRequest> {
+        let index = self.ports.iter().position(|port| *port == PortState::Unconfigured)?;
+        self.ports[index] = PortState::Configuring;
+        let kind = if is_digital(self.sensors[index]) { LOWSPEED_9V } else { LIGHT_INACTIVE };
+        let port = index as u8;
+        Some(NxtRequest::SetUp { port, kind })
+    }
+
+    /// When [`PollSchedule::next`] may have a question again if nothing is heard before.
+    pub(super) fn next_wake(&self) -> Option<Timestamp<HostClock>> {
+        match self.source {
+            WheelSource::Pushed => self.has_tick.then_some(self.next_tick),
+            WheelSource::Polled => Some(self.next_round),
+        }
+    }
+
+    fn fill_round(&mut self, asked: &[u8]) {
+        let inputs: Vec<u8> = (0..4).filter(|port| self.needs_input(*port)).collect();
+        let buffers = match self.reach {
+            ReadSize::Whole if asked.is_empty() => Vec::new(),
+            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_BUFFERS)],
+            ReadSize::Partial => one_request_per_port(asked, |port| NxtRequest::IoMap(io_maps::buffer(port))),
+            ReadSize::Single => one_request_per_port(asked, NxtRequest::Digital),
+        };
+        let analog = match self.reach {
+            ReadSize::Whole if inputs.is_empty() => Vec::new(),
+            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_INPUTS)],
+            ReadSize::Partial => one_request_per_port(&inputs, |port| NxtRequest::IoMap(io_maps::input(port))),
+            ReadSize::Single => one_request_per_port(&inputs, NxtRequest::Analog),
+        };
+        self.round.extend(buffers);
+        self.round.extend(self.motors());
+        self.round.extend(analog);
+    }
+
+    /// Whether the analog side of a port must be read: for its value, or to see whether the port is set up.
+    fn needs_input(&self, port: u8) -> bool {
+        let index = usize::from(port);
+        let is_analog = self.sensors[index] == NxtSensor::HtGyro;
+        self.ports[index] == PortState::Settling || (is_analog && self.ports[index] == PortState::Ready)
+    }
+
+    fn motors(&self) -> Vec<NxtRequest> {
+        let [left, right] = self.wheels;
+        let (first, last) = (left.number().min(right.number()), left.number().max(right.number()));
+        match self.reach {
+            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_MOTORS)],
+            ReadSize::Partial if last - first == 1 => vec![NxtRequest::IoMap(io_maps::motor_pair(first))],
+            ReadSize::Partial => one_request_per_port(&[first, last], |motor| NxtRequest::IoMap(io_maps::motor(motor))),
+            ReadSize::Single => self.wheels.map(NxtRequest::Motor).to_vec(),
+        }
+    }
+
+    pub(super) fn record_success(&mut self, question: &NxtRequest) {
+        if question.is_for_data() {
+            self.strikes = 0;
+            if !self.is_reach_known {
+                self.is_reach_known = true;
+                self.round.clear();
+            }
+        }
+        let is_tick = *question == NxtRequest::IoMap(TICK);
+        self.is_tick_known |= is_tick;
+        if (is_tick || question.is_for_data())
+            && let Some((unasked, unanswered)) = self.trial
+            && unasked < unanswered
+        {
+            self.trial = (unanswered > 1).then_some((unasked, unanswered - 1));
+        }
+    }
+
+    /// A question was not answered, or refused. Says whether the plan had to change for it.
+    pub(super) fn record_failure(&mut self, question: &NxtRequest, why: RequestFailure) -> Option<ScheduleChange> {
+        let is_tick = *question == NxtRequest::IoMap(TICK);
+        let is_trial = self.trial.is_some_and(|(unasked, _)| unasked < TRIAL_REQUESTS);
+        if is_trial && (is_tick || question.is_for_data()) {
+            self.trial = None;
+            self.most = 1;
+            self.request_tick();
+            return Some(ScheduleChange::Outstanding);
+        }
+        if let NxtRequest::SetUp { port, .. } = question
+            && let Some(port) = self.ports.get_mut(usize::from(*port))
+        {
+            *port = match why {
+                RequestFailure::Lost => PortState::Unconfigured,
+                // Asking again would give the same answer.
+                RequestFailure::Rejected => PortState::Unused,
+            };
+        }
+        if is_tick {
+            return self.record_tick_failure();
+        }
+        if why == RequestFailure::Rejected && matches!(question, NxtRequest::Analog(_) | NxtRequest::Digital(_)) {
+            // One sensor is not there. The rest of the round has nothing to do with it.
+            return None;
+        }
+        (question.is_for_data() && self.record_data_failure()).then_some(ScheduleChange::ReadSize)
+    }
+
+    fn record_tick_failure(&mut self) -> Option<ScheduleChange> {
+        self.request_tick();
+        if self.is_tick_known {
+            return None;
+        }
+        self.tick_strikes += 1;
+        if self.tick_strikes < MAX_STRIKES {
+            return None;
+        }
+        self.has_tick = false;
+        self.trial = None;
+        self.most = 1;
+        Some(ScheduleChange::Tick)
+    }
+
+    fn record_data_failure(&mut self) -> bool {
+        self.round.clear();
+        self.strikes += 1;
+        // What has worked is not given up for two stalls in a row.
+        let allowed = if self.is_reach_known { 2 * MAX_STRIKES } else { MAX_STRIKES };
+        if self.strikes < allowed {
+            return false;
+        }
+        self.strikes = 0;
+        let next = match self.reach {
+            ReadSize::Whole => ReadSize::Partial,
+            ReadSize::Partial => ReadSize::Single,
+            ReadSize::Single => return false,
+        };
+        self.reach = next;
+        self.is_reach_known = next == ReadSize::Single;
+        true
+    }
+
+    pub(super) const fn read_size(&self) -> ReadSize {
+        self.reach
+    }
+}
+
+fn one_request_per_port(ports: &[u8], question: impl Fn(u8) -> NxtRequest) -> Vec<NxtRequest> {
+    ports.iter().map(|port| question(*port)).collect()
 }
 
 #[cfg(test)]

@@ -192,9 +192,7 @@ pub enum NxtSettingsError {
 
 impl NxtSettings {
     /// Says what cannot be about them.
-    ///
-    /// # Errors
-    /// The first setting that no robot can have.
+    /// The error is the first setting that no robot can have.
     pub fn validate(&self) -> Result<(), NxtSettingsError> {
         if self.left_motor.port == self.right_motor.port {
             return Err(NxtSettingsError::OneMotor(self.left_motor.port));

@@ -1,4 +1,4 @@
-//! The encoding of telegrams to and from the brick, without state.
+//! Telegrams to and from the brick, without state: commands, and replies with their status.
 //!
 //! # Layout
 //! ```text
@@ -6,19 +6,15 @@
 //! reply     02 opcode status values      all numbers little-endian
 //! ```
 //! # Sources
-//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendices 1 and 2; where the firmware's source differs from them, the
-//! firmware.
+//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (file errors) and appendix 2 (direct commands, "Error message back to the
+//! host"); where the firmware's source differs from them, the firmware.
 
 use super::settings::MotorPort;
-use super::status::NxtStatus;
 
-/// Type of a direct command that wants a reply.
 const DIRECT: u8 = 0x00;
-/// Type of a system command that wants a reply.
 const SYSTEM: u8 = 0x01;
 /// Bit that says that no reply is wanted.
 const NO_REPLY: u8 = 0x80;
-/// Type of a reply.
 pub(super) const REPLY: u8 = 0x02;
 /// Type of a direct command without reply: how a brick writes to another's mailbox.
 pub(super) const DIRECT_NO_REPLY: u8 = DIRECT | NO_REPLY;
@@ -31,7 +27,6 @@ pub(super) const MAX_TELEGRAM_BYTES: usize = 128;
 /// Most bytes of a message besides its final zero.
 const MAX_MESSAGE_BYTES: usize = 58;
 
-/// The second byte of a telegram.
 pub(super) mod opcode {
     pub(in super::super) const START_PROGRAM: u8 = 0x00;
     pub(in super::super) const STOP_PROGRAM: u8 = 0x01;
@@ -186,17 +181,14 @@ pub fn framed(telegram: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A reply, cut into its parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct NxtReply<'a> {
     pub(super) opcode: u8,
     pub(super) status: NxtStatus,
-    /// What stands behind the status.
     pub(super) values: &'a [u8],
 }
 
 impl<'a> NxtReply<'a> {
-    /// `None` if these bytes are no reply.
     pub(super) const fn parse(telegram: &'a [u8]) -> Option<Self> {
         match telegram {
             [REPLY, opcode, status, values @ ..] => Some(Self { opcode: *opcode, status: NxtStatus(*status), values }),
@@ -225,4 +217,69 @@ pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
 /// The bytes from `at`, if there are enough.
 pub(super) fn bytes_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
+}
+
+/// What became of a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct NxtStatus(pub u8);
+
+impl NxtStatus {
+    /// It was done.
+    pub const OK: Self = Self(0x00);
+    /// The sensor has not answered yet.
+    pub const PENDING: Self = Self(0x20);
+    /// Mailboxes are not read: no program runs.
+    pub const NO_PROGRAM: Self = Self(0xEC);
+
+    /// True for a byte that the firmware knows as a status.
+    pub const fn is_known(self) -> bool {
+        matches!(
+            self.0,
+            0x00 | 0x20 | 0x40 | 0x81..=0x93 | 0xBD..=0xC0 | 0xDD..=0xE0 | 0xEC..=0xF0 | 0xFB | 0xFF
+        )
+    }
+
+    /// What it means, and what can be done about it; lower case, no full stop.
+    pub const fn meaning(self) -> &'static str {
+        match self.0 {
+            0x00 => "it was done",
+            0x20 => "the sensor is still busy with the last question",
+            0x40 => "the mailbox is empty",
+            0x81..=0x90 | 0x92..=0x93 => "the file or module is not there or in use",
+            0x91 => "more bytes were asked for than this firmware has",
+            0xBD => "the brick could not do it",
+            0xBE => "this firmware does not know the command",
+            0xBF => "the brick found no sense in the command",
+            0xC0 => "a value of the command is out of range",
+            0xDD => "the sensor does not answer: is it plugged in, and is it the configured one?",
+            0xDE => "the brick's buffer is full",
+            0xDF => "there is no such channel",
+            0xE0 => "the port is not set up for such a sensor, or is busy",
+            0xEC => "no program runs on the brick",
+            0xED => "the size is not allowed",
+            0xEE => "there is no such mailbox",
+            0xEF => "there is no such field",
+            0xF0 => "there is no such port",
+            0xFB => "the brick has no memory left",
+            0xFF => "the brick does not accept the arguments",
+            _ => "the brick gives a reason that nobody knows",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_known_status_has_words_of_its_own_kind() {
+        let unknown = NxtStatus(0x01).meaning();
+        for byte in 0..=u8::MAX {
+            let status = NxtStatus(byte);
+            assert_eq!(status.is_known(), status.meaning() != unknown, "{byte:02x}");
+        }
+        assert!(NxtStatus::NO_PROGRAM.meaning().contains("no program"));
+        assert!(NxtStatus(0xDD).meaning().contains("plugged in"));
+        assert!(NxtStatus(0xBE).meaning().contains("does not know"));
+    }
 }

@@ -18,7 +18,6 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::row::BoardTime;
 
-/// Period of a counter of 32 bits.
 const PERIOD: i128 = 1 << 32;
 /// Largest rate error of a clock: one part in this number: the station's limit for any brick.
 const SKEW_PARTS: i64 = 100;
@@ -31,7 +30,6 @@ const EXCHANGES_AT_ONCE: u32 = 4;
 /// Later ones are so far apart.
 const EXCHANGE_PERIOD: TimeDelta = TimeDelta::from_millis(500);
 
-/// The clock of one board.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BoardClock {
     last: Option<LineTime>,
@@ -62,7 +60,6 @@ impl BoardClock {
         false
     }
 
-    /// The time of the last accepted line.
     pub(super) fn last_accepted(&self) -> Option<BoardTime> {
         self.last.map(|seen| seen.time)
     }

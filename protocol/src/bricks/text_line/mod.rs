@@ -1,10 +1,10 @@
 //! Boards that print lines of text with a declared layout, such as those of an Arduino sketch or a student's board.
 //!
-//! The station only reads; if configured, it prints the estimate back. SPEC.md beside this file defines the lines.
-//! Without checksums a damaged digit is accepted, so at least the time is compared with the host's.
+//! The station only reads; if configured, it prints the estimate back as a line of whole numbers, which a board of 2 KB reads
+//! without floating point. SPEC.md beside this file defines the lines. Without checksums a damaged digit is accepted, so at
+//! least the time is compared with the host's.
 
 mod clock;
-mod estimate;
 mod row;
 mod settings;
 
@@ -17,23 +17,24 @@ use posebridge_telemetry::{
 };
 
 use self::clock::{BoardClock, SubstituteClock};
-use self::row::{BoardReading, BoardTime, ChecksumStatus, LineError};
+use self::row::{BoardReading, BoardTime, ChecksumStatus, LineError, exclusive_or};
 pub use self::settings::{
     ChecksumPolicy, Column, ColumnSign, LayoutError, LineLayout, QUANTITIES, Quantity, Separator, TextLineSettings,
 };
-use super::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+use super::codec::{
+    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, emit_message, emit_status_text,
+};
+use super::estimate::validity_bits;
 use super::heartbeat::HeartbeatSource;
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::framing::FramerCounters;
-use crate::message::{Inertial, Message, WheelTicks, WireStamp};
+use crate::message::{Inertial, Message, PlanarPose, WheelTicks, WireStamp};
 
 /// A line that stops for so long was cut off: a board at 9600 baud prints the longest one in 270 ms.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
-/// Most unknown names that are reported.
 const MAX_UNKNOWN: usize = 8;
 /// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
 const MAX_LINE_BYTES: usize = 256;
-/// The channel of the only thermometer.
 const THERMOMETER: &[u8] = b"temperature";
 /// The message id of a line in [`ReceiveError`]s, which has no number.
 const LINE_ID: u32 = 0;
@@ -42,9 +43,6 @@ const CHANGES_TO_ZERO: i64 = 3;
 /// Counts near zero may have rolled there.
 const NEAR_ZERO: i64 = 10;
 
-type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
-
-/// The state of one link to a board that prints.
 #[derive(Debug)]
 struct TextLineCodec {
     settings: TextLineSettings,
@@ -57,7 +55,6 @@ struct TextLineCodec {
     wheels: ResettableCounters,
     heartbeat: HeartbeatSource,
     counts: FramerCounters,
-    /// A bad line was quoted since the link came up.
     is_error_reported: bool,
     unknown: BTreeSet<String>,
     last_estimate: Option<Timestamp<HostClock>>,
@@ -125,7 +122,7 @@ impl BrickCodec for TextLineCodec {
         if self.last_estimate.is_some_and(|last| now - last < interval) {
             return 0;
         }
-        let Some(line) = estimate::encode_line(pose, self.clock.last_accepted()) else {
+        let Some(line) = encode_line(pose, self.clock.last_accepted()) else {
             return 0;
         };
         self.last_estimate = Some(now);
@@ -299,10 +296,57 @@ impl ResettableCounters {
     }
 }
 
-fn emit_message(sink: &mut CodecEventSink<'_>, message: Message) {
-    sink(CodecEvent::Message { from: DEFAULT_BRICK_ADDRESS, message });
+/// Numbers on a board have 32 bits.
+const MAX_NUMBER: f64 = i32::MAX as f64;
+
+/// `E,<tick_ms>,<x_mm>,<y_mm>,<heading_mrad>,<sigma_mm>,<flags>*hh`, where `tick_ms` is of the board's own clock and `hh` the
+/// exclusive or of all characters before the `*`.
+///
+/// The line of an estimate; `None` if a number of it is not finite. `last` is the time of the board's last line.
+fn encode_line(pose: &PlanarPose, last: Option<BoardTime>) -> Option<String> {
+    let origin = pose.pose.origin();
+    let [xx_m2, _, _, yy_m2, ..] = pose.covariance;
+    let x_mm = to_i32(origin.x.0 * 1_000.0)?;
+    let y_mm = to_i32(origin.y.0 * 1_000.0)?;
+    let heading_mrad = to_i32(pose.pose.heading.rad() * 1_000.0)?;
+    // Rounded up, so that no sigma of a real estimate is zero.
+    let sigma_mm = to_i32((xx_m2.max(yy_m2).sqrt() * 1_000.0).ceil())?;
+    let tick_ms = tick_ms(pose.stamp, last);
+    let flags = validity_bits(pose.flags);
+    let text = format!("E,{tick_ms},{x_mm},{y_mm},{heading_mrad},{sigma_mm},{flags}");
+    let sum = exclusive_or(text.as_bytes());
+    Some(format!("{text}*{sum:02X}\n"))
 }
 
-fn emit_status_text(sink: &mut CodecEventSink<'_>, severity: u8, text: String) {
-    sink(CodecEvent::StatusText { from: DEFAULT_BRICK_ADDRESS, severity, text });
+/// The instant in milliseconds as the board counts them. The stamp holds microseconds modulo 2^32, which a counter of milliseconds
+/// outlives: what is missing is known from the board's last line.
+fn tick_ms(stamp: WireStamp, last: Option<BoardTime>) -> u32 {
+    let micros = stamp.as_micros();
+    let Some(BoardTime::Millis(last_ms)) = last else {
+        return (micros / 1_000) as u32;
+    };
+    let last_micros = (u64::from(last_ms) * 1_000) as u32;
+    let since_micros = (micros as u32).wrapping_sub(last_micros) as i32;
+    let since_ms = TimeDelta::from_micros(i64::from(since_micros)).as_nanos() / 1_000_000;
+    last_ms.wrapping_add_signed(since_ms as i32)
+}
+
+fn to_i32(value: f64) -> Option<i32> {
+    let is_number = value.is_finite();
+    is_number.then_some(value.round().clamp(-MAX_NUMBER, MAX_NUMBER) as i32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tick_is_the_boards_own_after_the_microseconds_have_wrapped() {
+        // 100 minutes on the board: 6 000 000 ms, and 6e9 µs modulo 2^32.
+        let stamp = WireStamp::Micros32((6_000_000_000_u64 % (1 << 32)) as u32);
+        assert_eq!(tick_ms(stamp, Some(BoardTime::Millis(6_000_040))), 6_000_000);
+        assert_eq!(tick_ms(stamp, Some(BoardTime::Millis(5_999_980))), 6_000_000);
+        let micros = Some(BoardTime::Micros(7));
+        assert_eq!(tick_ms(WireStamp::Micros32(123_999), micros), 123);
+    }
 }

@@ -11,7 +11,6 @@ const TEMPERATURES_C: std::ops::RangeInclusive<f64> = -273.15..=3_500.0;
 /// Counts beyond this are no exact f64.
 const MAX_COUNT: i64 = 1 << 53;
 
-/// The values of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BoardReading {
     pub(super) time: Option<BoardTime>,
@@ -22,14 +21,12 @@ pub(super) struct BoardReading {
     pub(super) temperature_c: Option<f64>,
 }
 
-/// The board's clock as it stands there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BoardTime {
     Millis(u32),
     Micros(u32),
 }
 
-/// What is wrong with a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum LineError {
     #[error("it is no text")]
@@ -48,7 +45,6 @@ pub(super) enum LineError {
     InvalidNumber(Quantity),
 }
 
-/// Whether a line proved itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ChecksumStatus {
     Verified,

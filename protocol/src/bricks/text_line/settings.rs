@@ -32,9 +32,7 @@ impl Default for TextLineSettings {
 
 impl TextLineSettings {
     /// Whether a board of this layout can be understood.
-    ///
-    /// # Errors
-    /// When it has a value twice, one wheel alone, or nothing.
+    /// Refuses a value that stands twice, one wheel alone, and a layout without any measurement.
     pub fn validate(&self) -> Result<(), LayoutError> {
         let columns: Vec<Column> = self.layout.columns().collect();
         let is_there = |wanted: Quantity| columns.iter().any(|column| column.quantity == wanted);
@@ -94,7 +92,6 @@ pub enum LineLayout {
 }
 
 impl LineLayout {
-    /// All columns or keys.
     pub(super) fn columns(&self) -> impl Iterator<Item = Column> + '_ {
         let (columns, keys): (&[Column], &[(String, Column)]) = match self {
             Self::Columns { columns, .. } => (columns, &[]),

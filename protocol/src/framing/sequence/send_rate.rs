@@ -27,7 +27,6 @@ const HALF_CIRCLE: f64 = 128.0;
 /// A number that has advanced by no more than this over a silence of many turns is that of a sender that was silent itself.
 const MAX_ADVANCE_OVER_PAUSE: u32 = 16;
 
-/// The pace of one sender.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SendRate {
     per_s: Option<f64>,

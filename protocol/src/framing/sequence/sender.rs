@@ -5,9 +5,8 @@
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::missing::MissingFrames;
+use super::missing::{MissingFrames, SequenceSet};
 use super::send_rate::SendRate;
-use super::sequence_set::SequenceSet;
 use crate::message::WireStamp;
 
 /// The largest advance of a number that stands for frames sent since; a larger one is an old frame. Half the circle.
@@ -38,7 +37,6 @@ struct StampInterval {
     from: u8,
     start: StampedArrival,
     recorded: SequenceSet,
-    /// Frames noted.
     received: u32,
     /// What the numbers alone say is missing.
     gaps: u32,
@@ -52,15 +50,13 @@ impl StampInterval {
     }
 }
 
-/// One sender.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct SenderSequence {
     /// The newest number; `None` before the first frame and after a break.
     newest: Option<u8>,
     frames: u64,
     /// Settled.
     lost: u64,
-    /// The last counts that were reported.
     reported_lost: u64,
     missing: MissingFrames,
     /// What follows a late frame with a stamp in its datagram: the number, and how many frames it lies behind.
@@ -73,30 +69,11 @@ pub(super) struct SenderSequence {
     pace: SendRate,
 }
 
-impl Default for SenderSequence {
-    fn default() -> Self {
-        Self {
-            newest: None,
-            frames: 0,
-            lost: 0,
-            reported_lost: 0,
-            missing: MissingFrames::new(),
-            late_companion: None,
-            stray_count: 0,
-            last_stray: None,
-            interval: None,
-            pace: SendRate::default(),
-        }
-    }
-}
-
 impl SenderSequence {
-    /// Frames that came.
     pub(super) const fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// Frames that are missing.
     pub(super) fn lost(&self) -> u64 {
         let (gaps, late) = self.interval.map_or((0, 0), |interval| (interval.gaps, interval.late_frames));
         (self.lost + u64::from(gaps)).saturating_sub(u64::from(late))
@@ -110,14 +87,12 @@ impl SenderSequence {
         u32::try_from(news).unwrap_or(u32::MAX)
     }
 
-    /// The link was away.
     pub(super) fn handle_link_loss(&mut self) {
         if self.interval.is_none() {
             self.newest = None;
         }
     }
 
-    /// A frame without a stamp.
     pub(super) fn record(&mut self, sequence: u8) {
         self.frames += 1;
         if let Some((number, behind)) = self.late_companion.take()
@@ -132,7 +107,6 @@ impl SenderSequence {
         }
     }
 
-    /// A frame with a stamp.
     pub(super) fn record_stamped(&mut self, sequence: u8, dated: StampedArrival) {
         let Some(interval) = self.interval else {
             self.record(sequence);
@@ -155,7 +129,7 @@ impl SenderSequence {
         }
         let behind = interval.from.wrapping_sub(sequence);
         match self.pace.estimate_behind(-elapsed_s, behind) {
-            Some(behind) if elapsed_s <= 0.0 => self.record_overtaken((sequence, dated), behind),
+            Some(behind) if elapsed_s <= 0.0 => self.record_overtaken(sequence, dated, behind),
             _ => {
                 self.record(sequence);
                 if elapsed_s > 0.0 {
@@ -166,7 +140,7 @@ impl SenderSequence {
     }
 
     /// A frame with a stamp, and how many frames before the reference frame it was sent.
-    fn record_overtaken(&mut self, (sequence, dated): (u8, StampedArrival), behind: u64) {
+    fn record_overtaken(&mut self, sequence: u8, dated: StampedArrival, behind: u64) {
         self.frames += 1;
         if self.recover_late(sequence, behind) {
             return;
@@ -177,7 +151,6 @@ impl SenderSequence {
         }
     }
 
-    /// Takes a frame off the losses, if it is missing.
     fn recover_late(&mut self, sequence: u8, behind: u64) -> bool {
         let was_missing = self.missing.recover_late(behind);
         if was_missing {
@@ -187,7 +160,6 @@ impl SenderSequence {
         was_missing
     }
 
-    /// The result by the number alone.
     fn record_number(&mut self, sequence: u8) {
         let Some(newest) = self.newest else {
             self.newest = Some(sequence);
@@ -218,13 +190,12 @@ impl SenderSequence {
         }
     }
 
-    /// A number from behind.
     fn record_old(&mut self, newest: u8, sequence: u8) {
         if self.missing.recover_late(u64::from(newest.wrapping_sub(sequence))) {
             self.lost = self.lost.saturating_sub(1);
         } else if self.last_stray.replace(sequence) == Some(sequence.wrapping_sub(1)) {
             self.newest = Some(sequence);
-            self.missing = MissingFrames::new();
+            self.missing = MissingFrames::default();
         }
     }
 
@@ -236,7 +207,7 @@ impl SenderSequence {
         let advance = sequence.wrapping_sub(interval.from);
         match self.pace.estimate_sent(elapsed_s, advance, interval.received) {
             Some(sent) => {
-                self.count_losses((interval.from, sent), &interval.recorded, interval.received);
+                self.count_losses(interval.from, sent, &interval.recorded, interval.received);
                 self.pace.update(sent, elapsed_s);
                 self.stray_count = 0;
                 self.interval = Some(StampInterval::new(sequence, dated));
@@ -264,9 +235,9 @@ impl SenderSequence {
     }
 
     /// Closes the account of the `sent` frames behind number `from`.
-    fn count_losses(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
+    fn count_losses(&mut self, from: u8, sent: u32, noted: &SequenceSet, received: u32) {
         let Some(sent) = u8::try_from(sent).ok() else {
-            self.count_long_losses((from, sent), noted, received);
+            self.count_long_losses(from, sent, noted, received);
             return;
         };
         for sequence in noted.iter() {
@@ -287,7 +258,7 @@ impl SenderSequence {
     }
 
     /// Closes the account of more frames than there are numbers: those that came are held to lie at the nearer end.
-    fn count_long_losses(&mut self, (from, sent): (u8, u32), noted: &SequenceSet, received: u32) {
+    fn count_long_losses(&mut self, from: u8, sent: u32, noted: &SequenceSet, received: u32) {
         let to = from.wrapping_add(sent as u8);
         for step in 1..=sent {
             let sequence = from.wrapping_add(step as u8);
@@ -305,7 +276,7 @@ impl SenderSequence {
     /// What was sent before this message is unknown.
     fn restart(&mut self, sequence: u8, dated: StampedArrival) {
         self.newest = Some(sequence);
-        self.missing = MissingFrames::new();
+        self.missing = MissingFrames::default();
         self.last_stray = None;
         self.stray_count = 0;
         self.interval = Some(StampInterval::new(sequence, dated));
@@ -316,7 +287,7 @@ impl SenderSequence {
     fn abandon_stamps(&mut self) {
         if let Some(interval) = self.interval.take() {
             self.lost += u64::from(interval.gaps);
-            self.missing = MissingFrames::new();
+            self.missing = MissingFrames::default();
         }
     }
 }

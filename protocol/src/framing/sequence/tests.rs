@@ -8,14 +8,6 @@ use crate::message::{Heartbeat, Message, WheelTicks, WireStamp};
 const ROBOT: Address = Address::new(1, 1);
 
 #[test]
-fn a_gap_is_counted_across_the_wrap() {
-    let mut tracker = SequenceTracker::new();
-    assert_eq!(tracker.record_number(ROBOT, 254), 0, "first frame");
-    assert_eq!(tracker.record_number(ROBOT, 255), 0, "next frame");
-    assert_eq!(tracker.record_number(ROBOT, 2), 2, "0 and 1 are missing");
-}
-
-#[test]
 fn duplicates_and_absurd_gaps_are_no_losses_and_late_frames_are_taken_off() {
     let mut tracker = SequenceTracker::new();
     tracker.record_number(ROBOT, 10);
@@ -56,14 +48,44 @@ fn every_component_counts_for_itself() {
     assert_eq!(tracker.record_number(ROBOT, 7), 1);
 }
 
+/// What happens between a robot and its receiver; spans in milliseconds.
+#[derive(Clone, Copy)]
+enum Step {
+    Talk(i64),
+    Lose(i64),
+    LoseLink,
+    Restart(i64),
+}
+
 #[test]
-fn silences_of_any_number_of_turns_are_counted_to_the_frame() {
-    let mut robot = Robot::new();
-    robot.talk(5_000);
-    for silent_ms in [100, 2_900, 3_000, 6_000, 12_000, 20_000] {
-        robot.lose(silent_ms);
-        robot.talk(3_000);
-        assert_eq!(lost(&robot.tracker), robot.lost, "after {silent_ms} ms");
+fn losses_of_a_sender_with_stamps_are_counted_to_the_frame() {
+    use Step::{Lose, LoseLink, Restart, Talk};
+    let before_wrap_ms = (1 << 32) / 1_000 - 4_000;
+    let silences: Vec<Step> =
+        [100, 2_900, 3_000, 6_000, 12_000, 20_000].into_iter().flat_map(|silent| [Lose(silent), Talk(3_000)]).collect();
+    let restart = [Lose(100), Talk(1_000), Restart(5_000), Talk(5_000), Lose(8_000), Talk(1_000)];
+    for (case, clock_ms, first_ms, steps) in [
+        ("silences of any number of turns", 777, 5_000, &silences[..]),
+        ("the link is away", 777, 5_000, &[LoseLink, Lose(9_000), Talk(1_000)]),
+        ("switched off and on after 5 s", 777, 5_000, &restart),
+        ("switched off and on after 20 s", 777, 20_000, &restart),
+        ("a register that wraps", before_wrap_ms, 3_500, &[Lose(9_000), Talk(1_000)]),
+    ] {
+        let mut robot = Robot::new();
+        robot.clock_ms = clock_ms;
+        robot.talk(first_ms);
+        for step in steps {
+            match *step {
+                Talk(span_ms) => {
+                    robot.talk(span_ms);
+                    assert_eq!(lost(&robot.tracker), robot.lost, "{case}");
+                }
+                Lose(span_ms) => robot.lose(span_ms),
+                LoseLink => robot.tracker.handle_link_loss(),
+                Restart(off_ms) => robot.restart(off_ms),
+            }
+        }
+        assert!(robot.lost > 256 || case.starts_with("switched"), "{case}: {}", robot.lost);
     }
 }
 
@@ -80,43 +102,6 @@ fn a_stall_that_delivers_everything_at_once_is_no_loss() {
     robot.talk(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost);
     assert_eq!(robot.lost, 4);
-}
-
-#[test]
-fn a_sender_with_stamps_is_followed_while_the_link_is_away() {
-    let mut robot = Robot::new();
-    robot.talk(5_000);
-    robot.tracker.handle_link_loss();
-    robot.lose(9_000);
-    robot.talk(1_000);
-    assert!(robot.lost > 256, "{}", robot.lost);
-    assert_eq!(lost(&robot.tracker), robot.lost);
-}
-
-#[test]
-fn a_brick_that_was_switched_off_and_on_has_lost_nothing() {
-    for up_ms in [5_000, 20_000] {
-        let mut robot = Robot::new();
-        robot.talk(up_ms);
-        robot.lose(100);
-        robot.talk(1_000);
-        robot.restart(5_000);
-        robot.talk(5_000);
-        assert_eq!(lost(&robot.tracker), robot.lost);
-        robot.lose(8_000);
-        robot.talk(1_000);
-        assert_eq!(lost(&robot.tracker), robot.lost, "and is counted again");
-    }
-}
-
-#[test]
-fn a_register_that_wraps_changes_nothing() {
-    let mut robot = Robot::new();
-    robot.clock_ms = (1 << 32) / 1_000 - 4_000;
-    robot.talk(3_500);
-    robot.lose(9_000);
-    robot.talk(1_000);
-    assert_eq!(lost(&robot.tracker), robot.lost);
 }
 
 #[test]

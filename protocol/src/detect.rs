@@ -1,0 +1,291 @@
+//! Detects the protocol of a link from its bytes.
+//!
+//! Takes the bytes of some seconds, from any point of the stream; returns the protocol and the share of the bytes that
+//! it explains. It helps people to set up a link: nothing is decoded, and the station never chooses a protocol by it.
+//!
+//! # Model
+//! ```text
+//! protocol     detected by
+//! MAVLink 2    one frame with the right checksum
+//! MAVLink 1    two such frames, or one that is more than half of the bytes
+//! NMEA 0183    one sentence with the right checksum
+//! EV3, NXT     lengths lead from telegram to telegram to the end
+//! text         19 of 20 bytes printable ASCII or white space, and a line end
+//! noise        none of these
+//! ```
+//! The first row that fits is the result. MAVLink 1 needs more because its start byte and checksum alone let noise
+//! through: three false frames in 20 MB of random bytes. The bricks' telegrams have neither start byte nor checksum, so only
+//! those that a brick sends are considered.
+//!
+//! # Sources
+//! MAVLink: [`crate::framing`]. NMEA 0183: `$`, text, `*` and the exclusive or of the text as two hexadecimal digits,
+//! at most 82 characters. NXT: LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (length, little-endian, excludes itself) and
+//! appendix 2 (reply 02, opcode, status; message write 80 09). EV3: LEGO MINDSTORMS EV3 Communication Developer Kit, section 3
+//! (length, message counter, reply type; system command 81 9E writes a mailbox).
+
+use posebridge_telemetry::Timestamp;
+
+use crate::bricks::nxt::NxtStatus;
+use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
+
+/// Guesses the protocol of `bytes`, in the order in which they came; datagrams one behind the other.
+pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
+    if bytes.is_empty() {
+        return UnitCounts::default().detection(Protocol::NoData);
+    }
+    let (v1, v2) = mavlink(bytes);
+    if v2.frames > 0 && v2.bytes >= v1.bytes {
+        return v2.detection(Protocol::Mavlink2);
+    }
+    if v1.frames >= 2 || 2 * v1.bytes > bytes.len() {
+        return v1.detection(Protocol::Mavlink1);
+    }
+    let nmea = nmea_sentences(bytes);
+    if nmea.frames > 0 {
+        return nmea.detection(Protocol::Nmea);
+    }
+    if let Some((protocol, tally)) = detect_telegrams(bytes) {
+        return tally.detection(protocol);
+    }
+    match text_lines(bytes) {
+        Some(lines) => lines.detection(text_protocol(bytes)),
+        None => UnitCounts::default().detection(Protocol::Unrecognized),
+    }
+}
+
+/// Frames of MAVLink 1 and of MAVLink 2 whose checksum matches.
+fn mavlink(bytes: &[u8]) -> (UnitCounts, UnitCounts) {
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let (mut v1, mut v2) = (UnitCounts::default(), UnitCounts::default());
+    framer.push(Timestamp::ZERO, bytes, &mut |found| {
+        if let FramerOutput::Frame(frame) = found {
+            match frame.version {
+                WireVersion::V1 => v1.add(frame.raw.len()),
+                WireVersion::V2 => v2.add(frame.raw.len()),
+            }
+        }
+    });
+    (v1, v2)
+}
+
+/// Sentences whose checksum matches.
+fn nmea_sentences(bytes: &[u8]) -> UnitCounts {
+    let mut tally = UnitCounts::default();
+    for line in bytes.split(|byte| *byte == b'\n') {
+        if let Some(length) = nmea_length(line) {
+            tally.add(length);
+        }
+    }
+    tally
+}
+
+/// The length of the sentence that ends the line, without the line end; noise may stand in front.
+fn nmea_length(line: &[u8]) -> Option<usize> {
+    let line = line.strip_suffix(b"\r").unwrap_or(line);
+    let start = line.iter().rposition(|byte| *byte == b'$' || *byte == b'!')?;
+    let (text, digits) = line.get(start + 1..)?.split_last_chunk::<2>()?;
+    let text = text.strip_suffix(b"*")?;
+    let digits = std::str::from_utf8(digits).ok()?;
+    let expected = u8::from_str_radix(digits, 16).ok()?;
+    let found = text.iter().fold(0, |sum, byte| sum ^ byte);
+    let is_plausible = text.len() >= 5 && text.iter().all(|byte| is_printable(*byte));
+    (found == expected && is_plausible).then_some(line.len() - start)
+}
+
+const fn is_printable(byte: u8) -> bool {
+    matches!(byte, 0x20..=0x7E)
+}
+
+/// The lines, if nearly all bytes are text. What follows the last line end is not a whole line.
+fn text_lines(bytes: &[u8]) -> Option<UnitCounts> {
+    let is_text = |byte: &&u8| is_printable(**byte) || b"\r\n\t".contains(*byte);
+    let text_bytes = bytes.iter().filter(is_text).count();
+    let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
+    let whole = bytes.iter().rposition(|byte| *byte == end)? + 1;
+    (20 * text_bytes >= 19 * bytes.len())
+        .then_some(UnitCounts { frames: memchr::memchr_iter(end, bytes).count(), bytes: whole })
+}
+
+/// Text, or an EV3 that announces itself by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
+fn text_protocol(bytes: &[u8]) -> Protocol {
+    const ANNOUNCEMENT: &[u8] = b"Protocol: EV3";
+    let announces = bytes.windows(ANNOUNCEMENT.len()).any(|window| window == ANNOUNCEMENT);
+    if announces { Protocol::Ev3 } else { Protocol::Text }
+}
+
+/// What a link may carry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Protocol {
+    /// MAVLink 2.
+    Mavlink2,
+    /// MAVLink 1.
+    Mavlink1,
+    /// NXT telegrams over Bluetooth, each behind its length.
+    Nxt,
+    /// EV3 telegrams, or the brick's announcement of itself by UDP.
+    Ev3,
+    /// NMEA 0183 sentences, as satellite receivers send them.
+    Nmea,
+    /// Lines of text.
+    Text,
+    /// Bytes that fit nothing: another protocol, or the wrong speed.
+    Unrecognized,
+    /// No byte.
+    NoData,
+}
+
+impl Protocol {
+    /// Its name for people.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mavlink2 => "MAVLink 2",
+            Self::Mavlink1 => "MAVLink 1",
+            Self::Nxt => "NXT telegrams",
+            Self::Ev3 => "EV3 telegrams",
+            Self::Nmea => "NMEA 0183",
+            Self::Text => "lines of text",
+            Self::Unrecognized => "noise",
+            Self::NoData => "silence",
+        }
+    }
+
+    /// The row of [`crate::bricks::BRICK_PROTOCOLS`] that would read it, if this program has it; `None` for what no robot speaks.
+    pub const fn codec(self) -> Option<&'static str> {
+        match self {
+            Self::Mavlink2 | Self::Mavlink1 => Some("mavlink"),
+            Self::Nxt => Some("nxt"),
+            Self::Ev3 => Some("ev3"),
+            Self::Text => Some("line"),
+            Self::Nmea | Self::Unrecognized | Self::NoData => None,
+        }
+    }
+
+    /// True if each frame proves itself by a checksum, so that a few of them leave no doubt.
+    pub const fn is_checked(self) -> bool {
+        matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea)
+    }
+
+    /// True for everything but noise and silence.
+    pub const fn is_known(self) -> bool {
+        !matches!(self, Self::Unrecognized | Self::NoData)
+    }
+}
+
+/// What was recognised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProtocolDetection {
+    /// The protocol.
+    pub protocol: Protocol,
+    /// Whole frames, telegrams, sentences or lines; 0 for noise and silence.
+    pub frames: usize,
+    /// Bytes of these, out of all that was heard.
+    pub frame_bytes: usize,
+}
+
+/// Whole units of one protocol among the bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct UnitCounts {
+    pub(super) frames: usize,
+    pub(super) bytes: usize,
+}
+
+impl UnitCounts {
+    const fn add(&mut self, bytes: usize) {
+        self.frames += 1;
+        self.bytes += bytes;
+    }
+
+    const fn detection(self, protocol: Protocol) -> ProtocolDetection {
+        ProtocolDetection { protocol, frames: self.frames, frame_bytes: self.bytes }
+    }
+}
+
+/// Longest telegram that an NXT sends: its buffer for Bluetooth.
+const NXT_MAX_BYTES: usize = 128;
+/// Longest that an EV3 sends: its buffer for replies.
+const EV3_MAX_BYTES: usize = 1024;
+/// How far a first telegram may have begun before the bytes do, EV3's longest.
+const MAX_SKIPPED: usize = EV3_MAX_BYTES + LENGTH_BYTES;
+/// Bytes of the length in front of each telegram.
+const LENGTH_BYTES: usize = 2;
+/// Telegrams in a row that are needed when they do not start at the first byte.
+const MIN_TELEGRAMS: usize = 3;
+
+/// Whether bytes without their length are a telegram that a brick of this kind sends.
+type TelegramPredicate = fn(&[u8]) -> bool;
+
+/// No telegram is one of both.
+const TELEGRAM_KINDS: &[(Protocol, TelegramPredicate)] = &[(Protocol::Ev3, is_of_ev3), (Protocol::Nxt, is_of_nxt)];
+
+/// The protocol whose telegrams fill the bytes.
+fn detect_telegrams(bytes: &[u8]) -> Option<(Protocol, UnitCounts)> {
+    for skipped in 0..bytes.len().min(MAX_SKIPPED) {
+        let rest = bytes.get(skipped..).unwrap_or_default();
+        for (protocol, is_telegram) in TELEGRAM_KINDS {
+            if let Some(tally) = count_chain(rest, *is_telegram)
+                && (tally.frames >= MIN_TELEGRAMS || tally.bytes == bytes.len())
+            {
+                return Some((*protocol, tally));
+            }
+        }
+    }
+    None
+}
+
+/// The telegrams, if they follow each other until fewer bytes are left than the last one claims.
+fn count_chain(mut rest: &[u8], is_telegram: TelegramPredicate) -> Option<UnitCounts> {
+    let mut tally = UnitCounts::default();
+    while let Some((length, behind)) = rest.split_first_chunk::<LENGTH_BYTES>() {
+        let length = usize::from(u16::from_le_bytes(*length));
+        let Some((telegram, behind)) = behind.split_at_checked(length) else {
+            // The last one is cut off by the end of the listening; a length that no telegram has is none.
+            return (length <= EV3_MAX_BYTES).then_some(tally);
+        };
+        if !is_telegram(telegram) {
+            return None;
+        }
+        tally.add(LENGTH_BYTES + length);
+        rest = behind;
+    }
+    Some(tally)
+}
+
+/// A reply with a status that the firmware knows, or a message from a program on the brick.
+fn is_of_nxt(telegram: &[u8]) -> bool {
+    if telegram.len() > NXT_MAX_BYTES {
+        return false;
+    }
+    match telegram {
+        [0x02, opcode, status, ..] => is_nxt_opcode(*opcode) && NxtStatus(*status).is_known(),
+        [0x80, 0x09, inbox, size, message @ ..] => *inbox < 20 && usize::from(*size) == message.len(),
+        _ => false,
+    }
+}
+
+/// Direct commands 00 to 13, system commands 80 to A2.
+const fn is_nxt_opcode(opcode: u8) -> bool {
+    matches!(opcode, 0x00..=0x13 | 0x80..=0xA2)
+}
+
+/// A reply behind its counter, or a mailbox that a program on the brick writes.
+fn is_of_ev3(telegram: &[u8]) -> bool {
+    match telegram {
+        // Replies to direct and to system commands, with and without an error.
+        [_, _, 0x02..=0x05, ..] => telegram.len() <= EV3_MAX_BYTES,
+        [_, _, 0x81, 0x9E, rest @ ..] => is_mailbox(rest),
+        _ => false,
+    }
+}
+
+/// Length of the name, name, length of the payload, payload.
+fn is_mailbox(rest: &[u8]) -> bool {
+    let Some((name_length, rest)) = rest.split_first() else {
+        return false;
+    };
+    let Some((_, payload)) = rest.split_at_checked(usize::from(*name_length)) else {
+        return false;
+    };
+    payload
+        .split_first_chunk::<LENGTH_BYTES>()
+        .is_some_and(|(length, payload)| usize::from(u16::from_le_bytes(*length)) == payload.len())
+}

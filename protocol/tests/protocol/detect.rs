@@ -1,0 +1,190 @@
+//! Which protocol a link carries, from bytes that foreign programs and specifications made, and from noise.
+
+use posebridge_protocol::detect::{Protocol, ProtocolDetection, recognise};
+
+use crate::captures::{RECORDED, records};
+use crate::support::{from_hex, golden_frames, noise};
+
+fn golden(name: &str) -> Vec<u8> {
+    golden_frames()[name].clone()
+}
+
+fn check(bytes: &[u8], protocol: Protocol, frames: usize, frame_bytes: usize) {
+    let expected = ProtocolDetection { protocol, frames, frame_bytes };
+    assert_eq!(recognise(bytes), expected, "{bytes:02x?}");
+}
+
+/// The same protocol wherever the listening begins and ends, if at least `whole` bytes remain.
+fn check_any_window(stream: &[u8], protocol: Protocol, whole: usize) {
+    for begin in (0..stream.len()).step_by(3) {
+        for end in ((begin + whole)..=stream.len()).step_by(7) {
+            let heard = &stream[begin..end];
+            assert_eq!(recognise(heard).protocol, protocol, "{begin}..{end}");
+        }
+    }
+}
+
+#[test]
+fn one_frame_is_enough_for_mavlink_2() {
+    let frame = golden("heartbeat");
+    check(&frame, Protocol::Mavlink2, 1, frame.len());
+    let signed = golden("heartbeat_signed");
+    check(&signed, Protocol::Mavlink2, 1, signed.len());
+    let torn = [&golden("odometry_arena")[30..], &frame, &noise(1, 300)].concat();
+    check(&torn, Protocol::Mavlink2, 1, frame.len());
+}
+
+#[test]
+fn a_flight_is_mavlink_1_from_any_point() {
+    let flight = records(RECORDED).concat();
+    assert_eq!(recognise(&flight).protocol, Protocol::Mavlink1);
+    // 7 of the 150 frames are of a dialect that is unknown here.
+    assert_eq!(recognise(&flight).frames, 143);
+    check_any_window(&flight[..600], Protocol::Mavlink1, 150);
+}
+
+#[test]
+fn one_frame_of_mavlink_1_is_believed_only_if_there_is_little_else_and_two_among_anything() {
+    let frame = golden("v1_attitude");
+    check(&frame, Protocol::Mavlink1, 1, frame.len());
+    let among_noise = [&noise(2, 500), &frame[..], &noise(3, 500)].concat();
+    check(&among_noise, Protocol::Unrecognized, 0, 0);
+    let among_noise = [&noise(2, 500), &frame[..], &noise(3, 500), &frame].concat();
+    check(&among_noise, Protocol::Mavlink1, 2, 2 * frame.len());
+}
+
+/// Sentences as receivers send them; the checksums are those of the sources.
+const GPGGA: &[u8] = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n";
+const GPRMC: &[u8] = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
+
+#[test]
+fn sentences_of_a_receiver_are_nmea_and_with_a_wrong_checksum_just_text() {
+    let both = [GPGGA, GPRMC].concat();
+    check(&both, Protocol::Nmea, 2, both.len() - 4);
+    check(&both[20..], Protocol::Nmea, 1, GPRMC.len() - 2);
+    let mut wrong = GPGGA.to_vec();
+    wrong[10] ^= 1;
+    check(&wrong, Protocol::Text, 1, wrong.len());
+}
+
+#[test]
+fn replies_of_an_nxt_are_recognised_by_their_lengths() {
+    // Replies as the developer kit lays them out: battery level 7900 mV, keep alive 10 minutes, firmware version, no program.
+    let battery = "0500 020b00 dc1e";
+    let keep_alive = "0700 020d00 c0270900";
+    let version = "0700 028800 7c011d01";
+    let no_program = "1700 0211ec 0000000000000000000000000000000000000000";
+    let stream = from_hex(&[battery, keep_alive, version, no_program].concat());
+    check(&stream, Protocol::Nxt, 4, stream.len());
+    check(&from_hex(battery), Protocol::Nxt, 1, 7);
+    let long = stream.repeat(4);
+    check_any_window(&long, Protocol::Nxt, 100);
+    // A brick that answers with a status that no firmware has.
+    check(&from_hex("0500 020b77 dc1e"), Protocol::Unrecognized, 0, 0);
+}
+
+#[test]
+fn behind_a_torn_telegram_three_whole_ones_are_believed_and_two_are_not() {
+    let torn = from_hex("dc1e");
+    let telegram = from_hex("0500 020b00 dc1e");
+    let three = [&torn[..], &telegram.repeat(3)].concat();
+    check(&three, Protocol::Nxt, 3, 21);
+    let two = [&torn[..], &telegram.repeat(2)].concat();
+    check(&two, Protocol::Unrecognized, 0, 0);
+}
+
+#[test]
+fn messages_of_a_program_on_an_nxt_are_recognised() {
+    let message = from_hex("0900 8009 00 05 6869212100");
+    check(&message.repeat(3), Protocol::Nxt, 3, 33);
+    let wrong_size = from_hex("0900 8009 00 06 6869212100");
+    check(&wrong_size.repeat(3), Protocol::Unrecognized, 0, 0);
+}
+
+#[test]
+fn mailboxes_and_replies_of_an_ev3_are_recognised() {
+    // A capture of a mailbox message: mailbox `abc`, text `hello!`.
+    let mailbox = from_hex("1200 0100 819e 04 61626300 0700 68656c6c6f2100");
+    check(&mailbox, Protocol::Ev3, 1, 20);
+    // Replies to one direct command: counter, 02, sixteen bytes of globals.
+    let mut stream = Vec::new();
+    for counter in 0..12 {
+        stream.extend(from_hex(&format!("1300 {counter:02x}00 02")));
+        stream.extend(noise(counter, 16));
+    }
+    check(&stream, Protocol::Ev3, 12, 252);
+    check_any_window(&stream, Protocol::Ev3, 105);
+}
+
+#[test]
+fn the_announcement_of_an_ev3_is_no_ordinary_text() {
+    let announcement = b"Serial-Number: 0016533f0c1e\r\nPort: 5555\r\nName: EV3\r\nProtocol: EV3\r\n";
+    assert_eq!(recognise(announcement).protocol, Protocol::Ev3);
+}
+
+#[test]
+fn text_is_lines_that_ended() {
+    check(b"L 12 R 13\r\nL 14 R 1", Protocol::Text, 1, 11);
+    check(b"L 12 R 13\rL 14 R 15\r", Protocol::Text, 2, 20);
+    check(b"no end", Protocol::Unrecognized, 0, 0);
+    // One byte in twenty may be none of text's, one in nineteen may not.
+    check(b"abcdefghi\n\xFFbcdefghi\n", Protocol::Text, 2, 20);
+    check(b"abcdefghi\n\xFFbcdefgh\n", Protocol::Unrecognized, 0, 0);
+}
+
+#[test]
+fn silence_is_not_noise() {
+    check(b"", Protocol::NoData, 0, 0);
+    check(&[0; 100], Protocol::Unrecognized, 0, 0);
+}
+
+#[test]
+fn random_bytes_are_noise() {
+    for seed in 0..300 {
+        let bytes = noise(seed, 4_000);
+        assert_eq!(recognise(&bytes).protocol, Protocol::Unrecognized, "seed {seed}");
+    }
+}
+
+/// What a receiver at another speed makes of a line: it waits for a start bit, then takes eight bits at its own pace.
+fn misread(bytes: &[u8], sent_baud: f64, read_baud: f64) -> Vec<u8> {
+    let line: Vec<bool> = bytes
+        .iter()
+        .flat_map(|byte| {
+            let bits = (0..8).map(move |bit| byte >> bit & 1 == 1);
+            std::iter::once(false).chain(bits).chain([true, true])
+        })
+        .collect();
+    let ratio = sent_baud / read_baud;
+    let level = |at: f64| line.get(at as usize).copied();
+    let mut found = Vec::new();
+    let mut at = 0.0;
+    while let Some(bit) = level(at) {
+        if bit {
+            at += 0.25;
+            continue;
+        }
+        let mut byte = 0;
+        for number in 0..8 {
+            // In the middle of the bit; the line rests at one.
+            let high = level(at + ratio * (1.5 + f64::from(number))).unwrap_or(true);
+            byte |= u8::from(high) << number;
+        }
+        found.push(byte);
+        at += ratio * 9.5;
+    }
+    found
+}
+
+#[test]
+fn a_line_at_the_wrong_speed_is_noise_and_at_the_right_one_is_not() {
+    let frames = [golden("pb_wheel_ticks"), golden("attitude"), golden("heartbeat")].concat();
+    let stream = frames.repeat(20);
+    assert_eq!(misread(&stream, 115_200.0, 115_200.0), stream);
+    for read_baud in [9_600.0, 19_200.0, 38_400.0, 57_600.0, 230_400.0, 921_600.0] {
+        let heard = misread(&stream, 115_200.0, read_baud);
+        assert!(heard.len() > 100);
+        let found = recognise(&heard).protocol;
+        assert_eq!(found, Protocol::Unrecognized, "{read_baud}");
+    }
+}

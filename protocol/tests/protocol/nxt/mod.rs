@@ -1,0 +1,10 @@
+//! The NXT's protocol against a double of the brick, in virtual time.
+
+mod bench;
+mod brick;
+mod damage;
+mod golden;
+mod missing_sensors;
+mod push;
+mod rates;
+mod session;

@@ -1,0 +1,458 @@
+//! The conversation in virtual time: heartbeats, time, intervals, commands, parameters, and clocks that wrap or differ.
+
+use posebridge_protocol::message::{
+    CommandAck, CommandInt, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TextPart, TimeSync,
+};
+use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_telemetry::{Address, BrickClock, HostClock, TimeDelta, Timestamp};
+
+use crate::support::{CAMERA, GCS, ROBOT, ROVER, STATION, at};
+
+const SET_MESSAGE_INTERVAL: u16 = 511;
+
+const ONBOARD: Heartbeat = Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 };
+
+type Output = SessionOutput<HostClock>;
+
+fn quiet() -> SessionConfig {
+    SessionConfig {
+        own: STATION,
+        heartbeat: ONBOARD,
+        heartbeat_period: TimeDelta::from_millis(1_000),
+        timesync_period: None,
+        peer_timeout: TimeDelta::from_millis(3_000),
+        requested_messages: Vec::new(),
+        offered_messages: vec![],
+    }
+}
+
+/// A station and its clock, stepped from deadline to deadline.
+struct Station {
+    session: Session<HostClock>,
+    now: Timestamp<HostClock>,
+}
+
+impl Station {
+    fn new(config: SessionConfig) -> Self {
+        Self { session: Session::new(config, at(0)), now: at(0) }
+    }
+
+    /// Lets time pass, waking at every deadline; returns what came out, with its time in milliseconds.
+    fn run_until(&mut self, end: Timestamp<HostClock>) -> Vec<(i64, Output)> {
+        let mut outputs = Vec::new();
+        while let Some(deadline) = self.session.deadline()
+            && deadline <= end
+        {
+            self.now = deadline.max(self.now);
+            self.session.tick(self.now);
+            while let Some(output) = self.session.poll() {
+                outputs.push((self.now.as_micros() / 1_000, output));
+            }
+        }
+        self.now = end;
+        outputs
+    }
+
+    /// Hears a message at the present time; returns what came out.
+    fn receive(&mut self, from: Address, message: &Message) -> Vec<Output> {
+        self.session.handle(self.now, from, message);
+        std::iter::from_fn(|| self.session.poll()).collect()
+    }
+}
+
+fn sent(outputs: &[(i64, Output)]) -> Vec<(i64, Message)> {
+    outputs
+        .iter()
+        .filter_map(|(millis, output)| match output {
+            SessionOutput::Send(message) => Some((*millis, message.clone())),
+            _ => None,
+        })
+        .collect()
+}
+
+fn times_of(outputs: &[(i64, Output)], wanted: impl Fn(&Message) -> bool) -> Vec<i64> {
+    sent(outputs).iter().filter(|(_, message)| wanted(message)).map(|(millis, _)| *millis).collect()
+}
+
+fn is_time_request(message: &Message) -> bool {
+    matches!(message, Message::TimeSync(TimeSync { answer_nanos: 0, .. }))
+}
+
+fn request(nanos: i64, target: Option<Address>) -> Message {
+    Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: nanos, target })
+}
+
+fn answer(peer_nanos: i64, echoed: Timestamp<HostClock>, target: Option<Address>) -> Message {
+    Message::TimeSync(TimeSync { answer_nanos: peer_nanos, request_nanos: echoed.as_nanos(), target })
+}
+
+#[test]
+fn heartbeats_come_once_per_period_and_missed_ones_are_not_made_up_for() {
+    let mut station = Station::new(quiet());
+    let outputs = station.run_until(at(3_500));
+    let expected = [0, 1_000, 2_000, 3_000].map(|millis| (millis, Message::Heartbeat(ONBOARD)));
+    assert_eq!(sent(&outputs), expected);
+    let session = &mut station.session;
+    session.tick(at(10_300));
+    assert_eq!(std::iter::from_fn(|| session.poll()).count(), 1);
+    assert_eq!(session.deadline(), Some(at(11_300)));
+}
+
+#[test]
+fn peers_are_seen_lost_and_seen_again() {
+    let mut station = Station::new(quiet());
+    let seen = Output::PeerSeen { peer: ROBOT, heartbeat: ROVER };
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), std::slice::from_ref(&seen));
+    station.run_until(at(2_000));
+    // Anything keeps it alive.
+    let text = Message::StatusText { severity: 6, text: String::new(), part: TextPart::default() };
+    assert!(station.receive(ROBOT, &text).is_empty());
+    let outputs = station.run_until(at(6_000));
+    let lost: Vec<_> = outputs.iter().filter(|(_, output)| matches!(output, SessionOutput::PeerLost { .. })).collect();
+    let expected = Output::PeerLost { peer: ROBOT, silence: TimeDelta::from_millis(3_000) };
+    assert_eq!(lost, [&(5_000, expected)]);
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
+    assert!(station.receive(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
+}
+
+#[test]
+fn our_own_echo_is_ignored() {
+    let mut station = Station::new(quiet());
+    assert!(station.receive(STATION, &Message::Heartbeat(ONBOARD)).is_empty());
+    assert!(station.receive(STATION, &request(5, None)).is_empty());
+}
+
+#[test]
+fn time_requests_for_us_or_everybody_are_answered() {
+    let mut station = Station::new(quiet());
+    station.run_until(at(250));
+    let answered = |request_nanos| {
+        Output::Send(Message::TimeSync(TimeSync { answer_nanos: 250_000_000, request_nanos, target: Some(ROBOT) }))
+    };
+    for target in [None, Some(STATION), Some(Address::new(1, 0))] {
+        assert_eq!(station.receive(ROBOT, &request(77, target)), [answered(77)]);
+    }
+    for target in [CAMERA, Address::new(2, 197)] {
+        assert!(station.receive(ROBOT, &request(77, Some(target))).is_empty());
+    }
+}
+
+#[test]
+fn an_answer_is_never_a_request() {
+    let mut session = Session::<BrickClock>::new(quiet(), Timestamp::ZERO);
+    session.handle(Timestamp::ZERO, CAMERA, &request(1, None));
+    let output = session.poll();
+    let Some(SessionOutput::Send(Message::TimeSync(sync))) = output else {
+        panic!("{output:?}");
+    };
+    assert_ne!(sync.answer_nanos, 0);
+}
+
+#[test]
+fn ten_quick_time_requests_then_the_period_and_again_for_a_new_peer() {
+    let mut station = Station::new(SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() });
+    let times = times_of(&station.run_until(at(5_050)), is_time_request);
+    let expected: Vec<i64> = (0..10).map(|index| index * 100).chain((1..=5).map(|second| second * 1_000)).collect();
+    assert_eq!(times, expected);
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    let times = times_of(&station.run_until(at(7_500)), is_time_request);
+    let expected: Vec<i64> = (0..10).map(|index| 5_150 + index * 100).chain([6_150, 7_150]).collect();
+    assert_eq!(times, expected);
+}
+
+#[test]
+fn only_true_fresh_and_first_answers_count() {
+    let mut station = Station::new(SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() });
+    station.run_until(at(104));
+    let exchanged = |peer| Output::TimeExchanged { peer, sent: at(100), received: at(104), peer_nanos: 9_000 };
+    let good = answer(9_000, at(100), Some(STATION));
+    assert_eq!(station.receive(ROBOT, &good), [exchanged(ROBOT)]);
+    assert!(station.receive(ROBOT, &good).is_empty(), "a duplicate");
+    let broadcast = answer(9_000, at(100), None);
+    assert_eq!(station.receive(CAMERA, &broadcast), [exchanged(CAMERA)]);
+    let invented = answer(9_000, at(101), Some(STATION));
+    assert!(station.receive(ROBOT, &invented).is_empty(), "never asked");
+    let foreign = answer(9_000, at(0), Some(CAMERA));
+    assert!(station.receive(ROBOT, &foreign).is_empty(), "for somebody else");
+    station.run_until(at(5_101));
+    let stale = answer(9_000, at(100), Some(STATION));
+    assert!(station.receive(Address::new(7, 7), &stale).is_empty(), "stale");
+}
+
+fn with_requested_intervals() -> SessionConfig {
+    SessionConfig {
+        requested_messages: vec![(42_100, TimeDelta::from_millis(20)), (42_101, TimeDelta::from_millis(50))],
+        ..quiet()
+    }
+}
+
+fn requested_ids(outputs: &[(i64, Output)]) -> Vec<(i64, u32)> {
+    sent(outputs)
+        .iter()
+        .filter_map(|(millis, message)| match message {
+            Message::SetMessageInterval(wanted) => {
+                assert_eq!(wanted.target, ROBOT);
+                Some((*millis, wanted.message_id))
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+fn ack(result: u8) -> Message {
+    Message::CommandAck(CommandAck { command: SET_MESSAGE_INTERVAL, result, target: Some(STATION) })
+}
+
+#[test]
+fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
+    let mut station = Station::new(with_requested_intervals());
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    assert_eq!(requested_ids(&station.run_until(at(1_500))), [(0, 42_100), (1_000, 42_100)]);
+    station.receive(ROBOT, &ack(1));
+    assert_eq!(requested_ids(&station.run_until(at(2_200))), [(2_000, 42_100)], "for the time being rejected");
+    station.receive(ROBOT, &ack(0));
+    assert_eq!(requested_ids(&station.run_until(at(2_300))), [(2_200, 42_101)]);
+    station.receive(ROBOT, &ack(0));
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    assert!(requested_ids(&station.run_until(at(5_000))).is_empty());
+}
+
+#[test]
+fn a_deaf_robot_is_asked_five_times() {
+    let mut station =
+        Station::new(SessionConfig { peer_timeout: TimeDelta::from_millis(60_000), ..with_requested_intervals() });
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    let asked = requested_ids(&station.run_until(at(30_000)));
+    let first = (0..5).map(|attempt| (attempt * 1_000, 42_100));
+    let second = (5..10).map(|attempt| (attempt * 1_000, 42_101));
+    assert_eq!(asked, first.chain(second).collect::<Vec<_>>());
+}
+
+#[test]
+fn cameras_and_ground_stations_are_not_asked() {
+    let mut station = Station::new(with_requested_intervals());
+    station.receive(CAMERA, &Message::Heartbeat(ONBOARD));
+    let ground = Heartbeat { vehicle_type: 6, ..ROVER };
+    station.receive(GCS, &Message::Heartbeat(ground));
+    assert!(requested_ids(&station.run_until(at(2_500))).is_empty());
+}
+
+#[test]
+fn a_restarted_robot_is_asked_again() {
+    let mut station =
+        Station::new(SessionConfig { requested_messages: vec![(42_100, TimeDelta::from_millis(20))], ..quiet() });
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    station.run_until(at(100));
+    station.receive(ROBOT, &ack(0));
+    assert!(requested_ids(&station.run_until(at(500))).is_empty());
+    station.session.peer_restarted(at(500), ROBOT);
+    assert_eq!(requested_ids(&station.run_until(at(600))), [(500, 42_100)]);
+}
+
+#[test]
+fn a_brick_accepts_intervals_that_are_meant_for_it_of_messages_that_it_offers() {
+    let offered_messages = vec![42_101];
+    let mut brick = Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered_messages, ..quiet() });
+    let interval = Some(TimeDelta::from_millis(50));
+    let wanted = |target, message_id| Message::SetMessageInterval(SetMessageInterval { target, message_id, interval });
+    let acknowledged = |result| {
+        let target = Some(STATION);
+        Output::Send(Message::CommandAck(CommandAck { command: SET_MESSAGE_INTERVAL, result, target }))
+    };
+    let accepted = [acknowledged(0), Output::IntervalRequested { by: STATION, message_id: 42_101, interval }];
+    for target in [ROBOT, Address::new(1, 0)] {
+        assert_eq!(brick.receive(STATION, &wanted(target, 42_101)), accepted);
+    }
+    for other in [Address::new(0, 0), CAMERA, Address::new(2, 1)] {
+        assert!(brick.receive(STATION, &wanted(other, 42_101)).is_empty(), "{other}");
+    }
+    assert_eq!(brick.receive(STATION, &wanted(ROBOT, 42_100)), [acknowledged(3)], "not offered");
+}
+
+#[test]
+fn other_commands_reach_us_only_when_meant_for_us_alone() {
+    let mut station = Station::new(quiet());
+    let command = |target| Message::Command(CommandLong { target, command: 65_000, params: [0.0; 7] });
+    let commanded = Output::CommandReceived {
+        by: GCS,
+        command: CommandLong { target: STATION, command: 65_000, params: [0.0; 7] },
+    };
+    assert_eq!(station.receive(GCS, &command(STATION)), [commanded]);
+    station.session.acknowledge_command(GCS, 65_000, CommandResult::Unsupported);
+    let unsupported = Output::Send(Message::CommandAck(CommandAck { command: 65_000, result: 3, target: Some(GCS) }));
+    assert_eq!(station.session.poll(), Some(unsupported));
+    assert!(station.receive(GCS, &command(Address::new(1, 0))).is_empty());
+    assert!(station.receive(GCS, &command(ROBOT)).is_empty());
+}
+
+#[test]
+fn a_command_with_integer_coordinates_is_the_same_command() {
+    let mut station = Station::new(SessionConfig { offered_messages: vec![331], ..quiet() });
+    let whole = |command, frame, params| {
+        Message::CommandInt(CommandInt { target: STATION, frame, command, params, x: 15_000, y: -20_000, z: 0.5 })
+    };
+    let commanded = |p5, p6| Output::CommandReceived {
+        by: GCS,
+        command: CommandLong { target: STATION, command: 65_000, params: [1.0, 2.0, 3.0, 4.0, p5, p6, 0.5] },
+    };
+    let params = [1.0, 2.0, 3.0, 4.0];
+    // Local coordinates are 1e-4 m, global ones 1e-7 degrees; a mission's are what they are.
+    for (frame, p5, p6) in [(1, 1.5, -2.0), (20, 1.5, -2.0), (6, 0.0015, -0.002), (2, 15_000.0, -20_000.0)] {
+        let heard = station.receive(GCS, &whole(65_000, frame, params));
+        assert_eq!(heard, [commanded(p5, p6)], "frame {frame}");
+    }
+    let heard = station.receive(GCS, &whole(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
+    let requested = Output::IntervalRequested { by: GCS, message_id: 331, interval: Some(TimeDelta::from_millis(200)) };
+    assert_eq!(heard[1..], [requested]);
+}
+
+#[test]
+fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
+    let wrap = 1_i64 << 32;
+    let micros = |total: i64| Timestamp::<BrickClock>::from_micros(total % wrap);
+    let start = wrap - 1_500_000;
+    let mut session = Session::new(SessionConfig { own: ROBOT, ..quiet() }, micros(start));
+    let mut beats = 0;
+    for step in 0..400 {
+        session.tick(micros(start + step * 10_000));
+        while let Some(output) = session.poll() {
+            beats += usize::from(matches!(output, SessionOutput::Send(Message::Heartbeat(_))));
+        }
+    }
+    // Four seconds: the beats of 0, 1, 2 and 3 s, up to one step late at the wrap.
+    assert_eq!(beats, 4);
+}
+
+#[test]
+fn two_sessions_measure_each_other() {
+    // A brick whose clock is 2 s behind, on a link that takes 5 ms each way.
+    let offset = TimeDelta::from_millis(-2_000);
+    let mut station = Session::<HostClock>::new(
+        SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() },
+        at(3_000),
+    );
+    let brick_time = |host: Timestamp<HostClock>| Timestamp::<BrickClock>::from_nanos((host + offset).as_nanos());
+    let mut brick =
+        Session::<BrickClock>::new(SessionConfig { own: ROBOT, heartbeat: ROVER, ..quiet() }, brick_time(at(3_000)));
+    station.tick(at(3_000));
+    while let Some(output) = station.poll() {
+        if let SessionOutput::Send(message) = output {
+            brick.handle(brick_time(at(3_005)), STATION, &message);
+        }
+    }
+    while let Some(output) = brick.poll() {
+        if let SessionOutput::Send(message) = output {
+            station.handle(at(3_010), ROBOT, &message);
+        }
+    }
+    let exchanges: Vec<_> = std::iter::from_fn(|| station.poll()).collect();
+    let expected =
+        Output::TimeExchanged { peer: ROBOT, sent: at(3_000), received: at(3_010), peer_nanos: 1_005_000_000 };
+    assert_eq!(exchanges, [expected]);
+}
+
+#[test]
+fn where_nothing_is_due_a_tick_does_nothing_and_where_something_is_it_is_known() {
+    let config = SessionConfig {
+        timesync_period: Some(TimeDelta::from_millis(700)),
+        requested_messages: vec![(30, TimeDelta::from_millis(50)), (31, TimeDelta::from_millis(50))],
+        ..quiet()
+    };
+    // One that is asked before each tick, and one that is ticked whatever it is asked.
+    let [mut asked, mut ticked] = [config.clone(), config].map(|config| {
+        let mut session = Session::<HostClock>::new(config, at(0));
+        session.offer_parameters([("A".to_owned(), 1.0), ("B".to_owned(), 2.0)].into_iter());
+        session
+    });
+    let (mut due, mut idle) = (0, 0);
+    for step in 0..4_000_i64 {
+        let now = at(step * 7 + step % 3);
+        let heard = match step % 400 {
+            0..200 if step % 10 == 0 => Some((ROBOT, Message::Heartbeat(ROVER))),
+            250 => Some((CAMERA, Message::ParamRequestList { target: STATION })),
+            _ => None,
+        };
+        if let Some((from, message)) = heard {
+            asked.handle(now, from, &message);
+            ticked.handle(now, from, &message);
+        }
+        if step == 1_000 {
+            asked.peer_restarted(now, ROBOT);
+            ticked.peer_restarted(now, ROBOT);
+        }
+        assert_eq!(asked.deadline(), ticked.deadline(), "step {step}");
+        let is_due = asked.deadline().is_some_and(|deadline| deadline <= now);
+        assert_eq!(asked.is_due(now), is_due, "step {step}");
+        if is_due {
+            asked.tick(now);
+            due += 1;
+        } else {
+            idle += 1;
+        }
+        ticked.tick(now);
+        let said = std::iter::from_fn(|| asked.poll());
+        let expected = std::iter::from_fn(|| ticked.poll());
+        assert!(said.eq(expected), "step {step}");
+    }
+    assert!(due > 50 && idle > 1_000, "{due} {idle}");
+}
+
+/// A participant of three parameters that says nothing else.
+fn owner() -> Session<HostClock> {
+    let mut session =
+        Session::new(SessionConfig { heartbeat_period: TimeDelta::from_millis(100_000_000), ..quiet() }, at(0));
+    session.offer_parameters(["GATE_PROB", "SIXTEEN_BYTES_OK", "TAU_S"].map(|name| (name.to_owned(), 1.5)).into_iter());
+    session.tick(at(0));
+    while session.poll().is_some() {}
+    session
+}
+
+const LIST: Message = Message::ParamRequestList { target: STATION };
+
+/// Milliseconds and index of each value that is sent until an instant.
+fn values_sent_until(session: &mut Session<HostClock>, end_ms: i64) -> Vec<(i64, u16)> {
+    let mut told = Vec::new();
+    while let Some(due) = session.deadline().filter(|due| *due <= at(end_ms)) {
+        session.tick(due);
+        while let Some(output) = session.poll() {
+            if let SessionOutput::Send(Message::ParamValue { index, .. }) = output {
+                told.push((due.as_micros() / 1_000, index));
+            }
+        }
+    }
+    told
+}
+
+#[test]
+fn who_asks_while_a_list_goes_out_gets_it_whole_and_nobody_makes_it_faster() {
+    let mut session = owner();
+    session.handle(at(0), GCS, &LIST);
+    assert_eq!(values_sent_until(&mut session, 25), [(0, 0), (20, 1)]);
+    session.handle(at(25), Address::new(254, 190), &LIST);
+    assert_eq!(values_sent_until(&mut session, 85), [(40, 2), (60, 0), (80, 1)]);
+    // A list that has just ended does not begin again at once.
+    session.handle(at(85), GCS, &LIST);
+    assert_eq!(values_sent_until(&mut session, 1_000), [(100, 0), (120, 1), (140, 2)]);
+}
+
+#[test]
+fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
+    let mut session = owner();
+    session.handle(at(3_600_000), GCS, &LIST);
+    assert_eq!(values_sent_until(&mut session, 3_600_010), [(3_600_000, 0)], "before");
+    session.tick(at(5));
+    let indices: Vec<u16> = values_sent_until(&mut session, 1_000).iter().map(|(_, index)| *index).collect();
+    assert_eq!(indices, [1, 2]);
+}
+
+#[test]
+fn what_stands_is_told_only_where_somebody_has_asked_and_by_its_own_name() {
+    let mut session = owner();
+    assert_eq!(session.report_parameter(2, 7.0), None);
+    let set = Message::ParamSet { target: STATION, name: "Tau_s".to_owned(), value: 2.5 };
+    session.handle(at(0), GCS, &set);
+    assert_eq!(session.poll(), Some(SessionOutput::ParameterSetRequested { by: GCS, index: 2, value: 2.5 }));
+    let told = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
+    assert_eq!(session.report_parameter(2, 8.0), Some(told));
+    assert_eq!(session.report_parameter(3, 8.0), None);
+}
