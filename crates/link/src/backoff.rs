@@ -122,15 +122,4 @@ mod tests {
         assert_eq!(first.len(), 90);
         assert_eq!(waits(3, 1, START), waits(3, 1, START));
     }
-
-    #[test]
-    fn a_reset_starts_from_the_shortest_wait() {
-        let session = SessionSeed::from_parts(1, START);
-        let mut backoff = Backoff::new(LinkId(1), session, BackoffDelays::default());
-        for _ in 0..6 {
-            assert!(backoff.next_delay() > TimeDelta::ZERO);
-        }
-        backoff.reset();
-        assert!(backoff.next_delay().as_secs_f64() < 0.3);
-    }
 }

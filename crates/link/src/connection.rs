@@ -14,7 +14,6 @@ use crate::error::LinkError;
 /// Counters of one link since the session began; they only grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
-    /// Bytes received.
     pub bytes_in: u64,
     /// Bytes that the operating system accepted, counted for each peer.
     pub bytes_out: u64,
@@ -28,11 +27,9 @@ pub struct LinkCounters {
 /// One whole frame on its way out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutgoingFrame<'a> {
-    /// The recipients.
     pub to: Recipients,
     /// The priority while the link backs up.
     pub priority: Priority,
-    /// The frame.
     pub frame: &'a [u8],
 }
 
@@ -41,9 +38,7 @@ pub struct OutgoingFrame<'a> {
 pub enum ReceivedData {
     /// Bytes of one read, or one datagram.
     Bytes {
-        /// The sender.
         peer: PeerId,
-        /// When they were read.
         arrival: Timestamp<HostClock>,
         /// The bytes, at least one.
         bytes: Vec<u8>,
@@ -55,7 +50,6 @@ pub enum ReceivedData {
 /// The state of an open link's send queue.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QueueStatus {
-    /// Peers at the moment.
     pub peers: u32,
     /// Frames that wait to be written and are lost if the connection is dropped, counted like
     /// [`LinkCounters::drops_out`].
@@ -103,6 +97,5 @@ pub trait Connection: Send {
     /// [`LinkError`] when the link is lost; the connection cannot be used afterwards.
     fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>>;
 
-    /// The state of the send queue.
     fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus;
 }

@@ -13,57 +13,32 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// The system refuses access to a device, a file or a port number.
     #[error("permission denied on {what}: {advice}")]
     PermissionDenied {
         /// The path or the address.
         what: String,
-        /// What to do about it.
         advice: String,
     },
-    /// Another program holds the serial port.
     #[error("port {} is in use by another program: close it there (`fuser -v {}` names it)", .path.display(), .path.display())]
-    PortInUse {
-        /// The device.
-        path: PathBuf,
-    },
-    /// Another program listens on the address.
+    PortInUse { path: PathBuf },
     #[error("address {address} is already in use: stop the program that listens there or choose another port")]
-    AddressInUse {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// The address to listen on belongs to no interface of this computer.
+    AddressInUse { address: SocketAddr },
     #[error("address {address} belongs to no interface of this computer: 0.0.0.0 (or [::]) listens on all of them")]
-    AddressNotAvailable {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// A link that has to dial was given no host.
+    AddressNotAvailable { address: SocketAddr },
     #[error("{url} names no host to dial: put one before the port")]
-    NoHost {
-        /// The link.
-        url: String,
-    },
-    /// A brick has to be opened by its serial number, and none was given.
+    NoHost { url: String },
     #[error(
         "{url} names no serial number: add `?serial=` and the twelve digits that stand on the brick under Brick Info"
     )]
-    NoSerialNumber {
-        /// The link.
-        url: String,
-    },
-    /// The peer does not accept this serial number.
+    NoSerialNumber { url: String },
     #[error(
         "{peer} does not accept the serial number {serial_number}: compare it with what stands on the brick under Brick Info"
     )]
     SerialNumberRejected {
         /// Host and port.
         peer: String,
-        /// The serial number that was sent.
         serial_number: String,
     },
-    /// Another program has made a pseudo-terminal at the path and holds it open.
     #[error(
         "{} is the pseudo-terminal of another program that is still running: stop that program (`fuser -v {}` names it) or choose another path",
         .path.display(),
@@ -73,39 +48,24 @@ pub enum OpenError {
         /// The symbolic link.
         path: PathBuf,
     },
-    /// The path exists, but is something else.
     #[error("{} is {found}, not {wanted}", .path.display())]
     WrongFileKind {
-        /// The path.
         path: PathBuf,
         /// What exists there.
         found: FileKind,
         /// What the transport needs.
         wanted: &'static str,
     },
-    /// The file to play, or the directory for a new entry, does not exist.
     #[error("{} does not exist: {advice}", .path.display())]
-    FileNotFound {
-        /// The path.
-        path: PathBuf,
-        /// What to do about it.
-        advice: &'static str,
-    },
-    /// The device is not there yet.
+    FileNotFound { path: PathBuf, advice: &'static str },
     #[error("{} is not there: plug the device in or check the name", .path.display())]
-    DeviceMissing {
-        /// The device.
-        path: PathBuf,
-    },
-    /// The host's name has no address at the moment.
+    DeviceMissing { path: PathBuf },
     #[error("host `{host}` has no address: {source}")]
     UnknownHost {
-        /// The host.
         host: String,
         /// The resolver's error.
         source: io::Error,
     },
-    /// The peer refuses or cannot be reached.
     #[error("no connection to {peer}: {source}")]
     Unreachable {
         /// Host and port.
@@ -113,23 +73,18 @@ pub enum OpenError {
         /// The system's error.
         source: io::Error,
     },
-    /// The attempt took longer than [`crate::transports::OPEN_DEADLINE_SECS`].
     #[error("{what} did not open within {limit_secs} s")]
     TimedOut {
-        /// The link.
         what: String,
         /// The limit, in seconds.
         limit_secs: u64,
     },
-    /// This program was built without the transport.
     #[error("{what} is not built into this program: {advice}")]
     TransportNotBuilt {
-        /// What is missing.
         what: &'static str,
         /// How to get it, and what to use without it.
         advice: &'static str,
     },
-    /// Any other error of the system.
     #[error("cannot open {what}: {source}")]
     Io {
         /// The path or the address.
@@ -173,9 +128,7 @@ impl OpenError {
 /// The kind of a file that exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// A directory.
     Directory,
-    /// A regular file.
     RegularFile,
     /// A symbolic link that must not be replaced.
     SymbolicLink,
@@ -212,10 +165,8 @@ impl fmt::Display for FileKind {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LinkError {
-    /// The end of the stream: the cable was unplugged, or the program at the other end has ended.
     #[error("the other end is gone (unplugged, switched off or closed)")]
     HungUp,
-    /// A read or write failed.
     #[error("reading or writing failed: {0}")]
     Io(#[from] io::Error),
 }

@@ -33,7 +33,6 @@ pub mod link_set;
 mod pacer;
 mod send_queue;
 mod stream;
-mod token_bucket;
 pub mod transport;
 pub mod transports;
 pub mod url;

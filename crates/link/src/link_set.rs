@@ -25,7 +25,6 @@ impl LinkSet {
         Self { links, next_index: 0 }
     }
 
-    /// Adds a link.
     pub fn push(&mut self, port: Link) {
         self.links.push(port);
     }

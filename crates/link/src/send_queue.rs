@@ -26,7 +26,6 @@ mod tests;
 /// twice over, or fifty of the longest frames of any kind (280 bytes).
 pub(crate) const COMMAND_RESERVE_BYTES: usize = 16 * 1024;
 
-/// The number of priorities.
 const PRIORITY_COUNT: usize = 4;
 
 /// The rank of a priority; 0 goes first.
@@ -39,7 +38,6 @@ const fn priority_rank(priority: Priority) -> usize {
     }
 }
 
-/// One waiting frame.
 #[derive(Debug)]
 struct QueuedFrame<D> {
     to: D,

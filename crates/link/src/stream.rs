@@ -49,7 +49,6 @@ pub(crate) trait ByteStream: AsyncRead + AsyncWrite + Unpin + Send {
 
 impl ByteStream for tokio::net::TcpStream {}
 
-/// The description of a stream.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamLabel {
     /// See [`Connection::detail`].
@@ -58,7 +57,6 @@ pub(crate) struct StreamLabel {
     pub(crate) local_address: Option<SocketAddr>,
     /// See [`Connection::stable_path`].
     pub(crate) stable_path: Option<PathBuf>,
-    /// The peer.
     pub(crate) peer: PeerId,
 }
 

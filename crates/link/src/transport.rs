@@ -52,7 +52,6 @@ pub(crate) const IDLE: OptionHelp = OptionHelp {
     help: "seconds of silence after which a peer is not written to any more",
 };
 
-/// The serial number of an EV3.
 pub(crate) const SERIAL_NUMBER: OptionHelp = OptionHelp {
     name: "serial",
     kind: OptionKind::HexDigits { count: 12 },
@@ -136,7 +135,6 @@ impl Transport {
         }
     }
 
-    /// The form of its target.
     pub const fn target_kind(self) -> TargetKind {
         match self {
             Self::Serial | Self::Pty | Self::File => TargetKind::Path,
@@ -177,7 +175,6 @@ pub enum TargetKind {
 /// One option of a transport, with its help text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OptionHelp {
-    /// Its name in the URL.
     pub name: &'static str,
     /// Its values and its default.
     pub kind: OptionKind,
@@ -189,14 +186,7 @@ pub struct OptionHelp {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptionKind {
     /// A whole number.
-    Integer {
-        /// The smallest.
-        min: u32,
-        /// The largest.
-        max: u32,
-        /// The default.
-        default: u32,
-    },
+    Integer { min: u32, max: u32, default: u32 },
     /// One of several words.
     Choice {
         /// The words; the first is the default.

@@ -56,96 +56,45 @@ impl fmt::Display for BluetoothAddress {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum UrlError {
-    /// No `scheme:` in front.
     #[error("`{text}` has no scheme: put one of {known} in front, such as {example}")]
     NoScheme {
-        /// The text.
         text: String,
         /// The schemes of the table.
         known: String,
-        /// An example from the table.
         example: &'static str,
     },
-    /// A scheme that no transport has.
     #[error("unknown link scheme `{scheme}`: use one of {known}")]
     UnknownScheme {
-        /// The scheme.
         scheme: String,
         /// The schemes of the table.
         known: String,
     },
-    /// Nothing behind the scheme.
     #[error("`{text}` names no path: write it like {example}")]
-    NoPath {
-        /// The text.
-        text: String,
-        /// An example from the table.
-        example: &'static str,
-    },
-    /// No `:port` behind the host.
+    NoPath { text: String, example: &'static str },
     #[error("`{text}` names no port: write it like {example}")]
-    NoPort {
-        /// The text.
-        text: String,
-        /// An example from the table.
-        example: &'static str,
-    },
-    /// A port that is no number of 16 bits.
+    NoPort { text: String, example: &'static str },
     #[error("port `{port}` in `{text}` is not a whole number from 0 to 65535")]
-    BadPort {
-        /// The text.
-        text: String,
-        /// The port.
-        port: String,
-    },
-    /// A host that is neither a name nor an address.
+    BadPort { text: String, port: String },
     #[error("host `{host}` in `{text}` is neither a name nor an address (IPv6 goes in brackets)")]
-    BadHost {
-        /// The text.
-        text: String,
-        /// The host.
-        host: String,
-    },
-    /// A target that is no Bluetooth address.
+    BadHost { text: String, host: String },
     #[error("`{address}` in `{text}` is not a Bluetooth address: write it like {example}")]
     BadBluetoothAddress {
-        /// The text.
         text: String,
         /// The text in place of the address.
         address: String,
-        /// An example from the table.
         example: &'static str,
     },
-    /// An option that the transport does not have.
     #[error("{scheme} links have no option `{name}`: {valid}")]
     UnknownOption {
-        /// The transport.
         scheme: &'static str,
-        /// The option.
         name: String,
         /// The options that it has, as a sentence.
         valid: String,
     },
-    /// A value that the option does not accept.
     #[error("option {name}=`{value}` of {scheme} links must be {accepted}")]
-    BadOption {
-        /// The transport.
-        scheme: &'static str,
-        /// The option.
-        name: &'static str,
-        /// The value.
-        value: String,
-        /// The accepted values.
-        accepted: String,
-    },
-    /// An option that is given twice.
+    BadOption { scheme: &'static str, name: &'static str, value: String, accepted: String },
     #[error("option `{name}` stands twice in `{text}`")]
-    RepeatedOption {
-        /// The text.
-        text: String,
-        /// The option.
-        name: &'static str,
-    },
+    RepeatedOption { text: String, name: &'static str },
 }
 
 impl LinkUrl {
@@ -203,7 +152,6 @@ impl LinkUrl {
         self.transport
     }
 
-    /// The target.
     pub const fn target(&self) -> &Target {
         &self.target
     }

@@ -14,9 +14,8 @@
     reason = "a benchmark stops when its set-up is broken, and prints its figures"
 )]
 
-#[path = "../tests/support/station.rs"]
-#[expect(dead_code, reason = "only the configuration is used here")]
-mod station;
+#[path = "../tests/station/support/config.rs"]
+mod config;
 
 use posebridge_protocol::dialect::{self, Encoder};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
@@ -26,7 +25,7 @@ use posebridge_telemetry::{
     Address, EncoderTicks, Event, Heading, HostClock, Input, LinkState, Meters, Output, PeerId, TimeDelta, Timestamp,
 };
 
-use station::{LINK, at, config};
+use config::{LINK, at, config};
 
 const COUNTS: [u32; 2] = [50, 500];
 /// Between two messages of a robot's wheels.

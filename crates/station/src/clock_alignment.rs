@@ -17,14 +17,12 @@ const MAX_GYRO_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 /// The integral on the wire has 32 bits of microradians.
 const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
-/// The clock of one robot.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClockAlignment {
     aligner: ClockAligner<BrickClock>,
     last_gyro_turn: Option<(Timestamp<BrickClock>, Radians)>,
 }
 
-/// What became of a timestamp.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AlignedTime {
     /// The instant and its sigma; `None` if the timestamp is from before a restart, or belongs to a reply while nothing is known of

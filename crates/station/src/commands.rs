@@ -23,7 +23,7 @@ use crate::message_requests::{self, RequestContext};
 use crate::operator::{CommandTarget, TargetedCommand};
 use crate::receive::ReceiveInfo;
 use crate::robot::Robot;
-use crate::robot_index::RobotIndex;
+use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
 use crate::station::Station;
 
@@ -36,7 +36,6 @@ impl Station {
         self.handle_targeted_command(TargetedCommand { target: CommandTarget::Station, command });
     }
 
-    /// A command of a person for one robot.
     pub(crate) fn handle_robot_command(&mut self, robot: RobotId, command: Command) {
         match self.robots.find(robot) {
             Some(index) => {
@@ -157,7 +156,7 @@ impl Station {
     /// The robot that asks the station for something; `None` if it is not a robot that asks.
     pub(crate) fn requesting_robot(&self, received: ReceiveInfo, by: Address) -> Option<RobotIndex> {
         let home = self.router.first_of_group(received.endpoint.link);
-        self.robots.at_endpoint(received.endpoint, home, by)
+        self.robots.identities.find(received.endpoint, home, by)
     }
 
     /// Does what a command from a link asks for, and tells what became of it. A robot as a vehicle takes only what concerns robots.

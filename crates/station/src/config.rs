@@ -1,5 +1,7 @@
 //! What a station is built from. Plain values: parsing and merging of files is the program's business.
 
+use std::collections::BTreeMap;
+
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_protocol::bricks::{BrickProtocol, CodecSettings};
@@ -56,7 +58,6 @@ pub struct RobotConfig {
 /// The configuration of the robots that match.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotBlock {
-    /// Which robots it is for.
     pub matches: RobotMatch,
     /// What is known about them.
     pub robot: RobotConfig,
@@ -67,9 +68,7 @@ pub struct RobotBlock {
 pub struct RobotMatch {
     /// The link that it is heard on, or one that is redundant to it.
     pub link: Option<LinkId>,
-    /// Its MAVLink system.
     pub system: Option<SystemId>,
-    /// Its MAVLink component.
     pub component: Option<ComponentId>,
 }
 
@@ -106,20 +105,11 @@ impl StationConfig {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// There is no such filter.
     #[error("unknown filter `{name}`; there are: {known}")]
-    UnknownFilter {
-        /// The name that was asked for.
-        name: String,
-        /// The names that there are.
-        known: String,
-    },
+    UnknownFilter { name: String, known: String },
     /// Two links have one id.
     #[error("link id {id} is used twice")]
-    DuplicateLink {
-        /// The id.
-        id: LinkId,
-    },
+    DuplicateLink { id: LinkId },
 }
 
 /// When cameras that take requests are asked for a fix: as soon as the station is less sure than this.
@@ -143,10 +133,36 @@ impl Default for FixRequestConfig {
 /// What is known of one thermometer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ThermometerConfig {
-    /// The channel that it is read by.
     pub channel: ChannelName,
     /// Its dynamics and noise.
     pub settings: ThermometerSettings,
+}
+
+/// The blocks of a configuration by the system that they ask for: in a large room each robot has one, and none is looked at in vain.
+#[derive(Debug)]
+pub(crate) struct RobotBlockIndex {
+    /// Places of blocks, in their order; `None` has those that take any system.
+    by_system: BTreeMap<Option<SystemId>, Vec<usize>>,
+}
+
+impl RobotBlockIndex {
+    pub(crate) fn new(blocks: &[RobotBlock]) -> Self {
+        let mut by_system: BTreeMap<_, Vec<usize>> = BTreeMap::new();
+        for (place, block) in blocks.iter().enumerate() {
+            by_system.entry(block.matches.system).or_default().push(place);
+        }
+        Self { by_system }
+    }
+
+    /// The first block for the robot that is heard on a link under an address, that of its own frames; `None` if there is none. `blocks`
+    /// are those that this was made from.
+    pub(crate) fn find(&self, blocks: &[RobotBlock], link: LinkId, address: Address) -> Option<usize> {
+        let first = |system| {
+            let places = self.by_system.get(&system)?;
+            places.iter().copied().find(|place| blocks[*place].matches.is_for(link, address))
+        };
+        [Some(address.system), None].into_iter().filter_map(first).min()
+    }
 }
 
 /// Whether a robot's own description is used.
@@ -161,7 +177,6 @@ pub enum DescriptionPolicy {
 /// One link and what goes out on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkConfig {
-    /// Its id.
     pub id: LinkId,
     /// What is at its other end, if it speaks no MAVLink. Then nothing below counts but `outputs`, and nothing of it is passed on to
     /// other links.
@@ -172,7 +187,6 @@ pub struct LinkConfig {
     pub accepted_versions: AcceptedVersions,
     /// The MAVLink version that the station sends there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
     pub send_version: WireVersion,
-    /// What is sent there.
     pub outputs: Vec<OutputStream>,
     /// The components as which the station sends there.
     pub announced_as: AnnouncedAs,
@@ -187,7 +201,6 @@ pub struct LinkConfig {
 pub struct BrickLink {
     /// Its protocol, a row of [`BRICK_PROTOCOLS`](posebridge_protocol::bricks::BRICK_PROTOCOLS).
     pub protocol: &'static BrickProtocol,
-    /// The settings of its codec.
     pub settings: CodecSettings,
 }
 
@@ -220,11 +233,9 @@ pub enum AcceptedVersions {
 /// One kind of message that is sent on a link as estimates come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputStream {
-    /// Which message.
     pub kind: OutputKind,
     /// At least this long between two of them; zero sends one with every estimate.
     pub interval: TimeDelta,
-    /// For which instant.
     pub instant: OutputInstant,
 }
 
@@ -271,4 +282,36 @@ pub enum OutputInstant {
     Observed,
     /// That at which it will arrive, by prediction.
     Arrival,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_config::station_config;
+    use posebridge_telemetry::ComponentId;
+
+    #[test]
+    fn the_block_is_the_first_of_all_that_match() {
+        let mut config = station_config();
+        let links = [None, Some(LinkId(1)), Some(LinkId(2))];
+        let systems = [Some(SystemId(3)), None, Some(SystemId(1))];
+        let components = [Some(ComponentId(1)), Some(ComponentId(2)), None];
+        for (tag, number) in (0_u32..).zip((0..27).map(|k: usize| k * 10 % 27)) {
+            let matches = RobotMatch {
+                link: links[number % 3],
+                system: systems[number / 3 % 3],
+                component: components[number / 9],
+            };
+            config.robots.push(RobotBlock { matches, robot: RobotConfig { tag: Some(tag), ..config.robot.clone() } });
+        }
+        for blocks in (0..=27).rev() {
+            config.robots.truncate(blocks);
+            let index = RobotBlockIndex::new(&config.robots);
+            for (link, system, component) in (0..64).map(|k| (LinkId(k % 4), (k / 4 % 4) as u8, (k / 16) as u8)) {
+                let address = Address::new(system, component);
+                let first = config.robots.iter().position(|block| block.matches.is_for(link, address));
+                assert_eq!(index.find(&config.robots, link, address), first);
+            }
+        }
+    }
 }

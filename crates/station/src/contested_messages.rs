@@ -22,7 +22,6 @@ const MAX_PER_SENDER: usize = 64;
 pub(crate) enum ContestedMessage {
     /// A message, perhaps of a robot.
     Message(ReceiveInfo, Message),
-    /// A fix of a camera.
     Fix(ReceiveInfo, UnalignedObservation),
     /// An answer to a request for the time.
     TimeExchange(TimeExchange),

@@ -148,8 +148,7 @@ impl Egress {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{AcceptedVersions, AnnouncedAs};
-    use posebridge_protocol::framing::TransportKind;
+    use crate::test_config::link_config;
     use posebridge_protocol::message::Heartbeat;
     use posebridge_protocol::routing::{LinkRules, RateLimits};
 
@@ -157,18 +156,8 @@ mod tests {
     const BEAT: Message =
         Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 });
 
-    fn link_config(limits: RateLimits) -> LinkConfig {
-        LinkConfig {
-            id: LINK,
-            brick: None,
-            framing: TransportKind::Datagram,
-            accepted_versions: AcceptedVersions::V2,
-            send_version: WireVersion::V2,
-            outputs: Vec::new(),
-            announced_as: AnnouncedAs::Station,
-            signing: None,
-            rules: LinkRules { limits, ..LinkRules::default() },
-        }
+    fn link_with_limits(limits: RateLimits) -> LinkConfig {
+        LinkConfig { rules: LinkRules { limits, ..LinkRules::default() }, ..link_config(LINK) }
     }
 
     fn outgoing(priority: Priority) -> OutgoingMessage<'static> {
@@ -177,7 +166,7 @@ mod tests {
 
     #[test]
     fn each_message_has_the_next_number_of_its_sender_and_a_link_that_is_down_uses_none() {
-        let config = link_config(RateLimits::default());
+        let config = link_with_limits(RateLimits::default());
         let mut link = LinkContext::new(&config);
         let mut egress = Egress::new(&[config], Timestamp::ZERO);
         assert_eq!(egress.send(Timestamp::ZERO, &mut link, outgoing(Priority::Session)), None);
@@ -191,7 +180,7 @@ mod tests {
 
     #[test]
     fn an_estimate_over_the_limit_is_held_back_and_a_command_is_not() {
-        let config = link_config(RateLimits { bytes_per_s: Some(10), ..RateLimits::default() });
+        let config = link_with_limits(RateLimits { bytes_per_s: Some(10), ..RateLimits::default() });
         let mut link = LinkContext::new(&config);
         let mut egress = Egress::new(&[config], Timestamp::ZERO);
         link.set_state(Timestamp::ZERO, LinkState::Up);

@@ -12,7 +12,6 @@ use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputSt
 use crate::estimate_messages::{self, PredictionStatus, PublishContext, host_stamp};
 use crate::estimator::Estimator;
 use crate::output_schedule::{OutputSchedule, priority, priority_of_record};
-use crate::record_messages;
 
 /// A message on its way to one link.
 #[derive(Debug)]
@@ -151,7 +150,7 @@ impl EstimatePublisher {
                 let messages = self.last_records.values().filter_map(|record| {
                     let counts = outputs?.schedule.counts_of(record.sensor);
                     let host = source.clocks.to_host(record.stamp).unwrap_or(source.now);
-                    record_messages::message(kind, record, host, counts)
+                    estimate_messages::record_message(kind, record, host, counts)
                 });
                 messages.collect()
             }
@@ -187,11 +186,11 @@ fn estimate_message(
     let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
     if let Some(predicted) = predicted {
         let context = PublishContext { prediction: PredictionStatus::Ahead, host: arrival, fix_ratio, announced_as };
-        return estimate_messages::message(stream.kind, &predicted, &context);
+        return estimate_messages::estimate_message(stream.kind, &predicted, &context);
     }
     let host = clocks.to_host(observed.stamp).unwrap_or(now);
     let context = PublishContext { prediction: PredictionStatus::None, host, fix_ratio, announced_as };
-    estimate_messages::message(stream.kind, observed, &context)
+    estimate_messages::estimate_message(stream.kind, observed, &context)
 }
 
 fn range_message(range: Meters, host: Timestamp<HostClock>) -> Message {

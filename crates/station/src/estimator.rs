@@ -9,8 +9,6 @@ use posebridge_telemetry::{
     OnlineCalibration, SensorId, SensorSwitch, TimeDelta, Timestamp,
 };
 
-use crate::slip_watch::SlipWatch;
-
 /// Most components of a fix: x, y and heading.
 const MAX_FIX_COMPONENTS: usize = 3;
 
@@ -120,7 +118,6 @@ impl Estimator {
         true
     }
 
-    /// Whether the filter calibrates online.
     pub(crate) fn set_online_calibration(&mut self, to: OnlineCalibration) -> bool {
         if self.filter.apply_command(&FilterCommand::SetOnlineCalibration(to)) != FusionOutcome::Accepted {
             return false;
@@ -169,7 +166,6 @@ impl Estimator {
     }
 }
 
-/// The gates of a fix by its number of components.
 fn fix_gates(params: &Params) -> [f64; MAX_FIX_COMPONENTS] {
     [1, 2, 3].map(|components| chi_square_quantile(components, params.gate_probability))
 }
@@ -187,6 +183,30 @@ fn unused_record(observation: &Observation) -> FusionRecord {
         nis: 0.0,
         degrees_of_freedom: 0,
         log_likelihood: 0.0,
+    }
+}
+
+/// Wheels that have not slipped for longer than this begin anew: ten of the gyro's usual windows of 0.2 s.
+const SLIP_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
+/// Number of windows in a row that are no coincidence. One alone is chance once in a thousand, or play that is crossed where a
+/// wheel turns back.
+const MIN_CONSECUTIVE: u32 = 3;
+
+/// Counts the observations of motion with slip.
+#[derive(Clone, Copy, Debug, Default)]
+struct SlipWatch {
+    last: Option<Timestamp<BrickClock>>,
+    consecutive: u32,
+}
+
+impl SlipWatch {
+    /// Records an observation with slip, and returns whether people should be warned.
+    fn observe(&mut self, stamp: Timestamp<BrickClock>) -> bool {
+        let last = self.last.replace(stamp);
+        // A brick that was restarted begins with an earlier stamp.
+        let goes_on = last.is_some_and(|last| (TimeDelta::ZERO..=SLIP_TIMEOUT).contains(&(stamp - last)));
+        self.consecutive = if goes_on { self.consecutive.saturating_add(1) } else { 1 };
+        self.consecutive == MIN_CONSECUTIVE
     }
 }
 
@@ -279,5 +299,14 @@ mod tests {
         let after = estimator.latest_estimate().expect("it goes on");
         assert!((after.pose.x.0 - before.pose.x.0).abs() < 1e-9, "{} {}", after.pose.x.0, before.pose.x.0);
         assert_eq!(estimator.geometry().track_width, Meters(0.2));
+    }
+
+    #[test]
+    fn a_row_is_told_once_and_a_single_one_never() {
+        let mut watch = SlipWatch::default();
+        let told = [0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70]
+            .map(|millis| watch.observe(Timestamp::from_millis(millis)));
+        let expected = [false, false, true, false, false, false, false, false, true, false, false, true];
+        assert_eq!(told, expected);
     }
 }

@@ -4,8 +4,8 @@ use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::Address;
 
 use crate::config::StationConfig;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::sender_identity::RobotIndex;
 
 /// The robot that a fix is for; `None` if that is open, or if the robot was not heard yet.
 ///
@@ -18,7 +18,8 @@ pub(crate) fn robot_of_fix(
     sender: Address,
     tag: Option<u32>,
 ) -> Option<RobotIndex> {
-    let nearest = || robots.only_at(endpoint).or_else(|| robots.only()).or_else(|| robots.of_system(sender.system));
+    let nearest =
+        || robots.identities.only_at(endpoint).or_else(|| robots.only()).or_else(|| robots.of_system(sender.system));
     let Some(tag) = tag else {
         return nearest();
     };

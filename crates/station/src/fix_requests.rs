@@ -21,7 +21,6 @@ use posebridge_telemetry::{Address, Estimate, HostClock, LinkId, TimeDelta, Time
 
 use crate::config::FixRequestConfig;
 
-/// MAV_TYPE_CAMERA.
 const MAV_TYPE_CAMERA: u8 = 30;
 /// MAV_RESULT_ACCEPTED, _TEMPORARILY_REJECTED and _IN_PROGRESS: all others refuse for good.
 const NOT_REFUSED: [u8; 3] = [0, 1, 5];
@@ -30,7 +29,6 @@ const NOT_REFUSED: [u8; 3] = [0, 1, 5];
 pub(crate) const MAX_CAMERAS: usize = 64;
 /// Number of requests in a row without a fix after which a camera rests.
 const MAX_UNANSWERED: u32 = 4;
-/// For so long.
 const PAUSE: TimeDelta = TimeDelta::from_millis(5_000);
 
 /// The cameras that can be asked, and the instant of the last request.
@@ -40,7 +38,6 @@ pub(crate) struct FixRequests {
     last_request: Option<Timestamp<HostClock>>,
 }
 
-/// A camera that may be asked.
 #[derive(Clone, Copy, Debug, Default)]
 struct Camera {
     /// It does not know the command.
@@ -49,7 +46,6 @@ struct Camera {
     paused_until: Option<Timestamp<HostClock>>,
 }
 
-/// The question for a fix.
 pub(crate) fn fix_request(target: Address) -> Message {
     let mut params = [0.0; 7];
     params[0] = ids::VISION_POSITION_ESTIMATE as f32;

@@ -17,18 +17,19 @@ use crate::vehicle_proxy::{VEHICLE_COMPONENT, VehicleProxies};
 
 /// Looks at the frames of one input as they are found, and keeps those that go on.
 pub(crate) struct ForwardingPass<'a> {
-    router: &'a mut FrameRouter,
-    now: Timestamp<HostClock>,
-    from: Endpoint,
-    sharing: LinkSharing,
+    pub(crate) router: &'a mut FrameRouter,
+    pub(crate) now: Timestamp<HostClock>,
+    /// The endpoint that the frames come by.
+    pub(crate) from: Endpoint,
+    pub(crate) sharing: LinkSharing,
     /// The robots as vehicles on the link: the station may have to answer a command in their place.
-    vehicles: Option<&'a VehicleProxies>,
-    robots: &'a RobotTable,
-    observers: &'a Observers,
-    report: ForwardingReport,
+    pub(crate) vehicles: Option<&'a VehicleProxies>,
+    pub(crate) robots: &'a RobotTable,
+    pub(crate) observers: &'a Observers,
+    pub(crate) report: ForwardingReport,
 }
 
-/// What a passage leaves behind.
+/// What is counted and forwarded when the station has put out its own.
 #[derive(Debug, Default)]
 pub(crate) struct ForwardingReport {
     /// Frames that the inward filter kept out.
@@ -42,7 +43,6 @@ pub(crate) struct ForwardingReport {
     pub(crate) forwarded: Vec<ForwardedFrame>,
 }
 
-/// A frame that goes on.
 #[derive(Debug)]
 pub(crate) struct ForwardedFrame {
     pub(crate) message_id: u32,
@@ -65,25 +65,7 @@ impl ForwardingReport {
     }
 }
 
-impl<'a> ForwardingPass<'a> {
-    /// A passage of what comes by one way at `now`; `vehicles` are those of the link that it comes by.
-    pub(crate) fn new(
-        router: &'a mut FrameRouter,
-        now: Timestamp<HostClock>,
-        from: Endpoint,
-        sharing: LinkSharing,
-        vehicles: Option<&'a VehicleProxies>,
-        robots: &'a RobotTable,
-        observers: &'a Observers,
-    ) -> Self {
-        Self { router, now, from, sharing, vehicles, robots, observers, report: ForwardingReport::default() }
-    }
-
-    /// What it leaves behind.
-    pub(crate) fn finish(self) -> ForwardingReport {
-        self.report
-    }
-
+impl ForwardingPass<'_> {
     /// Takes a frame: whether it has come before, or `None` if it must not be used.
     pub(crate) fn route(&mut self, frame: &FrameRef<'_>, check: SenderCheck) -> Option<DuplicateStatus> {
         if !self.router.admits(self.from.link, frame) {
@@ -131,7 +113,7 @@ impl<'a> ForwardingPass<'a> {
         let Some(first) = self.router.first_endpoint(self.now, self.from, frame) else {
             return false;
         };
-        let robots = [first, self.from].map(|endpoint| self.robots.heard_by(endpoint, frame.source));
+        let robots = [first, self.from].map(|endpoint| self.robots.identities.heard_by(endpoint, frame.source));
         let observers = [first, self.from].map(|endpoint| {
             let home = self.router.first_of_group(endpoint.link);
             self.observers.heard_by(endpoint, ObserverAddress { home, address: frame.source })

@@ -9,7 +9,6 @@
 
 pub mod clock;
 mod clock_alignment;
-mod codec_events;
 mod commands;
 pub mod config;
 mod contested_messages;
@@ -32,20 +31,15 @@ mod output_schedule;
 mod peer_framers;
 mod receive;
 mod receive_pass;
-mod record_messages;
 mod robot;
-mod robot_blocks;
-mod robot_index;
 mod robot_table;
 mod sender_identity;
 mod sessions;
-mod slip_watch;
 mod station;
 mod status_text;
 #[cfg(test)]
 mod test_config;
 mod thermometer_bank;
-mod timeouts;
 mod transmitter;
 mod vehicle_proxy;
 

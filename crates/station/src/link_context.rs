@@ -12,7 +12,6 @@ use crate::config::{AcceptedVersions, LinkConfig};
 use crate::decoder::Decoder;
 use crate::peer_framers::PeerFramers;
 
-/// One link.
 pub(crate) struct LinkContext {
     pub(crate) state: LinkState,
     has_been_up: bool,

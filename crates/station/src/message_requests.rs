@@ -19,8 +19,8 @@ use crate::egress::Egress;
 use crate::estimate_messages::host_stamp;
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
 
 /// Of MAV_PROTOCOL_CAPABILITY: COMMAND_INT is understood.

@@ -12,7 +12,6 @@ use crate::config::RobotConfig;
 pub(crate) enum ClockSource {
     /// The robot's own.
     Robot,
-    /// That of an observer outside.
     Observer,
 }
 

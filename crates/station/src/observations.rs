@@ -8,21 +8,18 @@ use posebridge_telemetry::{
 };
 
 use crate::clock::align::Alignment;
-use crate::codec_events::{CodecEvents, OwnedCodecEvent};
 use crate::config::DescriptionPolicy;
 use crate::contested_messages::ContestedMessage;
 use crate::fix_assignment::robot_of_fix;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
 use crate::observers::ObserverAddress;
-use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange};
+use crate::receive::{CodecEvents, OwnedCodecEvent, ReceiveInfo, ReceivedMessage, TimeExchange};
 use crate::robot::described_geometry;
-use crate::robot_index::RobotIndex;
-use crate::sender_identity::{MessageOrigin, SenderIdentity};
+use crate::sender_identity::{MessageOrigin, RobotIndex, SenderIdentity};
 use crate::station::Station;
 use crate::thermometer_bank::TemperatureReading;
 
-/// MAV_TYPE_GCS.
 const MAV_TYPE_GCS: u8 = 6;
 
 /// Whether any of a message's observations is a robot's own.
@@ -45,7 +42,7 @@ impl Station {
         let ReceivedMessage { source, duplicate_status, message: ref content } = *message;
         // Redundant links are one: a robot, its clock and its observations know only the first of them.
         let home = self.router.first_of_group(received.endpoint.link);
-        let known = self.robots.at_endpoint(received.endpoint, home, source);
+        let known = self.robots.identities.find(received.endpoint, home, source);
         let observer = ObserverAddress { home, address: source };
         self.sessions.handle(now, received.endpoint, message, known);
         self.drain_sessions(received);
@@ -57,7 +54,7 @@ impl Station {
             self.observe_copy(received, observer, known, content, &observations);
             // Robots that are built alike begin with the same bytes: it is no copy if its sender proves to be another one.
             let is_of_robot = matches!(content, Message::RobotDescription(_)) || is_telemetry(&observations);
-            if known.is_none() && is_of_robot && self.robots.is_known(source) {
+            if known.is_none() && is_of_robot && self.robots.identities.is_known(source) {
                 self.keep_contested(received, source, content);
             }
             return;
@@ -80,7 +77,7 @@ impl Station {
             is_telemetry: is_telemetry(&observations),
         };
         let mut sender = MessageSender { received, origin, robot: None };
-        match self.robots.identify(now, origin, known) {
+        match self.robots.identities.identify(now, origin, known) {
             SenderIdentity::Contested => {
                 if origin.is_new {
                     self.keep_contested(received, source, content);
@@ -93,7 +90,7 @@ impl Station {
             }
             SenderIdentity::Unknown => {
                 // A description tells nobody apart: telemetry will, and then it counts.
-                if matches!(content, Message::RobotDescription(_)) && self.robots.is_known(source) {
+                if matches!(content, Message::RobotDescription(_)) && self.robots.identities.is_known(source) {
                     self.keep_contested(received, source, content);
                     return;
                 }
@@ -450,7 +447,7 @@ impl Station {
         let link = exchange.answer.endpoint.link;
         // Bounds of one clock, whichever of several redundant links they came by.
         let home = self.router.first_of_group(link);
-        match self.robots.at_endpoint(exchange.answer.endpoint, home, peer) {
+        match self.robots.identities.find(exchange.answer.endpoint, home, peer) {
             Some(index) => self.align_robot_clock(index, exchange),
             None => self.align_observer_clock(ObserverAddress { home, address: peer }, exchange),
         }

@@ -16,8 +16,7 @@ use crate::clock::unwrap::UnwrapOutcome;
 use crate::clock_alignment::{self, ExchangeOutcome};
 use crate::fix_requests::FixRequests;
 use crate::receive::{ReceiveInfo, TimeExchange};
-use crate::sender_identity::MAX_CONTENDERS;
-use crate::timeouts::HANDOVER;
+use crate::sender_identity::{HANDOVER, MAX_CONTENDERS};
 
 /// So many observers are remembered; of more those that have been silent longest are forgotten, a quarter at a time.
 const MAX_OBSERVERS: usize = 1_024;
@@ -33,7 +32,6 @@ pub(crate) struct ObserverAddress {
     pub(crate) address: Address,
 }
 
-/// All observers.
 #[derive(Debug, Default)]
 pub(crate) struct Observers {
     known: BTreeMap<ObserverAddress, Vec<Observer>>,
@@ -86,7 +84,6 @@ impl Observers {
         std::mem::replace(&mut self.has_found_namesake, false)
     }
 
-    /// The observer that is heard by an endpoint.
     pub(crate) fn heard_by(&self, endpoint: Endpoint, sender: ObserverAddress) -> Option<ObserverId> {
         let observers = self.known.get(&sender)?;
         observers.iter().find(|observer| observer.is_heard_by(endpoint)).map(|observer| observer.id)
@@ -314,7 +311,6 @@ impl<T> ObserverTime<T> {
 enum PeerClass {
     /// It is this one, which has reconnected.
     SameAs(usize),
-    /// It is another observer.
     Another,
     /// Nobody can tell yet; perhaps it is this one.
     Contested(ObserverId),

@@ -3,7 +3,7 @@
 use posebridge_estimator::Params;
 use posebridge_telemetry::{Command, LinkId, SimulatorCommand};
 
-use crate::robot_index::RobotIndex;
+use crate::sender_identity::RobotIndex;
 
 /// What was asked of the station and holds until something else is asked.
 pub(crate) struct OperatorState {
@@ -11,18 +11,15 @@ pub(crate) struct OperatorState {
     pub(crate) saved_params: Params,
     /// The link over which the program was asked for something last: there it reports what became of it.
     pub(crate) requested_on: Option<LinkId>,
-    /// The last command of the program.
     last_command: Option<TargetedCommand>,
 }
 
-/// A command, and for whom it is.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct TargetedCommand {
     pub(crate) target: CommandTarget,
     pub(crate) command: Command,
 }
 
-/// For whom a command is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandTarget {
     /// For no robot in particular: a pose is that of the first robot, calibration and sensors are those of all robots.

@@ -10,7 +10,7 @@ use posebridge_protocol::message::Message;
 use posebridge_telemetry::{FusionOutcome, FusionRecord, HostClock, Priority, SensorId, TimeDelta, Timestamp};
 
 use crate::config::{OutputInstant, OutputKind, OutputStream};
-use crate::record_messages;
+use crate::estimate_messages;
 
 /// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
 pub(crate) const SETTABLE_OUTPUTS: [(u32, OutputKind); 9] = [
@@ -31,7 +31,6 @@ pub(crate) fn output_for_message(message_id: u32) -> Option<OutputKind> {
     row.map(|(_, kind)| *kind)
 }
 
-/// The message that an output is.
 pub(crate) fn message_for_output(kind: OutputKind) -> u32 {
     let row = SETTABLE_OUTPUTS.iter().find(|(_, known)| *known == kind);
     row.map_or(0, |(id, _)| *id)
@@ -77,7 +76,7 @@ pub(crate) struct OutputSchedule {
     /// By kind, and by sensor where there is one.
     schedules: BTreeMap<(OutputKind, Option<SensorId>), StreamSchedule>,
     /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
-    counts: BTreeMap<SensorId, record_messages::FusionCounts>,
+    counts: BTreeMap<SensorId, estimate_messages::FusionCounts>,
 }
 
 impl OutputSchedule {
@@ -163,7 +162,7 @@ impl OutputSchedule {
             if stream.kind.is_estimate_output() {
                 return None;
             }
-            let message = record_messages::message(stream.kind, record, host(), counts)?;
+            let message = estimate_messages::record_message(stream.kind, record, host(), counts)?;
             let is_due = self.is_due(&stream, Some(record.sensor), now);
             is_due.then_some((stream.kind, message))
         });
@@ -171,7 +170,7 @@ impl OutputSchedule {
     }
 
     /// How the observations of a sensor fared so far.
-    pub(crate) fn counts_of(&self, sensor: SensorId) -> record_messages::FusionCounts {
+    pub(crate) fn counts_of(&self, sensor: SensorId) -> estimate_messages::FusionCounts {
         self.counts.get(&sensor).copied().unwrap_or_default()
     }
 
@@ -198,7 +197,7 @@ impl OutputKind {
     }
 }
 
-impl record_messages::FusionCounts {
+impl estimate_messages::FusionCounts {
     /// One more observation, with what became of it.
     const fn add(&mut self, verdict: FusionOutcome) {
         match verdict {
@@ -226,6 +225,11 @@ mod tests {
         assert_eq!(OUTPUTS.len(), SETTABLE_OUTPUTS.len());
     }
 
+    fn odometry(interval_ms: i64) -> OutputStream {
+        let interval = TimeDelta::from_millis(interval_ms);
+        OutputStream { kind: OutputKind::Odometry, interval, instant: OutputInstant::Observed }
+    }
+
     fn at(millis: i64) -> Timestamp<HostClock> {
         Timestamp::from_millis(millis)
     }
@@ -237,12 +241,7 @@ mod tests {
         const LATE: [i64; 10] = [0, 9, 3, 18, 1, 7, 0, 12, 5, 2];
         for period in [20, 50] {
             for wanted in [50, 100, 250, 333, 1_000] {
-                let stream = OutputStream {
-                    kind: OutputKind::Odometry,
-                    interval: TimeDelta::from_millis(wanted),
-                    instant: OutputInstant::Observed,
-                };
-                let mut schedule = OutputSchedule::new(&[stream]);
+                let mut schedule = OutputSchedule::new(&[odometry(wanted)]);
                 let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
                 let sent = estimates.filter(|now| schedule.due(at(*now)).count() == 1);
                 let (sent, expected) = (sent.count() as i64, 60_000 / wanted);
@@ -256,12 +255,7 @@ mod tests {
 
     #[test]
     fn a_silence_is_not_made_up_for() {
-        let stream = OutputStream {
-            kind: OutputKind::Odometry,
-            interval: TimeDelta::from_millis(100),
-            instant: OutputInstant::Observed,
-        };
-        let mut schedule = OutputSchedule::new(&[stream]);
+        let mut schedule = OutputSchedule::new(&[odometry(100)]);
         let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
         let sent: Vec<i64> = silent_until.filter(|now| schedule.due(at(*now)).count() == 1).collect();
         let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
@@ -270,8 +264,7 @@ mod tests {
 
     #[test]
     fn an_interval_is_told_as_it_is_kept() {
-        let stream =
-            OutputStream { kind: OutputKind::Odometry, interval: TimeDelta::ZERO, instant: OutputInstant::Observed };
+        let stream = odometry(0);
         let mut schedule = OutputSchedule::new(&[stream]);
         assert_eq!(schedule.interval_micros(OutputKind::Attitude), -1);
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 1);

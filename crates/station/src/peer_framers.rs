@@ -23,7 +23,6 @@ pub(crate) enum FramerInput<'a> {
     Closed,
 }
 
-/// The framers of the peers of one link.
 #[derive(Debug)]
 pub(crate) struct PeerFramers {
     config: FramerConfig,

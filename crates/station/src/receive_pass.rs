@@ -32,7 +32,6 @@ pub(crate) struct ReceivePass<'a> {
 }
 
 impl ReceivePass<'_> {
-    /// Takes what a framer has found.
     pub(crate) fn push(&mut self, found: FramerOutput<'_>) {
         let verified = self.verifier.verify(self.now, self.peer, &found);
         match (found, verified) {

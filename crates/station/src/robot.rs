@@ -14,7 +14,7 @@ use crate::estimator::Estimator;
 use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
-use crate::timeouts::PEER_TIMEOUT;
+use crate::sender_identity::PEER_TIMEOUT;
 
 /// One robot.
 pub struct Robot {
@@ -102,7 +102,6 @@ impl Robot {
         self.estimator.geometry()
     }
 
-    /// The sensors that are switched off.
     pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
         self.estimator.switched_off()
     }

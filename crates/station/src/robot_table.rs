@@ -10,16 +10,13 @@ use posebridge_telemetry::{
 };
 
 use crate::clock_alignment::ClockAlignment;
-use crate::config::{RobotConfig, StationConfig};
+use crate::config::{RobotBlockIndex, RobotConfig, StationConfig};
 use crate::contested_messages::ContestedMessages;
 use crate::estimator::Estimator;
 use crate::observers::{ObserverAddress, Observers};
 use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
-use crate::robot_blocks::RobotBlockIndex;
-use crate::robot_index::RobotIndex;
-use crate::sender_identity::{MessageOrigin, SenderIdentities, SenderIdentity};
-use crate::timeouts::PEER_TIMEOUT;
+use crate::sender_identity::{MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
 /// Systems that are given to robots whose own is taken; those above are for ground stations.
@@ -29,7 +26,7 @@ const LAST_VEHICLE_SYSTEM: u8 = 250;
 pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
-    identities: SenderIdentities,
+    pub(crate) identities: SenderIdentities,
     /// What came from senders that may be robots or cameras with the ids of others.
     pub(crate) contested: ContestedMessages,
     blocks: RobotBlockIndex,
@@ -123,7 +120,6 @@ impl RobotTable {
         &self.robots
     }
 
-    /// All robots that were heard.
     pub(crate) fn heard(&self) -> &[Robot] {
         &self.robots[..self.len()]
     }
@@ -132,7 +128,6 @@ impl RobotTable {
         &mut self.robots
     }
 
-    /// The robot with this id.
     pub(crate) fn find(&self, id: RobotId) -> Option<RobotIndex> {
         self.by_id.get(&id).copied()
     }
@@ -142,7 +137,6 @@ impl RobotTable {
         self.by_id.len()
     }
 
-    /// The only robot that was heard.
     pub(crate) fn only(&self) -> Option<RobotIndex> {
         (self.len() == 1).then_some(0)
     }
@@ -157,48 +151,13 @@ impl RobotTable {
         only_one(self.by_tag.get(&tag)?)
     }
 
-    /// Whether a robot with this address is known, on whichever link.
-    pub(crate) fn is_known(&self, address: Address) -> bool {
-        self.identities.is_known(address)
-    }
-
-    /// Who sent a message that came in now; `known` is what [`Self::at_endpoint`] says of it.
-    pub(crate) fn identify(
-        &mut self,
-        now: Timestamp<HostClock>,
-        origin: MessageOrigin,
-        known: Option<RobotIndex>,
-    ) -> SenderIdentity {
-        self.identities.identify(now, origin, known)
-    }
-
-    /// The robot that is heard by an endpoint under an address; `home` is the first link of the endpoint's group.
-    pub(crate) fn at_endpoint(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
-        self.identities.find(endpoint, home, address)
-    }
-
-    /// The robot that is heard by an endpoint under an address.
-    pub(crate) fn heard_by(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
-        self.identities.heard_by(endpoint, address)
-    }
-
-    /// By which peer a robot is heard on a link.
-    pub(crate) fn peer_on(&self, robot: RobotIndex, link: LinkId) -> Option<PeerId> {
-        self.identities.peer_on(robot, link)
-    }
-
-    /// The only robot that is heard by an endpoint.
-    pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
-        self.identities.only_at(endpoint)
-    }
-
     /// The address under which ground stations see a sender that is heard by an endpoint; `None` if that is its own.
     pub(crate) fn announced_address(&self, endpoint: Endpoint, home: LinkId, sender: Address) -> Option<Address> {
         if !self.has_renamed() {
             return None;
         }
         // The other components of a robot's system go with it.
-        let index = self.at_endpoint(endpoint, home, sender).or_else(|| self.only_at(endpoint))?;
+        let index = self.identities.find(endpoint, home, sender).or_else(|| self.identities.only_at(endpoint))?;
         let robot = self.get(index);
         let is_renamed = robot.is_renamed() && robot.wire_address.system == sender.system;
         is_renamed.then_some(Address { system: robot.vehicle_address.system, ..sender })
@@ -216,7 +175,7 @@ impl RobotTable {
 
     /// Whether what is for a system must not go to an endpoint, because only a robot that is seen as another system is heard there.
     pub(crate) fn is_announced_otherwise(&self, endpoint: Endpoint, system: SystemId) -> bool {
-        let robot = self.only_at(endpoint).filter(|_| self.has_renamed()).map(|index| self.get(index));
+        let robot = self.identities.only_at(endpoint).filter(|_| self.has_renamed()).map(|index| self.get(index));
         robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
     }
 

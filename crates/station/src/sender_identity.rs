@@ -15,9 +15,13 @@ use std::collections::BTreeMap;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-use crate::robot_index::RobotIndex;
-use crate::timeouts::{HANDOVER, PEER_TIMEOUT};
+/// Which robot of the [`RobotTable`](crate::robot_table::RobotTable).
+pub(crate) type RobotIndex = usize;
 
+/// Silence after which a robot, or any other peer, counts as lost. Five missed heartbeats: the usual limit of ground stations.
+pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
+/// Silence after which another peer with the same address takes the place of the first, at the earliest.
+pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
 /// A robot that sends rarely is silent for longer than that: another peer takes its place after so many of its usual intervals.
 const HANDOVER_INTERVALS: i64 = 2;
 /// And at the latest after this: a pause is no usual interval.
@@ -30,7 +34,6 @@ pub(crate) const MAX_CONTENDERS: usize = 256;
 /// Who sent a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SenderIdentity {
-    /// A robot that is known.
     Robot(RobotIndex),
     /// No robot, or not yet: it may become one.
     Unknown,
@@ -51,7 +54,6 @@ pub(crate) struct MessageOrigin {
     pub(crate) is_telemetry: bool,
 }
 
-/// All senders that are robots, and those that may be.
 #[derive(Debug, Default)]
 pub(crate) struct SenderIdentities {
     /// By the robots' places in their table.
@@ -113,12 +115,10 @@ impl SenderIdentities {
         only.filter(|_| robots.next().is_none())
     }
 
-    /// The robot that is heard by an endpoint under an address.
     pub(crate) fn heard_by(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
         self.by_endpoint.get(&(endpoint, address)).copied()
     }
 
-    /// By which peer a robot is heard on a link.
     pub(crate) fn peer_on(&self, robot: RobotIndex, link: LinkId) -> Option<PeerId> {
         self.senders.get(robot)?.peers.get(&link).map(|(peer, _)| *peer)
     }
@@ -136,7 +136,6 @@ impl SenderIdentities {
         self.by_address.contains_key(&address)
     }
 
-    /// The robots with an address at home on a link.
     pub(crate) fn at_home(&self, home: LinkId, address: Address) -> impl Iterator<Item = RobotIndex> {
         let robots = self.by_address.get(&address).map_or(&[][..], Vec::as_slice);
         robots.iter().copied().filter(move |robot| self.senders[*robot].home == home)

@@ -16,9 +16,8 @@ use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
 use crate::output_schedule::SETTABLE_OUTPUTS;
 use crate::receive::ReceivedMessage;
 use crate::robot::Robot;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
-use crate::timeouts::PEER_TIMEOUT;
+use crate::sender_identity::{PEER_TIMEOUT, RobotIndex};
 use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
@@ -52,13 +51,11 @@ const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
 /// As whom the station sends something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum SenderRole {
-    /// As the station itself.
     Station,
     /// As a robot, on a link for ground stations.
     Vehicle(RobotId),
 }
 
-/// The sessions of all links.
 #[derive(Debug)]
 pub(crate) struct Sessions {
     links: BTreeMap<LinkId, LinkSessions>,

@@ -15,20 +15,19 @@ use posebridge_telemetry::{
     RobotId, SensorId, TimeDelta, Timestamp, severity,
 };
 
-use crate::codec_events::CodecEvents;
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
-use crate::forwarding::ForwardingPass;
+use crate::forwarding::{ForwardingPass, ForwardingReport};
 use crate::link_context::LinkContext;
 use crate::observers::Observers;
 use crate::operator::OperatorState;
 use crate::output_queue::OutputQueue;
 use crate::peer_framers::FramerInput;
-use crate::receive::{ReceiveInfo, TimeExchange};
+use crate::receive::{CodecEvents, ReceiveInfo, TimeExchange};
 use crate::receive_pass::{ReceivePass, ReceivedBatch};
 use crate::robot::Robot;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions};
 use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
@@ -57,7 +56,6 @@ pub struct Station {
     pub(crate) time: StationTime,
 }
 
-/// The time of a station.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StationTime {
     /// The latest instant of any input so far: everything is planned, signed and limited by it. It never falls.
@@ -239,21 +237,22 @@ impl Station {
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
         let vehicles = self.sessions.vehicles(id);
-        let forwarding = ForwardingPass::new(
-            &mut self.router,
+        let forwarding = ForwardingPass {
+            router: &mut self.router,
             now,
-            received.endpoint,
+            from: received.endpoint,
             sharing,
             vehicles,
-            &self.robots,
-            &self.observers,
-        );
+            robots: &self.robots,
+            observers: &self.observers,
+            report: ForwardingReport::default(),
+        };
         let LinkContext { framers, verifier, decoder, .. } = link;
         let batch = ReceivedBatch::default();
         let mut pass = ReceivePass { now, peer, verifier, forwarding, decoder, batch };
         framers.push(now, peer, input, &mut |found| pass.push(found));
         let ReceivePass { forwarding, batch, .. } = pass;
-        self.outputs.push_report(id, forwarding.finish());
+        self.outputs.push_report(id, forwarding.report);
         link.health.rejected_frames += batch.rejected_frames;
         for error in batch.errors {
             self.outputs.emit(Event::ReceiveError { link: id, defect: error });
@@ -313,7 +312,6 @@ impl Station {
         }
     }
 
-    /// Does what is due.
     fn run_due(&mut self) {
         let now = self.time.now;
         let ids = self.link_ids();

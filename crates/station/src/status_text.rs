@@ -17,8 +17,8 @@ use posebridge_telemetry::{
 };
 
 use crate::link_context::LinkContext;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions};
 
 /// Time between two texts of one topic. A person reads a line in less.
@@ -112,7 +112,6 @@ impl StatusTextQueue {
         self.pending.push(text);
     }
 
-    /// The messages of a text.
     pub(crate) fn split_text(&mut self, severity: u8, words: &str) -> Vec<Message> {
         let words = printable(words);
         let text_id = if words.len() <= PART_BYTES {
@@ -183,7 +182,6 @@ impl StatusTextQueue {
         self.push(now, Topic::Report, text);
     }
 
-    /// The texts that wait.
     pub(crate) fn take_pending(&mut self) -> Vec<PendingText> {
         std::mem::take(&mut self.pending)
     }

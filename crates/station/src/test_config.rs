@@ -50,7 +50,8 @@ pub(crate) fn station_config() -> StationConfig {
     }
 }
 
-fn link_config(id: LinkId) -> LinkConfig {
+/// A link that sends nothing and has no limits.
+pub(crate) fn link_config(id: LinkId) -> LinkConfig {
     LinkConfig {
         id,
         brick: None,

@@ -19,8 +19,8 @@ use crate::forwarding::{ForwardedFrame, ForwardingReport};
 use crate::link_context::LinkContext;
 use crate::output_queue::OutputQueue;
 use crate::output_schedule::message_for_output;
-use crate::robot_index::RobotIndex;
 use crate::robot_table::RobotTable;
+use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
@@ -79,7 +79,6 @@ impl Transmitter<'_> {
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
     }
 
-    /// Sends a message of the station to one peer.
     pub(crate) fn send_to_peer(&mut self, to: Endpoint, message: &Message, priority: Priority) {
         let Endpoint { link, peer } = to;
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::Peer(peer) });
@@ -158,7 +157,7 @@ impl Transmitter<'_> {
     /// On a link with several robots a robot gets its own outputs, ground stations get all of them, and no robot gets another's.
     fn send_on_shared_link(&mut self, index: RobotIndex, transmission: Transmission<'_>) {
         let id = transmission.link;
-        if let Some(peer) = self.robots.peer_on(index, id) {
+        if let Some(peer) = self.robots.identities.peer_on(index, id) {
             self.transmit(Transmission { to: Recipients::Peer(peer), sender: Sender::Station, ..transmission });
         }
         let Some(link) = self.links.get(&id) else {
@@ -223,7 +222,6 @@ impl Transmitter<'_> {
         }
     }
 
-    /// Forwards a frame to its recipients on one link.
     fn forward_frame(&mut self, to: &[(LinkId, Recipients)], frame: &ForwardedFrame) {
         let now = self.now;
         let Some((id, link)) = to.first().and_then(|(id, _)| Some((*id, self.links.get_mut(id)?))) else {
@@ -265,7 +263,7 @@ impl Transmitter<'_> {
             self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
         let robots = self.robots.at_home(id, self.router);
         let is_of_other_robot = robots.first().is_some_and(|robot| {
-            let sender = self.robots.only_at(from);
+            let sender = self.robots.identities.only_at(from);
             sender.is_some_and(|sender| sender != *robot)
         });
         if is_ground_station || (robots.len() < 2 && !is_of_other_robot) {

@@ -48,7 +48,6 @@ impl CommandResponder {
     }
 }
 
-/// All vehicles of one link.
 #[derive(Debug, Default)]
 pub(crate) struct VehicleProxies {
     vehicles: BTreeMap<RobotId, VehicleProxy>,
@@ -66,7 +65,6 @@ pub(crate) struct VehicleProxies {
     due: BTreeSet<(Timestamp<HostClock>, RobotId)>,
 }
 
-/// One robot as a vehicle.
 #[derive(Debug)]
 struct VehicleProxy {
     address: Address,

@@ -46,17 +46,6 @@ fn the_worthiest_frame_goes_first_and_equals_keep_their_order() {
 }
 
 #[test]
-fn a_new_estimate_takes_the_place_of_the_one_that_waits() {
-    let mut queue = SendQueue::new(100);
-    assert_eq!(queue.push(1, estimate(32), b"old"), 0);
-    assert_eq!(queue.push(1, estimate(30), b"other stream"), 0);
-    assert_eq!(queue.push(2, estimate(32), b"other peer"), 0);
-    assert_eq!(queue.push(1, estimate(32), b"newer"), 1);
-    let expected: [&[u8]; 3] = [b"newer", b"other stream", b"other peer"];
-    assert_eq!(drained(queue), expected);
-}
-
-#[test]
 fn a_full_queue_drops_the_stalest_estimate_then_forwarded_then_conversation() {
     let mut queue = SendQueue::new(10);
     assert_eq!(queue.push((), estimate(1), b"e1"), 0);
@@ -93,17 +82,6 @@ fn a_frame_that_cannot_fit_drops_only_itself() {
     assert_eq!(queue.push((), Forwarded, b"bbbbb"), 1);
     assert_eq!(queue.push((), Session, b"ccccc"), 1);
     assert_eq!(drained(queue), [b"aa"]);
-}
-
-#[test]
-fn commands_have_a_reserve_and_beyond_it_the_newest_is_refused() {
-    let mut queue = SendQueue::with_reserve(4, 6);
-    assert_eq!(queue.push((), Session, b"cccc"), 0);
-    assert_eq!(queue.push((), Command, b"one"), 0);
-    assert_eq!(queue.push((), Command, b"two"), 0);
-    assert_eq!(queue.push((), Command, b"x"), 1);
-    let expected: [&[u8]; 3] = [b"one", b"two", b"cccc"];
-    assert_eq!(drained(queue), expected);
 }
 
 #[test]

@@ -10,8 +10,6 @@ mod serial;
 mod serial_device;
 mod serial_line;
 mod tcp;
-mod tcp_server;
-mod tcp_socket;
 mod udp;
 mod udp_peers;
 mod udp_socket;

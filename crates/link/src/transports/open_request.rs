@@ -72,7 +72,6 @@ impl fmt::Display for ConnectRole {
 /// One attempt to open a link.
 #[derive(Clone, Debug)]
 pub struct OpenRequest {
-    /// The link.
     pub url: LinkUrl,
     /// Which end opens the connection.
     pub role: ConnectRole,
@@ -116,7 +115,6 @@ pub(super) async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, Op
     Ok(addresses)
 }
 
-/// The detail of a link that listens on `address`, for people.
 pub(super) fn listening_detail(url: &LinkUrl, address: SocketAddr) -> String {
     let (host, _) = url.host_and_port();
     if host.is_empty() {

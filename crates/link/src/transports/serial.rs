@@ -58,7 +58,6 @@ struct SerialOpenAttempt {
     stable_path: Option<PathBuf>,
 }
 
-/// A line that was opened.
 struct OpenedSerial {
     port: TTYPort,
     /// Dropped after the port, and then restores the settings.

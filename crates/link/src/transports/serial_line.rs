@@ -116,32 +116,6 @@ impl LatencyTimer {
 mod tests {
     use super::*;
 
-    fn with_timer(says: &str) -> (tempfile::TempDir, std::path::PathBuf) {
-        let root = tempfile::tempdir().expect("a temporary directory");
-        let folder = root.path().join("ttyUSB0");
-        fs::create_dir(&folder).expect("own directory");
-        let file = folder.join("latency_timer");
-        fs::write(&file, says).expect("own directory");
-        (root, file)
-    }
-
-    #[test]
-    fn the_latency_timer_of_an_adapter_is_shortened() {
-        let (root, file) = with_timer("16\n");
-        let latency = shorten_latency_timer(Path::new("/dev/ttyUSB0"), root.path());
-        assert_eq!(latency, LatencyTimer::Shortened);
-        assert_eq!(latency.describe(), ", latency timer 1 ms");
-        assert_eq!(fs::read_to_string(file).expect("it is there").trim(), "1");
-    }
-
-    #[test]
-    fn a_line_without_a_latency_timer_is_left_alone() {
-        let root = tempfile::tempdir().expect("a temporary directory");
-        let latency = shorten_latency_timer(Path::new("/dev/ttyACM0"), root.path());
-        assert_eq!(latency, LatencyTimer::Absent);
-        assert_eq!(latency.describe(), "");
-    }
-
     #[test]
     fn a_timer_that_may_not_be_written_is_told_with_its_cure() {
         let latency = LatencyTimer::Unchanged { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };

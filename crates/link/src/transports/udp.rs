@@ -89,7 +89,6 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
 #[derive(Default)]
 struct FairInbox {
     by_peer: BTreeMap<PeerId, VecDeque<ReceivedData>>,
-    /// The peer that was served last.
     last_served: PeerId,
 }
 

@@ -15,7 +15,6 @@ const BUSY_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 /// at 100 Hz in a datagram of its own.
 const BUSY_DATAGRAMS: u32 = 500;
 
-/// The known peers.
 pub(super) struct UdpPeerTable {
     idle: TimeDelta,
     by_address: BTreeMap<SocketAddr, UdpPeer>,
@@ -56,7 +55,6 @@ impl UdpPeerTable {
         id
     }
 
-    /// Records a datagram from `address`.
     pub(super) fn record_activity(&mut self, address: SocketAddr, now: Timestamp<HostClock>) -> PeerId {
         if let Some(peer) = self.by_address.get_mut(&address) {
             peer.count_datagram(now);

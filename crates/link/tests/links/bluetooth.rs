@@ -28,5 +28,5 @@ async fn a_brick_that_cannot_be_reached_is_waited_for() {
     brick.try_open().await.expect("it may be switched on later");
     let (reason, retry_in) = down(&mut brick).await;
     assert!(reason.contains("00:16:53:AA:BB:CC"), "{reason}");
-    assert!(retry_in > Span::ZERO);
+    assert!(retry_in > TimeDelta::ZERO);
 }

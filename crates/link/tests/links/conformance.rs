@@ -1,5 +1,6 @@
 //! The promises of every transport, checked for each entry of the table.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -102,30 +103,17 @@ async fn beside(to: &mut Link, from: &mut Link, count: usize) -> Vec<u8> {
 }
 
 #[test]
-fn every_example_selects_its_own_transport() {
+fn every_transport_is_selected_by_its_example_and_explained_and_accepts_its_own_defaults() {
+    let schemes: BTreeSet<_> = TRANSPORTS.iter().map(|transport| transport.scheme()).collect();
+    assert_eq!(schemes.len(), TRANSPORTS.len(), "every scheme stands once");
     for transport in TRANSPORTS {
+        let scheme = transport.scheme();
+        assert!(scheme.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit()), "{scheme}");
         let url = LinkUrl::parse(transport.example()).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(url.transport().scheme(), transport.scheme());
+        assert_eq!(url.transport().scheme(), scheme);
         assert_eq!(url.to_string(), transport.example());
-    }
-}
-
-#[test]
-fn every_scheme_is_one_word_and_stands_once() {
-    let mut schemes: Vec<_> = TRANSPORTS.iter().map(|transport| transport.scheme()).collect();
-    assert!(
-        schemes.iter().all(|scheme| { scheme.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit()) })
-    );
-    schemes.sort_unstable();
-    let count = schemes.len();
-    schemes.dedup();
-    assert_eq!(schemes.len(), count);
-}
-
-#[test]
-fn every_transport_and_option_is_explained_and_accepts_its_own_default() {
-    for transport in TRANSPORTS {
-        assert!(!transport.summary().is_empty(), "{}", transport.scheme());
+        assert!(!transport.summary().is_empty(), "{scheme}");
+        assert!(transport.options().iter().any(|option| option.name == "rate"), "{scheme}");
         for option in transport.options() {
             assert!(!option.help.is_empty(), "{}", option.name);
             let base = transport.example().split('?').next().expect("the target");
@@ -137,7 +125,8 @@ fn every_transport_and_option_is_explained_and_accepts_its_own_default() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_link_carries_bytes_both_ways() {
+async fn every_link_carries_every_byte_both_ways() {
+    let all: Vec<u8> = (0..=255).collect();
     for transport in TRANSPORTS {
         let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
@@ -145,16 +134,6 @@ async fn every_link_carries_bytes_both_ways() {
         ends.talk().await;
         let counters = ends.near.counters();
         assert_eq!((counters.bytes_in, counters.bytes_out, counters.drops_out), (5, 4, 0), "{}", transport.scheme());
-    }
-}
-
-#[tokio::test(start_paused = true)]
-async fn every_link_carries_every_byte_value_unchanged() {
-    let all: Vec<u8> = (0..=255).collect();
-    for transport in TRANSPORTS {
-        let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
-            continue;
-        };
         ends.near.send(&all);
         assert_eq!(beside(&mut ends.far, &mut ends.near, 256).await, all, "{}", transport.scheme());
         ends.far.send(&all);
@@ -232,14 +211,6 @@ async fn datagram_links_keep_the_bounds_of_datagrams() {
         for frame in [&b"one"[..], b"twotwo", b"3"] {
             assert_eq!(beside(&mut ends.far, &mut ends.near, 1).await, frame);
         }
-    }
-}
-
-#[test]
-fn every_transport_takes_a_rate() {
-    for transport in TRANSPORTS {
-        let has_rate = transport.options().iter().any(|option| option.name == "rate");
-        assert!(has_rate, "{}", transport.scheme());
     }
 }
 

@@ -8,6 +8,7 @@ mod bluetooth;
 mod conformance;
 mod ev3;
 mod file;
+mod flood;
 mod network;
 mod serial;
 mod slow;

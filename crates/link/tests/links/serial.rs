@@ -66,13 +66,30 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
     let mut station = bench.serial();
     up(&mut station).await;
     for replug in 1..=20 {
-        drop(cable.take());
-        let (event, polls) = next_counted(&mut station).await;
-        let LinkEvent::Down { retry_in, at, .. } = event else {
+        // The cable goes in the middle of a frame, in both directions.
+        let mut pty = cable.take().expect("it is plugged in");
+        pty.send(b"half a fr");
+        station.send(b"another ha");
+        drop(pty);
+        let (mut event, mut polls) = next_counted(&mut station).await;
+        if let LinkEvent::Bytes { bytes, .. } = &event {
+            assert_eq!(bytes, b"half a fr");
+            (event, polls) = next_counted(&mut station).await;
+        }
+        let LinkEvent::Down { mut retry_in, mut at, .. } = event else {
             panic!("{event:?} instead of a loss");
         };
         assert!(polls <= 3, "{polls} polls to notice a loss");
         assert!(!station.is_up());
+        if replug % 10 == 0 {
+            // Away for longer than one wait: an attempt finds nothing.
+            (event, polls) = next_counted(&mut station).await;
+            let LinkEvent::Down { retry_in: next, at: then, .. } = event else {
+                panic!("{event:?} instead of another wait");
+            };
+            assert!(polls <= 5, "{polls} polls to find nothing");
+            (retry_in, at) = (next, then);
+        }
 
         let mut pty = bench.plugged_pty().await;
         let (event, polls) = next_counted(&mut station).await;
@@ -87,9 +104,11 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
         assert!(away <= retry_in + TimeDelta::from_millis(3), "{away:?} for {retry_in:?}");
 
         pty.send(b"here again");
+        station.send(b"and back");
         // What is sent before the first turn of the reactor waits for the next poll.
         assert_eq!(poll_once(&mut pty).await, None);
         assert_eq!(bytes(&mut station, 10).await, b"here again");
+        assert_eq!(bytes(&mut pty, 8).await, b"and back");
         assert_eq!(station.counters().reconnects, replug);
         cable = Some(pty);
     }

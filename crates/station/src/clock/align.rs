@@ -55,7 +55,6 @@ pub struct Alignment<C: Clock> {
     pub skew_uncertainty_ppm: f64,
     /// How far the offset may be off.
     pub uncertainty: TimeDelta,
-    /// Round trip of the exchange.
     pub round_trip: TimeDelta,
 }
 

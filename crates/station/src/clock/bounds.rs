@@ -17,9 +17,8 @@
 //! docs/maths/clock.md, sections 2 and 3.
 
 use super::MAX_SKEW;
-use super::hull::{BoundHull, BoundSide, OffsetBound};
+use super::hull::{BoundHull, BoundSide, BoundWindow, OffsetBound};
 use super::maximize::{LinearPiece, argmax, nearest_nonnegative};
-use super::window::BoundWindow;
 
 /// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
 /// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).

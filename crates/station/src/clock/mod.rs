@@ -13,7 +13,6 @@ mod last_stamp;
 mod maximize;
 mod stamp_tracks;
 pub mod unwrap;
-mod window;
 
 pub use posebridge_protocol::routing::Endpoint;
 

@@ -60,7 +60,6 @@ enum TrackStatus {
     Stale { until_micros: i64 },
 }
 
-/// What a stamp is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StampPlacement {
     /// An instant of the clock as it runs, in microseconds.

@@ -89,14 +89,6 @@ mod tests {
     }
 
     #[test]
-    fn a_microsecond_counter_runs_on_across_its_wrap() {
-        let mut unwrapper = Unwrapper::default();
-        unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
-        let after = unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
-        assert_eq!(after, UnwrapOutcome::Continued(Timestamp::from_micros((1 << 32) + 49_000)));
-    }
-
-    #[test]
     fn a_millisecond_counter_runs_on_across_its_wrap_after_fifty_days() {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Millis32(u32::MAX - 9), 0);
@@ -108,7 +100,8 @@ mod tests {
     fn milliseconds_and_microseconds_of_one_clock_agree_across_the_wrap() {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, WireStamp::Micros32(u32::MAX - 999), 0);
-        unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
+        let micros = unwrapped(&mut unwrapper, WireStamp::Micros32(49_000), 50);
+        assert_eq!(micros, UnwrapOutcome::Continued(Timestamp::from_micros((1 << 32) + 49_000)));
         let millis = unwrapped(&mut unwrapper, WireStamp::Millis32(((1_u64 << 32) / 1_000) as u32 + 100), 100);
         assert_eq!(millis, UnwrapOutcome::Continued(Timestamp::from_micros(4_295_067_000)));
     }

@@ -1,0 +1,74 @@
+//! Fifty peers on one UDP port, of which one is silent and one sends garbage as fast as a thread can, faster than the station
+//! reads. Real sockets; nothing depends on how quick the computer is.
+
+use std::collections::BTreeMap;
+use std::net::UdpSocket;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::support::{port, up};
+use posebridge_link::{ConnectRole, HostTimer, LinkEvent};
+use posebridge_telemetry::PeerId;
+
+const ROBOTS: u8 = 48;
+const ROUNDS: u8 = 20;
+/// Garbage that has to be there before the robots begin: by then its sender is known to be loud.
+const HEAD_START: u64 = 5_000;
+/// More garbage than this before a round was heard means that a datagram is lost.
+const MAXIMUM_GARBAGE: u64 = 2_000_000;
+const GARBAGE: [u8; 200] = [0; 200];
+
+fn socket() -> UdpSocket {
+    UdpSocket::bind("127.0.0.1:0").expect("a free port")
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn of_fifty_peers_one_that_floods_costs_nobody_a_datagram() {
+    let mut station = port("udp://127.0.0.1:0", ConnectRole::Listen, HostTimer::start());
+    up(&mut station).await;
+    let address = station.local_address().expect("it listens");
+    let silent = socket();
+    silent.connect(address).expect("loopback");
+    let robots: Vec<_> = (0..ROBOTS).map(|_| socket()).collect();
+    let stop = Arc::new(AtomicBool::new(false));
+    let flooder = std::thread::spawn({
+        let (stop, socket) = (Arc::clone(&stop), socket());
+        move || {
+            while !stop.load(Ordering::Relaxed) {
+                drop(socket.send_to(&GARBAGE, address));
+            }
+        }
+    });
+
+    let mut heard: BTreeMap<u8, Vec<u8>> = BTreeMap::new();
+    let mut peers: BTreeMap<u8, PeerId> = BTreeMap::new();
+    let mut garbage = 0_u64;
+    for round in 0..=ROUNDS {
+        // Everybody speaks once per round, after a round without them.
+        for (number, robot) in (0..ROBOTS).zip(&robots).filter(|_| round > 0) {
+            robot.send_to(&[number, round], address).expect("loopback");
+        }
+        let expected = usize::from(ROBOTS) * usize::from(round);
+        while heard.values().map(Vec::len).sum::<usize>() < expected || garbage < HEAD_START {
+            let LinkEvent::Bytes { peer, bytes, .. } = station.next_event().await else { panic!("UDP stays up") };
+            if let [number, round] = bytes[..] {
+                heard.entry(number).or_default().push(round);
+                assert_eq!(*peers.entry(number).or_insert(peer), peer, "robot {number} changed its number");
+            } else {
+                assert_eq!(bytes, GARBAGE);
+                garbage += 1;
+                assert!(garbage < MAXIMUM_GARBAGE, "in round {round} a datagram was lost");
+            }
+        }
+    }
+    stop.store(true, Ordering::Relaxed);
+    flooder.join().expect("it only sends");
+
+    let expected: Vec<u8> = (1..=ROUNDS).collect();
+    assert!(heard.values().all(|rounds| *rounds == expected), "{heard:?}");
+    let mut different: Vec<_> = peers.values().collect();
+    different.sort_unstable();
+    different.dedup();
+    assert_eq!(different.len(), usize::from(ROBOTS), "each is a peer of its own");
+    assert_eq!(station.port_counts().peers, u32::from(ROBOTS) + 1, "the silent one is not known");
+}

@@ -1,0 +1,106 @@
+//! Who else is on a link: those who were replaced, those who were invented, and what they may cost the others.
+
+use std::collections::BTreeMap;
+
+use crate::support::network::RemotePeer;
+use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, ticks};
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{
+    Address, HostClock, Input, LinkCounts, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp,
+};
+
+const GCS_LINK: LinkId = LinkId(5);
+const GCS: Address = Address::new(254, 190);
+
+/// Estimates that were sent to the robot's link.
+fn estimates(station: &TestStation) -> usize {
+    station.sent().filter(|sent| sent.link == LINK && matches!(sent.priority, Priority::Estimate { .. })).count()
+}
+
+/// Ten seconds of telemetry and much beside it by a connection that has replaced one of `before`; the port tells of so many peers.
+fn by_a_new_connection(before: Timestamp<HostClock>, told: u32) -> TestStation {
+    let mut config = config();
+    config.links[0].rules.limits.bytes_per_s = Some(2_500);
+    let mut station = TestStation::new(&config);
+    RemotePeer::new(BRICK, LINK, 0).send(&mut station, before, &HEARTBEAT);
+    let counts = LinkCounts { peers: told, ..LinkCounts::default() };
+    station.handle(at(59_000), Input::Port { link: LINK, counts });
+    let mut again = RemotePeer::new(BRICK, LINK, 1);
+    for k in 0..200_u32 {
+        let now = at(60_000 + i64::from(k) * 50);
+        assert_eq!(again.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0)), [], "message {k}");
+        // Others on the same link would be told as much again.
+        for _ in 0..3 {
+            assert_eq!(again.send(&mut station, now, &HEARTBEAT), []);
+        }
+    }
+    station
+}
+
+#[test]
+fn who_was_replaced_by_a_new_connection_gets_nothing_and_costs_nothing() {
+    // Long ago, as far as is known; and lately, but the port knows that he has gone.
+    for (before, told) in [(at(10), 0), (at(57_000), 1)] {
+        let mut station = by_a_new_connection(before, told);
+        assert_eq!(station.later_health(LINK).forwarded, 0);
+        assert_eq!(estimates(&station), 200);
+    }
+}
+
+#[test]
+fn two_who_speak_on_one_link_hear_each_other() {
+    for told in [0, 1, 2] {
+        let mut station = TestStation::new(&config());
+        let counts = LinkCounts { peers: told, ..LinkCounts::default() };
+        station.handle(at(5), Input::Port { link: LINK, counts });
+        RemotePeer::new(BRICK, LINK, 0).send(&mut station, at(10), &HEARTBEAT);
+        let passed = RemotePeer::new(GCS, LINK, 1).send(&mut station, at(20), &HEARTBEAT);
+        let to_the_other = (LINK, Recipients::AllExcept(PeerId(1)), Priority::Forwarded);
+        assert_eq!(passed, [to_the_other], "{told}");
+    }
+}
+
+#[test]
+fn a_limit_is_asked_once_for_a_frame_and_not_once_for_each_who_gets_it() {
+    let mut config = config();
+    config.links.push(link(GCS_LINK, vec![]));
+    let interval = TimeDelta::from_millis(200);
+    config.links[0].rules.limits.min_intervals = BTreeMap::from([(ids::PARAM_SET, interval)]);
+    let mut station = TestStation::new(&config);
+    // The robot has reconnected: it was heard by two peers of its link.
+    for peer in 0..2 {
+        RemotePeer::new(BRICK, LINK, peer).send(&mut station, at(10), &HEARTBEAT);
+    }
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
+    let set = Message::ParamSet { target: BRICK, name: "GAIN".to_owned(), value: 1.0 };
+    let to_both = [0, 1].map(|peer| (LINK, Recipients::Peer(PeerId(peer)), Priority::Forwarded));
+    assert_eq!(gcs.send(&mut station, at(100), &set), to_both);
+    assert_eq!(gcs.send(&mut station, at(299), &set), []);
+    assert_eq!(gcs.send(&mut station, at(300), &set), to_both);
+    assert_eq!(station.later_health(LINK).rate_limited, 1);
+}
+
+#[test]
+fn commands_of_the_station_pay_from_the_budget_as_those_of_others_do() {
+    let estimates_beside = |wanted: Vec<(u32, TimeDelta)>| {
+        let mut config = config();
+        config.brick_message_intervals = wanted;
+        config.links[0].rules.limits.bytes_per_s = Some(200);
+        let mut station = TestStation::new(&config);
+        // It answers no request, so that each is said five times.
+        for k in 0..100_u32 {
+            let now = at(i64::from(k) * 50);
+            if k % 20 == 0 {
+                station.bytes(now, &frame(BRICK, &HEARTBEAT));
+            }
+            station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
+            station.pass_until(now);
+        }
+        estimates(&station)
+    };
+    let alone = estimates_beside(vec![]);
+    let beside = estimates_beside(vec![(42_100, TimeDelta::from_millis(50))]);
+    // Five requests of 45 bytes are more than three estimates of 64.
+    assert!(alone >= beside + 3, "{alone} {beside}");
+}
