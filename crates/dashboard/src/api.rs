@@ -64,38 +64,16 @@ pub struct DashboardInputs {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DashboardStartError {
-    /// Another program listens on the address.
     #[error(
         "{address} is in use, perhaps by another station; choose another port with `--dashboard IP:PORT`, or `--no-dashboard`"
     )]
-    AddressInUse {
-        /// The address.
-        address: SocketAddr,
-    },
-    /// All tried ports are in use.
+    AddressInUse { address: SocketAddr },
     #[error("{address} and the {MAX_PORT_ATTEMPTS} ports behind it are in use; choose one with `--dashboard IP:PORT`")]
-    AllPortsInUse {
-        /// The first address.
-        address: SocketAddr,
-    },
-    /// The system refuses to bind the address.
+    AllPortsInUse { address: SocketAddr },
     #[error("cannot listen on {address}")]
-    Bind {
-        /// The address.
-        address: SocketAddr,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The system has no random bytes for a token.
+    Bind { address: SocketAddr, source: io::Error },
     #[error("no random bytes for a token")]
-    Token {
-        /// The system's error.
-        source: getrandom::Error,
-    },
-    /// The thread could not be started.
+    Token { source: getrandom::Error },
     #[error("starting the dashboard's thread")]
-    Thread {
-        /// The system's error.
-        source: io::Error,
-    },
+    Thread { source: io::Error },
 }

@@ -1,4 +1,4 @@
-//! Readers in this process: the messages of the page, as values.
+//! Readers in this process, such as the terminal view: the messages of the page as values, and commands back.
 //!
 //! The hub makes one attempt to send a message to each reader and never waits. A message that does not fit is dropped
 //! and counted: a reader that hangs misses messages and delays nobody.
@@ -7,6 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 
+use posebridge_telemetry::{Command, Input, RobotId};
+use tokio::sync::mpsc;
+
+use crate::counters::{ServerCounter, ServerCounters};
 use crate::model::Frame;
 
 /// The sending ends, owned by the hub.
@@ -87,6 +91,31 @@ impl FrameTap {
     /// Messages missed because this reader was slow.
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
+    }
+}
+
+/// Sends commands of this process to the station.
+#[derive(Clone, Debug)]
+pub struct CommandSubmitter {
+    pub(crate) commands: mpsc::Sender<Input>,
+    pub(crate) counts: Arc<ServerCounters>,
+}
+
+impl CommandSubmitter {
+    /// Sends a command, for one robot or as one that names none, as the page's buttons do; false if too many wait or the station is ending. Never waits.
+    pub fn send(&self, robot: Option<RobotId>, command: Command) -> bool {
+        let input = robot.map_or(Input::Command(command), |robot| Input::RobotCommand { robot, command });
+        match self.commands.try_send(input) {
+            Ok(()) => {
+                self.counts.increment(ServerCounter::Commands);
+                true
+            }
+            Err(mpsc::error::TrySendError::Full(_)) => {
+                self.counts.increment(ServerCounter::CommandsFull);
+                false
+            }
+            Err(mpsc::error::TrySendError::Closed(_)) => false,
+        }
     }
 }
 

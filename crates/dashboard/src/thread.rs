@@ -11,7 +11,6 @@ use tokio_util::sync::CancellationToken;
 use crate::api::{DashboardInputs, DashboardStartError, HostClockSource, StationInfo, TokenPolicy};
 use crate::assets::Assets;
 use crate::command::CommandContext;
-use crate::commander::CommandSubmitter;
 use crate::counters::ServerCounters;
 use crate::feed::EventFeed;
 use crate::hub::Hub;
@@ -19,6 +18,7 @@ use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_CLIENTS, MAX_WAITING_COMM
 use crate::listener::BoundListener;
 use crate::recordings::RecordingFolder;
 use crate::server::{AppState, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
+use crate::taps::CommandSubmitter;
 use crate::token::AccessToken;
 
 /// A running dashboard. It ends when [`Self::finish`] is called or it is dropped.
@@ -36,9 +36,6 @@ pub struct Dashboard {
 impl Dashboard {
     /// Starts the thread, which serves at the bound address; without one it has only readers in this process. Returns
     /// the dashboard, the feed for events and the receiver of commands as inputs of the station.
-    ///
-    /// # Errors
-    /// There are no random bytes for a token, or the thread cannot be started.
     pub fn start(
         bound: Option<BoundListener>,
         facts: StationInfo,

@@ -12,9 +12,6 @@ pub struct AccessToken(String);
 
 impl AccessToken {
     /// A new token from random bytes of the operating system.
-    ///
-    /// # Errors
-    /// The system has none.
     pub fn random() -> Result<Self, getrandom::Error> {
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes)?;

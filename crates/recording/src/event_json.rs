@@ -9,7 +9,7 @@ use posebridge_telemetry::{
     Address, Estimate, Event, FusionRecord, Heading, LinkCounter, LinkHealth, LinkId, LinkState, Observation,
     ObservationKind, ReceiveError, RobotId, ScalarEstimate, SourceHealth, TimeDelta,
 };
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// One line, without its end.
 pub fn to_json_line(event: &Event) -> String {
@@ -245,60 +245,8 @@ pub(crate) fn details_of(defect: &ReceiveError) -> String {
 
 fn text_of_value(value: &Value) -> String {
     match value {
-        Value::Object(source) => address_text(source),
+        Value::Object(source) => format!("{}/{}", source["system"], source["component"]),
         Value::String(text) => text.clone(),
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::Array(_) => value.to_string(),
-    }
-}
-
-fn address_text(source: &Map<String, Value>) -> String {
-    format!("{}/{}", source["system"], source["component"])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use posebridge_telemetry::{Meters, Pose, SensorId, SignatureError, Timestamp};
-
-    #[test]
-    fn a_line_is_json_with_the_name_first_and_numbers_that_read_back() {
-        let observation = Observation {
-            sensor: SensorId::WHEELS,
-            stamp: Timestamp::from_nanos(1_234_567_891),
-            stamp_sigma: TimeDelta::from_millis(1),
-            measurement: ObservationKind::OdometerPose(Pose::new(
-                Meters(0.1 + 0.2),
-                Meters(-2.0),
-                Heading::from_rad(0.5),
-            )),
-        };
-        let event = Event::ObservationAligned {
-            robot: RobotId { link: LinkId(3), address: Address::new(1, 2) },
-            source: Address::new(1, 2),
-            arrival: Timestamp::from_nanos(5),
-            observation,
-        };
-        let text = to_json_line(&event);
-        assert!(text.starts_with("{\"event\":\"observed\","), "{text}");
-        let read: Value = serde_json::from_str(&text).unwrap();
-        assert_eq!(read["x_m"], json!(0.1 + 0.2));
-        assert_eq!(read["robot"], json!({ "link": 3, "system": 1, "component": 2 }));
-        assert_eq!(read["robot_ns"], json!(1_234_567_891));
-        assert_eq!(read["kind"], "odometer_pose");
-    }
-
-    #[test]
-    fn a_named_robot_is_robot_named() {
-        let robot = RobotId { link: LinkId(3), address: Address::new(1, 2) };
-        let text = to_json_line(&Event::RobotNamed { robot, name: "ada".to_owned() });
-        let robot = r#"{"component":2,"link":3,"system":1}"#;
-        assert_eq!(text, format!(r#"{{"event":"robot_named","name":"ada","robot":{robot}}}"#));
-    }
-
-    #[test]
-    fn a_receive_error_in_a_table_names_itself_and_its_numbers() {
-        let refused = ReceiveError::SignatureRejected { source: Address::new(7, 1), reason: SignatureError::Invalid };
-        assert_eq!(details_of(&refused), "signature_rejected reason invalid source 7/1");
-        assert_eq!(details_of(&ReceiveError::UnframedBytes { bytes: 12 }), "unframed_bytes bytes 12");
     }
 }

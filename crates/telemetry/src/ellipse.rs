@@ -25,6 +25,9 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
+    /// An ellipse of this many standard deviations holds 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05).
+    pub const SIGMAS_95: f64 = 2.447_746_830_680_816;
+
     /// The ellipse of `sigmas` standard deviations of a covariance given by its upper triangle, in m².
     ///
     /// `None` if it is not finite or not positive semi-definite (beyond rounding).

@@ -1,6 +1,7 @@
 //! Estimates: a robot's pose or a single quantity at one instant, with its uncertainty.
 
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
+use crate::ellipse::Ellipse;
 use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
 use crate::spaces::{Arena, Pose};
 
@@ -52,6 +53,12 @@ impl Estimate {
             }
             None => "pose reset".to_owned(),
         }
+    }
+
+    /// The ellipse that holds the position with a probability of 95 %; `None` if the covariance is none.
+    pub fn ellipse_95(&self) -> Option<Ellipse> {
+        let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = self.covariance;
+        Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, Ellipse::SIGMAS_95)
     }
 
     /// Standard deviation of x, in metres.

@@ -8,8 +8,6 @@
 
 #![warn(missing_docs)]
 
-pub mod arena_map;
-pub mod calibration;
 pub mod clock;
 pub mod command;
 pub mod ellipse;
@@ -20,7 +18,6 @@ pub mod ids;
 pub mod io;
 pub mod link_health;
 pub mod observation;
-pub mod outbound;
 pub mod quantities;
 pub mod repeat_filter;
 pub mod robot;
@@ -28,8 +25,6 @@ pub mod severity;
 pub mod simulator;
 pub mod spaces;
 
-pub use arena_map::{ArenaMap, Wall};
-pub use calibration::{Calibration, UncertainValue};
 pub use clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
 pub use command::{Command, OnlineCalibration, ParameterName, ParameterStorage, Request};
 pub use ellipse::Ellipse;
@@ -37,14 +32,13 @@ pub use estimate::{Estimate, PoseCorrection, ScalarEstimate, Validity};
 pub use event::{Event, LinkState, ReceiveError, SignatureError};
 pub use fusion::{FusionOutcome, FusionRecord};
 pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId};
-pub use io::{Input, Output};
+pub use io::{Input, Output, Priority, Recipients};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
-pub use outbound::{Priority, Recipients};
 pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond, Volts,
 };
 pub use repeat_filter::{RepeatDecision, RepeatFilter};
-pub use robot::{DriveGeometry, SensorNoise};
+pub use robot::{ArenaMap, Calibration, DriveGeometry, SensorNoise, UncertainValue, Wall};
 pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};

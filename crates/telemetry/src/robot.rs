@@ -1,6 +1,10 @@
-//! The configured properties of a robot: its geometry and the noise of its sensors.
+//! The properties of a robot: its geometry, the noise of its sensors, what a filter has learned of them, and the map of its arena.
 
+use std::collections::BTreeMap;
+
+use crate::ids::{BeaconId, LandmarkId};
 use crate::quantities::{Meters, Radians};
+use crate::spaces::{Arena, Point2};
 
 /// A differential drive: two driven wheels on one axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,4 +79,65 @@ impl SensorNoise {
         wall_range_m: 0.0,
         temperature_k: 0.0,
     };
+}
+
+/// A number with one standard deviation; a sigma of zero means that it is fixed and not estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UncertainValue {
+    /// The number.
+    pub value: f64,
+    /// One standard deviation, in the number's own unit.
+    pub sigma: f64,
+}
+
+/// The systematic errors of a robot and of the sensors that watch it: as a prior in a filter's configuration, as a result in
+/// its report.
+///
+/// The true left wheel's radius is `r_L (1 + radius_scale - radius_difference / 2)`, the right one's
+/// `r_R (1 + radius_scale + radius_difference / 2)`, the true track width `b (1 + track_scale)`, with the nominal geometry
+/// r_L, r_R, b. For a robot that reports speeds or an odometer's pose the same numbers scale distance and turn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Calibration {
+    /// Relative error of the mean wheel radius.
+    pub radius_scale: UncertainValue,
+    /// Relative difference of the wheels' radii, right minus left.
+    pub radius_difference: UncertainValue,
+    /// Relative error of the track width.
+    pub track_scale: UncertainValue,
+    /// Gyro bias, in rad/s.
+    pub gyro_bias_rad_per_s: UncertainValue,
+    /// Delay of a fix: how much earlier than its timestamp it was measured, in seconds.
+    pub fix_delay_s: UncertainValue,
+    /// Error of the tag's configured position, forward, in metres.
+    pub tag_forward_m: UncertainValue,
+    /// Error of the tag's configured position, to the left, in metres.
+    pub tag_left_m: UncertainValue,
+    /// Offset of each beacon's ranges, in metres; positive reads long.
+    pub beacon_offset_m: UncertainValue,
+    /// Relative error of each beacon's ranges.
+    pub beacon_scale: UncertainValue,
+    /// Offset of the robot camera's ranges to landmarks, in metres; positive reads long.
+    pub landmark_offset_m: UncertainValue,
+    /// Relative error of the camera's ranges to landmarks.
+    pub landmark_scale: UncertainValue,
+}
+
+/// The positions of landmarks, beacons and walls.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ArenaMap {
+    /// Points that a robot's camera identifies.
+    pub landmarks: BTreeMap<LandmarkId, Point2<Arena>>,
+    /// Radio beacons.
+    pub beacons: BTreeMap<BeaconId, Point2<Arena>>,
+    /// Walls that a range sensor measures.
+    pub walls: Vec<Wall>,
+}
+
+/// A straight wall between two points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wall {
+    /// One end.
+    pub from: Point2<Arena>,
+    /// The other end.
+    pub to: Point2<Arena>,
 }

@@ -1,10 +1,8 @@
-//! Parsing and validation of a command's fields.
+//! Parsing and validation of a command's fields, and why a command is refused.
 
 use posebridge_telemetry::SensorSwitch;
 use posebridge_telemetry::simulator::{NUMBER_FIELDS, NumberField};
 use serde_json::{Map, Value};
-
-use super::error::CommandError;
 
 /// Longest excerpt of a wrong value in an error.
 const MAX_SHOWN_CHARS: usize = 60;
@@ -167,4 +165,25 @@ pub(super) fn truncate(text: &str) -> String {
         cut.push('…');
     }
     cut
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CommandError {
+    #[error("the command is no JSON: {why}")]
+    InvalidJson { why: String },
+    #[error("a command is an object such as {{\"command\": \"reset-pose\"}}")]
+    NotAnObject,
+    #[error("the field `command` is missing; it is one of: {known}")]
+    MissingName { known: String },
+    #[error("`command` is `{name}`; there are: {known}")]
+    UnknownName { name: String, known: String },
+    #[error("`{command}` needs the field `{field}`: {wanted}")]
+    MissingField { command: &'static str, field: &'static str, wanted: String },
+    #[error("`{command}`: the field `{field}` is {found}, must be {wanted}")]
+    WrongValue { command: &'static str, field: &'static str, found: String, wanted: String },
+    #[error("`{command}` is for a simulated brick, and this station has none of its own")]
+    NoSimulator { command: &'static str },
+    #[error("`{command}` has no field `{field}`; it has: {known}")]
+    UnknownField { command: &'static str, field: String, known: String },
 }

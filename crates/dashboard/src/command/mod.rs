@@ -3,21 +3,19 @@
 //! [`COMMANDS`] is the table for parsing, validation, the schema and docs/dashboard.md. Input is untrusted, so an error
 //! names the field, its value and the permitted ones.
 
-mod context;
-mod error;
 mod fields;
 mod table;
 
-pub(crate) use context::CommandContext;
-pub use error::CommandError;
-pub use fields::{CommandField, FieldKind};
+pub use fields::{CommandError, CommandField, FieldKind};
 pub use table::{COMMANDS, CommandRow, CommandTarget, ROBOT_FIELD};
 
-use posebridge_telemetry::{Command, Input, RobotId};
+use posebridge_telemetry::{Command, Input, ParameterName, RobotId, SensorId, SimulatorCommand};
 use serde_json::{Map, Value};
 
+use crate::api::StationInfo;
+use crate::model::ParameterRow;
 use crate::views::parse_robot_name;
-use fields::FieldValues;
+use fields::{FieldValues, format_value, one_of, truncate};
 
 /// A well-formed command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,9 +39,6 @@ impl ParsedCommand {
 }
 
 /// Parses a command.
-///
-/// # Errors
-/// The command is invalid; the error names the field.
 pub fn parse(text: &[u8]) -> Result<ParsedCommand, CommandError> {
     let value: Value =
         serde_json::from_slice(text).map_err(|error| CommandError::InvalidJson { why: error.to_string() })?;
@@ -65,7 +60,7 @@ fn robot_of(row: &CommandRow, value: &Value) -> Result<RobotId, CommandError> {
     robot.ok_or_else(|| CommandError::WrongValue {
         command: row.name,
         field: ROBOT_FIELD,
-        found: fields::format_value(value),
+        found: format_value(value),
         wanted: "the id of a robot as /v1/robots has it, such as \"0/1/1\"".to_owned(),
     })
 }
@@ -78,10 +73,10 @@ fn find_row(name: Option<Value>) -> Result<&'static CommandRow, CommandError> {
     let name = match name {
         None => return Err(CommandError::MissingName { known: known() }),
         Some(Value::String(name)) => name,
-        Some(other) => fields::format_value(&other),
+        Some(other) => format_value(&other),
     };
     let row = COMMANDS.iter().find(|row| row.name == name);
-    row.ok_or_else(|| CommandError::UnknownName { name: fields::truncate(&name), known: known() })
+    row.ok_or_else(|| CommandError::UnknownName { name: truncate(&name), known: known() })
 }
 
 fn reject_unknown_fields(row: &CommandRow, found: &Map<String, Value>) -> Result<(), CommandError> {
@@ -93,9 +88,114 @@ fn reject_unknown_fields(row: &CommandRow, found: &Map<String, Value>) -> Result
     let known: Vec<&str> = row.fields.iter().map(|field| field.name).chain(robot).collect();
     Err(CommandError::UnknownField {
         command: row.name,
-        field: fields::truncate(unknown),
+        field: truncate(unknown),
         known: if known.is_empty() { "none".to_owned() } else { known.join(", ") },
     })
+}
+
+/// The names that commands may use at this station, to check a well-formed command against.
+///
+/// The station checks again, because commands come over links as well. Its rejections are in the log; those here go to
+/// the sender.
+pub(crate) struct CommandContext {
+    parameters: Vec<ParameterRow>,
+    /// The link profiles of the simulated brick, if there is one.
+    profiles: Option<Vec<String>>,
+}
+
+impl CommandContext {
+    pub(crate) fn from_info(info: &StationInfo) -> Self {
+        let simulator = info.simulator.as_ref();
+        Self {
+            parameters: info.parameters.clone(),
+            profiles: simulator.map(|simulator| simulator.link_profiles.clone()),
+        }
+    }
+
+    /// Checks a command; `name` is its name in JSON.
+    pub(crate) fn validate(&self, name: &'static str, command: &Command) -> Result<(), CommandError> {
+        let fault = match command {
+            Command::SetParameter { name, value } => self.parameter_fault(*name, *value),
+            Command::SwitchSource { sensor, .. } => sensor_fault(*sensor),
+            Command::Simulator(simulated) => {
+                let profiles = self.profiles.as_deref();
+                let profiles = profiles.ok_or(CommandError::NoSimulator { command: name })?;
+                simulator_fault(simulated, profiles)
+            }
+            Command::SetPose { .. }
+            | Command::ResetPose
+            | Command::Parameters(_)
+            | Command::OnlineCalibration(_)
+            | Command::ResetCalibration
+            | Command::StartRecording
+            | Command::StopRecording => None,
+        };
+        fault.map_or(Ok(()), |fault| {
+            Err(CommandError::WrongValue {
+                command: name,
+                field: fault.field,
+                found: format_value(&fault.found),
+                wanted: fault.expected,
+            })
+        })
+    }
+
+    fn parameter_fault(&self, name: ParameterName, value: f64) -> Option<FieldFault> {
+        let row = self.parameters.iter().find(|row| row.name == name.as_str());
+        let Some(row) = row else {
+            return Some(FieldFault {
+                field: "name",
+                found: name.as_str().into(),
+                expected: "a name of /v1/parameters".to_owned(),
+            });
+        };
+        let is_within = (row.least..=row.most).contains(&value);
+        (!is_within).then(|| FieldFault {
+            field: "value",
+            found: value.into(),
+            expected: format!("a number from {} to {} for `{name}`", row.least, row.most),
+        })
+    }
+}
+
+/// An invalid field.
+struct FieldFault {
+    field: &'static str,
+    found: Value,
+    expected: String,
+}
+
+fn sensor_fault(sensor: SensorId) -> Option<FieldFault> {
+    // A sensor that was not seen yet may be switched off in advance.
+    (!sensor.is_known()).then(|| FieldFault {
+        field: "sensor",
+        found: sensor.0.into(),
+        expected: "the number of a sensor, as listed by /v1/sources".to_owned(),
+    })
+}
+
+fn simulator_fault(command: &SimulatorCommand, profiles: &[String]) -> Option<FieldFault> {
+    match command {
+        SimulatorCommand::LinkProfile(Some(name)) => {
+            let is_known = profiles.iter().any(|profile| profile == name.as_str());
+            (!is_known).then(|| FieldFault {
+                field: "profile",
+                found: name.as_str().into(),
+                expected: format!("{}, or null", one_of(profiles)),
+            })
+        }
+        // Their ranges were checked by the parser.
+        SimulatorCommand::LinkProfile(None)
+        | SimulatorCommand::Kidnap { .. }
+        | SimulatorCommand::Slip { .. }
+        | SimulatorCommand::Camera(_)
+        | SimulatorCommand::CameraDelay { .. }
+        | SimulatorCommand::GyroBiasStep { .. }
+        | SimulatorCommand::PullCable { .. }
+        | SimulatorCommand::Steering(_)
+        | SimulatorCommand::Drive { .. }
+        | SimulatorCommand::Path => None,
+    }
 }
 
 #[cfg(test)]

@@ -1,18 +1,12 @@
 //! The messages for browsers and programs, as plain structs. Their schema is made from them.
 
 mod frame;
-mod hello;
-mod number;
-mod state;
 
+pub(crate) use frame::seconds_of;
 pub use frame::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, ParameterValue,
-    RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, Number,
+    ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
 };
-pub use hello::{Hello, ParameterRow, RecordingRow, RobotRow, SimulatorFacts, SourceRow};
-pub use number::Number;
-pub(crate) use number::seconds_of;
-pub use state::{Counters, LatencyRow, RobotState, State};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,4 +37,176 @@ pub struct Refusal {
 pub struct Accepted {
     /// Its name.
     pub accepted: String,
+}
+
+/// The first message.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hello {
+    /// The program's version.
+    pub version: String,
+    /// The session's time, in seconds.
+    pub now_s: f64,
+    /// Whether a token is needed to reach this station.
+    pub needs_token: bool,
+    /// The simulated brick, `null` if the station has none of its own.
+    pub simulator: Option<SimulatorFacts>,
+    /// Sensors that were heard.
+    pub sources: Vec<SourceRow>,
+    /// Every tunable.
+    pub parameters: Vec<ParameterRow>,
+    /// Robots that were heard.
+    pub robots: Vec<RobotRow>,
+    /// Recordings of this run.
+    pub recordings: Vec<RecordingRow>,
+    /// The last minute, thinned.
+    pub history: Frame,
+}
+
+/// What the simulated brick of this station does.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatorFacts {
+    /// The scenario's name.
+    pub scenario: String,
+    /// The path that it is to drive: x_m, y_m.
+    pub path: Vec<[f64; 2]>,
+    /// Names for `link-profile`.
+    pub link_profiles: Vec<String>,
+    /// `odometry` or `estimate`.
+    pub steering: String,
+    /// The profile that its link is as bad as; `null` for a cable.
+    pub link_profile: Option<String>,
+}
+
+/// A robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotRow {
+    /// Link, system and component, e.g. `0/1/1`.
+    pub id: String,
+    /// Its configured name, `null` without one.
+    pub name: Option<String>,
+}
+
+/// A sensor.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceRow {
+    /// The number of `switch-source`.
+    pub id: u8,
+    /// Its name.
+    pub name: String,
+    /// The kind of its observations.
+    pub kind: String,
+    /// Whether the filter uses it; see `switch-source`.
+    pub is_used: bool,
+}
+
+/// A tunable.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ParameterRow {
+    /// Its key in `[filter]`.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// Its value unless configured.
+    pub default: f64,
+    /// Lowest value that is taken.
+    pub least: f64,
+    /// Highest value that is taken.
+    pub most: f64,
+    /// Its unit, empty for a pure number.
+    pub unit: String,
+    /// What it does, in one line.
+    pub help: String,
+    /// Its name in MAVLink's parameter messages.
+    pub mavlink_name: String,
+}
+
+/// A recording of this run.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingRow {
+    /// The name of its file.
+    pub name: String,
+    /// So large it is.
+    pub bytes: u64,
+    /// When it was begun, in seconds since 1970 UTC; `null` if the file system does not report it.
+    pub begun: Option<u64>,
+    /// Whether it is being written.
+    pub is_current: bool,
+}
+
+/// `GET /v1/state`.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct State {
+    /// The session's time, in seconds.
+    pub now_s: f64,
+    /// Each robot.
+    pub robots: Vec<RobotState>,
+    /// Where the first simulated robot really is.
+    pub truth: Option<TruthPoint>,
+    /// How far its odometry and its estimate are from that.
+    pub errors: Option<ErrorsRow>,
+    /// All links.
+    pub links: Vec<LinkRow>,
+    /// The alignment of the robot's clock.
+    pub clock: Option<ClockRow>,
+    /// The recording that is being written.
+    pub recording: Option<RecordingNow>,
+    /// Time from an observation's arrival to its estimate's departure.
+    pub latency: LatencyRow,
+    /// What was counted.
+    pub counters: Counters,
+}
+
+/// A robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotState {
+    /// Link, system and component, e.g. `0/1/1`.
+    pub id: String,
+    /// Its configured name, `null` without one.
+    pub name: Option<String>,
+    /// When it was lost, in seconds of the session; `null` while it is heard.
+    pub lost_t_s: Option<f64>,
+    /// Its last estimate.
+    pub estimate: Option<EstimatePoint>,
+    /// Where it really is, if it is simulated.
+    pub truth: Option<TruthPoint>,
+    /// How far its odometry and its estimate are from that.
+    pub errors: Option<ErrorsRow>,
+}
+
+/// Percentiles of the last estimates' latency.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct LatencyRow {
+    /// Number of estimates behind it.
+    pub estimates: u64,
+    /// Median, in milliseconds.
+    pub p50_ms: Number,
+    /// 99th percentile.
+    pub p99_ms: Number,
+}
+
+/// What was counted since the session began.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Eq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Counters {
+    /// Estimates.
+    pub estimates: u64,
+    /// Events that the dashboard did not receive because it was behind.
+    pub events_dropped: u64,
+    /// Readers of `/v1/stream` at the moment.
+    pub clients: u64,
+    /// Messages that readers have missed because they were slow.
+    pub frames_missed: u64,
+    /// Connections and requests that were refused.
+    pub refused: u64,
+    /// Commands that were handed to the engine.
+    pub commands: u64,
 }

@@ -13,10 +13,9 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
-use super::connection_slot::ConnectionSlot;
 use crate::counters::{ServerCounter, ServerCounters};
 use crate::limits::{HEAD_TIMEOUT, MAX_CONNECTIONS, MAX_HEAD_BYTES, SEND_TIMEOUT, SOCKET_BUFFER_BYTES};
 
@@ -83,5 +82,31 @@ impl Connection {
         if served.is_err() && !has_asked.load(Ordering::Relaxed) {
             counts.increment(ServerCounter::BadRequest);
         }
+    }
+}
+
+/// One of a limited number of slots, counted while it is in use; dropping it frees the slot.
+pub(super) struct ConnectionSlot {
+    counts: Arc<ServerCounters>,
+    count: ServerCounter,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl ConnectionSlot {
+    /// Acquires a slot, if one is free.
+    pub(super) fn acquire(
+        semaphore: &Arc<Semaphore>,
+        counts: &Arc<ServerCounters>,
+        count: ServerCounter,
+    ) -> Option<Self> {
+        let permit = Arc::clone(semaphore).try_acquire_owned().ok()?;
+        counts.increment(count);
+        Some(Self { counts: Arc::clone(counts), count, _permit: permit })
+    }
+}
+
+impl Drop for ConnectionSlot {
+    fn drop(&mut self) {
+        self.counts.decrement(self.count);
     }
 }

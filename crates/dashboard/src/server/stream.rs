@@ -16,8 +16,8 @@ use tokio::sync::oneshot;
 use tokio::time::{interval, timeout};
 use tungstenite::error::ProtocolError;
 
+use super::accept::ConnectionSlot;
 use super::app_state::{AppState, refusal_response};
-use super::connection_slot::ConnectionSlot;
 use super::hub_task::{HubQuery, StreamStart};
 use crate::counters::ServerCounter;
 use crate::limits::{MAX_CLIENTS, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};

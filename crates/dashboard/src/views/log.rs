@@ -3,8 +3,7 @@
 use posebridge_telemetry::severity::NOTICE;
 use posebridge_telemetry::{Event, HostClock, RepeatFilter, TimeDelta, Timestamp};
 
-use super::retained_series::RetentionPolicy;
-use super::retained_series::{PointPriority, RetainedSeries};
+use super::retained_series::{PointPriority, RetainedSeries, RetentionPolicy};
 use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LogLine, seconds_of};
 

@@ -1,21 +1,14 @@
-//! Views: one file per panel, and one table.
+//! Views: the panels of the page, and one table of them.
 //!
 //! A view gets every event in order and adds its updates to the next message and its history to the first one. It uses
 //! no clock, socket or thread: the same events give the same messages, live and from a recording.
 
-mod calibration;
-mod clock;
-mod estimates;
-mod fixes;
-mod fusion;
 mod links;
 mod log;
-mod parameters;
+mod observations;
 mod retained_series;
 mod robots;
-mod simulator;
-mod switches;
-mod tallies;
+mod status;
 mod truth;
 mod view;
 
@@ -31,30 +24,22 @@ pub struct ViewEntry {
     pub build: fn(&ViewConfig) -> Box<dyn View>,
 }
 
-macro_rules! views {
-    ($($name:literal: $module:ident::$view:ident),+ $(,)?) => {
-        /// Every view. A new one needs a file here and a line in this table.
-        pub const VIEWS: &[ViewEntry] = &[
-            $(ViewEntry { name: $name, build: |setting| Box::new($module::$view::new(setting)) }),+
-        ];
-    };
-}
-
-views![
+/// Every view. A new one needs a file here and a line in this table.
+pub const VIEWS: &[ViewEntry] = &[
     // First, so that the robots are in the order of detection.
-    "robots": robots::Robots,
-    "estimates": estimates::Estimates,
-    "fixes": fixes::Fixes,
-    "fusion": fusion::Fusion,
-    "tallies": tallies::Tallies,
-    "calibration": calibration::Calibrations,
-    "truth": truth::Truth,
-    "links": links::Links,
-    "clock": clock::Clock,
-    "log": log::Log,
-    "parameters": parameters::Parameters,
-    "switches": switches::Switches,
-    "simulator": simulator::Simulator,
+    ViewEntry { name: "robots", build: |_| Box::new(robots::Robots::default()) },
+    ViewEntry { name: "estimates", build: |config| Box::new(robots::Estimates::new(config)) },
+    ViewEntry { name: "fixes", build: |config| Box::new(observations::Fixes::new(config)) },
+    ViewEntry { name: "fusion", build: |config| Box::new(observations::Fusion::new(config)) },
+    ViewEntry { name: "tallies", build: |config| Box::new(observations::Tallies::new(config)) },
+    ViewEntry { name: "calibration", build: |config| Box::new(status::Calibrations::new(config)) },
+    ViewEntry { name: "truth", build: |config| Box::new(truth::Truth::new(config)) },
+    ViewEntry { name: "links", build: |config| Box::new(links::Links::new(config)) },
+    ViewEntry { name: "clock", build: |_| Box::new(links::Clock::default()) },
+    ViewEntry { name: "log", build: |config| Box::new(log::Log::new(config)) },
+    ViewEntry { name: "parameters", build: |_| Box::new(status::parameters()) },
+    ViewEntry { name: "switches", build: |_| Box::new(status::Switches::default()) },
+    ViewEntry { name: "simulator", build: |_| Box::new(status::simulator()) },
 ];
 
 #[cfg(test)]

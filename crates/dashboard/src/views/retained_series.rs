@@ -24,18 +24,30 @@ pub enum RetentionPolicy {
 }
 
 impl RetentionPolicy {
-    /// The policy of each of these robots.
-    pub(super) fn shared_by(self, robots: usize) -> Self {
-        let share = |points: usize| {
-            let all = points * ROBOTS_WITH_ALL_POINTS;
-            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
-        };
+    /// The policy with another number of points.
+    pub(super) fn map_points(self, change: impl Fn(usize) -> usize) -> Self {
         match self {
             Self::SlidingWindow { duration, max_points } => {
-                Self::SlidingWindow { duration, max_points: share(max_points) }
+                Self::SlidingWindow { duration, max_points: change(max_points) }
             }
-            Self::WholeSession { max_points } => Self::WholeSession { max_points: share(max_points) },
+            Self::WholeSession { max_points } => Self::WholeSession { max_points: change(max_points) },
         }
+    }
+
+    /// For a series with one point a second: live this many points, of a whole session one `share`-th.
+    pub(super) fn for_seconds(self, live_points: usize, share: usize) -> Self {
+        self.map_points(|points| match self {
+            Self::SlidingWindow { .. } => live_points,
+            Self::WholeSession { .. } => points / share,
+        })
+    }
+
+    /// The policy of each of these robots.
+    pub(super) fn shared_by(self, robots: usize) -> Self {
+        self.map_points(|points| {
+            let all = points * ROBOTS_WITH_ALL_POINTS;
+            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
+        })
     }
 }
 
@@ -223,15 +235,13 @@ impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
 
     /// The points since the last call, for each robot that has any.
     pub(super) fn take_pending(&mut self) -> Vec<(RobotId, Vec<T>)> {
-        let trails = self.series.iter_mut();
-        let news = trails.map(|((robot, _), trail)| (*robot, trail.take_pending()));
-        news.filter(|(_, news)| !news.is_empty()).collect()
+        let points = self.series.iter_mut().map(|((robot, _), series)| (*robot, series.take_pending()));
+        points.filter(|(_, points)| !points.is_empty()).collect()
     }
 
     /// The retained points of each robot.
     pub(super) fn retained(&self) -> Vec<(RobotId, Vec<T>)> {
-        let trails = self.series.iter();
-        trails.map(|((robot, _), trail)| (*robot, trail.retained())).collect()
+        self.series.iter().map(|((robot, _), series)| (*robot, series.retained())).collect()
     }
 
     pub(super) fn dropped(&self) -> u64 {

@@ -1,17 +1,18 @@
-//! The list of robots, with their names and which of them are lost. Every message with data of a robot has its id.
+//! The list of robots, with their names and which of them are lost, and their estimates. Every message with data of a robot has its id.
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
+use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, RobotId, TimeDelta, Timestamp};
 
-use super::retained_series::MAX_ROBOTS;
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
 use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
-use crate::model::{Frame, seconds_of};
+use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
 /// Longest name, in characters: it stands beside the robot on a map.
 const MAX_NAME_CHARS: usize = 60;
 
 /// The robots in the order of their first estimates.
+#[derive(Default)]
 pub(super) struct Robots {
     known: Vec<KnownRobot>,
     /// A robot is named before its first estimate.
@@ -27,10 +28,6 @@ struct KnownRobot {
 }
 
 impl Robots {
-    pub(super) const fn new(_setting: &ViewConfig) -> Self {
-        Self { known: Vec::new(), names: BTreeMap::new(), ignored: 0, has_changed: false }
-    }
-
     fn on_estimate(&mut self, robot: RobotId) {
         if let Some(known) = self.known.iter_mut().find(|known| known.robot == robot) {
             known.lost = None;
@@ -89,5 +86,65 @@ impl View for Robots {
 
     fn dropped(&self) -> u64 {
         self.ignored
+    }
+}
+
+/// Estimates with their ellipse: the map's line and the robot on it.
+pub(super) struct Estimates {
+    series: RetainedSeriesMap<(), EstimatePoint>,
+}
+
+impl Estimates {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS) }
+    }
+}
+
+impl View for Estimates {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::EstimateUpdated { robot, estimate }) = input else {
+            return;
+        };
+        if estimate.validity.position && estimate.validity.heading {
+            let point = estimate_point(now, estimate);
+            self.series.push(now, (*robot, ()), point, PointPriority::Normal);
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.series.take_pending() {
+            frame.robot(&robot_name(robot)).estimates = points;
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, points) in self.series.retained() {
+            history.robot(&robot_name(robot)).estimates = points;
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.series.dropped()
+    }
+}
+
+/// An estimate as a point of the page.
+pub(super) fn estimate_point(now: Timestamp<HostClock>, estimate: &Estimate) -> EstimatePoint {
+    let ellipse = estimate.ellipse_95();
+    let of_ellipse = |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));
+    EstimatePoint {
+        t_s: seconds_of(now),
+        x_m: estimate.pose.x.0.into(),
+        y_m: estimate.pose.y.0.into(),
+        heading_rad: estimate.pose.heading.rad().into(),
+        major_m: of_ellipse(|ellipse| ellipse.semi_major_m),
+        minor_m: of_ellipse(|ellipse| ellipse.semi_minor_m),
+        axis_rad: of_ellipse(|ellipse| ellipse.direction_rad),
+        heading_sigma_rad: estimate.heading_sigma_rad().into(),
+        forward_m_per_s: estimate.forward_speed.0.into(),
+        turn_rad_per_s: estimate.turn_rate.0.into(),
+        reset_counter: estimate.reset_counter,
+        is_dead_reckoning: estimate.is_dead_reckoning,
+        fix_age_s: estimate.fix_age.map_or(f64::NAN, TimeDelta::as_secs_f64).into(),
     }
 }

@@ -6,8 +6,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
-use super::estimates;
 use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
+use super::robots::estimate_point;
 use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
@@ -235,7 +235,7 @@ impl View for Truth {
                     received: now,
                     time: estimate.stamp,
                     position: estimate.pose.origin(),
-                    claim_m: estimates::point_of(now, estimate).major_m,
+                    claim_m: estimate_point(now, estimate).major_m,
                 };
                 self.push_estimate(now, *robot, estimated);
             }

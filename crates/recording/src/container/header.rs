@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 
-use super::error::ReadError;
 use super::fields;
-use super::records::RawRecord;
-use super::{FORMAT, LAST_UNCHUNKED_FORMAT, PartHeader, RecordingHeader};
+use super::walk::RawRecord;
+use super::{FORMAT, LAST_UNCHUNKED_FORMAT, PartHeader, ReadError, RecordingHeader};
 
 /// Name of the metadata record.
 const METADATA_NAME: &str = "posebridge.recording";

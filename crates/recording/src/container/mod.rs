@@ -9,17 +9,14 @@
 //! with one exception: the truth of a simulated run ([`read_truth()`]).
 
 mod encoding;
-mod error;
 mod fields;
 mod header;
 mod reader;
-mod records;
 mod truth;
 mod walk;
 mod writer;
 
 pub use encoding::DecodeError;
-pub use error::ReadError;
 pub use reader::{RecordingEnd, RecordingReader};
 pub use truth::{TruthSample, read_truth};
 pub use writer::{OutputHandover, RecordingWriter, WriteError};
@@ -87,4 +84,38 @@ pub struct RecordingGap {
     pub from: Timestamp<HostClock>,
     /// When the next input behind them was given, or again `from` at the end of the recording.
     pub to: Timestamp<HostClock>,
+}
+
+/// Why a recording, or a part of it, cannot be read.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    #[error("this is not an MCAP file: it does not begin with the MCAP magic")]
+    NotMcap,
+    #[error("byte {offset}: the file ends or goes on without a posebridge header: {what}")]
+    NoHeader { offset: u64, what: String },
+    /// Written by a newer program.
+    #[error(
+        "the recording has format {found}, this program reads up to {FORMAT}: read it with the program that wrote it"
+    )]
+    Format { found: u32 },
+    /// Another program packed the messages anew.
+    #[error("byte {offset}: the messages are compressed ({compression}): write the file again without compression")]
+    Compressed { offset: u64, compression: String },
+    /// A chunk is damaged; what is whole in it and behind it follows.
+    #[error("byte {offset}: a chunk of the recording is damaged: {what}")]
+    Chunk { offset: u64, what: String },
+    #[error("byte {offset}: a recorded sample of the truth is damaged: {what}")]
+    Truth { offset: u64, what: String },
+    #[error("byte {offset}: {what}; the recording cannot be read any further")]
+    Damaged { offset: u64, what: String },
+    /// One message is destroyed; the iteration goes on behind it.
+    #[error("byte {offset}: a recorded input is damaged: {why}")]
+    Message {
+        offset: u64,
+        #[source]
+        why: DecodeError,
+    },
+    #[error("byte {offset}: input number {expected} should stand here, but number {found} does")]
+    Gap { offset: u64, expected: u32, found: u32 },
 }

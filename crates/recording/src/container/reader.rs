@@ -4,12 +4,12 @@ use mcap::records::op;
 use posebridge_telemetry::{HostClock, Input, Timestamp};
 
 use super::encoding::{self, DecodeError, RecordPosition};
-use super::error::ReadError;
 use super::fields::{self, MESSAGE_HEADER_BYTES};
 use super::header;
-use super::records::{RawRecord, RecordScanner, RecordsEnd};
-use super::walk::{RecordWalker, WalkEnd};
-use super::{INPUT_CHANNEL, INPUT_ENCODING, INPUT_TOPIC, LAST_UNCHUNKED_FORMAT, PartHeader, RecordingHeader};
+use super::walk::{RawRecord, RecordScanner, RecordWalker, RecordsEnd, WalkEnd};
+use super::{
+    INPUT_CHANNEL, INPUT_ENCODING, INPUT_TOPIC, LAST_UNCHUNKED_FORMAT, PartHeader, ReadError, RecordingHeader,
+};
 
 /// How a recording ends.
 #[derive(Clone, Debug, PartialEq, Eq)]

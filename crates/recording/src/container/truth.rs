@@ -4,11 +4,10 @@ use mcap::records::op;
 use posebridge_telemetry::{Address, Arena, BrickClock, Heading, LinkId, Meters, Pose, RobotId, Timestamp};
 use serde::Deserialize;
 
-use super::TRUTH_TOPIC;
-use super::error::ReadError;
 use super::fields;
 use super::reader::RecordingReader;
 use super::walk::WalkEnd;
+use super::{ReadError, TRUTH_TOPIC};
 
 /// A robot's true pose at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,8 +38,6 @@ struct TruthJson {
 }
 
 impl TruthJson {
-    /// # Errors
-    /// It names a robot by halves.
     fn sample(&self) -> Result<TruthSample, &'static str> {
         let pose = |x_m, y_m, heading_rad| Pose::new(Meters(x_m), Meters(y_m), Heading::from_rad(heading_rad));
         let odometry = (self.odometry_x_m, self.odometry_y_m, self.odometry_heading_rad);
@@ -55,8 +52,7 @@ impl TruthJson {
         })
     }
 
-    /// # Errors
-    /// Some of its ids are missing: without them the sample would count for another robot.
+    /// Fails where some of its ids are missing: without them the sample would count for another robot.
     fn robot(&self) -> Result<Option<RobotId>, &'static str> {
         match (self.link, self.system, self.component) {
             (None, None, None) => Ok(None),

@@ -35,7 +35,6 @@ pub enum WriteError {
     /// The file could not be written, or a write before this one failed.
     #[error("the recording could not be written")]
     Mcap(#[from] mcap::McapError),
-    /// What was buffered could not be written out.
     #[error("the recording could not be written out")]
     Flush(#[from] std::io::Error),
     /// An instant before the host clock's zero: MCAP has no negative times.
@@ -44,7 +43,6 @@ pub enum WriteError {
     /// A chunk that no link can have returned.
     #[error("a chunk of {0} bytes is more than the 16 MiB that one input may hold")]
     TooLarge(usize),
-    /// A start of the session whose nanoseconds do not fit.
     #[error("a session that starts {0} µs after 1970, beyond the year 2262, cannot be recorded")]
     StartTime(u64),
 }
@@ -78,17 +76,11 @@ struct OutputChannel {
 
 impl<W: Write> RecordingWriter<W> {
     /// Starts the recording of a session and flushes its header, so that even a session of no inputs leaves a readable file.
-    ///
-    /// # Errors
-    /// When `w` cannot be written.
     pub fn create(w: W, header: &RecordingHeader) -> Result<Self, WriteError> {
         Self::create_part(w, header, &PartHeader::default())
     }
 
     /// Starts a recording that begins in the midst of its session, or is one of its parts; flushes its header.
-    ///
-    /// # Errors
-    /// When `w` cannot be written.
     pub fn create_part(w: W, header: &RecordingHeader, part_header: &PartHeader) -> Result<Self, WriteError> {
         if header.utc_start_micros > header::LATEST_START_MICROS {
             return Err(WriteError::StartTime(header.utc_start_micros));
@@ -130,9 +122,6 @@ impl<W: Write> RecordingWriter<W> {
     }
 
     /// Ends the file as [`Self::finish`] does and gives back what the next part has to know.
-    ///
-    /// # Errors
-    /// When `W` cannot be written.
     pub fn finish_part(mut self) -> Result<OutputHandover, WriteError> {
         let fresh = OutputEncoder::new(self.zero_nanos, OUTPUT_SPACING);
         let outputs = std::mem::replace(&mut self.outputs, fresh);
@@ -169,8 +158,8 @@ impl<W: Write> RecordingWriter<W> {
         self.mcap.write_to_known_channel(&header, &self.scratch)?;
         self.sequence = self.sequence.wrapping_add(1);
         let message = match input {
-            Input::Command(command) => foxglove::command_message(command, None),
-            Input::RobotCommand { robot, command } => foxglove::command_message(command, Some(*robot)),
+            Input::Command(command) => Some(foxglove::command_message(command, None)),
+            Input::RobotCommand { robot, command } => Some(foxglove::command_message(command, Some(*robot))),
             Input::Bytes { .. }
             | Input::Port { .. }
             | Input::Link { .. }
@@ -178,23 +167,16 @@ impl<W: Write> RecordingWriter<W> {
             | Input::Report { .. }
             | Input::Tick => None,
         };
-        self.write_messages(now, message)?;
-        Ok(())
+        self.write_messages(now, message)
     }
 
     /// Records what came out of the pipeline at `now`, for viewers; no replay reads it.
-    ///
-    /// # Errors
-    /// When the file cannot be written, or `now` is negative.
     pub fn record_event(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<(), WriteError> {
         let messages = self.outputs.encode_event(now, event);
         self.write_messages(now, messages)
     }
 
     /// Records what the filter has learned about a robot, as of `now`, for viewers; `None` is the first robot.
-    ///
-    /// # Errors
-    /// When the file cannot be written, or `now` is negative.
     pub fn record_calibration(
         &mut self,
         now: Timestamp<HostClock>,
@@ -206,9 +188,6 @@ impl<W: Write> RecordingWriter<W> {
     }
 
     /// Records a line for people, with its MAVLink severity: 0 emergency to 7 debug.
-    ///
-    /// # Errors
-    /// When the file cannot be written, or `now` is negative.
     pub fn record_log_message(
         &mut self,
         now: Timestamp<HostClock>,
@@ -224,7 +203,7 @@ impl<W: Write> RecordingWriter<W> {
     /// # Errors
     /// When the file cannot be written, or the gap ends before the start of the session.
     pub fn record_gap(&mut self, gap: &RecordingGap) -> Result<(), WriteError> {
-        self.write_messages(gap.to, foxglove::gap_message(gap))?;
+        self.write_messages(gap.to, [foxglove::gap_message(gap)])?;
         // Numbers are cut to 32 bits.
         self.sequence = self.sequence.wrapping_add(gap.inputs as u32);
         let text = format!(
@@ -235,9 +214,6 @@ impl<W: Write> RecordingWriter<W> {
     }
 
     /// Records where robots really were, as a simulation knows it. A sample that no clock alignment places is of `now`.
-    ///
-    /// # Errors
-    /// When the file cannot be written, or `now` is negative.
     pub fn record_truth(&mut self, now: Timestamp<HostClock>, samples: &[TruthSample]) -> Result<(), WriteError> {
         for sample in samples {
             let (at, messages) = self.outputs.truth_messages(now, sample);
@@ -247,17 +223,11 @@ impl<W: Write> RecordingWriter<W> {
     }
 
     /// Ends the chunk, hands everything recorded so far to `W` and flushes it: this much survives a crash of the program.
-    ///
-    /// # Errors
-    /// When `W` cannot be written.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         Ok(self.mcap.flush()?)
     }
 
     /// Ends the file with its summary and gives `W` back.
-    ///
-    /// # Errors
-    /// When `W` cannot be written.
     pub fn finish(mut self) -> Result<W, WriteError> {
         self.mcap.finish()?;
         let buffered = self.mcap.into_inner().into_inner();

@@ -22,10 +22,7 @@
 //! # Sources
 //! RFC 4180 for the quoting of texts.
 
-mod columns;
-mod events;
-mod observations;
-mod row;
+mod rows;
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -34,7 +31,7 @@ use std::io::Write;
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
 use crate::robot_names::RobotNames;
-use row::CsvRow;
+use rows::CsvRow;
 
 /// Opens a stream by its name, without extension.
 type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
@@ -53,21 +50,15 @@ impl<'o, W: Write> CsvWriter<'o, W> {
     }
 
     /// Writes an event that happened at `now`.
-    ///
-    /// # Errors
-    /// A stream cannot be opened or written.
     pub fn record(&mut self, now: Timestamp<HostClock>, event: &Event) -> std::io::Result<()> {
         self.names.observe(event);
-        for row in events::rows(now, event) {
+        for row in rows::rows(now, event) {
             self.write(row)?;
         }
         Ok(())
     }
 
     /// Ends all streams and says how many lines each has besides its header, by name.
-    ///
-    /// # Errors
-    /// One cannot be written.
     pub fn finish(self) -> std::io::Result<Vec<(String, u64)>> {
         let mut lines = Vec::new();
         for (name, (mut out, count)) in self.files {
@@ -78,16 +69,16 @@ impl<'o, W: Write> CsvWriter<'o, W> {
     }
 
     fn write(&mut self, mut row: CsvRow) -> std::io::Result<()> {
+        row.columns.extend(row.robot.map(|robot| ("robot", self.names.label(robot).into())));
         let (out, count) = match self.files.entry(row.stream) {
             Entry::Occupied(file) => file.into_mut(),
             Entry::Vacant(entry) => {
                 let mut out = ::csv::Writer::from_writer((self.open)(row.stream)?);
-                out.write_record(row.header.split(',').chain(row.robot.map(|_| "robot")))?;
+                out.write_record(row.columns.iter().map(|(name, _)| *name))?;
                 entry.insert((out, 0))
             }
         };
-        row.fields.extend(row.robot.map(|robot| self.names.label(robot).into()));
-        out.write_record(&row.fields)?;
+        out.write_record(row.columns.iter().map(|(_, field)| &field.0))?;
         *count += 1;
         Ok(())
     }

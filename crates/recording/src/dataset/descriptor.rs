@@ -18,24 +18,10 @@ use posebridge_telemetry::{Heading, Meters, Pose};
 pub enum DescriptorError {
     /// A key is missing, unknown or of the wrong kind.
     #[error("line {line}: {message}, in `{text}`")]
-    Key {
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong; it names the key where serde knows it.
-        message: String,
-        /// The line's text.
-        text: String,
-    },
+    Key { line: usize, message: String, text: String },
     /// Keys that do not fit together.
     #[error("line {line}: {key}: {message}")]
-    Rule {
-        /// The line, from 1.
-        line: usize,
-        /// The key.
-        key: String,
-        /// Which rule it breaks.
-        message: String,
-    },
+    Rule { line: usize, key: String, message: String },
 }
 
 /// A foreign recording, as its TOML descriptor describes it.

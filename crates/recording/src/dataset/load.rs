@@ -8,16 +8,14 @@ use std::path::Path;
 use std::rc::Rc;
 
 use posebridge_telemetry::{
-    Arena, BeaconId, DriveGeometry, LandmarkId, Meters, Observation, ObservationKind, Point2, SensorId, TimeDelta,
-    Timestamp,
+    Arena, BeaconId, BrickClock, DriveGeometry, LandmarkId, Meters, Observation, ObservationKind, Point2, Pose,
+    SensorId, TimeDelta, Timestamp,
 };
 
-use super::descriptor::{Descriptor, ResolvedRun, expand_template};
-use super::error::LoadError;
-use super::run::{DatasetRun, TimedObservation, TruthPose, WithheldFix};
-use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, Stream, StreamOptions, Truth};
-use super::start;
-use super::streams::{RowClock, RowReader, plain, positions, ranges, wheels};
+use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
+use super::run::{DatasetRun, LoadError, StartPose, TimedObservation, TruthPose, WithheldFix};
+use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
+use super::streams::{RowClock, RowReader, positions, sensors, wheels};
 use super::table::{DatasetTable, decode_text, seconds_to_nanos};
 
 /// Which run to load, and how.
@@ -55,7 +53,7 @@ pub fn load(
     loader.load_maps()?;
     loader.load_streams()?;
     let RunLoader { run, dataset_run: mut out, all_fixes, .. } = loader;
-    start::set_start_pose(&mut out, run.start, &all_fixes);
+    set_start_pose(&mut out, run.start, &all_fixes);
     out.observations.sort_by_key(|timed| timed.arrival);
     Ok(out)
 }
@@ -166,17 +164,17 @@ impl RunLoader<'_> {
             self.load_body_velocity(stream)?;
         }
         for stream in &raw.gyro {
-            self.observe(stream, SensorId::GYRO, |table| plain::gyro(stream, table))?;
+            self.observe(stream, SensorId::GYRO, |table| sensors::gyro(stream, table))?;
         }
         for stream in &raw.accelerometers {
-            self.observe(stream, SensorId::ACCELEROMETER, |table| plain::accelerometers(stream, table))?;
+            self.observe(stream, SensorId::ACCELEROMETER, |table| sensors::accelerometers(stream, table))?;
         }
         self.load_ranges()?;
         for stream in &raw.compass {
-            self.observe(stream, SensorId::COMPASS, |table| plain::compass(stream, table))?;
+            self.observe(stream, SensorId::COMPASS, |table| sensors::compass(stream, table))?;
         }
         for stream in &raw.temperature {
-            self.observe(stream, SensorId::THERMOMETER, |table| plain::temperature(stream, table))?;
+            self.observe(stream, SensorId::THERMOMETER, |table| sensors::temperature(stream, table))?;
         }
         for stream in &raw.fixes {
             self.load_fixes(stream)?;
@@ -190,19 +188,19 @@ impl RunLoader<'_> {
     fn load_ranges(&mut self) -> Result<(), LoadError> {
         let raw = &self.files.descriptor.raw;
         for stream in &raw.landmark_sightings {
-            let names = ranges::IdMapping {
+            let names = sensors::IdMapping {
                 ids: self.load_ids(stream.ids.as_ref())?,
                 known: self.dataset_run.landmarks.iter().map(|(id, _)| id.0).collect(),
             };
-            self.observe(stream, SensorId::LANDMARKS, |table| ranges::landmarks(stream, names, table))?;
+            self.observe(stream, SensorId::LANDMARKS, |table| sensors::landmarks(stream, names, table))?;
         }
         for stream in &raw.beacon_ranges {
             let names =
-                ranges::IdMapping { ids: None, known: self.dataset_run.beacons.iter().map(|(id, _)| id.0).collect() };
-            self.observe(stream, SensorId::BEACONS, |table| ranges::beacons(stream, names, table))?;
+                sensors::IdMapping { ids: None, known: self.dataset_run.beacons.iter().map(|(id, _)| id.0).collect() };
+            self.observe(stream, SensorId::BEACONS, |table| sensors::beacons(stream, names, table))?;
         }
         for stream in &raw.wall_range {
-            self.observe(stream, SensorId::RANGE, |table| plain::wall_range(stream, table))?;
+            self.observe(stream, SensorId::RANGE, |table| sensors::wall_range(stream, table))?;
         }
         Ok(())
     }
@@ -246,7 +244,7 @@ impl RunLoader<'_> {
     fn load_body_velocity(&mut self, stream: &BodyVelocity) -> Result<(), LoadError> {
         let before = self.dataset_run.observations.len();
         let geometry = self.options.geometry;
-        self.observe(stream, SensorId::ODOMETER, |table| plain::body_velocity(stream, geometry, table))?;
+        self.observe(stream, SensorId::ODOMETER, |table| sensors::body_velocity(stream, geometry, table))?;
         if stream.interval == SpeedInterval::Previous && self.dataset_run.observations.len() > before {
             let mut means = self.dataset_run.observations.split_off(before);
             for row in (1..means.len()).rev() {
@@ -345,4 +343,57 @@ fn timed_observation(
             measurement: observed,
         },
     }
+}
+
+/// Sets the start of `run`, where the descriptor has one; `fixes` are all of its fixes, used or not.
+///
+/// A start from the files is the last true pose or fix before the first observation. If there is none, it is the first one after it,
+/// and the observations before it are dropped, because the start already contains their motion.
+fn set_start_pose(run: &mut DatasetRun, start: Option<RunStart>, fixes: &[WithheldFix]) {
+    match start {
+        None => {}
+        Some(RunStart::Pose(pose)) => run.start = Some(pose),
+        Some(RunStart::Source { source, position_sigma_m, heading_sigma_rad }) => {
+            let poses = match source {
+                StartSource::Truth => truth_poses(run),
+                StartSource::Fixes => fixes.iter().filter_map(pose_from_fix).collect(),
+            };
+            let Some((stamp, pose)) = first_pose(run, &poses) else {
+                return;
+            };
+            run.start = Some(StartPose { pose, position_sigma_m, heading_sigma_rad });
+            run.observations.retain(|timed| timed.observation.stamp >= stamp);
+            run.withheld.retain(|withheld| withheld.time >= stamp);
+        }
+    }
+}
+
+type TimestampedPose = (Timestamp<BrickClock>, Pose<Arena>);
+
+fn truth_poses(run: &DatasetRun) -> Vec<TimestampedPose> {
+    let poses = run.truth.iter();
+    poses
+        .filter_map(|truth| {
+            let heading = truth.heading?;
+            let pose = Pose::new(truth.position.x, truth.position.y, heading);
+            Some((truth.time, pose))
+        })
+        .collect()
+}
+
+/// The body's pose behind a fix with a heading: the tag's lever arm taken off.
+fn pose_from_fix(fix: &WithheldFix) -> Option<TimestampedPose> {
+    let WithheldFix { time: stamp, fix } = fix;
+    let heading = fix.heading?;
+    let turn = Pose::<Arena>::new(Meters(0.0), Meters(0.0), heading);
+    let arm: Point2<Arena> = turn * fix.tag_in_body;
+    let (x, y) = (fix.position.x - arm.x, fix.position.y - arm.y);
+    Some((*stamp, Pose::new(x, y, heading)))
+}
+
+fn first_pose(run: &DatasetRun, poses: &[TimestampedPose]) -> Option<TimestampedPose> {
+    let stamps = run.observations.iter().map(|timed| timed.observation.stamp);
+    let first = stamps.min()?;
+    let before = poses.iter().rev().find(|(stamp, _)| *stamp <= first);
+    before.or_else(|| poses.first()).copied()
 }

@@ -7,10 +7,8 @@ use std::io::Read;
 use flate2::read::MultiGzDecoder;
 use posebridge_telemetry::Heading;
 
-use super::bad_rows::{BadRowReason, RowError};
 use super::column::{Angle, Column, ColumnRef, Dimension, HeadingColumns};
-use super::decimal;
-use super::error::LoadError;
+use super::run::{BadRowReason, LoadError, RowError};
 use super::schema::{Delimiter, FileEntry, RowOrder, TimeColumn, TimeUnit};
 
 /// A gzip file that unpacks to more than this is refused: no recording of a small robot is so large.
@@ -33,8 +31,7 @@ fn gunzip(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
     let mut reader = MultiGzDecoder::new(bytes).take(MAX_TEXT_BYTES + 1);
     reader.read_to_end(&mut unpacked).map_err(|source| LoadError::Gzip { path: path.to_owned(), source })?;
     if unpacked.len() as u64 > MAX_TEXT_BYTES {
-        let path = path.to_owned();
-        return Err(LoadError::TooLarge { path });
+        return Err(LoadError::TooLarge { path: path.to_owned() });
     }
     Ok(unpacked)
 }
@@ -267,7 +264,7 @@ impl DatasetTable {
     fn read_time(&self, time: &BoundTimeColumn, row: &TableRow<'_>) -> Result<i64, RowError> {
         let part = |index: usize, unit: TimeUnit| {
             let text = row.field(index)?;
-            decimal::nanos(text, unit.exponent()).ok_or_else(|| not_numeric(text))
+            decimal_nanos(text, unit.exponent()).ok_or_else(|| not_numeric(text))
         };
         let mut nanos = part(time.index, time.unit)?;
         if let Some((index, unit)) = time.plus {
@@ -316,6 +313,72 @@ fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
     .collect()
 }
 
+/// More digits than any clock has; further digits of a fraction are dropped.
+const MAX_DIGITS: u32 = 30;
+/// No time in use has an exponent beyond this; it keeps the arithmetic inside 128 bits.
+const MAX_EXPONENT: i32 = 40;
+
+/// The nanoseconds that `text` means when its unit is ten to the `unit_exponent` seconds, rounded to the nearest (half
+/// away from zero); `None` when it is not a decimal number or lies outside the range of a stamp.
+///
+/// Exact: a Unix time with nanoseconds has 19 digits and does not fit an `f64`. A timestamp converted through one is up to 0.1 microseconds
+/// off, and two timestamps may become equal.
+fn decimal_nanos(text: &str, unit_exponent: i32) -> Option<i64> {
+    let (negative, digits) = match text.as_bytes().first()? {
+        b'-' => (true, &text[1..]),
+        b'+' => (false, &text[1..]),
+        _ => (false, text),
+    };
+    let (number, exponent) = match digits.split_once(['e', 'E']) {
+        Some((number, exponent)) => (number, exponent.parse::<i32>().ok()?),
+        None => (digits, 0),
+    };
+    if !(-MAX_EXPONENT..=MAX_EXPONENT).contains(&exponent) {
+        return None;
+    }
+    let (mantissa, fraction_digits) = mantissa(number)?;
+    let magnitude = scale(mantissa, exponent + unit_exponent + 9 - fraction_digits)?;
+    i64::try_from(if negative { -magnitude } else { magnitude }).ok()
+}
+
+/// The digits as one whole number, and how many of them stand behind the point.
+fn mantissa(number: &str) -> Option<(i128, i32)> {
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    if whole.is_empty() && fraction.is_empty() {
+        return None;
+    }
+    let (mut mantissa, mut digits, mut fraction_digits) = (0_i128, 0_u32, 0_i32);
+    for (position, byte) in whole.bytes().chain(fraction.bytes()).enumerate() {
+        if !byte.is_ascii_digit() {
+            return None;
+        }
+        let is_fraction = position >= whole.len();
+        if digits >= MAX_DIGITS {
+            if is_fraction {
+                continue;
+            }
+            return None;
+        }
+        mantissa = mantissa * 10 + i128::from(byte - b'0');
+        digits += u32::from(mantissa != 0);
+        fraction_digits += i32::from(is_fraction);
+    }
+    Some((mantissa, fraction_digits))
+}
+
+/// `value` times ten to the `power`, rounded half up.
+fn scale(value: i128, power: i32) -> Option<i128> {
+    let factor = 10_i128.checked_pow(power.unsigned_abs());
+    if power >= 0 {
+        return match value {
+            0 => Some(0),
+            _ => value.checked_mul(factor?),
+        };
+    }
+    // A divisor beyond 128 bits leaves nothing of a number of at most 30 digits.
+    Some(factor.map_or(0, |divisor| (value + divisor / 2) / divisor))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -339,5 +402,41 @@ mod tests {
         assert_eq!(decode_text("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
         let cut = packed[..14].to_vec();
         assert!(matches!(decode_text("a.csv.gz", cut), Err(LoadError::Gzip { .. })));
+    }
+
+    #[test]
+    fn stamps_keep_every_nanosecond() {
+        assert_eq!(decimal_nanos("1493325165.641284114", 0), Some(1_493_325_165_641_284_114));
+        assert_eq!(decimal_nanos("0.0500000000000114", 0), Some(50_000_000));
+        assert_eq!(decimal_nanos("378", -3), Some(378_000_000));
+        assert_eq!(decimal_nanos("-1.5", -3), Some(-1_500_000));
+        assert_eq!(decimal_nanos("12043.0", -3), Some(12_043_000_000));
+        assert_eq!(decimal_nanos("1.5e3", -6), Some(1_500_000));
+        assert_eq!(decimal_nanos("+.25", 0), Some(250_000_000));
+        assert_eq!(decimal_nanos("0.6", -9), Some(1));
+        assert_eq!(decimal_nanos("-0.5", -9), Some(-1));
+        assert_eq!(decimal_nanos("0.00000000000000000000000000000000000000001", 0), Some(0));
+    }
+
+    #[test]
+    fn what_is_not_a_decimal_number_is_refused() {
+        for text in [
+            "",
+            "-",
+            ".",
+            "e5",
+            "1e",
+            "1e99",
+            "nan",
+            "inf",
+            "1.2.3",
+            "0x10",
+            "1 2",
+            "٣",
+            "9223372037",
+            "99999999999999999999999999999999999999999999",
+        ] {
+            assert_eq!(decimal_nanos(text, 0), None, "{text:?}");
+        }
     }
 }

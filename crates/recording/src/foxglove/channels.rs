@@ -7,7 +7,6 @@ use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 
 use super::records;
-use super::robot_truth::RobotTruthRecord;
 use crate::container::TRUTH_TOPIC;
 
 /// A channel beside the inputs.
@@ -86,8 +85,7 @@ macro_rules! foxglove {
 }
 
 const fn json(topic: &'static str, schema: &'static str, text: fn() -> String) -> Channel {
-    let encoding = Encoding::Json(text);
-    Channel { topic, robot_topic: None, schema, encoding }
+    Channel { topic, robot_topic: None, schema, encoding: Encoding::Json(text) }
 }
 
 const fn json_of_robot(
@@ -133,7 +131,7 @@ pub(super) const COMMAND: Channel =
 pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
 pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
 /// [`TRUTH`] where the samples say which robot they are of; without, a recording of one robot has the bytes that it always had.
-pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<RobotTruthRecord>);
+pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::RobotTruthRecord>);
 
 /// Every channel beside the inputs.
 pub const CHANNELS: &[Channel] = &[

@@ -15,11 +15,9 @@
 //! ```
 
 mod channels;
-mod convert;
 mod outputs;
 mod records;
 mod robot_outputs;
-mod robot_truth;
 mod wire;
 
 pub use channels::{CHANNELS, Channel};

@@ -8,14 +8,12 @@ use posebridge_telemetry::{
 use serde::Serialize;
 
 use super::channels::{self, Channel, EncodedMessage};
-use super::convert::{ARENA, ellipse_of, log_level, odometry_of, pose_of};
 use super::records::{
     CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
-    TemperatureRecord, TruthRecord, finite,
+    RobotTruthRecord, TemperatureRecord, TruthRecord, finite,
 };
 use super::robot_outputs::{ClockAlignmentPoint, RobotOutputsTable};
-use super::robot_truth::RobotTruthRecord;
-use super::wire;
+use super::wire::{self, ARENA, ellipse_of, log_level, odometry_of, pose_of};
 use crate::container::{RecordingGap, TruthSample};
 
 /// The path is written this often: it is whole each time.
@@ -69,10 +67,40 @@ impl OutputEncoder {
             Event::ObservationFused { robot, record } => self.fusion_messages(*robot, now, record),
             Event::ObservationAligned { robot, observation, .. } => self.fix_messages(*robot, now, observation),
             Event::BrickClockAligned { .. } => self.brick_clock_messages(event),
-            Event::CameraClockAligned { .. } => camera_clock_message(event).into_iter().collect(),
-            Event::Temperature { brick, .. } => self.temperature_messages(*brick, event),
+            Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } => {
+                let record = ClockRecord {
+                    clock: "camera",
+                    system: camera.system.0,
+                    component: camera.component.0,
+                    host_nanos: host.as_nanos(),
+                    other_nanos: stamp.as_nanos(),
+                    offset_s: offset.as_secs_f64(),
+                    skew_ppm: None,
+                    uncertainty_s: uncertainty.as_secs_f64(),
+                    round_trip_s: None,
+                };
+                vec![json_message(channels::CLOCK, &record)]
+            }
+            Event::Temperature { brick, channel, stamp, shown, verdict, settled, .. } => {
+                let record = TemperatureRecord {
+                    system: brick.address.system.0,
+                    component: brick.address.component.0,
+                    channel: channel.to_string(),
+                    brick_nanos: stamp.as_nanos(),
+                    shown_c: finite(shown.0),
+                    verdict: verdict.reason(),
+                    settled_c: settled.and_then(|settled| finite(settled.value)),
+                    settled_sigma_c: settled.and_then(|settled| finite(settled.sigma)),
+                };
+                let mut messages = vec![json_message(channels::TEMPERATURE, &record)];
+                // A thermometer may be that of a brick that is no robot.
+                if let Some(outputs) = self.robots.find_other(*brick) {
+                    outputs.assign(&mut messages);
+                }
+                messages
+            }
             Event::Health { link, health, sources } => {
-                json_message(channels::LINK_HEALTH, &HealthRecord::new(*link, health, sources)).into_iter().collect()
+                vec![json_message(channels::LINK_HEALTH, &HealthRecord::new(*link, health, sources))]
             }
             Event::RobotDetected { .. }
             | Event::RobotNamed { .. }
@@ -110,8 +138,7 @@ impl OutputEncoder {
         let Some(outputs) = self.robots.get_or_add(robot) else {
             return Vec::new();
         };
-        let message = json_message(channels::CALIBRATION, &CalibrationRecord::from(calibration));
-        let mut messages: Vec<EncodedMessage> = message.into_iter().collect();
+        let mut messages = vec![json_message(channels::CALIBRATION, &CalibrationRecord(*calibration))];
         outputs.assign(&mut messages);
         messages
     }
@@ -135,7 +162,7 @@ impl OutputEncoder {
             outputs.assign(&mut messages);
         }
         // It is read back: that of a robot without topics is kept as well.
-        messages.extend(match sample.robot {
+        messages.push(match sample.robot {
             None => json_message(channels::TRUTH, &TruthRecord::from(sample)),
             Some(robot) => json_message(channels::ROBOT_TRUTH, &RobotTruthRecord::new(robot, sample)),
         });
@@ -154,8 +181,7 @@ impl OutputEncoder {
         if !is_due(&mut outputs.last_estimate, now, self.spacing) {
             return Vec::new();
         }
-        let mut messages: Vec<EncodedMessage> =
-            json_message(channels::ESTIMATE, &EstimateRecord::from(estimate)).into_iter().collect();
+        let mut messages = vec![json_message(channels::ESTIMATE, &EstimateRecord::from(estimate))];
         if !(estimate.validity.position && estimate.validity.heading) {
             outputs.assign(&mut messages);
             return messages;
@@ -164,8 +190,7 @@ impl OutputEncoder {
         let pose = pose_of(&estimate.pose);
         let odometry = odometry_of(estimate, &outputs.body_frame, timestamp);
         messages.push(protobuf_message(channels::ODOMETRY, &odometry));
-        let frame_id = ARENA.to_owned();
-        let in_arena = wire::PoseInFrame { timestamp, frame_id, pose: Some(pose) };
+        let in_arena = wire::PoseInFrame { timestamp, frame_id: ARENA.to_owned(), pose: Some(pose) };
         messages.push(protobuf_message(channels::POSE, &in_arena));
         let transform = wire::FrameTransform {
             timestamp,
@@ -199,7 +224,7 @@ impl OutputEncoder {
         let is_due = is_due(last.or_default(), now, self.spacing);
         let mut messages = Vec::new();
         if is_due || !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::Unused) {
-            messages.extend(json_message(channels::FUSION, &FusedRecord::from(record)));
+            messages.push(json_message(channels::FUSION, &FusedRecord::from(record)));
             outputs.assign(&mut messages);
         }
         if record.outcome == FusionOutcome::PoseReset {
@@ -253,17 +278,8 @@ impl OutputEncoder {
             uncertainty_s: uncertainty.as_secs_f64(),
             round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
         };
-        let mut messages: Vec<EncodedMessage> = json_message(channels::CLOCK, &record).into_iter().collect();
+        let mut messages = vec![json_message(channels::CLOCK, &record)];
         outputs.assign(&mut messages);
-        messages
-    }
-
-    /// A thermometer may be that of a brick that is no robot.
-    fn temperature_messages(&self, brick: RobotId, event: &Event) -> Vec<EncodedMessage> {
-        let mut messages: Vec<EncodedMessage> = temperature_message(event).into_iter().collect();
-        if let Some(outputs) = self.robots.find_other(brick) {
-            outputs.assign(&mut messages);
-        }
         messages
     }
 
@@ -289,12 +305,12 @@ impl UtcClock {
 }
 
 /// A request of a person or a program as a message; `robot` is the one that it is for, if it names one.
-pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> Option<EncodedMessage> {
+pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> EncodedMessage {
     json_message(channels::COMMAND, &CommandRecord::new(command, robot))
 }
 
 /// Inputs that are missing as a message.
-pub(crate) fn gap_message(gap: &RecordingGap) -> Option<EncodedMessage> {
+pub(crate) fn gap_message(gap: &RecordingGap) -> EncodedMessage {
     json_message(channels::GAP, &GapRecord::from(gap))
 }
 
@@ -307,48 +323,11 @@ fn is_due(last: &mut Option<Timestamp<HostClock>>, now: Timestamp<HostClock>, sp
     is_due
 }
 
-fn camera_clock_message(event: &Event) -> Option<EncodedMessage> {
-    let Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } = event else {
-        return None;
-    };
-    let record = ClockRecord {
-        clock: "camera",
-        system: camera.system.0,
-        component: camera.component.0,
-        host_nanos: host.as_nanos(),
-        other_nanos: stamp.as_nanos(),
-        offset_s: offset.as_secs_f64(),
-        skew_ppm: None,
-        uncertainty_s: uncertainty.as_secs_f64(),
-        round_trip_s: None,
-    };
-    json_message(channels::CLOCK, &record)
-}
-
-fn temperature_message(event: &Event) -> Option<EncodedMessage> {
-    let Event::Temperature { brick, channel, stamp, shown, verdict, settled, .. } = event else {
-        return None;
-    };
-    let record = TemperatureRecord {
-        system: brick.address.system.0,
-        component: brick.address.component.0,
-        channel: channel.to_string(),
-        brick_nanos: stamp.as_nanos(),
-        shown_c: finite(shown.0),
-        verdict: verdict.reason(),
-        settled_c: settled.and_then(|settled| finite(settled.value)),
-        settled_sigma_c: settled.and_then(|settled| finite(settled.sigma)),
-    };
-    json_message(channels::TEMPERATURE, &record)
-}
-
 fn protobuf_message(channel: Channel, message: &impl prost::Message) -> EncodedMessage {
-    let data = message.encode_to_vec();
-    EncodedMessage { channel, robot: None, data }
+    EncodedMessage { channel, robot: None, data: message.encode_to_vec() }
 }
 
-/// A record as JSON. It has numbers, texts and lists alone, so that there is always one.
-fn json_message(channel: Channel, record: &impl Serialize) -> Option<EncodedMessage> {
-    let data = serde_json::to_vec(record).ok()?;
-    Some(EncodedMessage { channel, robot: None, data })
+/// Records of numbers, texts and lists can always be written.
+fn json_message(channel: Channel, record: &impl Serialize) -> EncodedMessage {
+    EncodedMessage { channel, robot: None, data: serde_json::to_vec(record).unwrap_or_default() }
 }

@@ -184,96 +184,54 @@ pub(super) struct ClockRecord {
 }
 
 /// What the filter has learned about the robot; a sigma of 0: taken as given.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct CalibrationRecord {
-    /// Relative error of the mean wheel radius.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) radius_scale: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) radius_scale_sigma: Option<f64>,
-    /// Relative difference of the wheels' radii, right minus left.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) radius_difference: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) radius_difference_sigma: Option<f64>,
-    /// Relative error of the track width.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) track_scale: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) track_scale_sigma: Option<f64>,
-    /// Gyro bias, rad/s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) gyro_bias_rad_per_s: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) gyro_bias_rad_per_s_sigma: Option<f64>,
-    /// How much earlier than its stamp a fix was true, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) fix_delay_s: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) fix_delay_s_sigma: Option<f64>,
-    /// Where the tag is, forward of where the fix says, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) tag_forward_m: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) tag_forward_m_sigma: Option<f64>,
-    /// Where the tag is, to the left of where the fix says, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) tag_left_m: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) tag_left_m_sigma: Option<f64>,
-    /// Offset of a beacon's ranges, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) beacon_offset_m: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) beacon_offset_m_sigma: Option<f64>,
-    /// Relative error of a beacon's ranges.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) beacon_scale: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) beacon_scale_sigma: Option<f64>,
-    /// Offset of the ranges to landmarks, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) landmark_offset_m: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) landmark_offset_m_sigma: Option<f64>,
-    /// Relative error of the ranges to landmarks.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) landmark_scale: Option<f64>,
-    /// One standard deviation of it, in its unit.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) landmark_scale_sigma: Option<f64>,
+#[derive(Debug)]
+pub(super) struct CalibrationRecord(pub(super) Calibration);
+
+/// A constant of a robot: key, description, and where it stands. The key of its standard deviation ends in `_sigma`.
+type CalibrationTerm = (&'static str, &'static str, fn(&Calibration) -> UncertainValue);
+
+#[rustfmt::skip]
+const CALIBRATION_TERMS: [CalibrationTerm; 11] = [
+    ("radius_scale", "Relative error of the mean wheel radius.", |of| of.radius_scale),
+    ("radius_difference", "Relative difference of the wheels' radii, right minus left.", |of| of.radius_difference),
+    ("track_scale", "Relative error of the track width.", |of| of.track_scale),
+    ("gyro_bias_rad_per_s", "Gyro bias, rad/s.", |of| of.gyro_bias_rad_per_s),
+    ("fix_delay_s", "How much earlier than its stamp a fix was true, s.", |of| of.fix_delay_s),
+    ("tag_forward_m", "Where the tag is, forward of where the fix says, m.", |of| of.tag_forward_m),
+    ("tag_left_m", "Where the tag is, to the left of where the fix says, m.", |of| of.tag_left_m),
+    ("beacon_offset_m", "Offset of a beacon's ranges, m.", |of| of.beacon_offset_m),
+    ("beacon_scale", "Relative error of a beacon's ranges.", |of| of.beacon_scale),
+    ("landmark_offset_m", "Offset of the ranges to landmarks, m.", |of| of.landmark_offset_m),
+    ("landmark_scale", "Relative error of the ranges to landmarks.", |of| of.landmark_scale),
+];
+
+impl Serialize for CalibrationRecord {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let numbers = CALIBRATION_TERMS.iter().flat_map(|(key, _, read)| {
+            let UncertainValue { value, sigma } = read(&self.0);
+            [((*key).to_owned(), value), (format!("{key}_sigma"), sigma)]
+        });
+        serializer.collect_map(numbers.filter(|(_, number)| number.is_finite()))
+    }
+}
+
+impl JsonSchema for CalibrationRecord {
+    fn schema_name() -> Cow<'static, str> {
+        "CalibrationRecord".into()
+    }
+
+    fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
+        let number = |help: &str| json!({ "description": help, "format": "double", "type": "number" });
+        let entries = CALIBRATION_TERMS.iter().flat_map(|(key, help, _)| {
+            let sigma = number("One standard deviation of it, in its unit.");
+            [((*key).to_owned(), number(help)), (format!("{key}_sigma"), sigma)]
+        });
+        json_schema!({
+            "description": "What the filter has learned about the robot; a sigma of 0: taken as given.",
+            "type": "object",
+            "properties": Value::from(entries.collect::<Map<_, _>>()),
+        })
+    }
 }
 
 /// A thermometer was read.
@@ -348,6 +306,30 @@ pub(super) struct TruthRecord {
     pub(super) odometry_heading_rad: Option<f64>,
 }
 
+/// Where one of several simulated robots really was.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct RobotTruthRecord {
+    /// Number of the robot's link.
+    pub(super) link: u16,
+    /// MAVLink system id of the robot.
+    pub(super) system: u8,
+    /// MAVLink component id of the robot.
+    pub(super) component: u8,
+    #[serde(flatten)]
+    pub(super) truth: TruthRecord,
+}
+
+impl RobotTruthRecord {
+    pub(super) fn new(robot: RobotId, sample: &TruthSample) -> Self {
+        Self {
+            link: robot.link.0,
+            system: robot.address.system.0,
+            component: robot.address.component.0,
+            truth: TruthRecord::from(sample),
+        }
+    }
+}
+
 impl From<&Estimate> for EstimateRecord {
     fn from(estimate: &Estimate) -> Self {
         Self {
@@ -403,37 +385,6 @@ impl HealthRecord {
             round_trip_s: health.round_trip.map(TimeDelta::as_secs_f64),
             clock_uncertainty_s: health.clock_uncertainty.map(TimeDelta::as_secs_f64),
             sources: sources.iter().map(source).collect(),
-        }
-    }
-}
-
-impl From<&Calibration> for CalibrationRecord {
-    fn from(calibration: &Calibration) -> Self {
-        let value = |known: UncertainValue| finite(known.value);
-        let sigma = |known: UncertainValue| finite(known.sigma);
-        Self {
-            radius_scale: value(calibration.radius_scale),
-            radius_scale_sigma: sigma(calibration.radius_scale),
-            radius_difference: value(calibration.radius_difference),
-            radius_difference_sigma: sigma(calibration.radius_difference),
-            track_scale: value(calibration.track_scale),
-            track_scale_sigma: sigma(calibration.track_scale),
-            gyro_bias_rad_per_s: value(calibration.gyro_bias_rad_per_s),
-            gyro_bias_rad_per_s_sigma: sigma(calibration.gyro_bias_rad_per_s),
-            fix_delay_s: value(calibration.fix_delay_s),
-            fix_delay_s_sigma: sigma(calibration.fix_delay_s),
-            tag_forward_m: value(calibration.tag_forward_m),
-            tag_forward_m_sigma: sigma(calibration.tag_forward_m),
-            tag_left_m: value(calibration.tag_left_m),
-            tag_left_m_sigma: sigma(calibration.tag_left_m),
-            beacon_offset_m: value(calibration.beacon_offset_m),
-            beacon_offset_m_sigma: sigma(calibration.beacon_offset_m),
-            beacon_scale: value(calibration.beacon_scale),
-            beacon_scale_sigma: sigma(calibration.beacon_scale),
-            landmark_offset_m: value(calibration.landmark_offset_m),
-            landmark_offset_m_sigma: sigma(calibration.landmark_offset_m),
-            landmark_scale: value(calibration.landmark_scale),
-            landmark_scale_sigma: sigma(calibration.landmark_scale),
         }
     }
 }

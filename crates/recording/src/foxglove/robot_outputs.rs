@@ -6,8 +6,7 @@ use std::sync::Arc;
 use posebridge_telemetry::{BrickClock, Event, HostClock, RobotId, SensorId, TimeDelta, Timestamp};
 
 use super::channels::EncodedMessage;
-use super::convert::BODY;
-use super::wire;
+use super::wire::{self, BODY};
 use crate::robot_names::RobotNames;
 
 /// Most robots with topics: the station's default limit.

@@ -6,9 +6,23 @@
 //! Every byte belongs to exactly one of: a whole record, an unverified one, or the bytes outside. The result does not
 //! depend on how the file is split into chunks.
 
-use super::framing::{self, MAX_FRAME_BYTES};
 use super::{ByteOrder, TIME_BYTES};
 
+/// Start of a MAVLink 2 frame.
+const START_V2: u8 = 0xFD;
+/// Start of a MAVLink 1 frame.
+const START_V1: u8 = 0xFE;
+/// Header and checksum of a MAVLink 2 frame.
+const ENVELOPE_V2_BYTES: usize = 12;
+/// Header and checksum of a MAVLink 1 frame.
+const ENVELOPE_V1_BYTES: usize = 8;
+/// Bytes of a signature.
+const SIGNATURE_BYTES: usize = 13;
+/// Incompatibility flag of MAVLink 2: a signature follows.
+const FLAG_SIGNED: u8 = 0x01;
+
+/// The longest frame that there can be.
+const MAX_FRAME_BYTES: usize = ENVELOPE_V2_BYTES + 255 + SIGNATURE_BYTES;
 /// The longest record that there can be.
 const MAX_RECORD_BYTES: usize = TIME_BYTES + MAX_FRAME_BYTES;
 /// Number of bytes that decide whether a record begins at the first of them: an unverified one must not hold the beginning of a
@@ -192,13 +206,32 @@ fn parse_step<'a, T: Copy>(bytes: &'a [u8], check_frame: &mut impl FnMut(&[u8]) 
 /// The frame of the record that would begin here.
 #[inline]
 fn frame_after_time(bytes: &[u8]) -> Option<&[u8]> {
-    framing::split_frame(bytes.get(TIME_BYTES..)?)
+    split_frame(bytes.get(TIME_BYTES..)?)
+}
+
+/// Whether a frame may begin with this byte.
+const fn is_start(byte: u8) -> bool {
+    matches!(byte, START_V1 | START_V2)
+}
+
+/// The bytes of the frame that begins `bytes`; `None` if none begins there, or it is not whole.
+#[inline]
+fn split_frame(bytes: &[u8]) -> Option<&[u8]> {
+    let length = match *bytes {
+        [START_V2, payload, flags, ..] => {
+            let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE_BYTES };
+            ENVELOPE_V2_BYTES + usize::from(payload) + signature
+        }
+        [START_V1, payload, ..] => ENVELOPE_V1_BYTES + usize::from(payload),
+        _ => return None,
+    };
+    bytes.get(..length)
 }
 
 /// How far it is to the next place at which a record could begin, as far as the bytes show; all of them if there is none.
 fn bytes_to_next_start(bytes: &[u8]) -> usize {
     let behind = bytes.get(TIME_BYTES + 1..).unwrap_or_default();
-    let next = behind.iter().position(|byte| framing::is_start(*byte));
+    let next = behind.iter().position(|byte| is_start(*byte));
     // Where the bytes end, the start of the next record's frame may be just beyond them.
     next.map_or_else(|| bytes.len().saturating_sub(TIME_BYTES).max(1), |at| at + 1)
 }
@@ -212,7 +245,7 @@ fn is_between_records<T: Copy>(
 ) -> bool {
     let end = TIME_BYTES + frame;
     let behind = bytes.get(end..).unwrap_or_default();
-    let is_followed = behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(framing::is_start);
+    let is_followed = behind.is_empty() || behind.get(TIME_BYTES).copied().is_some_and(is_start);
     let mut inside = 1..end;
     is_followed
         && !inside.any(|at| {

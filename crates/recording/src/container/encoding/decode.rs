@@ -1,9 +1,16 @@
 //! Decodes one message: version, checksum and input.
 
-use posebridge_telemetry::Input;
+use posebridge_telemetry::{
+    Address, BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
+    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
+    PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SensorSwitch,
+    SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
+};
 
-use super::cursor::InputDecoder;
-use super::{CHECKSUM_BYTES, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition};
+use super::{
+    CHECKSUM_BYTES, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command, fix_flag, kind, simulator,
+    tag,
+};
 
 /// Turns the bytes of one message into the input that was given.
 pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Result<Input, DecodeError> {
@@ -26,5 +33,268 @@ pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Resul
     match cursor.remaining() {
         0 => Ok(input),
         left => Err(DecodeError::TooLong(left)),
+    }
+}
+
+/// What is left of a message while it is taken apart.
+struct InputDecoder<'a> {
+    bytes: &'a [u8],
+}
+
+impl<'a> InputDecoder<'a> {
+    const fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes }
+    }
+
+    /// How many bytes are left.
+    const fn remaining(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn read_bytes<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+        let (head, rest) =
+            self.bytes.split_first_chunk::<N>().ok_or(DecodeError::TooShort { wanted: N, left: self.bytes.len() })?;
+        self.bytes = rest;
+        Ok(*head)
+    }
+
+    fn u8(&mut self) -> Result<u8, DecodeError> {
+        self.read_bytes::<1>().map(|[byte]| byte)
+    }
+
+    fn u16(&mut self) -> Result<u16, DecodeError> {
+        self.read_bytes().map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self) -> Result<u32, DecodeError> {
+        self.read_bytes().map(u32::from_le_bytes)
+    }
+
+    fn i64(&mut self) -> Result<i64, DecodeError> {
+        self.read_bytes().map(i64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, DecodeError> {
+        self.read_bytes().map(f64::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, DecodeError> {
+        self.read_bytes().map(u64::from_le_bytes)
+    }
+
+    fn counts(&mut self) -> Result<LinkCounts, DecodeError> {
+        Ok(LinkCounts {
+            bytes_out: self.u64()?,
+            drops_out: self.u64()?,
+            peers: self.u32()?,
+            queued_frames: self.u32()?,
+            queued_bytes: self.u32()?,
+            capacity_bytes_per_s: Some(self.f64()?).filter(|capacity| *capacity >= 0.0),
+        })
+    }
+
+    fn heading(&mut self) -> Result<Heading, DecodeError> {
+        let angle_rad = self.f64()?;
+        let heading = Heading::from_rad(angle_rad);
+        // What `Heading` would change was not written by us: refused, because replay promises the same bits.
+        if heading.rad().to_bits() == angle_rad.to_bits() { Ok(heading) } else { Err(DecodeError::Heading(angle_rad)) }
+    }
+
+    fn pose<S>(&mut self) -> Result<Pose<S>, DecodeError> {
+        Ok(Pose::new(Meters(self.f64()?), Meters(self.f64()?), self.heading()?))
+    }
+
+    fn point<S>(&mut self) -> Result<Point2<S>, DecodeError> {
+        Ok(Point2::new(Meters(self.f64()?), Meters(self.f64()?)))
+    }
+
+    /// The input that begins here.
+    fn input(&mut self) -> Result<Input, DecodeError> {
+        Ok(match self.u8()? {
+            tag::BYTES => Input::Bytes {
+                link: LinkId(self.u16()?),
+                peer: PeerId::default(),
+                bytes: std::mem::take(&mut self.bytes).to_vec(),
+            },
+            tag::PEER_BYTES => Input::Bytes {
+                link: LinkId(self.u16()?),
+                peer: PeerId(self.u32()?),
+                bytes: std::mem::take(&mut self.bytes).to_vec(),
+            },
+            tag::PORT => Input::Port { link: LinkId(self.u16()?), counts: self.counts()? },
+            tag::LINK => Input::Link {
+                link: LinkId(self.u16()?),
+                state: match self.u8()? {
+                    0 => LinkState::Down,
+                    1 => LinkState::Up,
+                    value => {
+                        return Err(DecodeError::Unknown { field: "link state", value });
+                    }
+                },
+            },
+            tag::OBSERVATION => Input::Observation(self.observation()?),
+            tag @ (tag::SET_POSE | tag::COMMAND | tag::SIMULATOR) => Input::Command(self.command(tag)?),
+            tag::ROBOT_COMMAND => {
+                let link = LinkId(self.u16()?);
+                let robot = RobotId { link, address: Address::new(self.u8()?, self.u8()?) };
+                let tag = self.u8()?;
+                Input::RobotCommand { robot, command: self.command(tag)? }
+            }
+            tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
+            tag::TICK => Input::Tick,
+            value => {
+                return Err(DecodeError::Unknown { field: "input tag", value });
+            }
+        })
+    }
+
+    fn command(&mut self, tag: u8) -> Result<Command, DecodeError> {
+        Ok(match tag {
+            tag::SET_POSE => {
+                Command::SetPose { pose: self.pose()?, position_sigma_m: self.f64()?, heading_sigma_rad: self.f64()? }
+            }
+            tag::COMMAND => self.plain_command()?,
+            tag::SIMULATOR => Command::Simulator(self.simulator()?),
+            value => {
+                return Err(DecodeError::Unknown { field: "command tag", value });
+            }
+        })
+    }
+
+    fn plain_command(&mut self) -> Result<Command, DecodeError> {
+        Ok(match self.u8()? {
+            command::RESET_POSE => Command::ResetPose,
+            command::SET_PARAMETER => {
+                Command::SetParameter { value: self.f64()?, name: self.remaining_name("a parameter's name")? }
+            }
+            command::SAVE_PARAMETERS => Command::Parameters(ParameterStorage::Save),
+            command::RELOAD_PARAMETERS => Command::Parameters(ParameterStorage::Reload),
+            command::DEFAULT_PARAMETERS => Command::Parameters(ParameterStorage::Default),
+            command::FREEZE => Command::OnlineCalibration(OnlineCalibration::Frozen),
+            command::LEARN => Command::OnlineCalibration(OnlineCalibration::Enabled),
+            command::RESET_CALIBRATION => Command::ResetCalibration,
+            command::SOURCE_OFF => Command::SwitchSource { sensor: SensorId(self.u8()?), to: SensorSwitch::Off },
+            command::SOURCE_ON => Command::SwitchSource { sensor: SensorId(self.u8()?), to: SensorSwitch::On },
+            command::START_RECORDING => Command::StartRecording,
+            command::STOP_RECORDING => Command::StopRecording,
+            value => {
+                return Err(DecodeError::Unknown { field: "command", value });
+            }
+        })
+    }
+
+    fn remaining_text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
+        let rest = std::mem::take(&mut self.bytes);
+        std::str::from_utf8(rest).map_err(|_invalid| DecodeError::Text(what))
+    }
+
+    fn remaining_name(&mut self, what: &'static str) -> Result<ChannelName, DecodeError> {
+        let text = self.remaining_text(what)?;
+        let name = ChannelName::from_bytes(text.as_bytes());
+        // What a name would change was not written by us.
+        if name.as_str() == text { Ok(name) } else { Err(DecodeError::Text(what)) }
+    }
+
+    fn observation(&mut self) -> Result<Observation, DecodeError> {
+        Ok(Observation {
+            sensor: SensorId(self.u8()?),
+            stamp: Timestamp::from_nanos(self.i64()?),
+            stamp_sigma: TimeDelta::from_nanos(self.i64()?),
+            measurement: self.observation_kind()?,
+        })
+    }
+
+    fn observation_kind(&mut self) -> Result<ObservationKind, DecodeError> {
+        Ok(match self.u8()? {
+            kind::WHEEL_ANGLES => {
+                ObservationKind::WheelAngles { left: Radians(self.f64()?), right: Radians(self.f64()?) }
+            }
+            kind::ODOMETER_POSE => ObservationKind::OdometerPose(self.pose()?),
+            kind::BODY_VELOCITY => ObservationKind::BodyVelocity {
+                forward: MetersPerSecond(self.f64()?),
+                turn: RadiansPerSecond(self.f64()?),
+            },
+            kind::TURN_RATE => ObservationKind::TurnRate(RadiansPerSecond(self.f64()?)),
+            kind::WHEEL_ACCELERATIONS => ObservationKind::WheelAccelerations {
+                left: MetersPerSecondSquared(self.f64()?),
+                right: MetersPerSecondSquared(self.f64()?),
+            },
+            kind::FIX => ObservationKind::Fix(self.fix()?),
+            kind::LANDMARK => ObservationKind::Landmark {
+                id: LandmarkId(self.u32()?),
+                range: Meters(self.f64()?),
+                bearing: Radians(self.f64()?),
+            },
+            kind::BEACON_RANGE => {
+                ObservationKind::BeaconRange { id: BeaconId(self.u32()?), range: Meters(self.f64()?) }
+            }
+            kind::WALL_RANGE => ObservationKind::WallRange(Meters(self.f64()?)),
+            kind::COMPASS_HEADING => ObservationKind::CompassHeading(self.heading()?),
+            kind::TEMPERATURE => ObservationKind::Temperature(Celsius(self.f64()?)),
+            value => {
+                return Err(DecodeError::Unknown { field: "observation kind", value });
+            }
+        })
+    }
+
+    fn fix(&mut self) -> Result<Fix, DecodeError> {
+        let flags = self.u8()?;
+        if flags & !fix_flag::ALL != 0 {
+            return Err(DecodeError::Unknown { field: "fix flags", value: flags });
+        }
+        let reset_counter = self.u8()?;
+        let (position, tag_in_body) = (self.point()?, self.point()?);
+        let heading = match flags & fix_flag::HEADING {
+            0 => None,
+            _ => Some(self.heading()?),
+        };
+        let covariance = match flags & fix_flag::COVARIANCE {
+            0 => None,
+            _ => Some(PositionCovariance {
+                xx_m2: self.f64()?,
+                xy_m2: self.f64()?,
+                yy_m2: self.f64()?,
+                heading_rad2: self.f64()?,
+            }),
+        };
+        Ok(Fix { position, heading, covariance, tag_in_body, reset_counter })
+    }
+
+    /// The command for the simulated brick that begins here.
+    fn simulator(&mut self) -> Result<SimulatorCommand, DecodeError> {
+        Ok(match self.u8()? {
+            simulator::KIDNAP => {
+                SimulatorCommand::Kidnap { forward_m: self.f64()?, left_m: self.f64()?, turn_rad: self.f64()? }
+            }
+            simulator::SLIP => SimulatorCommand::Slip {
+                factor: self.f64()?,
+                duration: self.duration()?,
+                wheel: self.choice("slipping wheel", &SlippingWheel::ALL)?,
+            },
+            simulator::CAMERA_OFF => SimulatorCommand::Camera(SensorSwitch::Off),
+            simulator::CAMERA_ON => SimulatorCommand::Camera(SensorSwitch::On),
+            simulator::CAMERA_DELAY => SimulatorCommand::CameraDelay { delay: self.duration()? },
+            simulator::GYRO_BIAS_STEP => SimulatorCommand::GyroBiasStep { rad_per_s: self.f64()? },
+            simulator::LINK_PROFILE => {
+                SimulatorCommand::LinkProfile(Some(self.remaining_name("a link profile's name")?))
+            }
+            simulator::NO_LINK_PROFILE => SimulatorCommand::LinkProfile(None),
+            simulator::PULL_CABLE => SimulatorCommand::PullCable { duration: self.duration()? },
+            simulator::STEERING => SimulatorCommand::Steering(self.choice("steering source", &SteeringSource::ALL)?),
+            simulator::DRIVE => SimulatorCommand::Drive { forward_m_per_s: self.f64()?, turn_rad_per_s: self.f64()? },
+            simulator::PATH => SimulatorCommand::Path,
+            value => {
+                return Err(DecodeError::Unknown { field: "command for the simulated brick", value });
+            }
+        })
+    }
+
+    fn duration(&mut self) -> Result<TimeDelta, DecodeError> {
+        self.i64().map(TimeDelta::from_nanos)
+    }
+
+    fn choice<T: Copy>(&mut self, field: &'static str, all: &[T]) -> Result<T, DecodeError> {
+        let value = self.u8()?;
+        all.get(usize::from(value)).copied().ok_or(DecodeError::Unknown { field, value })
     }
 }

@@ -2,11 +2,12 @@
 
 use posebridge_telemetry::{
     Command, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
-    PeerId, Pose, SensorSwitch,
+    PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
 };
 
-use super::simulated::put_simulator;
-use super::{ENCODING_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, tag};
+use super::{
+    ENCODING_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, simulator, tag,
+};
 
 /// Appends the bytes of `input` to `bytes`, which must be empty.
 pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: &mut Vec<u8>) {
@@ -167,4 +168,55 @@ fn put_fix(fix: &Fix, bytes: &mut Vec<u8>) {
     if let Some(c) = fix.covariance {
         put_numbers(&[c.xx_m2, c.xy_m2, c.yy_m2, c.heading_rad2], bytes);
     }
+}
+
+fn put_simulator(command: &SimulatorCommand, bytes: &mut Vec<u8>) {
+    let mut put = |kind: u8, values: &[f64]| {
+        bytes.push(kind);
+        put_numbers(values, bytes);
+    };
+    match command {
+        SimulatorCommand::Kidnap { forward_m, left_m, turn_rad } => {
+            put(simulator::KIDNAP, &[*forward_m, *left_m, *turn_rad]);
+        }
+        SimulatorCommand::Slip { wheel, factor, duration } => {
+            put(simulator::SLIP, &[*factor]);
+            put_duration(*duration, bytes);
+            bytes.push(index_of(&SlippingWheel::ALL, wheel));
+        }
+        SimulatorCommand::Camera(SensorSwitch::Off) => put(simulator::CAMERA_OFF, &[]),
+        SimulatorCommand::Camera(SensorSwitch::On) => put(simulator::CAMERA_ON, &[]),
+        SimulatorCommand::CameraDelay { delay } => {
+            put(simulator::CAMERA_DELAY, &[]);
+            put_duration(*delay, bytes);
+        }
+        SimulatorCommand::GyroBiasStep { rad_per_s } => {
+            put(simulator::GYRO_BIAS_STEP, &[*rad_per_s]);
+        }
+        SimulatorCommand::LinkProfile(Some(name)) => {
+            put(simulator::LINK_PROFILE, &[]);
+            bytes.extend_from_slice(name.as_str().as_bytes());
+        }
+        SimulatorCommand::LinkProfile(None) => put(simulator::NO_LINK_PROFILE, &[]),
+        SimulatorCommand::PullCable { duration } => {
+            put(simulator::PULL_CABLE, &[]);
+            put_duration(*duration, bytes);
+        }
+        SimulatorCommand::Steering(source) => {
+            bytes.extend_from_slice(&[simulator::STEERING, index_of(&SteeringSource::ALL, source)]);
+        }
+        SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s } => {
+            put(simulator::DRIVE, &[*forward_m_per_s, *turn_rad_per_s]);
+        }
+        SimulatorCommand::Path => put(simulator::PATH, &[]),
+    }
+}
+
+fn put_duration(span: TimeDelta, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&span.as_nanos().to_le_bytes());
+}
+
+/// The place in the list of all; each of them stands in it.
+fn index_of<T: PartialEq>(all: &[T], one: &T) -> u8 {
+    all.iter().take_while(|other| *other != one).count() as u8
 }

@@ -3,10 +3,8 @@
 //! Little-endian, no padding, every `f64` by its bits. The last four bytes are a CRC-32 over the message's sequence
 //! number, its time and the bytes before, so that damage is detected and reported instead of being replayed.
 
-mod cursor;
 mod decode;
 mod encode;
-mod simulated;
 #[cfg(test)]
 mod tests;
 
@@ -102,40 +100,20 @@ mod fix_flag {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// The message ends before its layout does.
     #[error("the message is too short: {wanted} more bytes wanted, {left} left")]
-    TooShort {
-        /// Bytes that the next field needs.
-        wanted: usize,
-        /// Bytes that are left.
-        left: usize,
-    },
-    /// Bytes follow the end of the layout.
+    TooShort { wanted: usize, left: usize },
     #[error("{0} bytes too many at the end of the message")]
     TooLong(usize),
-    /// The bytes are not those that were written.
     #[error("checksum {found:#010x} where {expected:#010x} was expected")]
-    Checksum {
-        /// The checksum that stands there.
-        found: u32,
-        /// The checksum of the bytes.
-        expected: u32,
-    },
+    Checksum { found: u32, expected: u32 },
     /// Written by a newer program.
     #[error("message layout {0} is unknown: read the file with the program version in its header")]
     Version(u8),
-    /// A tag, kind, state or flag that the layout does not have.
     #[error("{field} {value} is not one of this layout")]
-    Unknown {
-        /// The field.
-        field: &'static str,
-        /// Its value.
-        value: u8,
-    },
+    Unknown { field: &'static str, value: u8 },
     /// A text that is not UTF-8, or a name that is none.
     #[error("{0} is not the text of a layout of this program")]
     Text(&'static str),
-    /// A heading outside (-pi, pi].
     #[error("heading {0} rad is outside (-pi, pi]")]
     Heading(f64),
     /// A time that no stamp of the host clock can hold; taken as it stands it would lie before the session.

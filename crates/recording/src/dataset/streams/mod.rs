@@ -4,37 +4,31 @@
 //! time step since the last good row and decides what to do with it: a counter loses nothing on a row without an
 //! interval, a rate does.
 
-pub(super) mod plain;
 pub(super) mod positions;
-pub(super) mod ranges;
+pub(super) mod sensors;
 pub(super) mod wheels;
 
-use super::bad_rows::{BadRowReason, RowError};
+use super::run::{BadRowReason, RowError};
 use super::table::TableRow;
 
 /// Turns rows into values; `None` for a good row that says nothing new.
 pub(super) type RowReader<T> = Box<dyn FnMut(&TableRow<'_>, TimeStep) -> Result<Option<T>, RowError>>;
 
-/// How a row's time follows that of the last good row.
+/// How a row's time follows that of the last good row; intervals are positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum TimeStep {
     /// There is no row before.
     First,
-    /// Later by a time in seconds.
     Forward {
-        /// The interval, positive.
         interval_s: f64,
     },
     /// At the same time.
     Repeated,
-    /// Earlier by a time in nanoseconds.
     Backward {
-        /// The interval, positive.
         nanos: i64,
     },
     /// Later by more than the descriptor says is possible.
     Jump {
-        /// The interval, positive.
         nanos: i64,
     },
 }

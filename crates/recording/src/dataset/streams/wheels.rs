@@ -5,9 +5,8 @@
 
 use posebridge_telemetry::{DriveGeometry, ObservationKind, Radians};
 
-use super::super::bad_rows::{BadRowReason, RowError};
 use super::super::column::{Column, WheelTurn};
-use super::super::error::LoadError;
+use super::super::run::{BadRowReason, LoadError, RowError};
 use super::super::schema::{Counting, Wheels};
 use super::super::table::{BoundColumn, DatasetTable, TableRow};
 use super::{RowReader, TimeStep};

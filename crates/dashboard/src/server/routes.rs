@@ -1,0 +1,229 @@
+//! The routes of the server: access control, the REST endpoints and the files of the page.
+
+use std::future::{Ready, ready};
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::rejection::{BytesRejection, PathRejection};
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::http::header::{
+    ACCEPT, ALLOW, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY,
+    SET_COOKIE, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{Html, IntoResponse as _, Response};
+use axum::routing::{MethodRouter, get, post};
+use tokio::io::AsyncReadExt as _;
+use tokio::time::timeout;
+use tokio_util::io::ReaderStream;
+
+use super::app_state::{AppState, refusal_response, with_content_type};
+use super::guard::RequestAdmission;
+use super::hub_task::TextTopic;
+use super::stream;
+use crate::counters::ServerCounter;
+use crate::limits::{MAX_MESSAGE_BYTES, REPLAY_TIMEOUT, REQUEST_TIMEOUT};
+use crate::metrics::CONTENT_TYPE as METRICS_TYPE;
+use crate::model::Accepted;
+
+type SharedApp = State<Arc<AppState>>;
+/// The name in a path, which may be invalid UTF-8.
+type RecordingName = Result<Path<String>, PathRejection>;
+
+const JSON: &str = "application/json";
+
+/// Scripts, styles, images and connections of this station only, and no embedding in a frame.
+const CONTENT_POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// The page for a browser without the token; the policy above allows it no style of its own.
+const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
+
+/// All routes, behind the guard.
+pub(crate) fn router(app: Arc<AppState>) -> Router {
+    Router::new()
+        .route("/v1/stream", get(stream::open))
+        .route("/v1/state", text(TextTopic::State, JSON))
+        .route("/v1/robots", text(TextTopic::Robots, JSON))
+        .route("/v1/sources", text(TextTopic::Sources, JSON))
+        .route("/v1/parameters", text(TextTopic::Parameters, JSON))
+        .route("/v1/recordings", get(recordings))
+        .route("/v1/recordings/{name}", get(download))
+        .route("/v1/recordings/{name}/replay", get(replay))
+        .route("/v1/commands", post(command))
+        .route("/v1/schema.json", get(schema))
+        .route("/metrics", text(TextTopic::Metrics, METRICS_TYPE))
+        .fallback(asset)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(DefaultBodyLimit::max(MAX_MESSAGE_BYTES))
+        .layer(from_fn_with_state(Arc::clone(&app), admit))
+        .with_state(app)
+}
+
+/// A route whose answer is a text of the hub.
+fn text(topic: TextTopic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
+    get(move |State(app): SharedApp| async move { app.text(topic, kind).await })
+}
+
+/// Checks a request and runs or rejects it; every response gets the headers that restrict a browser.
+async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -> Response {
+    let admitted = app.guard.check(&request);
+    let mut response = match admitted {
+        Ok(admission) => {
+            let patience = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
+            let answer = timeout(patience, next.run(request)).await;
+            let mut response = answer.unwrap_or_else(|_too_slow| {
+                app.counts.increment(ServerCounter::BadRequest);
+                let why = "the request took too long".to_owned();
+                refusal_response(StatusCode::REQUEST_TIMEOUT, why)
+            });
+            if let (RequestAdmission::WithCookie, Some(cookie)) = (admission, app.guard.cookie()) {
+                response.headers_mut().insert(SET_COOKIE, cookie);
+            }
+            response
+        }
+        Err(denial) => {
+            app.counts.increment(denial.count);
+            if denial.status == StatusCode::UNAUTHORIZED && wants_page(request.headers()) {
+                (denial.status, Html(NO_TOKEN_PAGE)).into_response()
+            } else {
+                refusal_response(denial.status, denial.why)
+            }
+        }
+    };
+    let headers = response.headers_mut();
+    for (name, value) in [
+        (CONTENT_SECURITY_POLICY, CONTENT_POLICY),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// Whether the client is a browser that shows a page.
+fn wants_page(headers: &HeaderMap) -> bool {
+    let mut accepted = headers.get_all(ACCEPT).iter();
+    accepted.any(|value| {
+        let value = value.to_str().unwrap_or_default();
+        value.to_ascii_lowercase().contains("text/html")
+    })
+}
+
+fn schema() -> Ready<Response> {
+    ready(with_content_type(JSON, include_str!("../../schema/v1.json").into()))
+}
+
+async fn recordings(State(app): SharedApp) -> Response {
+    let rows = app.recording_rows().await;
+    with_content_type(JSON, serde_json::to_string(&rows).unwrap_or_default().into())
+}
+
+/// A whole recording; of the current one the part written so far.
+async fn download(State(app): SharedApp, name: RecordingName) -> Response {
+    let name = match name {
+        Ok(Path(name)) => name,
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
+    };
+    let Some(path) = app.recording_path(&name).await else {
+        return app.no_recording();
+    };
+    let opened = async {
+        let file = tokio::fs::File::open(&path).await?;
+        let bytes = file.metadata().await?.len();
+        Ok::<_, std::io::Error>((file, bytes))
+    };
+    let Ok((file, bytes)) = opened.await else {
+        return app.no_recording();
+    };
+    let mut response =
+        with_content_type("application/octet-stream", Body::from_stream(ReaderStream::new(file.take(bytes))));
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_LENGTH, bytes.into());
+    // The name is one of the folder's; the browser chooses a name if this one does not fit into a header.
+    if let Ok(value) = HeaderValue::from_str(&format!("attachment; filename=\"{name}\"")) {
+        headers.insert(CONTENT_DISPOSITION, value);
+    }
+    response
+}
+
+/// The trails of a recording, replayed by the station.
+async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
+    let name = match name {
+        Ok(Path(name)) => name,
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
+    };
+    let Some(path) = app.recording_path(&name).await else {
+        return app.no_recording();
+    };
+    let Ok(permit) = Arc::clone(&app.replay_slot).try_acquire_owned() else {
+        app.counts.increment(ServerCounter::ReplayBusy);
+        let why = "another recording is being replayed; try again when it is done".to_owned();
+        return refusal_response(StatusCode::SERVICE_UNAVAILABLE, why);
+    };
+    let worker = Arc::clone(&app);
+    let replayed = tokio::task::spawn_blocking(move || {
+        let history = (worker.replay)(&path);
+        // Held until the replay ends, even if the client has left.
+        drop(permit);
+        serde_json::to_string(&history?).map_err(|error| error.to_string())
+    });
+    match replayed.await {
+        Ok(Ok(text)) => with_content_type(JSON, text.into()),
+        Ok(Err(why)) => refusal_response(StatusCode::UNPROCESSABLE_ENTITY, why),
+        Err(_died) => refusal_response(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            format!("the replay of `{name}` died; `posebridge replay` says more"),
+        ),
+    }
+}
+
+/// Sends a command to the station; the log shows its result.
+async fn command(State(app): SharedApp, headers: HeaderMap, body: Result<Bytes, BytesRejection>) -> Response {
+    if !is_json(&headers) {
+        let why = "a command has the header Content-Type: application/json".to_owned();
+        return app.bad_request(StatusCode::UNSUPPORTED_MEDIA_TYPE, why);
+    }
+    let body = match body {
+        Ok(body) => body,
+        Err(error) => return app.bad_request(error.status(), error.body_text()),
+    };
+    match app.submit_command(&body) {
+        Ok(name) => {
+            let accepted = Accepted { accepted: name.to_owned() };
+            (StatusCode::ACCEPTED, axum::Json(accepted)).into_response()
+        }
+        Err((status, why)) => refusal_response(status, why),
+    }
+}
+
+/// Whether the body's media type is JSON; media types are case-insensitive (RFC 9110, section 8.3.1).
+fn is_json(headers: &HeaderMap) -> bool {
+    let said = headers.get(CONTENT_TYPE);
+    let said = said.and_then(|value| value.to_str().ok());
+    let kind = said.and_then(|value| value.split(';').next());
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(JSON))
+}
+
+/// A file of the page.
+fn asset(State(app): SharedApp, request: Request) -> Ready<Response> {
+    let (head, _body) = request.into_parts();
+    let is_read = matches!(head.method, Method::GET | Method::HEAD);
+    let answered = app.assets.respond(head.uri.path(), &head.headers);
+    ready(match answered {
+        Some(file) if is_read => file,
+        Some(_) => {
+            let mut refused = app.wrong_method();
+            let headers = refused.headers_mut();
+            headers.insert(ALLOW, HeaderValue::from_static("GET,HEAD"));
+            refused
+        }
+        None => app.not_found(),
+    })
+}
+
+fn wrong_method(State(app): SharedApp) -> Ready<Response> {
+    ready(app.wrong_method())
+}

@@ -1,0 +1,281 @@
+//! The outcome of observations: camera fixes for the map, innovations and NIS of each source, and counts.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use posebridge_telemetry::{
+    Event, Fix, FusionOutcome, FusionRecord, Heading, HostClock, ObservationKind, RobotId, SensorId, TimeDelta,
+    Timestamp,
+};
+
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use crate::limits::SECOND;
+use crate::model::{FixPoint, Frame, FusionPoint, Number, TallyPoint, seconds_of};
+
+/// Most fixes that wait for their records; the record follows at once, but a late fix may revise others first.
+const MAX_PENDING_FIXES: usize = 16;
+
+/// Camera fixes with their outcome: the map's marks. The position of a fix is in the observation, its outcome in the record
+/// that follows.
+pub(super) struct Fixes {
+    series: RetainedSeriesMap<(), FixPoint>,
+    pending: VecDeque<(RobotId, SensorId, Fix)>,
+}
+
+impl Fixes {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS), pending: VecDeque::new() }
+    }
+
+    /// The oldest fix of this sensor without a record.
+    fn take_pending(&mut self, robot: RobotId, sensor: SensorId) -> Option<Fix> {
+        let is_it = |open: &(RobotId, SensorId, Fix)| (open.0, open.1) == (robot, sensor);
+        let index = self.pending.iter().position(is_it)?;
+        self.pending.remove(index).map(|(_, _, fix)| fix)
+    }
+}
+
+impl View for Fixes {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Event(Event::ObservationAligned { robot, observation, .. }) => {
+                if let ObservationKind::Fix(fix) = observation.measurement {
+                    if self.pending.len() >= MAX_PENDING_FIXES {
+                        self.pending.pop_front();
+                    }
+                    self.pending.push_back((*robot, observation.sensor, fix));
+                }
+            }
+            ViewInput::Event(Event::ObservationFused { robot, record }) if record.kind == "fix" => {
+                let Some(fix) = self.take_pending(*robot, record.sensor) else {
+                    return;
+                };
+                let heading_rad = fix.heading.map_or(f64::NAN, Heading::rad);
+                let point = FixPoint {
+                    t_s: seconds_of(now),
+                    x_m: fix.position.x.0.into(),
+                    y_m: fix.position.y.0.into(),
+                    heading_rad: heading_rad.into(),
+                    sensor: record.sensor.name().to_owned(),
+                    verdict: record.outcome.reason().to_owned(),
+                    lag_s: record.lag.as_secs_f64().into(),
+                };
+                let priority = priority_of(record.outcome);
+                self.series.push(now, (*robot, ()), point, priority);
+            }
+            ViewInput::Event(_) | ViewInput::Truth(_) | ViewInput::Status(_) => {}
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.series.take_pending() {
+            frame.robot(&robot_name(robot)).fixes = points;
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, points) in self.series.retained() {
+            history.robot(&robot_name(robot)).fixes = points;
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.series.dropped()
+    }
+}
+
+/// Accepted and unused observations are normal; people search for all others.
+fn priority_of(verdict: FusionOutcome) -> PointPriority {
+    if matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Unused) {
+        PointPriority::Normal
+    } else {
+        PointPriority::Keep
+    }
+}
+
+/// The share of the history for one source: a robot has about four, and all together should remain a small message.
+const FUSION_SHARE: usize = 3;
+/// Sources are separate, so that a slow one is not displaced; each with a NIS and without.
+const MAX_SERIES: usize = 2 * 4 * MAX_ROBOTS;
+
+/// The outcome of each observation: innovations and NIS of each source.
+///
+/// Records with a NIS and those without are thinned separately: of the wheels one in four has one, and thinning both
+/// together by halves would leave none of those.
+pub(super) struct Fusion {
+    series: RetainedSeriesMap<(SensorId, &'static str, bool), FusionPoint>,
+}
+
+impl Fusion {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        let policy = setting.retention.map_points(|points| points / FUSION_SHARE);
+        Self { series: RetainedSeriesMap::new(policy, MAX_SERIES) }
+    }
+}
+
+impl View for Fusion {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::ObservationFused { robot, record }) = input else {
+            return;
+        };
+        let has_nis = record.degrees_of_freedom > 0;
+        let source = (record.sensor, record.kind, has_nis);
+        let priority = priority_of(record.outcome);
+        self.series.push(now, (*robot, source), fusion_point(now, record), priority);
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.series.take_pending() {
+            frame.robot(&robot_name(robot)).fusion.extend(points);
+        }
+        sort_points(frame);
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, points) in self.series.retained() {
+            history.robot(&robot_name(robot)).fusion.extend(points);
+        }
+        sort_points(history);
+    }
+
+    fn dropped(&self) -> u64 {
+        self.series.dropped()
+    }
+}
+
+/// Sorts the records of all series by time.
+fn sort_points(frame: &mut Frame) {
+    for robot in &mut frame.robots {
+        robot.fusion.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
+    }
+}
+
+fn fusion_point(now: Timestamp<HostClock>, record: &FusionRecord) -> FusionPoint {
+    let used = usize::from(record.degrees_of_freedom).min(record.innovation.len());
+    let innovation = record.innovation.iter().take(used);
+    let variances = (0..used).map(|index| record.innovation_covariance[index][index]);
+    let nis = if used == 0 { f64::NAN } else { record.nis };
+    FusionPoint {
+        t_s: seconds_of(now),
+        sensor: record.sensor.name().to_owned(),
+        kind: record.kind.to_owned(),
+        verdict: record.outcome.reason().to_owned(),
+        lag_s: record.lag.as_secs_f64().into(),
+        nis: nis.into(),
+        dof: record.degrees_of_freedom,
+        innovation: innovation.map(|value| Number::from(*value)).collect(),
+        sigma: variances.map(|value| Number::from(value.sqrt())).collect(),
+    }
+}
+
+/// An observation with this lag behind the filter's time counts as late: three readings of a brick at 20 Hz. The
+/// page's marks use the same limit (`web/model/marks.js`).
+const MIN_LATE_LAG: TimeDelta = TimeDelta::from_millis(150);
+/// Most sources that are counted; a robot has about four.
+const MAX_SOURCES: usize = 4 * MAX_ROBOTS;
+/// The share of a recording's points for the counts of one source: one a second for more than half an hour, then
+/// fewer.
+const TALLY_SHARE: usize = 10;
+
+/// Robot, sensor and kind.
+type SourceKey = (RobotId, (SensorId, &'static str));
+
+/// Counts since the start.
+#[derive(Clone, Copy, Debug, Default)]
+struct SourceCounts {
+    seen: u64,
+    gated: u64,
+    late: u64,
+}
+
+/// Counts of observations by source: all, gated and late. They are exact, however much the lines are thinned.
+pub(super) struct Tallies {
+    counts: BTreeMap<SourceKey, SourceCounts>,
+    /// Each second of a recording; a live session needs only the counts.
+    seconds: RetainedSeriesMap<(SensorId, &'static str), TallyPoint>,
+    next_second: Timestamp<HostClock>,
+    last: Timestamp<HostClock>,
+    ignored: u64,
+}
+
+impl Tallies {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        Self {
+            counts: BTreeMap::new(),
+            seconds: RetainedSeriesMap::new(setting.retention.for_seconds(0, TALLY_SHARE), MAX_SOURCES),
+            next_second: Timestamp::ZERO,
+            last: Timestamp::ZERO,
+            ignored: 0,
+        }
+    }
+
+    fn count(&mut self, source: SourceKey, record: &FusionRecord) {
+        if !self.counts.contains_key(&source) && self.counts.len() >= MAX_SOURCES {
+            self.ignored += 1;
+            return;
+        }
+        let tally = self.counts.entry(source).or_default();
+        tally.seen += 1;
+        tally.gated += u64::from(record.outcome == FusionOutcome::Gated);
+        tally.late += u64::from(record.lag >= MIN_LATE_LAG);
+    }
+
+    fn record_second(&mut self) {
+        for (source, tally) in &self.counts {
+            let (_, (sensor, kind)) = *source;
+            let point = tally_point(self.last, sensor, kind, *tally);
+            self.seconds.push(self.last, *source, point, PointPriority::Normal);
+        }
+        // A message has the current counts.
+        drop(self.seconds.take_pending());
+    }
+
+    fn add_counts(&self, frame: &mut Frame) {
+        for ((robot, (sensor, kind)), tally) in &self.counts {
+            let point = tally_point(self.last, *sensor, kind, *tally);
+            frame.robot(&robot_name(*robot)).tallies.push(point);
+        }
+    }
+}
+
+impl View for Tallies {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        let ViewInput::Event(Event::ObservationFused { robot, record }) = input else {
+            return;
+        };
+        if now >= self.next_second {
+            self.record_second();
+            self.next_second = now + SECOND;
+        }
+        self.last = self.last.max(now);
+        self.count((*robot, (record.sensor, record.kind)), record);
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        if content == FrameContent::DeltaAndSummary {
+            self.add_counts(frame);
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, points) in self.seconds.retained() {
+            history.robot(&robot_name(robot)).tallies.extend(points);
+        }
+        self.add_counts(history);
+    }
+
+    fn dropped(&self) -> u64 {
+        self.ignored
+    }
+}
+
+fn tally_point(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, tally: SourceCounts) -> TallyPoint {
+    TallyPoint {
+        t_s: seconds_of(at),
+        sensor: sensor.name().to_owned(),
+        kind: kind.to_owned(),
+        seen: tally.seen,
+        gated: tally.gated,
+        late: tally.late,
+    }
+}

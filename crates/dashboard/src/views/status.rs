@@ -1,0 +1,227 @@
+//! What the station's status says: the tunables, the simulated brick, the sensors that are switched off, and the calibration of each robot.
+
+use std::collections::BTreeMap;
+
+use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
+
+use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use crate::feed::StationStatus;
+use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow, seconds_of};
+
+/// A part of the status that is sent when it changes, and once a second.
+pub(super) struct StatusPart<T> {
+    current: Option<T>,
+    has_changed: bool,
+    read: fn(&StationStatus) -> Option<T>,
+    write: fn(&mut Frame, Option<T>),
+}
+
+impl<T> StatusPart<T> {
+    const fn new(read: fn(&StationStatus) -> Option<T>, write: fn(&mut Frame, Option<T>)) -> Self {
+        Self { current: None, has_changed: false, read, write }
+    }
+}
+
+/// The tunables.
+pub(super) fn parameters() -> StatusPart<Vec<ParameterValue>> {
+    StatusPart::new(
+        |status| (!status.parameters.is_empty()).then(|| status.parameters.clone()),
+        |frame, values| frame.parameters = values,
+    )
+}
+
+/// The settings of the simulated brick: its steering source and its link profile.
+pub(super) fn simulator() -> StatusPart<SimulatorNow> {
+    StatusPart::new(|status| status.simulator.clone(), |frame, settings| frame.simulator = settings)
+}
+
+impl<T: Clone + PartialEq + Send> View for StatusPart<T> {
+    fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        if let ViewInput::Status(status) = input {
+            let reported = (self.read)(status);
+            self.has_changed |= reported != self.current;
+            self.current = reported;
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        // Once a second as well: a reader that was slow may have missed the change.
+        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
+            self.add_history(frame);
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        (self.write)(history, self.current.clone());
+    }
+}
+
+/// The ids of the sensors that are switched off.
+#[derive(Default)]
+pub(super) struct Switches {
+    /// Of the first robot; `None` before the first status.
+    switched_off: Option<Vec<u8>>,
+    robots: BTreeMap<RobotId, RobotSwitches>,
+    has_changed: bool,
+}
+
+/// Those of one robot.
+#[derive(Default)]
+struct RobotSwitches {
+    switched_off: Option<Vec<u8>>,
+    /// Whether it has an estimate: only then it is shown.
+    is_estimated: bool,
+}
+
+impl Switches {
+    fn robot(&mut self, robot: RobotId) -> Option<&mut RobotSwitches> {
+        let has_room = self.robots.contains_key(&robot) || self.robots.len() < MAX_ROBOTS;
+        has_room.then(|| self.robots.entry(robot).or_default())
+    }
+}
+
+impl View for Switches {
+    fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Event(Event::EstimateUpdated { robot, .. }) => {
+                let is_new = self.robot(*robot).is_some_and(|known| !std::mem::replace(&mut known.is_estimated, true));
+                self.has_changed |= is_new;
+            }
+            ViewInput::Status(status) => {
+                self.has_changed |= self.switched_off.as_ref() != Some(&status.switched_off);
+                self.switched_off = Some(status.switched_off.clone());
+                for one in &status.robots {
+                    let Some(known) = self.robot(one.robot) else {
+                        continue;
+                    };
+                    let has_changed = known.switched_off.as_ref() != Some(&one.switched_off);
+                    known.switched_off = Some(one.switched_off.clone());
+                    self.has_changed |= has_changed;
+                }
+            }
+            ViewInput::Event(_) | ViewInput::Truth(_) => {}
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        // Once a second as well: a reader that was slow may have missed the change.
+        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
+            self.add_history(frame);
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        history.switched_off.clone_from(&self.switched_off);
+        for (robot, known) in self.robots.iter().filter(|(_, known)| known.is_estimated) {
+            if known.switched_off.is_some() {
+                history.robot(&robot_name(*robot)).switched_off.clone_from(&known.switched_off);
+            }
+        }
+    }
+}
+
+/// The share of a recording's points for the calibration, which has about eight numbers.
+const CALIBRATION_SHARE: usize = 8;
+
+/// The estimated constants of each robot.
+pub(super) struct Calibrations {
+    policy: RetentionPolicy,
+    robots: BTreeMap<RobotId, RobotCalibration>,
+    /// Statuses of robots beyond [`MAX_ROBOTS`].
+    ignored: u64,
+}
+
+/// Those of one robot.
+struct RobotCalibration {
+    rows: Vec<CalibrationRow>,
+    /// Each second of a recording; of a live session the current values.
+    history: RetainedSeries<Vec<CalibrationRow>>,
+    /// Whether it has an estimate: only then it is shown.
+    is_estimated: bool,
+    has_changed: bool,
+}
+
+impl Calibrations {
+    pub(super) fn new(setting: &ViewConfig) -> Self {
+        // Live the current values are all that is needed.
+        let policy = setting.retention.for_seconds(1, CALIBRATION_SHARE);
+        Self { policy, robots: BTreeMap::new(), ignored: 0 }
+    }
+
+    fn robot(&mut self, robot: RobotId) -> Option<&mut RobotCalibration> {
+        if !self.robots.contains_key(&robot) {
+            if self.robots.len() >= MAX_ROBOTS {
+                self.ignored += 1;
+                return None;
+            }
+            let policy = self.policy.shared_by(self.robots.len() + 1);
+            self.robots.insert(robot, RobotCalibration::new(policy));
+            for known in self.robots.values_mut() {
+                known.history.set_policy(policy);
+            }
+        }
+        self.robots.get_mut(&robot)
+    }
+}
+
+impl RobotCalibration {
+    const fn new(policy: RetentionPolicy) -> Self {
+        Self { rows: Vec::new(), history: RetainedSeries::new(policy), is_estimated: false, has_changed: false }
+    }
+
+    fn push_rows(&mut self, now: Timestamp<HostClock>, rows: &[CalibrationRow]) {
+        let t_s = seconds_of(now);
+        let rows: Vec<CalibrationRow> = rows.iter().map(|row| CalibrationRow { t_s, ..row.clone() }).collect();
+        let is_same = |(row, known): (&CalibrationRow, &CalibrationRow)| {
+            (&row.name, row.value, row.sigma) == (&known.name, known.value, known.sigma)
+        };
+        self.has_changed |= rows.len() != self.rows.len() || !rows.iter().zip(&self.rows).all(is_same);
+        self.rows.clone_from(&rows);
+        // All of them: there is one status a second.
+        self.history.push(now, rows, PointPriority::Keep);
+        drop(self.history.take_pending());
+    }
+}
+
+impl View for Calibrations {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        match input {
+            ViewInput::Event(Event::EstimateUpdated { robot, .. }) => {
+                if let Some(known) = self.robot(*robot) {
+                    known.is_estimated = true;
+                }
+            }
+            ViewInput::Status(status) => {
+                for one in &status.robots {
+                    if let Some(known) = self.robot(one.robot) {
+                        known.push_rows(now, &one.calibration);
+                    }
+                }
+            }
+            ViewInput::Event(_) | ViewInput::Truth(_) => {}
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
+        for (robot, known) in self.robots.iter_mut().filter(|(_, known)| known.is_estimated) {
+            let is_due = std::mem::take(&mut known.has_changed) || content == FrameContent::DeltaAndSummary;
+            if is_due && !known.rows.is_empty() {
+                frame.robot(&robot_name(*robot)).calibration = Some(known.rows.clone());
+            }
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, known) in self.robots.iter().filter(|(_, known)| known.is_estimated) {
+            let rows = known.history.retained().concat();
+            if !rows.is_empty() {
+                history.robot(&robot_name(*robot)).calibration = Some(rows);
+            }
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.ignored
+    }
+}

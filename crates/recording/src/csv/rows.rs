@@ -1,0 +1,337 @@
+//! Events as CSV lines: the names of the columns, with units, beside the values.
+
+use posebridge_telemetry::clock::Clock;
+use posebridge_telemetry::{
+    Address, Estimate, Event, FusionRecord, Heading, HostClock, LinkCounter, LinkHealth, LinkId, LinkState,
+    Observation, ObservationKind, RobotId, SourceHealth, TimeDelta, Timestamp,
+};
+
+use crate::event_json;
+
+/// A line for one stream.
+pub(super) struct CsvRow {
+    pub(super) stream: &'static str,
+    /// Names and values.
+    pub(super) columns: Vec<(&'static str, CsvField)>,
+    /// Whom the line is about, in a stream that is about robots: its last column.
+    pub(super) robot: Option<RobotId>,
+}
+
+/// The text of a value, before it is quoted; empty for a missing one.
+#[derive(Default)]
+pub(super) struct CsvField(pub(super) String);
+
+impl From<f64> for CsvField {
+    fn from(number: f64) -> Self {
+        // What is no number is nothing to a spreadsheet.
+        if number.is_finite() { Self(number.to_string()) } else { Self::default() }
+    }
+}
+
+impl From<u64> for CsvField {
+    fn from(count: u64) -> Self {
+        Self(count.to_string())
+    }
+}
+
+impl From<bool> for CsvField {
+    fn from(flag: bool) -> Self {
+        u64::from(flag).into()
+    }
+}
+
+impl From<&str> for CsvField {
+    fn from(text: &str) -> Self {
+        Self(text.to_owned())
+    }
+}
+
+impl From<String> for CsvField {
+    fn from(text: String) -> Self {
+        Self(text)
+    }
+}
+
+impl<T: Into<Self>> From<Option<T>> for CsvField {
+    fn from(value: Option<T>) -> Self {
+        value.map_or_else(Self::default, Into::into)
+    }
+}
+
+impl<C: Clock> From<Timestamp<C>> for CsvField {
+    fn from(stamp: Timestamp<C>) -> Self {
+        stamp.as_secs_f64().into()
+    }
+}
+
+impl From<TimeDelta> for CsvField {
+    fn from(span: TimeDelta) -> Self {
+        span.as_secs_f64().into()
+    }
+}
+
+/// The upper triangle of an estimate's covariance, row by row, over x, y, heading, forward and turn.
+const COVARIANCE_COLUMNS: [&str; 15] = [
+    "var_x_m2",
+    "cov_x_y_m2",
+    "cov_x_heading_m_rad",
+    "cov_x_forward_m2_per_s",
+    "cov_x_turn_m_rad_per_s",
+    "var_y_m2",
+    "cov_y_heading_m_rad",
+    "cov_y_forward_m2_per_s",
+    "cov_y_turn_m_rad_per_s",
+    "var_heading_rad2",
+    "cov_heading_forward_m_rad_per_s",
+    "cov_heading_turn_rad2_per_s",
+    "var_forward_m2_per_s2",
+    "cov_forward_turn_m_rad_per_s2",
+    "var_turn_rad2_per_s2",
+];
+
+/// Innovation and the upper triangle of its covariance S, in the SI units of the observation's kind.
+const INNOVATION_COLUMNS: [&str; 9] =
+    ["innovation_0", "innovation_1", "innovation_2", "s_00", "s_01", "s_02", "s_11", "s_12", "s_22"];
+
+/// The counters of a link in the order of the columns.
+const LINK_COLUMNS: [LinkCounter; 16] = [
+    LinkCounter::BYTES_IN,
+    LinkCounter::BYTES_OUT,
+    LinkCounter::FRAMES_IN,
+    LinkCounter::FRAMES_OUT,
+    LinkCounter::FRAMES_LOST,
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::GARBAGE_BYTES,
+    LinkCounter::UNKNOWN_IDS,
+    LinkCounter::TIMEOUTS,
+    LinkCounter::RECONNECTS,
+    LinkCounter::UNSENT,
+    LinkCounter::REJECTED_FRAMES,
+    LinkCounter::DUPLICATES,
+    LinkCounter::FORWARDED,
+    LinkCounter::FILTERED,
+    LinkCounter::RATE_LIMITED,
+];
+
+/// The lines of an event that happened at `now`.
+pub(super) fn rows(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
+    let row = match event {
+        Event::ObservationAligned { robot, arrival, observation, .. } => observation_row(*robot, *arrival, observation),
+        Event::ObservationFused { robot, record } => fusion_row(*robot, now, record),
+        Event::EstimateUpdated { robot, estimate } => estimate_row(*robot, now, estimate),
+        Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } => CsvRow {
+            stream: "temperature",
+            robot: Some(*brick),
+            columns: vec![
+                ("t_s", (*stamp).into()),
+                ("arrival_s", (*arrival).into()),
+                ("channel", channel.to_string().into()),
+                ("shown_deg_c", shown.0.into()),
+                ("verdict", verdict.reason().into()),
+                ("settled_deg_c", settled.map(|settled| settled.value).into()),
+                ("settled_sigma_deg_c", settled.map(|settled| settled.sigma).into()),
+                ("system", system(brick.address)),
+                ("component", component(brick.address)),
+            ],
+        },
+        Event::BrickClockAligned { robot, offset, skew_ppm, uncertainty, round_trip, brick, host } => CsvRow {
+            stream: "clock",
+            robot: Some(*robot),
+            columns: vec![
+                ("host_s", (*host).into()),
+                ("brick_s", (*brick).into()),
+                ("offset_s", (*offset).into()),
+                ("skew_ppm", (*skew_ppm).into()),
+                ("uncertainty_s", (*uncertainty).into()),
+                ("round_trip_s", (*round_trip).into()),
+                ("system", system(robot.address)),
+                ("component", component(robot.address)),
+            ],
+        },
+        Event::Health { link, health, sources } => {
+            let sources = sources.iter().map(|source| source_row(now, *link, source));
+            return std::iter::once(link_row(now, *link, health)).chain(sources).collect();
+        }
+        Event::RobotDetected { robot } => robot_row(now, "robot_seen", *robot, String::new()),
+        Event::RobotNamed { robot, name } => robot_row(now, "robot_named", *robot, name.clone()),
+        Event::RobotLost { robot, silence } => {
+            robot_row(now, "robot_lost", *robot, format!("silent for {} s", silence.as_secs_f64()))
+        }
+        Event::BrickRestarted { robot } => robot_row(now, "brick_restarted", *robot, String::new()),
+        Event::CameraClockAligned { camera, offset, uncertainty, .. } => {
+            let detail = format!("offset {} s, {} s either way", offset.as_secs_f64(), uncertainty.as_secs_f64());
+            event_row(now, "camera_clock_aligned", None, Some(*camera), detail)
+        }
+        Event::Link { link, state } => {
+            let name = match state {
+                LinkState::Up => "link_up",
+                LinkState::Down => "link_down",
+            };
+            event_row(now, name, Some(*link), None, String::new())
+        }
+        Event::ReceiveError { link, defect } => {
+            event_row(now, "defect", Some(*link), None, event_json::details_of(defect))
+        }
+        Event::Text { source, severity, text } => {
+            event_row(now, "text", None, Some(*source), format!("{severity}: {text}"))
+        }
+    };
+    vec![row]
+}
+
+/// One stream per kind of observation.
+fn observation_row(robot: RobotId, arrival: Timestamp<HostClock>, observation: &Observation) -> CsvRow {
+    let mut columns = vec![
+        ("t_s", observation.stamp.into()),
+        ("arrival_s", arrival.into()),
+        ("stamp_sigma_s", observation.stamp_sigma.into()),
+        ("sensor", u64::from(observation.sensor.0).into()),
+    ];
+    columns.extend(measured_columns(&observation.measurement));
+    CsvRow { stream: observation.measurement.kind(), columns, robot: Some(robot) }
+}
+
+fn measured_columns(observed: &ObservationKind) -> Vec<(&'static str, CsvField)> {
+    match observed {
+        ObservationKind::WheelAngles { left, right } => {
+            vec![("left_rad", left.0.into()), ("right_rad", right.0.into())]
+        }
+        ObservationKind::OdometerPose(pose) => {
+            vec![("x_m", pose.x.0.into()), ("y_m", pose.y.0.into()), ("heading_rad", pose.heading.rad().into())]
+        }
+        ObservationKind::BodyVelocity { forward, turn } => {
+            vec![("forward_m_per_s", forward.0.into()), ("turn_rad_per_s", turn.0.into())]
+        }
+        ObservationKind::TurnRate(turn) => vec![("turn_rad_per_s", turn.0.into())],
+        ObservationKind::WheelAccelerations { left, right } => {
+            vec![("left_m_per_s2", left.0.into()), ("right_m_per_s2", right.0.into())]
+        }
+        ObservationKind::Fix(fix) => vec![
+            ("x_m", fix.position.x.0.into()),
+            ("y_m", fix.position.y.0.into()),
+            ("heading_rad", fix.heading.map(Heading::rad).into()),
+            ("var_x_m2", fix.covariance.map(|covariance| covariance.xx_m2).into()),
+            ("cov_x_y_m2", fix.covariance.map(|covariance| covariance.xy_m2).into()),
+            ("var_y_m2", fix.covariance.map(|covariance| covariance.yy_m2).into()),
+            ("var_heading_rad2", fix.covariance.map(|covariance| covariance.heading_rad2).into()),
+            ("tag_x_m", fix.tag_in_body.x.0.into()),
+            ("tag_y_m", fix.tag_in_body.y.0.into()),
+            ("reset_counter", u64::from(fix.reset_counter).into()),
+        ],
+        ObservationKind::Landmark { id, range, bearing } => {
+            vec![("landmark", u64::from(id.0).into()), ("range_m", range.0.into()), ("bearing_rad", bearing.0.into())]
+        }
+        ObservationKind::BeaconRange { id, range } => {
+            vec![("beacon", u64::from(id.0).into()), ("range_m", range.0.into())]
+        }
+        ObservationKind::WallRange(range) => vec![("range_m", range.0.into())],
+        ObservationKind::CompassHeading(heading) => vec![("heading_rad", heading.rad().into())],
+        ObservationKind::Temperature(shown) => vec![("temperature_deg_c", shown.0.into())],
+    }
+}
+
+fn estimate_row(robot: RobotId, now: Timestamp<HostClock>, estimate: &Estimate) -> CsvRow {
+    let mut columns: Vec<(&str, CsvField)> = vec![
+        ("t_s", estimate.stamp.into()),
+        ("x_m", estimate.pose.x.0.into()),
+        ("y_m", estimate.pose.y.0.into()),
+        ("heading_rad", estimate.pose.heading.rad().into()),
+        ("forward_m_per_s", estimate.forward_speed.0.into()),
+        ("turn_rad_per_s", estimate.turn_rate.0.into()),
+    ];
+    columns.extend(COVARIANCE_COLUMNS.into_iter().zip(upper_triangle(&estimate.covariance)));
+    columns.extend([
+        ("position_valid", estimate.validity.position.into()),
+        ("heading_valid", estimate.validity.heading.into()),
+        ("speeds_valid", estimate.validity.speeds.into()),
+        ("dead_reckoning", estimate.is_dead_reckoning.into()),
+        ("fix_age_s", estimate.fix_age.into()),
+        ("reset_counter", u64::from(estimate.reset_counter).into()),
+        ("host_s", now.into()),
+    ]);
+    CsvRow { stream: "estimates", columns, robot: Some(robot) }
+}
+
+fn fusion_row(robot: RobotId, now: Timestamp<HostClock>, record: &FusionRecord) -> CsvRow {
+    let mut columns: Vec<(&str, CsvField)> = vec![
+        ("t_s", record.stamp.into()),
+        ("sensor", u64::from(record.sensor.0).into()),
+        ("sensor_name", record.sensor.name().into()),
+        ("kind", record.kind.into()),
+        ("verdict", record.outcome.reason().into()),
+        ("lag_s", record.lag.into()),
+        ("degrees_of_freedom", u64::from(record.degrees_of_freedom).into()),
+        ("nis", record.nis.into()),
+        ("log_likelihood", record.log_likelihood.into()),
+    ];
+    let numbers = record.innovation.into_iter().map(CsvField::from);
+    columns.extend(INNOVATION_COLUMNS.into_iter().zip(numbers.chain(upper_triangle(&record.innovation_covariance))));
+    columns.push(("host_s", now.into()));
+    CsvRow { stream: "fusion", columns, robot: Some(robot) }
+}
+
+fn upper_triangle<const N: usize>(matrix: &[[f64; N]; N]) -> impl Iterator<Item = CsvField> {
+    matrix.iter().enumerate().flat_map(|(index, row)| row.iter().skip(index)).map(|entry| (*entry).into())
+}
+
+fn link_row(now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> CsvRow {
+    let mut columns: Vec<(&str, CsvField)> = vec![("host_s", now.into()), ("link", u64::from(link.0).into())];
+    columns.extend(LINK_COLUMNS.map(|counter| (counter.key, (counter.read)(health).into())));
+    columns.extend([
+        ("round_trip_s", health.round_trip.into()),
+        ("clock_uncertainty_s", health.clock_uncertainty.into()),
+        ("queued_frames", u64::from(health.port.queued_frames).into()),
+        ("queued_bytes", u64::from(health.port.queued_bytes).into()),
+    ]);
+    CsvRow { stream: "links", columns, robot: None }
+}
+
+/// What a sender has sent.
+fn source_row(now: Timestamp<HostClock>, link: LinkId, source: &SourceHealth) -> CsvRow {
+    CsvRow {
+        stream: "sources",
+        robot: None,
+        columns: vec![
+            ("host_s", now.into()),
+            ("link", u64::from(link.0).into()),
+            ("system", system(source.source)),
+            ("component", component(source.source)),
+            ("frames", source.frames.into()),
+            ("lost", source.lost.into()),
+        ],
+    }
+}
+
+fn robot_row(now: Timestamp<HostClock>, name: &str, robot: RobotId, detail: String) -> CsvRow {
+    event_row(now, name, Some(robot.link), Some(robot.address), detail)
+}
+
+/// What has no stream of its own.
+fn event_row(
+    now: Timestamp<HostClock>,
+    name: &str,
+    link: Option<LinkId>,
+    address: Option<Address>,
+    detail: String,
+) -> CsvRow {
+    CsvRow {
+        stream: "events",
+        robot: None,
+        columns: vec![
+            ("host_s", now.into()),
+            ("event", name.into()),
+            ("link", link.map(|link| u64::from(link.0)).into()),
+            ("system", address.map(system).into()),
+            ("component", address.map(component).into()),
+            ("detail", detail.into()),
+        ],
+    }
+}
+
+fn system(address: Address) -> CsvField {
+    u64::from(address.system.0).into()
+}
+
+fn component(address: Address) -> CsvField {
+    u64::from(address.component.0).into()
+}

@@ -1,0 +1,442 @@
+//! What happens, as JSON datagrams for PlotJuggler's UDP server (docs/dashboard.md).
+//!
+//! Fed with the messages of the page through a channel that drops and counts ([`FrameTap`]). Sending a datagram never blocks, and
+//! needs no listener. A datagram is one thing that happened, with its time: nested objects of numbers, because that is what PlotJuggler makes
+//! curves of; a number that is not finite is left out. Units are SI and stand in the names.
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::thread::JoinHandle;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_dashboard::FrameTap;
+use posebridge_dashboard::model::{
+    ClockRow, ErrorsRow, EstimatePoint, Frame, FusionPoint, LinkRow, Number, TruthPoint,
+};
+use serde::{Serialize, Serializer};
+
+/// Most messages that wait for the sender, a bit more than a second of them.
+pub const WAITING_FRAMES: usize = 64;
+
+/// A running sender; it ends when the station does.
+pub struct PlotJuggler {
+    thread: JoinHandle<SendCounts>,
+}
+
+/// What became of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SendCounts {
+    /// Datagrams that were sent.
+    pub datagrams: u64,
+    /// Datagrams that the system did not take: its buffer was full, or there is no way to the address.
+    pub dropped: u64,
+    /// Messages of the station that were missed because this sender was slow.
+    pub missed: u64,
+}
+
+impl PlotJuggler {
+    /// Starts to send to an address.
+    pub fn start(address: SocketAddr, frames: FrameTap) -> Result<Self> {
+        let socket =
+            socket_for(address).with_context(|| format!("plotjuggler: opening a UDP socket to send to {address}"))?;
+        let thread = std::thread::Builder::new()
+            .name("plotjuggler".to_owned())
+            .spawn(move || send_all(&socket, address, &frames))
+            .context("starting PlotJuggler's thread")?;
+        Ok(Self { thread })
+    }
+
+    /// Waits for the last datagram; to be called when the station has ended.
+    pub fn finish(self) -> Result<SendCounts> {
+        let joined = self.thread.join();
+        joined.map_err(|_panic| anyhow!("PlotJuggler's thread died"))
+    }
+}
+
+/// A socket that never waits. Where the other side is on this computer, ours is as well.
+fn socket_for(address: SocketAddr) -> std::io::Result<UdpSocket> {
+    let any: IpAddr = match (address.ip().is_loopback(), address.is_ipv4()) {
+        (true, true) => Ipv4Addr::LOCALHOST.into(),
+        (true, false) => Ipv6Addr::LOCALHOST.into(),
+        (false, true) => Ipv4Addr::UNSPECIFIED.into(),
+        (false, false) => Ipv6Addr::UNSPECIFIED.into(),
+    };
+    let socket = UdpSocket::bind((any, 0))?;
+    socket.set_nonblocking(true)?;
+    Ok(socket)
+}
+
+fn send_all(socket: &UdpSocket, address: SocketAddr, frames: &FrameTap) -> SendCounts {
+    let mut sent = SendCounts::default();
+    while let Some(frame) = frames.recv() {
+        send(socket, address, &frame, &mut sent);
+    }
+    sent.missed = frames.missed();
+    sent
+}
+
+fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut SendCounts) {
+    for message in messages(frame) {
+        // Not connected, so that a missing listener is no error.
+        match socket.send_to(message.as_bytes(), address) {
+            Ok(_) => sent.datagrams += 1,
+            Err(_full_or_unreachable) => sent.dropped += 1,
+        }
+    }
+}
+
+/// A field of a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Where it stands: the names of the objects around it and its own, with slashes between. ID, SENSOR and N stand for those of a
+    /// robot, a sensor, a link.
+    pub name: &'static str,
+    /// What it is.
+    pub help: &'static str,
+}
+
+const fn field(name: &'static str, help: &'static str) -> Field {
+    Field { name, help }
+}
+
+/// Every field of the datagrams. docs/dashboard.md has the same table, and tests compare both with what is sent. Adding one: a row here, one in
+/// the page, and a field in an object below.
+pub const FIELDS: &[Field] = &[
+    field("timestamp", "seconds of the session, by the station's clock"),
+    field("robot_ID/estimate/x_m", "estimate, east"),
+    field("robot_ID/estimate/y_m", "estimate, north"),
+    field("robot_ID/estimate/heading_rad", "counter-clockwise from east, in (-pi, pi]"),
+    field("robot_ID/estimate/heading_sigma_rad", "one standard deviation of it"),
+    field("robot_ID/estimate/ellipse_major_m", "half the longer axis of the ellipse that holds the position with 95 %"),
+    field("robot_ID/estimate/ellipse_minor_m", "half its shorter axis"),
+    field("robot_ID/estimate/forward_m_per_s", "forward speed"),
+    field("robot_ID/estimate/turn_rad_per_s", "turn rate, bias removed"),
+    field("robot_ID/estimate/fix_age_s", "time since the last fix that was used; absent before the first"),
+    field("robot_ID/estimate/is_dead_reckoning", "1 when nothing absolute was used for too long"),
+    field("robot_ID/estimate/reset_counter", "counts jumps that are not motion"),
+    field("robot_ID/SENSOR/nis", "normalised innovation squared; absent where nothing was predicted"),
+    field("robot_ID/SENSOR/degrees_of_freedom", "of the NIS: its mean, if the filter is honest"),
+    field("robot_ID/SENSOR/is_used", "1 when the observation was used, 0 when it was gated, too old or not wanted"),
+    field("robot_ID/SENSOR/lag_s", "how far behind the filter's time it was"),
+    field("robot_ID/SENSOR/innovation/forward_m", "fixes: observed minus predicted, along the robot"),
+    field("robot_ID/SENSOR/innovation/left_m", "fixes: to its left"),
+    field("robot_ID/SENSOR/innovation/heading_rad", "fixes with a heading, and compasses"),
+    field("robot_ID/SENSOR/innovation/turn_rad", "wheels: the gyro's turn minus theirs over a window"),
+    field("robot_ID/SENSOR/innovation/range_m", "ranges to walls, beacons and landmarks"),
+    field("robot_ID/SENSOR/innovation/bearing_rad", "bearings of landmarks"),
+    field("robot_ID/SENSOR/sigma/forward_m", "one standard deviation of each innovation"),
+    field("robot_ID/SENSOR/sigma/left_m", "the same"),
+    field("robot_ID/SENSOR/sigma/heading_rad", "the same"),
+    field("robot_ID/SENSOR/sigma/turn_rad", "the same"),
+    field("robot_ID/SENSOR/sigma/range_m", "the same"),
+    field("robot_ID/SENSOR/sigma/bearing_rad", "the same"),
+    field("truth/x_m", "where the simulated robot really is, east"),
+    field("truth/y_m", "north"),
+    field("truth/heading_rad", "its heading"),
+    field("odometry/x_m", "where the brick's own dead reckoning believes the simulated robot to be, east"),
+    field("odometry/y_m", "north"),
+    field("odometry/heading_rad", "its heading"),
+    field("errors/odometry_m", "distance of odometry from the truth"),
+    field("errors/estimate_m", "distance of the estimate from the truth at the same instant"),
+    field("link_N/is_up", "1 when it is"),
+    field("link_N/bytes_in_per_s", "received"),
+    field("link_N/frames_in_per_s", "received whole"),
+    field("link_N/lost", "frames missing in the sequence numbers, since the beginning"),
+    field("link_N/checksum_errors", "candidates whose checksum did not match"),
+    field("link_N/garbage_bytes", "bytes outside every frame"),
+    field("link_N/stalls", "candidates given up because their bytes stopped coming"),
+    field("link_N/queued_frames", "frames that wait to be sent"),
+    field("link_N/drops_out", "outgoing messages dropped because the link was slow or down"),
+    field("link_N/round_trip_s", "of the last answered question for the time; absent where none is answered"),
+    field("link_N/clock_uncertainty_s", "how far a converted stamp may be off"),
+    field("clock/offset_s", "brick time minus host time"),
+    field("clock/skew_ppm", "rate of the brick's clock against the host's, minus one"),
+    field("clock/uncertainty_s", "half the distance between the bounds of the offset"),
+];
+
+/// The name in [`FIELDS`] of a field that was sent.
+pub fn pattern_of(name: &str) -> Option<&'static str> {
+    let sent: Vec<&str> = name.split('/').collect();
+    let fits = |field: &&Field| {
+        let known: Vec<&str> = field.name.split('/').collect();
+        known.len() == sent.len() && known.iter().zip(&sent).all(|(known, sent)| fits_part(known, sent))
+    };
+    FIELDS.iter().find(fits).map(|field| field.name)
+}
+
+fn fits_part(known: &str, sent: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    match known {
+        "robot_ID" => sent.strip_prefix("robot_").is_some_and(|id| id.split('_').all(is_number)),
+        "link_N" => sent.strip_prefix("link_").is_some_and(is_number),
+        "SENSOR" => sent != "estimate",
+        _ => known == sent,
+    }
+}
+
+/// Components of an innovation by the observation's kind, as docs/maths/pose.md orders them; for fixes they are those of the robot's body.
+const COMPONENTS: &[(&str, &[&str])] = &[
+    ("fix", &["forward_m", "left_m", "heading_rad"]),
+    ("wheel_angles", &["turn_rad"]),
+    ("odometer_pose", &["turn_rad"]),
+    ("compass_heading", &["heading_rad"]),
+    ("wall_range", &["range_m"]),
+    ("beacon_range", &["range_m"]),
+    ("landmark", &["range_m", "bearing_rad"]),
+];
+
+/// One datagram.
+#[derive(Serialize)]
+struct Message<'a, T: Serialize> {
+    timestamp: f64,
+    #[serde(flatten)]
+    object: BTreeMap<&'a str, T>,
+}
+
+/// The fields of an object in their order.
+struct Object(Vec<(&'static str, Value)>);
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Value {
+    Number(Number),
+    /// Not rounded to the digits of a [`Number`].
+    Exact(f64),
+    Count(u64),
+    /// A number for each component of an innovation.
+    Components(BTreeMap<&'static str, Number>),
+}
+
+impl Value {
+    fn is_present(&self) -> bool {
+        match self {
+            Self::Number(number) => number.get().is_some(),
+            Self::Exact(_) | Self::Count(_) => true,
+            Self::Components(components) => !components.is_empty(),
+        }
+    }
+}
+
+impl Serialize for Object {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().filter(|(_, value)| value.is_present()).map(|(name, value)| (name, value)))
+    }
+}
+
+impl From<Number> for Value {
+    fn from(number: Number) -> Self {
+        Self::Number(number)
+    }
+}
+
+/// The datagrams of a message of the station.
+fn messages(frame: &Frame) -> Vec<String> {
+    let mut all = Vec::new();
+    for robot in &frame.robots {
+        let name = format!("robot_{}", robot.id.replace('/', "_"));
+        for estimate in &robot.estimates {
+            let part = BTreeMap::from([("estimate", estimate_object(estimate))]);
+            all.push(message(estimate.t_s, &name, part));
+        }
+        for record in &robot.fusion {
+            let part = BTreeMap::from([(&record.sensor, sensor_object(record))]);
+            all.push(message(record.t_s, &name, part));
+        }
+    }
+    for point in &frame.truth {
+        all.extend(truth_messages(point));
+    }
+    if let Some(errors) = &frame.errors {
+        all.push(message(frame.now_s, "errors", errors_object(errors)));
+    }
+    for link in frame.links.iter().flatten() {
+        all.push(message(frame.now_s, &format!("link_{}", link.id), link_object(link)));
+    }
+    if let Some(clock) = &frame.clock {
+        all.push(message(frame.now_s, "clock", clock_object(clock)));
+    }
+    all
+}
+
+/// Plain objects of numbers can always be written.
+fn message(timestamp: f64, name: &str, object: impl Serialize) -> String {
+    let object = BTreeMap::from([(name, object)]);
+    serde_json::to_string(&Message { timestamp, object }).unwrap_or_default()
+}
+
+fn truth_messages(point: &TruthPoint) -> Vec<String> {
+    let place = |[x_m, y_m, heading_rad]: [Number; 3]| {
+        Object(vec![("x_m", x_m.into()), ("y_m", y_m.into()), ("heading_rad", heading_rad.into())])
+    };
+    // One of several robots has series of its own.
+    let suffix = point.robot.as_ref().map_or_else(String::new, |id| format!("_{}", id.replace('/', "_")));
+    let truth = place([point.x_m, point.y_m, point.heading_rad]);
+    let mut all = vec![message(point.t_s, &format!("truth{suffix}"), truth)];
+    all.extend(point.odometry.map(|odometry| message(point.t_s, &format!("odometry{suffix}"), place(odometry))));
+    all
+}
+
+fn estimate_object(estimate: &EstimatePoint) -> Object {
+    Object(vec![
+        ("x_m", estimate.x_m.into()),
+        ("y_m", estimate.y_m.into()),
+        ("heading_rad", estimate.heading_rad.into()),
+        ("heading_sigma_rad", estimate.heading_sigma_rad.into()),
+        ("ellipse_major_m", estimate.major_m.into()),
+        ("ellipse_minor_m", estimate.minor_m.into()),
+        ("forward_m_per_s", estimate.forward_m_per_s.into()),
+        ("turn_rad_per_s", estimate.turn_rad_per_s.into()),
+        ("fix_age_s", estimate.fix_age_s.into()),
+        ("is_dead_reckoning", Value::Count(estimate.is_dead_reckoning.into())),
+        ("reset_counter", Value::Count(estimate.reset_counter.into())),
+    ])
+}
+
+fn sensor_object(record: &FusionPoint) -> Object {
+    let known = COMPONENTS.iter().find(|(kind, _)| *kind == record.kind);
+    let names = known.map_or(&[][..], |(_, names)| names);
+    let named = |numbers: &[Number]| {
+        let pairs = names.iter().copied().zip(numbers.iter().copied());
+        Value::Components(pairs.filter(|(_, number)| number.get().is_some()).collect())
+    };
+    let is_used = matches!(record.verdict.as_str(), "accepted" | "slip" | "reset to");
+    Object(vec![
+        ("nis", record.nis.into()),
+        ("degrees_of_freedom", Value::Count(record.dof.into())),
+        ("is_used", Value::Count(is_used.into())),
+        ("lag_s", record.lag_s.into()),
+        ("innovation", named(&record.innovation)),
+        ("sigma", named(&record.sigma)),
+    ])
+}
+
+fn errors_object(errors: &ErrorsRow) -> Object {
+    Object(vec![("odometry_m", errors.odometry_m.into()), ("estimate_m", errors.estimate_m.into())])
+}
+
+fn link_object(link: &LinkRow) -> Object {
+    Object(vec![
+        ("is_up", Value::Count((link.state == "up").into())),
+        ("bytes_in_per_s", link.bytes_in_per_s.into()),
+        ("frames_in_per_s", link.frames_in_per_s.into()),
+        ("lost", Value::Count(link.lost)),
+        ("checksum_errors", Value::Count(link.checksum_errors)),
+        ("garbage_bytes", Value::Count(link.garbage_bytes)),
+        ("stalls", Value::Count(link.stalls)),
+        ("queued_frames", Value::Count(link.queued_frames.into())),
+        ("drops_out", Value::Count(link.drops_out)),
+        ("round_trip_s", seconds(link.round_trip_ms)),
+        ("clock_uncertainty_s", seconds(link.clock_uncertainty_ms)),
+    ])
+}
+
+fn clock_object(clock: &ClockRow) -> Object {
+    Object(vec![
+        ("offset_s", Value::Exact(clock.offset_s)),
+        ("skew_ppm", clock.skew_ppm.into()),
+        ("uncertainty_s", seconds(clock.uncertainty_ms)),
+    ])
+}
+
+fn seconds(millis: Number) -> Value {
+    Value::Number(millis.get().map_or(f64::NAN, |millis| millis / 1e3).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_dashboard::model::RobotFrame;
+
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_sent_is_counted_and_what_can_comes() {
+        let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let here = receiver.local_addr().unwrap();
+        let socket = socket_for(here).unwrap();
+        assert!(socket.local_addr().unwrap().ip().is_loopback());
+        let frame = Frame { clock: Some(ClockRow::default()), ..Frame::default() };
+        let mut sent = SendCounts::default();
+        send(&socket, here, &frame, &mut sent);
+        // No system sends to port 0.
+        send(&socket, "127.0.0.1:0".parse().unwrap(), &frame, &mut sent);
+        assert_eq!((sent.datagrams, sent.dropped), (1, 1));
+        let mut bytes = [0; 1_000];
+        let read = receiver.recv(&mut bytes).unwrap();
+        assert_eq!(&bytes[..read], messages(&frame)[0].as_bytes());
+    }
+
+    #[test]
+    fn it_ends_when_nothing_more_can_come() {
+        let mut taps = posebridge_dashboard::FrameTaps::default();
+        let frames = taps.add(1);
+        let sender = PlotJuggler::start("127.0.0.1:9".parse().unwrap(), frames).unwrap();
+        drop(taps);
+        assert_eq!(sender.finish().unwrap(), SendCounts::default());
+    }
+
+    #[test]
+    fn names_are_known_by_their_pattern() {
+        let cases = [
+            ("timestamp", Some("timestamp")),
+            ("robot_0_1_1/estimate/x_m", Some("robot_ID/estimate/x_m")),
+            ("robot_0_1_1/camera/innovation/left_m", Some("robot_ID/SENSOR/innovation/left_m")),
+            ("link_12/lost", Some("link_N/lost")),
+            ("link_/lost", None),
+            ("robot_x/estimate/x_m", None),
+            ("robot_0_1_1/estimate/nis", None),
+        ];
+        for (name, pattern) in cases {
+            assert_eq!(pattern_of(name), pattern, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_page_has_the_table() {
+        let page = include_str!("../../docs/dashboard.md");
+        let (_, page) = page.split_once("\n## PlotJuggler\n").unwrap();
+        let rows: Vec<&str> = page.lines().filter(|line| line.starts_with("| `")).collect();
+        let expected: Vec<String> =
+            FIELDS.iter().map(|field| format!("| `{}` | {} |", field.name, field.help)).collect();
+        assert_eq!(rows, expected);
+    }
+
+    #[test]
+    fn each_thing_that_happened_is_one_object_with_its_time() {
+        let frame = Frame {
+            now_s: 2.0,
+            robots: vec![RobotFrame {
+                id: "0/1/1".to_owned(),
+                estimates: vec![EstimatePoint {
+                    t_s: 1.5,
+                    x_m: 0.1.into(),
+                    y_m: f64::NAN.into(),
+                    is_dead_reckoning: true,
+                    reset_counter: 3,
+                    ..EstimatePoint::default()
+                }],
+                fusion: vec![FusionPoint {
+                    t_s: 1.25,
+                    sensor: "camera".to_owned(),
+                    kind: "fix".to_owned(),
+                    verdict: "gated".to_owned(),
+                    nis: 20.0.into(),
+                    dof: 2,
+                    innovation: vec![0.5.into(), (-0.25).into()],
+                    sigma: vec![0.125.into(), f64::INFINITY.into()],
+                    ..FusionPoint::default()
+                }],
+                ..RobotFrame::default()
+            }],
+            clock: Some(ClockRow { offset_s: -1.0, uncertainty_ms: 2.0.into(), ..ClockRow::default() }),
+            ..Frame::default()
+        };
+        assert_eq!(
+            messages(&frame),
+            [
+                r#"{"timestamp":1.5,"robot_0_1_1":{"estimate":{"x_m":0.1,"is_dead_reckoning":1,"reset_counter":3}}}"#,
+                r#"{"timestamp":1.25,"robot_0_1_1":{"camera":{"nis":20.0,"degrees_of_freedom":2,"is_used":0,"innovation":{"forward_m":0.5,"left_m":-0.25},"sigma":{"forward_m":0.125}}}}"#,
+                r#"{"timestamp":2.0,"clock":{"offset_s":-1.0,"uncertainty_s":0.002}}"#,
+            ]
+        );
+    }
+}
