@@ -6,8 +6,9 @@ use posebridge_estimator::Filter;
 use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
 use posebridge_telemetry::{Arena, Observation, Pose};
 
-use posebridge_report::metrics::PoseError;
-use posebridge_report::metrics::anees::anees;
+use posebridge_report::metrics::{PoseError, anees};
+
+use crate::uncertain_mean;
 
 /// The share of runs that a 95 % figure leaves below it.
 const HIGH_QUANTILE: f64 = 0.95;
@@ -110,19 +111,9 @@ pub fn paired_difference(ours: &[Option<PoseError>], theirs: &[Option<PoseError>
             Some((theirs.dx_m.powi(2) - ours.dx_m.powi(2), theirs.dy_m.powi(2) - ours.dy_m.powi(2)))
         })
         .collect();
-    let (x, y) = (mean_and_sigma(both.iter().map(|pair| pair.0))?, mean_and_sigma(both.iter().map(|pair| pair.1))?);
-    Some(PairedDifference { mean_m2: (x.0, y.0), sigma_m2: (x.1, y.1) })
-}
-
-/// A mean and its standard deviation; `None` with fewer than two values.
-fn mean_and_sigma(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)> {
-    let count = values.clone().count() as f64;
-    if count < 2.0 {
-        return None;
-    }
-    let mean = values.clone().sum::<f64>() / count;
-    let squares: f64 = values.map(|value| (value - mean).powi(2)).sum();
-    Some((mean, (squares / (count - 1.0) / count).sqrt()))
+    let x = uncertain_mean(&both.iter().map(|pair| pair.0).collect::<Vec<_>>())?;
+    let y = uncertain_mean(&both.iter().map(|pair| pair.1).collect::<Vec<_>>())?;
+    Some(PairedDifference { mean_m2: (x.value, y.value), sigma_m2: (x.sigma, y.sigma) })
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 #![expect(clippy::print_stdout, reason = "the picture is this program's output")]
 
-#[path = "../tests/sample_run/mod.rs"]
+#[path = "../tests/report/sample_run.rs"]
 mod sample_run;
 
 use posebridge_report::FIGURES;

@@ -23,15 +23,13 @@ mod markup;
 pub mod metrics;
 pub mod page;
 pub mod report;
-pub mod smoothed;
 pub mod tables;
 pub mod track;
 
-pub use chart::{FIGURES, Figure, FixMark, RunLayers};
-pub use metrics::{
-    Consistency, ConsistencyBand, ErrorSummary, METRICS, Metric, MetricInputs, PoseError, RecentNis, SourceTally,
-    mean_over_runs, summarise, tally_sources,
+pub use self::chart::{FIGURES, Figure, FixMark, RunLayers};
+pub use self::metrics::{
+    Consistency, ConsistencyBand, ErrorSummary, PoseError, RecentNis, SourceTally, mean_over_runs, summarise,
+    tally_sources,
 };
-pub use smoothed::SmoothedPath;
-pub use tables::{EstimatorRow, RunRow};
-pub use track::{PoseTrack, TimedPose};
+pub use self::tables::{EstimatorRow, RunRow};
+pub use self::track::{PoseTrack, SmoothedPath, TimedPose};

@@ -14,9 +14,9 @@
 
 use std::fmt;
 
-use crate::chart::inline;
-use crate::markup::{Escaped, PercentEncoded};
-use crate::metrics::VerdictTone;
+use super::chart::inline;
+use super::markup::{Escaped, PercentEncoded};
+use super::metrics::VerdictTone;
 
 /// Looks the same on paper; follows the reader's choice of light or dark; one column on a phone.
 ///
@@ -54,7 +54,6 @@ const STYLE: &str = concat!(
 /// A page.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReportPage {
-    /// Its headline.
     pub title: String,
     /// What stands below, in order.
     pub blocks: Vec<ReportBlock>,
@@ -65,11 +64,9 @@ pub struct ReportPage {
 pub enum ReportBlock {
     /// A headline within the page.
     Heading(String),
-    /// A paragraph.
     Text(String),
     /// Lines that keep their breaks and blanks: a command, a formula.
     PreformattedText(String),
-    /// Points.
     List(Vec<String>),
     /// A headline within what a [`Self::Heading`] begins.
     Subheading(String),
@@ -77,16 +74,13 @@ pub enum ReportBlock {
     Verdict {
         /// Decides the colour at the edge.
         tone: VerdictTone,
-        /// The word.
         word: String,
-        /// Why.
         text: String,
     },
     /// Pictures beside each other where there is room, as elements of the page: they follow its colours.
     FigureGrid(Vec<ReportFigure>),
     /// Rows of text under a header.
     CodeTable {
-        /// The names of the columns.
         header: Vec<String>,
         /// A row may be shorter than the header.
         rows: Vec<Vec<String>>,
@@ -95,14 +89,11 @@ pub enum ReportBlock {
     Table {
         /// The names of the columns.
         header: Vec<String>,
-        /// A row may be shorter than the header.
         rows: Vec<Vec<String>>,
     },
     /// A picture.
     Figure {
-        /// A whole SVG document.
         svg: String,
-        /// What is to be seen.
         caption: String,
     },
 }
@@ -112,9 +103,7 @@ pub enum ReportBlock {
 pub struct ReportFigure {
     /// Letters, digits and hyphens; different for each picture of a page. A file with the picture is called so.
     pub name: String,
-    /// A whole SVG document of [`chart`](crate::chart).
     pub svg: String,
-    /// What is to be seen.
     pub caption: String,
 }
 
@@ -126,7 +115,6 @@ impl ReportBlock {
 }
 
 impl ReportPage {
-    /// The whole document.
     pub fn html(&self) -> String {
         self.to_string()
     }

@@ -12,13 +12,11 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::chart::{Plot, render_plot};
-use crate::metrics::VerdictTone;
-use crate::page::{ReportBlock, ReportPage};
-use crate::tables::cells::three_digits;
-use crate::tables::{NO_VALUE, TextTable};
+use super::chart::{Plot, render_plot};
+use super::metrics::VerdictTone;
+use super::page::{ReportBlock, ReportPage};
+use super::tables::{NO_VALUE, TextTable, three_digits};
 
-/// The width of a line of text.
 const LINE_WIDTH: usize = 80;
 /// What [`TextTable`] leaves between two columns.
 const GUTTER_WIDTH: usize = 2;
@@ -30,17 +28,11 @@ pub enum Unit {
     None,
     /// The value's own unit, with this name.
     Named(&'static str),
-    /// From metres.
     Millimetres,
-    /// From radians.
     Degrees,
-    /// From seconds.
     Milliseconds,
-    /// From metres per second.
     MillimetresPerSecond,
-    /// From radians per second.
     DegreesPerSecond,
-    /// From a share of one.
     Percent,
 }
 
@@ -77,7 +69,6 @@ impl Unit {
 /// How exactly people read a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Precision {
-    /// Digits after the point.
     Decimals(usize),
     /// Three significant digits, for values that span decades.
     ThreeDigits,
@@ -127,7 +118,6 @@ impl Format {
         }
     }
 
-    /// The number with its unit.
     pub fn text(self, value: f64) -> String {
         self.unit.append_to(&self.number(Some(value)))
     }
@@ -173,7 +163,6 @@ impl Quantity {
     }
 }
 
-/// A value in a cell.
 enum Cell {
     Text(String),
     Count(Option<usize>),
@@ -222,12 +211,10 @@ impl<R> Column<'_, R> {
 pub struct Table<'a, R> {
     rows: &'a [R],
     columns: Vec<Column<'a, R>>,
-    /// How many columns name a row.
     labels: usize,
 }
 
 impl<'a, R> Table<'a, R> {
-    /// A table without columns.
     pub const fn of(rows: &'a [R]) -> Self {
         Self { rows, columns: Vec::new(), labels: 1 }
     }
@@ -238,7 +225,6 @@ impl<'a, R> Table<'a, R> {
         Self { labels, ..self }
     }
 
-    /// A column of words.
     pub fn text(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> String + 'a) -> Self {
         self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Text(value(row)))
     }
@@ -316,7 +302,6 @@ impl<'a, R> Table<'a, R> {
     }
 }
 
-/// What stands in a report, in order.
 #[derive(Clone, Debug)]
 enum Section {
     Heading(String),
@@ -358,12 +343,10 @@ impl Report {
         self.name
     }
 
-    /// A headline within the report.
     pub fn heading(&mut self, text: impl Into<String>) {
         self.sections.push(Section::Heading(text.into()));
     }
 
-    /// A paragraph.
     pub fn paragraph(&mut self, text: impl Into<String>) {
         self.sections.push(Section::Paragraph(text.into()));
     }
@@ -465,12 +448,10 @@ impl Report {
         text
     }
 
-    /// The page.
     pub fn page(&self) -> ReportPage {
         ReportPage { title: self.title.clone(), blocks: self.sections.iter().map(Section::block).collect() }
     }
 
-    /// One object for programs.
     pub fn json(&self) -> Value {
         Value::Object(self.json.clone())
     }

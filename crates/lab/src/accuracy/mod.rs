@@ -15,20 +15,21 @@
 //! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
 //! section 5.4.
 
-mod bound;
-mod score;
-mod smoother_score;
-mod table;
-
-use posebridge_estimator::Filter;
-use posebridge_telemetry::Observation;
-
-pub use bound::{BoundSum, WheelRotation};
-pub use score::FilterScore;
-pub use smoother_score::{SmootherFn, SmootherScore, score_smoother};
-pub use table::{ScoreRow, bound_text};
-
+use posebridge_estimator::models::differential_drive::WheelTravel;
+use posebridge_estimator::smoother::{
+    FixArrival, FixContent, GroundTruthRun, OfflineError, SmoothedTrajectory, cramer_rao_bound,
+};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_report::metrics::consistency::nees;
+use posebridge_report::metrics::{
+    Anees, Consistency, ConsistencyBand, PoseError, SourceTally, add_to_tallies, merge_tally,
+};
+use posebridge_report::report::{Format, Unit};
+use posebridge_report::tables::NO_VALUE;
+use posebridge_report::track::SmoothedPath;
 use posebridge_report::track::TimedPose;
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{Arena, DriveGeometry, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
 /// A drive whose truth is known.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,7 +47,6 @@ pub struct ReferenceDrive {
 pub struct ObservationArrival {
     /// The entry of [`ReferenceDrive::truth`] before whose scoring it arrives.
     pub step: usize,
-    /// The observation.
     pub observation: Observation,
 }
 
@@ -64,4 +64,399 @@ pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     }
     score.end_run();
     score
+}
+
+/// One estimator of a scenario.
+#[derive(Clone, Copy, Debug)]
+pub struct ScoreRow<'a> {
+    pub name: &'a str,
+    pub score: &'a FilterScore,
+    /// The root mean square position error that no filter can be better than, in metres; `None` where there is no such bound.
+    pub bound_m: Option<f64>,
+}
+
+impl ScoreRow<'_> {
+    /// Its error as a multiple of the bound; `None` where there is none.
+    pub fn ratio_to_bound(&self) -> Option<f64> {
+        let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
+        Some(self.score.position_rms_m()? / bound_m)
+    }
+
+    /// The sensors whose observations were predicted, each with its mean and the verdict on it.
+    pub fn sources(&self) -> String {
+        let judged: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
+        if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
+    }
+
+    pub fn footnotes(&self) -> Vec<String> {
+        let score = self.score;
+        let left_out = [
+            (score.steps_without_estimate(), ", no estimate"),
+            (score.steps_not_finite(), ", not finite"),
+            (score.refused_covariances(), " of its claim and its ANEES, covariance not positive definite"),
+        ];
+        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, what)| format!("{}: steps left out{what}: {count}", self.name)).collect()
+    }
+}
+
+fn source_text(tally: &SourceTally) -> Option<String> {
+    let mean = tally.mean_nis_per_dof()?;
+    let gated = match tally.gated_share() {
+        Some(share) if share > 0.0 => format!(", {:.1} % gated", share * 100.0),
+        Some(_) | None => String::new(),
+    };
+    Some(format!("{} {mean:.2} {}{gated}", tally.sensor.name(), tally.consistency().as_text()))
+}
+
+/// The bound of a scenario, with what is to be said about it: what it leaves out, or why there is none.
+pub fn bound_text(bound_m: Option<f64>, note: Option<&str>) -> String {
+    let bound = match bound_m {
+        Some(bound_m) => format!("bound: {} rms", Format::three_digits(Unit::Millimetres).text(bound_m)),
+        None => "no bound".to_owned(),
+    };
+    let note = note.map(|note| format!(", {note}")).unwrap_or_default();
+    format!("{bound}{note}")
+}
+
+const POSE_DEGREES_OF_FREEDOM: f64 = 3.0;
+
+/// What the errors of one estimator add up to, over one run or many.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FilterScore {
+    run_rms_m: Vec<f64>,
+    run: ErrorSums,
+    all: ErrorSums,
+    runs: u64,
+    position_max_m: Option<f64>,
+    without_estimate: u64,
+    not_finite: u64,
+    refused_covariances: u64,
+    sources: Vec<SourceTally>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct ErrorSums {
+    position_m: RunningSum,
+    position_m2: RunningSum,
+    heading_rad2: RunningSum,
+    nees: RunningSum,
+    claim_m2: RunningSum,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct RunningSum {
+    sum: f64,
+    count: u64,
+}
+
+impl RunningSum {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
+    fn mean(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum / self.count as f64)
+    }
+}
+
+impl ErrorSums {
+    fn merge(&mut self, other: &Self) {
+        self.position_m.merge(&other.position_m);
+        self.position_m2.merge(&other.position_m2);
+        self.heading_rad2.merge(&other.heading_rad2);
+        self.nees.merge(&other.nees);
+        self.claim_m2.merge(&other.claim_m2);
+    }
+}
+
+impl FilterScore {
+    /// Counts the estimate of one step against the truth. `None`, or one without a valid position, counts as a step without an
+    /// estimate; one that is not finite, as that.
+    pub fn add_step(&mut self, truth: Pose<Arena>, estimate: Option<&Estimate>) {
+        let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) else {
+            self.without_estimate += 1;
+            return;
+        };
+        let error = PoseError::of_estimate(estimate, truth);
+        let position_m = error.position_m();
+        let squared_m2 = position_m * position_m;
+        if !(error.is_finite() && squared_m2.is_finite()) {
+            self.not_finite += 1;
+            return;
+        }
+        self.run.position_m.add(position_m);
+        self.run.position_m2.add(squared_m2);
+        self.position_max_m = larger(self.position_max_m, Some(position_m));
+        if let Some(heading_rad) = error.heading_rad.map(wrap_rad) {
+            self.run.heading_rad2.add(heading_rad * heading_rad);
+            self.add_claimed_error(&error, heading_rad);
+        }
+    }
+
+    fn add_claimed_error(&mut self, error: &PoseError, heading_rad: f64) {
+        let Some(covariance) = &error.covariance else {
+            return;
+        };
+        match nees([error.dx_m, error.dy_m, heading_rad], covariance) {
+            Ok(value) => {
+                self.run.nees.add(value);
+                let claim_m2 = covariance[0][0] + covariance[1][1];
+                self.run.claim_m2.add(claim_m2);
+            }
+            Err(_) => self.refused_covariances += 1,
+        }
+    }
+
+    pub fn add_record(&mut self, record: &FusionRecord) {
+        add_to_tallies(&mut self.sources, record);
+    }
+
+    /// Closes a run: what was added since the last one is one independent sample of the consistency test.
+    pub fn end_run(&mut self) {
+        self.runs += 1;
+        self.run_rms_m.extend(self.run.position_m2.mean().map(f64::sqrt));
+        self.all.merge(&self.run);
+        self.run = ErrorSums::default();
+    }
+
+    /// Adds other closed runs. The result depends on the order in the last digits: add them in the order of the runs.
+    pub fn merge(&mut self, other: &Self) {
+        self.run_rms_m.extend_from_slice(&other.run_rms_m);
+        self.all.merge(&other.all);
+        self.runs += other.runs;
+        self.position_max_m = larger(self.position_max_m, other.position_max_m);
+        self.without_estimate += other.without_estimate;
+        self.not_finite += other.not_finite;
+        self.refused_covariances += other.refused_covariances;
+        for theirs in &other.sources {
+            merge_tally(&mut self.sources, theirs);
+        }
+    }
+
+    pub const fn runs(&self) -> u64 {
+        self.runs
+    }
+
+    pub const fn steps(&self) -> u64 {
+        self.all.position_m2.count
+    }
+
+    pub const fn steps_without_estimate(&self) -> u64 {
+        self.without_estimate
+    }
+
+    /// Steps whose estimate was not finite, or too far off for its square to be.
+    pub const fn steps_not_finite(&self) -> u64 {
+        self.not_finite
+    }
+
+    /// Steps whose covariance was not positive definite.
+    pub const fn refused_covariances(&self) -> u64 {
+        self.refused_covariances
+    }
+
+    pub fn position_rms_m(&self) -> Option<f64> {
+        self.all.position_m2.mean().map(f64::sqrt)
+    }
+
+    pub fn position_mean_m(&self) -> Option<f64> {
+        self.all.position_m.mean()
+    }
+
+    pub const fn position_max_m(&self) -> Option<f64> {
+        self.position_max_m
+    }
+
+    pub fn heading_rms_rad(&self) -> Option<f64> {
+        self.all.heading_rad2.mean().map(f64::sqrt)
+    }
+
+    /// What the estimator claims that its root mean square position error is, in metres.
+    pub fn claimed_rms_m(&self) -> Option<f64> {
+        self.all.claim_m2.mean().map(f64::sqrt)
+    }
+
+    pub fn anees(&self) -> Option<f64> {
+        self.all.nees.mean().map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
+    }
+
+    /// The 95 % interval of a consistent estimator's ANEES over this number of runs, were each run one sample. The mean
+    /// over a run varies less than that: outside the band is wrong, inside is not yet right.
+    pub fn band(&self) -> Option<ConsistencyBand> {
+        ConsistencyBand::of_runs(self.runs)
+    }
+
+    pub fn consistency(&self) -> Consistency {
+        let outcome = Anees {
+            value: self.anees(),
+            samples: self.all.nees.count as usize,
+            refused: self.refused_covariances as usize,
+        };
+        Consistency::of_anees(&outcome, self.runs)
+    }
+
+    /// Root mean square position error of each run that has one, in metres, in the order in which they were added.
+    pub fn run_rms_m(&self) -> &[f64] {
+        &self.run_rms_m
+    }
+
+    /// What became of the observations of each sensor, over all runs, in the order of first arrival.
+    pub fn sources(&self) -> &[SourceTally] {
+        &self.sources
+    }
+}
+
+fn larger(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.max(other)),
+        (one, other) => one.or(other),
+    }
+}
+
+/// The score of one drive in hindsight.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SmootherScore {
+    pub score: FilterScore,
+    /// Why there is no path.
+    pub error: Option<OfflineError>,
+}
+
+/// A way to smooth a whole run: [`posebridge_estimator::smoother::batch()`] or [`posebridge_estimator::smoother::rts()`].
+pub type SmootherFn = fn(&FilterConfig, &[Observation]) -> Result<SmoothedTrajectory, OfflineError>;
+
+/// Smooths a whole drive and scores the path at the steps at which a filter is scored.
+///
+/// The path at a step knows what was observed after it. Of the observations only the fixes are tallied, all under the sensor of the
+/// first one: a fix that the path leaves out counts as gated.
+pub fn score_smoother(drive: &ReferenceDrive, config: &FilterConfig, smoother: SmootherFn) -> SmootherScore {
+    let observations: Vec<Observation> = drive.arrivals.iter().map(|arrival| arrival.observation).collect();
+    let (path, tally, refusal) = match smoother(config, &observations) {
+        Ok(smoothed) => {
+            let tally = fixes_of(&smoothed, &observations);
+            (SmoothedPath::new(smoothed.poses), tally, None)
+        }
+        Err(refusal) => (SmoothedPath::default(), None, Some(refusal)),
+    };
+    let mut score = FilterScore::default();
+    if let Some(tally) = tally {
+        score.sources.push(tally);
+    }
+    for truth in drive.truth.iter().skip(drive.scored_from) {
+        score.add_step(truth.pose, path.at(truth.time).as_ref());
+    }
+    score.end_run();
+    SmootherScore { score, error: refusal }
+}
+
+fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Option<SourceTally> {
+    let first = observations.iter().find(|observation| matches!(observation.measurement, ObservationKind::Fix(_)))?;
+    let mut tally = SourceTally::new(first.sensor);
+    tally.used = smoothed.fixes_used as u64;
+    tally.gated = smoothed.fixes_rejected as u64;
+    Some(tally)
+}
+
+// How small the error over drives can be at all: the posterior Cramer-Rao bound, added up like a [`Score`](super::Score).
+//
+// # Source
+// [`posebridge_estimator::smoother::cramer_rao`], which says what it assumes.
+
+/// What the wheels really turned over one step, before encoders round it; slip does not show in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WheelRotation {
+    pub left: Radians,
+    pub right: Radians,
+}
+
+/// The least mean squared position error over the steps of one drive or of many.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BoundSum {
+    sum_m2: f64,
+    steps: u64,
+}
+
+impl BoundSum {
+    /// The bound of a drive for a filter of this configuration, over the steps that count.
+    ///
+    /// `wheel_turns` holds one entry for each step. `None` where the bound does not apply: other than one turn per step, a stamp
+    /// of a fix that is no step's, or a bound that is no number.
+    pub fn from_drive(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[WheelRotation]) -> Option<Self> {
+        let [first, second, ..] = drive.truth.as_slice() else {
+            return None;
+        };
+        if wheel_turns.len() + 1 != drive.truth.len() {
+            return None;
+        }
+        let poses: Vec<_> = drive.truth.iter().map(|truth| truth.pose).collect();
+        let travel: Vec<WheelTravel> = wheel_turns.iter().map(|turn| nominal_travel(*turn, &config.geometry)).collect();
+        let run = GroundTruthRun {
+            poses: &poses,
+            travel: &travel,
+            step_s: (second.time - first.time).as_secs_f64(),
+            fixes: &fixes(drive)?,
+        };
+        let after_steps = cramer_rao_bound(config, &run);
+        let scored = after_steps.into_iter().skip(drive.scored_from.saturating_sub(1));
+        let mut sum = Self::default();
+        for variance_m2 in scored {
+            sum.sum_m2 += variance_m2;
+            sum.steps += 1;
+        }
+        sum.sum_m2.is_finite().then_some(sum)
+    }
+
+    /// Adds another one. The result depends on the order in the last digits: add them in the order of the runs.
+    pub fn merge(&mut self, other: &Self) {
+        self.sum_m2 += other.sum_m2;
+        self.steps += other.steps;
+    }
+
+    /// The root mean square position error that no filter can be better than, in metres; `None` without a step.
+    pub fn rms_m(&self) -> Option<f64> {
+        (self.steps > 0).then(|| (self.sum_m2 / self.steps as f64).sqrt())
+    }
+}
+
+/// Travel as a filter sees it that takes its geometry as given.
+fn nominal_travel(turn: WheelRotation, geometry: &DriveGeometry) -> WheelTravel {
+    WheelTravel {
+        left_m: turn.left.0 * geometry.left_wheel_radius.0,
+        right_m: turn.right.0 * geometry.right_wheel_radius.0,
+    }
+}
+
+fn fixes(drive: &ReferenceDrive) -> Option<Vec<FixArrival>> {
+    let of_fix = |arrival: &ObservationArrival| {
+        let ObservationKind::Fix(fix) = arrival.observation.measurement else {
+            return None;
+        };
+        let stamp = arrival.observation.stamp;
+        let taken = drive.truth.binary_search_by_key(&stamp, |truth| truth.time);
+        Some(taken.ok().map(|taken| FixArrival {
+            exposure_step: taken,
+            arrival_step: arrival.step,
+            content: if fix.heading.is_some() { FixContent::Pose } else { FixContent::Position },
+        }))
+    };
+    drive.arrivals.iter().filter_map(of_fix).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bound_is_told_with_what_it_leaves_out_and_a_missing_one_with_the_reason() {
+        let line = bound_text(Some(0.000_971), Some("without the kicks"));
+        assert_eq!(line, "bound: 0.971 mm rms, without the kicks");
+        assert_eq!(bound_text(Some(0.000_971), None), "bound: 0.971 mm rms");
+        assert_eq!(bound_text(None, Some("why")), "no bound, why");
+    }
 }

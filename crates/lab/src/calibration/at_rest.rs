@@ -23,7 +23,6 @@ pub struct RestObservations {
     pub gyro: RestChannel,
     /// Forward acceleration at the left wheel, in m/s².
     pub left_accelerometer: RestChannel,
-    /// At the right wheel.
     pub right_accelerometer: RestChannel,
 }
 
@@ -108,9 +107,6 @@ impl RestChannel {
     }
 
     /// The channel's noise.
-    ///
-    /// # Errors
-    /// [`RestError`], with the reason.
     pub fn noise(&self) -> Result<RestNoise, RestError> {
         noise_at_rest(&RestRecord::from_stretches(&self.stretches)?)
     }
@@ -119,55 +115,27 @@ impl RestChannel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp};
+    use crate::test_support::{observation, wheel_angles};
+    use posebridge_telemetry::{RadiansPerSecond, SensorId};
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
-
-    fn observation(millis: i64, observed: ObservationKind) -> Observation {
-        Observation {
-            sensor: SensorId::GYRO,
-            stamp: Timestamp::from_millis(millis),
-            stamp_sigma: TimeDelta::ZERO,
-            measurement: observed,
-        }
-    }
 
     #[test]
     fn only_what_was_read_while_the_counters_stood_counts() {
         let mut observations = Vec::new();
         for i in 0..300 {
-            let angle = Radians(if i < 200 { 0.0 } else { f64::from(i) });
-            let wheels = ObservationKind::WheelAngles { left: angle, right: angle };
-            observations.push(observation(i64::from(i) * 50, wheels));
+            let angle = if i < 200 { 0.0 } else { f64::from(i) };
+            observations.push(wheel_angles(i64::from(i) * 50, angle, angle));
             let rate = if i < 200 { 0.01 } else { 5.0 };
             let rate = rate + 1e-3 * f64::from(i % 2);
             let rate = ObservationKind::TurnRate(RadiansPerSecond(rate));
-            observations.push(observation(i64::from(i) * 50 + 1, rate));
+            observations.push(observation(SensorId::GYRO, i64::from(i) * 50 + 1, rate));
         }
-        observations.push(observation(20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
+        observations.push(observation(SensorId::GYRO, 20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
         let rest = RestObservations::from_observations(&observations).gyro.noise().unwrap();
         assert!((rest.bias - 0.0105).abs() < 1e-5);
         // 9.95 s of standing less the first 0.4 s, one reading each 50 ms.
         assert_eq!(rest.samples, 191);
-    }
-
-    #[test]
-    fn noise_step_and_bias_of_a_rounding_gyro_are_found() {
-        let mut random = Pcg64::seed_from_u64(3);
-        let mut draw = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
-        let step = 0.017_453_3;
-        let readings = (0..4_000).map(|i| {
-            let exact = 0.031 + 0.03 * draw();
-            (f64::from(i) * 0.05, (exact / step).round() * step)
-        });
-        let channel = RestChannel { stretches: vec![readings.collect()] };
-        let rest = channel.noise().unwrap();
-        assert!((rest.quantum.unwrap() - step).abs() < 1e-9, "{rest:?}");
-        // The filter adds step² / 12 itself: its input has none of it.
-        assert!((rest.white - 0.03).abs() < 3.0 * rest.white_sigma);
-        assert!(rest.white_sigma < 0.02 * rest.white, "{rest:?}");
-        assert!((rest.bias - 0.031).abs() < 4.0 * rest.bias_sigma);
-        assert_eq!(rest.walk, None, "a bias that does not walk");
     }
 
     #[test]
@@ -184,25 +152,5 @@ mod tests {
         let (found, sigma) = channel.noise().unwrap().walk.unwrap();
         assert!((found / walk - 1.0).abs() < 0.1, "{found}");
         assert!((found - walk).abs() < 3.0 * sigma, "{found} {sigma}");
-    }
-
-    #[test]
-    fn one_wild_stamp_is_a_silence_and_no_memory() {
-        let readings = (0..400).map(|i| (f64::from(i) * 0.05, f64::from(i % 3)));
-        // The last rows in seconds since 1970.
-        let wild = (0..5).map(|i| (1.7e9 + f64::from(i) * 0.05, f64::from(i % 3)));
-        let channel = RestChannel { stretches: vec![readings.chain(wild).collect()] };
-        let rest = channel.noise().unwrap();
-        assert_eq!(rest.samples, 405);
-        assert!((rest.rest_s - 20.15).abs() < 1e-3, "{rest:?}");
-    }
-
-    #[test]
-    fn too_little_rest_and_a_gyro_that_never_changes_are_said() {
-        let found = RestChannel::default().noise();
-        assert_eq!(found, Err(RestError::TooShort(0)));
-        let readings = (0..400).map(|i| (f64::from(i) * 0.05, 0.017));
-        let channel = RestChannel { stretches: vec![readings.collect()] };
-        assert_eq!(channel.noise(), Err(RestError::Silent));
     }
 }

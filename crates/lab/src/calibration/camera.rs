@@ -46,25 +46,18 @@ impl Homography {
 /// A homography and how well it fits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFit {
-    /// The homography.
     pub homography: Homography,
     /// Of each point: floor by the image minus floor by the tape, in metres.
     pub residuals_m: Vec<[f64; 2]>,
-    /// Root mean square length of the residuals, in metres.
     pub rms_m: f64,
     /// How well the others fit without each point, as `rms_m`; empty with fewer than six points, because four always fit. Without
     /// a point that was mistyped the others fit well.
     pub rms_without_m: Vec<f64>,
 }
 
-/// Fewest points of a homography.
 pub const MIN_POINTS: usize = 4;
 
 /// Finds the homography.
-///
-/// # Errors
-/// [`CalibrationError::TooFewData`] below four points, [`CalibrationError::Undetermined`] if they lie on a line,
-/// [`CalibrationError::ImplausibleValue`] for a number that is not finite.
 pub fn fit_homography(points: &[CalibrationPoint]) -> Result<CameraFit, CalibrationError> {
     validate_points(points, MIN_POINTS)?;
     let found = solve_homography(points)?;
@@ -178,9 +171,7 @@ fn linear_homography(points: &[([f64; 2], [f64; 2])]) -> Result<Vec<f64>, Calibr
 /// Turn, shift and scale from the camera's space to the arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
-    /// Where the camera's origin lies, in metres.
     pub origin_m: [f64; 2],
-    /// Where its x axis points, in radians.
     pub heading_rad: f64,
     /// Metres of the floor per unit of the camera.
     pub scale: f64,
@@ -189,10 +180,6 @@ pub struct Similarity {
 }
 
 /// Finds it by least squares.
-///
-/// # Errors
-/// [`CalibrationError::TooFewData`] below two points, [`CalibrationError::Undetermined`] if all are one,
-/// [`CalibrationError::ImplausibleValue`] for a number that is not finite.
 pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, CalibrationError> {
     validate_points(points, 2)?;
     let (from, size) = normalization(points.iter().map(|p| p.measured));

@@ -29,17 +29,13 @@ const CONVERGENCE_SHARE: f64 = 0.01;
 /// How far apart residuals still count as alike, as a share of a run.
 const CORRELATED_SHARE: f64 = 0.1;
 
-/// The solution.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LeastSquaresFit {
-    /// The unknowns.
     pub(super) values: Vec<f64>,
-    /// Their covariance.
     covariance: DMatrix<f64>,
 }
 
 impl LeastSquaresFit {
-    /// One standard deviation of an unknown.
     pub(super) fn sigma(&self, unknown: usize) -> f64 {
         self.covariance[(unknown, unknown)].max(0.0).sqrt()
     }
@@ -48,10 +44,6 @@ impl LeastSquaresFit {
 /// Finds the unknowns from a start; `steps` are those of the central differences, one per unknown, in its unit.
 ///
 /// The residuals must be as many at every place.
-///
-/// # Errors
-/// [`CalibrationError::Undetermined`] when the residuals do not depend on an unknown or on each in its own way,
-/// [`CalibrationError::Diverged`].
 pub(super) fn fit(
     start: &[f64],
     steps: &[f64],
@@ -91,9 +83,6 @@ pub(super) fn fit(
 }
 
 /// How far the solution moves when the residuals change by each of the `disturbances`, which are laid out as they are: -A^-1 J'd.
-///
-/// # Errors
-/// As [`fit`].
 pub(super) fn solution_shift(
     disturbances: impl Iterator<Item = Residuals>,
     values: &[f64],
@@ -201,9 +190,6 @@ pub(super) struct ScaledCholesky {
 
 impl ScaledCholesky {
     /// Factorises a symmetric positive matrix A.
-    ///
-    /// # Errors
-    /// [`CalibrationError::Undetermined`]: A is singular.
     pub(super) fn new(matrix: &DMatrix<f64>) -> Result<Self, CalibrationError> {
         let undetermined = || CalibrationError::Undetermined("one of the unknowns changes nothing alone");
         let scale = matrix.diagonal().map(|own| own.sqrt().recip());
@@ -215,7 +201,6 @@ impl ScaledCholesky {
         if is_regular { Ok(Self { factor, scale }) } else { Err(undetermined()) }
     }
 
-    /// x of A x = b.
     pub(super) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         self.factor.solve(&right.component_mul(&self.scale)).component_mul(&self.scale)
     }
@@ -225,7 +210,6 @@ impl ScaledCholesky {
     }
 }
 
-/// D A D.
 fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] * scale[i] * scale[j])
 }

@@ -22,11 +22,13 @@
 //! # Source
 //! Borenstein and Feng (1996), IEEE Transactions on Robotics and Automation 12(6), 869-880.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
+use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::UncertainValue;
 
 use super::CalibrationError;
+use super::free_path::{FreePath, RobotParameters, dead_reckon};
 
 /// Which way a square was driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +42,6 @@ pub enum SquareDirection {
 /// One square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRun {
-    /// Which way.
     pub direction: SquareDirection,
     /// Measured end minus the end by odometry, ahead of the start, in metres.
     pub ahead_m: f64,
@@ -51,9 +52,7 @@ pub struct SquareRun {
 /// The robot's numbers as odometry used them, and the square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRobot {
-    /// Distance between the wheels, in metres.
     pub track_width_m: f64,
-    /// Length of a side, in metres.
     pub side_m: f64,
 }
 
@@ -68,13 +67,10 @@ pub struct Umbmark {
     pub corner_rad: f64,
     /// beta, in radians.
     pub bend_rad: f64,
-    /// Factor on the left wheel's radius.
     pub left_factor: f64,
-    /// Factor on the right wheel's radius.
     pub right_factor: f64,
     /// Most radians between what x and y give for alpha and beta; large beside them: no square was driven.
     pub disagreement_rad: f64,
-    /// The figure of merit of these runs.
     pub error: SquareError,
 }
 
@@ -83,7 +79,6 @@ pub struct Umbmark {
 pub struct SquareError {
     /// Mean end error (ahead, left) of the runs clockwise, in metres.
     pub clockwise_m: [f64; 2],
-    /// The same of those counter-clockwise.
     pub counter_clockwise_m: [f64; 2],
     /// The larger distance of both means from home: E_max,syst, in metres.
     pub systematic_m: f64,
@@ -91,13 +86,9 @@ pub struct SquareError {
     pub scatter_m: f64,
 }
 
-/// Fewest runs of a direction.
 const MIN_RUNS: usize = 1;
 
 /// The figure of merit of runs in both directions.
-///
-/// # Errors
-/// [`CalibrationError::TooFewData`]: a direction is missing; [`CalibrationError::ImplausibleValue`]: an end that is not finite.
 pub fn square_error(runs: &[SquareRun]) -> Result<SquareError, CalibrationError> {
     let (clockwise, by_cw) = mean_of(runs, SquareDirection::Clockwise)?;
     let (counter, by_ccw) = mean_of(runs, SquareDirection::CounterClockwise)?;
@@ -137,10 +128,6 @@ fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], 
 }
 
 /// Track and wheels from the ends of squares.
-///
-/// # Errors
-/// As [`square_error`]; [`CalibrationError::ImplausibleValue`] for a side or a track that is not positive, or for corners so wrong that no
-/// track explains them.
 pub fn estimate_umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, CalibrationError> {
     for (what, value) in [("the side of the square", robot.side_m), ("the track width", robot.track_width_m)] {
         if !(value.is_finite() && value > 0.0) {
@@ -195,6 +182,111 @@ fn angle_sigma(runs: &[SquareRun], side_m: f64) -> Result<f64, CalibrationError>
         }
     }
     Ok(0.5 * variance_m2.sqrt() / (4.0 * side_m))
+}
+
+// UMBmark from recorded squares: the wheels can be reckoned anew, so the formulae are applied until nothing changes.
+//
+// The formulae of [`umbmark`](super::umbmark) are of first order. With typed ends they are applied once, as the paper does; here the
+// ends by odometry follow the numbers that were found, and what the first round left is the input of the next.
+
+/// Rounds after which it is said not to settle; three are usual.
+const MAX_ROUNDS: u32 = 12;
+/// Settled, when neither number moves by more.
+const CONVERGED: f64 = 1e-7;
+/// A square turns by one turn, perhaps with one corner more at its end, by a description that is off by a fifth; in radians.
+const TURNS_RAD: [f64; 2] = [0.75 * TAU, 1.5 * TAU];
+
+/// What recorded squares say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SquareCalibration {
+    /// The last round's numbers, added up over all rounds.
+    pub estimate: Umbmark,
+    pub before: RobotParameters,
+    pub after: RobotParameters,
+    pub runs_before: Vec<SquareRun>,
+    pub runs_after: Vec<SquareRun>,
+    pub side_m: f64,
+}
+
+/// Calibrates by recorded squares; `side_m` is taken from the wheels' way if it is not given.
+pub fn calibrate_squares(
+    config: &FilterConfig,
+    paths: &[FreePath],
+    side_m: Option<f64>,
+) -> Result<SquareCalibration, CalibrationError> {
+    let before = RobotParameters::from_config(config);
+    let mut after = before;
+    let side_m = side_m.unwrap_or_else(|| mean_side_m(paths));
+    let runs_before = closing_runs(config, &before, paths)?;
+    let mut runs = runs_before.clone();
+    let mut found: Option<Umbmark> = None;
+    for _ in 0..MAX_ROUNDS {
+        let robot = SquareRobot { track_width_m: after.track_width_m, side_m };
+        let step = estimate_umbmark(&runs, robot)?;
+        after.track_width_m *= 1.0 + step.track_scale.value;
+        after.radius_difference += step.radius_difference.value;
+        runs = closing_runs(config, &after, paths)?;
+        found = Some(sum_estimates(found, step, &before, &after));
+        let moved = step.track_scale.value.abs().max(step.radius_difference.value.abs());
+        if let (true, Some(found)) = (moved < CONVERGED, found) {
+            return Ok(SquareCalibration { estimate: found, before, after, runs_before, runs_after: runs, side_m });
+        }
+    }
+    Err(CalibrationError::Diverged)
+}
+
+/// The first round with the totals of all.
+fn sum_estimates(first: Option<Umbmark>, step: Umbmark, before: &RobotParameters, after: &RobotParameters) -> Umbmark {
+    let first = first.unwrap_or(step);
+    let difference = after.radius_difference - before.radius_difference;
+    Umbmark {
+        track_scale: UncertainValue { value: after.track_width_m / before.track_width_m - 1.0, ..first.track_scale },
+        radius_difference: UncertainValue { value: difference, ..first.radius_difference },
+        left_factor: 1.0 - 0.5 * difference,
+        right_factor: 1.0 + 0.5 * difference,
+        ..first
+    }
+}
+
+/// The ends of the drives with these numbers, each in the space of its start.
+pub fn closing_runs(
+    config: &FilterConfig,
+    numbers: &RobotParameters,
+    paths: &[FreePath],
+) -> Result<Vec<SquareRun>, CalibrationError> {
+    let end = |path: &FreePath| {
+        let heading_rad = path.start.pose[2];
+        let reckoned = dead_reckon(config, numbers, path, heading_rad);
+        let (Some(ours), Some(seen)) = (reckoned.positions_m.last(), path.fixes.last()) else {
+            return Err(CalibrationError::TooFewData {
+                what: "places where the robot was seen at the end of a square",
+                found: 0,
+                needed: 1,
+            });
+        };
+        let [x, y] = [seen.position_m[0] - ours[0], seen.position_m[1] - ours[1]];
+        let (sin, cos) = heading_rad.sin_cos();
+        Ok(SquareRun { direction: direction(path, numbers)?, ahead_m: cos * x + sin * y, left_m: cos * y - sin * x })
+    };
+    paths.iter().map(end).collect()
+}
+
+fn direction(path: &FreePath, numbers: &RobotParameters) -> Result<SquareDirection, CalibrationError> {
+    let turns = path.steps.iter().map(|step| step.travel.right_m - step.travel.left_m);
+    let turned_rad = turns.sum::<f64>() / numbers.track_width_m;
+    let [least_rad, most_rad] = TURNS_RAD;
+    if !(least_rad..=most_rad).contains(&turned_rad.abs()) {
+        return Err(CalibrationError::ImplausibleValue {
+            what: "the turn of a square by its wheels (rad; one lap to either side is 6.3)",
+            value: turned_rad,
+        });
+    }
+    Ok(if turned_rad > 0.0 { SquareDirection::CounterClockwise } else { SquareDirection::Clockwise })
+}
+
+fn mean_side_m(paths: &[FreePath]) -> f64 {
+    let lengths = paths.iter().map(FreePath::length_m);
+    lengths.sum::<f64>() / (4.0 * paths.len().max(1) as f64)
 }
 
 #[cfg(test)]

@@ -23,11 +23,8 @@ const START_S: f64 = 1_234.5;
 /// A clock behind a link.
 #[derive(Clone, Copy, Debug)]
 pub struct ClockCase {
-    /// The name in tables.
     pub name: &'static str,
-    /// What is special about it.
     pub summary: &'static str,
-    /// Host seconds in all.
     pub duration_s: f64,
     /// The error counts from this host instant on, s.
     pub scored_from_s: f64,

@@ -15,30 +15,20 @@
 //! ```
 //! Sources: docs/maths/clock.md, section 6; of each foreign method the source of the program that uses it.
 
-mod arrival_time;
 mod cases;
-mod compare;
-mod hulls;
-mod jitter_correction;
-mod method;
-mod timesync;
+mod methods;
 
-pub use arrival_time::ArrivalTime;
-pub use cases::{CLOCK_CASES, ClockCase};
-pub use compare::{ClockRow, compare_methods};
-pub use hulls::{OneWayHull, TwoWayHulls};
-pub use jitter_correction::JitterCorrection;
-pub use method::{ClockExchange, ClockMethod};
-pub use timesync::TimeSyncFilter;
+pub use self::cases::{CLOCK_CASES, ClockCase};
+pub use self::methods::{
+    ArrivalTime, ClockExchange, ClockMethod, JitterCorrection, OneWayHull, TimeSyncFilter, TwoWayHulls,
+};
 
 /// A row of [`METHODS`].
 #[derive(Clone, Copy, Debug)]
 pub struct MethodEntry {
-    /// The name in tables.
     pub name: &'static str,
     /// Who does it so, and how.
     pub summary: &'static str,
-    /// A fresh one.
     pub open: fn() -> Box<dyn ClockMethod>,
 }
 
@@ -80,3 +70,69 @@ pub const METHODS: &[MethodEntry] = &[
         open: || Box::new(TwoWayHulls::default()),
     },
 ];
+
+/// How well one method did in one case, over all seeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockRow {
+    pub case: &'static str,
+    pub method: &'static str,
+    /// Largest error of any seed, ms; `None` if it never answered.
+    pub worst_ms: Option<f64>,
+    /// Mean error, ms; positive: stamps are taken for later than they were.
+    pub mean_ms: Option<f64>,
+    /// Share of the scored exchanges, 0 to 1, at which it had an answer.
+    pub answered: f64,
+    /// Whether it answered at all.
+    pub started: bool,
+}
+
+/// Runs every method of [`METHODS`] over every case of [`CLOCK_CASES`] with these seeds: a row for each, case by case.
+///
+/// The same seeds give the same rows. Without seeds no method starts.
+pub fn compare_methods(seeds: &[u64]) -> Vec<ClockRow> {
+    let pairs = CLOCK_CASES.iter().flat_map(|case| METHODS.iter().map(move |method| (case, method)));
+    pairs.map(|(case, method)| row_of(case, method, seeds)).collect()
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct OffsetErrors {
+    scored: u32,
+    answered: u32,
+    sum_ms: f64,
+    worst_ms: f64,
+}
+
+impl OffsetErrors {
+    fn add(&mut self, error_ms: Option<f64>) {
+        self.scored += 1;
+        let Some(error_ms) = error_ms else {
+            return;
+        };
+        self.answered += 1;
+        self.sum_ms += error_ms;
+        self.worst_ms = self.worst_ms.max(error_ms.abs());
+    }
+}
+
+fn row_of(case: &ClockCase, method: &MethodEntry, seeds: &[u64]) -> ClockRow {
+    let mut errors = OffsetErrors::default();
+    for seed in seeds {
+        let mut clock = (method.open)();
+        for known in case.exchanges(*seed) {
+            clock.observe_exchange(&known.exchange);
+            if known.answered_s >= case.scored_from_s {
+                let found_s = clock.offset_at(known.answered_s).map(|offset_s| known.exchange.remote_s + offset_s);
+                errors.add(found_s.map(|found_s| (found_s - known.answered_s) * 1e3));
+            }
+        }
+    }
+    let started = errors.answered > 0;
+    ClockRow {
+        case: case.name,
+        method: method.name,
+        worst_ms: started.then_some(errors.worst_ms),
+        mean_ms: started.then(|| errors.sum_ms / f64::from(errors.answered)),
+        answered: f64::from(errors.answered) / f64::from(errors.scored.max(1)),
+        started,
+    }
+}

@@ -12,25 +12,21 @@
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId, SensorNoise};
 
 use super::parameter_uncertainty::Sampling;
-use super::{TimedSample, estimate_noise, sorted_by_time, sorted_finite};
+use super::{TimedSample, sorted_by_time, sorted_finite};
 
 /// A number that a robot or a recording has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorChannel {
     /// The first thermometer.
     Temperature,
-    /// Speed of the left wheel by its encoder.
     LeftWheel,
-    /// Speed of the right wheel by its encoder.
     RightWheel,
-    /// The gyro.
     TurnRate,
     /// The range to what is ahead.
     WallRange,
 }
 
 impl SensorChannel {
-    /// For people.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Temperature => "temperature",
@@ -41,7 +37,6 @@ impl SensorChannel {
         }
     }
 
-    /// The unit of its samples.
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Temperature => "°C",
@@ -138,32 +133,75 @@ pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> 
     Some(tick_rad / mean_interval_s(samples)? / 6.0_f64.sqrt())
 }
 
+// The noise of a sensor with no configured noise, from how its samples scatter about their neighbours.
+//
+// ```text
+// d_k = y_(k+1) - 2 y_k + y_(k-1)      sigma = median |d_k| / (0.6745 sqrt(6)), at least q / sqrt(12)                   (16)
+// ```
+// A second difference is blind to slopes, and the median to the few samples in which the step itself bends. q is the smallest
+// difference of two neighbours that differ: what a sensor that rounds cannot do without.
+//
+// # Assumptions
+// Errors of neighbours are independent. Where they are not, the residuals of the fit have the last word
+// ([`super::parameter_uncertainty`]).
+//
+// # Sources
+// The 75 % quantile of a Gaussian, and the variance 6 sigma^2 of the weights 1, -2, 1; docs/lab/calibration.md, section 7.
+
+/// The 75 % quantile of a standard normal: half of all draws are nearer to zero.
+const MEDIAN_OF_NORMAL: f64 = 0.674_49;
+/// Fewer samples than these say nothing.
+const MIN_SAMPLES: usize = 8;
+
+/// Equation (16), in the sensor's unit; `None` for too few samples, or for samples that are all the same.
+pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
+    let samples = sorted_finite(samples);
+    if samples.len() < MIN_SAMPLES {
+        return None;
+    }
+    let quantum = samples
+        .windows(2)
+        .filter_map(|pair| match pair {
+            [a, b] => Some((b.value - a.value).abs()),
+            _ => None,
+        })
+        .filter(|difference| *difference > 0.0)
+        .fold(f64::INFINITY, f64::min);
+    if quantum.is_infinite() {
+        return None;
+    }
+    let mut bends: Vec<f64> = samples
+        .windows(3)
+        .filter_map(|three| match three {
+            [a, b, c] => Some((c.value - 2.0 * b.value + a.value).abs()),
+            _ => None,
+        })
+        .collect();
+    bends.sort_by(f64::total_cmp);
+    let median = bends.get(bends.len() / 2)?;
+    let scatter = median / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());
+    Some(scatter.max(quantum / 12.0_f64.sqrt()))
+}
+
 #[cfg(test)]
 mod tests {
+    use posebridge_telemetry::{Celsius, RadiansPerSecond};
+
     use super::*;
-    use posebridge_telemetry::{Celsius, Meters, Radians, RadiansPerSecond, TimeDelta, Timestamp};
+    use crate::identification::step_response::{SimulatedSensor, step_input};
+    use crate::test_support::{self, observation, wheel_angles};
 
-    fn observed(millis: i64, observed: ObservationKind) -> Observation {
-        Observation {
-            stamp: Timestamp::from_micros(1_000 * millis),
-            stamp_sigma: TimeDelta::ZERO,
-            sensor: SensorId::THERMOMETER,
-            measurement: observed,
-        }
-    }
-
-    fn wheels(millis: i64, left: f64, right: f64) -> Observation {
-        let (left, right) = (Radians(left), Radians(right));
-        observed(millis, ObservationKind::WheelAngles { left, right })
+    fn observed(millis: i64, measurement: ObservationKind) -> Observation {
+        observation(SensorId::THERMOMETER, millis, measurement)
     }
 
     #[test]
     fn each_channel_takes_its_own_in_the_order_of_time() {
         let all = [
-            wheels(0, 0.0, 0.0),
-            wheels(200, 0.5, -0.4),
-            wheels(100, 0.1, 0.0),
-            wheels(100, 7.0, 7.0),
+            wheel_angles(0, 0.0, 0.0),
+            wheel_angles(200, 0.5, -0.4),
+            wheel_angles(100, 0.1, 0.0),
+            wheel_angles(100, 7.0, 7.0),
             observed(50, ObservationKind::TurnRate(RadiansPerSecond(0.3))),
             observed(60, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))),
             observed(70, ObservationKind::Temperature(Celsius(21.0))),
@@ -188,12 +226,7 @@ mod tests {
             gyro_resolution_rad_per_s: 0.04 * 12.0_f64.sqrt(),
             ..SensorNoise::EXACT
         };
-        let geometry = DriveGeometry {
-            left_wheel_radius: Meters(0.03),
-            right_wheel_radius: Meters(0.03),
-            track_width: Meters(0.1),
-            tick: Radians(0.01),
-        };
+        let geometry = test_support::config(SensorNoise::EXACT).geometry;
         let of = |channel: SensorChannel, samples: &[TimedSample]| channel.noise(&noise, &geometry, samples);
         assert!((of(SensorChannel::TurnRate, &[]).unwrap() - 0.05).abs() < 1e-12);
         let readings: Vec<(f64, f64)> = (0..11).map(|k| (0.1 * f64::from(k), 0.0)).collect();
@@ -202,5 +235,32 @@ mod tests {
         assert!((by_tick - 0.1 / 6.0_f64.sqrt()).abs() < 1e-9);
         assert_eq!(wheel_speed_sigma(0.01, &samples), Some(by_tick));
         assert_eq!(of(SensorChannel::Temperature, &samples), None);
+    }
+
+    #[test]
+    fn it_is_found_in_spite_of_the_step() {
+        let sensor = SimulatedSensor::first_order(5.0, 0.1, 0.1);
+        let found = estimate_noise(&sensor.run(1, 800, step_input(20.0, 4.0, 10.0))).unwrap();
+        // A median of 800 is known to 4 %.
+        assert!((found / 0.1 - 1.0).abs() < 0.12, "{found}");
+    }
+
+    #[test]
+    fn a_sensor_that_rounds_has_its_last_digit_over_the_root_of_twelve_at_least() {
+        let mut sensor = SimulatedSensor::first_order(5.0, 1e-6, 0.5);
+        sensor.resolution = 0.0625;
+        let found = estimate_noise(&sensor.run(1, 800, step_input(20.0, 4.0, 10.0))).unwrap();
+        assert!((found - 0.0625 / 12.0_f64.sqrt()).abs() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn samples_that_say_nothing_say_nothing() {
+        let still = |count: u32| -> Vec<TimedSample> {
+            (0..count).map(|k| TimedSample { at_s: f64::from(k), value: 3.0 }).collect()
+        };
+        assert_eq!(estimate_noise(&still(100)), None);
+        let mut few = still(7);
+        few[3].value = 4.0;
+        assert_eq!(estimate_noise(&few), None);
     }
 }

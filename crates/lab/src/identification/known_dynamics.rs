@@ -28,7 +28,6 @@ pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
 /// A quantity with its standard deviation per sigma of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalizedEstimate {
-    /// u.
     pub value: f64,
     /// Its standard deviation, as many times that of a sample.
     pub noise_gain: f64,

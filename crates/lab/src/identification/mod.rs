@@ -7,18 +7,14 @@
 //! | step | module |
 //! |---|---|
 //! | where in a recording the step is | [`onset`] |
-//! | the response as a sum of exponentials | [`step_response`] |
-//! | least squares for its parameters, with a prior | [`fit`], [`prior`] |
-//! | noise, and errors of the model that hold for a while | [`model_error`] |
+//! | the response as a sum of exponentials, when it has settled, a sensor whose truth is known | [`step_response`] |
+//! | least squares for its parameters, and their prior; errors of the model that hold for a while | [`fit`], [`prior`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
-//! | what an observation stream says of one sensor, and its noise | [`channel`], [`noise`] |
+//! | what an observation stream says of one sensor, and its noise | [`channel`] |
 //! | sigmas that hold where errors of neighbours are alike | [`parameter_uncertainty`] |
-//! | steps up against steps down | [`directions`] |
-//! | several runs of one kind of sensor: what to expect of the next | [`sensor_kind`], [`expectation`] |
+//! | several runs of one kind of sensor: what to expect of the next; steps up against steps down | [`sensor_kind`] |
 //! | the final value with bounds, from sample to sample | [`prediction`] |
 //! | known dynamics: block and recursive least squares | [`known_dynamics`] |
-//! | when a series has settled | [`settling`] |
-//! | a sensor whose truth is known | [`simulated`] |
 //! | the experiment of the lab, section by section | [`lesson`] |
 //!
 //! ```
@@ -40,36 +36,27 @@
 //! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite.
 
 pub mod channel;
-pub mod directions;
-pub mod expectation;
 pub mod fit;
 pub mod known_dynamics;
 pub mod lesson;
-pub mod model_error;
-pub mod noise;
 pub mod onset;
 pub mod parameter_uncertainty;
 pub mod prediction;
 pub mod prior;
 pub mod sensor_kind;
-pub mod settling;
-pub mod simulated;
 pub mod step;
 pub mod step_response;
 
 use posebridge_estimator::numerics::statistics;
 
-pub use channel::SensorChannel;
-pub use directions::{DirectionComparison, compare_directions};
-pub use expectation::{ExpectedDynamics, StepDirection};
-pub use noise::estimate_noise;
-pub use onset::{StepSegment, find_step};
-pub use parameter_uncertainty::{Sampling, StepParameters};
-pub use prediction::EndPrediction;
-pub use sensor_kind::{KindError, SensorKind, predict};
-pub use settling::settling_time_s;
-pub use step::{IdentificationError, IdentifiedLag, IdentifiedStep, ModelOrder, StepOptions, identify_step};
-pub use step_response::{Lag, StepResponse};
+pub use self::channel::{SensorChannel, estimate_noise};
+pub use self::onset::{StepSegment, find_step};
+pub use self::parameter_uncertainty::{Sampling, StepParameters};
+pub use self::prediction::EndPrediction;
+pub use self::prior::{ExpectedDynamics, StepDirection};
+pub use self::sensor_kind::{DirectionComparison, KindError, SensorKind, compare_directions, predict};
+pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, ModelOrder, StepOptions, identify_step};
+pub use self::step_response::{Lag, StepResponse, settling_time_s};
 
 /// What a sensor showed at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +68,6 @@ pub struct TimedSample {
 }
 
 impl TimedSample {
-    /// Whether both numbers are finite.
     pub const fn is_finite(&self) -> bool {
         self.at_s.is_finite() && self.value.is_finite()
     }
@@ -112,7 +98,6 @@ pub fn sorted_by_time(samples: &[TimedSample]) -> Vec<TimedSample> {
     sorted_finite(&samples)
 }
 
-/// The mean of the values; `None` without samples.
 pub(crate) fn mean_of(samples: &[TimedSample]) -> Option<f64> {
     statistics::mean(samples.iter().map(|sample| sample.value))
 }

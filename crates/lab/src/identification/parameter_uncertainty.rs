@@ -27,8 +27,7 @@
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::UncertainValue;
 
-use super::fit::value_and_slopes;
-use super::model_error::{ResponseNoise, WhiteningFilter, whitening_steps};
+use super::fit::{ResponseNoise, WhiteningFilter, value_and_slopes, whitening_steps};
 use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
@@ -36,7 +35,6 @@ use super::step_response::StepResponse;
 /// What a sample is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
-    /// A reading of its own.
     #[default]
     Readings,
     /// The difference of two neighbouring readings of a counter: each reading's error is in two samples.
@@ -54,7 +52,6 @@ const SAMPLES_PER_LAG: usize = 16;
 /// The most lags, so that long recordings take no longer than they are worth.
 const MAX_LAGS: usize = 256;
 
-/// The numbers of one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepParameters {
     /// What the sensor shows per unit of the quantity, if the step of the quantity was given.
@@ -146,9 +143,7 @@ fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
 
 /// What the response leaves, and how it hangs on the parameters.
 struct WeightedResiduals {
-    /// u_k.
     weighted: Vec<f64>,
-    /// g_k.
     slopes: Vec<DVector<f64>>,
     rms: f64,
     rho_1: f64,
@@ -247,7 +242,6 @@ impl WeightedResiduals {
         cross_covariance(&errors, &slopes, lags).map(|between| &bread * between * &bread)
     }
 
-    /// B.
     fn inverse_information(&self) -> Option<DMatrix<f64>> {
         let rows = self.slopes.first()?.len();
         Some(lagged_products(&self.slopes, 0, rows).cholesky()?.inverse())
@@ -289,10 +283,10 @@ fn lagged_sum(values: &[f64], lag: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::simulated::{SimulatedSensor, step_input};
     use super::super::step::{ModelOrder, StepOptions, identify_step};
     use super::super::{TimedSample, estimate_noise};
     use super::*;
+    use crate::identification::step_response::{SimulatedSensor, step_input};
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
     use rand_pcg::Pcg64;

@@ -12,10 +12,9 @@
 
 use posebridge_estimator::numerics::statistics::quantile;
 
-use super::expectation::{ExpectedDynamics, StepDirection};
 use super::fit::{ResponseFit, ResponseNoise, fit_response};
 use super::onset::{DetectedOnset, OnsetDetector};
-use super::prior::{DynamicsPrior, GaussianPrior, ResponsePrior};
+use super::prior::{DynamicsPrior, ExpectedDynamics, GaussianPrior, ResponsePrior, StepDirection};
 use super::step::IdentifiedStep;
 use super::step_response::StepResponse;
 use super::{TimedSample, sorted_finite};
@@ -30,7 +29,6 @@ pub const BOUND_SIGMAS: f64 = 1.959_964;
 pub struct EndPrediction {
     /// The instant of the latest sample, in seconds of the sensor's clock.
     pub at_s: f64,
-    /// What the sensor will show in the end.
     pub value: f64,
     /// One standard deviation of it, with all that is not known about the dynamics.
     pub sigma: f64,
@@ -240,7 +238,6 @@ pub struct PredictionScore {
 }
 
 impl Default for PredictionScore {
-    /// Without any prediction.
     fn default() -> Self {
         Self { mean_error: 1.0, bound_factor: 0.0 }
     }

@@ -32,13 +32,12 @@
 //! Gelman and others, Bayesian Data Analysis, third edition, sections 3.2 and 3.3; docs/lab/thermometer.md section 4.
 
 use nalgebra::{DMatrix, DVector};
-
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+use posebridge_telemetry::UncertainValue;
 
 use super::TimedSample;
-use super::expectation::{ExpectedDynamics, StepDirection};
 use super::prediction::{EndPrediction, PredictionScore, predict_series, score_predictions};
-use super::prior::{DynamicsPrior, MAX_ORDER, row};
+use super::prior::{DynamicsPrior, ExpectedDynamics, MAX_ORDER, StepDirection, row};
 use super::step::{CandidateModel, IdentifiedStep};
 
 /// s_0 of ln tau: time constants of one kind differ by a twentieth until the runs say otherwise.
@@ -75,22 +74,14 @@ pub struct SensorKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KindError {
-    /// There are no runs.
     #[error("no identified run")]
     NoRun,
-    /// No order was identified in all runs.
     #[error("there is no order that all {runs} runs could be described by")]
-    NoCommonOrder {
-        /// How many runs.
-        runs: usize,
-    },
+    NoCommonOrder { runs: usize },
 }
 
 impl SensorKind {
     /// Learns from identified runs. The order is the one by which the runs predict each other best; of a single run, its own.
-    ///
-    /// # Errors
-    /// There is no run, or no order that was tried on all.
     pub fn from_runs(runs: &[IdentifiedStep], likeness: RunSimilarity) -> Result<Self, KindError> {
         let first = runs.first().ok_or(KindError::NoRun)?;
         let kinds: Vec<Self> = (1..=MAX_ORDER)
@@ -125,7 +116,6 @@ impl SensorKind {
         (!runs.is_empty()).then_some(kind)
     }
 
-    /// How many exponentials.
     pub const fn order(&self) -> usize {
         self.order
     }
@@ -267,4 +257,96 @@ const PRIOR_FREEDOM: f64 = 3.0;
 fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
     let mut candidates = runs.iter().map(|run| run.of_order(order));
     candidates.all(|candidate| candidate.is_some_and(IdentifiedStep::is_resolved))
+}
+
+// Steps up against steps down: heat goes into a body through another film than out of it.
+//
+// ```text
+// m = sum of x_i / s_i^2 / sum of 1 / s_i^2        s = 1 / sqrt(sum of 1 / s_i^2), times the larger one of 1 and the scatter
+// scatter^2 = sum of ((x_i - m) / s_i)^2 / (n - 1)        z = (m_up - m_down) / sqrt(s_up^2 + s_down^2)                  (17)
+// ```
+//
+// # Sources
+// The weighted mean with Birge's ratio (1932), as for physical constants; docs/lab/calibration.md, section 7.
+
+/// Both ways side by side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DirectionComparison {
+    pub up: UncertainValue,
+    pub down: UncertainValue,
+    /// z of equation (17).
+    pub z: f64,
+}
+
+impl DirectionComparison {
+    /// Whether they differ, at a level of 1 %.
+    pub fn differ(&self) -> bool {
+        self.z.abs() > TWO_SIDED_SIGMAS
+    }
+}
+
+/// The quantile of a Gaussian at 99.5 %.
+const TWO_SIDED_SIGMAS: f64 = 2.575_829;
+
+/// Compares one number of several steps; `None` unless there are steps both ways, each with a sigma of more than zero.
+pub fn compare_directions(steps: &[(StepDirection, UncertainValue)]) -> Option<DirectionComparison> {
+    let of = |way: StepDirection| {
+        let own = steps.iter().filter(|(which, _)| *which == way);
+        mean(&own.map(|(_, known)| *known).collect::<Vec<_>>())
+    };
+    let (up, down) = (of(StepDirection::Up)?, of(StepDirection::Down)?);
+    Some(DirectionComparison { z: (up.value - down.value) / up.sigma.hypot(down.sigma), up, down })
+}
+
+fn mean(all: &[UncertainValue]) -> Option<UncertainValue> {
+    let weights: f64 = all.iter().map(|known| known.sigma.powi(-2)).sum();
+    let sum: f64 = all.iter().map(|known| known.value * known.sigma.powi(-2)).sum();
+    let value = sum / weights;
+    let off = all.iter().map(|known| ((known.value - value) / known.sigma).powi(2));
+    let scatter = off.sum::<f64>() / (all.len().max(2) - 1) as f64;
+    let sigma = weights.sqrt().recip() * scatter.max(1.0).sqrt();
+    (value.is_finite() && sigma > 0.0 && sigma.is_finite()).then_some(UncertainValue { value, sigma })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn known(value: f64, sigma: f64) -> UncertainValue {
+        UncertainValue { value, sigma }
+    }
+
+    #[test]
+    fn ways_that_differ_are_told_apart_and_others_are_not() {
+        let found = compare_directions(&[
+            (StepDirection::Up, known(2.0, 0.1)),
+            (StepDirection::Down, known(2.5, 0.1)),
+            (StepDirection::Up, known(2.1, 0.1)),
+        ])
+        .unwrap();
+        assert!((found.up.value - 2.05).abs() < 1e-12);
+        assert!((found.up.sigma - 0.1 / 2.0_f64.sqrt()).abs() < 1e-12);
+        assert!((found.z + 0.45 / 0.015_f64.sqrt()).abs() < 1e-9);
+        assert!(found.differ());
+        let alike = compare_directions(&[(StepDirection::Up, known(2.0, 0.1)), (StepDirection::Down, known(2.2, 0.1))]);
+        assert!(!alike.unwrap().differ());
+    }
+
+    #[test]
+    fn runs_that_scatter_make_their_mean_as_uncertain() {
+        let up = [(StepDirection::Up, known(1.0, 0.1)), (StepDirection::Up, known(3.0, 0.1))];
+        let found = compare_directions(&[&up[..], &[(StepDirection::Down, known(2.5, 0.1))]].concat()).unwrap();
+        assert!((found.up.value - 2.0).abs() < 1e-12);
+        // Off by ten sigma each: 0.1 / sqrt(2) times sqrt(200).
+        assert!((found.up.sigma - 1.0).abs() < 1e-9, "{found:?}");
+        assert!(!found.differ());
+    }
+
+    #[test]
+    fn one_way_alone_or_a_sigma_of_zero_is_no_comparison() {
+        assert_eq!(compare_directions(&[(StepDirection::Up, known(1.0, 0.1))]), None);
+        assert_eq!(compare_directions(&[]), None);
+        let exact = [(StepDirection::Up, known(1.0, 0.0)), (StepDirection::Down, known(1.0, 0.1))];
+        assert_eq!(compare_directions(&exact), None);
+    }
 }

@@ -34,7 +34,6 @@ pub enum ModelOrder {
 pub struct StepOptions {
     /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its last digit over the root of 12.
     pub sigma: f64,
-    /// How many exponentials.
     pub order: ModelOrder,
     /// When the quantity stepped, in seconds of the sensor's clock; without it the delay is not observable.
     pub onset_s: Option<f64>,
@@ -56,18 +55,14 @@ impl StepOptions {
 pub struct IdentifiedLag {
     /// tau, in seconds.
     pub time_constant_s: f64,
-    /// Its standard deviation, in seconds.
     pub time_constant_sigma_s: f64,
-    /// Its share of the step.
     pub share: f64,
-    /// The share's standard deviation.
     pub share_sigma: f64,
 }
 
 /// One way to describe the step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CandidateModel {
-    /// The response and what is known about it.
     pub fit: ResponseFit,
     /// Root mean square of what it leaves, in the sensor's unit.
     pub residual_rms: f64,
@@ -82,7 +77,6 @@ pub struct CandidateModel {
 /// A sensor's answer to a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdentifiedStep {
-    /// The samples that were used.
     pub samples: Vec<TimedSample>,
     /// What the sensor shows per unit of the quantity, if the step of the quantity was given.
     pub gain: Option<f64>,
@@ -98,7 +92,6 @@ pub struct IdentifiedStep {
 }
 
 impl IdentifiedStep {
-    /// The description that was chosen.
     pub fn chosen(&self) -> &CandidateModel {
         &self.candidates[self.chosen]
     }
@@ -109,7 +102,6 @@ impl IdentifiedStep {
         all.find(|candidate| candidate.fit.response.lags.len() == order)
     }
 
-    /// How many exponentials were chosen.
     pub fn order(&self) -> usize {
         self.response().lags.len()
     }
@@ -146,50 +138,21 @@ const ONE_SIDED_SIGMAS: f64 = 1.644_854;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
-    /// The noise makes no sense.
     #[error("a noise of {sigma} is not positive and finite")]
-    Sigma {
-        /// The noise.
-        sigma: f64,
-    },
-    /// The order makes no sense.
+    Sigma { sigma: f64 },
     #[error("an order of {order} is not 1 to {MAX_ORDER}")]
-    Order {
-        /// The order.
-        order: usize,
-    },
-    /// Something that was given about the step makes no sense.
+    Order { order: usize },
     #[error("{what} of {value} is not finite, or zero")]
-    InvalidOption {
-        /// What was given.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// Nothing moves.
+    InvalidOption { what: &'static str, value: f64 },
     #[error("no step: of {samples} usable samples no part moves by more than the noise of {sigma} explains")]
-    NoStep {
-        /// Usable samples.
-        samples: usize,
-        /// The noise.
-        sigma: f64,
-    },
-    /// There are too few samples for any fit.
+    NoStep { samples: usize, sigma: f64 },
     #[error("{samples} samples after the onset are too few for an order of {order}")]
-    TooFew {
-        /// Samples after the onset.
-        samples: usize,
-        /// The lowest order that was asked for.
-        order: usize,
-    },
+    TooFew { samples: usize, order: usize },
 }
 
 /// Identifies a sensor from the samples of a recording with a step in it.
 ///
 /// Samples that are not finite or not later than the one before are left out.
-///
-/// # Errors
-/// The options make no sense, or there is no step.
 pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<IdentifiedStep, IdentificationError> {
     validate_options(options)?;
     let no_step = || IdentificationError::NoStep { samples: sorted_finite(samples).len(), sigma: options.sigma };

@@ -13,6 +13,11 @@
 
 use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ModelError};
 use posebridge_telemetry::SensorId;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+
+use super::TimedSample;
 
 /// One exponential of a response.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,21 +59,103 @@ impl StepResponse {
         self.start + self.step
     }
 
-    /// The longest time constant, in seconds; 0 without lags.
-    pub fn slowest_s(&self) -> f64 {
-        let lags = self.lags.iter().map(|lag| lag.time_constant_s);
-        lags.fold(0.0, f64::max)
-    }
-
     /// These lags as a model for the dynamic measurement filter, with a gain in the sensor's unit per unit of the quantity. The filter
     /// leaves the shares open: it estimates the transient of each lag.
-    ///
-    /// # Errors
-    /// The lags or the gain are not those of a sensor.
     pub fn model(&self, sensor: SensorId, gain: f64) -> Result<DynamicModel, ModelError> {
         let lags: Vec<f64> = self.lags.iter().map(|lag| lag.time_constant_s).collect();
         DynamicModel::empty().with_lags(sensor, gain, &lags)
     }
+}
+
+/// How long after the onset a series stays within `limit` of `end` for good, in seconds; `None` if its last value is not within, if
+/// it holds nothing, or if a number is not finite.
+///
+/// The series holds instants and values in the order of time. The instant is that of the first value after which none is outside.
+pub fn settling_time_s(series: &[(f64, f64)], onset_s: f64, end: f64, limit: f64) -> Option<f64> {
+    let is_inside = |value: f64| (value - end).abs() <= limit;
+    let last_outside = series.iter().rposition(|(_, value)| !is_inside(*value));
+    let first_inside = last_outside.map_or(0, |index| index + 1);
+    let (at_s, _) = series.get(first_inside)?;
+    let after_s = at_s - onset_s;
+    after_s.is_finite().then_some(after_s.max(0.0))
+}
+
+// A thermometer whose truth is known, written from physics, and independent of the code that it tests.
+//
+// # Model
+// The body of the sensor is warmed along several paths, each a resistance and a capacity; what is measured is a mix of them:
+// ```text
+// dz_j/dt = (T(t) - z_j) / tau_j        shown = sum over j of s_j z_j + n        n Gaussian, then rounded to the last digit
+// ```
+// Between two instants T is taken as a straight line, for which each z_j is known exactly.
+
+/// A sensor and how it is read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedSensor {
+    /// tau_j in seconds with s_j; the shares add up to one.
+    pub lags: Vec<(f64, f64)>,
+    /// Standard deviation of n.
+    pub sigma: f64,
+    /// Size of the last digit; 0 for none.
+    pub resolution: f64,
+    /// Time between two samples, in seconds; positive.
+    pub period_s: f64,
+}
+
+impl SimulatedSensor {
+    /// One lag.
+    pub fn first_order(tau_s: f64, sigma: f64, period_s: f64) -> Self {
+        Self { lags: vec![(tau_s, 1.0)], sigma, resolution: 0.0, period_s }
+    }
+
+    /// Its readings from time 0 on, this number of samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
+    pub fn run(&self, seed: u64, count: usize, truth: impl Fn(f64) -> f64) -> Vec<TimedSample> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut states: Vec<f64> = self.lags.iter().map(|_| truth(0.0)).collect();
+        (0..count)
+            .map(|k| {
+                let at_s = self.period_s * k as f64;
+                if k > 0 {
+                    self.advance(&mut states, at_s, &truth);
+                }
+                let paths = self.lags.iter().zip(&states);
+                let clean: f64 = paths.map(|((_, share), state)| share * state).sum();
+                let noisy = clean + self.sigma * random.sample::<f64, _>(StandardNormal);
+                TimedSample { at_s, value: self.quantize(noisy) }
+            })
+            .collect()
+    }
+
+    /// From the sample before to this one, in short straight pieces of the truth.
+    fn advance(&self, states: &mut [f64], until_s: f64, truth: &impl Fn(f64) -> f64) {
+        let piece_s = self.period_s / f64::from(SUBSTEPS);
+        for piece in (0..SUBSTEPS).rev() {
+            let to_s = until_s - piece_s * f64::from(piece);
+            let (before, after) = (truth(to_s - piece_s), truth(to_s));
+            let slope = (after - before) / piece_s;
+            for (state, (tau_s, _)) in states.iter_mut().zip(&self.lags) {
+                // The answer to a ramp lags behind it by tau, plus what is left of where it started.
+                let kept = (-piece_s / tau_s).exp();
+                let (lagged_before, lagged_after) = (before - slope * tau_s, after - slope * tau_s);
+                *state = lagged_after + kept * (*state - lagged_before);
+            }
+        }
+    }
+
+    fn quantize(&self, value: f64) -> f64 {
+        if self.resolution > 0.0 {
+            return (value / self.resolution).round() * self.resolution;
+        }
+        value
+    }
+}
+
+/// Straight pieces between two samples: a step of the truth is placed to this share of a period.
+const SUBSTEPS: u32 = 16;
+
+/// A quantity that is at `before` until `at_s` and at `after` from then on.
+pub fn step_input(before: f64, after: f64, at_s: f64) -> impl Fn(f64) -> f64 {
+    move |now_s| if now_s < at_s { before } else { after }
 }
 
 #[cfg(test)]
@@ -89,7 +176,7 @@ mod tests {
         assert!((response.value_at(1e4) - 4.0).abs() < 1e-12);
         let by_hand = 20.0 - 16.0 * (1.0 - 0.25 * (-3.0_f64).exp() - 0.75 * (-0.75_f64).exp());
         assert!((response.value_at(11.0) - by_hand).abs() < 1e-12);
-        assert_eq!((response.final_value(), response.slowest_s()), (4.0, 8.0));
+        assert_eq!(response.final_value(), 4.0);
     }
 
     #[test]
@@ -98,5 +185,45 @@ mod tests {
         assert_eq!(model.states(), 2);
         assert!((model.transition(2.0)[(1, 1)] - (-1.0_f64).exp()).abs() < 1e-14);
         assert!(response().model(SensorId::THERMOMETER, 0.0).is_err());
+    }
+
+    #[test]
+    fn it_counts_from_the_last_excursion() {
+        let series: Vec<(f64, f64)> =
+            [9.0, 5.0, 3.2, 4.5, 3.1, 2.9].into_iter().enumerate().map(|(k, value)| (10.0 + k as f64, value)).collect();
+        assert_eq!(settling_time_s(&series, 10.0, 3.0, 0.5), Some(4.0));
+        assert_eq!(settling_time_s(&series, 10.0, 3.0, 2.0), Some(1.0));
+        assert_eq!(settling_time_s(&series, 10.0, 3.0, 9.0), Some(0.0));
+        assert_eq!(settling_time_s(&series, 10.0, 3.0, 0.01), None);
+        assert_eq!(settling_time_s(&[], 0.0, 3.0, 1.0), None);
+        assert_eq!(settling_time_s(&[(0.0, f64::NAN)], 0.0, 3.0, 1.0), None);
+    }
+
+    #[test]
+    fn a_step_is_approached_by_newtons_law() {
+        let sensor = SimulatedSensor::first_order(5.0, 0.0, 0.5);
+        for sample in sensor.run(1, 60, step_input(20.0, 4.0, 10.0)) {
+            let since_s = sample.at_s - 10.0;
+            let expected = if since_s > 0.0 { 4.0 + 16.0 * (-since_s / 5.0).exp() } else { 20.0 };
+            // The step is a ramp of one piece, here 1/32 s.
+            assert!((sample.value - expected).abs() < 0.06, "{sample:?}");
+        }
+    }
+
+    #[test]
+    fn a_ramp_is_followed_by_the_time_constant_behind() {
+        let sensor = SimulatedSensor::first_order(5.0, 0.0, 1.0);
+        let last = sensor.run(1, 101, |now_s| 0.1 * now_s).pop().unwrap();
+        assert!((last.value - (10.0 - 0.5)).abs() < 1e-6, "{last:?}");
+    }
+
+    #[test]
+    fn noise_is_seeded_and_rounding_leaves_whole_digits() {
+        let sensor =
+            SimulatedSensor { lags: vec![(1.0, 0.5), (9.0, 0.5)], sigma: 0.2, resolution: 0.0625, period_s: 1.0 };
+        let run = |seed| sensor.run(seed, 200, step_input(20.0, 4.0, 10.0));
+        assert_eq!(run(3), run(3));
+        assert_ne!(run(3), run(4));
+        assert!(run(3).iter().all(|sample| (sample.value / 0.0625).fract() == 0.0));
     }
 }

@@ -7,48 +7,36 @@
 //! ```
 
 use posebridge_telemetry::quantities::wrap_rad;
-
-use super::cumulative_motion::{CameraSample, CumulativeMotion, MotionAxis};
+use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
 /// How to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DelaySearch {
     /// The smallest delay that is looked at, in seconds; negative for a camera whose stamps are early.
     pub from_s: f64,
-    /// The largest.
     pub to_s: f64,
 }
 
 /// What was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixDelay {
-    /// The delay, in seconds.
     pub delay_s: f64,
-    /// Its standard deviation.
     pub sigma_s: f64,
-    /// The correlation there.
     pub correlation: f64,
-    /// Sightings that were used.
     pub fixes: usize,
-    /// Whether headings were compared, or only paths.
     pub by_heading: bool,
-    /// Correlation over delay, in the order of the delays.
     pub curve: Vec<(f64, f64)>,
 }
 
 /// Why no delay is found.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DelayError {
-    /// Too little to compare.
     #[error("only {0} fixes lie within the wheel readings at every delay; 30 are needed")]
     TooFew(usize),
-    /// The robot does the same all the time.
     #[error("the robot hardly changes its motion (correlation {0:.2}): let it turn to and fro")]
     NoMotion(f64),
-    /// The best delay is at the end of the search.
     #[error("the best delay, {0:.3} s, is at the end of the search: widen it with --most")]
     AtSearchLimit(f64),
-    /// No range to search.
     #[error("the search must go from a smaller to a larger number of seconds, both finite")]
     NoRange,
 }
@@ -67,10 +55,6 @@ const LAGS: usize = 2;
 /// Below this correlation the best delay is chance.
 const MIN_CORRELATION: f64 = 0.5;
 
-/// Finds it.
-///
-/// # Errors
-/// [`DelayError`].
 pub fn find_delay(
     levels: &CumulativeMotion,
     sightings: &[CameraSample],
@@ -215,4 +199,105 @@ fn without_mean(values: &[f64]) -> Vec<f64> {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Turn and path since the beginning, at instants in the order of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CumulativeMotion {
+    /// Instant in seconds, turn in radians, path in metres.
+    samples: Vec<[f64; 3]>,
+}
+
+/// What a camera saw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraSample {
+    /// When, by the clock whose delay is asked for, in seconds.
+    pub at_s: f64,
+    /// x and y, in metres.
+    pub position_m: [f64; 2],
+    /// The heading, in radians, where it was seen.
+    pub heading_rad: Option<f64>,
+}
+
+/// From the wheels' counts, or a foreign odometer where there are none.
+pub fn cumulative_motion_of(observations: &[Observation], geometry: &DriveGeometry) -> CumulativeMotion {
+    let has_wheels =
+        observations.iter().any(|observation| matches!(observation.measurement, ObservationKind::WheelAngles { .. }));
+    let mut levels = CumulativeMotion::default();
+    let mut last: Option<[f64; 3]> = None;
+    for observation in observations {
+        let at_s = observation.stamp.as_secs_f64();
+        if let ObservationKind::WheelAngles { left, right } = observation.measurement {
+            let (left_m, right_m) = (left.0 * geometry.left_wheel_radius.0, right.0 * geometry.right_wheel_radius.0);
+            let turn_rad = (right_m - left_m) / geometry.track_width.0;
+            levels.push([at_s, turn_rad, 0.5 * (left_m + right_m)]);
+        } else if let ObservationKind::OdometerPose(pose) = observation.measurement
+            && !has_wheels
+        {
+            let [x, y, heading] = [pose.x.0, pose.y.0, pose.heading.rad()];
+            let (turn, path) =
+                last.map_or((0.0, 0.0), |[x0, y0, heading0]| (wrap_rad(heading - heading0), (x - x0).hypot(y - y0)));
+            let [_, turned, driven] = levels.samples.last().copied().unwrap_or_default();
+            levels.push([at_s, turned + turn, driven + path]);
+            last = Some([x, y, heading]);
+        }
+    }
+    levels
+}
+
+impl CumulativeMotion {
+    /// Later than what is there, and finite; what is not is left out.
+    fn push(&mut self, sample: [f64; 3]) {
+        let is_later = self.samples.last().is_none_or(|last| last[0] < sample[0]);
+        if is_later && sample.iter().all(|value| value.is_finite()) {
+            self.samples.push(sample);
+        }
+    }
+
+    /// From the first to the last instant, in seconds.
+    pub fn time_range_s(&self) -> Option<(f64, f64)> {
+        Some((self.samples.first()?[0], self.samples.last()?[0]))
+    }
+
+    /// Turn (`Of::Turn`) or path at an instant, between two samples by a straight line; `None` outside.
+    pub(super) fn at(&self, at_s: f64, of: MotionAxis) -> Option<f64> {
+        let after = self.samples.partition_point(|sample| sample[0] < at_s);
+        let column = of as usize;
+        let right = self.samples.get(after)?;
+        if right[0] == at_s {
+            return Some(right[column]);
+        }
+        let left = self.samples.get(after.checked_sub(1)?)?;
+        let share = (at_s - left[0]) / (right[0] - left[0]);
+        Some(left[column] + share * (right[column] - left[column]))
+    }
+}
+
+/// Which level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum MotionAxis {
+    Turn = 1,
+    Path = 2,
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::SensorNoise;
+
+    use super::*;
+    use crate::test_support::{self, wheel_angles};
+
+    #[test]
+    fn turn_and_path_lie_on_a_line_between_two_counts() {
+        let geometry = test_support::config(SensorNoise::EXACT).geometry;
+        // Wheels of 50 mm on a track of 200 mm.
+        let observations = [(0, 0.0, 0.0), (1_000, 1.0, 2.0), (500, 9.0, 9.0), (2_000, f64::NAN, 0.0)]
+            .map(|(millis, left, right)| wheel_angles(millis, left, right));
+        let levels = cumulative_motion_of(&observations, &geometry);
+        assert_eq!(levels.time_range_s(), Some((0.0, 1.0)));
+        assert!((levels.at(0.5, MotionAxis::Turn).unwrap() - 0.125).abs() < 1e-12);
+        assert!((levels.at(0.5, MotionAxis::Path).unwrap() - 0.0375).abs() < 1e-12);
+        assert_eq!(levels.at(1.1, MotionAxis::Path), None);
+        assert_eq!(levels.at(-0.1, MotionAxis::Path), None);
+    }
 }

@@ -18,20 +18,16 @@
 //! rounding errors, each uniform. (5): C. H. Knapp, G. C. Carter, The generalized correlation method for estimation of time delay,
 //! IEEE Trans. ASSP 24(4), 1976.
 
-mod allan;
-mod cumulative_motion;
 mod delay;
-mod quantization_step;
+mod record;
 mod rest;
-mod rest_record;
 mod straight;
 mod white_and_walk;
 
-pub use allan::{AllanPoint, allan_deviation};
-pub use cumulative_motion::{CameraSample, CumulativeMotion, cumulative_motion_of};
-pub use delay::{DelayError, DelaySearch, FixDelay, find_delay};
-pub use quantization_step::find_quantization_step;
-pub use rest::{RestNoise, noise_at_rest};
-pub use rest_record::{RestError, RestRecord};
-pub use straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
-pub use white_and_walk::{NoiseDecomposition, decompose_noise};
+pub use self::delay::{
+    CameraSample, CumulativeMotion, DelayError, DelaySearch, FixDelay, cumulative_motion_of, find_delay,
+};
+pub use self::record::{RestError, RestRecord};
+pub use self::rest::{RestNoise, find_quantization_step, noise_at_rest};
+pub use self::straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
+pub use self::white_and_walk::{AllanPoint, NoiseDecomposition, allan_deviation, decompose_noise};

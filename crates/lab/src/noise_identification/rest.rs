@@ -10,18 +10,15 @@
 
 use std::f64::consts::PI;
 
-use super::quantization_step::find_quantization_step;
-use super::rest_record::{RestError, RestRecord};
+use super::record::{RestError, RestRecord};
 use super::white_and_walk::{NoiseDecomposition, decompose_noise};
 
 /// The noise of a sensor that rests, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestNoise {
-    /// Samples.
     pub samples: usize,
     /// For how long, in seconds; silences are left out.
     pub rest_s: f64,
-    /// Their usual spacing, in seconds.
     pub dt_s: f64,
     /// The mean: the bias, on average over the record.
     pub bias: f64,
@@ -51,9 +48,6 @@ impl RestNoise {
 }
 
 /// Finds the noise of a sensor that rests.
-///
-/// # Errors
-/// [`RestError::Silent`].
 pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
     let found = decompose_noise(record).ok_or(RestError::Silent)?;
     let samples: Vec<f64> = record.readings().collect();
@@ -96,14 +90,86 @@ fn quantization_floor(quantum: f64, white: f64) -> f64 {
     quantum / PI * (-2.0 * (PI * white / quantum).powi(2)).exp()
 }
 
+/// A remainder of the step below this share of it is rounding of the file.
+const SAME_STEP: f64 = 0.05;
+
+/// The step between readings; `None` if there is none that all distances share.
+///
+/// A link that carries a coarse sensor in finer units of its own smears each step a little: what lies close together beside the whole
+/// span counts as one value, if at least three such values are left and their distances share a step.
+pub fn find_quantization_step(readings: &[f64]) -> Option<f64> {
+    let mut sorted = readings.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let (first, last) = (sorted.first()?, sorted.last()?);
+    let smeared = shared_distance(&sorted, SMEARED * (last - first));
+    if let Some((step, values)) = smeared
+        && values >= MIN_SMEARED
+    {
+        return Some(step);
+    }
+    // Decimal fractions differ in their last digits.
+    let largest = first.abs().max(last.abs());
+    shared_distance(&sorted, 1e-9 * largest).map(|(step, _)| step)
+}
+
+/// Readings within this share of the span of all of them may be one value.
+const SMEARED: f64 = 0.01;
+/// Fewer values than these may be two biases.
+const MIN_SMEARED: usize = 3;
+
+/// The step if all distances of two values are multiples of one, and how many values there are; readings no further apart than `same`
+/// are one value, which must be narrow beside the step.
+fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
+    let values = sorted.chunk_by(|before, after| after - before <= same);
+    let values: Vec<&[f64]> = values.collect();
+    let ends = |value: &[f64]| Some((*value.first()?, *value.last()?));
+    let ends: Vec<(f64, f64)> = values.iter().filter_map(|value| ends(value)).collect();
+    let distances: Vec<f64> = ends.windows(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.1)).collect();
+    let smallest = distances.iter().copied().min_by(f64::total_cmp)?;
+    let widest = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
+    let is_whole = |distance: &f64| {
+        let steps = distance / smallest;
+        (steps - steps.round()).abs() <= SAME_STEP * steps.max(1.0)
+    };
+    // Few different values among many readings: the sensor rounds. Many: it does not.
+    let is_coarse = distances.len() * 4 < sorted.len() && widest <= SAME_STEP * smallest;
+    if !is_coarse || !distances.iter().all(is_whole) {
+        return None;
+    }
+    let mut counts = 0.0;
+    let counted = std::iter::once(0.0).chain(distances.iter().map(|distance| {
+        counts += (distance / smallest).round();
+        counts
+    }));
+    let counted: Vec<f64> = counted.collect();
+    Some((slope_through(&counted, &values)?, values.len()))
+}
+
+/// The slope of the line through all readings over the counts of their values.
+fn slope_through(counts: &[f64], values: &[&[f64]]) -> Option<f64> {
+    let all = || counts.iter().zip(values);
+    let readings: f64 = values.iter().map(|value| value.len() as f64).sum();
+    let mean = |of: &dyn Fn(f64, &[f64]) -> f64| all().map(|(count, value)| of(*count, value)).sum::<f64>() / readings;
+    let count = mean(&|count, value| count * value.len() as f64);
+    let reading = mean(&|_, value| value.iter().sum());
+    let along = mean(&|at, value| (at - count).powi(2) * value.len() as f64);
+    let across = mean(&|at, value| {
+        let off = value.iter().map(|one| one - reading);
+        (at - count) * off.sum::<f64>()
+    });
+    (along > 0.0).then(|| across / along)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use rand::SeedableRng;
+    use rand::{RngExt, SeedableRng};
     use rand_distr::{Distribution, StandardNormal};
+    use rand_pcg::Pcg64;
+
+    use super::*;
 
     fn normal(count: usize, seed: u64) -> Vec<f64> {
-        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut rng = Pcg64::seed_from_u64(seed);
         (0..count).map(|_| StandardNormal.sample(&mut rng)).collect()
     }
 
@@ -149,9 +215,36 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_nothing_says_why() {
-        assert_eq!(found(&[0.0; 10]), Err(RestError::TooShort(10)));
+    fn what_tells_nothing_is_refused() {
         assert_eq!(found(&[0.0; 1_000]), Err(RestError::Silent));
-        assert_eq!(found(&[f64::NAN; 1_000]), Err(RestError::NotFinite));
+    }
+
+    #[test]
+    fn the_finer_units_of_a_link_do_not_hide_the_step_of_a_gyro() {
+        let mut random = Pcg64::seed_from_u64(9);
+        // A degree per second, in units of 0.02 mrad/s.
+        let step = 873.0 * 2e-5;
+        let readings: Vec<f64> = (0..1_000)
+            .map(|_| {
+                let counts = (random.random::<f64>() * 5.0).floor();
+                let smear = (random.random::<f64>() * 3.0).floor() - 1.0;
+                counts * step + smear * 2e-5
+            })
+            .collect();
+        let found = find_quantization_step(&readings).unwrap();
+        assert!((found / step - 1.0).abs() < 0.01, "{found}");
+        // Two values alone may be two biases: then the unit of the link is all that is known.
+        let two: Vec<f64> = readings.iter().copied().filter(|reading| *reading < 1.5 * step).collect();
+        let found = find_quantization_step(&two).unwrap();
+        assert!((found - 2e-5).abs() < 1e-9, "{found}");
+        // What is fine all over has no step.
+        let fine: Vec<f64> = (0..500).map(|_| random.random::<f64>()).collect();
+        assert_eq!(find_quantization_step(&fine), None);
+    }
+
+    #[test]
+    fn what_is_one_value_or_none_has_no_step() {
+        assert_eq!(find_quantization_step(&[]), None);
+        assert_eq!(find_quantization_step(&[2.0; 50]), None);
     }
 }

@@ -7,13 +7,10 @@ use posebridge_telemetry::DriveGeometry;
 pub struct StraightNoise {
     /// Speeds that were used: the stretch at a steady speed.
     pub samples: usize,
-    /// The first of them among the intervals.
     pub from: usize,
-    /// Mean speed, in metres per second.
     pub speed_m_per_s: f64,
     /// Standard deviation about a straight line through the speeds: the root of R.
     pub sigma_m_per_s: f64,
-    /// Standard deviation of that.
     pub sigma_sigma_m_per_s: f64,
     /// Correlation of successive deviations: -1/2 for rounding alone, because what one interval lacks the next one has.
     pub rho_1: f64,
@@ -22,12 +19,10 @@ pub struct StraightNoise {
 /// Why a run has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StraightError {
-    /// Too few intervals at a steady speed.
     #[error(
         "only {0} intervals at a steady speed; 20 are the least: drive straight for longer, or choose the stretch with --from and --to"
     )]
     TooShort(usize),
-    /// A number that is not finite, or time that does not pass.
     #[error("an interval is not finite or lasts no time")]
     NotFinite,
 }
@@ -39,9 +34,6 @@ const MEAN_OVER: usize = 10;
 const STEADY: f64 = 0.1;
 
 /// Finds the noise of one wheel: `travel` are intervals of time and travel, in seconds and metres.
-///
-/// # Errors
-/// [`StraightError`].
 pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightError> {
     let is_usable = |(dt_s, by_m): &(f64, f64)| dt_s.is_finite() && *dt_s > 0.0 && by_m.is_finite();
     if !travel.iter().all(is_usable) {

@@ -15,11 +15,12 @@
 //! section 6.2.2. Rounding as noise: a count is uniform within its tick, variance tick²/12.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_estimator::models::planar_speeds::Acceleration;
 use posebridge_estimator::models::se2::{BodyStep, StepRule, displace};
 use posebridge_estimator::papers::paper1::{SAMPLING_INTERVAL_S, UNITS};
 use posebridge_telemetry::DriveGeometry;
+
+use crate::recorded_drive::rolled_step;
 
 /// The matrices of the filter of a wheel, in degrees; Q is that of one interval of 0.05 s.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,21 +94,17 @@ pub type DriveState = [f64; 5];
 /// The filter of one wheel, in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelState {
-    /// Angle, degrees.
     pub phi: f64,
-    /// Its rate, degrees/s.
     pub rate: f64,
     /// P: of the angle, of angle with rate, of the rate.
     pub covariance: [f64; 3],
 }
 
 impl WheelState {
-    /// At rest at zero.
     pub const fn at_rest(start: f64) -> Self {
         Self { phi: 0.0, rate: 0.0, covariance: [start, 0.0, start] }
     }
 
-    /// Predicts over `dt_s` seconds.
     pub fn predict(&mut self, dt_s: f64, process: &[f64; 3]) {
         let share = dt_s / SAMPLING_INTERVAL_S;
         let [p00, p01, p11] = self.covariance;
@@ -135,7 +132,6 @@ impl WheelState {
 pub struct MatchedWheels {
     matrices: WheelMatrices,
     geometry: DriveGeometry,
-    /// Left, right.
     wheels: [WheelState; 2],
     pose: [f64; 3],
     base: Option<[f64; 2]>,
@@ -158,7 +154,6 @@ impl MatchedWheels {
         Self { matrices, geometry, wheels: [WheelState::at_rest(matrices.start); 2], pose, base: None }
     }
 
-    /// The wheels, left and right.
     pub const fn wheels(&self) -> &[WheelState; 2] {
         &self.wheels
     }
@@ -176,20 +171,12 @@ impl MatchedWheels {
             wheel.update(turned.to_degrees(), variance);
         }
         let rolled = [0, 1].map(|i: usize| (self.wheels[i].phi - before[i]).to_radians());
-        self.pose = advance_pose(self.pose, self.body(rolled));
+        self.pose = advance_pose(self.pose, rolled_step(rolled, &self.geometry));
         self.state()
     }
 
-    fn body(&self, [left, right]: [f64; 2]) -> BodyStep {
-        let travel = WheelTravel {
-            left_m: self.geometry.left_wheel_radius.0 * left,
-            right_m: self.geometry.right_wheel_radius.0 * right,
-        };
-        body_step(travel, &self.geometry)
-    }
-
     fn state(&self) -> DriveState {
-        let speeds = self.body(self.wheels.map(|wheel| wheel.rate.to_radians()));
+        let speeds = rolled_step(self.wheels.map(|wheel| wheel.rate.to_radians()), &self.geometry);
         let [x, y, heading] = self.pose;
         [x, y, heading, speeds.forward_m, speeds.turn_rad]
     }
@@ -219,11 +206,7 @@ impl MatchedSpeeds {
         if let Some(before) = self.before.replace(turned_rad) {
             self.predict(dt_s);
             let rolled = [0, 1].map(|i: usize| turned_rad[i] - before[i]);
-            let travel = WheelTravel {
-                left_m: self.geometry.left_wheel_radius.0 * rolled[0],
-                right_m: self.geometry.right_wheel_radius.0 * rolled[1],
-            };
-            let body = body_step(travel, &self.geometry);
+            let body = rolled_step(rolled, &self.geometry);
             let seen = [body.forward_m / dt_s, body.turn_rad / dt_s];
             for (row, seen) in seen.into_iter().enumerate() {
                 let gain = self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
@@ -253,7 +236,9 @@ impl MatchedSpeeds {
 mod tests {
     use super::*;
     use posebridge_estimator::{Params, StartPose, find_filter};
-    use posebridge_telemetry::{Calibration, Heading, Meters, Pose, Radians, SensorNoise, quantities::wrap_rad};
+    use posebridge_telemetry::{
+        Calibration, Heading, Meters, Pose, Radians, SensorNoise, Timestamp, quantities::wrap_rad,
+    };
 
     use crate::square::table::{SensorRow, SensorTable, TableSensor};
 
@@ -285,11 +270,8 @@ mod tests {
             SensorRow {
                 time_s,
                 encoders: [wheel(0.0), wheel(1.0)],
-                gyro_deg_per_s: None,
                 accelerations_m_per_s2: Some([0.1 * time_s.cos(), -0.1 * time_s.sin()]),
-                camera: None,
-                compass_deg: None,
-                truth: None,
+                ..SensorRow::empty(Timestamp::ZERO)
             }
         });
         SensorTable { rows: rows.collect(), ..SensorTable::default() }

@@ -9,9 +9,7 @@ use super::table::{SensorRow, SensorTable, TableSensor};
 /// A way from a table of sensor readings to a path.
 #[derive(Clone, Copy)]
 pub struct Method {
-    /// Its name in tables.
     pub name: &'static str,
-    /// Its inputs.
     pub sensors: &'static [TableSensor],
     kind: MethodKind,
 }
@@ -20,7 +18,6 @@ pub struct Method {
 enum MethodKind {
     /// The counters as they are: pose by the row of the table of filters, speeds by differences.
     Raw(&'static FilterEntry),
-    /// A row of the table of filters.
     Filter(&'static FilterEntry),
     /// `ekf5` with the other reading of the paper's Q.
     Swapped,
@@ -40,7 +37,6 @@ const CAMERA: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro, TableSe
 const ALL: &[TableSensor] =
     &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro, TableSensor::Compass, TableSensor::Camera];
 
-/// A row of the table of filters.
 fn row(name: &'static str, filter: &str, senses: &'static [TableSensor]) -> Option<Method> {
     find_filter(filter).map(|entry| Method { name, sensors: senses, kind: MethodKind::Filter(entry) })
 }
@@ -94,7 +90,6 @@ pub fn extended() -> Vec<Method> {
     methods.into_iter().flatten().collect()
 }
 
-/// Something that follows a table.
 enum MethodRunner {
     Filter(Box<dyn Filter>),
     Raw { filter: Box<dyn Filter>, config: Box<FilterConfig>, before: Option<(f64, [f64; 2])> },

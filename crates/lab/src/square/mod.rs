@@ -5,32 +5,29 @@
 //!
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/lab/square.md.
 
-mod figures;
+mod csv;
 mod matched;
 mod methods;
 mod noise;
-mod page;
 mod recorded;
+mod report;
 mod score;
 mod table;
-mod table_changes;
-mod text;
-mod text_error;
-
-pub use figures::SquareExample;
-pub use matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};
-pub use methods::{Method, corrected_methods, extended, printed_methods, swapped_methods};
-pub use noise::{MeanAndVariance, NoiseRecord, noise_at_stop, noise_on_straight};
-pub use page::{MethodRanking, PaperInterpretation, SquareReport};
-pub use recorded::table_of;
-pub use score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, true_speeds};
-pub use table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor};
-pub use table_changes::{add_compass, add_jitter, align_accelerations, delay_reference};
-pub use text::{parse, write};
-pub use text_error::{COLUMNS, MAX_ROWS, SensorTextError};
 
 use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_telemetry::{Heading, Meters, Pose, UncertainValue};
+
+pub use self::csv::{COLUMNS, MAX_ROWS, SensorTextError, parse, write};
+pub use self::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};
+pub use self::methods::{Method, corrected_methods, extended, printed_methods, swapped_methods};
+pub use self::noise::{MeanAndVariance, NoiseRecord, noise_at_stop, noise_on_straight};
+pub use self::recorded::table_of;
+pub use self::report::{MethodRanking, PaperInterpretation, SquareExample, SquareReport};
+pub use self::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, true_speeds};
+pub use self::table::{
+    EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor, add_compass, add_jitter, align_accelerations,
+    delay_reference,
+};
 
 /// Fewer readings of the gyro at rest than this do not make a bias.
 const MIN_REST_ROWS: usize = 20;

@@ -15,10 +15,11 @@
 //! # Sources
 //! Paper 1 (Valera et al.): its R are "from a test at rest and from a straight run, then trimmed by hand".
 
-use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_telemetry::DriveGeometry;
 
 use super::table::{SensorRow, SensorTable};
+use crate::mean_and_variance;
+use crate::recorded_drive::rolled_step;
 
 /// Rows at both ends of a straight run that are left out: the robot starts and stops there.
 const END_ROWS: usize = 8;
@@ -41,9 +42,7 @@ pub struct MeanAndVariance {
 /// The results of a record; `None` where the sensor said too little. Units are those of the paper: degrees, cm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NoiseRecord {
-    /// The first row.
     pub from: usize,
-    /// The number of rows.
     pub rows: usize,
     /// The left and the right counter, degrees²: R of the wheels' filters.
     pub counters: Option<[MeanAndVariance; 2]>,
@@ -103,11 +102,7 @@ fn is_straight(table: &SensorTable, row: usize, geometry: &DriveGeometry) -> boo
 fn driven(table: &SensorTable, from: &SensorRow, to: &SensorRow, geometry: &DriveGeometry) -> (f64, f64) {
     let unit_rad = table.unit.rad_per_unit(geometry);
     let turned = |wheel: usize| (to.encoders[wheel] - from.encoders[wheel]) * unit_rad;
-    let travel = WheelTravel {
-        left_m: geometry.left_wheel_radius.0 * turned(0),
-        right_m: geometry.right_wheel_radius.0 * turned(1),
-    };
-    let body = body_step(travel, geometry);
+    let body = rolled_step([turned(0), turned(1)], geometry);
     (body.forward_m, body.turn_rad)
 }
 
@@ -169,10 +164,8 @@ fn spread_about_mean(values: &[Option<f64>]) -> Option<MeanAndVariance> {
     if values.len() < MIN_ROWS {
         return None;
     }
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    Some(MeanAndVariance { mean, variance: squares / (n - 1.0) })
+    let (mean, variance) = mean_and_variance(&values)?;
+    Some(MeanAndVariance { mean, variance })
 }
 
 fn spread_about_line(times: &[f64], values: &[Option<f64>]) -> Option<MeanAndVariance> {
@@ -194,7 +187,7 @@ fn spread_about_line(times: &[f64], values: &[Option<f64>]) -> Option<MeanAndVar
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Meters, Radians};
+    use posebridge_telemetry::{Meters, Radians, Timestamp};
 
     const GEOMETRY: DriveGeometry = DriveGeometry {
         left_wheel_radius: Meters(0.028),
@@ -210,13 +203,9 @@ mod tests {
             let turning = f64::from((index - 120).max(0));
             let counted = |sign: f64| (20.317 * moving + sign * 4.0 * turning).floor();
             SensorRow {
-                time_s: 0.05 * f64::from(index),
                 encoders: [counted(-1.0), counted(1.0)],
                 gyro_deg_per_s: Some(if index % 2 == 0 { 2.0 } else { 0.0 }),
-                accelerations_m_per_s2: None,
-                camera: None,
-                compass_deg: None,
-                truth: None,
+                ..SensorRow::empty(Timestamp::from_millis(50 * i64::from(index)))
             }
         });
         SensorTable { rows: rows.collect(), ..SensorTable::default() }

@@ -155,12 +155,12 @@ fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recorded_drive::test_drive::{self, observation, wheel_angles};
+    use crate::test_support::{self, observation, wheel_angles};
     use posebridge_estimator::FilterConfig;
-    use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond, SensorNoise};
+    use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond, SensorId, SensorNoise};
 
     fn config() -> FilterConfig {
-        test_drive::config(SensorNoise::EXACT)
+        test_support::config(SensorNoise::EXACT)
     }
 
     /// 0.2 m/s to the north, read every 100 ms, after 200 ms of rest.
@@ -170,7 +170,7 @@ mod tests {
     }
 
     fn fix(millis: i64, y: f64, heading: Option<f64>) -> Observation {
-        test_drive::fix(millis, Point2::new(Meters(1.0), Meters(y)), heading, Point2::ORIGIN)
+        test_support::fix(millis, Point2::new(Meters(1.0), Meters(y)), heading, Point2::ORIGIN)
     }
 
     fn table(observations: &[Observation]) -> SensorTable {
@@ -209,14 +209,15 @@ mod tests {
     #[test]
     fn rates_are_weighted_by_their_time_and_accelerations_are_not() {
         let mut observations = northwards();
-        let rate = |millis, rate| observation(millis, ObservationKind::TurnRate(RadiansPerSecond(rate)));
+        let rate =
+            |millis, rate| observation(SensorId::WHEELS, millis, ObservationKind::TurnRate(RadiansPerSecond(rate)));
         observations.extend([rate(400, 0.0), rate(475, 1.0), rate(500, 3.0)]);
         for (millis, left) in [(410, 1.0), (450, 2.0), (500, 3.0), (501, 9.0)] {
             let felt = ObservationKind::WheelAccelerations {
                 left: MetersPerSecondSquared(left),
                 right: MetersPerSecondSquared(-left),
             };
-            observations.push(observation(millis, felt));
+            observations.push(observation(SensorId::WHEELS, millis, felt));
         }
         let row = table(&observations).rows[5];
         let rate = row.gyro_deg_per_s.unwrap().to_radians();

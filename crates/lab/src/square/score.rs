@@ -10,10 +10,12 @@
 //! ```
 //! Source: W. J. Conover, Practical Nonparametric Statistics (1999), section 3.4, for the sign test.
 
+use posebridge_telemetry::UncertainValue;
 use posebridge_telemetry::quantities::wrap_rad;
 
 use super::matched::DriveState;
 use super::table::SensorTable;
+use crate::uncertain_mean;
 
 /// Two-sided 95 % quantile of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
@@ -49,22 +51,16 @@ impl ErrorMetric {
 /// The errors of one method over one drive; `None` where nothing could be compared, and where the method diverged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathErrors {
-    /// See [`ErrorMetric::Position`].
     pub position_m: Option<f64>,
-    /// See [`ErrorMetric::End`].
     pub end_m: Option<f64>,
-    /// See [`ErrorMetric::Heading`].
     pub heading_rad: Option<f64>,
-    /// See [`ErrorMetric::Forward`].
     pub forward_m_per_s: Option<f64>,
-    /// See [`ErrorMetric::Turn`].
     pub turn_rad_per_s: Option<f64>,
     /// Whether a state that was compared was not finite.
     pub diverged: bool,
 }
 
 impl PathErrors {
-    /// The one that a metric is about.
     pub const fn value(&self, metric: ErrorMetric) -> Option<f64> {
         match metric {
             ErrorMetric::Position => self.position_m,
@@ -144,11 +140,8 @@ pub struct OrderStep {
     pub worse: &'static str,
     /// The one that should be better.
     pub better: &'static str,
-    /// In how many drives it is.
     pub holds: u64,
-    /// Of how many.
     pub drives: u64,
-    /// The sign test's p.
     pub sign_p: f64,
     /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` below two drives, and where an
     /// error is exactly zero.
@@ -156,7 +149,6 @@ pub struct OrderStep {
 }
 
 impl OrderStep {
-    /// The share of drives in which it holds.
     pub fn share(&self) -> f64 {
         self.holds as f64 / self.drives.max(1) as f64
     }
@@ -182,11 +174,8 @@ impl OrderStep {
 /// Whether an order holds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodOrder {
-    /// Its steps.
     pub steps: Vec<OrderStep>,
-    /// In how many drives all of them hold together.
     pub all_hold: u64,
-    /// Of how many.
     pub drives: u64,
     /// How many more there were, in which a method diverged or nothing could be compared.
     pub excluded: u64,
@@ -235,13 +224,11 @@ fn order_step(worse: &'static str, better: &'static str, pairs: &[[f64; 2]]) -> 
 }
 
 fn geometric_mean(logs: &[f64]) -> Option<[f64; 3]> {
-    if logs.len() < 2 || logs.iter().any(|log| !log.is_finite()) {
+    if logs.iter().any(|log| !log.is_finite()) {
         return None;
     }
-    let n = logs.len() as f64;
-    let mean = logs.iter().sum::<f64>() / n;
-    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    let half = NORMAL_95 * (variance / n).sqrt();
+    let UncertainValue { value: mean, sigma } = uncertain_mean(logs)?;
+    let half = NORMAL_95 * sigma;
     Some([mean, mean - half, mean + half].map(f64::exp))
 }
 
@@ -263,16 +250,12 @@ fn sign_test(one: u64, other: u64) -> f64 {
 mod tests {
     use super::*;
     use crate::square::table::{MeasuredPose, SensorRow};
+    use posebridge_telemetry::Timestamp;
 
     fn table(truth: &[(f64, f64, f64)]) -> SensorTable {
         let rows = truth.iter().enumerate().map(|(index, (x, y, theta))| SensorRow {
-            time_s: 0.1 * index as f64,
-            encoders: [0.0; 2],
-            gyro_deg_per_s: None,
-            accelerations_m_per_s2: None,
-            camera: None,
-            compass_deg: None,
             truth: Some(MeasuredPose { x_m: *x, y_m: *y, theta_deg: Some(*theta) }),
+            ..SensorRow::empty(Timestamp::from_millis(100 * index as i64))
         });
         SensorTable { rows: rows.collect(), ..SensorTable::default() }
     }

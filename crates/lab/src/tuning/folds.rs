@@ -31,7 +31,6 @@ pub fn blocks_per_run(runs: usize) -> usize {
     MIN_BLOCKS.div_ceil(runs.max(1))
 }
 
-/// Number of folds for a number of parts.
 pub fn fold_count(parts: usize) -> usize {
     parts.min(MAX_FOLDS)
 }
@@ -52,7 +51,6 @@ impl TimeBlocks {
         Self { first, length: stamps().max().unwrap_or(Timestamp::ZERO) - first, count: count.max(1) }
     }
 
-    /// How many there are.
     pub const fn count(&self) -> usize {
         self.count
     }
@@ -73,26 +71,21 @@ impl TimeBlocks {
 /// Squared position errors of the filter as it runs live.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SquaredErrors {
-    /// Their sum, m².
     pub sum_m2: f64,
-    /// How many.
     pub count: u64,
 }
 
 impl SquaredErrors {
-    /// Adds one error, in metres.
     pub fn add(&mut self, error_m: f64) {
         self.sum_m2 += error_m * error_m;
         self.count += 1;
     }
 
-    /// Adds others.
     pub fn merge(&mut self, other: &Self) {
         self.sum_m2 += other.sum_m2;
         self.count += other.count;
     }
 
-    /// Their mean, m².
     pub fn mean_m2(&self) -> Option<f64> {
         (self.count > 0).then(|| self.sum_m2 / self.count as f64)
     }
@@ -101,7 +94,6 @@ impl SquaredErrors {
 /// What one fold says of each of [`SHARES`] of the way that was found without it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoldScore {
-    /// Its log-likelihood.
     pub log_likelihood: [f64; SHARES.len()],
     /// How far its positions were missed.
     pub squares: [SquaredErrors; SHARES.len()],
@@ -118,7 +110,6 @@ pub struct ShareChoice {
     pub standard_error: f64,
     /// Root mean square position error over all folds, m; `None` where no position is known.
     pub position_rms_m: [Option<f64>; SHARES.len()],
-    /// What decided.
     pub reason: ChoiceReason,
 }
 
@@ -215,7 +206,6 @@ pub enum QualityLoss {
     Likelihood,
     /// It misses the positions by more.
     Position,
-    /// Both.
     Both,
 }
 
@@ -242,15 +232,10 @@ impl FitQuality {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{ObservationKind, RadiansPerSecond, SensorId};
+    use crate::test_support::wheel_angles;
 
     fn at(second: i64) -> Observation {
-        Observation {
-            sensor: SensorId::GYRO,
-            stamp: Timestamp::from_millis(1_000 * second),
-            stamp_sigma: TimeDelta::ZERO,
-            measurement: ObservationKind::TurnRate(RadiansPerSecond(0.0)),
-        }
+        wheel_angles(1_000 * second, 0.0, 0.0)
     }
 
     /// A fold that gains by a parabola with its top at `top`, and misses positions by `error_m`.

@@ -9,9 +9,7 @@ use posebridge_telemetry::{Observation, ObservationKind, SensorNoise};
 pub struct NoiseKey {
     /// Its key in `[robot.noise]`.
     pub key: &'static str,
-    /// Reads it.
     pub read: fn(&SensorNoise) -> f64,
-    /// Writes it.
     pub write: fn(&mut SensorNoise, f64),
     /// Whether an observation of this kind depends on it, so that it is tuned by default.
     told_by: fn(&ObservationKind) -> bool,
@@ -63,9 +61,7 @@ const fn is_motion_observation(seen: &ObservationKind) -> bool {
 /// One parameter that is tuned.
 #[derive(Clone, Copy)]
 pub enum TunedKey {
-    /// A noise of the robot.
     Noise(&'static NoiseKey),
-    /// A tunable of the filter.
     Param(&'static Param),
 }
 
@@ -79,9 +75,6 @@ pub struct UnknownKey {
 
 impl TunedKey {
     /// The parameter of this key: `fix_position_m`, `noise.fix_position_m`, `robot.noise.fix_position_m` or `filter.accel_m_s2`.
-    ///
-    /// # Errors
-    /// [`UnknownKey`] lists the keys that exist.
     pub fn from_name(text: &str) -> Result<Self, UnknownKey> {
         let found = if let Some(key) = text.strip_prefix("filter.") {
             PARAMS.iter().find(|row| row.key == key).map(Self::Param)
@@ -105,7 +98,6 @@ impl TunedKey {
         }
     }
 
-    /// Its value.
     pub fn read(&self, config: &FilterConfig) -> f64 {
         match self {
             Self::Noise(row) => (row.read)(&config.noise),

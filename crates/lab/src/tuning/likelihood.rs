@@ -1,7 +1,11 @@
 //! How probable a run was under a filter: equations (1), (2) and (5) of the module's head.
 
 use posebridge_estimator::{Filter, Params};
-use posebridge_telemetry::{FusionRecord, Observation, SensorId};
+use posebridge_telemetry::{
+    Arena, BrickClock, Fix, FusionRecord, Meters, Observation, ObservationKind, Point2, SensorId, TimeDelta, Timestamp,
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 use super::folds::TimeBlocks;
 
@@ -24,7 +28,6 @@ pub const fn offline_params(params: Params) -> Params {
 /// The innovations of one sensor over one run or many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFit {
-    /// The sensor.
     pub sensor: SensorId,
     /// Innovations, each with one to three components.
     pub count: u64,
@@ -99,17 +102,14 @@ pub struct RunFit {
 }
 
 impl RunFit {
-    /// Sum of ln p over all innovations.
     pub fn log_likelihood(&self) -> f64 {
         self.sources.iter().map(|fit| fit.log_likelihood).sum()
     }
 
-    /// Components of all innovations.
     pub fn components(&self) -> u64 {
         self.sources.iter().map(|fit| fit.components).sum()
     }
 
-    /// Adds another run.
     pub fn merge(&mut self, other: &Self) {
         for theirs in &other.sources {
             match self.source_mut(theirs.sensor) {
@@ -169,12 +169,6 @@ pub fn ln_prior(log_scales: &[f64]) -> f64 {
     -0.5 * squares
 }
 
-/// The root of the mean square of several runs' root mean squares; `None` of nothing.
-pub fn joint_rms(of_runs: &[f64]) -> Option<f64> {
-    let squares: f64 = of_runs.iter().map(|rms| rms * rms).sum();
-    (!of_runs.is_empty()).then(|| (squares / of_runs.len() as f64).sqrt())
-}
-
 /// ln of equation (2); the record's own log-likelihood has the determinant of S in it.
 fn ln_density(record: &FusionRecord) -> Option<f64> {
     let d = f64::from(record.degrees_of_freedom);
@@ -191,10 +185,63 @@ fn ln_density(record: &FusionRecord) -> Option<f64> {
     Some(at_centre + more + (less - more).exp().ln_1p())
 }
 
+/// How the truth is shown to the filter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SyntheticFixes {
+    /// Time between two of them.
+    pub every: TimeDelta,
+    /// Noise of x and of y, one standard deviation, in metres.
+    pub sigma_m: f64,
+    /// Seed of that noise.
+    pub seed: u64,
+}
+
+/// Positions out of the truth, with seeded normal noise, as a camera would have seen them.
+pub fn fixes_from_truth(
+    truth: &[(Timestamp<BrickClock>, Point2<Arena>)],
+    glimpses: &SyntheticFixes,
+) -> Vec<Observation> {
+    let mut rng = Pcg64::seed_from_u64(glimpses.seed);
+    let mut due: Option<Timestamp<BrickClock>> = None;
+    let mut fixes = Vec::new();
+    for (stamp, place) in truth {
+        if due.is_some_and(|due| *stamp < due) {
+            continue;
+        }
+        due = Some(*stamp + glimpses.every);
+        let [dx, dy] = normal_pair(rng.random(), rng.random());
+        let position =
+            Point2::new(Meters(place.x.0 + glimpses.sigma_m * dx), Meters(place.y.0 + glimpses.sigma_m * dy));
+        fixes.push(Observation {
+            sensor: SensorId::CAMERA,
+            stamp: *stamp,
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::Fix(Fix {
+                position,
+                heading: None,
+                covariance: None,
+                tag_in_body: Point2::ORIGIN,
+                reset_counter: 0,
+            }),
+        });
+    }
+    fixes
+}
+
+/// Two independent standard normal numbers from two uniform ones in [0, 1).
+///
+/// Source: G. E. P. Box, M. E. Muller, A note on the generation of random normal deviates, Ann. Math. Statist. 29(2), 1958.
+fn normal_pair(u: f64, v: f64) -> [f64; 2] {
+    let radius = (-2.0 * (1.0 - u).ln()).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
+    [radius * cos, radius * sin]
+}
+
 #[cfg(test)]
 mod tests {
+    use posebridge_telemetry::FusionOutcome;
+
     use super::*;
-    use posebridge_telemetry::{FusionOutcome, TimeDelta, Timestamp};
 
     fn record(innovation: f64, s: f64) -> FusionRecord {
         let nis = innovation * innovation / s;
@@ -257,5 +304,28 @@ mod tests {
         assert_eq!(both.components(), 2);
         assert_eq!(both.log_likelihood(), 2.0 * one.log_likelihood());
         assert_eq!(both.sources[0].rho_1(), Some(0.0));
+    }
+
+    #[test]
+    fn the_fixes_have_the_noise_and_the_rate_that_were_asked_for() {
+        let truth: Vec<_> =
+            (0..20_000).map(|i| (Timestamp::from_millis(50 * i), Point2::new(Meters(1.0), Meters(-2.0)))).collect();
+        let glimpses = SyntheticFixes { every: TimeDelta::from_millis(1_000), sigma_m: 0.02, seed: 3 };
+        let fixes = fixes_from_truth(&truth, &glimpses);
+        assert_eq!(fixes.len(), 1_000);
+        let squares: f64 = fixes
+            .iter()
+            .map(|fix| {
+                let ObservationKind::Fix(fix) = fix.measurement else {
+                    return f64::NAN;
+                };
+                (fix.position.x.0 - 1.0).powi(2) + (fix.position.y.0 + 2.0).powi(2)
+            })
+            .sum();
+        let sigma_m = (squares / 2_000.0).sqrt();
+        // Standard deviation of it: 0.02 / sqrt(2 * 2000) = 0.0003.
+        assert!((sigma_m - 0.02).abs() < 0.001, "{sigma_m}");
+        assert_eq!(fixes, fixes_from_truth(&truth, &glimpses));
+        assert_ne!(fixes, fixes_from_truth(&truth, &SyntheticFixes { seed: 4, ..glimpses }));
     }
 }

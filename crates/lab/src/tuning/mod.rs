@@ -29,13 +29,13 @@ mod folds;
 mod keys;
 mod likelihood;
 mod search;
-mod synthetic;
 
-pub use folds::{
+pub use self::folds::{
     ChoiceReason, FitQuality, FoldScore, QualityLoss, SHARES, ShareChoice, SquaredErrors, TimeBlocks, blocks_per_run,
     choose, fold_count,
 };
-pub use keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, default_keys};
-pub use likelihood::{PRIOR_SIGMA, RunFit, SourceFit, fit_in_blocks, fit_run, joint_rms, ln_prior, offline_params};
-pub use search::{SearchOptions, SearchResult, SearchRound, SearchTermination, maximise};
-pub use synthetic::{SyntheticFixes, fixes_from_truth};
+pub use self::keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, default_keys};
+pub use self::likelihood::{
+    PRIOR_SIGMA, RunFit, SourceFit, SyntheticFixes, fit_in_blocks, fit_run, fixes_from_truth, ln_prior, offline_params,
+};
+pub use self::search::{SearchOptions, SearchResult, SearchRound, SearchTermination, maximise};

@@ -1,5 +1,9 @@
 //! What is known of a drive before a wall: readings and motor inputs in the order of time.
 
+use posebridge_telemetry::UncertainValue;
+
+use crate::uncertain_mean;
+
 /// What an entry says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WallReading {
@@ -12,9 +16,7 @@ pub enum WallReading {
 /// One entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallEntry {
-    /// When, in the brick's seconds.
     pub at_s: f64,
-    /// What.
     pub reading: WallReading,
 }
 
@@ -40,7 +42,6 @@ impl WallLog {
         Self { entries }
     }
 
-    /// All entries, in order.
     pub fn entries(&self) -> &[WallEntry] {
         &self.entries
     }
@@ -92,8 +93,83 @@ impl WallLog {
     }
 }
 
+/// The mean interval between the inputs of logs, in seconds; its sigma is that of a mean of intervals that are independent of each other.
+///
+/// `None` where there are fewer than three intervals, as in a log without its inputs.
+pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
+    let intervals = logs.iter().map(|log| gaps(&log.inputs().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
+    mean(&intervals.flatten().collect::<Vec<_>>())
+}
+
+/// The same between the readings: a reading that is missed makes a gap twice as long.
+pub fn reading_period(logs: &[WallLog]) -> Option<UncertainValue> {
+    let intervals = logs.iter().map(|log| gaps(&log.readings().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
+    mean(&intervals.flatten().collect::<Vec<_>>())
+}
+
+fn gaps(times: &[f64]) -> Vec<f64> {
+    let pairs = times.iter().zip(times.iter().skip(1));
+    pairs.map(|(from, to)| to - from).collect()
+}
+
+fn mean(intervals: &[f64]) -> Option<UncertainValue> {
+    if intervals.len() < 3 { None } else { uncertain_mean(intervals) }
+}
+
+/// A reading with the way that a steady speed of 1 m/s per unit of input would have led by then, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ResponseSample {
+    pub(super) at_s: f64,
+    pub(super) range_m: f64,
+    pub(super) distance_m: f64,
+}
+
+/// The readings of a log with their ways; exact, as the input is held from one entry to the next. At rest at the first entry.
+pub(super) fn responses(log: &WallLog, rate_per_s: f64) -> Vec<ResponseSample> {
+    let mut readings = Vec::new();
+    let Some(first) = log.entries().first() else {
+        return readings;
+    };
+    let (mut at_s, mut way_m, mut speed, mut input) = (first.at_s, 0.0, 0.0, 0.0);
+    for entry in log.entries() {
+        let dt_s = entry.at_s - at_s;
+        let decayed = -(-rate_per_s * dt_s).exp_m1();
+        way_m += input * dt_s + (speed - input) * decayed / rate_per_s;
+        speed += (input - speed) * decayed;
+        at_s = entry.at_s;
+        match entry.reading {
+            WallReading::Input(next) => input = next,
+            WallReading::Range(range_m) => readings.push(ResponseSample { at_s, range_m, distance_m: way_m }),
+        }
+    }
+    readings
+}
+
+/// Logs for the tests of these modules.
+#[cfg(test)]
+pub(super) mod test_logs {
+    use super::{WallEntry, WallLog, WallReading};
+
+    /// The log of these inputs and ranges, each after its instant.
+    pub(crate) fn log_of(
+        inputs: impl IntoIterator<Item = (f64, f64)>,
+        ranges: impl IntoIterator<Item = (f64, f64)>,
+    ) -> WallLog {
+        let inputs = inputs.into_iter().map(|(at_s, input)| WallEntry { at_s, reading: WallReading::Input(input) });
+        let ranges = ranges.into_iter().map(|(at_s, range_m)| WallEntry { at_s, reading: WallReading::Range(range_m) });
+        WallLog::new(inputs.chain(ranges).collect())
+    }
+
+    /// How far the text's car has come, m, so long after it began to drive.
+    pub(crate) fn way_m(since_s: f64) -> f64 {
+        let tau_s = 0.997 / std::f64::consts::LN_10;
+        1.225 * (since_s - tau_s * (1.0 - (-since_s / tau_s).exp()))
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use super::test_logs::log_of;
     use super::*;
 
     fn entry(at_s: f64, said: WallReading) -> WallEntry {
@@ -119,18 +195,48 @@ mod tests {
 
     #[test]
     fn a_log_without_inputs_is_taken_for_full_drive() {
-        let log = WallLog::new(vec![entry(1.0, WallReading::Range(3.0)), entry(1.1, WallReading::Input(0.0))]);
-        let assumed = log.with_assumed_drive();
+        let assumed = log_of([(1.1, 0.0)], [(1.0, 3.0)]).with_assumed_drive();
         assert_eq!(assumed.inputs().collect::<Vec<_>>(), [(1.0, 1.0)]);
         assert_eq!(WallLog::default().with_assumed_drive(), WallLog::default());
     }
 
     #[test]
     fn the_loop_is_measured() {
-        let inputs = [0.0, 0.01, 0.04].map(|at_s| entry(at_s, WallReading::Input(1.0)));
-        let found = WallLog::new(inputs.to_vec()).loop_intervals_s().unwrap();
+        let found = log_of([0.0, 0.01, 0.04].map(|at_s| (at_s, 1.0)), []).loop_intervals_s().unwrap();
         assert!((found.0 - 0.02).abs() < 1e-12 && (found.2 - 0.03).abs() < 1e-12);
         assert!((found.1 - 0.01).abs() < 1e-12);
         assert_eq!(WallLog::default().loop_intervals_s(), None);
+    }
+
+    #[test]
+    fn the_mean_is_over_all_logs_and_not_over_the_time_between_them() {
+        let logs = [0.0, 100.0].map(|from_s| log_of([0.0, 0.01, 0.03].map(|at_s| (from_s + at_s, 1.0)), []));
+        let found = loop_period(&logs).unwrap();
+        assert!((found.value - 0.015).abs() < 1e-9);
+        // Four intervals of 10, 20, 10, 20 ms: 5 ms off each, over 3, over 4.
+        assert!((found.sigma - 0.005 / 3.0_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(reading_period(&logs), None);
+    }
+
+    #[test]
+    fn a_log_without_inputs_has_no_loop() {
+        let logs = [log_of([], [0.0, 0.1, 0.2, 0.3].map(|at_s| (at_s, 1.0)))];
+        assert_eq!(loop_period(&logs), None);
+        assert!((reading_period(&logs).unwrap().value - 0.1).abs() < 1e-9);
+        assert_eq!(loop_period(&[]), None);
+    }
+
+    #[test]
+    fn the_way_is_that_of_the_differential_equation() {
+        let inputs = [(0.0, 1.0), (0.7, -0.4), (0.9, 0.2)];
+        let found = responses(&log_of(inputs, [(1.4, 2.0)]), 2.3)[0].distance_m;
+        let (mut way, mut speed, parts) = (0.0, 0.0, 1_400_000);
+        for part in 0..parts {
+            let at_s = 1.4 * f64::from(part) / f64::from(parts);
+            let input = inputs.iter().rfind(|(from, _)| *from <= at_s).unwrap().1;
+            way += speed * 1e-6;
+            speed += 2.3 * (input - speed) * 1e-6;
+        }
+        assert!((found - way).abs() < 1e-5, "{found} {way}");
     }
 }

@@ -15,26 +15,20 @@
 //! Paper 3 (Lab 7: step test, piecewise lines, d and m); docs/lab/wall.md.
 
 mod fit;
-mod foresee;
+mod forecast;
 mod log;
-mod periods;
-mod plant;
 mod replay_filter;
-mod response;
-mod step_by_hand;
-mod stops;
-mod validate;
 
-pub use fit::{StepFit, fit_steps};
-pub use foresee::{ForecastScore, GateStatistics, RangeForecast, forecast, gate_statistics, score_forecasts};
-pub use log::{WallEntry, WallLog, WallReading};
-pub use periods::{loop_period, reading_period};
-pub use plant::{Plant, PlantSearch};
-pub use replay_filter::{
-    ApproachEstimate, ApproachEstimator, KalmanNoise, LastReading, LinearExtrapolation, WallKalman,
+pub use self::fit::{
+    ManualStepFit, SpeedSample, StepFit, WallStepError, differences, fit_by_hand, fit_steps, mean_manual_fit,
+    overlapping_lines,
 };
-pub use step_by_hand::{
-    ManualStepFit, SpeedSample, WallStepError, differences, fit_by_hand, mean_manual_fit, overlapping_lines,
+pub use self::forecast::{
+    ForecastScore, GateStatistics, Plant, PlantSearch, RangeForecast, forecast, gate_statistics, score_forecasts,
 };
-pub use stops::{NEAR_WALL_M, StopComparison, StopResult, StopSummary, compare_stops, summarise_stops};
-pub use validate::{GateTrial, Validation, gate_trial, validate_model};
+pub use self::log::{WallEntry, WallLog, WallReading, loop_period, reading_period};
+pub use self::replay_filter::{
+    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LastReading, LinearExtrapolation, NEAR_WALL_M,
+    StopComparison, StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops,
+    validate_model,
+};

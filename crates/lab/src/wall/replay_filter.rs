@@ -4,16 +4,16 @@ use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::{RangeFilter, RangeFilterVariant};
 use posebridge_estimator::{Filter, FilterConfig, Params};
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, FusionRecord, Meters, MetersPerSecond, Observation, ObservationKind,
-    Radians, RadiansPerSecond, SensorId, SensorNoise, TimeDelta, Timestamp,
+    BrickClock, Calibration, DriveGeometry, FusionOutcome, FusionRecord, Meters, MetersPerSecond, Observation,
+    ObservationKind, Radians, RadiansPerSecond, SensorId, SensorNoise, TimeDelta, Timestamp,
 };
+
+use super::log::{WallLog, WallReading};
 
 /// The estimate for an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachEstimate {
-    /// Distance to the wall, m.
     pub distance_m: f64,
-    /// Speed towards it, m/s.
     pub towards_m_per_s: f64,
 }
 
@@ -101,7 +101,6 @@ pub struct WallKalman {
 }
 
 impl WallKalman {
-    /// Waits for its first reading.
     pub fn new(model: WallApproachModel, noise: KalmanNoise, variant: RangeFilterVariant) -> Self {
         let config = FilterConfig {
             geometry: UNUSED_GEOMETRY,
@@ -166,9 +165,207 @@ const UNUSED_GEOMETRY: DriveGeometry = DriveGeometry {
     tick: Radians(1.0),
 };
 
+/// The paper's gate, in standard deviations of the innovation.
+pub(super) const GATE_SIGMAS: f64 = 3.0;
+
+/// What the filter did with a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Validation {
+    /// Turns of the loop: each is a prediction.
+    pub turns: usize,
+    pub used: usize,
+    pub gated: usize,
+    /// Mean share of a reading in the distance: K.
+    pub gain: f64,
+    /// Mean half-width of the gate, 3 sqrt(S), m.
+    pub gate_m: f64,
+    /// Root mean square of readings minus their prediction, m.
+    pub innovation_rms_m: f64,
+    /// Mean normalised innovation squared; 1 if the filter knows how wrong it is.
+    pub nis: f64,
+}
+
+impl Validation {
+    /// Share of the turns that had no reading: the paper has 77.4 %.
+    pub fn predicted_share(&self) -> f64 {
+        if self.turns == 0 {
+            return 0.0;
+        }
+        1.0 - (self.used + self.gated).min(self.turns) as f64 / self.turns as f64
+    }
+}
+
+/// Runs the filter over a log. The first reading starts it and is not counted.
+pub fn validate_model(
+    log: &WallLog,
+    model: WallApproachModel,
+    noise: KalmanNoise,
+    variant: RangeFilterVariant,
+) -> Validation {
+    let mut kalman = WallKalman::new(model, noise, variant);
+    let mut found = Validation::default();
+    let (mut predicted, mut squares) = (0.0, 0.0);
+    for entry in log.entries() {
+        match entry.reading {
+            WallReading::Input(input) => {
+                kalman.observe_input(entry.at_s, input);
+                found.turns += 1;
+            }
+            WallReading::Range(range_m) => {
+                let record = kalman.fuse(entry.at_s, range_m);
+                let Some(s_m2) = innovation_sigma(&record) else {
+                    continue;
+                };
+                found.used += usize::from(record.outcome == FusionOutcome::Accepted);
+                found.gated += usize::from(record.outcome == FusionOutcome::Gated);
+                predicted += 1.0;
+                squares += record.innovation[0].powi(2);
+                found.gain += 1.0 - noise.range_m.powi(2) / s_m2;
+                found.gate_m += GATE_SIGMAS * s_m2.sqrt();
+                found.nis += record.nis;
+            }
+        }
+    }
+    if predicted > 0.0 {
+        found.innovation_rms_m = f64::sqrt(squares / predicted);
+        for mean in [&mut found.gain, &mut found.gate_m, &mut found.nis] {
+            *mean /= predicted;
+        }
+    }
+    found
+}
+
+/// S of a reading that was held against a prediction, m².
+pub(super) fn innovation_sigma(record: &FusionRecord) -> Option<f64> {
+    let s_m2 = record.innovation_covariance[0][0];
+    (record.degrees_of_freedom == 1 && s_m2 > 0.0).then_some(s_m2)
+}
+
+/// What the filter did with a reading that was made wrong on purpose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GateTrial {
+    pub index: usize,
+    /// What was added to it, m.
+    pub added_m: f64,
+    pub is_gated: bool,
+    /// By how much the estimate jumped, m.
+    pub jumped_m: f64,
+}
+
+/// Adds `added_m` to reading number `index`; `None` if there is no such reading, or nothing was predicted for it.
+pub fn gate_trial(
+    log: &WallLog,
+    model: WallApproachModel,
+    noise: KalmanNoise,
+    variant: RangeFilterVariant,
+    index: usize,
+    added_m: f64,
+) -> Option<GateTrial> {
+    let mut kalman = WallKalman::new(model, noise, variant);
+    let mut seen = 0;
+    for entry in log.entries() {
+        match entry.reading {
+            WallReading::Input(input) => kalman.observe_input(entry.at_s, input),
+            WallReading::Range(range_m) if seen < index => {
+                kalman.observe_range(entry.at_s, range_m);
+                seen += 1;
+            }
+            WallReading::Range(range_m) => {
+                let before = kalman.estimate(entry.at_s)?;
+                let record = kalman.fuse(entry.at_s, range_m + added_m);
+                innovation_sigma(&record)?;
+                let after = kalman.estimate(entry.at_s)?;
+                return Some(GateTrial {
+                    index,
+                    added_m,
+                    is_gated: record.outcome == FusionOutcome::Gated,
+                    jumped_m: after.distance_m - before.distance_m,
+                });
+            }
+        }
+    }
+    None
+}
+
+/// So near the target counts as a hit, m.
+pub const NEAR_WALL_M: f64 = 0.02;
+
+/// How an approach ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StopResult {
+    /// Distance from the wall minus the target, m; negative is too near.
+    pub error_m: f64,
+    /// From the start to the stand, s.
+    pub time_s: f64,
+    /// Approach speed: the way driven over that time, m/s.
+    pub approach_m_per_s: f64,
+}
+
+/// Approaches of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StopSummary {
+    pub runs: usize,
+    pub stopped: usize,
+    /// Those that stopped within [`NEAR_WALL_M`] of the target.
+    pub near: usize,
+    /// Mean error of those that stopped, m.
+    pub mean_error_m: f64,
+    /// Its root mean square, m.
+    pub rms_error_m: f64,
+    pub worst_error_m: f64,
+    pub mean_time_s: f64,
+    pub mean_approach_m_per_s: f64,
+}
+
+/// Sums up approaches; `None` is one that did not end.
+pub fn summarise_stops(stops: &[Option<StopResult>]) -> StopSummary {
+    let mut sum = StopSummary { runs: stops.len(), ..StopSummary::default() };
+    let mut squares = 0.0;
+    for stop in stops.iter().flatten() {
+        sum.stopped += 1;
+        sum.near += usize::from(stop.error_m.abs() <= NEAR_WALL_M);
+        sum.mean_error_m += stop.error_m;
+        squares += stop.error_m.powi(2);
+        sum.worst_error_m = sum.worst_error_m.max(stop.error_m.abs());
+        sum.mean_time_s += stop.time_s;
+        sum.mean_approach_m_per_s += stop.approach_m_per_s;
+    }
+    if sum.stopped > 0 {
+        let count = sum.stopped as f64;
+        sum.rms_error_m = f64::sqrt(squares / count);
+        sum.mean_error_m /= count;
+        sum.mean_time_s /= count;
+        sum.mean_approach_m_per_s /= count;
+    }
+    sum
+}
+
+/// In how many runs one did better than another in the same world.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StopComparison {
+    pub nearer: usize,
+    pub faster: usize,
+    pub both: usize,
+}
+
+/// Compares run by run. A method that did not stop is neither nearer nor faster than another; who stopped is both than one who did not.
+pub fn compare_stops(ours: &[Option<StopResult>], theirs: &[Option<StopResult>]) -> StopComparison {
+    let mut found = StopComparison::default();
+    for (ours, theirs) in ours.iter().zip(theirs) {
+        let Some(ours) = ours else { continue };
+        let is_nearer = theirs.is_none_or(|theirs| ours.error_m.abs() < theirs.error_m.abs());
+        let is_faster = theirs.is_none_or(|theirs| ours.approach_m_per_s > theirs.approach_m_per_s);
+        found.nearer += usize::from(is_nearer);
+        found.faster += usize::from(is_faster);
+        found.both += usize::from(is_nearer && is_faster);
+    }
+    found
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wall::log::test_logs::{log_of, way_m};
 
     #[test]
     fn a_line_goes_on_where_the_last_reading_stays() {
@@ -191,5 +388,65 @@ mod tests {
         kalman.observe_input(0.0, 1.0);
         let settled = kalman.estimate(5.0).unwrap();
         assert!((settled.towards_m_per_s - 1.225).abs() < 1e-4, "{settled:?}");
+    }
+
+    /// The paper's loop: 84 turns of 7.6 ms, 19 with a reading, of its own car, without noise.
+    fn paper_log() -> WallLog {
+        let at_s = |turn: u32| 0.0076 * f64::from(turn);
+        let read = (0..84).filter(|turn| (turn * 19) % 84 < 19);
+        log_of((0..84).map(|turn| (at_s(turn), 1.0)), read.map(|turn| (at_s(turn), 2.0 - way_m(at_s(turn)))))
+    }
+
+    fn model() -> WallApproachModel {
+        WallApproachModel::from_step_test(1.225, 0.997)
+    }
+
+    #[test]
+    fn the_papers_loop_is_mostly_prediction_and_its_sigmas_have_their_gains() {
+        for (process_m, gain) in [(0.01, 0.620), (0.05, 0.963), (0.5, 0.999_6)] {
+            let noise = KalmanNoise { process_m, range_m: 0.02 };
+            let found = validate_model(&paper_log(), model(), noise, RangeFilterVariant::Paper);
+            assert_eq!(found.turns, 84);
+            // The first of the 19 readings starts the filter.
+            assert_eq!(found.used, 18);
+            assert!((found.predicted_share() - (1.0 - 18.0 / 84.0)).abs() < 1e-12);
+            assert!((found.gain - gain).abs() < 0.03, "{process_m}: {found:?}");
+            assert!(found.innovation_rms_m < 0.01);
+        }
+    }
+
+    #[test]
+    fn the_gate_refuses_what_is_beyond_three_sigmas_and_not_before() {
+        let trial = |index, added_m| {
+            gate_trial(&paper_log(), model(), KalmanNoise::PAPER, RangeFilterVariant::Paper, index, added_m)
+        };
+        let refused = trial(12, 0.5).unwrap();
+        assert!(refused.is_gated && refused.jumped_m == 0.0, "{refused:?}");
+        let used = trial(12, 0.2).unwrap();
+        assert!(!used.is_gated && used.jumped_m > 0.15, "{used:?}");
+        assert_eq!(trial(19, 0.2), None);
+        assert_eq!(trial(0, 0.2), None);
+    }
+
+    const fn stop(error_m: f64, time_s: f64) -> StopResult {
+        StopResult { error_m, time_s, approach_m_per_s: 3.0 / time_s }
+    }
+
+    #[test]
+    fn a_run_without_a_stop_is_counted_and_not_averaged() {
+        let found = summarise_stops(&[Some(stop(0.03, 2.0)), None, Some(stop(-0.01, 4.0))]);
+        assert_eq!((found.runs, found.stopped, found.near), (3, 2, 1));
+        assert!((found.mean_error_m - 0.01).abs() < 1e-12);
+        assert!((found.rms_error_m - 0.0005_f64.sqrt()).abs() < 1e-12);
+        assert_eq!((found.worst_error_m, found.mean_time_s), (0.03, 3.0));
+        assert_eq!(summarise_stops(&[]), StopSummary::default());
+    }
+
+    #[test]
+    fn runs_are_compared_one_by_one() {
+        let ours = [Some(stop(0.01, 2.0)), Some(stop(-0.05, 2.0)), None, Some(stop(0.2, 9.0)), Some(stop(0.0, 1.0))];
+        let theirs = [Some(stop(-0.02, 3.0)), Some(stop(0.04, 3.0)), Some(stop(0.9, 9.0)), None, Some(stop(0.05, 2.0))];
+        let expected = StopComparison { nearer: 3, faster: 4, both: 3 };
+        assert_eq!(compare_stops(&ours, &theirs), expected);
     }
 }

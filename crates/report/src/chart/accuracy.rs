@@ -7,15 +7,13 @@
 //! ```
 //! The numbers stand beside the marks, so that the picture can be read without the table.
 
-use super::palette::{BLUE, FAINT_INK, GRID, INK, SKY_BLUE, VERMILLION};
-use super::panel::{PlotPanel, Tick, ValueRange};
+use super::axes::{BLUE, FAINT_INK, GRID, INK, PlotPanel, SKY_BLUE, Tick, VERMILLION, ValueRange};
 use super::svg::{Anchor, BACKGROUND, PixelPoint, Rect, Stroke, Svg, TextStyle};
-use crate::tables::cells::{millimetres_three_digits, three_digits};
+use crate::tables::{millimetres_three_digits, three_digits};
 
 /// One estimator in one scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyMark {
-    /// The estimator.
     pub name: String,
     /// Root mean square position error, in metres; `None` is drawn as nothing.
     pub rms_m: Option<f64>,
@@ -30,14 +28,12 @@ pub struct AccuracyMark {
 pub struct AccuracyPanel {
     /// Its name, and what else the panel's title says.
     pub title: String,
-    /// One line each, from the top.
     pub marks: Vec<AccuracyMark>,
 }
 
 /// The whole picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyChart {
-    /// Above everything.
     pub title: String,
     /// Row by row, two in a row.
     pub panels: Vec<AccuracyPanel>,
@@ -225,12 +221,14 @@ mod tests {
 
     #[test]
     fn the_axis_holds_errors_and_claims_in_whole_decades() {
-        let range = decade_range(&chart(vec![mark(Some(0.224), Some(0.0044))]));
-        assert_eq!((range.low, range.high), (-3.0, 0.0));
-        let range = decade_range(&chart(vec![mark(Some(f64::MAX), Some(0.0))]));
-        assert_eq!((range.low, range.high), (3.0, 5.0));
-        let range = decade_range(&chart(vec![mark(None, None)]));
-        assert_eq!((range.low, range.high), (-3.0, 0.0));
+        for (rms_m, claimed_m, decades) in [
+            (Some(0.224), Some(0.0044), (-3.0, 0.0)),
+            (Some(f64::MAX), Some(0.0), (3.0, 5.0)),
+            (None, None, (-3.0, 0.0)),
+        ] {
+            let range = decade_range(&chart(vec![mark(rms_m, claimed_m)]));
+            assert_eq!((range.low, range.high), decades);
+        }
     }
 
     #[test]

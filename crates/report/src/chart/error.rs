@@ -8,18 +8,18 @@
 
 use posebridge_telemetry::{Arena, BrickClock, Estimate, Pose, Timestamp};
 
-use super::downsample::downsample_series;
-use super::layers::{RunLayers, SIGMAS, is_drawable};
-use super::legend::{LegendEntry, LegendMark};
-use super::palette::{CLAIM, ESTIMATE, FAINT_INK, FILL_OPACITY, ODOMETRY, SKY_BLUE, SMOOTHED};
-use super::panel::{PlotPanel, Tick, ValueRange, round_ticks};
+use super::axes;
+use super::axes::{
+    CLAIM, ESTIMATE, FAINT_INK, FILL_OPACITY, LegendEntry, LegendMark, ODOMETRY, PlotPanel, SKY_BLUE, SMOOTHED, Tick,
+    ValueRange, round_ticks,
+};
+use super::layers::{RunLayers, SIGMAS, downsample_series, is_drawable, open_figure};
 use super::svg::{Anchor, PixelPoint, Rect, Svg, TextStyle};
-use super::{canvas, legend};
 use crate::track::{PoseTrack, TimedPose};
 
 const HEIGHT_PX: f64 = 420.0;
 
-const AREA: Rect = Rect { left: canvas::LEFT_PX, top: 72.0, width: 590.0, height: 290.0 };
+const AREA: Rect = Rect { left: axes::LEFT_PX, top: 72.0, width: 590.0, height: 290.0 };
 
 /// The lowest and the highest decade that the axis may show, as powers of ten of metres: 0.1 mm and 1000 km.
 const DECADES: ValueRange = ValueRange { low: -4.0, high: 6.0 };
@@ -35,9 +35,9 @@ const BELOW_AXIS_SHARE: f64 = 0.02;
 type Series = Vec<Vec<(f64, f64)>>;
 
 pub(super) fn render(layers: &RunLayers<'_>) -> String {
-    let mut svg = canvas::open_figure(layers, HEIGHT_PX);
+    let mut svg = open_figure(layers, HEIGHT_PX);
     let dropped = draw(&mut svg, AREA, AREA.right() + 22.0, layers);
-    canvas::close_figure(svg, HEIGHT_PX, dropped)
+    axes::close_figure(svg, HEIGHT_PX, dropped)
 }
 
 /// Draws the panel with its legend; returns how many values were left out.
@@ -62,11 +62,10 @@ pub(super) fn draw(svg: &mut Svg, area: Rect, legend_left_px: f64, layers: &RunL
     if curves.is_empty() {
         draw_no_data(svg, &area);
     }
-    legend::draw(svg, (legend_left_px, area.top), &curves.entries());
+    axes::draw_legend(svg, (legend_left_px, area.top), &curves.entries());
     curves.dropped
 }
 
-/// The curves of the panel.
 struct ErrorCurves {
     odometry: Series,
     estimate: Series,
@@ -135,7 +134,7 @@ impl ErrorCurves {
             (&self.odometry, LegendMark::Line(&ODOMETRY), "odometry's error"),
             (&self.estimate, LegendMark::Line(&ESTIMATE), "estimate's error"),
             (&self.smoothed, LegendMark::Line(&SMOOTHED), "smoothed path's error"),
-            (&self.claim, LegendMark::Area(&CLAIM, SKY_BLUE), "its 2-sigma claim"),
+            (&self.claim, LegendMark::Area(&CLAIM), "its 2-sigma claim"),
         ]
         .into_iter()
         .filter(|(series, ..)| !series.is_empty())
@@ -236,17 +235,13 @@ mod tests {
     }
 
     #[test]
-    fn the_axis_holds_the_errors_in_whole_decades() {
-        let range = curves(&[0.004, 0.05, 0.3]).decade_range();
-        assert_eq!((range.low, range.high), (-3.0, 0.0));
-    }
-
-    #[test]
-    fn an_error_of_zero_does_not_stretch_the_axis_without_bound() {
-        let range = curves(&[0.0, 0.0, 2.0]).decade_range();
-        assert_eq!((range.low, range.high), (-4.0, 1.0));
-        let diverged = curves(&[0.0, 0.0, 1e300]).decade_range();
-        assert_eq!((diverged.low, diverged.high), (0.0, 6.0));
+    fn the_axis_holds_the_errors_in_whole_decades_within_bounds() {
+        let cases =
+            [([0.004, 0.05, 0.3], (-3.0, 0.0)), ([0.0, 0.0, 2.0], (-4.0, 1.0)), ([0.0, 0.0, 1e300], (0.0, 6.0))];
+        for (errors_m, decades) in cases {
+            let range = curves(&errors_m).decade_range();
+            assert_eq!((range.low, range.high), decades, "{errors_m:?}");
+        }
     }
 
     #[test]

@@ -6,33 +6,25 @@
 //! and mentioned in the picture.
 
 pub mod accuracy;
-mod canvas;
-mod detail;
-mod downsample;
+mod axes;
 pub mod error;
-mod inline;
 mod layers;
-mod legend;
-mod palette;
-mod panel;
 pub mod plot;
 pub mod session;
 mod strip;
 mod svg;
 pub mod track;
 
-pub use accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
-pub use inline::inline;
-pub use layers::{FixMark, MAX_COORDINATE_M, RunLayers};
-pub use plot::{Axes, Curve, CurveShape, Plot, render_plot};
+pub use self::accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
+pub use self::layers::{FixMark, MAX_COORDINATE_M, RunLayers};
+pub use self::plot::{Axes, Curve, CurveShape, Plot, render_plot};
+pub use self::svg::inline;
 pub use posebridge_telemetry::Ellipse;
 
 /// A picture that the command line can name.
 #[derive(Clone, Copy, Debug)]
 pub struct Figure {
-    /// Its name, in lower case.
     pub name: &'static str,
-    /// What it shows, in one sentence.
     pub doc: &'static str,
     /// Draws it; returns a whole SVG document.
     pub render: fn(&RunLayers<'_>) -> String,

@@ -2,13 +2,13 @@
 //!
 //! One picture holds one or more panels below each other. Values that are not finite split a curve and are counted.
 
-use super::downsample::{downsample_by_deviation, downsample_path, downsample_series};
-use super::layers::MAX_COORDINATE_M;
-use super::legend::{LegendEntry, LegendMark};
-use super::palette::{BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, ORANGE, REDDISH_PURPLE, SKY_BLUE, VERMILLION};
-use super::panel::{PlotPanel, ValueRange, round_ticks};
+use super::axes;
+use super::axes::{
+    BLACK, BLUE, BLUISH_GREEN, FILL_OPACITY, LegendEntry, LegendMark, ORANGE, PlotPanel, REDDISH_PURPLE, SKY_BLUE,
+    VERMILLION, ValueRange, round_ticks,
+};
+use super::layers::{MAX_COORDINATE_M, downsample_by_deviation, downsample_path, downsample_series};
 use super::svg::{PixelPoint, Rect, Stroke, Svg};
-use super::{canvas, legend};
 
 /// Room above the first panel, for the title.
 const TOP_PX: f64 = 70.0;
@@ -21,7 +21,7 @@ const MARGIN: f64 = 0.05;
 const X_TICKS: f64 = 8.0;
 const Y_TICKS: f64 = 6.0;
 
-/// Strokes, discs and fills of the curves in their order; a later curve begins anew.
+/// Strokes of the curves in their order, with the colours of their discs and fills; a later curve begins anew.
 const STROKES: [Stroke; 7] = [
     Stroke::solid(BLACK, 2.0),
     Stroke::dashed(VERMILLION, 1.6, "9 2.5"),
@@ -31,7 +31,6 @@ const STROKES: [Stroke; 7] = [
     Stroke::solid(REDDISH_PURPLE, 1.6),
     Stroke::solid(SKY_BLUE, 1.6),
 ];
-const COLORS: [&str; 7] = [BLACK, VERMILLION, BLUE, BLUISH_GREEN, ORANGE, REDDISH_PURPLE, SKY_BLUE];
 
 /// A picture of one or more panels.
 #[derive(Clone, Debug, Default)]
@@ -40,48 +39,83 @@ pub struct Plot {
     pub title: String,
     /// A line below the title: the figures that count.
     pub key_figures: String,
-    /// From top to bottom.
     pub axes: Vec<Axes>,
+}
+
+impl Plot {
+    pub fn new(title: impl Into<String>, key_figures: impl Into<String>, axes: Vec<Axes>) -> Self {
+        Self { title: title.into(), key_figures: key_figures.into(), axes }
+    }
 }
 
 /// One panel.
 #[derive(Clone, Debug, Default)]
 pub struct Axes {
-    /// With the unit, as in `time [s]`.
-    pub x_name: String,
-    /// With the unit.
-    pub y_name: String,
-    /// Height in pixels.
-    pub height_px: f64,
-    /// Whether it is a map: a unit is then as long in x as in y.
-    pub is_map: bool,
+    pub(super) x_name: String,
+    pub(super) y_name: String,
+    pub(super) height_px: f64,
+    pub(super) scaling: AxisScaling,
+    /// What the y axis spans; without it, what the curves span.
+    pub(super) y: Option<ValueRange>,
     /// Later ones are drawn over earlier ones.
-    pub curves: Vec<Curve>,
+    pub(super) curves: Vec<Curve>,
 }
 
-/// Something that is drawn.
+impl Axes {
+    /// A panel of this height. The names of the axes have their units, as in `time [s]`.
+    pub fn new(
+        x_name: impl Into<String>,
+        y_name: impl Into<String>,
+        height_px: f64,
+        curves: impl IntoIterator<Item = Curve>,
+    ) -> Self {
+        let curves = curves.into_iter().collect();
+        Self { x_name: x_name.into(), y_name: y_name.into(), height_px, curves, ..Self::default() }
+    }
+
+    /// The same panel as a map: a unit is as long in x as in y.
+    pub fn with_equal_scales(self) -> Self {
+        Self { scaling: AxisScaling::Equal, ..self }
+    }
+}
+
+/// Something that is drawn, with its name in the legend; an empty name has no entry in a narrow figure.
 #[derive(Clone, Debug)]
 pub struct Curve {
-    /// For the legend.
-    pub name: String,
-    /// How it is drawn.
-    pub shape: CurveShape,
+    pub(super) name: String,
+    pub(super) shape: CurveShape,
+    /// Without it, that of its place in the list.
+    pub(super) stroke: Option<&'static Stroke>,
+}
+
+impl Curve {
+    /// A curve in the style of its place among the others.
+    pub fn new(name: impl Into<String>, shape: CurveShape) -> Self {
+        Self { name: name.into(), shape, stroke: None }
+    }
+
+    pub fn line(name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        Self::new(name, CurveShape::Line(points.into_iter().collect()))
+    }
+
+    pub fn dots(name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        Self::new(name, CurveShape::Dots(points.into_iter().collect()))
+    }
+
+    pub(super) fn with_stroke(self, stroke: &'static Stroke) -> Self {
+        Self { stroke: Some(stroke), ..self }
+    }
 }
 
 /// How a curve is drawn; all in the units of the axes.
 #[derive(Clone, Debug)]
 pub enum CurveShape {
-    /// A line through the points.
     Line(Vec<(f64, f64)>),
-    /// A disc at each point.
     Dots(Vec<(f64, f64)>),
     /// An area between two values at each place: x, lower, upper.
     Band(Vec<(f64, f64, f64)>),
-    /// A line across the panel at this height.
     Level(f64),
-    /// A diagonal cross at each point.
     Crosses(Vec<(f64, f64)>),
-    /// A ring at each point.
     Rings(Vec<(f64, f64)>),
     /// Closed shapes, lightly filled.
     Outlines(Vec<Vec<(f64, f64)>>),
@@ -121,44 +155,34 @@ impl CurveDownsampling {
 /// A line that is off by less than this looks the same on any screen.
 const DEVIATION_PX: f64 = 0.12;
 
-/// With what a curve is drawn.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct CurveStyle {
-    /// Of lines, rings and crosses.
-    pub(super) stroke: &'static Stroke,
-    /// Of discs and fills.
-    pub(super) color: &'static str,
-}
-
-/// The ink of the curve with this place in a list.
-pub(super) const fn curve_style(index: usize) -> CurveStyle {
-    CurveStyle { stroke: &STROKES[index % STROKES.len()], color: COLORS[index % COLORS.len()] }
+/// The stroke of the curve with this place in a list.
+pub(super) const fn curve_stroke(index: usize) -> &'static Stroke {
+    &STROKES[index % STROKES.len()]
 }
 
 /// Draws it; returns a whole SVG document.
 pub fn render_plot(plot: &Plot) -> String {
     let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
     let height_px = TOP_PX + heights.sum::<f64>();
-    let mut svg = canvas::open_sheet(&plot.title, &plot.key_figures, height_px);
+    let mut svg = axes::open_sheet(&plot.title, &plot.key_figures, height_px);
     let mut top = TOP_PX;
     let mut dropped = 0;
     for axes in &plot.axes {
-        let area = Rect { left: canvas::LEFT_PX, top, width: PANEL_WIDTH_PX, height: axes.height_px };
+        let area = Rect { left: axes::LEFT_PX, top, width: PANEL_WIDTH_PX, height: axes.height_px };
         dropped += draw_axes(&mut svg, area, axes);
         top += axes.height_px + FOOT_PX;
     }
-    canvas::close_figure(svg, height_px, dropped)
+    axes::close_figure(svg, height_px, dropped)
 }
 
 /// Draws one panel with its legend; returns how many values were left out.
 fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
-    let scales = if axes.is_map { AxisScaling::Equal } else { AxisScaling::Independent };
-    let panel = panel_of(area, axes.curves.iter().map(|curve| &curve.shape), scales);
+    let panel = panel_of(area, axes);
     panel.draw_grid(svg, &round_ticks(panel.x, X_TICKS), &round_ticks(panel.y, Y_TICKS));
     let mut dropped = 0;
     svg.clip(&area, "curves", |svg| {
         for (index, curve) in axes.curves.iter().enumerate() {
-            dropped += draw_shape(svg, &panel, curve_style(index), CurveDownsampling::Near, &curve.shape);
+            dropped += draw_shape(svg, &panel, curve_stroke(index), CurveDownsampling::Near, &curve.shape);
         }
     });
     panel.draw_border(svg);
@@ -167,9 +191,9 @@ fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
         .curves
         .iter()
         .enumerate()
-        .map(|(index, curve)| LegendEntry::new(legend_mark(curve_style(index), &curve.shape), &curve.name))
+        .map(|(index, curve)| LegendEntry::new(legend_mark(curve_stroke(index), &curve.shape), &curve.name))
         .collect();
-    legend::draw(svg, (area.right() + 22.0, area.top), &entries);
+    axes::draw_legend(svg, (area.right() + 22.0, area.top), &entries);
     dropped
 }
 
@@ -184,13 +208,13 @@ pub(super) enum AxisScaling {
 }
 
 /// The panel that holds all shapes.
-pub(super) fn panel_of<'s>(area: Rect, shapes: impl Iterator<Item = &'s CurveShape>, scales: AxisScaling) -> PlotPanel {
-    let corners: Vec<(f64, f64)> = shapes.flat_map(corners).collect();
+pub(super) fn panel_of(area: Rect, axes: &Axes) -> PlotPanel {
+    let corners: Vec<(f64, f64)> = axes.curves.iter().flat_map(|curve| corners(&curve.shape)).collect();
     let unit = ValueRange { low: 0.0, high: 1.0 };
     let drawn = |value: &f64| value.is_finite() && value.abs() <= MAX_COORDINATE_M;
     let x = ValueRange::of(corners.iter().map(|(x, _)| *x).filter(drawn)).unwrap_or(unit);
     let y = ValueRange::of(corners.iter().map(|(_, y)| *y).filter(drawn)).unwrap_or(unit);
-    if scales == AxisScaling::Equal {
+    if axes.scaling == AxisScaling::Equal {
         return PlotPanel::equal_scale(area, x, y);
     }
     PlotPanel { area, x: with_margin(x, 0.0), y: with_margin(y, MARGIN) }
@@ -227,7 +251,7 @@ fn is_drawable(point: &(f64, f64)) -> bool {
 pub(super) fn draw_shape(
     svg: &mut Svg,
     panel: &PlotPanel,
-    ink: CurveStyle,
+    stroke: &'static Stroke,
     thinning: CurveDownsampling,
     shape: &CurveShape,
 ) -> usize {
@@ -237,48 +261,48 @@ pub(super) fn draw_shape(
     match shape {
         CurveShape::Line(points) => {
             for part in points.split(|point| !is_drawable(point)) {
-                svg.polyline(&thinning.downsample(&place(part)), ink.stroke);
+                svg.polyline(&thinning.downsample(&place(part)), stroke);
             }
             left_out(points)
         }
         CurveShape::Dots(points) | CurveShape::Crosses(points) | CurveShape::Rings(points) => {
             for point in points.iter().filter(|point| is_drawable(point)) {
-                draw_mark(svg, panel.to_pixels(point.0, point.1), ink, shape);
+                draw_mark(svg, panel.to_pixels(point.0, point.1), stroke, shape);
             }
             left_out(points)
         }
         CurveShape::Specks(points) => {
             let drawn: Vec<(f64, f64)> = points.iter().copied().filter(is_drawable).collect();
-            svg.specks(&place(&drawn), ink.color);
+            svg.specks(&place(&drawn), stroke.color);
             points.len() - drawn.len()
         }
-        CurveShape::Band(places) => draw_band(svg, panel, ink, thinning, places),
+        CurveShape::Band(places) => draw_band(svg, panel, stroke, thinning, places),
         CurveShape::Level(y) => {
             let ends = [(panel.x.low, *y), (panel.x.high, *y)];
-            svg.polyline(&place(&ends), ink.stroke);
+            svg.polyline(&place(&ends), stroke);
             usize::from(!is_drawable(&(0.0, *y)))
         }
         CurveShape::Outlines(outlines) => {
             let is_drawn = |outline: &&Vec<(f64, f64)>| outline.iter().all(is_drawable);
             for outline in outlines.iter().filter(is_drawn) {
-                svg.polygon(&place(outline), ink.color, FILL_OPACITY, Some(ink.stroke));
+                svg.polygon(&place(outline), stroke.color, FILL_OPACITY, Some(stroke));
             }
             outlines.iter().filter(|outline| !is_drawn(outline)).count()
         }
     }
 }
 
-fn draw_mark(svg: &mut Svg, at: PixelPoint, ink: CurveStyle, shape: &CurveShape) {
+fn draw_mark(svg: &mut Svg, at: PixelPoint, stroke: &'static Stroke, shape: &CurveShape) {
     match shape {
-        CurveShape::Crosses(_) => svg.cross(at, 3.5, ink.stroke),
-        CurveShape::Rings(_) => svg.disc(at, 3.5, "none", Some(ink.stroke)),
+        CurveShape::Crosses(_) => svg.cross(at, 3.5, stroke),
+        CurveShape::Rings(_) => svg.disc(at, 3.5, "none", Some(stroke)),
         CurveShape::Line(_)
         | CurveShape::Dots(_)
         | CurveShape::Band(_)
         | CurveShape::Level(_)
         | CurveShape::Specks(_)
         | CurveShape::Outlines(_) => {
-            svg.disc(at, 2.6, ink.color, None);
+            svg.disc(at, 2.6, stroke.color, None);
         }
     }
 }
@@ -286,7 +310,7 @@ fn draw_mark(svg: &mut Svg, at: PixelPoint, ink: CurveStyle, shape: &CurveShape)
 fn draw_band(
     svg: &mut Svg,
     panel: &PlotPanel,
-    ink: CurveStyle,
+    stroke: &'static Stroke,
     thinning: CurveDownsampling,
     places: &[(f64, f64, f64)],
 ) -> usize {
@@ -296,19 +320,19 @@ fn draw_band(
         let upper = part.iter().map(|(x, _, high)| panel.to_pixels(*x, *high));
         let mut outline = thinning.downsample_edge(lower.collect());
         outline.extend(thinning.downsample_edge(upper.collect()).into_iter().rev());
-        svg.polygon(&outline, ink.color, FILL_OPACITY, None);
+        svg.polygon(&outline, stroke.color, FILL_OPACITY, None);
     }
     places.iter().filter(|place| !is_drawn(place)).count()
 }
 
 /// How a shape is marked in a legend.
-pub(super) const fn legend_mark(ink: CurveStyle, shape: &CurveShape) -> LegendMark {
+pub(super) const fn legend_mark(stroke: &'static Stroke, shape: &CurveShape) -> LegendMark {
     match shape {
-        CurveShape::Line(_) | CurveShape::Level(_) => LegendMark::Line(ink.stroke),
-        CurveShape::Dots(_) | CurveShape::Specks(_) => LegendMark::Disc(ink.color),
-        CurveShape::Crosses(_) => LegendMark::Cross(ink.stroke),
-        CurveShape::Rings(_) => LegendMark::Ring(ink.stroke),
-        CurveShape::Band(_) | CurveShape::Outlines(_) => LegendMark::Area(ink.stroke, ink.color),
+        CurveShape::Line(_) | CurveShape::Level(_) => LegendMark::Line(stroke),
+        CurveShape::Dots(_) | CurveShape::Specks(_) => LegendMark::Disc(stroke.color),
+        CurveShape::Crosses(_) => LegendMark::Cross(stroke),
+        CurveShape::Rings(_) => LegendMark::Ring(stroke),
+        CurveShape::Band(_) | CurveShape::Outlines(_) => LegendMark::Area(stroke),
     }
 }
 
@@ -317,18 +341,8 @@ mod tests {
     use super::*;
 
     fn of(curves: Vec<(&str, CurveShape)>) -> Plot {
-        let curves = curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape });
-        Plot {
-            title: "t".to_owned(),
-            key_figures: String::new(),
-            axes: vec![Axes {
-                x_name: "time [s]".to_owned(),
-                y_name: "value".to_owned(),
-                height_px: 200.0,
-                is_map: false,
-                curves: curves.collect(),
-            }],
-        }
+        let curves = curves.into_iter().map(|(name, shape)| Curve::new(name, shape));
+        Plot::new("t", "", vec![Axes::new("time [s]", "value", 200.0, curves)])
     }
 
     #[test]

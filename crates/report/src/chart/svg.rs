@@ -14,7 +14,6 @@ use crate::markup::Escaped;
 /// A point of the picture, in pixels from the top left.
 pub(super) type PixelPoint = (f64, f64);
 
-/// The paper.
 pub(super) const BACKGROUND: &str = "#FFFFFF";
 
 /// Size of the cell that a small dot fills, in pixels.
@@ -23,7 +22,6 @@ const SPECK_RADIUS_PX: f64 = 1.6;
 const FEW_SPECKS: usize = 400;
 const LARGE_SPECK_RADIUS_PX: f64 = 2.6;
 
-/// A rectangle of the picture, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rect {
     pub(super) left: f64,
@@ -41,10 +39,9 @@ impl Rect {
     }
 }
 
-/// How a line looks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stroke {
-    color: &'static str,
+    pub(super) color: &'static str,
     width_px: f64,
     dashes: Option<&'static str>,
 }
@@ -77,7 +74,6 @@ pub(super) enum Anchor {
     End,
 }
 
-/// How a text looks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TextStyle {
     pub(super) size_px: f64,
@@ -86,7 +82,6 @@ pub(super) struct TextStyle {
     pub(super) weight: u16,
 }
 
-/// A picture that is being drawn.
 #[derive(Debug)]
 pub(super) struct Svg {
     text: String,
@@ -180,7 +175,6 @@ impl Svg {
         ));
     }
 
-    /// A diagonal cross.
     pub(super) fn cross(&mut self, center: PixelPoint, reach_px: f64, stroke: &Stroke) {
         let (x, y) = center;
         for slant in [reach_px, -reach_px] {
@@ -215,7 +209,6 @@ impl Svg {
         self.write(format_args!("</g>\n"));
     }
 
-    /// The whole document.
     pub(super) fn finish(mut self) -> String {
         self.write(format_args!("</svg>\n"));
         self.text
@@ -264,9 +257,28 @@ impl fmt::Display for PointList<'_> {
     }
 }
 
+// A picture as a part of a page instead of a file of its own.
+//
+// Several pictures in one page share its names, so each gets a prefix of its own. What only files need is left out. Colours stay
+// attributes, which a style sheet may replace.
+
+/// The namespace, which a page does not need and a reader may take for an address.
+const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
+
+/// An SVG document of these figures as an element of a page; `prefix` is letters, digits and hyphens, and different for each picture
+/// of the page.
+///
+/// Text in a picture is escaped and so holds no quotation mark: what is replaced here is always the figure's own markup.
+pub fn inline(svg: &str, prefix: &str) -> String {
+    svg.replacen(NAMESPACE, "", 1)
+        .replace(" id=\"", &format!(" id=\"{prefix}-"))
+        .replace("\"url(#", &format!("\"url(#{prefix}-"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chart::session::render_errors;
 
     #[test]
     fn a_shape_that_is_not_finite_is_not_written() {
@@ -290,5 +302,15 @@ mod tests {
         let column = draw(&[(2.0, 0.1), (2.0, 2.0), (2.0, 3.3), (2.0, 8.5)]);
         assert!(column.contains("d=\"M2.4 0.8V4.0M2.4 8.8V8.8\""), "{column}");
         assert!(!draw(&[]).contains("<path"));
+    }
+
+    #[test]
+    fn names_are_the_pictures_own_and_no_text_is_changed() {
+        let svg = inline(&render_errors(" id=\"x\" \"url(#y)\"", &[]), "run-1");
+        assert!(!svg.contains("http"), "{svg}");
+        assert!(svg.contains("<clipPath id=\"run-1-clip1\">") && svg.contains("\"url(#run-1-clip1)\""));
+        assert!(svg.contains("<title> id=&quot;x&quot; &quot;url(#y)&quot;</title>"), "{svg}");
+        let ids = svg.matches(" id=\"").count();
+        assert_eq!(svg.matches(" id=\"run-1-").count(), ids);
     }
 }

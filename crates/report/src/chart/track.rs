@@ -2,43 +2,40 @@
 //!
 //! A map on top with equal scales, the position errors over time below.
 
-use posebridge_telemetry::{Arena, Point2};
+use posebridge_telemetry::{Arena, Estimate, Point2};
 
-use super::downsample::downsample_path;
-use super::layers::{DrawableLayers, Polylines, RunLayers};
-use super::legend::{LegendEntry, LegendMark, draw_start};
-use super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE, ODOMETRY, ORANGE,
-    REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION,
+use super::axes::{
+    BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE, LegendEntry,
+    LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange, draw_start,
+    round_ticks,
 };
-use super::panel::{PlotPanel, round_ticks};
+use super::layers::{DrawableLayers, Polylines, RunLayers, downsample_path, ellipse_of, is_drawable, open_figure};
 use super::svg::{Anchor, PixelPoint, Rect, Stroke, Svg, TextStyle};
-use super::{canvas, detail, error, legend};
+use super::{axes, error};
 
 const HEIGHT_PX: f64 = 700.0;
 
-const MAP: Rect = Rect { left: canvas::LEFT_PX, top: 72.0, width: 590.0, height: 372.0 };
+const MAP: Rect = Rect { left: axes::LEFT_PX, top: 72.0, width: 590.0, height: 372.0 };
 
 const DETAIL: Rect = Rect { left: 728.0, top: 292.0, width: 156.0, height: 136.0 };
 
-const ERRORS: Rect = Rect { left: canvas::LEFT_PX, top: 504.0, width: 590.0, height: 142.0 };
+const ERRORS: Rect = Rect { left: axes::LEFT_PX, top: 504.0, width: 590.0, height: 142.0 };
 
-/// Where the legends begin, in pixels.
 const LEGEND_LEFT_PX: f64 = 684.0;
 
 pub(super) fn render(layers: &RunLayers<'_>) -> String {
     let drawable = DrawableLayers::from_layers(layers);
-    let mut svg = canvas::open_figure(layers, HEIGHT_PX);
+    let mut svg = open_figure(layers, HEIGHT_PX);
     let (x, y) = drawable.bounds();
     let map = PlotPanel::equal_scale(MAP, x, y);
     draw_map(&mut svg, &map, &drawable);
-    if let Some(detail) = detail::detail_panel(DETAIL, &map, layers.estimates) {
-        let ellipses = detail::ellipses(&detail, layers.estimates);
+    if let Some(detail) = detail_panel(DETAIL, &map, layers.estimates) {
+        let ellipses = detail_ellipses(&detail, layers.estimates);
         draw_detail(&mut svg, &map, &detail, &DrawableLayers { ellipses, ..drawable.clone() });
     }
-    legend::draw(&mut svg, (LEGEND_LEFT_PX, MAP.top), &entries(&drawable));
+    axes::draw_legend(&mut svg, (LEGEND_LEFT_PX, MAP.top), &entries(&drawable));
     let error_dropped = error::draw(&mut svg, ERRORS, LEGEND_LEFT_PX, layers);
-    canvas::close_figure(svg, HEIGHT_PX, drawable.dropped + error_dropped)
+    axes::close_figure(svg, HEIGHT_PX, drawable.dropped + error_dropped)
 }
 
 fn draw_map(svg: &mut Svg, map: &PlotPanel, drawable: &DrawableLayers) {
@@ -129,11 +126,60 @@ fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
         (!drawable.truth.is_empty(), LegendEntry::new(LegendMark::Line(&TRUTH), "true path")),
         (!drawable.odometry.is_empty(), LegendEntry::new(LegendMark::Line(&ODOMETRY), "brick's odometry")),
         (!drawable.estimate.is_empty(), LegendEntry::new(LegendMark::Line(&ESTIMATE), "estimate")),
-        (!drawable.ellipses.is_empty(), LegendEntry::new(LegendMark::Area(&ELLIPSE, SKY_BLUE), "its 2-sigma ellipses")),
+        (!drawable.ellipses.is_empty(), LegendEntry::new(LegendMark::Area(&ELLIPSE), "its 2-sigma ellipses")),
         (!drawable.smoothed.is_empty(), LegendEntry::new(LegendMark::Line(&SMOOTHED), "smoothed path")),
         (used > 0, LegendEntry::new(LegendMark::Disc(BLUISH_GREEN), format!("fix, used ({used})"))),
         (refused > 0, LegendEntry::new(LegendMark::Cross(&REJECTED), format!("fix, refused ({refused})"))),
         (late > 0, LegendEntry::new(LegendMark::Ring(&LATE), format!("fix, too late ({late})"))),
     ];
     rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).collect()
+}
+
+// The magnified detail beside the map: on a map of metres, ellipses of millimetres are dots.
+//
+// It looks at the place where the estimate is least sure of itself. It draws nothing itself; the map draws its layers
+// a second time through the detail's axes.
+
+/// The detail is this many times as wide as the longest half axis.
+const HALF_AXES_ACROSS: f64 = 9.0;
+
+/// The least width of the detail, in metres.
+const MIN_WIDTH_M: f64 = 0.01;
+
+/// A detail that would show more than this share of the map magnifies nothing and is left out.
+const MAX_SHARE: f64 = 0.35;
+
+/// Ellipses in the detail.
+const MAX_ELLIPSES: usize = 14;
+
+/// The axes of the detail, around the widest ellipse; `None` where there is nothing to magnify.
+fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<PlotPanel> {
+    let (half_axis_m, center) = estimates
+        .iter()
+        .filter(|estimate| estimate.validity.position && is_drawable(estimate.pose.origin()))
+        .filter_map(|estimate| Some((ellipse_of(estimate)?.semi_major_m, estimate.pose.origin())))
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let width_m = (HALF_AXES_ACROSS * half_axis_m).max(MIN_WIDTH_M);
+    let height_m = width_m / area.width * area.height;
+    let is_magnified = height_m < MAX_SHARE * map.y.extent();
+    is_magnified.then(|| PlotPanel {
+        area,
+        x: ValueRange::around(center.x.0, width_m),
+        y: ValueRange::around(center.y.0, height_m),
+    })
+}
+
+/// Ellipses whose centres lie inside the detail, evenly picked.
+fn detail_ellipses(detail: &PlotPanel, estimates: &[Estimate]) -> Vec<Vec<Point2<Arena>>> {
+    let inside: Vec<&Estimate> = estimates
+        .iter()
+        .filter(|estimate| {
+            estimate.validity.position && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
+        })
+        .collect();
+    inside
+        .iter()
+        .step_by(inside.len().div_ceil(MAX_ELLIPSES).max(1))
+        .filter_map(|estimate| Some(ellipse_of(estimate)?.corners(estimate.pose.origin())))
+        .collect()
 }

@@ -6,16 +6,18 @@
 //!
 //! Source: Bar-Shalom, Li, Kirubarajan (2001), section 5.4.2.
 
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 
+use nalgebra::{Matrix3, Vector3};
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
-
-use super::anees::Anees;
+use posebridge_estimator::numerics::cholesky::{factorise, solve_lower};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId};
+use thiserror::Error;
 
 /// Probability below the band, and above it: 95 % lie within.
 const TAIL_PROBABILITY: f64 = 0.025;
 
-/// Degrees of freedom of one pose error: x, y, heading.
 const POSE_DEGREES_OF_FREEDOM: u64 = 3;
 
 /// Where the mean normalised error of an honest filter lies with 95 % probability.
@@ -40,7 +42,6 @@ impl ConsistencyBand {
         Self::of_mean(runs.checked_mul(POSE_DEGREES_OF_FREEDOM)?)
     }
 
-    /// On which side of the band a mean lies.
     pub fn classify(self, mean: f64) -> Consistency {
         if mean.is_nan() {
             Consistency::Undetermined
@@ -80,7 +81,6 @@ impl Consistency {
         }
     }
 
-    /// The verdict as reports print it.
     pub const fn as_text(self) -> &'static str {
         match self {
             Self::OverConfident => "over-confident",
@@ -97,13 +97,254 @@ impl fmt::Display for Consistency {
     }
 }
 
+// Whether the claimed covariance fits the errors: the average normalised estimation error squared.
+//
+// ```text
+// e = [dx_m, dy_m, heading_rad]ᵀ   error, 3 x 1      P   claimed covariance, 3 x 3
+// P = L Lᵀ                         L lower triangular (Cholesky)
+// NEES = eᵀ P⁻¹ e = |L⁻¹ e|²       chi-square with 3 degrees of freedom if the claim is honest
+// ANEES = mean(NEES) / 3           1 if the claim is honest, above 1 if it boasts
+// ```
+// Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
+// section 5.4. The verdict on the value is [`super::consistency`]'s; a partial pose (no heading) is not tested here.
+
+/// Why a normalised error cannot be computed.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum NeesError {
+    /// The error or the covariance holds a value that is not finite.
+    #[error("error or covariance is not finite; leave this sample out")]
+    NotFinite,
+    /// The covariance is not positive definite.
+    #[error(
+        "covariance is not positive definite: pivot {pivot:e} in row {row}; the filter that claims it has broken down"
+    )]
+    NotPositiveDefinite {
+        /// Row of the pivot: 0 x, 1 y, 2 heading.
+        row: usize,
+        /// The pivot, which should be above zero.
+        pivot: f64,
+    },
+}
+
+/// The outcome over many samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Anees {
+    /// Mean of e' P^-1 e / 3; `None` if no sample could be tested.
+    pub value: Option<f64>,
+    pub samples: usize,
+    /// Samples with a claim that could not be tested: not positive definite, or not finite.
+    pub refused: usize,
+}
+
+/// e' P^-1 e of one sample; rows are x in m, y in m, heading in rad. Only the lower triangle of P is read.
+pub fn nees(error: [f64; 3], covariance: &[[f64; 3]; 3]) -> Result<f64, NeesError> {
+    let covariance = Matrix3::from_fn(|row, column| covariance[row][column]);
+    if !covariance.iter().chain(&error).all(|value| value.is_finite()) {
+        return Err(NeesError::NotFinite);
+    }
+    let factor = factorise(&covariance, |row, pivot| {
+        let root = (pivot > 0.0).then(|| pivot.sqrt());
+        root.ok_or(NeesError::NotPositiveDefinite { row, pivot })
+    })?;
+    let value = solve_lower(&factor, &Vector3::from(error)).norm_squared();
+    if value.is_finite() { Ok(value) } else { Err(NeesError::NotFinite) }
+}
+
+// What each sensor contributed: how often it was used, and whether its innovations fit the claims.
+//
+// Works without truth, so it is the health of a real robot too. It reads the filter's records; it does not repeat the
+// gate's decision.
+
+/// What became of the observations of one sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SourceTally {
+    pub sensor: SensorId,
+    /// Used by the filter, slip included.
+    pub used: u64,
+    /// Used, but the wheels slipped.
+    pub slip: u64,
+    /// Further from the prediction than the gate allows.
+    pub gated: u64,
+    /// Older than the oldest state that the filter keeps.
+    pub too_old: u64,
+    /// Not finite, negative where it cannot be, or of zero duration.
+    pub malformed: u64,
+    /// Counters that jumped to another base.
+    pub rebased: u64,
+    /// Observations to which the estimate was moved.
+    pub reset_to: u64,
+    /// Of a kind that the filter does not use.
+    pub unused: u64,
+    nis_sum: f64,
+    degrees_of_freedom: u64,
+}
+
+impl SourceTally {
+    pub const fn new(sensor: SensorId) -> Self {
+        Self {
+            sensor,
+            used: 0,
+            slip: 0,
+            gated: 0,
+            too_old: 0,
+            malformed: 0,
+            rebased: 0,
+            reset_to: 0,
+            unused: 0,
+            nis_sum: 0.0,
+            degrees_of_freedom: 0,
+        }
+    }
+
+    /// Counts one record. Records of other sensors are the caller's mistake and are counted all the same; [`tally_sources`]
+    /// sorts them.
+    pub fn add(&mut self, record: &FusionRecord) {
+        match record.outcome {
+            FusionOutcome::Accepted | FusionOutcome::Slip => {
+                self.used += 1;
+                self.slip += u64::from(record.outcome == FusionOutcome::Slip);
+                if record.nis.is_finite() {
+                    self.nis_sum += record.nis;
+                    self.degrees_of_freedom += u64::from(record.degrees_of_freedom);
+                }
+            }
+            FusionOutcome::Gated => self.gated += 1,
+            FusionOutcome::TooOld => self.too_old += 1,
+            FusionOutcome::Malformed => self.malformed += 1,
+            FusionOutcome::Rebased => self.rebased += 1,
+            FusionOutcome::PoseReset => self.reset_to += 1,
+            FusionOutcome::Unused => self.unused += 1,
+        }
+    }
+
+    pub fn merge(&mut self, other: &Self) {
+        self.used += other.used;
+        self.slip += other.slip;
+        self.gated += other.gated;
+        self.too_old += other.too_old;
+        self.malformed += other.malformed;
+        self.rebased += other.rebased;
+        self.reset_to += other.reset_to;
+        self.unused += other.unused;
+        self.nis_sum += other.nis_sum;
+        self.degrees_of_freedom += other.degrees_of_freedom;
+    }
+
+    /// Mean normalised innovation squared per degree of freedom of the used observations; `None` before the first that
+    /// was predicted. Gated ones are not in it, so with a gate at 99.9 % an honest sensor sits at 0.99 rather than 1.
+    pub fn mean_nis_per_dof(&self) -> Option<f64> {
+        mean_per_degree(self.nis_sum, self.degrees_of_freedom)
+    }
+
+    pub const fn degrees_of_freedom(&self) -> u64 {
+        self.degrees_of_freedom
+    }
+
+    /// The share of observations that the gate refused, among those that reached it; `None` if none did.
+    pub fn gated_share(&self) -> Option<f64> {
+        let judged = self.used + self.gated;
+        (judged > 0).then(|| self.gated as f64 / judged as f64)
+    }
+
+    /// Whether the sensor's noise fits what the filter assumes.
+    pub fn consistency(&self) -> Consistency {
+        let band = ConsistencyBand::of_mean(self.degrees_of_freedom);
+        match (self.mean_nis_per_dof(), band) {
+            (Some(mean), Some(band)) => band.classify(mean),
+            (None, _) | (_, None) => Consistency::Undetermined,
+        }
+    }
+}
+
+fn mean_per_degree(nis_sum: f64, degrees_of_freedom: u64) -> Option<f64> {
+    (degrees_of_freedom > 0).then(|| nis_sum / degrees_of_freedom as f64)
+}
+
+/// Counts one record with its sensor; tallies stand in the order in which their sensors were heard first.
+pub fn add_to_tallies(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
+    let known = tallies.iter_mut().find(|tally| tally.sensor == record.sensor);
+    if let Some(tally) = known {
+        tally.add(record);
+    } else {
+        let mut tally = SourceTally::new(record.sensor);
+        tally.add(record);
+        tallies.push(tally);
+    }
+}
+
+/// Adds a tally to that of its sensor; a new sensor comes last.
+pub fn merge_tally(tallies: &mut Vec<SourceTally>, tally: &SourceTally) {
+    match tallies.iter_mut().find(|known| known.sensor == tally.sensor) {
+        Some(known) => known.merge(tally),
+        None => tallies.push(*tally),
+    }
+}
+
+/// One tally per sensor that occurs in the records, in the order of the sensor ids.
+pub fn tally_sources<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) -> Vec<SourceTally> {
+    let mut tallies = BTreeMap::new();
+    for record in records {
+        tallies.entry(record.sensor).or_insert(SourceTally::new(record.sensor)).add(record);
+    }
+    tallies.into_values().collect()
+}
+
+// Whether the latest innovations of one source fit the claims: for live views.
+//
+// A mean over the whole run says what it was like; over the last observations, what it is like. The verdict is that of
+// [`ConsistencyBand::of_mean`].
+
+/// Number of observations in the test: ten seconds of a brick at 20 Hz; the page tests as many.
+const WINDOW_SAMPLES: usize = 200;
+
+/// The latest normalised innovations squared of one source.
+#[derive(Clone, Debug, Default)]
+pub struct RecentNis {
+    /// NIS and degrees of freedom.
+    latest: VecDeque<(f64, u64)>,
+}
+
+impl RecentNis {
+    /// Takes the NIS of an observation that was used; one that is not finite or has no degrees of freedom says nothing.
+    pub fn push(&mut self, nis: f64, degrees_of_freedom: u64) {
+        if !nis.is_finite() || degrees_of_freedom == 0 {
+            return;
+        }
+        if self.latest.len() >= WINDOW_SAMPLES {
+            self.latest.pop_front();
+        }
+        self.latest.push_back((nis, degrees_of_freedom));
+    }
+
+    /// Their sum per degree of freedom, 1 if the claims are honest; `None` without any.
+    pub fn mean_per_degree(&self) -> Option<f64> {
+        let degrees = self.degrees_of_freedom();
+        let sum: f64 = self.latest.iter().map(|(nis, _)| nis).sum();
+        (degrees > 0).then(|| sum / degrees as f64)
+    }
+
+    /// Whether the mean lies in the 95 % band of honest claims.
+    pub fn consistency(&self) -> Consistency {
+        let band = ConsistencyBand::of_mean(self.degrees_of_freedom());
+        match (self.mean_per_degree(), band) {
+            (Some(mean), Some(band)) => band.classify(mean),
+            (None, _) | (_, None) => Consistency::Undetermined,
+        }
+    }
+
+    fn degrees_of_freedom(&self) -> u64 {
+        self.latest.iter().map(|(_, degrees)| degrees).sum()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn the_bands_for_20_50_and_100_runs_are_the_published_ones() {
-        for (runs, low, high) in [(20, 0.67, 1.39), (50, 0.79, 1.24), (100, 0.85, 1.17)] {
+    fn the_bands_are_the_published_ones() {
+        for (runs, low, high) in [(1, 0.07, 3.12), (20, 0.67, 1.39), (50, 0.79, 1.24), (100, 0.85, 1.17)] {
             let band = ConsistencyBand::of_runs(runs).unwrap();
             assert!((band.low - low).abs() < 0.006 && (band.high - high).abs() < 0.006, "{runs}: {band:?}");
         }
@@ -123,5 +364,38 @@ mod tests {
     fn a_broken_covariance_is_never_called_consistent() {
         let anees = Anees { value: Some(1.0), samples: 20, refused: 1 };
         assert_eq!(Consistency::of_anees(&anees, 20), Consistency::OverConfident);
+    }
+
+    #[test]
+    fn a_covariance_that_is_not_positive_definite_names_its_row() {
+        let flat = [[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        assert_eq!(nees([0.0; 3], &flat), Err(NeesError::NotPositiveDefinite { row: 1, pivot: 0.0 }));
+        assert_eq!(nees([0.0; 3], &[[f64::NAN; 3]; 3]), Err(NeesError::NotFinite));
+    }
+
+    #[test]
+    fn only_the_latest_are_judged() {
+        let mut recent = RecentNis::default();
+        assert_eq!(recent.consistency(), Consistency::Undetermined);
+        assert_eq!(recent.mean_per_degree(), None);
+        for _ in 0..WINDOW_SAMPLES {
+            recent.push(30.0, 3);
+        }
+        assert_eq!(recent.mean_per_degree(), Some(10.0));
+        assert_eq!(recent.consistency(), Consistency::OverConfident);
+        for _ in 0..WINDOW_SAMPLES {
+            recent.push(3.0, 3);
+        }
+        assert_eq!(recent.mean_per_degree(), Some(1.0));
+        assert_eq!(recent.consistency(), Consistency::Consistent);
+    }
+
+    #[test]
+    fn what_is_not_finite_says_nothing() {
+        let mut recent = RecentNis::default();
+        recent.push(f64::NAN, 1);
+        recent.push(f64::INFINITY, 1);
+        recent.push(1.0, 0);
+        assert_eq!(recent.consistency(), Consistency::Undetermined);
     }
 }

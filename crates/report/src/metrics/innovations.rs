@@ -106,7 +106,6 @@ impl InnovationTest {
         is_known.then(|| (self.product_sum / self.square_sum).clamp(-1.0, 1.0))
     }
 
-    /// The judgement.
     pub fn evaluate(&self) -> InnovationVerdict {
         let correlation = self.correlation();
         let rho = correlation.unwrap_or(0.0).abs().min(MAX_CORRELATION);
@@ -202,15 +201,12 @@ pub enum VerdictTone {
 /// What the innovations of one sensor say.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationVerdict {
-    /// By their size.
     pub finding: InnovationFinding,
     /// Mean NIS per degree of freedom; `None` if nothing was predicted.
     pub mean_nis_per_dof: Option<f64>,
-    /// On how many degrees of freedom it stands.
     pub degrees_of_freedom: u64,
     /// Where it lies in 95 of 100 cases if the claims are honest; `None` of too few.
     pub band: Option<ConsistencyBand>,
-    /// Correlation of successive innovations.
     pub correlation: Option<f64>,
     /// White innovations stay below this in 95 of 100 cases.
     pub correlation_bound: Option<f64>,
@@ -230,7 +226,6 @@ impl InnovationVerdict {
         self.gated_share.is_some_and(|share| share > MAX_GATED_SHARE)
     }
 
-    /// How to take it.
     pub fn tone(&self) -> VerdictTone {
         if self.has_correlation() || self.has_many_gated() {
             return VerdictTone::Bad;
@@ -338,34 +333,17 @@ mod tests {
     }
 
     #[test]
-    fn honest_white_innovations_are_consistent() {
-        let verdict = verdict_on(&sequence(2_000, 0.0), 1.0);
-        assert_eq!(verdict.finding, InnovationFinding::Consistent, "{verdict}");
-        assert!(!verdict.has_correlation() && verdict.tone() == VerdictTone::Good);
-        assert!(verdict.to_string().starts_with("consistent: NIS "), "{verdict}");
-    }
-
-    #[test]
-    fn a_claim_that_is_half_of_the_truth_is_too_sure_and_says_by_how_much() {
-        let verdict = verdict_on(&sequence(500, 0.0), 0.5);
-        assert_eq!(verdict.finding, InnovationFinding::OverConfident);
-        let said = verdict.to_string();
-        assert!(said.contains("raise its noise 2.0 times"), "{said}");
-    }
-
-    #[test]
-    fn a_claim_of_twice_the_truth_is_too_careful() {
-        let verdict = verdict_on(&sequence(500, 0.0), 2.0);
-        assert_eq!(verdict.finding, InnovationFinding::UnderConfident);
-        let said = verdict.to_string();
-        assert!(said.contains("lower its noise to 0.5"), "{said}");
-    }
-
-    #[test]
-    fn a_deviation_of_a_few_per_cent_over_many_is_nearly_consistent() {
-        let verdict = verdict_on(&sequence(20_000, 0.0), 0.95);
-        assert_eq!(verdict.finding, InnovationFinding::NearlyConsistent, "{verdict}");
-        assert!(verdict.band.unwrap().high < verdict.mean_nis_per_dof.unwrap());
+    fn the_claimed_sigma_against_the_true_one_decides_the_finding() {
+        for (samples, claimed, finding, tone, text) in [
+            (2_000, 1.0, InnovationFinding::Consistent, VerdictTone::Good, "consistent: NIS "),
+            (500, 0.5, InnovationFinding::OverConfident, VerdictTone::Bad, "raise its noise 2.0 times"),
+            (500, 2.0, InnovationFinding::UnderConfident, VerdictTone::Bad, "lower its noise to 0.5"),
+            (20_000, 0.95, InnovationFinding::NearlyConsistent, VerdictTone::Good, ""),
+        ] {
+            let verdict = verdict_on(&sequence(samples, 0.0), claimed);
+            assert_eq!((verdict.finding, verdict.tone()), (finding, tone), "{claimed}: {verdict}");
+            assert!(verdict.to_string().contains(text), "{claimed}: {verdict}");
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A drive as the calibration needs it: the wheels' travel step by step, and the places where the robot was seen.
+//! A drive as a calibration takes it: what the wheels did, and where the robot was seen.
 
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::motion::{MotionReading, MotionTrack, TravelSegment};
@@ -8,13 +8,10 @@ use posebridge_telemetry::{BrickClock, Observation, Timestamp};
 /// A drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreePath {
-    /// Its name, for people.
     pub name: String,
-    /// Where it begins.
     pub start: PathStart,
     /// What the wheels did, by the nominal geometry, in the order of time; rest is left out.
     pub steps: Vec<TravelStep>,
-    /// Where the robot was seen, in the order of time.
     pub fixes: Vec<PositionFix>,
 }
 
@@ -23,9 +20,7 @@ pub struct FreePath {
 pub struct PathStart {
     /// x, y in metres, heading in radians; a guess where the sigmas are large.
     pub pose: [f64; 3],
-    /// One standard deviation of x and of y, in metres.
     pub position_sigma_m: f64,
-    /// One standard deviation of the heading, in radians.
     pub heading_sigma_rad: f64,
 }
 
@@ -34,9 +29,7 @@ pub struct PathStart {
 pub struct TravelStep {
     /// When it begins, in seconds of the recording's clock.
     pub from_s: f64,
-    /// When it ends.
     pub until_s: f64,
-    /// The travel.
     pub travel: WheelTravel,
 }
 
@@ -99,7 +92,6 @@ impl FreePath {
         Self { name: name.to_owned(), start: start_of(config.start, fixes.first()), steps, fixes }
     }
 
-    /// Length of the way of the axle's middle by the nominal geometry, in metres.
     pub fn length_m(&self) -> f64 {
         let lengths = self.steps.iter().map(|step| {
             let WheelTravel { left_m, right_m } = step.travel;

@@ -19,35 +19,29 @@
 //! docs/lab/calibration.md section 3.
 
 mod drive;
-mod heading_noise;
 mod hypotheses;
-mod length;
 mod parameter_fit;
-mod path_calibration;
 mod predict;
-mod score;
+mod unknown;
 
 use posebridge_estimator::FilterConfig;
 
+use self::hypotheses::test_hypotheses;
+use self::parameter_fit::ParameterSolver;
+use self::predict::PathPredictor;
 use super::CalibrationError;
 
-pub use drive::{FreePath, PathStart, PositionFix, TravelStep, seconds};
-pub use hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest, Wiring};
-pub use path_calibration::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
-pub use predict::RobotParameters;
-pub use score::{DeadReckonedPath, DeadReckoningError, dead_reckon, mean_error, start_heading};
-
-use hypotheses::test_hypotheses;
-use parameter_fit::ParameterSolver;
-use predict::PathPredictor;
+pub use self::drive::{FreePath, PathStart, PositionFix, TravelStep, seconds};
+pub use self::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest, Wiring};
+pub use self::predict::{
+    DeadReckonedPath, DeadReckoningError, RobotParameters, dead_reckon, mean_error, start_heading,
+};
+pub use self::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 
 /// Rounds over the second and the third step; the second changes by hundredths of its sigma.
 const MAX_ROUNDS: u32 = 3;
 
 /// Calibrates a robot from drives; `config` is its description with the priors.
-///
-/// # Errors
-/// [`CalibrationError::TooFewData`] without motion or sights; [`CalibrationError::Undetermined`], [`CalibrationError::Diverged`].
 pub fn calibrate_path(config: &FilterConfig, paths: &[FreePath]) -> Result<PathCalibration, CalibrationError> {
     check_data(paths)?;
     let before = RobotParameters::from_config(config);

@@ -20,6 +20,7 @@
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step, step_noise};
 use posebridge_estimator::models::se2::{StepRule, displace};
+use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 
 use super::drive::{FreePath, TravelStep};
@@ -53,7 +54,6 @@ impl RobotParameters {
     }
 }
 
-/// The numbers and the noise with which a drive is predicted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathPredictor<'a> {
     pub(super) parameters: RobotParameters,
@@ -67,7 +67,6 @@ enum FixHandling {
     CompareOnly,
 }
 
-/// Position with its covariance, and a heading without.
 struct PathFilter<'a> {
     robot: PathPredictor<'a>,
     geometry: DriveGeometry,
@@ -76,7 +75,6 @@ struct PathFilter<'a> {
     var: [f64; 3],
 }
 
-/// A pose at the instant of a sight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PredictedTag {
     /// x, y in metres of the tag.
@@ -199,4 +197,78 @@ impl PathFilter<'_> {
         self.pose[1] += corrected_m[1];
         white
     }
+}
+
+/// Distances between dead reckoning and sights, in metres.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DeadReckoningError {
+    pub rms_m: f64,
+    pub max_m: f64,
+    pub end_m: f64,
+}
+
+/// A drive by dead reckoning alone, compared with its sights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeadReckonedPath {
+    /// Where the tag would have been seen, of each sight: x, y in metres.
+    pub positions_m: Vec<[f64; 2]>,
+    pub error: DeadReckoningError,
+}
+
+/// The heading with which a drive begins when its own description is followed: as given, or the best one if it is unknown.
+pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &FreePath) -> f64 {
+    if path.start.heading_sigma_rad <= 1.0 {
+        return path.start.pose[2];
+    }
+    estimate_start_heading(&predictor(config, numbers), path)
+}
+
+/// The turn and the heading at which a drive fits its fixes best, for an unknown start: turned about the start.
+pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
+    let reckoned = prediction.predict_tags(path, 0.0);
+    let [x, y, _] = path.start.pose;
+    let (mut dot, mut cross) = (0.0, 0.0);
+    for (ours, sight) in reckoned.iter().zip(&path.fixes) {
+        let a = [ours.tag_m[0] - x, ours.tag_m[1] - y];
+        let b = [sight.position_m[0] - x, sight.position_m[1] - y];
+        dot += a[0] * b[0] + a[1] * b[1];
+        cross += a[0] * b[1] - a[1] * b[0];
+    }
+    cross.atan2(dot)
+}
+
+/// Reckons a drive with these numbers from a start with this heading.
+pub fn dead_reckon(
+    config: &FilterConfig,
+    numbers: &RobotParameters,
+    path: &FreePath,
+    heading_rad: f64,
+) -> DeadReckonedPath {
+    let reckoned = predictor(config, numbers).predict_tags(path, heading_rad);
+    let places_m: Vec<[f64; 2]> = reckoned.iter().map(|reckoned| reckoned.tag_m).collect();
+    let off = places_m
+        .iter()
+        .zip(&path.fixes)
+        .map(|(ours, sight)| (ours[0] - sight.position_m[0]).hypot(ours[1] - sight.position_m[1]));
+    let off: Vec<f64> = off.collect();
+    let error = DeadReckoningError {
+        rms_m: statistics::root_mean_square(&off).unwrap_or(0.0),
+        max_m: off.iter().copied().fold(0.0, f64::max),
+        end_m: off.last().copied().unwrap_or(0.0),
+    };
+    DeadReckonedPath { positions_m: places_m, error }
+}
+
+/// The mean of each figure over runs.
+pub fn mean_error(errors: &[DeadReckoningError]) -> DeadReckoningError {
+    let mean = |of: fn(&DeadReckoningError) -> f64| statistics::mean(errors.iter().map(of)).unwrap_or(0.0);
+    DeadReckoningError {
+        rms_m: mean(|error| error.rms_m),
+        max_m: mean(|error| error.max_m),
+        end_m: mean(|error| error.end_m),
+    }
+}
+
+fn predictor<'a>(config: &'a FilterConfig, numbers: &RobotParameters) -> PathPredictor<'a> {
+    PathPredictor { parameters: *numbers, noise: &config.noise }
 }

@@ -1,9 +1,19 @@
 //! Where the quantity is not constant, and where the sensor rounds.
 
-use super::super::TimedSample;
-use super::super::simulated::{SimulatedSensor, step_input};
-use super::live::{DynamicFilterConfig, band, filter_values, first_order, line, sample_points, temperatures};
-use super::section::{LessonSection, header};
+use posebridge_estimator::filters::dynamic::DynamicFilter;
+use posebridge_estimator::models::dynamic_measurement::DynamicModel;
+use posebridge_estimator::{Filter, FilterConfig, Params};
+use posebridge_report::chart::Curve;
+use posebridge_telemetry::{
+    Calibration, Celsius, DriveGeometry, Meters, Observation, ObservationKind, Radians, SensorId, SensorNoise,
+    TimeDelta, Timestamp,
+};
+
+use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, temperatures};
+use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
+use crate::identification::step_response::{SimulatedSensor, step_input};
+use crate::identification::{TimedSample, settling_time_s};
 
 const TAU_S: f64 = 20.0;
 const SIGMA_K: f64 = 0.1;
@@ -26,9 +36,7 @@ fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f6
     let last = followed.get(half..).unwrap_or_default();
     let count = last.len().max(1) as f64;
     let errors = last.iter().map(|(at_s, value, _)| (value - truth(*at_s)).abs());
-    let inside = last
-        .iter()
-        .filter(|(at_s, value, sigma)| (value - truth(*at_s)).abs() <= super::super::prediction::BOUND_SIGMAS * sigma);
+    let inside = last.iter().filter(|(at_s, value, sigma)| (value - truth(*at_s)).abs() <= BOUND_SIGMAS * sigma);
     (
         errors.sum::<f64>() / count,
         last.iter().map(|(_, _, sigma)| sigma).sum::<f64>() / count,
@@ -36,9 +44,10 @@ fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f6
     )
 }
 
+const COMPARISON_HEADER: [&str; 4] = ["filter", "mean error [K]", "mean sigma [K]", "truth within the bound"];
+
 fn add_comparison(section: &mut LessonSection, samples: &[TimedSample], truth: impl Fn(f64) -> f64) {
     let followed = run_filters(samples);
-    section.header = header(&["filter", "mean error [K]", "mean sigma [K]", "truth within the bound"]);
     for (name, followed) in ["constant", "walking"].into_iter().zip(&followed) {
         let (error, sigma, inside) = score(followed, &truth);
         section.rows.push(vec![
@@ -54,10 +63,10 @@ fn add_comparison(section: &mut LessonSection, samples: &[TimedSample], truth: i
     let later = |all: &FilteredSeries| all.iter().skip(20).copied().collect::<FilteredSeries>();
     let [constant, walking] = followed.map(|all| later(&all));
     let curves = vec![
-        line("truth", samples.iter().map(|sample| (sample.at_s, truth(sample.at_s))).collect()),
-        line("constant", filter_values(&constant)),
-        line("walking", filter_values(&walking)),
-        line("shown", sample_points(samples)),
+        Curve::line("truth", samples.iter().map(|sample| (sample.at_s, truth(sample.at_s)))),
+        Curve::line("constant", filter_values(&constant)),
+        Curve::line("walking", filter_values(&walking)),
+        Curve::line("shown", sample_points(samples)),
         band("walking, 95 %", &walking),
     ];
     let title = section.title.clone();
@@ -71,15 +80,13 @@ pub(super) fn trend(seed: u64) -> LessonSection {
     let truth = |at_s: f64| 15.0 + 0.02 * at_s;
     let sensor = SimulatedSensor::first_order(TAU_S, SIGMA_K, 1.0);
     let samples = sensor.run(seed, 400, truth);
-    let mut section = LessonSection {
-        name: "trend",
-        title: "Data with a trend".to_owned(),
-        paragraphs: vec![
-            "The quantity rises by 0.02 K a second, and the paper's filter believes it to be constant: it becomes ever more certain of a mean of the past. A random walk of \
-             0.05 K per root of a second lets it follow; the bound is then honest about it.".to_owned(),
-        ],
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "trend",
+        "Data with a trend",
+        "The quantity rises by 0.02 K a second, and the paper's filter believes it to be constant: it becomes ever more certain of a mean of the past. A random walk of \
+             0.05 K per root of a second lets it follow; the bound is then honest about it.",
+        &COMPARISON_HEADER,
+    );
     add_comparison(&mut section, &samples, truth);
     section
 }
@@ -92,14 +99,12 @@ pub(super) fn walking(seed: u64) -> LessonSection {
     };
     let sensor = SimulatedSensor::first_order(TAU_S, SIGMA_K, 1.0);
     let samples = sensor.run(seed, 500, truth);
-    let mut section = LessonSection {
-        name: "walking",
-        title: "A quantity that changes".to_owned(),
-        paragraphs: vec![
-            "Waves of 1.5 K, and a leap of 3 K after 250 s, through a sensor of 20 s. With the walk the filter undoes most of the lag of the sensor all the time.".to_owned(),
-        ],
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "walking",
+        "A quantity that changes",
+        "Waves of 1.5 K, and a leap of 3 K after 250 s, through a sensor of 20 s. With the walk the filter undoes most of the lag of the sensor all the time.",
+        &COMPARISON_HEADER,
+    );
     add_comparison(&mut section, &samples, truth);
     let lag = samples.iter().skip(250).map(|sample| (sample.value - truth(sample.at_s)).abs());
     section.record_value("shown_error_k", lag.sum::<f64>() / 250.0);
@@ -107,19 +112,15 @@ pub(super) fn walking(seed: u64) -> LessonSection {
 }
 
 pub(super) fn quantised(seed: u64) -> LessonSection {
-    /// Runs over which the error is averaged.
     const RUNS: u64 = 40;
     const AFTER_SAMPLES: usize = 30;
-    let mut section = LessonSection {
-        name: "quantised",
-        title: "Rounded samples".to_owned(),
-        paragraphs: vec![
-            "A thermometer that rounds to a digit d adds an error of d over the root of 12, if its noise or the change from sample to sample is not much less than d. The table has the \
-             error of the prediction after 30 samples, root mean square over 40 runs, against what the filter claims when it is told that sigma.".to_owned(),
-        ],
-        header: header(&["digit [K]", "error [K]", "claimed sigma [K]"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "quantised",
+        "Rounded samples",
+        "A thermometer that rounds to a digit d adds an error of d over the root of 12, if its noise or the change from sample to sample is not much less than d. The table has the \
+             error of the prediction after 30 samples, root mean square over 40 runs, against what the filter claims when it is told that sigma.",
+        &["digit [K]", "error [K]", "claimed sigma [K]"],
+    );
     for last_digit in [0.0, 0.0625, 0.5, 1.0_f64] {
         let sigma = (0.05_f64.powi(2) + last_digit * last_digit / 12.0).sqrt();
         let sensor = SimulatedSensor { resolution: last_digit, ..SimulatedSensor::first_order(TAU_S, 0.05, 1.0) };
@@ -141,4 +142,152 @@ pub(super) fn quantised(seed: u64) -> LessonSection {
         section.record_value(format!("digit_{last_digit}_sigma_k"), claimed);
     }
     section
+}
+
+/// What the filter makes of samples of several sensors: instant, value and sigma after each.
+pub(super) struct DynamicFilterConfig {
+    pub(super) sigma: f64,
+    pub(super) walk_per_sqrt_s: f64,
+    /// One standard deviation of the start; the filter's own if not given.
+    pub(super) prior_sigma: Option<f64>,
+}
+
+impl DynamicFilterConfig {
+    pub(super) const fn constant(sigma: f64) -> Self {
+        Self { sigma, walk_per_sqrt_s: 0.0, prior_sigma: None }
+    }
+
+    pub(super) fn run_sensors(
+        &self,
+        model: &DynamicModel,
+        samples: &[(SensorId, TimedSample)],
+    ) -> Vec<(f64, f64, f64)> {
+        let mut filter = self.filter(model);
+        samples
+            .iter()
+            .filter_map(|(sensor, sample)| {
+                filter.observe(&Observation {
+                    sensor: *sensor,
+                    stamp: Timestamp::from_secs_f64(sample.at_s),
+                    stamp_sigma: TimeDelta::ZERO,
+                    measurement: ObservationKind::Temperature(Celsius(sample.value)),
+                });
+                let estimate = filter.scalar_at(filter.latest_time()?)?;
+                Some((sample.at_s, estimate.value, estimate.sigma))
+            })
+            .collect()
+    }
+
+    /// The same for one thermometer.
+    pub(super) fn run_sensor(&self, model: &DynamicModel, samples: &[TimedSample]) -> Vec<(f64, f64, f64)> {
+        let of = |sample: &TimedSample| (SensorId::THERMOMETER, *sample);
+        self.run_sensors(model, &samples.iter().map(of).collect::<Vec<_>>())
+    }
+
+    fn filter(&self, model: &DynamicModel) -> DynamicFilter {
+        let config = FilterConfig {
+            // A thermometer on a bench: no wheel turns.
+            geometry: DriveGeometry {
+                left_wheel_radius: Meters(0.03),
+                right_wheel_radius: Meters(0.03),
+                track_width: Meters(0.1),
+                tick: Radians(0.01),
+            },
+            noise: SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT },
+            start: None,
+            params: Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() },
+            calibration: Calibration::default(),
+            arena_map: std::sync::Arc::default(),
+        };
+        let filter = DynamicFilter::with_model(&config, model.clone());
+        match self.prior_sigma {
+            Some(sigma) => filter.with_prior_sigma(sigma),
+            None => filter,
+        }
+    }
+}
+
+/// A sensor of first order; one without states for a time constant that is none.
+pub(super) fn first_order(tau_s: f64) -> DynamicModel {
+    DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
+}
+
+/// By what every lag of the next sensor is multiplied.
+const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
+/// Runs for each factor; the median is reported.
+const RUNS: u64 = 3;
+/// Where the step begins and ends, in degrees Celsius.
+const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };
+const SHARE: f64 = 0.05;
+
+/// What one run gave: seconds until within 5 % for good, shown, taken for certain and estimated.
+type SettlingTimes = [Option<f64>; 3];
+
+const METHODS: [&str; 3] = ["shown", "certain", "estimated"];
+
+pub(super) fn mismatch(seed: u64) -> LessonSection {
+    let mut section = LessonSection::new(
+        "mismatch",
+        "How wrong may the lags be?",
+        format!(
+            "The sensor is identified on one run. The next ones have every lag shorter or longer by up to 30 %. Seconds until within 5 % of the step for good, the middle one of {RUNS} runs, \
+             and how often the 95 % bound contained the end."
+        ),
+        &["lags", "shown", "taken for certain", "estimated", "inside, certain", "inside, estimated"],
+    );
+    let models = match IdentifiedModels::of(&simulate_dip(&LAGS, seed, DipTemperatures { before: 22.0, after: 8.0 })) {
+        Ok(models) => models,
+        Err(why) => {
+            section.paragraphs.push(format!("Nothing was identified: {why}."));
+            return section;
+        }
+    };
+    for (index, factor) in FACTORS.into_iter().enumerate() {
+        let first = seed.wrapping_add(1 + RUNS * index as u64);
+        let runs: Vec<(SettlingTimes, [f64; 2])> =
+            (0..RUNS).map(|run| one_run(&models, factor, first.wrapping_add(run))).collect();
+        add_row(&mut section, factor, &runs);
+    }
+    section
+}
+
+fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes, [f64; 2]) {
+    let samples = simulate_dip(&LAGS.map(|(tau_s, share)| (factor * tau_s, share)), seed, DIP);
+    let (certain, estimated) = models.predictions(&samples);
+    let limit = SHARE * (DIP.after - DIP.before).abs();
+    let settled = |series: &[(f64, f64)]| settling_time_s(series, DIPPED_S, DIP.after, limit);
+    let values = |all: &[EndPrediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };
+    let all = [settled(&sample_points(&samples)), settled(&values(&certain)), settled(&values(&estimated))];
+    (all, [share_inside(&certain), share_inside(&estimated)])
+}
+
+/// The share of bounds that contain the end, once a step was seen.
+fn share_inside(predictions: &[EndPrediction]) -> f64 {
+    let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
+    let held = moving.iter().filter(|p| {
+        let (low, high) = p.bound();
+        low <= DIP.after && DIP.after <= high
+    });
+    held.count() as f64 / moving.len().max(1) as f64
+}
+
+fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f64; 2])]) {
+    let mut row = vec![format!("{:+.0} %", 100.0 * (factor - 1.0))];
+    for (method, name) in METHODS.into_iter().enumerate() {
+        let middle = median(runs.iter().map(|(settled, _)| settled[method]).collect());
+        row.push(seconds(middle));
+        section.record_value(format!("{name}_5_percent_s_at_{factor}"), middle);
+    }
+    for (method, name) in METHODS.into_iter().skip(1).enumerate() {
+        let mean = runs.iter().map(|(_, inside)| inside[method]).sum::<f64>() / runs.len() as f64;
+        row.push(format!("{:.0} %", 100.0 * mean));
+        section.record_value(format!("{name}_inside_at_{factor}"), mean);
+    }
+    section.rows.push(row);
+}
+
+/// The middle one; a run that never settles is later than all others.
+fn median(mut all: Vec<Option<f64>>) -> Option<f64> {
+    all.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
+    all.get(all.len() / 2).copied().flatten()
 }

@@ -1,14 +1,19 @@
 //! What the paper shows first: the worked example, three ways that are one, the start, the price in noise, several sensors.
 
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_report::chart::{Axes, Plot};
+use posebridge_estimator::numerics::statistics::mean;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_telemetry::SensorId;
 
-use super::super::TimedSample;
-use super::super::known_dynamics::{block_least_squares, final_value_from_three, recursive_least_squares};
-use super::super::simulated::{SimulatedSensor, step_input};
-use super::live::{DynamicFilterConfig, band, filter_values, first_order, level, line, sample_points, temperatures};
-use super::section::{LessonSection, header};
+use super::changing::{DynamicFilterConfig, first_order};
+use super::section::{LessonSection, band, filter_values, sample_points, temperatures};
+use crate::identification::TimedSample;
+use crate::identification::known_dynamics::{block_least_squares, final_value_from_three, recursive_least_squares};
+use crate::identification::prediction::{BOUND_RATE, predict_once};
+use crate::identification::prior::{ExpectedDynamics, StepDirection};
+use crate::identification::sensor_kind::{RunSimilarity, SensorKind};
+use crate::identification::step::{ModelOrder, StepOptions, identify_step};
+use crate::identification::step_response::{SimulatedSensor, step_input};
 
 /// The worked example of the paper: a minute apart, of a thermometer that goes from 21 to 3 degrees.
 const EXAMPLE: [f64; 3] = [21.0, 15.0, 11.0];
@@ -31,16 +36,13 @@ fn example() -> Vec<TimedSample> {
 pub(super) fn worked_example(_seed: u64) -> LessonSection {
     let by_formula = final_value_from_three(EXAMPLE);
     let by_filter = DynamicFilterConfig::constant(SIGMA_K).run_sensor(&first_order(example_tau_s()), &example());
-    let mut section = LessonSection {
-        name: "worked_example",
-        title: "The worked example: 21, 15, 11".to_owned(),
-        paragraphs: vec![
-            "A thermometer shows 21, 15 and 11 degrees, a minute apart. The differences fall by q = 4/6, so it will end at (21 x 11 - 15^2) / (21 + 11 - 2 x 15). \
-             With q known two samples are enough.".to_owned(),
-        ],
-        header: header(&["samples", "q", "final value"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "worked_example",
+        "The worked example: 21, 15, 11",
+        "A thermometer shows 21, 15 and 11 degrees, a minute apart. The differences fall by q = 4/6, so it will end at (21 x 11 - 15^2) / (21 + 11 - 2 x 15). \
+             With q known two samples are enough.",
+        &["samples", "q", "final value"],
+    );
     let mut row = |samples: &str, q: &str, name: &str, value: Option<f64>| {
         let cell = value.map_or_else(String::new, |value| format!("{value:.6}"));
         section.rows.push(vec![samples.to_owned(), q.to_owned(), cell]);
@@ -84,16 +86,13 @@ fn samples_of(model: &DynamicModel, seed: u64) -> Vec<(SensorId, TimedSample)> {
 
 pub(super) fn three_ways(seed: u64) -> LessonSection {
     const PRIOR_SIGMAS: f64 = 100.0;
-    let mut section = LessonSection {
-        name: "three_ways",
-        title: "Least squares three ways".to_owned(),
-        paragraphs: vec![
-            "All samples at once, one after the other, and as a Kalman filter of the state [u; x] without process noise: the same numbers. The table has the largest \
-             difference from block least squares over 1, 2, 8 and 40 samples, in kelvin, from the same prior of 100 sigma.".to_owned(),
-        ],
-        header: header(&["sensor", "recursive", "Kalman filter"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "three_ways",
+        "Least squares three ways",
+        "All samples at once, one after the other, and as a Kalman filter of the state [u; x] without process noise: the same numbers. The table has the largest \
+             difference from block least squares over 1, 2, 8 and 40 samples, in kelvin, from the same prior of 100 sigma.",
+        &["sensor", "recursive", "Kalman filter"],
+    );
     let mut worst = [0.0_f64; 2];
     for (name, model) in models() {
         let samples = samples_of(&model, seed);
@@ -129,15 +128,12 @@ pub(super) fn start(seed: u64) -> LessonSection {
     // The thermometer is read from the moment on in which it is dipped in.
     let samples: Vec<TimedSample> = sensor.run(seed, 60, step_input(21.0, 3.0, 0.5)).into_iter().skip(1).collect();
     let found = DynamicFilterConfig::constant(SIGMA_K).run_sensor(&first_order(tau_s), &samples);
-    let mut section = LessonSection {
-        name: "start",
-        title: "The start from the first sample".to_owned(),
-        paragraphs: vec![
-            "Nothing is known before the first sample: it is the first estimate, with a sigma of 1e5 times that of a sample. With the second one the bound is finite.".to_owned(),
-        ],
-        header: header(&["sample", "time [s]", "shown", "predicted", "sigma"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "start",
+        "The start from the first sample",
+        "Nothing is known before the first sample: it is the first estimate, with a sigma of 1e5 times that of a sample. With the second one the bound is finite.",
+        &["sample", "time [s]", "shown", "predicted", "sigma"],
+    );
     for (k, (sample, (_, value, sigma))) in samples.iter().zip(&found).enumerate() {
         if k < 6 {
             section.rows.push(vec![
@@ -154,9 +150,9 @@ pub(super) fn start(seed: u64) -> LessonSection {
     section.record_value("sixth_error_k", found.get(5).map(|(_, value, _)| (value - 3.0).abs()));
     let later: Vec<_> = found.iter().skip(1).copied().collect();
     let curves = vec![
-        line("predicted", filter_values(&later)),
-        line("shown", sample_points(&samples)),
-        level("truth", 3.0),
+        Curve::line("predicted", filter_values(&later)),
+        Curve::line("shown", sample_points(&samples)),
+        Curve::new("truth", CurveShape::Level(3.0)),
         band("95 % bound", &later),
     ];
     let picture = temperatures("A slow thermometer in cold water", vec![curves]);
@@ -178,16 +174,13 @@ pub(super) fn noise_gain(_seed: u64) -> LessonSection {
         let so_far = samples.get(..count)?;
         Some(block_least_squares(&model, so_far, 1e6)?.noise_gain)
     };
-    let mut section = LessonSection {
-        name: "noise_gain",
-        title: "What it costs: noise".to_owned(),
-        paragraphs: vec![
-            "Early on the prediction is right on average and noisy; the reading is quiet and wrong. Where the curves cross a plain reading is as good. The time constant is \
-             that of the example, a sample a minute.".to_owned(),
-        ],
-        header: header(&["samples", "sigma of prediction / sigma of sample", "plain reading is off by [K]"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "noise_gain",
+        "What it costs: noise",
+        "Early on the prediction is right on average and noisy; the reading is quiet and wrong. Where the curves cross a plain reading is as good. The time constant is \
+             that of the example, a sample a minute.",
+        &["samples", "sigma of prediction / sigma of sample", "plain reading is off by [K]"],
+    );
     for count in [2, 3, 5, 10, 20] {
         let cell = gain(count).map_or_else(String::new, |gain| format!("{gain:.3}"));
         section.rows.push(vec![count.to_string(), cell, format!("{:.3}", left(count))]);
@@ -205,18 +198,13 @@ pub(super) fn noise_gain(_seed: u64) -> LessonSection {
 }
 
 fn noise_plot(gains: Vec<(f64, f64)>, offsets: Vec<(f64, f64)>) -> Plot {
-    let axes = Axes {
-        x_name: "samples".to_owned(),
-        y_name: "log10 of K, sigma of a sample 1 K".to_owned(),
-        height_px: 240.0,
-        is_map: false,
-        curves: vec![line("sigma of prediction", gains), line("error of reading", offsets)],
-    };
-    Plot {
-        title: "Noise of the prediction against the error of the reading".to_owned(),
-        key_figures: String::new(),
-        axes: vec![axes],
-    }
+    let axes = Axes::new(
+        "samples",
+        "log10 of K, sigma of a sample 1 K",
+        240.0,
+        [Curve::line("sigma of prediction", gains), Curve::line("error of reading", offsets)],
+    );
+    Plot::new("Noise of the prediction against the error of the reading", "", vec![axes])
 }
 
 pub(super) fn several_sensors(seed: u64) -> LessonSection {
@@ -240,16 +228,13 @@ pub(super) fn several_sensors(seed: u64) -> LessonSection {
         .skip(1)
         .step_by(2)
         .collect();
-    let mut section = LessonSection {
-        name: "several_sensors",
-        title: "Several sensors".to_owned(),
-        paragraphs: vec![
-            "Two thermometers in the same water, with time constants of 148 s and 40 s: their rows are stacked, each has a transient of its own, and the water is the same. \
-             The table has the sigma of the prediction in kelvin.".to_owned(),
-        ],
-        header: header(&["samples of each", "slow alone", "fast alone", "both"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "several_sensors",
+        "Several sensors",
+        "Two thermometers in the same water, with time constants of 148 s and 40 s: their rows are stacked, each has a transient of its own, and the water is the same. \
+             The table has the sigma of the prediction in kelvin.",
+        &["samples of each", "slow alone", "fast alone", "both"],
+    );
     for count in [3, 5, 10, 20] {
         let sigma = |all: &[(f64, f64, f64)]| all.get(count - 1).map(|(_, _, sigma)| *sigma);
         let sigmas = [sigma(&alone[0]), sigma(&alone[1]), sigma(&together)];
@@ -259,5 +244,82 @@ pub(super) fn several_sensors(seed: u64) -> LessonSection {
             section.record_value(format!("{name}_sigma_after_{count}_k"), sigma);
         }
     }
+    section
+}
+
+const TAU_S: f64 = 5.0;
+const PERIOD_S: f64 = 0.25;
+const DIPPED_S: f64 = 5.0;
+/// The step that the sensor is identified by is small, the one that it is used for is large: what is not known about tau then counts.
+const IDENTIFICATION_STEP: (f64, f64) = (20.0, 18.0);
+const PREDICTED_STEP: (f64, f64) = (20.0, 4.0);
+/// Seconds after the step at which the bound is looked at: half a time constant, one, and two.
+const CHECKED_AT_S: [f64; 3] = [2.5, 5.0, 10.0];
+/// What is known about the dynamics.
+const METHODS: [&str; 3] = ["known", "taken_for_known", "identified"];
+
+/// What one run has shown: for each instant and method whether the final value was within the bound; `None` where there was no bound.
+pub type BoundRun = [[Option<bool>; 3]; 3];
+
+/// Identifies the sensor by one noisy step and predicts the end of another.
+pub fn bound_run(seed: u64) -> BoundRun {
+    let sensor = SimulatedSensor::first_order(TAU_S, SIGMA_K, PERIOD_S);
+    let count = |until_s: f64| (until_s / PERIOD_S) as usize + 1;
+    let teaching = sensor.run(
+        seed.wrapping_mul(2),
+        count(40.0),
+        step_input(IDENTIFICATION_STEP.0, IDENTIFICATION_STEP.1, DIPPED_S),
+    );
+    let options = StepOptions { order: ModelOrder::Fixed(1), ..StepOptions::with_sigma(SIGMA_K) };
+    let identified = identify_step(&teaching, &options).ok();
+    let found_s = identified.as_ref().and_then(|found| Some(found.lags().first()?.time_constant_s));
+    let kind = identified.and_then(|found| SensorKind::from_runs(&[found], RunSimilarity::SameDynamics).ok());
+    let expectations = [
+        ExpectedDynamics::known(&[(TAU_S, 1.0)]),
+        found_s.and_then(|tau_s| ExpectedDynamics::known(&[(tau_s, 1.0)])),
+        kind.and_then(|kind| kind.expectation(StepDirection::Down)),
+    ];
+    let samples = sensor.run(
+        seed.wrapping_mul(2).wrapping_add(1),
+        count(DIPPED_S + CHECKED_AT_S[2]),
+        step_input(PREDICTED_STEP.0, PREDICTED_STEP.1, DIPPED_S),
+    );
+    CHECKED_AT_S.map(|since_s| {
+        let so_far = samples.get(..count(DIPPED_S + since_s)).unwrap_or_default();
+        expectations.each_ref().map(|expectation| {
+            let (low, high) = predict_once(so_far, SIGMA_K, expectation.as_ref()?)?.bound();
+            Some(low <= PREDICTED_STEP.1 && PREDICTED_STEP.1 <= high)
+        })
+    })
+}
+
+/// The section from all runs.
+pub fn bounds_section(runs: &[BoundRun]) -> LessonSection {
+    let count = runs.len().max(1) as f64;
+    // Two standard deviations of a share of this number of runs.
+    let half = 1.96 * (BOUND_RATE * (1.0 - BOUND_RATE) / count).sqrt();
+    let mut section = LessonSection::new(
+        "bounds",
+        "Do the bounds hold?",
+        format!(
+            "{} runs. The sensor (5 s) is identified by a step of 2 K with a noise of 0.1 K, and then used for a step of 16 K. The 95 % bound should contain the end in 95 % of the runs, give or take \
+             {:.1} %. Taken for known, the identified time constant gives bounds that are too narrow; with what the identification says about its own error they hold.",
+            runs.len(),
+            100.0 * half
+        ),
+        &["time constants since the step", "known", "identified, taken for known", "identified, with its sigma"],
+    );
+    for (at, since_s) in CHECKED_AT_S.into_iter().enumerate() {
+        let time_constants = since_s / TAU_S;
+        let mut cells = vec![format!("{time_constants}")];
+        for (method, name) in METHODS.into_iter().enumerate() {
+            let rate = mean(runs.iter().filter_map(|run| run[at][method]).map(f64::from));
+            let cell = rate.map_or_else(String::new, |rate| format!("{:.1} %", 100.0 * rate));
+            cells.push(cell);
+            section.record_value(format!("{name}_rate_at_{time_constants}"), rate);
+        }
+        section.rows.push(cells);
+    }
+    section.record_value("half_width", half);
     section
 }

@@ -1,13 +1,14 @@
 //! Dynamics that have to be found out first: orders, other data, heating and cooling.
 
-use super::super::expectation::{ExpectedDynamics, StepDirection};
-use super::super::prediction::{EndPrediction, predict_with_expectation};
-use super::super::sensor_kind::{RunSimilarity, SensorKind, predict};
-use super::super::simulated::{SimulatedSensor, step_input};
-use super::super::step::{IdentificationError, IdentifiedStep, StepOptions, identify_step};
-use super::super::{TimedSample, settling_time_s};
-use super::live::{band, filter_values, level, line, sample_points, temperatures};
-use super::section::{LessonSection, header, seconds};
+use posebridge_report::chart::{Curve, CurveShape, Plot};
+
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, temperatures};
+use crate::identification::prediction::{EndPrediction, predict_with_expectation};
+use crate::identification::prior::{ExpectedDynamics, StepDirection};
+use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
+use crate::identification::step::{IdentificationError, IdentifiedStep, StepOptions, identify_step};
+use crate::identification::step_response::{SimulatedSensor, step_input};
+use crate::identification::{TimedSample, settling_time_s};
 
 const SIGMA_K: f64 = 0.05;
 const PERIOD_S: f64 = 0.5;
@@ -48,17 +49,16 @@ fn failed_section(mut section: LessonSection, why: impl std::fmt::Display) -> Le
 
 pub(super) fn orders(seed: u64) -> LessonSection {
     let samples = simulate_dip(&LAGS, seed, DipTemperatures { before: 20.0, after: 4.0 });
-    let mut section = LessonSection {
-        name: "orders",
-        title: "Identification from a step, and its order".to_owned(),
-        paragraphs: vec![format!(
+    let mut section = LessonSection::new(
+        "orders",
+        "Identification from a step, and its order",
+        format!(
             "A simulated probe with lags of {} s ({} of the step) and {} s is dipped from 20 into 4 degrees, noise {SIGMA_K} K. One, two and three exponentials are fitted; the \
              least criterion of those whose shares all differ from zero is chosen.",
             LAGS[0].0, LAGS[0].1, LAGS[1].0
-        )],
-        header: header(&["order", "left over, rms [K]", "criterion", "lags [s]", "shares"]),
-        ..LessonSection::default()
-    };
+        ),
+        &["order", "left over, rms [K]", "criterion", "lags [s]", "shares"],
+    );
     let found = match identify(&samples) {
         Ok(found) => found,
         Err(error) => return failed_section(section, error),
@@ -93,19 +93,19 @@ pub(super) fn orders(seed: u64) -> LessonSection {
     section
 }
 
-fn fit_plot(found: &IdentifiedStep) -> posebridge_report::chart::Plot {
-    let mut above = vec![line("shown", sample_points(&found.samples))];
+fn fit_plot(found: &IdentifiedStep) -> Plot {
+    let mut above = vec![Curve::line("shown", sample_points(&found.samples))];
     let mut below = vec![];
     for candidate in &found.candidates {
         let response = &candidate.fit.response;
         let name = format!("order {}", response.lags.len());
         let fitted = found.samples.iter().map(|sample| (sample.at_s, response.value_at(sample.at_s)));
         let left = found.samples.iter().map(|sample| (sample.at_s, sample.value - response.value_at(sample.at_s)));
-        below.push(line(&name, left.collect()));
-        above.push(line(&name, fitted.collect()));
+        below.push(Curve::line(name.as_str(), left));
+        above.push(Curve::line(name.as_str(), fitted));
     }
     // The first panel's first curve has no partner below; a level keeps the colours of the orders alike.
-    below.insert(0, level("nothing left", 0.0));
+    below.insert(0, Curve::new("nothing left", CurveShape::Level(0.0)));
     temperatures("A step response and its exponentials", vec![above, below])
 }
 
@@ -130,17 +130,14 @@ pub(super) fn other_data(seed: u64) -> LessonSection {
     let slower = LAGS.map(|(tau_s, share)| (1.2 * tau_s, share));
     let other = simulate_dip(&slower, seed.wrapping_add(1), next);
     let same = simulate_dip(&LAGS, seed.wrapping_add(2), next);
-    let mut section = LessonSection {
-        name: "other_data",
-        title: "Prediction on the same and on other data".to_owned(),
-        paragraphs: vec![
-            "The model is identified on one run and used on that run itself (data), on another one with the same dynamics (same), and on one in water that is stirred less, where every \
+    let mut section = LessonSection::new(
+        "other_data",
+        "Prediction on the same and on other data",
+        "The model is identified on one run and used on that run itself (data), on another one with the same dynamics (same), and on one in water that is stirred less, where every \
              lag is a fifth longer (other). Taken for certain, a wrong model is confidently wrong. Estimated along with the quantity (unknown dynamics), it is found out on the way. The \
-             table has the seconds until within 10, 5 and 2 % of the step for good.".to_owned(),
-        ],
-        header: header(&["run", "method", "10 %", "5 %", "2 %"]),
-        ..LessonSection::default()
-    };
+             table has the seconds until within 10, 5 and 2 % of the step for good.",
+        &["run", "method", "10 %", "5 %", "2 %"],
+    );
     let models = match IdentifiedModels::of(&first) {
         Ok(models) => models,
         Err(why) => return failed_section(section, why),
@@ -208,7 +205,7 @@ impl FilterPredictions {
         }
     }
 
-    fn curves(&self, samples: &[TimedSample], end: f64) -> Vec<posebridge_report::chart::Curve> {
+    fn curves(&self, samples: &[TimedSample], end: f64) -> Vec<Curve> {
         // The first seconds say nothing, with a band as wide as the picture.
         let later = |all: &[(f64, f64, f64)]| -> Vec<(f64, f64, f64)> {
             let told = all.iter().filter(|(_, _, sigma)| *sigma < 2.0);
@@ -216,10 +213,10 @@ impl FilterPredictions {
         };
         let estimated = later(&self.estimated);
         vec![
-            level("truth", end),
-            line("certain", filter_values(&later(&self.certain))),
-            line("estimated", filter_values(&estimated)),
-            line("shown", sample_points(samples)),
+            Curve::new("truth", CurveShape::Level(end)),
+            Curve::line("certain", filter_values(&later(&self.certain))),
+            Curve::line("estimated", filter_values(&estimated)),
+            Curve::line("shown", sample_points(samples)),
             band("estimated, 95 %", &estimated),
         ]
     }
@@ -231,16 +228,13 @@ pub(super) fn both_ways(seed: u64) -> LessonSection {
     let rising = simulate_dip(&up, seed, DipTemperatures { before: cold, after: warm });
     let cooling = DipTemperatures { before: warm, after: cold };
     let falling = simulate_dip(&down, seed.wrapping_add(1), cooling);
-    let mut section = LessonSection {
-        name: "both_ways",
-        title: "Heating and cooling apart".to_owned(),
-        paragraphs: vec![
-            "Heat goes into a probe through another film of water than out of it. A simulated probe has 2.0 s on the way up and 2.6 s on the way down. Each way is identified apart; \
-             a way of which there is no run is expected like the other, with a wider spread.".to_owned(),
-        ],
-        header: header(&["identified by", "expected of cooling [s]", "sigma of ln", "until within 5 % [s]"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "both_ways",
+        "Heating and cooling apart",
+        "Heat goes into a probe through another film of water than out of it. A simulated probe has 2.0 s on the way up and 2.6 s on the way down. Each way is identified apart; \
+             a way of which there is no run is expected like the other, with a wider spread.",
+        &["identified by", "expected of cooling [s]", "sigma of ln", "until within 5 % [s]"],
+    );
     let found = [identify(&rising), identify(&falling)];
     let [Ok(up), Ok(down)] = found else {
         return failed_section(section, "one of the two runs holds no step");

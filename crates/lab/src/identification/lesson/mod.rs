@@ -3,20 +3,16 @@
 //! A section is a value: words, a table, a picture and named numbers. The shell makes pages, terminal text and JSON of them.
 //! docs/lab/thermometer.md is the text for people; the sections have its order.
 
-mod bounds;
 mod changing;
 mod first;
 mod identified;
-mod live;
-mod mismatch;
 mod recorded;
 mod section;
 
-pub use bounds::{BoundRun, BoundTally, bound_run, bounds_section};
-pub use recorded::{RecordedPrediction, RecordedRun, recorded_sections};
-pub use section::LessonSection;
+pub use self::first::{BoundRun, bound_run, bounds_section};
+pub use self::recorded::{RecordedPrediction, RecordedRun, recorded_sections};
+pub use self::section::LessonSection;
 
-/// A section of the simulated part, made from a seed.
 pub type SectionBuilder = fn(u64) -> LessonSection;
 
 /// The sections on the simulated sensor in their order, but for [`bounds_section`], which is added up from many runs.
@@ -32,5 +28,5 @@ pub const SECTIONS: [SectionBuilder; 12] = [
     changing::walking,
     first::several_sensors,
     changing::quantised,
-    mismatch::mismatch,
+    changing::mismatch,
 ];

@@ -1,18 +1,18 @@
 //! The same on recordings: what was identified, and how predictions did on runs that were not used for it.
 
-use super::super::expectation::StepDirection;
-use super::super::prediction::EndPrediction;
-use super::super::sensor_kind::{RunSimilarity, SensorKind, predict};
-use super::super::settling_time_s;
-use super::super::step::IdentifiedStep;
+use posebridge_report::chart::{Curve, CurveShape};
+
 use super::identified::SHARES;
-use super::live::{band, level, line, sample_points, temperatures};
-use super::section::{LessonSection, header, seconds};
+use super::section::{LessonSection, band, sample_points, seconds, temperatures};
+use crate::identification::prediction::EndPrediction;
+use crate::identification::prior::StepDirection;
+use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
+use crate::identification::settling_time_s;
+use crate::identification::step::IdentifiedStep;
 
 /// A run of a recording that holds a step.
 #[derive(Clone, Debug)]
 pub struct RecordedRun {
-    /// Its name.
     pub name: String,
     /// What was identified on it. Of a run that is only predicted, this finds the step and its end.
     pub identified: IdentifiedStep,
@@ -21,11 +21,8 @@ pub struct RecordedRun {
 /// A run that was predicted, with those by which it was.
 #[derive(Clone, Debug)]
 pub struct RecordedPrediction {
-    /// The run.
     pub name: String,
-    /// Names of the runs that were used.
     pub identified_from: Vec<String>,
-    /// The order that was chosen.
     pub order: usize,
     /// One prediction for each sample, or sparser later on.
     pub predictions: Vec<EndPrediction>,
@@ -79,13 +76,12 @@ pub fn recorded_sections(
 }
 
 fn identification_section(runs: &[RecordedRun]) -> LessonSection {
-    let mut section = LessonSection {
-        name: "identified",
-        title: "What was identified".to_owned(),
-        paragraphs: vec!["Each run by itself, with the order that its own data ask for.".to_owned()],
-        header: header(&["run", "way", "from", "to", "order", "lags [s]", "shares", "left over, rms"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "identified",
+        "What was identified",
+        "Each run by itself, with the order that its own data ask for.",
+        &["run", "way", "from", "to", "order", "lags [s]", "shares", "left over, rms"],
+    );
     for run in runs {
         let found = &run.identified;
         let lags = found.lags();
@@ -117,16 +113,13 @@ fn identification_section(runs: &[RecordedRun]) -> LessonSection {
 }
 
 fn overview_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSection {
-    let mut section = LessonSection {
-        name: "predicted",
-        title: "How the predictions did".to_owned(),
-        paragraphs: vec![
-            "Seconds from the onset until within 10, 5 and 2 % of the step for good. The end is what the sensor itself shows in the last tenth of its step. Each run is predicted by the runs \
-             named beside it; a sample is used when it comes, and no later one.".to_owned(),
-        ],
-        header: header(&["run", "by", "order", "shown 10 %", "5 %", "2 %", "predicted 10 %", "5 %", "2 %", "end within bound"]),
-        ..LessonSection::default()
-    };
+    let mut section = LessonSection::new(
+        "predicted",
+        "How the predictions did",
+        "Seconds from the onset until within 10, 5 and 2 % of the step for good. The end is what the sensor itself shows in the last tenth of its step. Each run is predicted by the runs \
+             named beside it; a sample is used when it comes, and no later one.",
+        &["run", "by", "order", "shown 10 %", "5 %", "2 %", "predicted 10 %", "5 %", "2 %", "end within bound"],
+    );
     for (_, run) in predicted {
         let inside = run.inside.map_or_else(String::new, |inside| format!("{:.0} %", 100.0 * inside));
         let cells = run.shown_s.into_iter().chain(run.predicted_s).map(seconds);
@@ -154,9 +147,9 @@ fn run_section(run: &RecordedRun, recorded: &RecordedPrediction) -> LessonSectio
         .map(|p| (p.at_s, p.value, p.sigma))
         .collect();
     let curves = vec![
-        level("end", step.end),
-        line("predicted", known.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()),
-        line("shown", sample_points(&step.samples)),
+        Curve::new("end", CurveShape::Level(step.end)),
+        Curve::line("predicted", known.iter().map(|(at_s, value, _)| (*at_s, *value))),
+        Curve::line("shown", sample_points(&step.samples)),
         band("95 % bound", &known),
     ];
     let title = format!("{}, by {}", run.name, recorded.identified_from.join(" and "));

@@ -1,27 +1,35 @@
-//! What a section of the lesson consists of.
+//! A section of the lesson, and the cells and curves that the sections share.
 
-use posebridge_report::chart::Plot;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+
+use crate::identification::TimedSample;
+use crate::identification::prediction::BOUND_SIGMAS;
 
 /// A section of the lesson.
 #[derive(Clone, Debug, Default)]
 pub struct LessonSection {
-    /// For programs.
     pub name: &'static str,
-    /// For people.
     pub title: String,
-    /// Paragraphs.
     pub paragraphs: Vec<String>,
     /// The names of the table's columns; none for no table.
     pub header: Vec<String>,
-    /// The table's rows.
     pub rows: Vec<Vec<String>>,
-    /// A picture with its caption.
     pub figure: Option<(Plot, String)>,
     /// The figures that count, by their names. A figure that cannot be had is `None`.
     pub values: Vec<(String, Option<f64>)>,
 }
 
 impl LessonSection {
+    pub(super) fn new(name: &'static str, title: &str, paragraph: impl Into<String>, header: &[&str]) -> Self {
+        Self {
+            name,
+            title: title.to_owned(),
+            paragraphs: vec![paragraph.into()],
+            header: header.iter().map(|name| (*name).to_owned()).collect(),
+            ..Self::default()
+        }
+    }
+
     /// One of its numbers; `None` if it has none of this name, or no value for it.
     pub fn value(&self, name: &str) -> Option<f64> {
         let mut all = self.values.iter();
@@ -33,10 +41,29 @@ impl LessonSection {
     }
 }
 
-pub(super) fn header(names: &[&str]) -> Vec<String> {
-    names.iter().map(|name| (*name).to_owned()).collect()
-}
-
 pub(super) fn seconds(value: Option<f64>) -> String {
     value.map_or_else(|| "never".to_owned(), |value| format!("{value:.2}"))
+}
+
+/// The band of 95 % around values with their sigmas.
+pub(super) fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
+    let half = BOUND_SIGMAS;
+    let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
+    Curve::new(name, CurveShape::Band(values.iter().map(of).collect()))
+}
+
+/// The values alone, for a line.
+pub(super) fn filter_values(all: &[(f64, f64, f64)]) -> Vec<(f64, f64)> {
+    all.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()
+}
+
+pub(super) fn sample_points(samples: &[TimedSample]) -> Vec<(f64, f64)> {
+    let of = |sample: &TimedSample| (sample.at_s, sample.value);
+    samples.iter().map(of).collect()
+}
+
+/// A picture of temperatures over time, one panel for each set of curves.
+pub(super) fn temperatures(title: &str, panels: Vec<Vec<Curve>>) -> Plot {
+    let axes = panels.into_iter().map(|curves| Axes::new("time [s]", "temperature [degrees C]", 240.0, curves));
+    Plot::new(title, "", axes.collect())
 }

@@ -9,13 +9,10 @@
 
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 
-use super::super::panel::ValueRange;
-use super::super::plot::CurveShape;
-use super::super::strip::{StripChart, StripPanel, StyledCurve, render_strip};
-use super::{
-    CLAIM_STYLE, ESTIMATE_STYLE, EXPECTED_STYLE, InnovationSample, InnovationSeries, MEAN_STYLE, REJECTED_STYLE,
-    symmetric_range,
-};
+use super::{InnovationSample, InnovationSeries, panel, symmetric_range};
+use crate::chart::axes::{CLAIM, ESTIMATE, EXPECTED, MEAN, REJECTED, ValueRange};
+use crate::chart::plot::{Axes, Curve, CurveShape};
+use crate::chart::strip::render_strip;
 use crate::metrics::ConsistencyBand;
 
 /// Number of NIS values in an average: their band is a fifth wide to either side with two degrees of freedom.
@@ -30,14 +27,14 @@ const NIS_HEIGHT_PX: f64 = 130.0;
 pub fn render_innovations(series: &InnovationSeries<'_>) -> String {
     let degrees = most_common_degrees(series.samples);
     let names = components(series.kind);
-    let mut panels: Vec<StripPanel> = (0..usize::from(degrees).min(names.len()))
+    let mut panels: Vec<Axes> = (0..usize::from(degrees).min(names.len()))
         .map(|component| {
             let (name, factor) = names[component];
             innovation_panel(series.samples, component, name, factor)
         })
         .collect();
     panels.push(nis_panel(series.samples, degrees));
-    render_strip(&StripChart { title: series.name.to_owned(), x_name: "time [s]".to_owned(), panels })
+    render_strip(series.name, &panels)
 }
 
 /// The names of a kind's components with their units, and by what SI is multiplied.
@@ -64,7 +61,7 @@ fn most_common_degrees(samples: &[InnovationSample]) -> u8 {
     most.filter(|(count, _)| *count > 0).map_or(0, |(_, degrees)| degrees)
 }
 
-fn innovation_panel(samples: &[InnovationSample], component: usize, name: &str, factor: f64) -> StripPanel {
+fn innovation_panel(samples: &[InnovationSample], component: usize, name: &str, factor: f64) -> Axes {
     let has = |sample: &&InnovationSample| usize::from(sample.degrees_of_freedom) > component;
     let value = |sample: &InnovationSample| sample.innovation[component] * factor;
     let claim = |sample: &InnovationSample| 2.0 * sample.sigma[component] * factor;
@@ -74,22 +71,16 @@ fn innovation_panel(samples: &[InnovationSample], component: usize, name: &str, 
     let band = used().map(|sample| (sample.t_s, -claim(sample), claim(sample)));
     let points = used().map(|sample| (sample.t_s, value(sample)));
     let mut curves = vec![
-        StyledCurve::new("2 sigma", CurveShape::Band(band.collect()), CLAIM_STYLE),
-        StyledCurve::new("used", CurveShape::Specks(points.collect()), ESTIMATE_STYLE),
+        Curve::new("2 sigma", CurveShape::Band(band.collect())).with_stroke(&CLAIM),
+        Curve::new("used", CurveShape::Specks(points.collect())).with_stroke(&ESTIMATE),
     ];
     if !gated.is_empty() {
-        curves.push(StyledCurve::new("gated", CurveShape::Crosses(gated), REJECTED_STYLE));
+        curves.push(Curve::new("gated", CurveShape::Crosses(gated)).with_stroke(&REJECTED));
     }
-    StripPanel {
-        y_name: name.to_owned(),
-        height_px: HEIGHT_PX,
-        y: symmetric_range(used().flat_map(|sample| [value(sample), claim(sample)])),
-        curves,
-        ..StripPanel::default()
-    }
+    panel(name, HEIGHT_PX, symmetric_range(used().flat_map(|sample| [value(sample), claim(sample)])), curves)
 }
 
-fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
+fn nis_panel(samples: &[InnovationSample], degrees: u8) -> Axes {
     let m = u64::from(degrees);
     let per_degree = |probability| if m > 0 { chi_square_quantile(m, probability) / m as f64 } else { 1.0 };
     let top = per_degree(NIS_AXIS_QUANTILE) * ABOVE_AXIS_FACTOR;
@@ -110,28 +101,22 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> StripPanel {
         (mean.first(), mean.last(), ConsistencyBand::of_mean(m * WINDOW_SAMPLES as u64))
     {
         let places = vec![(*from, band.low, band.high), (*to, band.low, band.high)];
-        curves.push(StyledCurve::new("due for the mean", CurveShape::Band(places), CLAIM_STYLE));
+        curves.push(Curve::new("due for the mean", CurveShape::Band(places)).with_stroke(&CLAIM));
     }
-    curves.push(StyledCurve::new("each", CurveShape::Specks(used), ESTIMATE_STYLE));
+    curves.push(Curve::new("each", CurveShape::Specks(used)).with_stroke(&ESTIMATE));
     if !gated.is_empty() {
-        curves.push(StyledCurve::new("gated", CurveShape::Crosses(gated), REJECTED_STYLE));
+        curves.push(Curve::new("gated", CurveShape::Crosses(gated)).with_stroke(&REJECTED));
     }
     if !mean.is_empty() {
         let name = format!("mean of {WINDOW_SAMPLES}");
-        curves.push(StyledCurve::new(name, CurveShape::Line(mean), MEAN_STYLE));
+        curves.push(Curve::line(name, mean).with_stroke(&MEAN));
     }
     if m > 0 {
         let (low, high) = (per_degree(0.025), per_degree(0.975));
-        curves.push(StyledCurve::new("95 % of each", CurveShape::Level(high), EXPECTED_STYLE));
-        curves.push(StyledCurve::new("", CurveShape::Level(low), EXPECTED_STYLE));
+        curves.push(Curve::new("95 % of each", CurveShape::Level(high)).with_stroke(&EXPECTED));
+        curves.push(Curve::new("", CurveShape::Level(low)).with_stroke(&EXPECTED));
     }
-    StripPanel {
-        y_name: "NIS / dof".to_owned(),
-        height_px: NIS_HEIGHT_PX,
-        y: Some(ValueRange { low: 0.0, high: top }),
-        curves,
-        ..StripPanel::default()
-    }
+    panel("NIS / dof", NIS_HEIGHT_PX, Some(ValueRange { low: 0.0, high: top }), curves)
 }
 
 /// Mean NIS per degree of freedom of the used ones, over a window that ends at each.
@@ -183,12 +168,5 @@ mod tests {
         assert_eq!(means.len(), 10);
         assert!(means.iter().all(|(_, mean)| (*mean - 1.5).abs() < 1e-12));
         assert!(windowed_mean(&samples[..40]).is_empty());
-    }
-
-    #[test]
-    fn a_sensor_that_was_never_predicted_has_an_empty_panel() {
-        let series = InnovationSeries::default();
-        let svg = render_innovations(&series);
-        assert!(svg.contains("nothing to show") && !svg.contains("NaN"));
     }
 }

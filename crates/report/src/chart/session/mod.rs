@@ -4,28 +4,20 @@
 //! by the host's clock, so that all figures of a page and its list of events agree; units are SI and become millimetres and degrees
 //! on the axes.
 
-mod clock;
-mod errors;
 mod innovations;
-mod link;
-mod online_calibration;
 mod path;
 
-use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, LinkHealth};
+use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, LinkCounter, LinkHealth};
 
-use super::panel::ValueRange;
-use super::plot::CurveStyle;
-use super::{palette, plot};
+use super::axes::{CLAIM, ESTIMATE, ValueRange};
+use super::plot::{Axes, Curve, CurveShape, curve_stroke};
+use super::strip::render_strip;
 use crate::metrics::PoseError;
 use crate::metrics::innovations::variance;
 use crate::track::PoseTrack;
 
-pub use clock::render_clock;
-pub use errors::render_errors;
-pub use innovations::render_innovations;
-pub use link::render_link;
-pub use online_calibration::learning;
-pub use path::render_path;
+pub use self::innovations::render_innovations;
+pub use self::path::render_path;
 
 /// How far off an estimate was, and how far it claimed to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,13 +53,11 @@ impl ErrorSample {
 /// One attempt to use an observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationSample {
-    /// When it was made, s.
     pub t_s: f64,
     /// Observed minus predicted, SI units; unused components are zero.
     pub innovation: [f64; 3],
     /// What is claimed of it, one standard deviation, SI units.
     pub sigma: [f64; 3],
-    /// Normalised innovation squared.
     pub nis: f64,
     /// Its degrees of freedom; 0 where nothing was predicted.
     pub degrees_of_freedom: u8,
@@ -104,18 +94,15 @@ impl InnovationSample {
 /// All attempts of one sensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct InnovationSeries<'a> {
-    /// The sensor, for people.
     pub name: &'a str,
     /// The kind of its observations, as [`posebridge_telemetry::ObservationKind::kind`] names it.
     pub kind: &'a str,
-    /// In the order of time.
     pub samples: &'a [InnovationSample],
 }
 
 /// The estimate of one systematic error at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationSample {
-    /// When, s.
     pub t_s: f64,
     /// In the unit that its key ends in; a ratio without one.
     pub value: f64,
@@ -128,14 +115,12 @@ pub struct CalibrationSample {
 pub struct CalibrationSeries<'a> {
     /// Its key in the configuration.
     pub key: &'a str,
-    /// In the order of time.
     pub samples: &'a [CalibrationSample],
 }
 
 /// The health of a link at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkSample {
-    /// When, s.
     pub t_s: f64,
     /// Its counters since the session began.
     pub health: LinkHealth,
@@ -144,7 +129,6 @@ pub struct LinkSample {
 /// An alignment of the brick's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
-    /// When, s.
     pub t_s: f64,
     /// Brick time minus host time, s.
     pub offset_s: f64,
@@ -173,12 +157,6 @@ pub fn display_unit(key: &str) -> (&'static str, f64) {
     }
 }
 
-const ESTIMATE_STYLE: CurveStyle = CurveStyle { stroke: &palette::ESTIMATE, color: palette::BLUE };
-const CLAIM_STYLE: CurveStyle = CurveStyle { stroke: &palette::CLAIM, color: palette::SKY_BLUE };
-const EXPECTED_STYLE: CurveStyle = CurveStyle { stroke: &palette::EXPECTED, color: palette::FAINT_INK };
-const MEAN_STYLE: CurveStyle = CurveStyle { stroke: &palette::MEAN, color: palette::VERMILLION };
-const REJECTED_STYLE: CurveStyle = CurveStyle { stroke: &palette::REJECTED, color: palette::REDDISH_PURPLE };
-
 /// This share of the values fits the axis; the rest may leave it, so that a moment at the start does not hide all that follows.
 const SHOWN_SHARE: f64 = 0.995;
 
@@ -201,13 +179,157 @@ fn symmetric_range(sizes: impl Iterator<Item = f64>) -> Option<ValueRange> {
     high_quantile(sizes).map(|high| ValueRange { low: -high, high })
 }
 
-/// The ink of the curve with this place in a list.
-const fn curve_style(place: usize) -> CurveStyle {
-    plot::curve_style(place)
+/// A panel over the time, with what its y axis spans if that is not what the curves span.
+fn panel(y_name: &str, height_px: f64, y: Option<ValueRange>, curves: impl IntoIterator<Item = Curve>) -> Axes {
+    Axes { y, ..Axes::new("time [s]", y_name, height_px, curves) }
+}
+
+const CLOCK_PX: f64 = 100.0;
+const ERROR_PX: f64 = 150.0;
+const LINK_PX: f64 = 92.0;
+const S_TO_MS: f64 = 1e3;
+const M_TO_MM: f64 = 1e3;
+
+/// Draws how the clock's offset changed, the skew and the uncertainty; returns a whole SVG document.
+pub fn render_clock(title: &str, samples: &[ClockSample]) -> String {
+    // The change, because the offset itself is as large as the brick has been running.
+    let first_s = samples.first().map_or(0.0, |first| first.offset_s);
+    let change_ms = |sample: &ClockSample| (sample.offset_s - first_s) * S_TO_MS;
+    let change = samples.iter().map(|one| (one.t_s, change_ms(one)));
+    let bounds = samples.iter().map(|one| {
+        let (middle, reach) = (change_ms(one), one.uncertainty_s * S_TO_MS);
+        (one.t_s, middle - reach, middle + reach)
+    });
+    let offset = [
+        Curve::new("its bounds", CurveShape::Band(bounds.collect())).with_stroke(&CLAIM),
+        Curve::line("change of the offset", change).with_stroke(&ESTIMATE),
+    ];
+    let skew = samples.iter().map(|one| (one.t_s, one.skew_ppm));
+    let skew = [Curve::line("the brick's clock is fast by", skew).with_stroke(curve_stroke(3))];
+    let bound = samples.iter().map(|one| (one.t_s, one.uncertainty_s * S_TO_MS));
+    let round_trip: Vec<(f64, f64)> =
+        samples.iter().filter_map(|one| Some((one.t_s, one.round_trip_s? * S_TO_MS))).collect();
+    let sizes: Vec<f64> = bound.clone().chain(round_trip.iter().copied()).map(|one| one.1).collect();
+    let uncertainty = [
+        Curve::new("round trip", CurveShape::Specks(round_trip)).with_stroke(&ESTIMATE),
+        Curve::line("uncertainty", bound).with_stroke(curve_stroke(1)),
+    ];
+    let panels = [
+        panel("[ms]", CLOCK_PX, None, offset),
+        panel("[ppm]", CLOCK_PX, None, skew),
+        panel("[ms]", CLOCK_PX, range_from_zero(sizes.into_iter()), uncertainty),
+    ];
+    render_strip(title, &panels)
+}
+
+/// Draws position and heading error with the estimate's 2-sigma claims; returns a whole SVG document.
+pub fn render_errors(title: &str, samples: &[ErrorSample]) -> String {
+    let position = samples.iter().map(|sample| (sample.t_s, sample.position_m * M_TO_MM));
+    let claim = samples.iter().map(|sample| (sample.t_s, 0.0, sample.position_claim_m * M_TO_MM));
+    let sizes = samples.iter().flat_map(|sample| [sample.position_m, sample.position_claim_m]);
+    let range = range_from_zero(sizes.map(|size| size * M_TO_MM));
+    let position = panel("position error [mm]", ERROR_PX, range, error_curves(claim.collect(), position.collect()));
+    // A heading that may not be used has no error.
+    let known = || samples.iter().filter(|sample| sample.heading_rad.is_finite());
+    let heading = known().map(|sample| (sample.t_s, sample.heading_rad.to_degrees()));
+    let claim = known().map(|sample| {
+        let claim = sample.heading_claim_rad.to_degrees();
+        (sample.t_s, -claim, claim)
+    });
+    let sizes = known().flat_map(|sample| [sample.heading_rad, sample.heading_claim_rad]);
+    let range = symmetric_range(sizes.map(f64::to_degrees));
+    let heading = panel("heading error [deg]", ERROR_PX, range, error_curves(claim.collect(), heading.collect()));
+    render_strip(title, &[position, heading])
+}
+
+/// A claim as a band, over it the error.
+fn error_curves(claim: Vec<(f64, f64, f64)>, error: Vec<(f64, f64)>) -> [Curve; 2] {
+    [
+        Curve::new("its 2-sigma claim", CurveShape::Band(claim)).with_stroke(&CLAIM),
+        Curve::line("error", error).with_stroke(&ESTIMATE),
+    ]
+}
+
+const TRAFFIC_COUNTERS: [LinkCounter; 2] = [LinkCounter::FRAMES_IN, LinkCounter::FRAMES_OUT];
+
+const ERROR_COUNTERS: [LinkCounter; 9] = [
+    LinkCounter::FRAMES_LOST,
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::TIMEOUTS,
+    LinkCounter { label: "unknown", ..LinkCounter::UNKNOWN_IDS },
+    LinkCounter::REJECTED_FRAMES,
+    LinkCounter::DUPLICATES,
+    LinkCounter::RATE_LIMITED,
+    LinkCounter::UNSENT,
+    LinkCounter::RECONNECTS,
+];
+
+const GARBAGE_COUNTERS: [LinkCounter; 1] = [LinkCounter::GARBAGE_BYTES];
+
+/// Draws what came and left over a link, what went wrong, how long it took, and what waited; returns a whole SVG document. What never
+/// happened has no curve.
+pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
+    let mut panels = vec![rates("frames/s", &TRAFFIC_COUNTERS, samples)];
+    for (name, counters) in [("per second", &ERROR_COUNTERS[..]), ("bytes/s", &GARBAGE_COUNTERS[..])] {
+        let panel = rates(name, counters, samples);
+        if !panel.curves.is_empty() {
+            panels.push(panel);
+        }
+    }
+    let single = |y_name, name, points: Vec<(f64, f64)>| {
+        panel(y_name, LINK_PX, None, [Curve::line(name, points).with_stroke(curve_stroke(2))])
+    };
+    let round_trips: Vec<(f64, f64)> =
+        samples.iter().filter_map(|sample| Some((sample.t_s, sample.health.round_trip?.as_millis_f64()))).collect();
+    if !round_trips.is_empty() {
+        panels.push(single("[ms]", "round trip", round_trips));
+    }
+    if samples.iter().any(|sample| sample.health.port.queued_frames > 0) {
+        let queued = samples.iter().map(|sample| (sample.t_s, f64::from(sample.health.port.queued_frames)));
+        panels.push(single("frames", "waiting to be sent", queued.collect()));
+    }
+    render_strip(title, &panels)
+}
+
+/// Counters only grow, so a rate is the difference of two of them over the time between; a frame that was missing and comes late is
+/// taken off its count, which is no negative loss.
+fn rates(y_name: &str, counters: &[LinkCounter], samples: &[LinkSample]) -> Axes {
+    let last = samples.last();
+    let happened = |counter: &&LinkCounter| last.is_some_and(|last| (counter.read)(&last.health) > 0);
+    let curves = counters.iter().filter(happened).enumerate().map(|(place, counter)| {
+        let rate = samples.windows(2).filter_map(|pair| {
+            let [before, after] = pair else { return None };
+            let elapsed_s = after.t_s - before.t_s;
+            let grown = (counter.read)(&after.health).saturating_sub((counter.read)(&before.health));
+            (elapsed_s > 0.0).then(|| (after.t_s, grown as f64 / elapsed_s))
+        });
+        Curve::line(counter.label, rate).with_stroke(curve_stroke(place + 1))
+    });
+    panel(y_name, LINK_PX, None, curves)
+}
+
+/// Draws a panel for each systematic error that the filter estimates; returns a whole SVG document.
+pub fn learning(title: &str, all: &[CalibrationSeries<'_>]) -> String {
+    let panels = all.iter().map(|series| {
+        let (unit, factor) = display_unit(series.key);
+        let value = series.samples.iter().map(|one| (one.t_s, one.value * factor));
+        let band = series.samples.iter().map(|one| {
+            let (value, reach) = (one.value * factor, 2.0 * one.sigma * factor);
+            (one.t_s, value - reach, value + reach)
+        });
+        let curves = [
+            Curve::new("2 sigma", CurveShape::Band(band.collect())).with_stroke(&CLAIM),
+            Curve::line(series.key, value).with_stroke(&ESTIMATE),
+        ];
+        panel(&format!("[{unit}]"), LINK_PX, None, curves)
+    });
+    render_strip(title, &panels.collect::<Vec<_>>())
 }
 
 #[cfg(test)]
 mod tests {
+    use posebridge_telemetry::TimeDelta;
+
     use super::*;
 
     #[test]
@@ -227,5 +349,75 @@ mod tests {
         assert_eq!(range_from_zero(sizes.into_iter()).unwrap().high, 1.15);
         assert_eq!(range_from_zero([0.0, 0.0].into_iter()), None);
         assert_eq!(symmetric_range(std::iter::empty()), None);
+    }
+
+    #[test]
+    fn the_offset_is_shown_as_its_change() {
+        let samples = [(0.0, 5000.0), (10.0, 5000.02)].map(|(t_s, offset_s)| ClockSample {
+            t_s,
+            offset_s,
+            skew_ppm: 2000.0,
+            uncertainty_s: 0.000_5,
+            round_trip_s: None,
+        });
+        let svg = render_clock("clock", &samples);
+        assert!(svg.contains(">20</text>") && svg.contains(">change of the offset</text>"), "{svg}");
+        assert!(!svg.contains("5000"), "{svg}");
+    }
+
+    #[test]
+    fn errors_are_in_millimetres_and_degrees() {
+        let sample = |t_s: f64| ErrorSample {
+            t_s,
+            position_m: 0.004,
+            position_claim_m: 0.008,
+            heading_rad: 0.01,
+            heading_claim_rad: 0.02,
+        };
+        let svg = render_errors("run", &[sample(0.0), sample(5.0)]);
+        let unknown = ErrorSample { heading_rad: f64::NAN, ..sample(6.0) };
+        assert!(!render_errors("run", &[sample(0.0), unknown]).contains("left out"));
+        // The claims reach 8 mm and 1.1 degrees.
+        assert!(svg.contains(">8</text>") && svg.contains(">1</text>"), "{svg}");
+        assert_eq!(svg.matches("<polygon").count(), 4, "two bands, two legends");
+        assert!(render_errors("none", &[]).contains("nothing to show"));
+    }
+
+    fn sample(t_s: f64, frames_in: u64, frames_lost: u64) -> LinkSample {
+        LinkSample {
+            t_s,
+            health: LinkHealth {
+                frames_in,
+                frames_lost,
+                round_trip: Some(TimeDelta::from_millis(31)),
+                ..LinkHealth::default()
+            },
+        }
+    }
+
+    #[test]
+    fn rates_are_differences_over_time_and_what_never_happened_is_not_there() {
+        let svg = render_link("link 0", &[sample(1.0, 50, 0), sample(2.0, 100, 4), sample(4.0, 200, 2)]);
+        assert!(svg.contains(">received</text>") && svg.contains(">lost</text>"));
+        assert!(svg.contains(">round trip</text>"));
+        assert!(!svg.contains(">sent</text>") && !svg.contains("garbage") && !svg.contains("waiting"));
+        let panel = rates("", &TRAFFIC_COUNTERS, &[sample(1.0, 50, 0), sample(3.0, 150, 0)]);
+        let CurveShape::Line(points) = &panel.curves[0].shape else { panic!("a rate is a line") };
+        assert_eq!(points, &[(3.0, 50.0)]);
+    }
+
+    #[test]
+    fn a_frame_that_comes_late_is_no_negative_loss() {
+        let panel = rates("", &ERROR_COUNTERS, &[sample(1.0, 0, 5), sample(2.0, 0, 2)]);
+        let CurveShape::Line(points) = &panel.curves[0].shape else { panic!("a rate is a line") };
+        assert_eq!(points, &[(2.0, 0.0)]);
+    }
+
+    #[test]
+    fn a_bias_is_shown_in_degrees_with_its_band() {
+        let samples =
+            [0.0, 10.0].map(|t_s| CalibrationSample { t_s, value: 1f64.to_radians(), sigma: 0.5f64.to_radians() });
+        let svg = learning("robot", &[CalibrationSeries { key: "gyro_bias_rad_per_s", samples: &samples }]);
+        assert!(svg.contains("[deg/s]") && svg.contains(">2.0</text>"), "{svg}");
     }
 }

@@ -3,14 +3,11 @@
 
 use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 
-use super::super::layers::{DrawableLayers, Polylines, RunLayers, is_drawable};
-use super::super::palette::{
-    BLACK, BLUE, BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, ORANGE, REDDISH_PURPLE, REJECTED, SKY_BLUE,
-    SMOOTHED, TRUTH, VERMILLION,
-};
-use super::super::plot::{AxisScaling, CurveShape, CurveStyle};
-use super::super::strip::{StripChart, StripPanel, StyledCurve, render_strip};
-use super::super::svg::Stroke;
+use crate::chart::axes::{BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH};
+use crate::chart::layers::{DrawableLayers, Polylines, RunLayers, is_drawable};
+use crate::chart::plot::{Axes, Curve, CurveShape};
+use crate::chart::strip::render_strip;
+use crate::chart::svg::Stroke;
 
 /// Half axes of the ellipse that holds 95 % of a planar normal distribution, in standard deviations: sqrt(-2 ln 0.05).
 const SIGMAS_95: f64 = 2.447_746_830_680_816;
@@ -19,61 +16,45 @@ const MAX_ELLIPSES: usize = 24;
 const HEIGHT_PX: f64 = 430.0;
 
 const START: Stroke = Stroke::solid(INK, 2.2);
+const USED_FIX: Stroke = Stroke::solid(BLUISH_GREEN, 1.5);
 
 /// Draws it; returns a whole SVG document. Any layer may be missing; refused fixes do not stretch the map.
 pub fn render_path(layers: &RunLayers<'_>) -> String {
     let drawable = DrawableLayers::from_layers(layers);
     let mut curves = Vec::new();
     let ellipses = CurveShape::Outlines(ellipses(layers.estimates));
-    let add_lines = |curves: &mut Vec<StyledCurve>, name: &str, lines: &Polylines, ink: CurveStyle| {
+    let add_lines = |curves: &mut Vec<Curve>, name: &str, lines: &Polylines, stroke| {
         for (index, line) in lines.iter().enumerate() {
             let name = if index == 0 { name } else { "" };
-            curves.push(StyledCurve::new(name, CurveShape::Line(pairs(line)), ink));
+            curves.push(Curve::line(name, pairs(line)).with_stroke(stroke));
         }
     };
-    let ink = |stroke, color| CurveStyle { stroke, color };
     if !layers.estimates.is_empty() {
-        let name = "its 95 % ellipses";
-        curves.push(StyledCurve::new(name, ellipses, ink(&ELLIPSE, SKY_BLUE)));
+        curves.push(Curve::new("its 95 % ellipses", ellipses).with_stroke(&ELLIPSE));
     }
-    add_lines(&mut curves, "truth", &drawable.truth, ink(&TRUTH, BLACK));
-    add_lines(&mut curves, "odometry", &drawable.odometry, ink(&ODOMETRY, VERMILLION));
+    add_lines(&mut curves, "truth", &drawable.truth, &TRUTH);
+    add_lines(&mut curves, "odometry", &drawable.odometry, &ODOMETRY);
     add_fixes(&mut curves, &drawable);
-    add_lines(&mut curves, "estimate", &drawable.estimate, ink(&ESTIMATE, BLUE));
-    add_lines(&mut curves, "smoothed", &drawable.smoothed, ink(&SMOOTHED, ORANGE));
+    add_lines(&mut curves, "estimate", &drawable.estimate, &ESTIMATE);
+    add_lines(&mut curves, "smoothed", &drawable.smoothed, &SMOOTHED);
     if let Some(start) = drawable.start() {
-        let place = vec![(start.x.0, start.y.0)];
-        curves.push(StyledCurve::new("start", CurveShape::Rings(place), ink(&START, INK)));
+        let place = CurveShape::Rings(vec![(start.x.0, start.y.0)]);
+        curves.push(Curve::new("start", place).with_stroke(&START));
     }
-    render_strip(&StripChart {
-        title: layers.title.to_owned(),
-        x_name: "x [m]".to_owned(),
-        panels: vec![StripPanel {
-            y_name: "y [m]".to_owned(),
-            height_px: HEIGHT_PX,
-            scales: AxisScaling::Equal,
-            y: None,
-            curves,
-        }],
-    })
+    render_strip(layers.title, &[Axes::new("x [m]", "y [m]", HEIGHT_PX, curves).with_equal_scales()])
 }
 
-fn add_fixes(curves: &mut Vec<StyledCurve>, drawable: &DrawableLayers) {
+fn add_fixes(curves: &mut Vec<Curve>, drawable: &DrawableLayers) {
     type Make = fn(Vec<(f64, f64)>) -> CurveShape;
-    let rows: [(&str, &[Point2<Arena>], Make, CurveStyle); 3] = [
-        ("fix, used", &drawable.used_fixes, CurveShape::Specks, CurveStyle { stroke: &ESTIMATE, color: BLUISH_GREEN }),
-        (
-            "fix, gated",
-            &drawable.rejected_fixes,
-            CurveShape::Crosses,
-            CurveStyle { stroke: &REJECTED, color: REDDISH_PURPLE },
-        ),
-        ("fix, too late", &drawable.late_fixes, CurveShape::Rings, CurveStyle { stroke: &LATE, color: ORANGE }),
+    let rows: [(&str, &[Point2<Arena>], Make, &'static Stroke); 3] = [
+        ("fix, used", &drawable.used_fixes, CurveShape::Specks, &USED_FIX),
+        ("fix, gated", &drawable.rejected_fixes, CurveShape::Crosses, &REJECTED),
+        ("fix, too late", &drawable.late_fixes, CurveShape::Rings, &LATE),
     ];
-    for (name, fixes, shape, ink) in rows {
+    for (name, fixes, shape, stroke) in rows {
         if !fixes.is_empty() {
             let name = format!("{name} ({})", fixes.len());
-            curves.push(StyledCurve::new(name, shape(pairs(fixes)), ink));
+            curves.push(Curve::new(name, shape(pairs(fixes))).with_stroke(stroke));
         }
     }
 }

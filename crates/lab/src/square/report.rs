@@ -1,0 +1,405 @@
+//! What the experiment reports.
+
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::numerics::statistics::root_mean_square;
+use posebridge_estimator::papers::paper1::DEGREE;
+use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot, render_plot};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::tables::NO_VALUE;
+use posebridge_telemetry::DriveGeometry;
+
+use super::matched::{DriveState, SpeedMatrices, WheelMatrices, WheelState};
+use super::noise::{MeanAndVariance, NoiseRecord};
+use super::score::{ErrorMetric, MethodOrder, PathErrors, true_speeds};
+use super::table::SensorTable;
+
+/// Methods in the order that the paper promises, over all drives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodRanking {
+    pub matrices: &'static str,
+    pub names: Vec<&'static str>,
+    pub runs: Vec<Vec<PathErrors>>,
+}
+
+/// Another way to read the paper, and whether its order holds then.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PaperInterpretation {
+    pub name: &'static str,
+    pub note: &'static str,
+    pub metric: ErrorMetric,
+    pub order: MethodOrder,
+}
+
+/// All that the experiment found.
+#[derive(Clone, Debug)]
+pub struct SquareReport {
+    pub source: String,
+    pub command: String,
+    /// The paper's chain under each setting.
+    pub rankings: Vec<MethodRanking>,
+    /// What the paper leaves for later.
+    pub extended: MethodRanking,
+    /// Other readings of the paper; none for a file.
+    pub interpretations: Vec<PaperInterpretation>,
+    pub stop: Option<NoiseRecord>,
+    pub straight: Option<NoiseRecord>,
+    pub example: SquareExample,
+}
+
+/// A line of the table of R.
+struct NoiseRow {
+    name: &'static str,
+    printed: Option<f64>,
+    /// What follows from the resolution of the counts alone.
+    rounding: Option<fn(&FilterConfig) -> f64>,
+    pick: fn(&NoiseRecord) -> Option<MeanAndVariance>,
+}
+
+const SHARE: Format = Format::new(Unit::Percent, 0);
+const SPEED: Format = Format::new(Unit::MillimetresPerSecond, 2);
+const TURN: Format = Format::new(Unit::DegreesPerSecond, 2);
+
+const CM2_PER_M2: f64 = 1e4;
+const DEG2_PER_RAD2: f64 = 1.0 / (DEGREE * DEGREE);
+
+/// The paper's R, equations 19, 23 and 26, and the sensors behind them.
+const NOISE_ROWS: [NoiseRow; 9] = [
+    NoiseRow {
+        name: "left counter [deg^2]",
+        printed: Some(1.5),
+        rounding: Some(|config| WheelMatrices::of_robot(config).variances[0]),
+        pick: |record| Some(record.counters?[0]),
+    },
+    NoiseRow {
+        name: "right counter [deg^2]",
+        printed: Some(2.5),
+        rounding: Some(|config| WheelMatrices::of_robot(config).variances[1]),
+        pick: |record| Some(record.counters?[1]),
+    },
+    NoiseRow {
+        name: "v by counters [(cm/s)^2]",
+        printed: Some(5.1),
+        rounding: Some(|config| SpeedMatrices::of_robot(config).variances[0] * CM2_PER_M2),
+        pick: |record| record.forward,
+    },
+    NoiseRow {
+        name: "w by counters [(deg/s)^2]",
+        printed: Some(1.938),
+        rounding: Some(|config| SpeedMatrices::of_robot(config).variances[1] * DEG2_PER_RAD2),
+        pick: |record| record.turn,
+    },
+    NoiseRow { name: "th_enc [deg^2]", printed: Some(0.938), rounding: None, pick: |record| record.wheel_heading },
+    NoiseRow { name: "th_gyro [deg^2]", printed: Some(0.332), rounding: None, pick: |record| record.gyro_heading },
+    NoiseRow { name: "gyro [(deg/s)^2]", printed: None, rounding: None, pick: |record| record.gyro },
+    NoiseRow {
+        name: "accelerometer left [(m/s^2)^2]",
+        printed: None,
+        rounding: None,
+        pick: |record| Some(record.accelerometers?[0]),
+    },
+    NoiseRow { name: "camera x [cm^2]", printed: None, rounding: None, pick: |record| Some(record.camera?[0]) },
+];
+
+impl MethodRanking {
+    pub fn order(&self, metric: ErrorMetric) -> MethodOrder {
+        super::score::compare_order(&self.names, &self.runs, metric)
+    }
+
+    /// Root mean square of one method's error over the drives that have it; `None` where none has it.
+    pub fn rms(&self, method: usize, metric: ErrorMetric) -> Option<f64> {
+        let errors: Vec<f64> = self.runs.iter().filter_map(|run| run.get(method)?.value(metric)).collect();
+        root_mean_square(&errors)
+    }
+
+    /// In how many drives one method diverged; [`MethodRanking::rms`] leaves these out.
+    pub fn diverged(&self, method: usize) -> usize {
+        let errors = self.runs.iter().filter_map(|run| run.get(method));
+        errors.filter(|errors| errors.diverged).count()
+    }
+}
+
+impl SquareReport {
+    /// Its tables and pictures, without data for programs.
+    pub fn report(&self) -> Report {
+        let mut report = Report::new("lab-nxt-square", "The square: encoders, wheel filter, speed filter, EKF");
+        report.paragraph(self.source.as_str());
+        report.command(self.command.as_str());
+        self.add_errors(&mut report);
+        for ranking in &self.rankings {
+            add_order(&mut report, ranking);
+        }
+        self.add_readings(&mut report);
+        self.add_noise(&mut report);
+        self.add_pictures(&mut report);
+        report
+    }
+
+    fn add_errors(&self, report: &mut Report) {
+        // A method of several rankings has the same errors in each.
+        let mut rows: Vec<(&MethodRanking, usize, &str)> = Vec::new();
+        for ranking in self.rankings.iter().chain([&self.extended]) {
+            for (method, name) in ranking.names.iter().enumerate() {
+                if rows.iter().all(|(.., known)| known != name) {
+                    rows.push((ranking, method, name));
+                }
+            }
+        }
+        let (mm, degrees) = (Format::new(Unit::Millimetres, 1), Format::new(Unit::Degrees, 2));
+        let table = Table::of(&rows)
+            .text("", "method", |(.., name)| (*name).to_owned())
+            .number("", "position rms", mm, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Position))
+            .number("", "at the end", mm, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::End))
+            .number("", "heading rms", degrees, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Heading))
+            .number("", "v rms", SPEED, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Forward))
+            .number("", "w rms", TURN, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Turn));
+        report.heading("How far off");
+        report.table("", &table);
+        let diverged = rows.iter().filter_map(|(ranking, method, name)| {
+            let (count, drives) = (ranking.diverged(*method), ranking.runs.len());
+            (count > 0).then(|| format!("{name} diverged in {count} of {drives} drives, which its figures leave out"))
+        });
+        report.list(diverged);
+    }
+
+    fn add_readings(&self, report: &mut Report) {
+        if self.interpretations.is_empty() {
+            return;
+        }
+        let step = |reading: &PaperInterpretation, step: usize| Some(reading.order.steps.get(step)?.share());
+        let table = Table::of(&self.interpretations)
+            .text("", "reading", |reading| reading.name.to_owned())
+            .text("", "compared by", |reading| reading.metric.name().to_owned())
+            .labels(2)
+            .number("", "raw > wheel-kf", SHARE, move |reading| step(reading, 0))
+            .number("", "wheel-kf > velocity-kf", SHARE, move |reading| step(reading, 1))
+            .number("", "velocity-kf > ekf5", SHARE, move |reading| step(reading, 2))
+            .number("", "all three", SHARE, |reading| Some(share(reading.order.all_hold, reading.order.drives)))
+            .text("", "on average", |reading| if reading.order.holds_on_average() { "yes" } else { "no" }.to_owned());
+        report.heading("Other readings of the paper, with its matrices");
+        report.paragraph(
+            "Share of the drives in which each step of the order holds. Only a share of 95 % or more is the order of figure 7. The last \
+             column asks for less: whether the error falls with each step on average, at 95 %.",
+        );
+        report.table("", &table);
+        report.list(self.interpretations.iter().map(|reading| {
+            let left_out = excluded_text(&reading.order).map(|text| format!("; {text}"));
+            format!("{}: {}{}", reading.name, reading.note, left_out.unwrap_or_default())
+        }));
+    }
+
+    fn add_noise(&self, report: &mut Report) {
+        let length = |record: Option<&NoiseRecord>| record.map_or(0, |record| record.rows);
+        let config = &self.example.config;
+        let four = Format::new(Unit::None, 4);
+        let variance = |record: &Option<NoiseRecord>, row: &NoiseRow| {
+            let spread = record.as_ref().and_then(row.pick);
+            spread.map(|spread| spread.variance)
+        };
+        let table = Table::of(&NOISE_ROWS)
+            .text("", "R of", |row| row.name.to_owned())
+            .number("", "paper", Format::new(Unit::None, 3), |row| row.printed)
+            .number("", "rounding", four, |row| row.rounding.map(|rounding| rounding(config)))
+            .number("", "stop", four, move |row| variance(&self.stop, row))
+            .number("", "straight run", four, move |row| variance(&self.straight, row));
+        report.heading("R from a stop and from a straight run");
+        report.paragraph(format!(
+            "The stop has {} rows, the straight run {}. At rest a counter stands still, so its R comes out as zero: only the straight run \
+             shows the rounding, a twelfth of a tick squared. Gyro and accelerometers are taken from the stop: on the straight run the robot \
+             steers, and camera x is the motion itself.",
+            length(self.stop.as_ref()),
+            length(self.straight.as_ref())
+        ));
+        report.table("", &table);
+    }
+
+    fn add_pictures(&self, report: &mut Report) {
+        let example = &self.example;
+        let chain: Vec<&str> = self.rankings.first().map_or(Vec::new(), |chain| chain.names.clone());
+        let own: Vec<&str> = self.rankings.get(1).map_or(Vec::new(), |chain| chain.names.clone());
+        report.figure(
+            example.wheel_figure(),
+            "Figure 5: positions lie on each other; the printed filter smooths the speeds and lags where they change.",
+        );
+        report.figure(
+            example.speed_figure(&chain),
+            "Figure 6: v and w of the printed filters against the differences of the counts.",
+        );
+        report.figure(
+            example.track_figure("Tracks, the paper's matrices", &chain),
+            "Figure 7: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans on the gyro.",
+        );
+        report.figure(
+            example.track_figure("Tracks, matrices that follow from the sensors", &own),
+            "Figure 7 with the corrected chain.",
+        );
+        report.figure(
+            example.track_figure("Tracks, the outlook", &self.extended.names),
+            "What the paper leaves for later: sigma points, compass, camera, all sensors in one filter.",
+        );
+    }
+}
+
+fn add_order(report: &mut Report, ranking: &MethodRanking) {
+    let order = ranking.order(ErrorMetric::Position);
+    let three = Format::new(Unit::None, 3);
+    let table = Table::of(&order.steps)
+        .text("", "worse than, by position rms", |step| format!("{} > {}", step.worse, step.better))
+        .number("", "share of drives", SHARE, |step| Some(step.share()))
+        .text("", "sign test p", |step| format!("{:.1e}", step.sign_p))
+        .number("", "ratio", three, |step| Some(step.ratio?[0]))
+        .text("", "95 % interval", |step| {
+            step.ratio.map_or(NO_VALUE.to_owned(), |[_, low, high]| format!("{low:.3} to {high:.3}"))
+        })
+        .text("", "verdict", |step| step.as_text().to_owned());
+    report.heading(format!("The order, {}", ranking.matrices));
+    report.table("", &table);
+    report
+        .paragraph(format!("All of them together: {} of the drives.", SHARE.text(share(order.all_hold, order.drives))));
+    if let Some(text) = excluded_text(&order) {
+        report.paragraph(text);
+    }
+}
+
+/// How many drives an order leaves out; nothing if it leaves out none.
+fn excluded_text(order: &MethodOrder) -> Option<String> {
+    (order.excluded > 0).then(|| {
+        format!(
+            "{} of {} drives are left out: a method diverged, or there was nothing to compare with",
+            order.excluded,
+            order.excluded + order.drives
+        )
+    })
+}
+
+fn share(holds: u64, drives: u64) -> f64 {
+    holds as f64 / drives.max(1) as f64
+}
+
+/// One drive and what the methods made of it.
+#[derive(Clone, Debug)]
+pub struct SquareExample {
+    pub table: SensorTable,
+    pub config: FilterConfig,
+    /// Of how many images one is given to the filters.
+    pub camera_every: usize,
+    pub paths: Vec<(&'static str, Vec<DriveState>)>,
+}
+
+impl SquareExample {
+    fn path(&self, name: &str) -> &[DriveState] {
+        let known = self.paths.iter().find(|(known, _)| *known == name);
+        known.map_or(&[], |(_, path)| path)
+    }
+
+    fn over_time(&self, values: impl Fn(usize) -> Option<f64>) -> Vec<(f64, f64)> {
+        let rows = self.table.rows.iter().enumerate();
+        rows.filter_map(|(row, known)| Some((known.time_s, values(row)?))).collect()
+    }
+
+    /// The two wheels' angles and rates, degrees: counted, and filtered with these matrices, row by row.
+    fn wheels(&self, matrices: WheelMatrices) -> Vec<[WheelState; 2]> {
+        let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
+        let mut wheels = [WheelState::at_rest(matrices.start); 2];
+        let base = self.table.rows.first().map_or([0.0; 2], |row| row.encoders);
+        let mut before_s = None;
+        let rows = self.table.rows.iter().map(|row| {
+            if let Some(before_s) = before_s.replace(row.time_s) {
+                for (side, wheel) in wheels.iter_mut().enumerate() {
+                    wheel.predict(row.time_s - before_s, &matrices.process);
+                    let counted = (row.encoders[side] - base[side]) * unit_deg;
+                    wheel.update(counted, matrices.variances[side]);
+                }
+            }
+            wheels
+        });
+        rows.collect()
+    }
+
+    /// Figure 5: the left wheel's angle and both wheels' speeds, counted and filtered.
+    pub fn wheel_figure(&self) -> String {
+        let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
+        let rows = &self.table.rows;
+        let printed = self.wheels(WheelMatrices::PRINTED);
+        let own = self.wheels(WheelMatrices::of_robot(&self.config));
+        let base = rows.first().map_or([0.0; 2], |row| row.encoders);
+        let side = |side: usize| {
+            let counted = self.over_time(|row| {
+                let before = rows.get(row.checked_sub(1)?)?;
+                let dt_s = rows[row].time_s - before.time_s;
+                Some((rows[row].encoders[side] - before.encoders[side]) * unit_deg / dt_s)
+            });
+            vec![
+                Curve::line("differences of counts", counted),
+                Curve::line("wheel-kf, printed", self.over_time(|row| Some(printed[row][side].rate))),
+                Curve::line("wheel-kf, own R and Q", self.over_time(|row| Some(own[row][side].rate))),
+            ]
+        };
+        let angle = |side: usize| self.over_time(|row| Some((rows[row].encoders[side] - base[side]) * unit_deg));
+        let angles = vec![
+            Curve::line("left, counted", angle(0)),
+            Curve::line("left, wheel-kf", self.over_time(|row| Some(printed[row][0].phi))),
+            Curve::line("right, counted", angle(1)),
+            Curve::line("right, wheel-kf", self.over_time(|row| Some(printed[row][1].phi))),
+        ];
+        render_figure(
+            "Wheel positions and speeds",
+            "figure 5 of the paper: what a counter says, and one Kalman filter per wheel",
+            vec![
+                ("angle [degrees]", angles),
+                ("left wheel [degrees/s]", side(0)),
+                ("right wheel [degrees/s]", side(1)),
+            ],
+        )
+    }
+
+    /// Figure 6: v and w.
+    pub fn speed_figure(&self, names: &[&str]) -> String {
+        let panel = |state: usize, truth: usize, factor: f64| {
+            let mut curves: Vec<Curve> = names
+                .iter()
+                .map(|name| {
+                    let path = self.path(name);
+                    Curve::line(*name, self.over_time(|row| Some(path.get(row)?[state] * factor)))
+                })
+                .collect();
+            let true_ones = self.over_time(|row| Some(true_speeds(&self.table, row)?[truth] * factor));
+            if !true_ones.is_empty() {
+                curves.push(Curve::line("truth", true_ones));
+            }
+            curves
+        };
+        render_figure(
+            "Forward speed and turn rate",
+            "figure 6 of the paper",
+            vec![("v [cm/s]", panel(3, 0, 100.0)), ("w [degrees/s]", panel(4, 1, 1f64.to_degrees()))],
+        )
+    }
+
+    /// Figure 7: the tracks of some methods with the reference.
+    pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
+        let seen: Vec<(f64, f64)> =
+            (self.table.references(self.camera_every).into_iter()).flatten().map(|seen| (seen.x_m, seen.y_m)).collect();
+        let reference = if self.table.has_truth() { "truth" } else { "camera" };
+        // Of a closed path nothing is known but its end: a line of one point would not be seen.
+        let shape = if seen.len() > 1 { CurveShape::Line(seen) } else { CurveShape::Dots(seen) };
+        let mut curves = vec![Curve::new(reference, shape)];
+        curves.extend(names.iter().map(|name| {
+            let path = self.path(name).iter().map(|state| (state[0], state[1]));
+            Curve::line(*name, path)
+        }));
+        render_plot(&Plot::new(
+            title,
+            "figure 7 of the paper: x and y",
+            vec![Axes::new("x [m]", "y [m]", 560.0, curves).with_equal_scales()],
+        ))
+    }
+
+    pub const fn geometry(&self) -> &DriveGeometry {
+        &self.config.geometry
+    }
+}
+
+fn render_figure(title: &str, key_figures: &str, panels: Vec<(&str, Vec<Curve>)>) -> String {
+    let axes = panels.into_iter().map(|(y_name, curves)| Axes::new("time [s]", y_name, 220.0, curves));
+    render_plot(&Plot::new(title, key_figures, axes.collect()))
+}

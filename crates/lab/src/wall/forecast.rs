@@ -1,0 +1,374 @@
+//! Each reading held against what was foretold before it was seen.
+
+use posebridge_estimator::Params;
+use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::papers::range_kf::RangeFilterVariant;
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
+
+use super::log::{WallLog, WallReading, responses};
+use super::replay_filter::{
+    ApproachEstimator, GATE_SIGMAS, KalmanNoise, LinearExtrapolation, WallKalman, innovation_sigma,
+};
+
+/// A reading and what was foretold of it, in m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangeForecast {
+    pub at_s: f64,
+    /// Its prediction.
+    pub range_m: f64,
+    /// By the filter, with the drive and the noise as the readings before have shown them.
+    pub kalman_m: f64,
+    /// By the line through the last two; `None` before there are two.
+    pub line_m: Option<f64>,
+    /// The model of the car.
+    pub plant: Plant,
+    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading that is further from what was foretold is refused, m. `None` where
+    /// the filter held it against nothing.
+    pub gate_m: Option<f64>,
+    pub is_gated: bool,
+}
+
+/// The drive is identified anew when the number of readings has grown by this factor; early, at each. It keeps the work of long logs small.
+const REFIT_GROWTH: f64 = 1.02;
+
+/// Foretells every reading but the first from those before it.
+pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
+    let least_gate_m = Params::default().wall_gate_m;
+    let mut foreseen = Vec::new();
+    let mut line = LinearExtrapolation::default();
+    let mut known: Option<(Plant, PlantFilter)> = None;
+    let (mut readings, mut identified_at) = (0_usize, 0_usize);
+    for (index, entry) in log.entries().iter().enumerate() {
+        let WallReading::Range(range_m) = entry.reading else {
+            if let Some((_, runner)) = &mut known {
+                runner.observe(entry.at_s, entry.reading);
+            }
+            continue;
+        };
+        let is_due = readings as f64 >= REFIT_GROWTH * identified_at as f64;
+        if readings > 0 && (known.is_none() || (is_due && readings > identified_at)) {
+            let past = log.entries().iter().take(index).copied().collect();
+            known = Some(search.best(&WallLog::new(past)));
+            identified_at = readings;
+        }
+        if let Some((plant, runner)) = &mut known {
+            let foretold = runner.distance_m(entry.at_s);
+            let record = runner.fuse(entry.at_s, range_m);
+            foreseen.extend(foretold.map(|kalman_m| RangeForecast {
+                at_s: entry.at_s,
+                range_m,
+                kalman_m,
+                line_m: line.estimate(entry.at_s).map(|belief| belief.distance_m).filter(|_| readings >= 2),
+                plant: *plant,
+                gate_m: innovation_sigma(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
+                is_gated: record.outcome == FusionOutcome::Gated,
+            }));
+        }
+        line.observe_range(entry.at_s, range_m);
+        readings += 1;
+    }
+    foreseen
+}
+
+/// What the gate did with the readings of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GateStatistics {
+    /// Readings that were held against a prediction.
+    pub readings: usize,
+    pub gated: usize,
+    /// The gate's mean half-width, m.
+    pub mean_m: f64,
+}
+
+/// Sums up the gate; `None` if no reading was held against a prediction.
+pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
+    let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
+    if gates.is_empty() {
+        return None;
+    }
+    Some(GateStatistics {
+        readings: gates.len(),
+        gated: foreseen.iter().filter(|one| one.is_gated).count(),
+        mean_m: gates.iter().sum::<f64>() / gates.len() as f64,
+    })
+}
+
+/// Root mean squares of readings minus what was foretold, in m, over the readings that both sides foretold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForecastScore {
+    pub readings: usize,
+    pub kalman_rms_m: f64,
+    pub other_rms_m: f64,
+}
+
+/// Scores the filter against another one; `other` gives what that one foretold. `None` if there is no common reading.
+pub fn score_forecasts(
+    foreseen: &[RangeForecast],
+    other: impl Fn(&RangeForecast) -> Option<f64>,
+) -> Option<ForecastScore> {
+    let common: Vec<(&RangeForecast, f64)> =
+        foreseen.iter().filter_map(|foreseen| Some((foreseen, other(foreseen)?))).collect();
+    if common.is_empty() {
+        return None;
+    }
+    let rms = |error: &dyn Fn(&(&RangeForecast, f64)) -> f64| {
+        let squares = common.iter().map(|pair| error(pair).powi(2));
+        (squares.sum::<f64>() / common.len() as f64).sqrt()
+    };
+    Some(ForecastScore {
+        readings: common.len(),
+        kalman_rms_m: rms(&|(foreseen, _)| foreseen.range_m - foreseen.kalman_m),
+        other_rms_m: rms(&|(foreseen, other_m)| foreseen.range_m - other_m),
+    })
+}
+
+// The drive and the noise of an unmeasured car, from its run so far.
+//
+// A bank of candidates: time constants, process noises, reading noises. For each the steady speed per input follows by least
+// squares from the steps between the readings; the filter then runs over all that is known, and the candidate that foresaw the
+// readings best is taken. Only the past is used. Before a car has shown that its motors move it, the input is assumed to do
+// nothing: the steady speed has a prior about zero.
+//
+// # Model
+// ```text
+// v_ss = argmin  sum (dz_i + v_ss dphi_i)^2 / (2 sigma_z^2 + q dt_i)  +  (v_ss / sigma_v)^2        q = sigma_u^2 / 7.6 ms
+// candidate = argmin  1/2 sum (min(nis_i, 25) + ln S_i)  +  1/2 (v_ss / sigma_v)^2  +  doublings away from what is usual
+// ```
+// # Assumptions
+// One drive for the whole log. A reading five sigmas off says no more against a candidate than one of just that.
+
+/// The time constant of the paper's car, s, and others: nimble and heavy ones.
+const TIME_CONSTANTS_S: [f64; 4] = [0.2, USUAL_TIME_CONSTANT_S, 0.9, 1.8];
+const USUAL_TIME_CONSTANT_S: f64 = 0.433;
+/// Shares of the paper's process noise.
+const PROCESS_SHARES: [f64; 5] = [1.0, 0.4, 0.2, 0.1, 0.04];
+/// Multiples of the reading's noise that the robot's file gives: what a bad target or daylight makes of it.
+const RANGE_FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 10.0];
+/// Each doubling away from what is usual counts like this much log-likelihood: half a nat, so that a handful of readings decides.
+const PER_DOUBLING: f64 = 0.5;
+/// One standard deviation of the speed of small cars under full drive, m/s.
+const STEADY_SIGMA_M_PER_S: f64 = 2.0;
+/// Five sigmas, squared.
+const MAX_NIS: f64 = 25.0;
+/// The step of the paper's loop, for which its process noise is given, s.
+const PAPER_STEP_S: f64 = 0.0076;
+
+/// The model of a car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plant {
+    /// Steady speed per unit of input, m/s; negative where a positive input drives away from the wall.
+    pub steady_m_per_s: f64,
+    /// Time constant, s.
+    pub time_constant_s: f64,
+    /// The configured noise of the filter.
+    pub noise: KalmanNoise,
+}
+
+/// What is known before the first reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlantSearch {
+    /// Noise of a reading by the robot's file, m.
+    pub range_sigma_m: f64,
+}
+
+impl PlantSearch {
+    /// The candidate that explains a log best, with its filter at the log's end. An empty log gives the usual one.
+    pub(super) fn best(self, log: &WallLog) -> (Plant, PlantFilter) {
+        let mut best: Option<(f64, Plant, PlantFilter)> = None;
+        for time_constant_s in TIME_CONSTANTS_S {
+            let steps = steps(log, 1.0 / time_constant_s);
+            for share in PROCESS_SHARES {
+                for factor in RANGE_FACTORS {
+                    let noise = KalmanNoise {
+                        process_m: share * KalmanNoise::PAPER.process_m,
+                        range_m: factor * self.range_sigma_m,
+                    };
+                    let plant = Plant { steady_m_per_s: estimate_steady_speed(&steps, noise), time_constant_s, noise };
+                    let unusual =
+                        (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs() + share.log2().abs() + factor.log2();
+                    let (cost, runner) = run_plant(log, plant);
+                    let prior = 0.5 * (plant.steady_m_per_s / STEADY_SIGMA_M_PER_S).powi(2);
+                    let cost = cost + prior + PER_DOUBLING * unusual;
+                    if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+                        best = Some((cost, plant, runner));
+                    }
+                }
+            }
+        }
+        best.map_or_else(|| self.usual(), |(_, plant, runner)| (plant, runner))
+    }
+
+    /// Every cost was no number.
+    fn usual(self) -> (Plant, PlantFilter) {
+        let plant = Plant {
+            steady_m_per_s: 0.0,
+            time_constant_s: USUAL_TIME_CONSTANT_S,
+            noise: KalmanNoise { range_m: self.range_sigma_m, ..KalmanNoise::PAPER },
+        };
+        (plant, PlantFilter::new(plant))
+    }
+}
+
+/// The filter with a plant.
+pub(super) struct PlantFilter {
+    kalman: WallKalman,
+    steady_m_per_s: f64,
+}
+
+impl PlantFilter {
+    fn new(plant: Plant) -> Self {
+        // The filter wants to know the ratio d/m only: commands come as speeds. So d = 1 serves every steady speed, zero included.
+        let model = WallApproachModel { drag_s_per_m: 1.0, mass_s2_per_m: plant.time_constant_s };
+        Self {
+            kalman: WallKalman::new(model, plant.noise, RangeFilterVariant::Corrected),
+            steady_m_per_s: plant.steady_m_per_s,
+        }
+    }
+
+    /// Takes an entry; gives what it costs.
+    pub(super) fn observe(&mut self, at_s: f64, reading: WallReading) -> f64 {
+        match reading {
+            WallReading::Input(input) => {
+                self.kalman.observe_input(at_s, input * self.steady_m_per_s);
+                0.0
+            }
+            WallReading::Range(range_m) => {
+                let record = self.fuse(at_s, range_m);
+                innovation_sigma(&record).map_or(0.0, |s_m2| 0.5 * (record.nis.min(MAX_NIS) + s_m2.ln()))
+            }
+        }
+    }
+
+    /// Processes a reading and returns its outcome.
+    pub(super) fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
+        self.kalman.fuse(at_s, range_m)
+    }
+
+    /// Its estimated distance, m.
+    pub(super) fn distance_m(&self, at_s: f64) -> Option<f64> {
+        self.kalman.estimate(at_s).map(|belief| belief.distance_m)
+    }
+}
+
+fn run_plant(log: &WallLog, plant: Plant) -> (f64, PlantFilter) {
+    let mut runner = PlantFilter::new(plant);
+    let costs = log.entries().iter();
+    let cost = costs.map(|entry| runner.observe(entry.at_s, entry.reading)).sum();
+    (cost, runner)
+}
+
+/// From reading to reading: time, change of the distance, and way of a unit of steady speed.
+fn steps(log: &WallLog, rate_per_s: f64) -> Vec<(f64, f64, f64)> {
+    let readings = responses(log, rate_per_s);
+    let pairs = readings.windows(2);
+    pairs
+        .map(|pair| {
+            let (from, to) = (pair[0], pair[1]);
+            (to.at_s - from.at_s, to.range_m - from.range_m, to.distance_m - from.distance_m)
+        })
+        .collect()
+}
+
+fn estimate_steady_speed(steps: &[(f64, f64, f64)], noise: KalmanNoise) -> f64 {
+    let density = noise.process_m.powi(2) / PAPER_STEP_S;
+    let mut across = 0.0;
+    let mut along = STEADY_SIGMA_M_PER_S.powi(-2);
+    for (dt_s, change_m, way_m) in steps {
+        let weight = 1.0 / (2.0 * noise.range_m.powi(2) + density * dt_s);
+        across -= weight * change_m * way_m;
+        along += weight * way_m * way_m;
+    }
+    across / along
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::wall::log::test_logs::log_of;
+
+    fn log(ranges: &[f64]) -> WallLog {
+        let ranges = ranges.iter().enumerate().map(|(index, range_m)| (0.1 * index as f64, *range_m));
+        log_of([], ranges).with_assumed_drive()
+    }
+
+    const SEARCH: PlantSearch = PlantSearch { range_sigma_m: 0.01 };
+
+    #[test]
+    fn what_is_foretold_does_not_depend_on_what_comes_later() {
+        let ranges = [3.0, 2.98, 2.93, 2.86, 2.77, 2.66, 2.52, 2.39, 2.21, 2.04];
+        let mut changed = ranges;
+        changed[8..].fill(9.0);
+        let (before, after) = (forecast(&log(&ranges), SEARCH), forecast(&log(&changed), SEARCH));
+        assert_eq!(before.len(), 9);
+        for (before, after) in before.iter().zip(&after).take(7) {
+            assert_eq!(before, after);
+        }
+        assert_eq!(before[7].kalman_m, after[7].kalman_m);
+        assert_ne!(before[8].kalman_m, after[8].kalman_m);
+        assert_eq!(before[0].line_m, None);
+        assert!((before[1].line_m.unwrap() - 2.96).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_reading_beyond_the_gate_is_refused_and_counted() {
+        // 0.5 m/s; the reading at 1.6 s is a passer-by.
+        let mut ranges: Vec<f64> = (0..24).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
+        ranges[16] = 0.1;
+        let foreseen = forecast(&log(&ranges), SEARCH);
+        let refused: Vec<usize> = (0..23).filter(|index| foreseen[*index].is_gated).collect();
+        // There is no prediction of the first reading.
+        assert_eq!(refused, [15]);
+        let off_m = (foreseen[15].range_m - foreseen[15].kalman_m).abs();
+        assert!(off_m > foreseen[15].gate_m.unwrap());
+        let used = gate_statistics(&foreseen).unwrap();
+        assert_eq!((used.readings, used.gated), (23, 1));
+        assert!(used.mean_m > 0.03 && used.mean_m < off_m, "{used:?}");
+        assert_eq!(gate_statistics(&[]), None);
+    }
+
+    #[test]
+    fn scores_are_over_common_readings_alone() {
+        let foreseen = forecast(&log(&[3.0, 2.9, 2.7]), SEARCH);
+        let by_line = score_forecasts(&foreseen, |foreseen| foreseen.line_m).unwrap();
+        assert_eq!(by_line.readings, 1);
+        assert!((by_line.other_rms_m - 0.1).abs() < 1e-9);
+        let expected = (foreseen[1].range_m - foreseen[1].kalman_m).abs();
+        assert!((by_line.kalman_rms_m - expected).abs() < 1e-12);
+        assert_eq!(score_forecasts(&foreseen, |_| None), None);
+    }
+
+    /// A car of 2 m/s and 0.9 s under full drive, read ten times a second with 10 mm of noise.
+    fn driven(input: f64, readings: u32) -> WallLog {
+        let mut normals = Pcg64::seed_from_u64(7);
+        let ranges = (0..readings).map(|index| {
+            let t = 0.1 * f64::from(index);
+            let way_m = 2.0 * (t - 0.9 * (1.0 - (-t / 0.9).exp()));
+            let noise: f64 = normals.sample(StandardNormal);
+            (t, 5.0 - way_m + 0.01 * noise)
+        });
+        log_of([(0.0, input)], ranges)
+    }
+
+    #[test]
+    fn a_car_is_recognised_by_what_it_has_done_whatever_the_sign_of_its_input() {
+        for input in [1.0, -0.5] {
+            let (plant, _) = SEARCH.best(&driven(input, 25));
+            assert!((plant.steady_m_per_s * input / 2.0 - 1.0).abs() < 0.15, "{plant:?}");
+            assert_eq!(plant.time_constant_s, 0.9, "{plant:?}");
+            assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.02);
+        }
+    }
+
+    #[test]
+    fn a_car_that_has_done_nothing_is_not_believed_to_move() {
+        for readings in [0, 1] {
+            let (plant, _) = SEARCH.best(&driven(1.0, readings));
+            assert_eq!(plant.steady_m_per_s, 0.0);
+            assert_eq!(plant.time_constant_s, USUAL_TIME_CONSTANT_S);
+        }
+    }
+}

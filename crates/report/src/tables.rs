@@ -1,0 +1,383 @@
+//! Plain-text tables for the end of a run and of a replay, and what other tables are made of.
+//!
+//! People read millimetres and degrees; this is where the numbers become them. The tables are values: printing, colours
+//! and JSON belong to the program.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use posebridge_telemetry::TimeDelta;
+
+use super::metrics::{ErrorSummary, SourceTally};
+
+/// What stands in a cell without a value.
+pub const NO_VALUE: &str = "-";
+
+/// The value as `show` writes it, if there is one.
+fn or_no_value<T>(value: Option<T>, show: impl FnOnce(T) -> String) -> String {
+    value.map_or_else(|| NO_VALUE.to_owned(), show)
+}
+
+fn millimetres(metres: Option<f64>) -> String {
+    or_no_value(metres, |metres| number(metres * 1e3))
+}
+
+pub fn degrees(radians: Option<f64>) -> String {
+    two_digits(radians.map(f64::to_degrees))
+}
+
+fn two_digits(value: Option<f64>) -> String {
+    or_no_value(value, |value| format!("{value:.2}"))
+}
+
+fn count_or_dash(value: Option<impl ToString>) -> String {
+    or_no_value(value, |value| value.to_string())
+}
+
+/// One digit after the point; powers of ten where that would flood the column.
+fn number(value: f64) -> String {
+    if value.abs() < 1e9 { format!("{value:.1}") } else { format!("{value:.3e}") }
+}
+
+/// Three significant digits where there are fewer before the point: these errors span five decades.
+pub fn millimetres_three_digits(metres: Option<f64>) -> String {
+    three_digits(metres.map(|metres| metres * 1e3))
+}
+
+/// Three significant digits; all that stand before the point, and powers of ten where that would flood a column.
+pub fn three_digits(value: Option<f64>) -> String {
+    let Some(value) = value else {
+        return NO_VALUE.to_owned();
+    };
+    match value.abs() {
+        size if size >= 1e5 || !size.is_finite() => format!("{value:.1e}"),
+        size if size >= 99.95 => format!("{value:.0}"),
+        size if size >= 9.995 => format!("{value:.1}"),
+        size if size >= 0.9995 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+const GUTTER: &str = "  ";
+
+/// Rows of cells under a header.
+#[derive(Clone, Debug)]
+pub struct TextTable {
+    rows: Vec<Vec<String>>,
+}
+
+impl TextTable {
+    pub fn new(header: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        Self { rows: vec![header.into_iter().map(Into::into).collect()] }
+    }
+
+    /// Adds a row below the others; what it lacks at its end stays blank.
+    pub fn push(&mut self, row: impl IntoIterator<Item = String>) {
+        self.rows.push(row.into_iter().collect());
+    }
+
+    /// The text, one line per row, each with a line feed and without trailing blanks.
+    pub fn render(&self) -> String {
+        let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
+        let widths: Vec<usize> = (0..columns)
+            .map(|column| {
+                let cells = self.rows.iter().filter_map(|row| row.get(column));
+                cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+            })
+            .collect();
+        self.rows.iter().map(|row| line(row, &widths)).collect()
+    }
+}
+
+fn line(row: &[String], widths: &[usize]) -> String {
+    let mut line = String::new();
+    for (column, (cell, width)) in row.iter().zip(widths).enumerate() {
+        let padded = if column == 0 { format!("{cell:<width$}") } else { format!("{GUTTER}{cell:>width$}") };
+        line.push_str(&padded);
+    }
+    line.trim_end().to_owned() + "\n"
+}
+
+/// One row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct RunRow<'a> {
+    /// The source, for example "brick's own odometry" or "estimate".
+    pub name: &'a str,
+    pub errors: &'a ErrorSummary,
+}
+
+/// The accuracy of each row in millimetres and degrees; the last column says how many times smaller the row's rms
+/// position error is than that of the first row.
+pub fn run_table(rows: &[RunRow<'_>]) -> String {
+    let mut table = TextTable::new(["position error", "rms mm", "max mm", "end mm", "heading rms deg", "better by"]);
+    let reference_m = rows.first().and_then(|row| row.errors.position_rms_m);
+    for row in rows {
+        let errors = row.errors;
+        table.push([
+            row.name.to_owned(),
+            millimetres(errors.position_rms_m),
+            millimetres(errors.position_max_m),
+            millimetres(errors.position_end_m),
+            degrees(errors.heading_rms_rad),
+            ratio(reference_m, errors.position_rms_m),
+        ]);
+    }
+    table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
+}
+
+/// One of several robots of a run.
+#[derive(Clone, Debug, Default)]
+pub struct RobotRow {
+    pub label: String,
+    pub observations: u64,
+    pub estimates: u64,
+    /// Errors of its own odometry and of the estimates, where the truth is known.
+    pub errors: Option<RobotErrors>,
+}
+
+/// Errors of one robot.
+#[derive(Clone, Debug, Default)]
+pub struct RobotErrors {
+    pub odometry: ErrorSummary,
+    pub estimate: ErrorSummary,
+}
+
+/// The table of a run with several robots.
+pub fn robots_table(rows: &[RobotRow]) -> String {
+    let mut table = TextTable::new([
+        "robot",
+        "observations",
+        "estimates",
+        "odometry rms mm",
+        "estimate rms mm",
+        "max mm",
+        "heading rms deg",
+        "ANEES",
+    ]);
+    for row in rows {
+        let mut cells = vec![row.label.clone(), row.observations.to_string(), row.estimates.to_string()];
+        if let Some(RobotErrors { odometry, estimate }) = &row.errors {
+            cells.extend([
+                millimetres(odometry.position_rms_m),
+                millimetres(estimate.position_rms_m),
+                millimetres(estimate.position_max_m),
+                degrees(estimate.heading_rms_rad),
+                two_digits(estimate.anees),
+            ]);
+        }
+        table.push(cells);
+    }
+    table.render()
+}
+
+fn ratio(reference: Option<f64>, value: Option<f64>) -> String {
+    match (reference, value) {
+        (Some(reference), Some(value)) if (reference / value).is_finite() => {
+            format!("{:.1}x", reference / value)
+        }
+        (Some(_) | None, _) => NO_VALUE.to_owned(),
+    }
+}
+
+/// One estimator of a comparison.
+#[derive(Clone, Copy, Debug)]
+pub struct EstimatorRow<'a> {
+    /// The estimator, as the configuration names it, or the run.
+    pub name: &'a str,
+    /// Its accuracy over one run, or the mean over several.
+    pub errors: &'a ErrorSummary,
+    /// Over how many independent runs; decides how far from 1 an honest ANEES may be.
+    pub runs: u64,
+}
+
+/// Accuracy in millimetres and degrees, and the verdict on each estimator's own claims.
+pub fn estimator_table(rows: &[EstimatorRow<'_>]) -> String {
+    accuracy_table("estimator", rows)
+}
+
+/// The same of one estimator, a row for each run.
+pub fn runs_table(rows: &[EstimatorRow<'_>]) -> String {
+    accuracy_table("run", rows)
+}
+
+fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
+    let mut table =
+        TextTable::new([what, "samples", "rms mm", "max mm", "end mm", "heading rms deg", "ANEES", "its claims are"]);
+    for row in rows {
+        let errors = row.errors;
+        table.push([
+            row.name.to_owned(),
+            errors.samples.to_string(),
+            millimetres(errors.position_rms_m),
+            millimetres(errors.position_max_m),
+            millimetres(errors.position_end_m),
+            degrees(errors.heading_rms_rad),
+            two_digits(errors.anees),
+            errors.consistency(row.runs).as_text().to_owned(),
+        ]);
+    }
+    table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
+}
+
+/// What became of the observations of each sensor, and whether the filter trusts it too much or too little.
+pub fn source_table(tallies: &[SourceTally]) -> String {
+    let mut table = TextTable::new([
+        "source",
+        "used",
+        "slip",
+        "gated",
+        "too old",
+        "malformed",
+        "re-based",
+        "reset to",
+        "unused",
+        "NIS/dof",
+        "the filter is",
+    ]);
+    for tally in tallies {
+        table.push([
+            format!("{} ({})", tally.sensor.name(), tally.sensor),
+            tally.used.to_string(),
+            tally.slip.to_string(),
+            tally.gated.to_string(),
+            tally.too_old.to_string(),
+            tally.malformed.to_string(),
+            tally.rebased.to_string(),
+            tally.reset_to.to_string(),
+            tally.unused.to_string(),
+            two_digits(tally.mean_nis_per_dof()),
+            tally.consistency().as_text().to_owned(),
+        ]);
+    }
+    table.render()
+}
+
+/// A line for each row that left something out; nothing when all was scored.
+fn footnotes<'a>(rows: impl Iterator<Item = (&'a str, &'a ErrorSummary)>) -> String {
+    rows.flat_map(|(name, errors)| {
+        [(errors.dropped, "not finite"), (errors.refused_covariances, "covariance not positive definite")]
+            .into_iter()
+            .filter(|(count, _)| *count > 0)
+            .map(move |(count, what)| format!("{name}: samples left out, {what}: {count}\n"))
+    })
+    .collect()
+}
+
+/// One run, smoothed.
+#[derive(Clone, Debug)]
+pub struct SmoothRow<'a> {
+    pub run: &'a str,
+    /// The errors of the path; nothing without one.
+    pub errors: &'a ErrorSummary,
+    /// Fixes that the path stands on; `None` without a path, as in the next two.
+    pub fixes_used: Option<usize>,
+    /// Fixes that it leaves out.
+    pub fixes_left_out: Option<usize>,
+    /// Steps of the descent.
+    pub iterations: Option<u32>,
+    pub duration: TimeDelta,
+    /// Observations that it does not read, by the name of their sensor.
+    pub unused_observations: &'a BTreeMap<&'static str, u64>,
+    pub reason: Option<String>,
+}
+
+/// Accuracy in millimetres and degrees; below, the runs without a path and the sources that were not read.
+pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
+    let mut table = TextTable::new([
+        "smooth",
+        "samples",
+        "rms mm",
+        "max mm",
+        "heading rms deg",
+        "fixes used",
+        "left out",
+        "iterations",
+        "s",
+    ]);
+    for row in rows {
+        let errors = row.errors;
+        table.push([
+            row.run.to_owned(),
+            errors.samples.to_string(),
+            millimetres(errors.position_rms_m),
+            millimetres(errors.position_max_m),
+            degrees(errors.heading_rms_rad),
+            count_or_dash(row.fixes_used),
+            count_or_dash(row.fixes_left_out),
+            count_or_dash(row.iterations),
+            two_digits(Some(row.duration.as_secs_f64())),
+        ]);
+    }
+    let mut text = table.render() + &footnotes(rows.iter().map(|row| (row.run, row.errors)));
+    for row in rows {
+        // Writing to a String cannot fail.
+        if let Some(reason) = &row.reason {
+            let _ = writeln!(text, "{}: no smoothed path: {reason}", row.run);
+        }
+        if !row.unused_observations.is_empty() {
+            let sources: Vec<String> =
+                row.unused_observations.iter().map(|(sensor, count)| format!("{sensor} ({count})")).collect();
+            let _ = writeln!(
+                text,
+                "{}: the smoother reads wheels, gyro and fixes only, not: {}",
+                row.run,
+                sources.join(", ")
+            );
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_three_digits_over_five_decades() {
+        let cells = [0.00133, 0.0137, 0.2244, 1.8121, 425.462].map(|metres| millimetres_three_digits(Some(metres)));
+        assert_eq!(cells, ["1.33", "13.7", "224", "1812", "4.3e5"]);
+        assert_eq!(three_digits(Some(0.0104)), "0.010");
+        assert_eq!(three_digits(None), "-");
+    }
+
+    #[test]
+    fn a_path_has_figures_and_a_missing_one_its_reason() {
+        let errors = ErrorSummary {
+            samples: 17,
+            position_rms_m: Some(0.0125),
+            position_max_m: Some(0.031),
+            heading_rms_rad: None,
+            ..ErrorSummary::default()
+        };
+        let nothing = ErrorSummary::default();
+        let (heard, unheard) = (BTreeMap::new(), BTreeMap::from([("compass", 3), ("range", 20)]));
+        let table = smooth_table(&[
+            SmoothRow {
+                run: "one",
+                errors: &errors,
+                fixes_used: Some(40),
+                fixes_left_out: Some(2),
+                iterations: Some(6),
+                duration: TimeDelta::from_millis(1_234),
+                unused_observations: &unheard,
+                reason: None,
+            },
+            SmoothRow {
+                run: "two",
+                errors: &nothing,
+                fixes_used: None,
+                fixes_left_out: None,
+                iterations: None,
+                duration: TimeDelta::ZERO,
+                unused_observations: &heard,
+                reason: Some("it is empty".to_owned()),
+            },
+        ]);
+        let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(lines[1], ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
+        assert_eq!(lines[2], ["two", "0", "-", "-", "-", "-", "-", "-", "0.00"]);
+        let said = "one: the smoother reads wheels, gyro and fixes only, not: compass (3), range (20)\n\
+                    two: no smoothed path: it is empty\n";
+        assert!(table.ends_with(said), "{table}");
+    }
+}

@@ -1,0 +1,117 @@
+//! The consistency figures over seeded draws: honest claims lie inside the chi-square band, others outside.
+
+use posebridge_report::metrics::{anees, nees};
+use posebridge_report::{Consistency, PoseError, SourceTally, tally_sources};
+use posebridge_telemetry::{FusionOutcome, SensorId};
+use proptest::prelude::*;
+use rand::SeedableRng as _;
+use rand_distr::{Distribution as _, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+
+use crate::record;
+use crate::sample_run::normal;
+
+const RUNS: u64 = 100;
+
+/// A lower triangular factor of millimetres and milliradians, correlated.
+const FACTOR: [[f64; 3]; 3] = [[0.004, 0.0, 0.0], [-0.002, 0.003, 0.0], [0.001, 0.004, 0.010]];
+
+fn covariance(factor: &[[f64; 3]; 3], scale: f64) -> [[f64; 3]; 3] {
+    std::array::from_fn(|row| {
+        std::array::from_fn(|column| {
+            let products = (0..3).map(|k| factor[row][k] * factor[column][k]);
+            scale * products.sum::<f64>()
+        })
+    })
+}
+
+/// Errors of independent runs with the covariance of `FACTOR`, which claim `scale` times that.
+fn errors_claiming(scale: f64) -> Vec<PoseError> {
+    let mut random = Pcg64Mcg::seed_from_u64(2_001);
+    (0..RUNS)
+        .map(|_| {
+            let unit: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(&mut random));
+            let [dx_m, dy_m, heading_rad] = FACTOR.map(|row| row.iter().zip(unit).map(|(l, u)| l * u).sum());
+            PoseError { dx_m, dy_m, heading_rad: Some(heading_rad), covariance: Some(covariance(&FACTOR, scale)) }
+        })
+        .collect()
+}
+
+#[test]
+fn honest_claims_lie_inside_the_band_and_wrong_ones_on_the_right_side() {
+    for (scale, verdict) in
+        [(1.0, Consistency::Consistent), (0.5, Consistency::OverConfident), (2.0, Consistency::UnderConfident)]
+    {
+        let outcome = anees(&errors_claiming(scale));
+        assert_eq!((outcome.samples, outcome.refused), (100, 0));
+        assert_eq!(Consistency::of_anees(&outcome, RUNS), verdict, "claims {scale} times the truth: {outcome:?}");
+    }
+}
+
+#[test]
+fn innovations_of_an_honest_sensor_are_consistent_and_of_a_noisier_one_are_not() {
+    for (sigmas, verdict) in
+        [(1.0, Consistency::Consistent), (1.5, Consistency::OverConfident), (0.7, Consistency::UnderConfident)]
+    {
+        let mut random = Pcg64Mcg::seed_from_u64(31);
+        let mut tally = SourceTally::new(SensorId::CAMERA);
+        for _ in 0..500 {
+            let nis = (0..2).map(|_| (sigmas * normal(&mut random)).powi(2)).sum();
+            tally.add(&record(SensorId::CAMERA, FusionOutcome::Accepted, nis));
+        }
+        assert_eq!(tally.consistency(), verdict, "{:?}", tally.mean_nis_per_dof());
+    }
+}
+
+#[test]
+fn only_used_observations_enter_the_mean() {
+    let mut tally = SourceTally::new(SensorId::CAMERA);
+    tally.add(&record(SensorId::CAMERA, FusionOutcome::Accepted, 1.0));
+    tally.add(&record(SensorId::CAMERA, FusionOutcome::Accepted, 5.0));
+    tally.add(&record(SensorId::CAMERA, FusionOutcome::Gated, 400.0));
+    tally.add(&record(SensorId::CAMERA, FusionOutcome::TooOld, 0.0));
+    tally.add(&record(SensorId::CAMERA, FusionOutcome::Malformed, f64::NAN));
+    assert_eq!(tally.mean_nis_per_dof(), Some(1.5));
+    assert_eq!((tally.used, tally.gated, tally.too_old, tally.malformed), (2, 1, 1, 1));
+    assert_eq!(tally.gated_share(), Some(1.0 / 3.0));
+}
+
+#[test]
+fn an_innovation_that_is_not_a_number_does_not_poison_the_mean() {
+    let mut tally = SourceTally::new(SensorId::GYRO);
+    tally.add(&record(SensorId::GYRO, FusionOutcome::Accepted, f64::NAN));
+    assert_eq!((tally.used, tally.mean_nis_per_dof()), (1, None));
+    assert_eq!(tally.consistency(), Consistency::Undetermined);
+}
+
+#[test]
+fn tallies_come_in_the_order_of_the_sensors() {
+    let records = [
+        record(SensorId::CAMERA, FusionOutcome::Accepted, 2.0),
+        record(SensorId::WHEELS, FusionOutcome::Rebased, 0.0),
+        record(SensorId::CAMERA, FusionOutcome::PoseReset, 2.0),
+    ];
+    let tallies = tally_sources(&records);
+    assert_eq!(tallies.iter().map(|tally| tally.sensor).collect::<Vec<_>>(), [SensorId::WHEELS, SensorId::CAMERA]);
+    assert_eq!((tallies[0].rebased, tallies[1].reset_to), (1, 1));
+}
+
+proptest! {
+    /// Whitening by the factor from which the covariance was made must give the plain sum of squares.
+    #[test]
+    fn the_normalised_error_undoes_the_factor(
+        unit in prop::array::uniform3(-5.0..5.0_f64),
+        diagonal in prop::array::uniform3(0.1..10.0_f64),
+        below in prop::array::uniform3(-3.0..3.0_f64),
+    ) {
+        let factor = [
+            [diagonal[0], 0.0, 0.0],
+            [below[0], diagonal[1], 0.0],
+            [below[1], below[2], diagonal[2]],
+        ];
+        let error = factor.map(|row| row.iter().zip(unit).map(|(l, u)| l * u).sum::<f64>());
+        let value = nees(error, &covariance(&factor, 1.0));
+        let expected: f64 = unit.iter().map(|u| u * u).sum();
+        prop_assert!((value.unwrap() - expected).abs() < 1e-6 * (1.0 + expected));
+    }
+}
