@@ -3,8 +3,6 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
 
 mod support;
-#[path = "support/virtual_bricks.rs"]
-mod virtual_bricks;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,8 +12,8 @@ use posebridge::station::learned_calibration::LearnedCalibration;
 use posebridge_sim::{Scenario, Steering};
 use posebridge_station::Station;
 use posebridge_telemetry::{Event, Output, TimeDelta, Timestamp};
-use support::{RunningProgram, posebridge, stdout_of};
-use virtual_bricks::{ConnectedBrick, rms_m, run, run_with, station};
+use support::virtual_bricks::{ConnectedBrick, rms_m, run, run_with, station};
+use support::{RunningProgram, assert_replays, json, read_text, write_text};
 
 const CONFIG: &str = r#"
 [[robot]]
@@ -28,8 +26,7 @@ name = "ada"
 
 /// What `replay --json` says of each robot: its name and its root mean square error in metres.
 fn replayed(folder: &Path, recording: &str) -> Vec<(String, f64)> {
-    let text = stdout_of(posebridge(folder).args(["replay", recording, "--json"]));
-    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let report = json(folder, &["replay", recording]);
     let robots = report["estimators"].as_array().unwrap().iter().map(|one| {
         let name = one["robot"].as_str().expect("each row names its robot").to_owned();
         (name, one["position_rms_m"].as_f64().expect("each robot has a truth"))
@@ -41,29 +38,27 @@ fn replayed(folder: &Path, recording: &str) -> Vec<(String, f64)> {
 fn simulated_robots_on_one_port_have_their_own_names_truths_and_figures() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    std::fs::write(folder.join("robots.toml"), CONFIG).unwrap();
-    let run = ["run", "--robots", "4", "--duration", "8", "--config", "robots.toml", "--no-dashboard"];
-    let table =
-        stdout_of(posebridge(folder).args(run).args(["--link", "sim://square", "--out", "run", "--events", "live"]));
-    for robot in ["0/1/1", "ada", "0/3/1", "0/4/1"] {
+    write_text(folder, "robots.toml", CONFIG);
+    let args = ["run", "--robots", "4", "--duration", "5", "--config", "robots.toml", "--no-dashboard"];
+    let out = ["--link", "sim://square", "--out", "run", "--events", "live"];
+    let table = support::run(folder, &[&args[..], &out].concat());
+    let all = BTreeSet::from(["0/1/1", "ada", "0/3/1", "0/4/1"]);
+    for robot in &all {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
     }
     let robots = replayed(folder, "run/recording.mcap");
     let names: BTreeSet<&str> = robots.iter().map(|(name, _)| name.as_str()).collect();
-    assert_eq!(names, BTreeSet::from(["0/1/1", "ada", "0/3/1", "0/4/1"]));
+    assert_eq!(names, all);
     // Another robot's truth is a metre and a half away.
     assert!(robots.iter().all(|(_, rms_m)| *rms_m < 0.02), "{robots:?}");
-    stdout_of(posebridge(folder).args(["replay", "run/recording.mcap", "--events", "again"]));
-    let events = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
-    assert!(events("live") == events("again"), "the replay is that of the run");
-    let report = stdout_of(posebridge(folder).args(["report", "run/recording.mcap", "--only", "ada", "--json"]));
-    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_replays(folder, "run/recording.mcap", "live");
+    let report = json(folder, &["report", "run/recording.mcap", "--only", "ada"]);
     assert_eq!(report["runs"].as_array().unwrap().len(), 1);
     assert_eq!(report["runs"][0]["name"], "ada");
-    stdout_of(posebridge(folder).args(["export", "run/recording.mcap", "--format", "csv,tum", "--out", "out"]));
-    let estimates = std::fs::read_to_string(folder.join("out/estimates.csv")).unwrap();
+    support::run(folder, &["export", "run/recording.mcap", "--format", "csv,tum", "--out", "out"]);
+    let estimates = read_text(folder, "out/estimates.csv");
     let of_robots: BTreeSet<&str> = estimates.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
-    assert_eq!(of_robots, BTreeSet::from(["0/1/1", "ada", "0/3/1", "0/4/1"]));
+    assert_eq!(of_robots, all);
     for name in ["estimate-ada.tum", "truth-ada.tum", "estimate-0-1-1.tum"] {
         assert!(folder.join("out").join(name).is_file(), "{name}");
     }
@@ -73,12 +68,12 @@ fn simulated_robots_on_one_port_have_their_own_names_truths_and_figures() {
 fn robots_on_terminals_of_their_own_are_robots_of_their_own_links() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let mut bricks =
-        RunningProgram::start(posebridge(folder).args(["sim", "--robots", "2", "--listen", "pty:brick-{}.tty"]));
+    let sim = ["sim", "--robots", "2", "--listen", "pty:brick-{}.tty"];
+    let mut bricks = RunningProgram::posebridge(folder, &sim);
     bricks.wait_for("brick 2 up");
     let links = ["--link", "serial:brick-1.tty", "--link", "serial:brick-2.tty"];
-    let run = ["run", "--duration", "6", "--no-dashboard", "--out", "run"];
-    let table = stdout_of(posebridge(folder).args(run).args(links));
+    let args = ["run", "--duration", "4", "--no-dashboard", "--out", "run"];
+    let table = support::run(folder, &[&args[..], &links].concat());
     for robot in ["0/1/1", "1/2/1"] {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
     }

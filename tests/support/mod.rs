@@ -1,12 +1,22 @@
 //! The program under test as a user would start it, in a folder of its own.
 
 #![allow(clippy::expect_used, reason = "helpers outside #[test] stop where the set-up is broken")]
+#![allow(clippy::print_stdout, reason = "a test says which data it did not look at")]
 #![allow(dead_code, reason = "each test file uses its own part of this")]
 #![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
-use std::io::{BufRead, BufReader};
+pub(crate) mod mavlink;
+pub(crate) mod terminal;
+pub(crate) mod virtual_bricks;
+pub(crate) mod virtual_drive;
+
+use std::io::{BufRead, BufReader, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
 
 /// The repository's root.
 pub(crate) fn root() -> PathBuf {
@@ -20,29 +30,106 @@ pub(crate) fn posebridge(folder: &Path) -> Command {
     command
 }
 
-/// Waits for the end of a program, which must be a good one, and returns what it printed.
+/// Waits for the end of a program, which must succeed, and returns its standard output.
 pub(crate) fn stdout_of(command: &mut Command) -> String {
     let output = command.output().expect("the program starts");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{}: {said}", output.status);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {}: {stderr}", output.status);
     String::from_utf8(output.stdout).expect("stdout is text")
 }
 
+/// Runs the program with these arguments, and returns its standard output.
+pub(crate) fn run(folder: &Path, args: &[&str]) -> String {
+    stdout_of(posebridge(folder).args(args))
+}
+
+/// The same with `--json`: the object that it prints.
+pub(crate) fn json(folder: &Path, args: &[&str]) -> Value {
+    let text = stdout_of(posebridge(folder).args(args).arg("--json"));
+    serde_json::from_str(&text).expect("one JSON object")
+}
+
+/// Runs the program to its end, and returns its exit code and standard error.
+pub(crate) fn exit_code_and_stderr(folder: &Path, args: &[&str]) -> (Option<i32>, String) {
+    let output = posebridge(folder).args(args).output().expect("the program starts");
+    (output.status.code(), String::from_utf8(output.stderr).expect("stderr is text"))
+}
+
+/// Each command line, split at spaces, must end with this exit code, print nothing, and say these words on standard error.
+pub(crate) fn assert_refused(folder: &Path, cases: &[(&str, i32, &[&str])]) {
+    for (command, code, words) in cases {
+        let output = posebridge(folder).args(command.split(' ')).output().expect("the program starts");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(*code), "{command}: {stderr}");
+        assert!(output.stdout.is_empty(), "{command}");
+        for word in *words {
+            assert!(stderr.contains(word), "{command}: `{word}` in {stderr}");
+        }
+    }
+}
+
+/// Where the recordings of others lie; `None` on a computer without them.
+pub(crate) fn shared_data() -> Option<PathBuf> {
+    let data = std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from);
+    if data.is_none() {
+        println!("POSEBRIDGE_DATA is not set: recordings of others were not looked at");
+    }
+    data
+}
+
+/// The path of a bundled descriptor of a recording.
+pub(crate) fn descriptor(name: &str) -> String {
+    root().join("config/recordings").join(name).display().to_string()
+}
+
+/// The path of the committed data.
+pub(crate) fn committed_data() -> String {
+    root().join("tests/data").display().to_string()
+}
+
+/// One committed run of a real robot with truth and without a camera.
+pub(crate) const OPTIODOM_RUN: &str = "circular/250620202104/run-01";
+
+/// A file of a folder as text.
+pub(crate) fn read_text(folder: &Path, name: &str) -> String {
+    std::fs::read_to_string(folder.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// Writes a file into a folder.
+pub(crate) fn write_text(folder: &Path, name: &str, text: &str) {
+    std::fs::write(folder.join(name), text).unwrap_or_else(|error| panic!("{name}: {error}"));
+}
+
+/// The number at a JSON pointer.
+pub(crate) fn number(object: &Value, pointer: &str) -> f64 {
+    let value = object.pointer(pointer).and_then(Value::as_f64);
+    value.unwrap_or_else(|| panic!("{pointer} in {object:#}"))
+}
+
+/// The element of a JSON array that has this name.
+pub(crate) fn named<'a>(array: &'a Value, name: &str) -> &'a Value {
+    let mut elements = array.as_array().into_iter().flatten();
+    elements.find(|one| one["name"] == name).unwrap_or_else(|| panic!("{name} in {array:#}"))
+}
+
 /// The events of an `--events` file that have this name, in their order.
-pub(crate) fn events_named(text: &str, name: &str) -> Vec<serde_json::Value> {
+pub(crate) fn events_named(text: &str, name: &str) -> Vec<Value> {
     let events = text.lines().map(|line| serde_json::from_str(line).expect("an event is a line of JSON"));
-    events.filter(|event: &serde_json::Value| event["event"] == name).collect()
+    events.filter(|event: &Value| event["event"] == name).collect()
 }
 
-/// The number behind the first `name` of a line, up to its unit or the end of its field.
-pub(crate) fn number_after(line: &str, name: &str) -> f64 {
-    let text = line.split(name).nth(1).expect("the field is there");
-    let digits = text.split(['s', ')', ',', ' ']).next();
-    let digits = digits.expect("it has a value");
-    digits.parse().expect("it is a number")
+/// Replays a recording, which must give the events of the live run bit for bit; returns them.
+pub(crate) fn assert_replays(folder: &Path, recording: &str, live: &str) -> String {
+    run(folder, &["replay", recording, "--events", "replayed.txt"]);
+    let (live, replayed) = (read_text(folder, live), read_text(folder, "replayed.txt"));
+    for (number, (live, replayed)) in live.lines().zip(replayed.lines()).enumerate() {
+        assert_eq!(live, replayed, "event {number}");
+    }
+    assert_eq!(live.lines().count(), replayed.lines().count());
+    live
 }
 
-/// A running program whose talk can be waited for; killed when dropped.
+/// A running program whose standard error can be waited for; killed when dropped.
 pub(crate) struct RunningProgram {
     child: Child,
     lines: BufReader<ChildStderr>,
@@ -55,6 +142,11 @@ impl RunningProgram {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
         let stderr = child.stderr.take().expect("stderr is piped");
         Self { child, lines: BufReader::new(stderr), output: String::new() }
+    }
+
+    /// Starts `posebridge` in a folder with these arguments.
+    pub(crate) fn posebridge(folder: &Path, args: &[&str]) -> Self {
+        Self::start(posebridge(folder).args(args))
     }
 
     /// Its process.
@@ -95,15 +187,8 @@ impl RunningProgram {
         self.output()
     }
 
-    /// Asks it to end, as Ctrl-C does, and returns its exit code and what it said since it was last listened to.
-    pub(crate) fn interrupted(self) -> (Option<i32>, String) {
-        let (code, _, said) = self.interrupted_with_output();
-        (code, said)
-    }
-
-    /// The same, with its standard output before what it said.
-    pub(crate) fn interrupted_with_output(mut self) -> (Option<i32>, String, String) {
-        use std::io::Read as _;
+    /// The same for a run that may end badly: exit code, standard output and what it said since it was last waited for.
+    pub(crate) fn interrupted(mut self) -> (Option<i32>, String, String) {
         self.send_interrupt();
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
         let (mut printed, mut said) = (String::new(), String::new());
@@ -117,13 +202,12 @@ impl RunningProgram {
     }
 
     fn send_interrupt(&self) {
-        let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
-        nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).expect("it can be signalled");
+        let pid = Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
+        kill(pid, Signal::SIGINT).expect("it can be signalled");
     }
 
     /// Waits for its end and returns its standard output.
     pub(crate) fn output(&mut self) -> String {
-        use std::io::Read as _;
         let mut text = String::new();
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
         // What it still says must be read, or it would wait for us.
@@ -162,27 +246,6 @@ clock_skew_ppm = 2000.0
 clock_start_micros = 4290967296
 "#;
 
-/// Of a descriptor: a robot at rest with a gyro, whose column in `wheels.csv` is `gyro`; [`WHEELS_CSV`] belongs behind it.
-pub(crate) const GYRO_BESIDE_WHEELS: &str = r#"
-name = "by-hand"
-source = "written by this test"
-licence = "-"
-default_run = "rest"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[[runs]]
-name = "rest"
-
-[[gyro]]
-file = "wheels"
-turn_rate = "gyro"
-"#;
-
 /// Of a descriptor: wheels that count ticks, in a file `wheels.csv` with the columns `t_s`, `left` and `right`.
 pub(crate) const WHEELS_CSV: &str = r#"
 [files.wheels]
@@ -199,21 +262,8 @@ right = { column = "right", unit = "ticks" }
 
 /// A simulated brick that waits to be called, and its URL.
 pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (RunningProgram, String) {
-    let path = folder.join("small.toml");
-    std::fs::write(path, scenario).expect("the folder can be written");
-    let sim = ["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"];
-    let mut brick = RunningProgram::start(posebridge(folder).args(sim));
+    write_text(folder, "small.toml", scenario);
+    let mut brick = RunningProgram::posebridge(folder, &["sim", "small.toml", "--listen", "tcp://127.0.0.1:0"]);
     let address = brick.listening_address("");
     (brick, format!("tcp://{address}"))
-}
-
-/// How far off the run in `run/recording.mcap` was, against `truth.csv`: what was recorded is what happened, and the truth says how far off
-/// that was.
-pub(crate) fn error_to_truth_m(folder: &Path) -> f64 {
-    let replay = ["replay", "run/recording.mcap"];
-    let replay = replay.into_iter().chain(["--truth", "truth.csv", "--json"]);
-    let replayed = stdout_of(posebridge(folder).args(replay));
-    let replayed: serde_json::Value = serde_json::from_str(&replayed).expect("it prints JSON");
-    let off_m = replayed["estimators"][0]["position_rms_m"].as_f64();
-    off_m.expect("there is a truth")
 }

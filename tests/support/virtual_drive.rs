@@ -1,42 +1,47 @@
-//! A drive of the simulated brick, recorded as `posebridge run` would have recorded it, in virtual time.
+//! Drives of the simulated brick in virtual time, recorded as `posebridge run` would have recorded them.
 #![allow(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
-#![allow(dead_code, reason = "each test file uses its own part of this")]
+#![allow(dead_code, reason = "not every program with this module uses all of it")]
 #![allow(clippy::allow_attributes, reason = "whether a helper is used depends on the file that includes it")]
 
 use std::fs::File;
 use std::path::Path;
 
 use posebridge::config::Config;
+use posebridge::virtual_station::{self, RunEvent, RunScript};
 use posebridge_recording::container::{FORMAT, RecordingHeader, RecordingWriter, TruthSample};
 use posebridge_sim::{Scenario, Simulation};
-use posebridge_station::Station;
-use posebridge_telemetry::{Input, LinkId, LinkState, Output, PeerId, TimeDelta, Timestamp};
+use posebridge_telemetry::{TimeDelta, Timestamp};
 
-/// Drives to the end of the path and then for `rest`; every input of the station is written down.
+/// Longer than any recorded drive.
+const A_DAY: TimeDelta = TimeDelta::from_millis(86_400_000);
+
+/// Drives to the end of the path and then for `rest`; every input of the station is recorded.
 pub(crate) fn record_drive(path: &Path, scenario: Scenario, rest: TimeDelta) {
-    let (writer, _) = drive(path, scenario, rest);
+    let (writer, _) = drive(path, &Config::default(), scenario, rest);
     writer.finish().unwrap();
 }
 
-/// The same, and where the robot really was.
+/// The same with the true path in the recording.
 pub(crate) fn record_drive_and_truth(path: &Path, scenario: Scenario, rest: TimeDelta) {
-    let (mut writer, simulation) = drive(path, scenario, rest);
-    let samples = simulation.truth().iter();
-    let truth: Vec<TruthSample> = samples
-        .map(|sample| TruthSample {
-            robot: None,
-            time: sample.brick_time,
-            pose: sample.pose,
-            odometry: Some(sample.odometry),
-        })
-        .collect();
-    let now = Timestamp::ZERO + simulation.elapsed();
-    writer.record_truth(now, &truth).unwrap();
+    record_configured_drive(path, &Config::default(), scenario, rest);
+}
+
+/// The same by a station with another configuration.
+pub(crate) fn record_configured_drive(path: &Path, config: &Config, scenario: Scenario, rest: TimeDelta) {
+    let (mut writer, simulation) = drive(path, config, scenario, rest);
+    let samples = simulation.truth().iter().map(|sample| TruthSample {
+        robot: None,
+        time: sample.brick_time,
+        pose: sample.pose,
+        odometry: Some(sample.odometry),
+    });
+    let truth: Vec<TruthSample> = samples.collect();
+    writer.record_truth(Timestamp::ZERO + simulation.elapsed(), &truth).unwrap();
     writer.finish().unwrap();
 }
 
-fn drive(path: &Path, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<File>, Simulation) {
-    let config = Config::default().with_tag_of(&scenario);
+fn drive(path: &Path, config: &Config, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<File>, Simulation) {
+    let config = config.clone().with_tag_of(&scenario);
     let header = RecordingHeader {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -44,34 +49,17 @@ fn drive(path: &Path, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<F
         config_toml: toml::to_string(&config).unwrap(),
         links: vec!["sim://".to_owned()],
     };
-    let mut station = Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap();
-    let mut simulation = Simulation::new(scenario);
     let mut writer = RecordingWriter::create(File::create(path).unwrap(), &header).unwrap();
-    let link = LinkId(0);
-    let mut inputs = vec![Input::Link { link, state: LinkState::Up }];
-    let mut ends_at = None;
-    while ends_at.is_none_or(|end| simulation.elapsed() < end) {
-        let now = Timestamp::ZERO + simulation.elapsed();
-        if station.deadline().is_some_and(|deadline| deadline <= now) {
-            inputs.push(Input::Tick);
-        }
-        for input in inputs.drain(..) {
-            writer.record(now, &input).unwrap();
-            station.handle(now, &input);
-            while let Some(output) = station.poll() {
-                if let Output::Transmit { bytes, .. } = output {
-                    simulation.receive(&bytes);
-                }
+    let script = RunScript {
+        commands: &[],
+        until: A_DAY,
+        linger: rest,
+        observer: &mut |now, event| {
+            if let RunEvent::Input(input) = event {
+                writer.record(now, input).unwrap();
             }
-        }
-        simulation.step();
-        while let Some(bytes) = simulation.poll() {
-            let peer = PeerId::default();
-            inputs.push(Input::Bytes { link, peer, bytes });
-        }
-        if simulation.is_finished() && ends_at.is_none() {
-            ends_at = Some(simulation.elapsed() + rest);
-        }
-    }
-    (writer, simulation)
+        },
+    };
+    let run = virtual_station::run_with(scenario, config.station_config().unwrap(), script).unwrap();
+    (writer, run.simulation)
 }

@@ -1,0 +1,283 @@
+//! The filters for a brick, brick/filters/: compiled by the system's C compiler, held step by step against those of the station.
+//!
+//! Every quantity must agree to 1e-9 of the largest value that it takes in the drive. What single precision costs is printed.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use posebridge_estimator::{FilterConfig, Params, StartPose, find_filter};
+use posebridge_lab::square::{
+    Method, SensorRow, SensorTable, TableSensor, corrected_methods, parse, printed_methods, swapped_methods, write,
+};
+use posebridge_telemetry::quantities::wrap_rad;
+use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise, UncertainValue};
+
+use crate::support::root;
+
+/// Of the largest value in the drive.
+const TOLERANCE: f64 = 1e-9;
+const SENSES: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
+
+fn config() -> FilterConfig {
+    FilterConfig {
+        geometry: DriveGeometry {
+            left_wheel_radius: Meters(0.0281),
+            right_wheel_radius: Meters(0.0279),
+            track_width: Meters(0.1115),
+            tick: Radians(1.0_f64.to_radians()),
+        },
+        noise: SensorNoise {
+            wheel_travel_m_per_sqrt_m: 0.0008,
+            travel_m_per_sqrt_m: 0.001,
+            turn_rad_per_sqrt_rad: 0.004,
+            heading_rad_per_sqrt_m: 0.003,
+            gyro_rad_per_s: 0.6_f64.to_radians(),
+            gyro_resolution_rad_per_s: 1.0_f64.to_radians(),
+            gyro_bias_walk_rad_per_s_sqrt_s: 0.01_f64.to_radians(),
+            accelerometer_m_per_s2: 0.05,
+            ..SensorNoise::EXACT
+        },
+        start: Some(StartPose {
+            pose: Pose::new(Meters(0.2), Meters(-0.1), Heading::from_rad(0.3)),
+            position_sigma_m: 0.01,
+            heading_sigma_rad: 0.02,
+        }),
+        params: Params::default(),
+        calibration: Calibration {
+            gyro_bias_rad_per_s: UncertainValue { value: 0.002, sigma: 0.003 },
+            ..Calibration::default()
+        },
+        arena_map: std::sync::Arc::default(),
+    }
+}
+
+/// The same numbers as the program on the brick takes them.
+fn settings(config: &FilterConfig) -> Vec<String> {
+    let (geometry, noise) = (&config.geometry, &config.noise);
+    let start = config.start.unwrap();
+    let bias = config.calibration.gyro_bias_rad_per_s;
+    [
+        ("left_radius_m", geometry.left_wheel_radius.0),
+        ("right_radius_m", geometry.right_wheel_radius.0),
+        ("track_m", geometry.track_width.0),
+        ("tick_rad", geometry.tick.0),
+        ("x_m", start.pose.x.0),
+        ("y_m", start.pose.y.0),
+        ("heading_rad", start.pose.heading.rad()),
+        ("position_sigma_m", start.position_sigma_m),
+        ("heading_sigma_rad", start.heading_sigma_rad),
+        ("wheel_m_sqrt_m", noise.wheel_travel_m_per_sqrt_m),
+        ("travel_m_sqrt_m", noise.travel_m_per_sqrt_m),
+        ("turn_rad_sqrt_rad", noise.turn_rad_per_sqrt_rad),
+        ("heading_rad_sqrt_m", noise.heading_rad_per_sqrt_m),
+        ("gyro_rad_s", noise.gyro_rad_per_s),
+        ("gyro_resolution_rad_s", noise.gyro_resolution_rad_per_s),
+        ("bias_rad_s", bias.value),
+        ("bias_sigma_rad_s", bias.sigma),
+        ("bias_walk_rad_s_sqrt_s", noise.gyro_bias_walk_rad_per_s_sqrt_s),
+        ("accel_m_s2", config.params.acceleration_m_per_s2),
+        ("turn_accel_rad_s2", config.params.turn_acceleration_rad_per_s2),
+        ("accelerometer_m_s2", noise.accelerometer_m_per_s2),
+    ]
+    .map(|(name, value)| format!("{name}={value}"))
+    .to_vec()
+}
+
+/// Compiles the program into `folder`; without a compiler the test says what to install.
+fn compiled(folder: &Path, real: &str) -> PathBuf {
+    let program = folder.join(format!("replay-{real}"));
+    let sources = root().join("brick/filters");
+    let compiler = ["cc", "gcc", "clang"].into_iter().find(|name| {
+        let found = Command::new(name).arg("--version").stdout(Stdio::null()).status();
+        found.is_ok_and(|status| status.success())
+    });
+    let Some(compiler) = compiler else {
+        panic!("there is no C compiler: none of cc, gcc, clang starts; install gcc to check brick/filters");
+    };
+    let output = Command::new(compiler)
+        .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"])
+        .arg(format!("-DPB_REAL={real}"))
+        .args(["replay.c", "posebridge_filters.c", "-lm", "-o"])
+        .arg(&program)
+        .current_dir(sources)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{compiler}: {said}");
+    program
+}
+
+fn run(program: &Path, file: &Path, settings: &[String]) -> Output {
+    let input = std::fs::File::open(file).unwrap();
+    Command::new(program).args(settings).stdin(input).output().unwrap()
+}
+
+/// What the program printed: of each row, of each name, its numbers.
+fn beliefs(program: &Path, file: &Path, settings: &[String]) -> Vec<Vec<(String, Vec<f64>)>> {
+    let output = run(program, file, settings);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(named_numbers).collect()
+}
+
+fn named_numbers(line: &str) -> Vec<(String, Vec<f64>)> {
+    let mut named: Vec<(String, Vec<f64>)> = Vec::new();
+    for cell in line.split(',').skip(1) {
+        match (cell.parse(), named.last_mut()) {
+            (Ok(number), Some((_, numbers))) => numbers.push(number),
+            _ => named.push((cell.to_owned(), Vec::new())),
+        }
+    }
+    named
+}
+
+/// What the station's filters believe, under the names that the program prints.
+fn expected(table: &SensorTable, config: &FilterConfig) -> Vec<(&'static str, Vec<Vec<f64>>)> {
+    let of = |methods: Vec<Method>, index: usize| -> Vec<Vec<f64>> {
+        let path = methods[index].run(table, config, 1_000_000);
+        path.into_iter().map(|state| state.to_vec()).collect()
+    };
+    vec![
+        ("wheel-kf", of(printed_methods(), 1)),
+        ("wheel-kf own", of(corrected_methods(), 1)),
+        ("velocity-kf", of(printed_methods(), 2)),
+        ("velocity-kf own", of(corrected_methods(), 2)),
+        ("ekf5", of(printed_methods(), 3)),
+        ("ekf5 swapped", of(swapped_methods(), 3)),
+        ("ekf5-corrected", of(corrected_methods(), 3)),
+        ("P of ekf5", variances(table, config, "ekf5")),
+        ("P of ekf5-corrected", variances(table, config, "ekf5-corrected")),
+    ]
+}
+
+fn variances(table: &SensorTable, config: &FilterConfig, name: &str) -> Vec<Vec<f64>> {
+    let mut filter = (find_filter(name).unwrap().build)(config);
+    let unit_rad = table.unit.rad_per_unit(&config.geometry);
+    let rows = table.rows.iter().map(|row| {
+        for observation in row.observations(unit_rad, SENSES) {
+            filter.observe(&observation);
+        }
+        let estimate = filter.estimate_at(row.stamp()).unwrap();
+        (0..5).map(|i| estimate.covariance[i][i]).collect()
+    });
+    rows.collect()
+}
+
+/// The largest difference of each name's quantities over the drive, as a share of their largest value.
+fn worst(found: &[Vec<(String, Vec<f64>)>], table: &SensorTable, config: &FilterConfig) -> Vec<(String, f64)> {
+    let all = expected(table, config);
+    let mut worst = Vec::new();
+    for (place, (name, rows)) in all.iter().enumerate() {
+        assert_eq!(rows.len(), found.len());
+        for quantity in 0..5 {
+            let largest = rows.iter().map(|row| row[quantity].abs()).fold(0.0, f64::max);
+            let differences = rows.iter().zip(found).map(|(row, found)| {
+                let (found_name, numbers) = &found[place];
+                assert_eq!(found_name, name);
+                let difference = numbers[quantity] - row[quantity];
+                let is_heading = quantity == 2 && !name.starts_with('P');
+                let difference = if is_heading { wrap_rad(difference) } else { difference };
+                assert!(difference.is_finite(), "{name} {quantity}");
+                difference.abs()
+            });
+            worst.push((format!("{name} {quantity}"), differences.fold(0.0, f64::max) / largest));
+        }
+    }
+    worst
+}
+
+/// A simulated drive, exported by the program itself.
+fn exported(folder: &Path) -> PathBuf {
+    crate::support::run(folder, &["lab", "nxt-square", "--runs", "1", "--export", "drive.csv", "--json"]);
+    folder.join("drive.csv")
+}
+
+/// A winding drive at intervals of 18 to 78 ms.
+fn uneven(folder: &Path) -> PathBuf {
+    let rows = (0..600).map(|index: u32| {
+        let time_s = 0.054 * f64::from(index) + 0.012 * f64::from(index * 7 % 5);
+        let wheel = |phase: f64| (300.0 * time_s + 200.0 * (time_s + phase).sin()).floor();
+        SensorRow {
+            time_s,
+            encoders: [wheel(0.0), wheel(1.0)],
+            gyro_deg_per_s: Some((20.0 * time_s.sin()).round()),
+            accelerations_m_per_s2: Some([0.1 * time_s.cos(), -0.1 * time_s.sin()]),
+            camera: None,
+            compass_deg: None,
+            truth: None,
+        }
+    });
+    let table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
+    let path = folder.join("uneven.csv");
+    std::fs::write(&path, write(&table, "made by a test")).unwrap();
+    path
+}
+
+#[test]
+fn in_double_precision_every_step_is_that_of_the_station() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = compiled(folder.path(), "double");
+    let config = config();
+    for file in [exported(folder.path()), uneven(folder.path())] {
+        let table = parse(&std::fs::read_to_string(&file).unwrap()).unwrap();
+        let found = beliefs(&program, &file, &settings(&config));
+        let shares = worst(&found, &table, &config);
+        let largest = shares.iter().map(|(_, share)| *share).fold(0.0, f64::max);
+        println!("{}: largest difference {largest:.1e}", file.display());
+        for (name, share) in shares {
+            assert!(share <= TOLERANCE, "{} {name}: {share:e}", file.display());
+        }
+    }
+}
+
+#[test]
+fn single_precision_costs_less_than_a_millimetre_and_a_tenth_of_a_degree() {
+    let folder = tempfile::tempdir().unwrap();
+    let (double, float) = (compiled(folder.path(), "double"), compiled(folder.path(), "float"));
+    let file = exported(folder.path());
+    let settings = settings(&config());
+    let rows = beliefs(&double, &file, &settings).into_iter().zip(beliefs(&float, &file, &settings));
+    let mut costs: Vec<(String, f64, f64)> = Vec::new();
+    for (exact, rounded) in rows {
+        for (index, ((name, one), (_, other))) in exact.iter().zip(&rounded).take(7).enumerate() {
+            let position_m = (one[0] - other[0]).hypot(one[1] - other[1]);
+            let heading_rad = wrap_rad(one[2] - other[2]).abs();
+            if costs.len() <= index {
+                costs.push((name.clone(), 0.0, 0.0));
+            }
+            costs[index].1 = costs[index].1.max(position_m);
+            costs[index].2 = costs[index].2.max(heading_rad);
+        }
+    }
+    assert_eq!(costs.len(), 7);
+    for (name, position_m, heading_rad) in costs {
+        let heading_deg = heading_rad.to_degrees();
+        println!("{name}: float costs {:.4} mm, {heading_deg:.6} degrees", 1e3 * position_m);
+        assert!(position_m < 1e-3 && heading_deg < 0.1, "{name}");
+        assert!(position_m > 0.0, "{name}: this is no single precision");
+    }
+}
+
+#[test]
+fn what_no_filter_can_use_is_refused_with_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = compiled(folder.path(), "double");
+    let cases = [
+        ("time_s,left_counts\n0,1\n", "there is no column `right_counts`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0,1,1\n", "a filter refused the row of time `0`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0.4,1,1\n", "a filter refused the row of time `0.4`"),
+        ("time_s,left_counts,right_counts\n0,0,0\n0.05,nan,1\n", "no number in the row of time `0.05`"),
+        ("", "there is no line with"),
+    ];
+    for (text, reason) in cases {
+        let file = folder.path().join("wrong.csv");
+        std::fs::write(&file, text).unwrap();
+        let output = run(&program, &file, &[]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(said.contains(reason), "{text}: {said}");
+    }
+    let output = run(&program, &folder.path().join("wrong.csv"), &["trakc_m=1".to_owned()]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("`trakc_m=1`"));
+}

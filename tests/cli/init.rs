@@ -1,0 +1,116 @@
+//! `posebridge init`: the files that it writes load, and a robot of each kind drives a lap with them, in virtual time.
+
+use std::fs::OpenOptions;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::Stdio;
+
+use crate::support::terminal::PseudoTerminal;
+use crate::support::{assert_refused, posebridge, read_text, run, write_text};
+use posebridge::config::{BundledRobot, LinkSection, ROBOTS, RobotProfile, load_text};
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge::virtual_station;
+use posebridge_sim::Scenario;
+use posebridge_telemetry::SensorId;
+
+/// A lap of a small square of a robot with this geometry and this gyro.
+fn scenario(robot: BundledRobot, personality: &str) -> Scenario {
+    let of = RobotProfile::from_toml(robot.text).unwrap().robot;
+    let text = format!(
+        "seed = 5\nsteering = \"estimate\"\n[path.square]\nside_m = 0.3\n[drive]\nlaps = 1\nspeed_m_per_s = 0.2\n\
+         [robot]\nwheel_radius_m = {}\ntrack_width_m = {}\n[camera]\nrate_hz = 5.0\n[brick]\npersonality = \"{personality}\"\n\
+         [gyro]\nsigma_deg_per_s = {}\nquantum_deg_per_s = {}\n",
+        of.left_wheel_radius_m,
+        of.track_width_m,
+        of.noise.gyro_rad_per_s.to_degrees(),
+        of.noise.gyro_resolution_rad_per_s.to_degrees(),
+    );
+    Scenario::from_toml(&text).unwrap()
+}
+
+fn init(folder: &Path, args: &[&str]) {
+    run(folder, &[&["init"], args].concat());
+    run(folder, &["config", "check", "--config", "posebridge.toml"]);
+}
+
+#[test]
+fn a_robot_of_each_kind_drives_a_lap_with_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, personality) in [
+        ("nxt-56mm", "nxt"),
+        ("nxt-43mm", "nxt"),
+        ("ev3-educator", "ev3"),
+        ("arduino-2wd", "mavlink"),
+        ("pybricks-spike", "mavlink"),
+        ("sim", "mavlink"),
+    ] {
+        init(folder.path(), &[name, "--force", "--link", "serial:brick.tty"]);
+        // The simulated encoders count degrees: who has such a robot changes that line.
+        let text = read_text(folder.path(), "posebridge.toml");
+        let text = text.replace("ticks_per_turn = 1440.0", "ticks_per_turn = 360.0");
+        let scenario = scenario(BundledRobot::from_name(name).unwrap(), personality);
+        let mut config = load_text("posebridge.toml", &text, &[]).unwrap().config.with_tag_of(&scenario);
+        if personality != "mavlink" {
+            // A camera beside the robot is one block more in the file.
+            config.links.push(LinkSection::new("tcp://camera:5760"));
+        }
+        let run = virtual_station::run(scenario, config.station_config().unwrap()).unwrap();
+        assert!(run.simulation.is_finished(), "{name}");
+        for sensor in [SensorId::WHEELS, SensorId::GYRO, SensorId::CAMERA] {
+            let tally = run.collector.sources.iter().find(|tally| tally.sensor == sensor);
+            assert!(tally.is_some_and(|tally| tally.used > 10), "{name}: {sensor:?}");
+        }
+        let (estimate, _) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
+        let off_m = estimate.position_rms_m.unwrap();
+        println!("{name}: off by {:.1} mm", 1e3 * off_m);
+        assert!(off_m < 0.02, "{name}: {off_m}");
+    }
+}
+
+#[test]
+fn every_robot_has_a_file_that_loads_and_says_that_its_link_is_a_guess() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for robot in ROBOTS {
+        init(folder, &[robot.name, "--force"]);
+        let printed = run(folder, &["config", "print", "--config", "posebridge.toml"]);
+        let named = format!("robot.name = \"{}\"    # file", robot.name);
+        assert!(printed.contains(&named), "{printed}");
+        // What stands there as a comment only is still the default.
+        assert!(printed.contains("record.part_max_minutes = 5    # default"), "{printed}");
+        let shown = run(folder, &["init", robot.name, "--out", "-"]);
+        let (_, link) = shown.split_once("[[link]]\nurl = ").unwrap();
+        let line = link.lines().next().unwrap();
+        let words = ["a guess", "how this robot is usually reached"];
+        assert!(words.iter().any(|words| line.contains(words)), "{line}");
+    }
+}
+
+#[test]
+fn a_file_that_is_there_is_not_touched_without_force() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_text(folder, "posebridge.toml", "# mine\n");
+    // Nor by a link that makes no sense.
+    assert_refused(folder, &[("init sim", 2, &["there already"]), ("init sim --force --link telnet://here", 2, &[])]);
+    assert_eq!(read_text(folder, "posebridge.toml"), "# mine\n");
+    init(folder, &["sim", "--force"]);
+    assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1, "nothing is left beside it");
+}
+
+/// Whoever sits at a terminal is asked.
+#[test]
+fn on_a_terminal_the_robot_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut terminal = PseudoTerminal::open();
+    let mut device = OpenOptions::new();
+    device.read(true).write(true);
+    let open = || Stdio::from(device.open(terminal.device()).unwrap());
+    let mut command = posebridge(folder.path());
+    command.args(["init", "--link", "sim://square"]);
+    let mut program = command.stdin(open()).stderr(open()).spawn().unwrap();
+    terminal.wire.write_all(b"43mm\nnxt-43mm\n").unwrap();
+    assert!(program.wait().unwrap().success());
+    let text = read_text(folder.path(), "posebridge.toml");
+    assert!(text.contains("name = \"nxt-43mm\""), "{text}");
+}

@@ -1,0 +1,136 @@
+//! `replay --smooth`: the path in hindsight beside the filters, on a robot whose drive is known by hand, and what a person reads
+//! when there is none.
+
+use std::fmt::Write as _;
+
+use crate::support::virtual_drive::record_drive_and_truth;
+use crate::support::{SKEWED_SQUARE, WHEELS_CSV, json, number, read_text, run, write_text};
+use posebridge_sim::Scenario;
+use posebridge_telemetry::TimeDelta;
+
+/// Straight along x at 0.1 m/s for 20 s: a tick is a millimetre, the camera looks once a second and every second fix is withheld.
+const DESCRIPTOR: &str = r#"
+name = "by-hand"
+source = "written by this test"
+licence = "-"
+default_run = "straight"
+
+[robot]
+left_wheel_radius_m = 0.1
+right_wheel_radius_m = 0.1
+track_width_m = 0.2
+ticks_per_turn = 628.3185307179587
+
+[robot.noise]
+wheel_travel_m_per_sqrt_m = 0.002
+turn_rad_per_sqrt_rad = 0.01
+fix_position_m = 0.005
+wall_range_m = 0.01
+
+[[runs]]
+name = "straight"
+
+[files.camera]
+path = "camera.csv"
+header_lines = 1
+time = { column = "t_s" }
+
+[[wall_range]]
+file = "wheels"
+range = { column = "wall_m" }
+"#;
+
+const FIXES: &str = r#"
+[[fixes]]
+file = "camera"
+x = { column = "x_m" }
+y = { column = "y_m" }
+use_every = 2
+"#;
+
+/// The start that it is told is 50 mm beside the true one, and said to be good to 100 mm.
+const START: &str = r"
+[start]
+x_m = 0.0
+y_m = 0.05
+heading_deg = 0.0
+position_sigma_m = 0.1
+heading_sigma_rad = 0.1
+";
+
+/// The descriptor and its data in a folder; one of the fixes is half a metre off.
+fn recording(parts: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut wheels = "t_s,left,right,wall_m\n".to_owned();
+    for tenth in 0..=200 {
+        let (t_s, ticks) = (f64::from(tenth) / 10.0, tenth * 10);
+        writeln!(wheels, "{t_s},{ticks},{ticks},{}", 3.0 - t_s * 0.1).unwrap();
+    }
+    let mut camera = "t_s,x_m,y_m\n".to_owned();
+    for second in 0..=20 {
+        let y_m = if second == 10 { 0.5 } else { 0.0 };
+        writeln!(camera, "{second},{},{y_m}", f64::from(second) * 0.1).unwrap();
+    }
+    write_text(folder.path(), "wheels.csv", &wheels);
+    write_text(folder.path(), "camera.csv", &camera);
+    write_text(folder.path(), "by-hand.toml", &(parts.concat() + WHEELS_CSV));
+    folder
+}
+
+#[test]
+fn in_hindsight_the_start_is_known_and_the_outlier_left_out() {
+    let folder = recording(&[DESCRIPTOR, FIXES, START]);
+    let folder = folder.path();
+    let report = json(folder, &["replay", "by-hand.toml", "--filter", "pose", "--smooth"]);
+    let smooth = &report["smooth"]["straight"];
+    // Of 21 fixes every second one is used, among them the one at 10 s.
+    assert_eq!((&smooth["fixes_used"], &smooth["fixes_left_out"]), (&10.into(), &1.into()), "{smooth}");
+    assert!(smooth["reason"].is_null());
+    assert!(number(smooth, "/iterations") > 0.0 && number(smooth, "/seconds") > 0.0);
+    assert_eq!(smooth["not_read"]["range"], 201);
+    // The withheld fixes are exact. A filter must begin where it is told; the path knows better.
+    let rms_m = number(smooth, "/position_rms_m");
+    assert!(rms_m < 0.001, "{rms_m}");
+    assert!(number(smooth, "/position_max_m") < 0.002);
+    assert!(smooth["heading_rms_rad"].is_null(), "no heading withheld");
+    assert!(rms_m < number(&report, "/estimators/0/position_rms_m"));
+
+    let table = run(folder, &["replay", "by-hand.toml", "--smooth", "--figure", "track.svg"]);
+    let row = table.lines().find(|line| line.starts_with("straight  "));
+    let cells: Vec<&str> = row.unwrap().split_whitespace().collect();
+    assert_eq!(cells[5..7], ["10", "1"], "{table}");
+    let note = "straight: the smoother reads wheels, gyro and fixes only, not: range (201)";
+    assert!(table.lines().any(|line| line == note), "{table}");
+    assert!(read_text(folder, "track.svg").contains("smoothed path"));
+    assert!(!run(folder, &["replay", "by-hand.toml"]).contains("smooth"), "not asked for");
+}
+
+#[test]
+fn without_start_and_fixes_a_person_reads_why_there_is_no_path() {
+    let folder = recording(&[DESCRIPTOR]);
+    let folder = folder.path();
+    let reason = "nothing to smooth: 201 motion readings, 0 fixes and no start";
+    let table = run(folder, &["replay", "by-hand.toml", "--smooth"]);
+    let note = format!("straight: no smoothed path: {reason}");
+    assert!(table.lines().any(|line| line == note), "{table}");
+    let report = json(folder, &["replay", "by-hand.toml", "--smooth"]);
+    let smooth = &report["smooth"]["straight"];
+    assert_eq!(smooth["reason"], reason);
+    for figure in ["position_rms_m", "fixes_used", "iterations"] {
+        assert!(smooth[figure].is_null(), "{figure}");
+    }
+}
+
+#[test]
+fn a_recording_of_ours_is_smoothed_from_what_its_filter_was_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = Scenario::from_toml(SKEWED_SQUARE).unwrap();
+    record_drive_and_truth(&folder.path().join("own.mcap"), scenario, TimeDelta::ZERO);
+    let report = json(folder.path(), &["replay", "own.mcap", "--smooth"]);
+    let smooth = &report["smooth"]["recording"];
+    assert!(smooth["reason"].is_null(), "{smooth}");
+    assert!(number(smooth, "/fixes_used") > 5.0, "{smooth}");
+    // The truth of a simulated run is in its recording.
+    let rms_m = number(smooth, "/position_rms_m");
+    assert!(rms_m > 0.0 && rms_m < 0.02, "{rms_m}");
+}
