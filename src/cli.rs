@@ -26,7 +26,7 @@ use crate::{station, tools};
 
 /// Ground station for robots that are too weak to filter for themselves.
 ///
-/// Without a subcommand it runs the station with a simulated brick on a pseudo-terminal.
+/// Without a command it runs the station with a simulated robot on a pseudo-terminal.
 #[derive(Debug, Parser)]
 #[command(
     name = "posebridge",
@@ -48,45 +48,45 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Run the station: telemetry in, pose estimates back, everything recorded.
+    /// Run the station: receive telemetry, estimate poses, send them back, record everything.
     #[command(after_long_help = links_help())]
     Run(RunArgs),
-    /// Run the simulated brick as a process of its own.
+    /// Run the simulated robot as a separate process.
     #[command(after_long_help = plain_links_help())]
     Sim(SimArgs),
-    /// Play a recording of a real robot out of a link, as a brick would.
+    /// Send a recording of a real robot through a link, as the robot would.
     #[command(after_long_help = plain_links_help())]
     Play(PlayArgs),
-    /// Pass bytes between two links as a bad link would: late, in pieces, damaged, or not at all.
+    /// Forward bytes between two links and impair them: delay, fragmentation, damage, loss.
     ///
-    /// The first link is the brick's end, the second the station's.
+    /// The first link goes to the robot, the second to the station.
     #[command(after_long_help = relay_help())]
     Relay(RelayArgs),
-    /// Run the estimators over a recording, offline.
+    /// Run estimators on a recording.
     Replay(ReplayArgs),
-    /// Write a recording as CSV, as trajectories for evo, as a telemetry log or as a recording of ours (docs/recordings.md).
+    /// Export a recording to CSV, trajectories for evo, a telemetry log or a posebridge recording (docs/recordings.md).
     Export(ExportArgs),
-    /// Make a recording of ours from a telemetry log or a run of a descriptor (docs/recordings.md).
+    /// Convert a telemetry log or a run of a descriptor into a posebridge recording (docs/recordings.md).
     Import(ImportArgs),
-    /// Make a page of a recording that needs nothing else: path, errors, innovations with verdicts, links, clock (docs/reports.md).
+    /// Write a self-contained HTML page about a recording: path, errors, innovations, links, clock (docs/reports.md).
     Report(ReportArgs),
-    /// Say what a file carries: messages, rates, losses, gaps, clocks, senders (docs/recordings.md).
+    /// Show what a file contains: messages, rates, losses, gaps, clocks, senders (docs/recordings.md).
     Inspect(InspectArgs),
-    /// Run an experiment: simulated, and those of the papers on a recording or a live robot as well.
+    /// Run an experiment: simulated, or those of the papers on a recording or a live robot.
     #[cfg(feature = "lab")]
     Lab(LabArgs),
-    /// Measure a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibration.md).
+    /// Calibrate a robot: wheels and track, tag and camera, gyro and accelerometers (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Calibrate(CalibrateArgs),
-    /// Identify a sensor's noise from a rest or a straight run, and a camera's delay (docs/lab/calibration.md).
+    /// Identify sensor noise, camera delay and step responses (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Identify(IdentifyArgs),
-    /// Find a robot's noise parameters by the likelihood of the innovations (docs/lab/calibration.md).
+    /// Find the noise parameters of a robot by maximum likelihood of the innovations (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Tune(TuneArgs),
-    /// Make a key for signed links.
+    /// Create a key for signed links.
     Key(KeyArgs),
-    /// Find out why a robot cannot be heard: ports, permissions, programs in the way, what a link carries.
+    /// Find out why no data arrive from a robot: ports, permissions, programs that hold a port, bytes on a link.
     Doctor(DoctorArgs),
     /// Write a commented configuration for a robot (docs/getting-started.md).
     #[command(after_long_help = robots_help())]
@@ -100,9 +100,6 @@ pub enum Command {
 }
 
 /// Executes what the command line asks for; without a subcommand that is `run`.
-///
-/// # Errors
-/// As the subcommand says.
 pub fn execute(cli: Cli) -> Result<(), Failure> {
     match cli.command.unwrap_or(Command::Run(cli.run)) {
         Command::Run(args) => station::run::execute(&args),
@@ -131,13 +128,11 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
     }
 }
 
-/// The profiles, and the kinds of link, from their tables.
 fn relay_help() -> String {
     let names: Vec<&str> = PROFILES.iter().map(|(name, _)| *name).collect();
     format!("Profiles:\n  none, {}\n\n{}", names.join(", "), plain_links_help())
 }
 
-/// The kinds of link, from the table.
 fn links_help() -> String {
     format!(
         "Links:\n  sim://NAME             a simulated brick of our own, on a pseudo-terminal (sim://square)\n{}",
@@ -145,7 +140,6 @@ fn links_help() -> String {
     )
 }
 
-/// The kinds of link of a command that has no simulated brick of its own.
 fn plain_links_help() -> String {
     format!("Links:\n{}", transports_help())
 }

@@ -35,7 +35,6 @@ enum RedirectMode {
     Tee,
 }
 
-/// Prints a line on stderr.
 pub fn print_line(line: &str) {
     if capture(line) == Some(RedirectMode::Replace) {
         return;
@@ -63,8 +62,8 @@ impl Write for LogWriter {
 pub fn redirect_stderr() -> Receiver<String> {
     let route = if std::io::stderr().is_terminal() { RedirectMode::Replace } else { RedirectMode::Tee };
     let (sender, receiver) = sync_channel(QUEUE_LINES);
-    let mut diversion = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
-    *diversion = Some(Redirection { lines: sender, retained: VecDeque::new(), dropped: 0, route });
+    let mut redirection = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
+    *redirection = Some(Redirection { lines: sender, retained: VecDeque::new(), dropped: 0, route });
     receiver
 }
 
@@ -72,7 +71,7 @@ pub fn redirect_stderr() -> Receiver<String> {
 /// the thread that panics.
 pub fn restore_stderr() {
     let ended = match REDIRECTION.try_lock() {
-        Ok(mut diversion) => diversion.take(),
+        Ok(mut redirection) => redirection.take(),
         Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().take(),
         Err(TryLockError::WouldBlock) => None,
     };
@@ -89,24 +88,21 @@ pub fn restore_stderr() {
 
 /// Hands a line to the receiver; the way it takes, if there is one.
 fn capture(line: &str) -> Option<RedirectMode> {
-    let mut diversion = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
-    let diversion = diversion.as_mut()?;
+    let mut redirection = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
+    let redirection = redirection.as_mut()?;
     // A view that hangs shows less; what it misses is kept below.
-    drop(diversion.lines.try_send(line.to_owned()));
-    if diversion.route == RedirectMode::Replace {
-        if diversion.retained.len() >= MAX_RETAINED_LINES {
-            diversion.retained.pop_front();
-            diversion.dropped += 1;
+    drop(redirection.lines.try_send(line.to_owned()));
+    if redirection.route == RedirectMode::Replace {
+        if redirection.retained.len() >= MAX_RETAINED_LINES {
+            redirection.retained.pop_front();
+            redirection.dropped += 1;
         }
-        diversion.retained.push_back(line.to_owned());
+        redirection.retained.push_back(line.to_owned());
     }
-    Some(diversion.route)
+    Some(redirection.route)
 }
 
 /// Prints a result on stdout. A reader that closes the pipe is no error.
-///
-/// # Errors
-/// It cannot be written, for another reason than a closed pipe.
 pub fn print_result(text: &str) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -116,9 +112,6 @@ pub fn print_result(text: &str) -> std::io::Result<()> {
 }
 
 /// A progress bar with this number of `units` (runs, laps) for long work; it is drawn on stderr if that is a terminal, and nowhere else.
-///
-/// # Errors
-/// The name of the units cannot stand in a template.
 pub fn progress_bar(count: u64, units: &str) -> anyhow::Result<ProgressBar> {
     let template = format!("{{bar:40}} {{pos}}/{{len}} {units}, {{eta}} left");
     Ok(ProgressBar::new(count).with_style(ProgressStyle::with_template(&template)?))

@@ -1,6 +1,7 @@
-//! How a command ends: at which stage it failed, and with which exit code.
+//! How a command ends: at which stage it failed and with which exit code, or by a signal.
 
-/// Why a command did not end well, and at which stage.
+use anyhow::Result;
+
 #[derive(Debug)]
 pub enum Failure {
     /// It could not start: exit code 2.
@@ -18,7 +19,6 @@ impl Failure {
         }
     }
 
-    /// What went wrong.
     pub const fn error(&self) -> &anyhow::Error {
         match self {
             Self::CouldNotStart(error) | Self::Failed(error) => error,
@@ -26,17 +26,8 @@ impl Failure {
     }
 }
 
-/// Says at which stage something failed.
 pub trait ExitStage<T> {
-    /// It failed before anything ran.
-    ///
-    /// # Errors
-    /// The error, as [`Failure::CouldNotStart`].
     fn before_start(self) -> Result<T, Failure>;
-    /// It failed while running.
-    ///
-    /// # Errors
-    /// The error, as [`Failure::Failed`].
     fn while_running(self) -> Result<T, Failure>;
 }
 
@@ -46,5 +37,25 @@ impl<T, E: Into<anyhow::Error>> ExitStage<T> for Result<T, E> {
     }
     fn while_running(self) -> Result<T, Failure> {
         self.map_err(|error| Failure::Failed(error.into()))
+    }
+}
+
+/// Ctrl-C and requests to terminate, listened for from the beginning: they must not get lost while links open.
+pub(crate) struct Signals {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    pub(crate) fn listen() -> Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    pub(crate) async fn received(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
     }
 }

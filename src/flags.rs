@@ -3,19 +3,22 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use posebridge_estimator::params::ParamError;
 use posebridge_estimator::{PARAMS, Params};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkUrl};
+use posebridge_telemetry::LinkId;
 
 use crate::config::Setting;
 
 /// Flags that change the configuration.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ConfigFlags {
-    /// Configuration file; without it the embedded default (`posebridge config print`).
+    /// Configuration file. Default: the built-in configuration, printed by `posebridge config print`.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Set one key of the configuration, e.g. robot.track_width_m=0.112; may be repeated.
+    /// Set one key of the configuration, e.g. robot.track_width_m=0.112. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
 }
@@ -23,17 +26,17 @@ pub struct ConfigFlags {
 /// Flags that choose what to read of a recording of a real robot.
 #[derive(Args, Clone, Debug)]
 pub struct DataFlags {
-    /// Where a descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    /// Folder for the relative paths of a descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
-    /// Which runs of a descriptor: all whose names begin so.
+    /// Read the runs of a descriptor whose names begin with this text.
     #[arg(long = "run", value_name = "PREFIX")]
     pub run: Option<String>,
-    /// Use every n-th fix and score on the rest, instead of what the descriptor says; 0 uses none.
+    /// Give the filter every n-th fix and score it on the others; 0 gives it none. Default: as in the descriptor.
     #[arg(long, value_name = "N")]
     pub use_every: Option<usize>,
-    /// Set one key of the robot's table, e.g. track_width_m=0.155 or noise.fix_position_m=0.02, or a tunable of the filter, e.g.
-    /// filter.gate_prob=0.99; may be repeated. For a recording of ours: a key of its configuration.
+    /// Set one key of the robot, e.g. track_width_m=0.155 or noise.fix_position_m=0.02, or one parameter of the filter, e.g.
+    /// filter.gate_prob=0.99. For a posebridge recording: one key of its configuration. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
     pub settings: Vec<Setting>,
 }
@@ -46,22 +49,22 @@ pub struct SessionFlags {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Lay the `[robot]` and `[filter]` of this profile over those of the recording; --set goes over both.
+    /// Use the `[robot]` and `[filter]` tables of this profile instead of the recording's. --set overrides both.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
-    /// Set one tunable of the filter, e.g. gate_prob=0.99, over everything else; may be repeated.
+    /// Set one parameter of the filter, e.g. gate_prob=0.99. Overrides every other source. Can be repeated.
     #[arg(long = "param", value_name = "KEY=VALUE", value_parser = a_param)]
     pub params: Vec<Setting>,
-    /// Truth written by `posebridge sim --truth`, instead of what the recording itself holds.
+    /// Ground truth from `posebridge sim --truth`. Default: the ground truth in the recording.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// A key of a link that was signed, instead of the file that held it when it was recorded; may be repeated.
+    /// Key file of a signed link. Default: the key file that was used while recording. Can be repeated.
     #[arg(long = "key", value_name = "FILE")]
     pub keys: Vec<PathBuf>,
-    /// Count from this number of seconds after the beginning; the filter is given all that came before, too.
+    /// Evaluate from this time on, in seconds after the beginning. The filter still gets everything before it.
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
     pub from: Option<f64>,
-    /// End this number of seconds after the beginning; nothing later is given to the filter.
+    /// Stop at this time, in seconds after the beginning. The filter gets nothing after it.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub to: Option<f64>,
 }
@@ -70,19 +73,43 @@ pub struct SessionFlags {
 #[derive(Args, Clone, Debug)]
 #[group(required = true, multiple = false)]
 pub struct StationLink {
-    /// Wait for the station on this link, e.g. pty:brick.tty or tcp://127.0.0.1:5760.
+    /// Wait for the station to connect on this link, e.g. pty:brick.tty or tcp://127.0.0.1:5760.
     #[arg(long, value_name = "URL")]
     pub listen: Option<String>,
-    /// Call the station on this link, e.g. udp://127.0.0.1:14550.
+    /// Connect to the station on this link, e.g. udp://127.0.0.1:14550.
     #[arg(long, value_name = "URL")]
     pub link: Option<String>,
+}
+
+impl StationLink {
+    /// The link that the flags ask for, not yet open.
+    pub(crate) fn to_link(&self, timer: HostTimer) -> Result<Link> {
+        let (text, role) = match (&self.listen, &self.link) {
+            (Some(url), _) => (url, ConnectRole::Listen),
+            (None, Some(url)) => (url, ConnectRole::Dial),
+            (None, None) => bail!("give --listen URL or --link URL"),
+        };
+        let config = LinkOpenConfig { id: LinkId(0), url: LinkUrl::parse(text)?, role };
+        Ok(Link::new(config, timer))
+    }
+
+    /// Opens that link, or leaves it trying if waiting may help, and says where it listens. Fails where no waiting will help: an address in
+    /// use, no permission.
+    pub(crate) async fn open(&self, link: &mut Link) -> Result<String> {
+        let name = link.url().to_string();
+        link.try_open().await.with_context(|| format!("opening `{name}`"))?;
+        Ok(match (&self.listen, link.local_address()) {
+            (Some(_), Some(address)) => format!("listening on {address}"),
+            _ => format!("on {name}"),
+        })
+    }
 }
 
 /// Whether there is a page, and where (docs/dashboard.md).
 #[derive(Args, Clone, Debug, Default)]
 pub struct DashboardFlags {
-    /// Serve the dashboard there, e.g. 0.0.0.0:4680 for other computers, which open one of the addresses that are printed, with
-    /// their token; port 0 takes a free one.
+    /// Serve the dashboard on this address, e.g. 0.0.0.0:4680 for other computers. They open one of the printed addresses, which
+    /// contain a token. Port 0 selects a free port.
     #[arg(long, value_name = "IP:PORT", conflicts_with = "no_dashboard")]
     pub dashboard: Option<SocketAddr>,
     /// Serve no dashboard.
@@ -91,12 +118,11 @@ pub struct DashboardFlags {
     /// Open the dashboard in a browser.
     #[arg(long, conflicts_with = "no_dashboard")]
     pub open: bool,
-    /// Serve the page's files from this folder instead of from the program: for editing them.
+    /// Serve the files of the page from this folder instead of the built-in ones, to edit them.
     #[arg(long, value_name = "DIR", conflicts_with = "no_dashboard")]
     pub ui_dir: Option<PathBuf>,
 }
 
-/// A number of more than zero.
 pub(crate) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
@@ -104,7 +130,6 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A number of zero or more.
 fn not_negative(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),

@@ -6,14 +6,14 @@ use std::process::ExitCode;
 use clap::Parser;
 use posebridge::cli::{Cli, execute};
 use posebridge::console::{LogWriter, print_line};
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    tracing_subscriber::fmt()
-        .with_env_filter(log_filter())
-        .with_writer(|| LogWriter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    let log = tracing_subscriber::fmt::layer().with_writer(|| LogWriter).with_ansi(std::io::stderr().is_terminal());
+    tracing_subscriber::registry().with(log.with_filter(log_filter())).init();
     match execute(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
@@ -23,8 +23,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// What POSEBRIDGE_LOG asks for; without it warnings and errors.
-fn log_filter() -> tracing_subscriber::EnvFilter {
-    tracing_subscriber::EnvFilter::try_from_env("POSEBRIDGE_LOG")
-        .unwrap_or_else(|_unset| tracing_subscriber::EnvFilter::new("warn"))
+/// The levels of POSEBRIDGE_LOG, e.g. `warn,posebridge=info`; without it, or where it cannot be read, warnings and errors.
+fn log_filter() -> Targets {
+    let levels = std::env::var("POSEBRIDGE_LOG").ok();
+    levels.and_then(|levels| levels.parse().ok()).unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN))
 }

@@ -1,7 +1,7 @@
-//! Brick and station in one loop, in virtual time: no socket, no thread, no clock, the same every time.
+//! Simulated brick and station in one loop in virtual time: no socket, no thread, no clock, and the same result every time.
 //!
-//! It drives the same simulation and the same station as a live run. Between them stands a link that delivers at once, or one of
-//! [`posebridge_sim::impairment`]. Used where two ways of steering or two links are compared on the same world, and by tests.
+//! It runs the same simulation and the same station as a live run, over a link without delay or one of [`posebridge_sim::impairment`].
+//! `lab links`, the comparison of steerings after a run, and tests use it.
 
 use std::collections::VecDeque;
 
@@ -18,18 +18,17 @@ use posebridge_telemetry::{
 
 use crate::station::event_collector::EventCollector;
 
-/// The brick still sends for this long after its path has ended.
+/// How long the brick sends after the end of its path.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
-/// A scenario that does not end by itself is ended here.
+/// Limit for a scenario that does not end by itself.
 const MAX_DURATION: TimeDelta = TimeDelta::from_millis(3_600_000);
 
-/// Most units whose journeys are followed at a time; a link holds fewer.
+/// Limit of the units in transit that are tracked for their delays; a link holds fewer.
 const MAX_IN_TRANSIT: usize = 65_536;
 
-/// What stands between brick and station.
+/// The link between brick and station.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VirtualLink {
-    /// What the link is like.
     pub profile: LinkProfile,
     /// Seed of its randomness; that of the world is the scenario's.
     pub seed: u64,
@@ -41,51 +40,36 @@ pub struct VirtualLink {
     pub brick_skew_ppm: Option<f64>,
 }
 
-/// What a link did in a virtual run.
+/// Counters of both directions of a link over a virtual run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkTotals {
-    /// What became of the brick's bytes.
     pub to_station: Counters,
-    /// What became of the station's bytes.
     pub to_brick: Counters,
-    /// Times the link went down.
     pub outages: u64,
 }
 
-/// What a virtual run leaves behind.
-///
-/// The error of the robot's own odometry is in [`Simulation::truth`], how old each estimate was when the brick had it in
-/// [`Simulation::received_estimates`], how far the station's estimate was off follows from [`Self::collector`] and the truth.
+/// The result of a virtual run: the simulation has the true path and the odometry, and the estimates that the brick received with their
+/// ages; the collector has the station's events.
 pub struct VirtualRun {
-    /// The simulation with its truth.
     pub simulation: Simulation,
-    /// The events of the station.
     pub collector: EventCollector,
-    /// What the link did; a link that delivers at once counts, too.
     pub link: LinkTotals,
-    /// How long each piece was on its way that arrived at the station.
+    /// Transit time of each unit that arrived.
     pub delays_to_station: Vec<TimeDelta>,
-    /// How long each piece was on its way that arrived at the brick.
     pub delays_to_brick: Vec<TimeDelta>,
 }
 
-/// Runs a scenario against a station whose first link is the brick's; the link delivers at once. A brick that does not share its link with
-/// the camera leaves the second link to it, which delivers at once, too.
-///
-/// # Errors
-/// The station cannot be built.
+/// Runs a scenario against a station whose first link is the brick's, without delay. The second link is the camera's where the brick does
+/// not share its own.
 pub fn run(scenario: Scenario, config: StationConfig) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
     run_on(scenario, config, link)
 }
 
-/// Runs a scenario against a station whose first link is the brick's, over a link with faults.
+/// Runs a scenario as [`run`] does, over a link with faults.
 ///
-/// What arrives is given to the station with the instant of its arrival; the brick, whose world advances in
-/// steps of a millisecond, takes what has arrived since its last step. An outage reaches the station as a link would report it.
-///
-/// # Errors
-/// The station cannot be built.
+/// The station gets bytes at the instant of their arrival; the brick, whose world advances in steps of a millisecond, takes what has
+/// arrived since its last step. The station gets an outage as a live link reports it.
 pub fn run_over_link(
     mut scenario: Scenario,
     mut config: StationConfig,
@@ -105,49 +89,48 @@ pub fn run_over_link(
     run_on(scenario, config, link)
 }
 
-/// What an observer of a run receives, in the order in which it happens.
+/// What an observer of a run is called with, in the order in which it happens.
 #[derive(Clone, Copy, Debug)]
 pub enum RunEvent<'a> {
-    /// The station is given this.
+    /// The station handles this.
     Input(&'a Input),
     /// The station emits this.
     Event(&'a Event),
 }
 
-/// Who looks on: sees what happens, and at which instant.
+/// Called with each event and its instant.
 pub type RunObserver<'a> = dyn FnMut(Timestamp<HostClock>, RunEvent<'_>) + 'a;
 
-/// What is done in a run, and who looks on.
+/// Commands, limits and observer of a run.
 pub struct RunScript<'a> {
-    /// What the station is asked to do at which world time, in the order of time. What it asks to be done to the brick is done.
+    /// Commands for the station with their world times, in the order of time. What the station then requests of the brick is done.
     pub commands: &'a [(TimeDelta, Command)],
     /// The run ends then, if not before.
     pub until: TimeDelta,
-    /// Sees everything.
+    /// The brick still sends for this long after its path has ended.
+    pub linger: TimeDelta,
+    /// Called with every input and event.
     pub observer: &'a mut RunObserver<'a>,
 }
 
-/// Runs a scenario as [`run`] does, with commands of a person.
-///
-/// # Errors
-/// The station cannot be built.
-pub fn run_with(scenario: Scenario, config: StationConfig, deeds: RunScript<'_>) -> Result<VirtualRun, BuildError> {
+/// Runs a scenario as [`run`] does, with commands and an observer.
+pub fn run_with(scenario: Scenario, config: StationConfig, script: RunScript<'_>) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
-    let RunScript { commands, until, observer: look } = deeds;
+    let RunScript { commands, until, linger, observer } = script;
     let mut session = VirtualSession::new(scenario, config, link)?;
     session.commands = commands.iter().copied().collect();
-    session.observer = Some(look);
-    Ok(session.drive(until))
+    session.observer = Some(observer);
+    Ok(session.drive(until, linger))
 }
 
 fn run_on(scenario: Scenario, config: StationConfig, link: ImpairedLink) -> Result<VirtualRun, BuildError> {
-    Ok(VirtualSession::new(scenario, config, link)?.drive(MAX_DURATION))
+    Ok(VirtualSession::new(scenario, config, link)?.drive(MAX_DURATION, LINGER_AFTER_END))
 }
 
 /// Brick, link and station.
 struct VirtualSession<'a> {
     id: LinkId,
-    /// The camera's own link, where it has one.
+    /// The link of a camera that does not share the brick's.
     camera: Option<LinkId>,
     station: Station,
     simulation: Simulation,
@@ -156,19 +139,18 @@ struct VirtualSession<'a> {
     outages: u64,
     to_station: TransitTimes,
     to_brick: TransitTimes,
-    /// Inputs that the station is still to get, and when.
+    /// Commands that are not due yet, with their times.
     commands: VecDeque<(TimeDelta, Command)>,
-    /// What the station has asked to be done to the link.
+    /// Commands of the station that change the link, for the next step.
     pending_link_commands: VecDeque<SimulatorCommand>,
-    /// Until when the cable is out.
     unplugged_until: Option<TimeDelta>,
     observer: Option<&'a mut RunObserver<'a>>,
 }
 
-/// How long what was offered in one direction was on its way.
+/// Transit times in one direction.
 #[derive(Debug, Default)]
 struct TransitTimes {
-    /// What may still arrive: number of the unit, and when it was offered.
+    /// Number of each unit that may still arrive, and when it was offered.
     in_transit: VecDeque<(u64, Timestamp<HostClock>)>,
     delays: Vec<TimeDelta>,
 }
@@ -181,7 +163,7 @@ impl TransitTimes {
         self.in_transit.push_back((unit, at));
     }
 
-    /// Takes what the link's log says.
+    /// Takes the deliveries out of the link's log.
     fn follow(&mut self, log: &[LogEntry]) {
         for entry in log {
             let ByteOutcome::Delivered { at } = entry.outcome else {
@@ -214,8 +196,8 @@ impl VirtualSession<'_> {
         })
     }
 
-    /// Lets the brick drive until its path ends, at the longest until then.
-    fn drive(mut self, until: TimeDelta) -> VirtualRun {
+    /// Lets the brick drive to the end of its path and then for `linger`, but not beyond `until`.
+    fn drive(mut self, until: TimeDelta, linger: TimeDelta) -> VirtualRun {
         self.report_link_state(Timestamp::ZERO, self.id, LinkState::Up);
         if let Some(camera) = self.camera {
             self.report_link_state(Timestamp::ZERO, camera, LinkState::Up);
@@ -225,7 +207,7 @@ impl VirtualSession<'_> {
         while self.simulation.elapsed() < ends_at {
             self.step();
             if self.simulation.is_finished() && ends_at == until {
-                ends_at = until.min(self.simulation.elapsed() + LINGER_AFTER_END);
+                ends_at = until.min(self.simulation.elapsed() + linger);
             }
         }
         VirtualRun {
@@ -241,7 +223,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// Gives the commands whose time has come, and does to the link what was asked for.
+    /// Passes on the commands that are due, and changes the link.
     fn run_due_commands(&mut self, now: Timestamp<HostClock>) {
         let elapsed = self.simulation.elapsed();
         while let Some((at, command)) = self.commands.front().copied()
@@ -282,7 +264,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// A step of the world, and all that happens until its end.
+    /// One step of the world with everything that is due until its end.
     fn step(&mut self) {
         self.simulation.step();
         let now = Timestamp::<HostClock>::ZERO + self.simulation.elapsed();
@@ -307,7 +289,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// Lets the link do what it does until `now`, each thing at its instant: an answer leaves when the question has arrived.
+    /// Delivers what is due until `now`, each unit at its instant, so that an answer leaves when the question has arrived.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
             while let Some(event) = self.link.poll(at) {
@@ -343,8 +325,8 @@ impl VirtualSession<'_> {
     }
 
     fn push_input(&mut self, at: Timestamp<HostClock>, input: &Input) {
-        if let Some(look) = &mut self.observer {
-            look(at, RunEvent::Input(input));
+        if let Some(observe) = &mut self.observer {
+            observe(at, RunEvent::Input(input));
         }
         self.station.handle(at, input);
         while let Some(output) = self.station.poll() {
@@ -358,8 +340,8 @@ impl VirtualSession<'_> {
                     self.to_brick.begin(unit, at);
                 }
                 Output::Event(event) => {
-                    if let Some(look) = &mut self.observer {
-                        look(at, RunEvent::Event(&event));
+                    if let Some(observe) = &mut self.observer {
+                        observe(at, RunEvent::Event(&event));
                     }
                     self.collector.on_event(&event);
                 }

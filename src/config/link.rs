@@ -1,17 +1,23 @@
-//! The links of a station: what each opens, sends, signs and passes on.
+//! The links of a station: what each opens and speaks, what it sends, signs and passes on.
 
+use std::fmt;
 use std::net::IpAddr;
+use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_link::LinkUrl;
+use posebridge_link::{LinkUrl, UrlError};
+use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
+use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
-use posebridge_station::{AcceptedVersions, AnnouncedAs, LinkConfig, OUTPUTS, OutputInstant, OutputStream};
+use posebridge_sim::Scenario;
+use posebridge_station::{AcceptedVersions, AnnouncedAs, BrickLink, LinkConfig, OUTPUTS, OutputInstant, OutputStream};
 use posebridge_telemetry::{LinkId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::link_target::LinkTarget;
+use super::bricks::FixSection;
+use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
 use super::signing::SigningSection;
 
@@ -88,9 +94,6 @@ pub enum AtInstant {
 
 impl LinkSection {
     /// A link for ground stations. TCP waits for their calls, and so does UDP at an address of this computer.
-    ///
-    /// # Errors
-    /// It is no URL of a link, or its transport is not usable by a ground station.
     pub fn for_ground_stations(url: &str) -> Result<Self> {
         let LinkTarget::Url(parsed) = LinkTarget::parse(url)? else {
             bail!("`{url}` is a simulated brick; a ground station is reached by udp:// or tcp://");
@@ -105,7 +108,6 @@ impl LinkSection {
         })
     }
 
-    /// What is sent there.
     fn outputs(&self) -> Vec<OutputSection> {
         match (&self.outputs, self.ground_station) {
             (Some(outputs), _) => outputs.clone(),
@@ -114,7 +116,6 @@ impl LinkSection {
         }
     }
 
-    /// A link with the usual outputs.
     pub fn new(url: &str) -> Self {
         Self {
             url: url.to_owned(),
@@ -189,7 +190,6 @@ impl OutputSection {
     }
 }
 
-/// Whether a chunk from there is a datagram.
 pub(super) fn framing_of(url: &str) -> TransportKind {
     match LinkTarget::parse(url) {
         Ok(LinkTarget::Url(url)) if is_datagram(&url) => TransportKind::Datagram,
@@ -201,10 +201,6 @@ fn is_datagram(url: &LinkUrl) -> bool {
     url.transport().is_datagram()
 }
 
-/// The rules of every link, in their order.
-///
-/// # Errors
-/// A value makes no sense; the message names its key.
 pub(super) fn rules_of(links: &[LinkSection]) -> Result<Vec<LinkRules>> {
     let mut groups: Vec<&str> = Vec::new();
     let mut rules = Vec::with_capacity(links.len());
@@ -234,5 +230,96 @@ fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
         inward: link.filter_in.filter().context("`filter_in`")?,
         outward: link.filter_out.filter().context("`filter_out`")?,
         limits: link.limits.limits().context("`limits`")?,
+    })
+}
+
+const SIM_SCHEME: &str = "sim://";
+
+#[derive(Clone, Debug)]
+pub enum LinkTarget {
+    Url(LinkUrl),
+    /// A brick that this program simulates: the scenario's name or file.
+    Sim(String),
+}
+
+impl LinkTarget {
+    /// Understands `sim://NAME`, `sim://FILE.toml` and the URLs of every transport.
+    pub fn parse(text: &str) -> Result<Self, UrlError> {
+        if let Some(scenario) = text.strip_prefix(SIM_SCHEME) {
+            return Ok(Self::Sim(scenario.to_owned()));
+        }
+        match LinkUrl::parse(text) {
+            Ok(url) => Ok(Self::Url(url)),
+            Err(UrlError::UnknownScheme { scheme, known }) => {
+                let known = format!("sim, {known}");
+                Err(UrlError::UnknownScheme { scheme, known })
+            }
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl fmt::Display for LinkTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Url(url) => write!(f, "{url}"),
+            Self::Sim(scenario) => write!(f, "{SIM_SCHEME}{scenario}"),
+        }
+    }
+}
+
+/// A bundled scenario by its name, or one from a TOML file.
+pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
+    if Path::new(name_or_file).extension().is_none_or(|extension| extension != "toml") {
+        return Ok(Scenario::bundled(name_or_file)?);
+    }
+    let text = std::fs::read_to_string(name_or_file).with_context(|| format!("reading scenario `{name_or_file}`"))?;
+    // A way-points file lies beside its scenario unless its path says otherwise.
+    let folder = Path::new(name_or_file).parent().unwrap_or(Path::new(""));
+    let mut read = |path: &Path| std::fs::read_to_string(folder.join(path));
+    Scenario::from_toml_with(&text, &mut read).with_context(|| format!("scenario `{name_or_file}`"))
+}
+
+/// The protocol whose participants need no codec of their own.
+const MAVLINK: &str = "mavlink";
+
+/// The settings of a link's codec; `None` for MAVLink.
+pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSection) -> Result<Option<BrickLink>> {
+    let Some(name) = &link.brick else {
+        return Ok(None);
+    };
+    let Some(protocol) = brick_protocol(name) else {
+        let known: Vec<&str> = BRICK_PROTOCOLS.iter().map(|row| row.name).collect();
+        bail!("`brick` is `{name}`; there are: {}", known.join(", "));
+    };
+    if protocol.name == MAVLINK {
+        return Ok(None);
+    }
+    for (key, is_set) in [
+        ("signing", link.signing.is_some()),
+        ("ground_station", link.ground_station),
+        ("accept_mavlink1", link.accept_mavlink1),
+        ("send_mavlink1", link.send_mavlink1),
+        ("group", link.group.is_some()),
+    ] {
+        ensure!(!is_set, "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away");
+    }
+    let settings = CodecSettings {
+        fixes: CameraJsonSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
+        ..codec_settings(robot)?
+    };
+    Ok(Some(BrickLink { protocol, settings }))
+}
+
+/// Every codec's part of the robot's file; what is not said there is as usual.
+fn codec_settings(robot: &RobotFile) -> Result<CodecSettings> {
+    let nxt = robot.nxt.clone().unwrap_or_default();
+    let ev3 = robot.ev3.clone().unwrap_or_default();
+    let line = robot.line.clone().unwrap_or_default();
+    Ok(CodecSettings {
+        nxt: nxt.settings().context("`[robot.nxt]`")?,
+        ev3: ev3.settings().context("`[robot.ev3]`")?,
+        line: line.settings().context("`[robot.line]`")?,
+        ..CodecSettings::default()
     })
 }

@@ -1,58 +1,37 @@
-//! From files and flags to a [`Config`]; every error names the file, the line and the key.
+//! From files and flags to a [`Config`], and where each value comes from; every error names the file, the line and the key.
 
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::path::Path;
 
-use super::default_toml::DEFAULT_TOML;
+use anyhow::Result;
+
+use super::profile::RobotProfile;
 use super::robot_blocks::split_robot_list;
-use super::setting::Setting;
 use super::station::Config;
 
-/// A configuration and the text that it came from.
+/// The configuration that `posebridge` alone uses, and the documentation of every key.
+pub const DEFAULT_TOML: &str = include_str!("../../config/default.toml");
+
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// The configuration.
     pub config: Config,
     /// The file's own table, for telling where a value comes from.
     pub file: toml::Table,
-    /// Flags that were laid over it.
     pub settings: Vec<Setting>,
 }
 
-/// Why a configuration could not be had.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// The file cannot be read.
     #[error("cannot read the configuration `{path}`: {why}")]
-    Unreadable {
-        /// The file.
-        path: String,
-        /// The error of the system.
-        why: std::io::Error,
-    },
-    /// The text makes no sense.
+    Unreadable { path: String, why: std::io::Error },
     #[error("configuration `{path}`: {why}")]
-    Wrong {
-        /// The file.
-        path: String,
-        /// Line, column and what is wrong.
-        why: String,
-    },
-    /// A flag makes no sense.
+    Wrong { path: String, why: String },
     #[error("`--set {setting}`: {why}")]
-    WrongSetting {
-        /// The flag's value.
-        setting: String,
-        /// What is wrong.
-        why: String,
-    },
+    WrongSetting { setting: String, why: String },
 }
 
 /// Loads a file, or the embedded default where there is none, and lays settings over it.
-///
-/// # Errors
-/// The file cannot be read, or a value or a setting makes no sense.
 pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigError> {
     let Some(path) = path else {
         let loaded = load_text("config/default.toml (embedded)", DEFAULT_TOML, settings)?;
@@ -64,10 +43,6 @@ pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigE
     load_text(&name, &text, settings)
 }
 
-/// The same from a text.
-///
-/// # Errors
-/// As [`load`].
 pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded, ConfigError> {
     let wrong = |why: String| ConfigError::Wrong { path: name.to_owned(), why };
     let mut file: toml::Table = toml::from_str(text).map_err(|error| wrong(located(&error, text)))?;
@@ -80,9 +55,7 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
 }
 
 /// A configuration with some keys set. They are checked together: a section that has no default may be made of several.
-///
-/// # Errors
-/// There is no such key, or a value makes no sense there. The error names the setting that is to blame, or all if that is not known.
+/// An error names the setting that is to blame, or all if that is not known.
 pub fn apply_overrides(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
     let all: Vec<&Setting> = settings.iter().collect();
     with_overrides(config, &all).map_err(|why| {
@@ -121,7 +94,6 @@ fn offending_settings<'a>(config: &Config, settings: &[&'a Setting], why: &str) 
     }
 }
 
-/// What a TOML error says, with line and column in front.
 fn located(error: &toml::de::Error, text: &str) -> String {
     let mut description = String::new();
     if let Some(span) = error.span() {
@@ -138,9 +110,124 @@ fn located(error: &toml::de::Error, text: &str) -> String {
     description + error.message()
 }
 
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    pub path: Vec<String>,
+    pub value: toml::Value,
+}
+
+impl Setting {
+    /// Understands `a.b=VALUE`; a value that is no TOML is taken as text.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let (key, value) = text.split_once('=').ok_or_else(|| format!("`{text}` has no `=`: write KEY=VALUE"))?;
+        let path: Vec<String> = key.trim().split('.').map(str::to_owned).collect();
+        if path.iter().any(String::is_empty) {
+            return Err(format!("`{key}` has an empty part: write for example robot.track_width_m=0.112"));
+        }
+        let value = value.trim();
+        let parsed = toml::from_str::<toml::Table>(&format!("v = {value}")).ok();
+        let value =
+            parsed.and_then(|mut table| table.remove("v")).unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        Ok(Self { path, value })
+    }
+
+    /// Lays the value over a table, making tables on the way.
+    pub fn apply_to(&self, table: &mut toml::Table) -> Result<(), String> {
+        let Some((last, way)) = self.path.split_last() else {
+            return Ok(());
+        };
+        let mut table = table;
+        for part in way {
+            let entry = table.entry(part.clone()).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            table = entry.as_table_mut().ok_or_else(|| format!("`{part}` is no table"))?;
+        }
+        // Whole numbers are fine where a fraction is possible: 1 means 1.0.
+        let value = match (&self.value, table.get(last)) {
+            (toml::Value::Integer(whole), Some(toml::Value::Float(_))) => toml::Value::Float(*whole as f64),
+            _ => self.value.clone(),
+        };
+        table.insert(last.clone(), value);
+        Ok(())
+    }
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}={}", self.path.join("."), self.value)
+    }
+}
+
+/// What is laid over the configuration that a recording was made with.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Overlay<'a> {
+    pub robot: Option<&'a Path>,
+    /// Single keys; they go over the robot, too.
+    pub settings: &'a [Setting],
+}
+
+/// The recording's configuration with another robot, if there is one, and single keys on top.
+pub fn config_with_overlay(header: &str, overlay: Overlay<'_>) -> Result<Config> {
+    let origin = "the recording's own configuration";
+    let mut config = load_text(origin, header, &[])?.config;
+    if let Some(path) = overlay.robot {
+        config = config.with_robot(RobotProfile::read(path)?);
+    }
+    Ok(apply_overrides(&config, overlay.settings)?)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    Default,
+    File,
+    Flag,
+}
+
+pub fn print(loaded: &Loaded) -> Result<String> {
+    let table = toml::Table::try_from(&loaded.config)?;
+    let mut lines = String::new();
+    print_table(&table, &mut Vec::new(), loaded, &mut lines);
+    Ok(lines)
+}
+
+fn print_table(table: &toml::Table, path: &mut Vec<String>, loaded: &Loaded, lines: &mut String) {
+    for (key, value) in table {
+        path.push(key.clone());
+        if let toml::Value::Table(inner) = value {
+            print_table(inner, path, loaded, lines);
+        } else {
+            let origin = match origin_of(path, loaded) {
+                Origin::Default => "default",
+                Origin::File => "file",
+                Origin::Flag => "flag",
+            };
+            // Writing to a String cannot fail.
+            let _ = writeln!(lines, "{} = {value}    # {origin}", path.join("."));
+        }
+        path.pop();
+    }
+}
+
+fn origin_of(path: &[String], loaded: &Loaded) -> Origin {
+    if loaded.settings.iter().any(|setting| setting.path == path) {
+        return Origin::Flag;
+    }
+    let mut table = &loaded.file;
+    let Some((last, way)) = path.split_last() else {
+        return Origin::Default;
+    };
+    for part in way {
+        match table.get(part).and_then(toml::Value::as_table) {
+            Some(inner) => table = inner,
+            None => return Origin::Default,
+        }
+    }
+    if table.contains_key(last) { Origin::File } else { Origin::Default }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Setting, load_text};
 
     fn with(settings: &[&str]) -> Result<Config, String> {
         let settings: Vec<Setting> = settings.iter().map(|text| Setting::parse(text).unwrap()).collect();
@@ -180,5 +267,22 @@ mod tests {
         assert!(error.contains("`--set robot.axle=1`: unknown field"), "{error}");
         let error = with(&START[..2]).unwrap_err();
         assert!(error.contains("x_m=0.5 --set robot.start.y_m=0`: missing field"), "{error}");
+    }
+
+    #[test]
+    fn a_setting_reaches_its_key_and_says_that_it_was_a_flag() {
+        let settings = [Setting::parse("robot.track_width_m=1").unwrap()];
+        let loaded = load_text("test", "[robot]\nname = \"a\"\n", &settings).unwrap();
+        assert_eq!(loaded.config.robot.track_width_m, 1.0);
+        let printed = print(&loaded).unwrap();
+        assert!(printed.contains("robot.track_width_m = 1.0    # flag"), "{printed}");
+        assert!(printed.contains("robot.name = \"a\"    # file"), "{printed}");
+        assert!(printed.contains("robot.ticks_per_turn = 360.0    # default"), "{printed}");
+    }
+
+    #[test]
+    fn the_embedded_default_says_what_the_code_says() {
+        let loaded = load_text("default", DEFAULT_TOML, &[]).unwrap();
+        assert_eq!(loaded.config, Config::default());
     }
 }

@@ -5,55 +5,35 @@
 //! nothing behind this module checks them again.
 
 mod bricks;
-mod calibrated;
 mod calibration;
-mod dashboard;
-mod default_toml;
-mod filter;
 mod link;
-mod link_target;
 mod load;
-mod noise;
-mod origin;
-mod overlay;
-mod plotjuggler;
 mod profile;
-mod record;
 mod robot;
 mod robot_blocks;
 mod robots;
 mod routing;
-mod setting;
+mod sections;
 mod signing;
 mod station;
-mod template;
-mod thermometer;
-mod world;
 
 pub use bricks::{
     Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
 };
-pub use calibrated::{CalibratedRobot, Provenance, utc_date};
-pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration};
-pub use dashboard::DashboardSection;
-pub use default_toml::DEFAULT_TOML;
-pub use filter::{FilterSection, filter_config, names_of_filters};
-pub use link::{AtInstant, LinkSection, OutputSection};
-pub use link_target::{LinkTarget, load_scenario};
-pub use load::{ConfigError, Loaded, apply_overrides, load, load_text};
-pub use noise::RobotNoise;
-pub use origin::{Origin, print};
-pub use overlay::{Overlay, config_with_overlay};
-pub use plotjuggler::{PLOTJUGGLER_ADDRESS, PlotJugglerSection};
-pub use profile::{ProfileFilter, RobotProfile};
-pub use record::{RecordSection, RecordingLimits};
-pub use robot::{RobotFile, RobotStart};
+pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise};
+pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_scenario};
+pub use load::{
+    ConfigError, DEFAULT_TOML, Loaded, Origin, Overlay, Setting, apply_overrides, config_with_overlay, load, load_text,
+    print,
+};
+pub use profile::{CalibratedRobot, ProfileFilter, Provenance, RobotProfile, utc_date};
+pub use robot::{RobotFile, RobotStart, RobotThermometer};
 pub use robot_blocks::{RobotBlockSection, RobotMatchSection};
-pub use robots::{BundledRobot, ROBOTS, UnknownRobot, list as list_of_robots};
+pub use robots::{BundledRobot, ROBOTS, TemplateLink, UnknownRobot, list as list_of_robots, template};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
-pub use setting::Setting;
+pub use sections::{
+    DashboardSection, FilterSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace, RecordSection,
+    RecordingLimits, WallPlace, WorldConfig, filter_config, names_of_filters,
+};
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{CameraConfig, ClockConfig, Config, StationSection};
-pub use template::{TemplateLink, template};
-pub use thermometer::RobotThermometer;
-pub use world::{NumberedPlace, PointPlace, WallPlace, WorldConfig};

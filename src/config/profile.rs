@@ -1,20 +1,21 @@
-//! A robot from any file that describes one, with the tunables that fit it.
+//! Robot profiles: a robot from any file that describes one, and a calibrated robot as a file that `--robot` loads again.
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use posebridge_telemetry::{Calibration, UncertainValue};
 use serde::Deserialize;
 
 use super::Config;
+use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
 use super::robot::{RobotFile, RobotStart};
 
 /// What `--robot FILE` takes over: a robot profile's, a station's or a descriptor's `[robot]` and `[filter]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotProfile {
-    /// The robot.
     pub robot: RobotFile,
-    /// The tunables that fit it.
     pub filter: ProfileFilter,
 }
 
@@ -22,7 +23,6 @@ pub struct RobotProfile {
 #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
 #[serde(default)]
 pub struct ProfileFilter {
-    /// Name of a filter.
     pub name: Option<String>,
     /// Tunables, by key.
     #[serde(flatten)]
@@ -31,19 +31,12 @@ pub struct ProfileFilter {
 
 impl RobotProfile {
     /// Reads a TOML file: a robot profile, a station's configuration or a recording's descriptor.
-    ///
-    /// # Errors
-    /// The file cannot be read, it has no `[robot]`, or one of its tables makes no sense.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
         Self::from_toml(&text).with_context(|| format!("robot `{name}`"))
     }
 
-    /// The same from a text.
-    ///
-    /// # Errors
-    /// It has no `[robot]`, or one of its tables makes no sense.
     pub fn from_toml(text: &str) -> Result<Self> {
         let table: toml::Table = toml::from_str(text)?;
         let Some(robot) = table.get("robot") else { bail!("there is no [robot] table") };
@@ -89,9 +82,122 @@ fn start_of(start: &toml::Table) -> Option<RobotStart> {
     })
 }
 
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibratedRobot {
+    /// The robot as it was configured, its geometry the one that the filter worked with.
+    pub robot: RobotFile,
+    /// What was learned, relative to that geometry.
+    pub learned: Calibration,
+    pub provenance: Provenance,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Provenance {
+    /// When, in microseconds since 1970 (UTC).
+    pub utc_micros: u64,
+    pub source: String,
+    pub filter: String,
+}
+
+impl CalibratedRobot {
+    /// The robot that the profile describes.
+    ///
+    /// Where it started belongs to the run, not to the robot. Its own description would bring back the geometry to which the
+    /// calibration does not belong, so it is not adopted.
+    pub fn profile(&self) -> RobotFile {
+        RobotFile {
+            start: None,
+            adopt_description: false,
+            calibration: RobotCalibration::from(self.profile_calibration()),
+            ..self.robot.clone()
+        }
+    }
+
+    /// What will be known at the next power-up: a gyro's bias is another one each time, so that the last value is a better guess
+    /// than zero, but known no better than before.
+    fn profile_calibration(&self) -> Calibration {
+        let bias = self.learned.gyro_bias_rad_per_s;
+        Calibration {
+            gyro_bias_rad_per_s: UncertainValue { sigma: bias.sigma.max(self.robot.noise.gyro_bias_rad_per_s), ..bias },
+            ..self.learned
+        }
+    }
+
+    /// The profile as a text.
+    /// Refuses what was learned if it is so far off that `--robot` would refuse it.
+    pub fn to_toml(&self) -> Result<String> {
+        let profile = self.profile();
+        profile.calibration().context("what was learned is no calibration")?;
+        let mut robot = toml::Table::try_from(profile)?;
+        let noise = robot.remove("noise");
+        // A table inside a table would make sections of one number each.
+        robot.remove("calibration");
+        let from = &self.provenance;
+        let text = |value: &str| toml::Value::String(value.to_owned());
+        let mut page = String::from(
+            "# A robot with what a filter has learned about it; give it with `posebridge run --robot FILE`.\n",
+        );
+        // Writing to a String cannot fail.
+        let _ = writeln!(page, "\n[calibrated]");
+        let _ = writeln!(page, "date = {}", utc_date(from.utc_micros));
+        let _ = writeln!(page, "source = {}", text(&from.source));
+        let _ = writeln!(page, "filter = {}", text(&from.filter));
+        write_section(&mut page, "robot", &robot);
+        if let Some(toml::Value::Table(noise)) = noise {
+            write_section(&mut page, "robot.noise", &noise);
+        }
+        let _ = writeln!(page, "\n[robot.calibration]");
+        let profile = self.profile_calibration();
+        for entry in CALIBRATION_KEYS {
+            let UncertainValue { value, sigma } = (entry.read)(&profile);
+            let (value, sigma) = (toml::Value::Float(value), toml::Value::Float(sigma));
+            let _ = writeln!(page, "{} = {{ value = {value}, sigma = {sigma} }}", entry.key);
+        }
+        let bias = self.learned.gyro_bias_rad_per_s;
+        let _ = writeln!(
+            page,
+            "# The gyro's bias was known to {} rad/s at the end; the next power-up brings another one.",
+            bias.sigma
+        );
+        Ok(page)
+    }
+}
+
+fn write_section(page: &mut String, name: &str, section: &toml::Table) {
+    // Writing to a String cannot fail.
+    let _ = writeln!(page, "\n[{name}]");
+    for (key, value) in section {
+        let _ = writeln!(page, "{key} = {value}");
+    }
+}
+
+/// Days from 0000-03-01 to 1970-01-01 in the Gregorian calendar.
+const DAYS_BEFORE_EPOCH: u64 = 719_468;
+/// Days of 400 Gregorian years, after which the calendar repeats.
+const DAYS_OF_ERA: u64 = 146_097;
+
+/// Date and time of day in the notation of RFC 3339, to the second.
+///
+/// Years are counted from March, so that the leap day is the last of its year and months follow a pattern of 153 days in five.
+pub fn utc_date(utc_micros: u64) -> String {
+    let seconds = utc_micros / 1_000_000;
+    let days = seconds / 86_400 + DAYS_BEFORE_EPOCH;
+    let (era, day_of_era) = (days / DAYS_OF_ERA, days % DAYS_OF_ERA);
+    let leap_days = day_of_era / 1_460 + day_of_era / 146_096 - day_of_era / 36_524;
+    let year_of_era = (day_of_era - leap_days) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = (month_from_march + 2) % 12 + 1;
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (hour, minute, second) = (seconds / 3_600 % 24, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{RobotProfile, RobotStart};
 
     #[test]
     fn a_profile_brings_its_tunables_and_leaves_the_others() {
@@ -117,5 +223,92 @@ mod tests {
     fn a_file_without_a_robot_is_no_profile() {
         let error = RobotProfile::from_toml("[filter]\n").unwrap_err();
         assert_eq!(error.to_string(), "there is no [robot] table");
+    }
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        // `date -u -d @SECONDS`
+        for (seconds, date) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_709_251_199, "2024-02-29T23:59:59Z"),
+            (1_709_251_200, "2024-03-01T00:00:00Z"),
+            (1_767_225_599, "2025-12-31T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+        ] {
+            assert_eq!(utc_date(seconds * 1_000_000 + 999_999), date);
+        }
+    }
+
+    fn calibrated() -> CalibratedRobot {
+        let mut robot = RobotFile {
+            name: "a \"blue\" robot".to_owned(),
+            track_width_m: 0.155,
+            start: Some(RobotStart {
+                x_m: 1.0,
+                y_m: 2.0,
+                heading_deg: 90.0,
+                position_sigma_m: 0.1,
+                heading_sigma_deg: 1.0,
+            }),
+            ..RobotFile::default()
+        };
+        robot.noise.gyro_bias_rad_per_s = 0.03;
+        let known = |value, sigma| UncertainValue { value, sigma };
+        CalibratedRobot {
+            robot,
+            learned: Calibration {
+                track_scale: known(0.116, 0.004),
+                fix_delay_s: known(0.1875, 0.0123),
+                gyro_bias_rad_per_s: known(-0.0101, 0.0002),
+                ..Calibration::default()
+            },
+            provenance: Provenance {
+                utc_micros: 1_709_251_200_000_000,
+                source: "lego \\ run".to_owned(),
+                filter: "pose".to_owned(),
+            },
+        }
+    }
+
+    #[test]
+    fn a_saved_robot_is_loaded_as_it_was_learned() {
+        let calibrated = calibrated();
+        let text = calibrated.to_toml().unwrap();
+        let loaded = RobotProfile::from_toml(&text).unwrap().robot;
+        assert_eq!(loaded, calibrated.profile(), "{text}");
+        let prior = loaded.calibration().unwrap();
+        assert_eq!(prior.track_scale, calibrated.learned.track_scale);
+        assert_eq!(prior.fix_delay_s, calibrated.learned.fix_delay_s);
+        assert_eq!(loaded.geometry().unwrap(), calibrated.robot.geometry().unwrap());
+        assert_eq!(loaded.noise, calibrated.robot.noise);
+        assert_eq!((loaded.start, loaded.adopt_description), (None, false));
+    }
+
+    #[test]
+    fn a_gyro_s_bias_is_not_trusted_beyond_the_power_up() {
+        let profile = calibrated().profile();
+        let prior = profile.calibration().unwrap().gyro_bias_rad_per_s;
+        assert_eq!((prior.value, prior.sigma), (-0.0101, 0.03));
+    }
+
+    #[test]
+    fn what_could_not_be_loaded_again_is_not_saved() {
+        for value in [0.6, f64::NAN] {
+            let mut calibrated = calibrated();
+            calibrated.learned.track_scale.value = value;
+            let error = format!("{:#}", calibrated.to_toml().unwrap_err());
+            assert!(error.contains("robot.calibration.track_scale"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_saved_robot_says_whence_it_comes() {
+        let page: toml::Table = toml::from_str(&calibrated().to_toml().unwrap()).unwrap();
+        let from = page["calibrated"].as_table().unwrap();
+        assert_eq!(from["date"].to_string(), "2024-03-01T00:00:00Z");
+        assert_eq!(from["source"].as_str(), Some("lego \\ run"));
+        assert_eq!(from["filter"].as_str(), Some("pose"));
     }
 }

@@ -1,15 +1,18 @@
-//! A robot as a file describes it: geometry, noise, calibration, start.
+//! A robot as a file describes it: geometry, noise, calibration, start, thermometers.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use posebridge_estimator::StartPose;
-use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise};
+use posebridge_estimator::filters::thermometer::ThermometerSettings;
+use posebridge_estimator::models::dynamic_measurement::DynamicModel;
+use posebridge_station::ThermometerConfig;
+use posebridge_telemetry::{
+    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bricks::{Ev3Section, LineSection, NxtSection};
-use super::calibration::RobotCalibration;
-use super::noise::RobotNoise;
-use super::thermometer::RobotThermometer;
+use super::calibration::{RobotCalibration, RobotNoise};
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -85,10 +88,6 @@ impl Default for RobotFile {
 }
 
 impl RobotFile {
-    /// Geometry in the vocabulary's types.
-    ///
-    /// # Errors
-    /// A length or a count is not positive.
     pub fn geometry(&self) -> Result<DriveGeometry> {
         for (key, value) in [
             ("left_wheel_radius_m", self.left_wheel_radius_m),
@@ -106,26 +105,14 @@ impl RobotFile {
         })
     }
 
-    /// Noise in the vocabulary's types.
-    ///
-    /// # Errors
-    /// A standard deviation is negative, or one that must not be zero is.
     pub fn noise(&self) -> Result<SensorNoise> {
         self.noise.checked()
     }
 
-    /// What is known of systematic errors, in the vocabulary's types.
-    ///
-    /// # Errors
-    /// A value or a sigma is out of its range.
     pub fn calibration(&self) -> Result<Calibration> {
         self.calibration.checked(self.noise.gyro_bias_rad_per_s)
     }
 
-    /// Start in the vocabulary's types.
-    ///
-    /// # Errors
-    /// A standard deviation is not positive.
     pub fn start(&self) -> Result<Option<StartPose>> {
         let Some(start) = self.start else {
             return Ok(None);
@@ -141,5 +128,123 @@ impl RobotFile {
             position_sigma_m: start.position_sigma_m,
             heading_sigma_rad: start.heading_sigma_deg.to_radians(),
         }))
+    }
+
+    /// Thermometers in the station's types. Refuses a channel that is named twice.
+    pub(super) fn thermometers(&self) -> Result<Vec<ThermometerConfig>> {
+        let mut known: Vec<ThermometerConfig> = Vec::with_capacity(self.thermometers.len());
+        for (index, thermometer) in self.thermometers.iter().enumerate() {
+            let config = thermometer.checked().with_context(|| format!("`robot.thermometer`, number {}", index + 1))?;
+            ensure!(
+                known.iter().all(|other| other.channel != config.channel),
+                "`robot.thermometer` has the channel `{}` twice",
+                thermometer.channel
+            );
+            known.push(config);
+        }
+        Ok(known)
+    }
+
+    /// This robot with another geometry, such as the one that its brick has described.
+    pub fn with_geometry(&self, geometry: &DriveGeometry) -> Self {
+        Self {
+            left_wheel_radius_m: geometry.left_wheel_radius.0,
+            right_wheel_radius_m: geometry.right_wheel_radius.0,
+            track_width_m: geometry.track_width.0,
+            ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
+            ..self.clone()
+        }
+    }
+}
+
+/// One thermometer. Those that are not listed are learnt from what they show.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct RobotThermometer {
+    /// Its channel: `scaled_pressure`, or the name of a NAMED_VALUE_FLOAT, which begins with `temp`.
+    pub channel: String,
+    /// Its time constants, one for each lag, as `posebridge lab thermometer` identifies them; without any they are learnt.
+    #[serde(default)]
+    pub lags_s: Vec<f64>,
+    /// What it shows per degree, once it has settled.
+    #[serde(default = "no_gain")]
+    pub gain: f64,
+    /// Noise of a reading, one standard deviation; 0 takes `robot.noise.temperature_k`.
+    #[serde(default)]
+    pub sigma_k: f64,
+    /// The step between two values that it can show; 0 if fine.
+    #[serde(default)]
+    pub resolution_k: f64,
+}
+
+const fn no_gain() -> f64 {
+    1.0
+}
+
+impl RobotThermometer {
+    fn checked(&self) -> Result<ThermometerConfig> {
+        let channel = ChannelName::from_bytes(self.channel.as_bytes());
+        let is_spelled = channel.as_str() == self.channel;
+        let is_known = self.channel == "scaled_pressure" || self.channel.starts_with("temp");
+        ensure!(
+            is_spelled && is_known,
+            "`channel` is `{}`, must be scaled_pressure or a name of at most ten printable characters that begins with temp",
+            self.channel
+        );
+        for (key, value) in [("sigma_k", self.sigma_k), ("resolution_k", self.resolution_k)] {
+            ensure!(value.is_finite() && value >= 0.0, "`{key}` is {value}, must be zero or more");
+        }
+        let model = if self.lags_s.is_empty() {
+            ensure!(self.gain == 1.0, "`gain` is {}, but without `lags_s` the gain must be 1", self.gain);
+            None
+        } else {
+            let model = DynamicModel::empty()
+                .with_lags(SensorId::THERMOMETER, self.gain, &self.lags_s)
+                .context("`lags_s` and `gain`")?;
+            Some(model)
+        };
+        Ok(ThermometerConfig {
+            channel,
+            settings: ThermometerSettings { model, sigma_k: self.sigma_k, resolution_k: self.resolution_k },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::load_text;
+
+    fn thermometers(text: &str) -> anyhow::Result<usize> {
+        let loaded = load_text("test", text, &[])?;
+        Ok(loaded.config.station_config()?.robot.thermometers.len())
+    }
+
+    #[test]
+    fn a_thermometer_may_be_known_in_part() {
+        let text = "[[robot.thermometer]]\nchannel = \"temp1\"\nlags_s = [5.3, 22]\n\
+                    [[robot.thermometer]]\nchannel = \"scaled_pressure\"\nresolution_k = 0.5\n";
+        assert_eq!(thermometers(text).unwrap(), 2);
+        assert_eq!(thermometers("").unwrap(), 0);
+    }
+
+    #[test]
+    fn a_thermometer_that_makes_no_sense_is_refused_by_its_key() {
+        for (line, key) in [
+            ("channel = \"water\"", "channel"),
+            ("channel = \"temp water\"", "channel"),
+            ("channel = \"temp\"\nlags_s = [-1.0]", "lags_s"),
+            ("channel = \"temp\"\nlags_s = [2.0, 2.0]", "lags_s"),
+            ("channel = \"temp\"\nlags_s = [2.0]\ngain = 0.0", "gain"),
+            ("channel = \"temp\"\ngain = 2.0", "gain"),
+            ("channel = \"temp\"\nsigma_k = nan", "sigma_k"),
+            ("channel = \"temp\"\nresolution_k = -1.0", "resolution_k"),
+            ("channel = \"temp\"\nlag_s = [2.0]", "lag_s"),
+            ("channel = \"temp\"\n[[robot.thermometer]]\nchannel = \"temp\"", "twice"),
+        ] {
+            let refused = thermometers(&format!("[[robot.thermometer]]\n{line}\n"));
+            let error = format!("{:#}", refused.unwrap_err());
+            let has_place = error.contains("robot.thermometer") || error.contains("line 3");
+            assert!(error.contains(key) && has_place, "{line}: {error}");
+        }
     }
 }

@@ -49,10 +49,8 @@ pub struct RobotMatchSection {
 
 impl RobotBlockSection {
     /// What people call the robot, if the block gives it another name than `default`, that of all other robots.
-    ///
-    /// # Errors
-    /// The name is too long, or has characters that are not for showing: the file may come from anywhere, and the name goes to terminals
-    /// and pages.
+    /// Refuses names that are too long or have characters that are not for showing: the file may come from anywhere, and the name goes to
+    /// terminals and pages.
     pub(super) fn own_name(&self, default: &str) -> Result<Option<String>> {
         let name = &self.robot.name;
         let is_shown = |letter: char| letter.is_alphanumeric() || matches!(letter, ' '..='~');
@@ -65,7 +63,6 @@ impl RobotBlockSection {
 }
 
 impl RobotMatchSection {
-    /// The same in the station's types.
     pub fn to_match(self) -> RobotMatch {
         RobotMatch {
             link: self.link.map(LinkId),
@@ -76,9 +73,7 @@ impl RobotMatchSection {
 }
 
 /// Splits a list `[[robot]]` into the table `robot` and the list `robots`; whether there was one.
-///
-/// # Errors
-/// An entry is no table, two have no `match`, or a section for the robot of a link would not be read.
+/// Refuses a list with two entries without `match`, and a section for the robot of a link that would not be read.
 pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
     let Some(toml::Value::Array(entries)) = file.get("robot") else {
         return Ok(false);

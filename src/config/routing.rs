@@ -81,10 +81,6 @@ pub struct LimitsSection {
 }
 
 impl RoutingSection {
-    /// The window for the station.
-    ///
-    /// # Errors
-    /// It is longer than a minute.
     pub(super) fn window(self) -> Result<TimeDelta> {
         ensure!(
             self.duplicate_window_ms <= LONGEST_WINDOW_MS,

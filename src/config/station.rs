@@ -13,18 +13,12 @@ use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::bricks::{FixSection, brick_link};
-use super::dashboard::DashboardSection;
-use super::filter::{FilterSection, filter_config};
-use super::link::{LinkSection, rules_of};
-use super::link_target::LinkTarget;
-use super::plotjuggler::PlotJugglerSection;
-use super::record::RecordSection;
+use super::bricks::FixSection;
+use super::link::{LinkSection, LinkTarget, brick_link, rules_of};
 use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
 use super::routing::RoutingSection;
-use super::thermometer;
-use super::world::WorldConfig;
+use super::sections::{DashboardSection, FilterSection, PlotJugglerSection, RecordSection, WorldConfig, filter_config};
 
 /// Everything that a run needs to know.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -168,18 +162,11 @@ impl Default for ClockConfig {
 }
 
 impl Config {
-    /// The filter's configuration.
-    ///
-    /// # Errors
-    /// A value makes no sense; the message names its key.
     pub fn filter_config(&self) -> Result<FilterConfig> {
         self.filter_config_of(&self.robot)
     }
 
     /// The filter's configuration for a robot of this configuration.
-    ///
-    /// # Errors
-    /// A value makes no sense; the message names its key.
     pub fn filter_config_of(&self, robot: &RobotFile) -> Result<FilterConfig> {
         self.filter.entry()?;
         filter_config(robot, &self.filter, self.world.checked()?)
@@ -205,7 +192,7 @@ impl Config {
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,
-            thermometers: thermometer::checked(&robot.thermometers)?,
+            thermometers: robot.thermometers()?,
         })
     }
 
@@ -220,9 +207,6 @@ impl Config {
     }
 
     /// The station's configuration, without the keys of signed links; see [`crate::station::signing`].
-    ///
-    /// # Errors
-    /// A value makes no sense; the message names its key.
     pub fn station_config(&self) -> Result<StationConfig> {
         self.check_signing()?;
         let rules = rules_of(&self.links)?.into_iter();
@@ -265,9 +249,6 @@ impl Config {
     }
 
     /// Refuses signing that cannot work; reads no key.
-    ///
-    /// # Errors
-    /// The message names the link and what stands against it.
     fn check_signing(&self) -> Result<()> {
         let mut used = BTreeMap::new();
         for (index, link) in self.links.iter().enumerate() {
@@ -292,10 +273,6 @@ impl Config {
         Ok(())
     }
 
-    /// What each link opens.
-    ///
-    /// # Errors
-    /// A URL cannot be understood; the message names the link.
     pub fn targets(&self) -> Result<Vec<(LinkTarget, ConnectRole)>> {
         ensure!(!self.links.is_empty(), "there is no link: give `--link URL` or a `[[link]]` in the configuration");
         let target = |(index, link): (usize, &LinkSection)| {

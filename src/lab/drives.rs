@@ -10,9 +10,6 @@ use posebridge_report::TimedPose;
 use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};
 
 /// A bundled scenario by its name, else one from a TOML file, which is called like it.
-///
-/// # Errors
-/// There is no such scenario, or the file cannot be read or makes no sense.
 pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
     let path = Path::new(asked);
     let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
@@ -26,7 +23,6 @@ pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
     Ok((name, scenario))
 }
 
-/// A filter's configuration from what it may know.
 pub fn filter_config(prior: &FilterPrior) -> FilterConfig {
     FilterConfig {
         geometry: prior.geometry,
@@ -42,7 +38,6 @@ pub fn filter_config(prior: &FilterPrior) -> FilterConfig {
     }
 }
 
-/// The drive as the scoring wants it.
 pub fn known_drive(drive: &Drive) -> ReferenceDrive {
     let truth = drive.truth.iter().enumerate().map(|(step, pose)| TimedPose { time: drive.time_at(step), pose: *pose });
     let arrivals = drive

@@ -5,6 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
+use anyhow::Result;
+
+use crate::console::progress_bar;
+
 /// Results that wait to be taken; a worker that is far ahead waits rather than pile them up.
 const RESULTS_UNDER_WAY: usize = 64;
 
@@ -45,6 +49,31 @@ pub fn run_all<Job: Sync, Done: Send>(
     done.into_iter().map(|(_, done)| done).collect()
 }
 
+/// Runs every job behind a progress bar that counts in these units.
+pub fn run_with_bar<Job: Sync, Done: Send>(
+    jobs: &[Job],
+    units: &str,
+    run: impl Fn(&Job) -> Done + Sync,
+) -> Result<Vec<Done>> {
+    let bar = progress_bar(jobs.len() as u64, units)?;
+    let done = run_all(jobs, run, || bar.inc(1));
+    bar.finish_and_clear();
+    Ok(done)
+}
+
+/// Runs every case as often as `runs` says, behind a progress bar; the results of each case are in the order of its runs.
+pub fn run_cases<Case: Sync, Done: Send>(
+    cases: &[Case],
+    runs: impl Fn(&Case) -> u32,
+    units: &str,
+    run: impl Fn(&Case, u32) -> Done + Sync,
+) -> Result<Vec<Vec<Done>>> {
+    let jobs: Vec<(&Case, u32)> =
+        cases.iter().flat_map(|case| (0..runs(case)).map(move |number| (case, number))).collect();
+    let mut done = run_with_bar(&jobs, units, |(case, number)| run(case, *number))?.into_iter();
+    Ok(cases.iter().map(|case| done.by_ref().take(runs(case) as usize).collect()).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -58,5 +87,11 @@ mod tests {
         assert_eq!(run_all(&jobs, run, || ended += 1), jobs);
         assert_eq!(ended, jobs.len());
         assert_eq!(run_all(&[], run, || ended += 1), Vec::<u64>::new());
+    }
+
+    #[test]
+    fn every_case_has_the_results_of_its_own_runs() {
+        let runs = run_cases(&[2, 0, 3], |case| *case, "runs", |case, number| 10 * case + number).unwrap();
+        assert_eq!(runs, [vec![20, 21], vec![], vec![30, 31, 32]]);
     }
 }

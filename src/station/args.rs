@@ -18,30 +18,29 @@ pub struct RunArgs {
     /// Links, in their order.
     #[command(flatten)]
     pub links: LinkFlags,
-    /// Show robot and estimator to ground stations on this link, e.g. udp://127.0.0.1:14550 or tcp://127.0.0.1:5760; may be repeated,
-    /// beside the other links (docs/ground-stations.md).
+    /// Link to a ground station, which sees the robot as a vehicle, e.g. udp://127.0.0.1:14550 or tcp://127.0.0.1:5760. In
+    /// addition to the other links. Can be repeated (docs/ground-stations.md).
     #[arg(long = "gcs", value_name = "URL")]
     pub ground_stations: Vec<String>,
-    /// What the brick of the first link speaks: mavlink, or a protocol of its own (docs/protocols/mavlink.md).
+    /// Protocol of the robot on the first link: mavlink, nxt, nxt-push, ev3, line or camera-json (docs/protocols/mavlink.md).
     #[arg(long, value_name = "PROTOCOL")]
     pub brick: Option<String>,
-    /// Take the robot from this file's `[robot]` table: a robot profile or a recording's descriptor.
+    /// Use the `[robot]` table of this file: a robot profile or the descriptor of a recording.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,
-    /// Filter to use; see `posebridge config schema`.
+    /// Filter; `posebridge config schema` lists them.
     #[arg(long, value_name = "NAME")]
     pub filter: Option<String>,
-    /// Seed of the simulated brick, instead of its scenario's.
+    /// Seed of the simulated robot. Default: the seed of its scenario.
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Start this number of simulated bricks instead of one, side by side, each with wheels and a seed of its own; they call the
-    /// station on one UDP port.
+    /// Number of simulated robots. Each has its own wheels and seed; all connect to one UDP port of the station.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=250))]
     pub robots: Option<u8>,
-    /// End when the simulated brick has driven its path so often; without it the brick drives on until Ctrl-C.
+    /// Stop after this number of laps of the simulated robot. Default: drive until Ctrl-C.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub laps: Option<u32>,
-    /// Folder for recording and pictures, instead of one named after the time.
+    /// Folder for the recording and the pictures. Default: a new folder named after the time.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Do not record.
@@ -50,7 +49,7 @@ pub struct RunArgs {
     /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
     #[arg(long, conflicts_with = "no_record")]
     pub tlog: bool,
-    /// Write every event as a line of text.
+    /// Write every event to this file, as one JSON object per line.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,
     /// The dashboard.
@@ -59,13 +58,13 @@ pub struct RunArgs {
     /// What is shown besides.
     #[command(flatten)]
     pub views: ViewFlags,
-    /// At the end write the robot with what was learned about it, as a profile for --robot.
+    /// At the end, write a robot profile with the learned calibration, for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
-    /// End after this many seconds.
+    /// Stop after this number of seconds.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub duration: Option<f64>,
-    /// End when no link has brought a byte for this many seconds, once one has.
+    /// Stop when no link has received a byte for this number of seconds. Counts from the first byte on.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub until_silent: Option<f64>,
 }
@@ -73,10 +72,12 @@ pub struct RunArgs {
 /// What is shown besides the page.
 #[derive(Args, Clone, Debug, Default)]
 pub struct ViewFlags {
-    /// Show map, pose, innovations, links and events in this terminal (docs/dashboard.md); q ends the run, ? explains the other keys.
+    /// Show map, pose, innovations, links and events in this terminal (docs/dashboard.md). q stops the run, ? explains the other
+    /// keys.
     #[arg(long)]
     pub tui: bool,
-    /// Send what happens as JSON to PlotJuggler's UDP server there, by default 127.0.0.1:9870 (docs/dashboard.md).
+    /// Send estimates and events as JSON to PlotJuggler's UDP server on this address. Default: 127.0.0.1:9870
+    /// (docs/dashboard.md).
     #[arg(
         long,
         value_name = "IP:PORT",

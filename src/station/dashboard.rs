@@ -22,8 +22,7 @@ use tokio::sync::mpsc;
 
 use super::page_history;
 use super::requests::SimulatorOverrides;
-use super::simulator::TimedTruthSample;
-use super::simulator::truth_tap::TruthTap;
+use super::simulator::{TimedTruthSample, TruthTap};
 use crate::config::Config;
 use crate::console::print_line;
 use crate::flags::DashboardFlags;
@@ -39,11 +38,9 @@ pub struct DashboardHandle {
 
 /// The simulated bricks of a run, as the page shows them.
 pub struct SimulatedBrickInfo<'a> {
-    /// The scenario's name.
     pub name: &'a str,
     /// What each of them drives; there is always one.
     pub scenarios: Vec<&'a Scenario>,
-    /// Where they are.
     pub truth: Vec<TruthTap>,
 }
 
@@ -54,10 +51,7 @@ pub struct ReservedListener {
 }
 
 /// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
-///
-/// # Errors
-/// It cannot listen on its address, or its files are missing. That all ports behind the default are taken is no error: a robot
-/// may wait.
+/// That all ports behind the default are taken is no error: a robot may wait.
 pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<ReservedListener>> {
     let Some(listen) = listen_config(flags, config)? else {
         return Ok(None);
@@ -77,14 +71,14 @@ pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<Reserve
 }
 
 /// Starts the dashboard, if it has an address or another view in this process needs its messages, and prints its address.
-///
-/// # Errors
-/// The system has no random bytes or no thread for it.
 pub fn start(
     reserved: Option<ReservedListener>,
-    (flags, config): (&DashboardFlags, &Config),
-    (timer, folder): (HostTimer, &Path),
-    (simulated, taps): (Option<SimulatedBrickInfo<'_>>, FrameTaps),
+    flags: &DashboardFlags,
+    config: &Config,
+    timer: HostTimer,
+    folder: &Path,
+    simulated: Option<SimulatedBrickInfo<'_>>,
+    taps: FrameTaps,
 ) -> Result<Option<(Dashboard, DashboardHandle)>> {
     if reserved.is_none() && taps.is_empty() {
         return Ok(None);
@@ -110,8 +104,8 @@ pub fn start(
     if let (true, Some(url)) = (flags.open, dashboard.url()) {
         open_in_browser(url)?;
     }
-    let outlet = DashboardHandle { feed, commands, timer, simulator };
-    Ok(Some((dashboard, outlet)))
+    let handle = DashboardHandle { feed, commands, timer, simulator };
+    Ok(Some((dashboard, handle)))
 }
 
 fn listen_config(flags: &DashboardFlags, config: &Config) -> Result<Option<ListenAddress>> {
@@ -140,7 +134,6 @@ fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {
     }
 }
 
-/// Opens an address with what the desktop opens addresses with.
 fn open_in_browser(url: String) -> Result<()> {
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let work = move || {
@@ -188,7 +181,6 @@ fn facts_of(config: &Config, simulated: Option<&SimulatedBrickInfo<'_>>) -> Resu
     })
 }
 
-/// What the page shows of a simulated brick.
 pub fn simulator_facts(simulated: &SimulatedBrickInfo<'_>) -> SimulatorFacts {
     // One lap of the first: the others are driven on the same path, and the other robots beside it.
     let scenario = simulated.scenarios.first().map_or_else(Scenario::default, |first| (*first).clone());
@@ -233,20 +225,20 @@ impl DashboardHandle {
     }
 
     /// Sends the present state, and how the simulated brick was set since the run began.
-    pub fn publish_status(&self, now: Timestamp<HostClock>, standing: StationStatus, orders: SimulatorOverrides) {
+    pub fn publish_status(&self, now: Timestamp<HostClock>, status: StationStatus, overrides: SimulatorOverrides) {
         let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
-            steering: orders.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
-            link_profile: orders.link_profile.map(|name| name.as_str().to_owned()),
+            steering: overrides.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
+            link_profile: overrides.link_profile.map(|name| name.as_str().to_owned()),
         });
-        let standing = StationStatus { simulator, ..standing };
-        self.feed.publish(EventBatch { now, latency: TimeDelta::ZERO, events: Arc::default(), status: Some(standing) });
+        let status = StationStatus { simulator, ..status };
+        self.feed.publish(EventBatch { now, latency: TimeDelta::ZERO, events: Arc::default(), status: Some(status) });
     }
 }
 
 /// The next command from the page; without a dashboard, or when it is gone, never.
-pub async fn next_command(outlet: &mut Option<DashboardHandle>) -> Input {
-    if let Some(outlet) = outlet
-        && let Some(command) = outlet.commands.recv().await
+pub async fn next_command(handle: &mut Option<DashboardHandle>) -> Input {
+    if let Some(handle) = handle
+        && let Some(command) = handle.commands.recv().await
     {
         return command;
     }

@@ -5,7 +5,6 @@ use anyhow::{Result, anyhow};
 /// Most errors kept in full; repeated requests for a recording on a full disk add no more.
 const MAX_ERRORS: usize = 8;
 
-/// What has failed so far.
 #[derive(Debug, Default)]
 pub struct DeferredErrors {
     errors: Vec<anyhow::Error>,
@@ -28,10 +27,6 @@ impl DeferredErrors {
         }
     }
 
-    /// Nothing has failed.
-    ///
-    /// # Errors
-    /// Something has; the message counts all of them.
     pub fn into_result(mut self) -> Result<()> {
         if self.errors.len() <= 1 {
             return self.errors.pop().map_or(Ok(()), Err);

@@ -20,36 +20,21 @@ const HISTORY_LIVE: TimeDelta = HISTORY_DURATION;
 /// A track is not interpolated across a longer silence.
 pub const MAX_INTERPOLATION_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Gathers.
 #[derive(Debug, Default)]
 pub struct EventCollector {
     /// Estimates whose position and heading were valid.
     pub estimates: ThinnedSeries<Estimate>,
-    /// Fixes with what became of them.
     pub fixes: ThinnedSeries<FixMark>,
-    /// How the observations of each sensor fared.
     pub sources: Vec<SourceTally>,
-    /// How many observations came.
     pub observations: u64,
-    /// The last word on each link's health.
     pub links: BTreeMap<LinkId, LinkReport>,
-    /// How often the brick restarted.
     pub restarts: u64,
     /// Every observation as the estimator was given it, for the offline smoother; nothing unless
     /// [`Self::with_observations`].
     pub retained_observations: Vec<Observation>,
-    retention: ObservationRetention,
+    /// A live run of days must not fill the memory.
+    retains_observations: bool,
     last_fix: Option<Point2<Arena>>,
-}
-
-/// Whether observations are kept.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum ObservationRetention {
-    /// A run of days must not fill the memory.
-    #[default]
-    Nothing,
-    /// All of them.
-    Observations,
 }
 
 impl EventCollector {
@@ -64,15 +49,14 @@ impl EventCollector {
 
     /// One that keeps every observation: for recordings, whose length is known.
     pub fn with_observations() -> Self {
-        Self { retention: ObservationRetention::Observations, ..Self::default() }
+        Self { retains_observations: true, ..Self::default() }
     }
 
-    /// Takes an event.
     pub fn on_event(&mut self, event: &Event) {
         match event {
             Event::ObservationAligned { observation, .. } => {
                 self.observations += 1;
-                if self.retention == ObservationRetention::Observations {
+                if self.retains_observations {
                     self.retained_observations.push(*observation);
                 }
                 self.last_fix =
@@ -108,7 +92,6 @@ impl EventCollector {
         }
     }
 
-    /// The estimates as a track.
     pub fn track(&self) -> PoseTrack {
         let samples =
             self.estimates.items().iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
@@ -155,7 +138,6 @@ impl<T> ThinnedSeries<T> {
         }
     }
 
-    /// Takes the next item.
     pub fn push(&mut self, item: T) {
         if self.pushed.is_multiple_of(self.stride) {
             self.items.push(item);
@@ -185,7 +167,6 @@ impl<T> ThinnedSeries<T> {
         later.is_some_and(|(oldest, newest)| (recent.time_of)(newest) - (recent.time_of)(oldest) >= recent.duration)
     }
 
-    /// How many items were given to it.
     pub const fn pushed(&self) -> usize {
         self.pushed
     }

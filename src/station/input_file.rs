@@ -1,4 +1,4 @@
-//! What kind of recording a file is, and its bytes, unpacked if they are packed.
+//! What kind of recording a file is, and its bytes, unpacked if they are packed; of a telemetry log its records.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -7,10 +7,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use flate2::read::MultiGzDecoder;
+use posebridge_protocol::framing::{VerifiedFrame, verify};
+use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
 
-use crate::console::print_line;
+use crate::console::{print_line, progress_bar};
 
-/// What is read at once.
 const CHUNK: usize = 256 * 1024;
 /// The first bytes of a gzip file (RFC 1952, section 2.3.1).
 const GZIP: [u8; 2] = [0x1F, 0x8B];
@@ -19,24 +20,17 @@ const MCAP: &[u8] = b"\x89MCAP";
 /// Where the first frame of a .tlog file begins, behind its time.
 const TLOG_FRAME: usize = posebridge_recording::tlog::TIME_BYTES;
 
-/// The kinds of recordings that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputKind {
-    /// A recording of ours.
     Own,
-    /// A telemetry log.
     Tlog,
     /// Bytes as they came off a link, without times.
     Bytes,
-    /// The descriptor of a foreign recording.
     Descriptor,
 }
 
-/// A file that is open for reading.
 pub struct InputFile {
-    /// What it is.
     pub kind: InputKind,
-    /// How it is called in messages.
     pub name: String,
     /// Its size on the disk, in bytes; packed, if it is.
     pub size: u64,
@@ -48,9 +42,6 @@ pub struct InputFile {
 
 impl InputFile {
     /// Opens a file and finds out what it is: by its first bytes, and where they are ambiguous by its name.
-    ///
-    /// # Errors
-    /// It cannot be read.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).with_context(|| format!("reading the recording `{name}`"))?;
@@ -67,17 +58,12 @@ impl InputFile {
     }
 
     /// The first bytes; they stay in the stream.
-    ///
-    /// # Errors
-    /// It cannot be read.
     pub fn peek(&mut self) -> Result<&[u8]> {
         beginning(&mut self.reader, &self.name)
     }
 
     /// Gives the bytes in chunks, to the end of the file.
-    ///
-    /// # Errors
-    /// The file cannot be read or unpacked any further; what came before was given.
+    /// What came before an error was given.
     pub fn chunks(&mut self, mut take: impl FnMut(&[u8])) -> Result<()> {
         self.chunks_while(|chunk| {
             take(chunk);
@@ -87,9 +73,6 @@ impl InputFile {
 
     /// Gives the bytes in chunks for as long as more are wanted, at most to the end of the file. A packed file that was cut ends where
     /// it was cut ([`Self::is_truncated`]).
-    ///
-    /// # Errors
-    /// As [`Self::chunks`].
     pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
             let chunk = match self.reader.fill_buf() {
@@ -107,7 +90,6 @@ impl InputFile {
         }
     }
 
-    /// Says on stderr that the file was cut, if it was.
     pub fn warn_if_truncated(&self) {
         if self.is_truncated {
             print_line(&format!("`{}`: the packed bytes end in the middle; everything before is used", self.name));
@@ -115,9 +97,6 @@ impl InputFile {
     }
 
     /// All bytes, at most `most` of them; of a packed file that was cut those before, and a note says so.
-    ///
-    /// # Errors
-    /// It cannot be read or unpacked, or is longer.
     pub fn read_all(mut self, most: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if !self.is_compressed {
@@ -180,6 +159,45 @@ fn kind_of(path: &Path, beginning: &[u8]) -> InputKind {
 
 fn has_extension(path: &Path, wanted: &str) -> bool {
     path.extension().and_then(OsStr::to_str).is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+}
+
+/// Gives every record of a file whose frame is whole or of an unknown message, and then the reader, which has counted.
+/// What came before an error was given.
+pub fn tlog_records(mut file: InputFile, mut take: impl FnMut(TlogRecord<'_, ()>)) -> Result<TlogReader> {
+    let mut reader = TlogReader::new();
+    let bar = progress_bar(file.size, "bytes")?;
+    file.chunks(|chunk| {
+        reader.push(chunk, &mut classify, &mut take);
+        bar.inc(chunk.len() as u64);
+    })?;
+    reader.finish(&mut classify, &mut take);
+    bar.finish_and_clear();
+    file.warn_if_truncated();
+    Ok(reader)
+}
+
+/// Gives the first records of a file for as long as more are wanted.
+pub fn first_tlog_records(mut file: InputFile, mut wants_more: impl FnMut(TlogRecord<'_, ()>) -> bool) -> Result<()> {
+    let mut reader = TlogReader::new();
+    let mut is_wanted = true;
+    file.chunks_while(|chunk| {
+        reader.push(chunk, &mut classify, &mut |record| {
+            is_wanted = is_wanted && wants_more(record);
+        });
+        is_wanted
+    })?;
+    reader.finish(&mut classify, &mut |record| {
+        is_wanted = is_wanted && wants_more(record);
+    });
+    Ok(())
+}
+
+fn classify(raw: &[u8]) -> FrameCheck<()> {
+    match verify(raw) {
+        VerifiedFrame::Frame(_) => FrameCheck::Valid(()),
+        VerifiedFrame::UnknownFrame(_) => FrameCheck::Unknown(()),
+        VerifiedFrame::Invalid => FrameCheck::Invalid,
+    }
 }
 
 #[cfg(test)]

@@ -14,22 +14,17 @@ use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, Robot
 /// A robot, what was known of it before a run, and what is known after.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LearnedCalibration {
-    /// The run's name.
     pub run: String,
     /// The robot, its geometry the one that the filter worked with.
     pub robot: RobotFile,
     /// What was known before.
     pub prior: Calibration,
-    /// What is known after.
     pub calibration: Calibration,
 }
 
 impl LearnedCalibration {
     /// What the filters of a session have learned, robot by robot: of those that learn something and were observed. With several
     /// robots `run` is followed by the robot.
-    ///
-    /// # Errors
-    /// The configuration of a robot makes no sense.
     pub fn of_session(station: &Station, run: &str, config: &Config) -> Result<Vec<Self>> {
         let robots = station.robots();
         let mut names = RobotNames::default();
@@ -58,16 +53,8 @@ impl LearnedCalibration {
 
 /// A robot may have described another geometry than its file: what was learned belongs to that one.
 fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
-    if robot.geometry().is_ok_and(|own| own == used) {
-        return robot.clone();
-    }
-    RobotFile {
-        left_wheel_radius_m: used.left_wheel_radius.0,
-        right_wheel_radius_m: used.right_wheel_radius.0,
-        track_width_m: used.track_width.0,
-        ticks_per_turn: std::f64::consts::TAU / used.tick.0,
-        ..robot.clone()
-    }
+    let is_own = robot.geometry().is_ok_and(|own| own == used);
+    if is_own { robot.clone() } else { robot.with_geometry(&used) }
 }
 
 /// One line for each number that a run was allowed to learn; nothing if there is none.
@@ -91,9 +78,6 @@ pub fn learned_table(runs: &[LearnedCalibration]) -> String {
 }
 
 /// Writes each robot with what was learned as a profile: one to the path, of several each beside it under a name of its own.
-///
-/// # Errors
-/// A file cannot be written.
 pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Provenance) -> Result<()> {
     if let [learned] = learned {
         return save(path, learned, provenance);
@@ -106,10 +90,6 @@ pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Proven
     Ok(())
 }
 
-/// Writes the robot with what was learned as a profile.
-///
-/// # Errors
-/// The file cannot be written.
 pub fn save(path: &Path, learned: &LearnedCalibration, provenance: &Provenance) -> Result<()> {
     let calibrated =
         CalibratedRobot { robot: learned.robot.clone(), learned: learned.calibration, provenance: provenance.clone() };

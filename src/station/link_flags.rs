@@ -6,22 +6,17 @@
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use posebridge_link::ConnectRole;
 
-/// The flags, their roles, and their help texts.
 const FLAGS: [(&str, ConnectRole, &str); 2] = [
-    ("link", ConnectRole::Dial, "Call this link; may be repeated, replaces the links of the configuration"),
-    ("listen", ConnectRole::Listen, "Wait for a call on this link; may be repeated"),
+    ("link", ConnectRole::Dial, "Connect to this link. Can be repeated. Replaces the links of the configuration"),
+    ("listen", ConnectRole::Listen, "Wait for a connection on this link. Can be repeated"),
 ];
 
-/// One link, as it was asked for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkFlag {
-    /// What to open.
     pub url: String,
-    /// Who calls whom.
     pub role: ConnectRole,
 }
 
-/// All of them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LinkFlags(pub Vec<LinkFlag>);
 

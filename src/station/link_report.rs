@@ -5,10 +5,8 @@ use std::fmt::Write as _;
 use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_telemetry::{LinkCounter, LinkHealth, LinkId, SourceHealth, TimeDelta};
 
-/// Between two parts of a line.
 const GUTTER: &str = "  ";
 
-/// What went wrong on a link, in the order of its line.
 const PROBLEM_COUNTERS: [LinkCounter; 13] = [
     LinkCounter::CHECKSUM_ERRORS,
     LinkCounter::GARBAGE_BYTES,
@@ -25,10 +23,8 @@ const PROBLEM_COUNTERS: [LinkCounter; 13] = [
     LinkCounter::RECONNECTS,
 ];
 
-/// A column of a table: its header, and what it shows of a link.
 type Column = (&'static str, fn(&LinkHealth) -> String);
 
-/// The table of what came.
 const RECEIVED_COLUMNS: [Column; 11] = [
     ("frames", |health| health.frames_in.to_string()),
     ("lost", |health| health.frames_lost.to_string()),
@@ -43,7 +39,6 @@ const RECEIVED_COLUMNS: [Column; 11] = [
     ("clock ± ms", |health| millis(health.clock_uncertainty)),
 ];
 
-/// The table of what left.
 const SENT_COLUMNS: [Column; 10] = [
     ("frames", |health| health.frames_out.to_string()),
     ("bytes", |health| health.bytes_out.to_string()),
@@ -57,12 +52,9 @@ const SENT_COLUMNS: [Column; 10] = [
     ("reconnects", |health| health.reconnects.to_string()),
 ];
 
-/// The last word on one link.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkReport {
-    /// Its counters.
     pub health: LinkHealth,
-    /// What each sender sent on it.
     pub sources: Vec<SourceHealth>,
 }
 
@@ -87,7 +79,6 @@ pub fn condition(report: &LinkReport) -> String {
     parts.join(GUTTER)
 }
 
-/// The losses, and whose they are if there are any.
 fn losses(report: &LinkReport) -> String {
     let mut text = format!("lost {}", report.health.frames_lost);
     let losers: Vec<String> = report

@@ -17,7 +17,6 @@ use crate::console::print_line;
 /// Several simulated bricks call the station there; the system chooses the port.
 const SHARED_PORT: &str = "udp://127.0.0.1:0";
 
-/// The simulated bricks of a run, if it has any.
 pub(super) struct EmbeddedLink {
     pub(super) embedded: EmbeddedBricks,
     pub(super) name: String,
@@ -31,7 +30,6 @@ impl EmbeddedLink {
     }
 }
 
-/// A simulated brick that has stopped.
 pub(super) struct FinishedSimulation {
     pub(super) simulation: Simulation,
     pub(super) scenario: Scenario,
@@ -47,19 +45,14 @@ pub(super) struct FinishedSimulation {
 #[derive(Clone, Copy)]
 pub(super) struct SimulatedSession<'a> {
     pub(super) timer: HostTimer,
-    /// Where its terminal appears.
     pub(super) folder: &'a Path,
     pub(super) laps: LapLimit,
 }
 
-/// How often a simulated brick drives its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LapLimit {
-    /// Repeats until the run is ended.
     Endless,
-    /// As often as its scenario says.
     OfScenario,
-    /// So often.
     Counted(u32),
 }
 
@@ -109,13 +102,14 @@ pub(super) async fn open_links(
             LinkTarget::Url(url) => (url, role),
             LinkTarget::Sim(name) => {
                 ensure!(matches!(simulated, SimulatedLink::None), "only one link may be sim://");
-                let scenarios = scenarios(args, &name, session.laps)?;
+                let planned = PlannedBricks { scenarios: scenarios(args, &name, session.laps)?, name, link: id };
                 if args.robots.is_some() {
-                    simulated = SimulatedLink::Planned { scenarios, name, link: id };
+                    simulated = SimulatedLink::Planned(planned);
                     (LinkUrl::parse(SHARED_PORT)?, ConnectRole::Listen)
                 } else {
                     let path = session.folder.join("brick.tty");
-                    simulated = SimulatedLink::Started(start_on_terminal(scenarios, name, id, &path, session, stop)?);
+                    let on_terminal = |_: &Scenario| Ok((LinkUrl::pty(&path)?, ConnectRole::Listen, None));
+                    simulated = SimulatedLink::Started(EmbeddedLink::start(planned, session, stop, on_terminal)?);
                     (LinkUrl::serial(&path)?, ConnectRole::Dial)
                 }
             }
@@ -139,8 +133,17 @@ pub(super) async fn open_links(
     let embedded = match simulated {
         SimulatedLink::None => None,
         SimulatedLink::Started(link) => Some(link),
-        SimulatedLink::Planned { scenarios, name, link } => {
-            Some(start_on_shared_port(scenarios, name, link, &ports, session, stop)?)
+        SimulatedLink::Planned(planned) => {
+            let link = planned.link;
+            let port = ports.iter().find(|port| port.id() == link);
+            let address =
+                port.and_then(Link::local_address).context("the port for the simulated bricks is not open")?;
+            // Each calls from a port of its own.
+            let on_shared_port = |scenario: &Scenario| {
+                let robot = RobotId { link, address: scenario.brick.address_of(BRICK) };
+                Ok((LinkUrl::parse(&format!("udp://{address}"))?, ConnectRole::Dial, Some(robot)))
+            };
+            Some(EmbeddedLink::start(planned, session, stop, on_shared_port)?)
         }
     };
     Ok((ports, embedded))
@@ -152,14 +155,16 @@ enum SimulatedLink {
     /// One brick, behind a terminal that must be there before the station opens it.
     Started(EmbeddedLink),
     /// Several, who call the station once its port is open.
-    Planned {
-        scenarios: Vec<Scenario>,
-        name: String,
-        link: LinkId,
-    },
+    Planned(PlannedBricks),
 }
 
-/// What each simulated brick does.
+/// Simulated bricks that were not started yet.
+struct PlannedBricks {
+    scenarios: Vec<Scenario>,
+    name: String,
+    link: LinkId,
+}
+
 fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>> {
     let mut scenario = load_scenario(name)?;
     if let Some(seed) = args.seed {
@@ -175,45 +180,20 @@ fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>
     scenario.side_by_side(count).context("--robots")
 }
 
-/// A brick on a pseudo-terminal that `path` will point to.
-fn start_on_terminal(
-    scenarios: Vec<Scenario>,
-    name: String,
-    link: LinkId,
-    path: &Path,
-    session: SimulatedSession<'_>,
-    stop: &CancellationToken,
-) -> Result<EmbeddedLink> {
-    let mut starts = Vec::new();
-    for scenario in scenarios {
-        let link = LinkOpenConfig { id: LinkId(0), url: LinkUrl::pty(path)?, role: ConnectRole::Listen };
-        starts.push(BrickStart { scenario, link, robot: None });
-    }
-    let embedded = EmbeddedBricks::start(starts, session.timer, stop.clone())?;
-    Ok(EmbeddedLink { embedded, name, link })
-}
-
-/// Bricks that call the station's open port, each from a port of its own.
-fn start_on_shared_port(
-    scenarios: Vec<Scenario>,
-    name: String,
-    link: LinkId,
-    ports: &LinkSet,
-    session: SimulatedSession<'_>,
-    stop: &CancellationToken,
-) -> Result<EmbeddedLink> {
-    let port = ports.iter().find(|port| port.id() == link);
-    let address = port.and_then(Link::local_address).context("the port for the simulated bricks is not open")?;
-    let mut starts = Vec::new();
-    for scenario in scenarios {
-        let url = LinkUrl::parse(&format!("udp://{address}"))?;
-        let robot = Some(RobotId { link, address: scenario.brick.address_of(BRICK) });
-        starts.push(BrickStart {
-            scenario,
-            link: LinkOpenConfig { id: LinkId(0), url, role: ConnectRole::Dial },
-            robot,
+impl EmbeddedLink {
+    /// Starts a brick for each scenario, on the link that `ends` makes for it.
+    fn start(
+        planned: PlannedBricks,
+        session: SimulatedSession<'_>,
+        stop: &CancellationToken,
+        ends: impl Fn(&Scenario) -> Result<(LinkUrl, ConnectRole, Option<RobotId>)>,
+    ) -> Result<Self> {
+        let PlannedBricks { scenarios, name, link } = planned;
+        let starts = scenarios.into_iter().map(|scenario| {
+            let (url, role, robot) = ends(&scenario)?;
+            Ok(BrickStart { scenario, link: LinkOpenConfig { id: LinkId(0), url, role }, robot })
         });
+        let embedded = EmbeddedBricks::start(starts.collect::<Result<_>>()?, session.timer, stop.clone())?;
+        Ok(Self { embedded, name, link })
     }
-    let embedded = EmbeddedBricks::start(starts, session.timer, stop.clone())?;
-    Ok(EmbeddedLink { embedded, name, link })
 }

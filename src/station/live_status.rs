@@ -1,30 +1,32 @@
-//! The live status block: time, link, clocks, pose, last fix, thermometers.
+//! The live status block: time, link, clocks, pose, last fix, thermometers; and how far off odometry and estimate are where a simulated
+//! brick sends the truth.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use posebridge_report::{PoseTrack, TimedPose};
+use posebridge_sim::TruthSample;
 use posebridge_telemetry::{
     Celsius, ChannelName, Estimate, Event, FusionOutcome, HostClock, LinkId, LinkState, RepeatFilter, RobotId,
     ScalarEstimate, TimeDelta, Timestamp,
 };
 use tokio::sync::watch;
 
-use super::error_to_truth::{ErrorToTruth, error_line};
+use super::event_collector::MAX_INTERPOLATION_GAP;
 use super::link_report::{LinkReport, condition};
+use super::simulator::TruthTap;
 use crate::console::print_line;
 
 /// Without a terminal a plain line is written this often instead.
 const PLAIN_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 /// With a simulated brick a short line is written this often instead: who is how far off.
 const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// The bar's resolution.
 const BAR_STEPS: u64 = 1_000;
 
 /// Most robots with a line in the block, so that it fits into a small terminal.
 const MAX_ROBOT_LINES: usize = 8;
 
-/// What the block shows of one robot.
 #[derive(Clone, Debug, Default)]
 struct RobotView {
     name: Option<String>,
@@ -32,7 +34,6 @@ struct RobotView {
     last_fix: Option<(FusionOutcome, TimeDelta)>,
 }
 
-/// The block.
 pub struct LiveView {
     bar: ProgressBar,
     progress: Option<watch::Receiver<f64>>,
@@ -44,23 +45,14 @@ pub struct LiveView {
     robots: BTreeMap<RobotId, RobotView>,
     /// What each thermometer shows, and what it will show in the end.
     thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
-    verbosity: Verbosity,
+    is_silent: bool,
     repeats: RepeatFilter,
 }
 
-/// Whether the block says anything.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verbosity {
-    Printing,
-    Silent,
-}
-
-/// What the block shows of one link.
 #[derive(Clone, Debug)]
 struct LinkView {
     state: LinkState,
     report: LinkReport,
-    /// Received per second, between two health events.
     bytes_per_s: f64,
     frames_per_s: f64,
 }
@@ -81,7 +73,6 @@ impl LinkView {
 }
 
 impl LiveView {
-    /// A block for a run whose progress is known, or not.
     pub fn new(progress: Option<watch::Receiver<f64>>) -> Self {
         let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
         let template = match progress {
@@ -101,12 +92,11 @@ impl LiveView {
             clock: None,
             robots: BTreeMap::new(),
             thermometers: BTreeMap::new(),
-            verbosity: Verbosity::Printing,
+            is_silent: false,
             repeats: RepeatFilter::default(),
         }
     }
 
-    /// The same for robots whose true places are known.
     pub fn with_truth(mut self, errors: Vec<ErrorToTruth>) -> Self {
         self.error_to_truth = errors;
         self
@@ -114,10 +104,9 @@ impl LiveView {
 
     /// A block that says nothing, for measurements.
     pub fn silent() -> Self {
-        Self { verbosity: Verbosity::Silent, ..Self::new(None) }
+        Self { is_silent: true, ..Self::new(None) }
     }
 
-    /// Takes an event.
     pub fn on_event(&mut self, now: Timestamp<HostClock>, event: &Event) {
         self.now = now;
         match event {
@@ -165,7 +154,7 @@ impl LiveView {
         if let Some(repeated) = self.repeats.flush_due(self.now) {
             self.print(&repeated);
         }
-        if self.verbosity == Verbosity::Silent {
+        if self.is_silent {
             return;
         }
         if self.bar.is_hidden() {
@@ -199,7 +188,6 @@ impl LiveView {
         error_line(&errors)
     }
 
-    /// Takes the block away.
     pub fn finish(&self) {
         if let Some(repeated) = self.repeats.suppressed_summary() {
             self.print(&repeated);
@@ -219,7 +207,7 @@ impl LiveView {
     }
 
     fn print(&self, line: &str) {
-        if self.verbosity == Verbosity::Silent {
+        if self.is_silent {
             return;
         }
         if self.bar.is_hidden() {
@@ -284,7 +272,6 @@ impl LiveView {
 }
 
 impl RobotView {
-    /// A line of its own, `name` in front.
     fn line(&self, name: &str) -> String {
         let mut line = match &self.estimate {
             Some(estimate) => pose_line(name, estimate),
@@ -320,6 +307,83 @@ fn pose_line(name: &str, estimate: &Estimate) -> String {
         estimate.pose.heading.rad().to_degrees(),
         estimate.heading_sigma_rad().to_degrees(),
     )
+}
+
+/// So much truth is kept: an estimate to steer by is newer.
+const TRUTH_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
+
+/// How far off odometry and estimate are, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurrentErrors {
+    pub odometry_m: f64,
+    /// Of the estimate; `None` while none can be compared.
+    pub estimate_m: Option<f64>,
+}
+
+/// A line for people about one robot or several; `None` before anything is known.
+pub fn error_line(errors: &[CurrentErrors]) -> Option<String> {
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.reduce(f64::max);
+    let odometry_m = largest(&mut errors.iter().map(|errors| errors.odometry_m))?;
+    let estimate_m = largest(&mut errors.iter().filter_map(|errors| errors.estimate_m));
+    let at_most = if errors.len() > 1 { " at most" } else { "" };
+    let estimate = estimate_m
+        .map_or_else(|| "estimate not known".to_owned(), |off_m| format!("estimate {off_m:.3} m off{at_most}"));
+    let line = format!("odometry {odometry_m:.2} m off{at_most}, {estimate}");
+    Some(if errors.len() > 1 { format!("{} robots: {line}", errors.len()) } else { line })
+}
+
+/// Holds estimates against the truth as it comes.
+pub struct ErrorToTruth {
+    tap: TruthTap,
+    truth: VecDeque<TruthSample>,
+    /// Of the same time; some of them are ahead of the truth, which comes at its own instants.
+    estimates: VecDeque<TimedPose>,
+}
+
+/// Most estimates that are kept: 2 s of a brick that is as fast as any.
+const MAX_ESTIMATES: usize = 1_024;
+
+impl ErrorToTruth {
+    pub const fn new(tap: TruthTap) -> Self {
+        Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
+    }
+
+    /// The errors of now; `None` before anything is known.
+    pub fn errors(&mut self) -> Option<CurrentErrors> {
+        self.drain_truth();
+        let newest = self.truth.back()?;
+        let odometry_m = newest.odometry.origin().distance(newest.pose.origin()).0;
+        Some(CurrentErrors { odometry_m, estimate_m: self.estimate_m() })
+    }
+
+    pub fn push_estimate(&mut self, robot: RobotId, estimate: &Estimate) {
+        if self.tap.robot().is_none_or(|own| own == robot) && estimate.validity.position {
+            if self.estimates.len() >= MAX_ESTIMATES {
+                self.estimates.pop_front();
+            }
+            self.estimates.push_back(TimedPose { time: estimate.stamp, pose: estimate.pose });
+        }
+    }
+
+    /// How far the last estimate whose instant the truth has reached was off then, in metres.
+    fn estimate_m(&self) -> Option<f64> {
+        let samples = self.truth.iter().map(|sample| TimedPose { time: sample.brick_time, pose: sample.pose });
+        let really = PoseTrack::new(samples, MAX_INTERPOLATION_GAP);
+        self.estimates.iter().rev().find_map(|estimate| {
+            let pose = really.at(estimate.time)?;
+            Some(pose.origin().distance(estimate.pose.origin()).0)
+        })
+    }
+
+    fn drain_truth(&mut self) {
+        self.truth.extend(self.tap.drain().into_iter().map(|live| live.sample));
+        let newest = self.truth.back().map(|sample| sample.sim_time);
+        while let (Some(newest), Some(oldest)) = (newest, self.truth.front())
+            && newest - oldest.sim_time > TRUTH_WINDOW
+        {
+            self.truth.pop_front();
+        }
+    }
 }
 
 #[cfg(test)]

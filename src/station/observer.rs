@@ -19,10 +19,8 @@ use super::per_robot::PerRobot;
 /// Most batches that wait for the terminal before further ones are dropped and counted: forty seconds of a brick that is read 100
 /// times a second.
 const QUEUE_CAPACITY: usize = 4_096;
-/// The status block is drawn this often.
 const DRAW_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 
-/// A running observer.
 pub struct Observer {
     sender: Sender<(Timestamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<PerRobot<EventCollector>>>,
@@ -31,19 +29,13 @@ pub struct Observer {
     blocks_when_full: bool,
 }
 
-/// What the observer shows and writes.
 pub struct ObserverConfig<'a> {
     /// Every event goes there as a line of text.
     pub events: Option<&'a Path>,
-    /// The status block.
     pub view: LiveView,
 }
 
 impl Observer {
-    /// Starts the thread.
-    ///
-    /// # Errors
-    /// The event file cannot be created.
     pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
         let events = config.events.map(create).transpose()?;
         let (sender, batches) = bounded(QUEUE_CAPACITY);
@@ -69,9 +61,6 @@ impl Observer {
     }
 
     /// Ends the thread and gives what it gathered, with the number of events that were dropped.
-    ///
-    /// # Errors
-    /// The event file could not be written.
     pub fn finish(self) -> Result<(PerRobot<EventCollector>, u64)> {
         drop(self.sender);
         let collectors = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;
@@ -79,19 +68,12 @@ impl Observer {
     }
 }
 
-/// Creates an event file.
-///
-/// # Errors
-/// It cannot be created.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
     let file = File::create(path).with_context(|| format!("creating the event file `{}`", path.display()))?;
     Ok(BufWriter::new(file))
 }
 
 /// Writes an event as a line: every number with all its digits, so that two runs can be compared bit for bit.
-///
-/// # Errors
-/// The file cannot be written.
 pub fn write_event(file: &mut impl Write, event: &Event) -> std::io::Result<()> {
     writeln!(file, "{}", event_json::to_json_line(event))
 }

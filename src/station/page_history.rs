@@ -1,22 +1,21 @@
-//! The trails of a recording, as the dashboard shows them: the same engine and the same views as live.
+//! The state and the trails of a station as the page shows them. Those of a recording come from the same engine and the same views as live.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use posebridge_dashboard::model::Frame;
-use posebridge_dashboard::{SessionViews, SimulatedTruth};
+use posebridge_dashboard::model::{CalibrationRow, Frame, ParameterValue};
+use posebridge_dashboard::{RobotStatus, SessionViews, SimulatedTruth, StationStatus};
+use posebridge_estimator::PARAMS;
 use posebridge_recording::container::{self, RecordingReader};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 use posebridge_telemetry::severity::WARNING;
-use posebridge_telemetry::{Address, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, Calibration, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
-use super::clock_alignment::ClockAlignment;
-use super::joined_recording::{ExcessPolicy, MemoryLimit, own_recording_bytes};
-use super::recording_warnings::RecordingWarnings;
-use super::signing;
-use super::status::station_status;
-use crate::config::{Config, Overlay, config_with_overlay};
+use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_recording_bytes};
+use super::recorder::Recorder;
+use super::signing::recorded_station_config;
+use crate::config::{CALIBRATION_KEYS, Config, Overlay, config_with_overlay};
 
 /// How often the state is sent, as in a live session.
 const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
@@ -25,37 +24,29 @@ const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
 const MEMORY_LIMIT: MemoryLimit = MemoryLimit { max_bytes: 256 << 20, on_excess: ExcessPolicy::Skip };
 
 /// Runs a recording through the engine and gathers what it shows. What is missing, damaged or cut off stands first in its log.
-///
-/// # Errors
-/// The file cannot be read or is no recording of ours.
 pub fn build_history(path: &Path) -> Result<Frame> {
     let name = path.display();
     let (bytes, found) = own_recording_bytes(path, MEMORY_LIMIT)?;
     let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let config = config_with_overlay(&reader.header().config_toml, Overlay::default())?;
     let truth = container::read_truth(&bytes).with_context(|| format!("the truth in `{name}`"))?;
-    let mut showing = PageHistoryBuilder::new(&config, truth)?;
+    let mut builder = PageHistoryBuilder::new(&config, truth)?;
     let mut notes = RecordingWarnings::from_notes(&found);
     notes.add_missing_start(reader.part_header());
     for item in &mut reader {
         match item {
             Ok((now, input)) => {
-                showing.pipeline.handle(now, &input);
-                showing.advance_to(now);
+                builder.station.handle(now, &input);
+                builder.advance_to(now);
             }
             Err(error) => notes.add_damage(&error),
         }
     }
     notes.add_ending(&reader.recording_end());
-    Ok(showing.history(notes, station_of(&config)))
+    // As the station itself, which says what is wrong.
+    Ok(builder.history(notes, Address::new(config.station.system, config.station.component)))
 }
 
-/// As who the station says something.
-const fn station_of(config: &Config) -> Address {
-    Address::new(config.station.system, config.station.component)
-}
-
-/// What is known of a robot's clock.
 #[derive(Clone, Copy, Debug, Default)]
 struct RobotClock {
     /// As the last exchange of times with the brick had it.
@@ -64,14 +55,12 @@ struct RobotClock {
     heard: Option<ClockAlignment>,
 }
 
-/// A recording on its way through the engine.
 struct PageHistoryBuilder {
-    pipeline: Station,
-    gatherer: SessionViews,
+    station: Station,
+    views: SessionViews,
     /// Of each robot in the order of its own clock; `None` is the only one.
     truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>>,
     clocks: BTreeMap<RobotId, RobotClock>,
-    /// When the first input was given.
     begun: Option<Timestamp<HostClock>>,
     next_second: Timestamp<HostClock>,
 }
@@ -82,12 +71,10 @@ impl PageHistoryBuilder {
         for sample in samples {
             truth.entry(sample.robot).or_default().push_back(sample);
         }
-        let mut pipeline_config = config.station_config()?;
-        signing::restore_states(config, &[], &mut pipeline_config)?;
         let links = config.links.iter().map(|link| link.url.clone());
         Ok(Self {
-            pipeline: Station::new(pipeline_config, Timestamp::ZERO)?,
-            gatherer: SessionViews::new(links.collect()),
+            station: Station::new(recorded_station_config(config, &[])?, Timestamp::ZERO)?,
+            views: SessionViews::new(links.collect()),
             truth,
             clocks: BTreeMap::new(),
             begun: None,
@@ -98,11 +85,11 @@ impl PageHistoryBuilder {
     /// Shows what an input has led to, and the truth up to it.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         self.begun.get_or_insert(now);
-        while let Some(output) = self.pipeline.poll() {
+        while let Some(output) = self.station.poll() {
             if let Output::Event(event) = output {
                 self.align(now, &event);
                 self.publish_truth(now);
-                self.gatherer.push_event(now, &event);
+                self.views.push_event(now, &event);
             }
         }
         if now >= self.next_second {
@@ -137,7 +124,7 @@ impl PageHistoryBuilder {
                 if now > until {
                     break;
                 }
-                self.gatherer.push_truth(&SimulatedTruth {
+                self.views.push_truth(&SimulatedTruth {
                     robot: *robot,
                     now: now.max(Timestamp::ZERO),
                     time: sample.time,
@@ -150,13 +137,13 @@ impl PageHistoryBuilder {
     }
 
     fn publish_status(&mut self) {
-        self.gatherer.push_status(&station_status(&self.pipeline, None));
+        self.views.push_status(&station_status(&self.station, None));
     }
 
     fn history(mut self, notes: RecordingWarnings, source: Address) -> Frame {
         self.publish_status();
         let begun = self.begun.unwrap_or(Timestamp::ZERO);
-        let mut history = self.gatherer.history();
+        let mut history = self.views.history();
         let mut noted = SessionViews::new(Vec::new());
         for text in notes.into_lines() {
             // What is missing makes the replay another one than the live run.
@@ -166,6 +153,52 @@ impl PageHistoryBuilder {
         history.log.splice(0..0, noted.history().log);
         history
     }
+}
+
+/// What stands in a station, and into which file it is recorded.
+pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> StationStatus {
+    let params = station.params();
+    let recording = recorder.map(Recorder::current);
+    let name = recording.as_deref().and_then(Path::file_name);
+    StationStatus {
+        robots: station.robots().iter().map(robot_status).collect(),
+        parameters: PARAMS
+            .iter()
+            .map(|row| ParameterValue { name: row.key.to_owned(), value: (row.read)(params) })
+            .collect(),
+        recording: name.map(|name| name.to_string_lossy().into_owned()),
+        switched_off: station.switched_off().map(|sensor| sensor.0).collect(),
+        simulator: None,
+    }
+}
+
+fn robot_status(robot: &Robot) -> RobotStatus {
+    RobotStatus {
+        robot: robot.id(),
+        calibration: robot.calibration().map_or_else(Vec::new, |learned| calibration_rows(&learned)),
+        switched_off: robot.switched_off().map(|sensor| sensor.0).collect(),
+    }
+}
+
+fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
+    let rows = CALIBRATION_KEYS.iter().map(|row| {
+        let known = (row.read)(learned);
+        CalibrationRow {
+            name: row.key.to_owned(),
+            value: known.value,
+            sigma: known.sigma,
+            unit: unit_of(row.key).to_owned(),
+            ..CalibrationRow::default()
+        }
+    });
+    rows.collect()
+}
+
+/// The unit that stands in a key's name.
+fn unit_of(key: &str) -> &'static str {
+    let units = [("_rad_per_s", "rad/s"), ("_s", "s"), ("_m", "m")];
+    let found = units.iter().find(|(ending, _)| key.ends_with(ending));
+    found.map_or("", |(_, unit)| unit)
 }
 
 #[cfg(test)]

@@ -12,14 +12,12 @@ pub struct PerRobot<T> {
     make: Box<dyn Fn() -> T + Send>,
 }
 
-/// One robot's value.
 #[derive(Debug)]
 pub struct RobotEntry<T> {
     /// The robot; `None` if none was heard.
     pub robot: Option<RobotId>,
     /// What people call it: its name, or `link/system/component`; no two robots have the same. Empty if none was heard.
     pub label: String,
-    /// What is kept of it.
     pub value: T,
 }
 
@@ -52,20 +50,15 @@ impl<T> PerRobot<T> {
         &self.entries
     }
 
-    /// The same, to be changed.
     pub fn entries_mut(&mut self) -> &mut [RobotEntry<T>] {
         &mut self.entries
     }
 
-    /// The same, given away.
     pub fn into_entries(self) -> Vec<RobotEntry<T>> {
         self.entries
     }
 
     /// Gives a robot's event to its own value, and any other to all.
-    ///
-    /// # Errors
-    /// As `push` does.
     pub fn try_push<E>(
         &mut self,
         event: &Event,

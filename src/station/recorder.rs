@@ -14,16 +14,16 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use posebridge_recording::container::{RecordingHeader, TruthSample};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, Timestamp};
 
-pub use super::recording_parts::RecordingTotals;
 use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
 use crate::config::RecordingLimits;
+
+pub use super::recording_parts::RecordingTotals;
 
 /// Most items that wait for the disk: several seconds of a busy link.
 const QUEUE_CAPACITY: usize = 8_192;
 /// From this number of waiting items on, only inputs are accepted.
 const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
 
-/// What goes to the thread.
 enum RecorderItem {
     Input(Timestamp<HostClock>, u64, Input),
     Events(Timestamp<HostClock>, Arc<[Event]>),
@@ -34,16 +34,13 @@ enum RecorderItem {
     End(u64),
 }
 
-/// A running recorder.
 pub struct Recorder {
     /// Boxed: the channel has memory for as many items as may wait.
     sender: Sender<Box<RecorderItem>>,
     thread: JoinHandle<Result<RecordingTotals>>,
-    /// The first file.
     first: PathBuf,
     /// Which part is being written; the thread tells.
     part: Arc<AtomicU32>,
-    /// Inputs of the session up to here.
     given: u64,
     lost: u64,
     lost_outputs: u64,
@@ -51,17 +48,13 @@ pub struct Recorder {
 
 impl Recorder {
     /// Creates the file and starts the thread, at the start of a session and with the usual limits.
-    ///
-    /// # Errors
-    /// The file cannot be created; one that is there already is never overwritten.
+    /// A file that is there already is never overwritten.
     pub fn start(path: &Path, header: &RecordingHeader) -> Result<Self> {
         Self::start_limited(path, header, RecordingLimits::default())
     }
 
     /// Creates the file and starts the thread, at the start of a session.
-    ///
-    /// # Errors
-    /// The file cannot be created; one that is there already is never overwritten.
+    /// A file that is there already is never overwritten.
     pub fn start_limited(path: &Path, header: &RecordingHeader, limits: RecordingLimits) -> Result<Self> {
         let parts = RecordingParts::create(path, header.clone(), limits, 0)?;
         Self::spawn(path, 0, move || Ok(parts))
@@ -71,9 +64,6 @@ impl Recorder {
     /// does not wait for the disk. If it could not, the next [`Self::record`] reports it.
     ///
     /// The recording lacks what came before and says so in its header: replaying it is not replaying the session.
-    ///
-    /// # Errors
-    /// The thread cannot be started.
     pub fn start_in_session(
         path: &Path,
         header: &RecordingHeader,
@@ -96,9 +86,7 @@ impl Recorder {
     }
 
     /// Records an input; never waits. What the disk is too slow for is counted.
-    ///
-    /// # Errors
-    /// The recorder has stopped, because its file could not be written: [`Self::finish`] says why.
+    /// Fails when the recorder has stopped, because its file could not be written: [`Self::finish`] says why.
     pub fn record(&mut self, now: Timestamp<HostClock>, input: Input) -> Result<()> {
         let item = RecorderItem::Input(now, self.given, input);
         self.given += 1;
@@ -160,9 +148,6 @@ impl Recorder {
     }
 
     /// Writes what still waits, ends the file and says what it holds.
-    ///
-    /// # Errors
-    /// The file could not be written.
     pub fn finish(self) -> Result<RecordingTotals> {
         // A thread that has gone says why when it is joined.
         drop(self.sender.send(Box::new(RecorderItem::End(self.given))));
@@ -183,21 +168,15 @@ impl Recorder {
     }
 }
 
-/// A recorder that writes what still waited.
 pub struct StoppingRecorder {
     thread: JoinHandle<Result<RecordingTotals>>,
 }
 
 impl StoppingRecorder {
-    /// Whether [`Self::wait`] would return at once.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Waits for the end of the file and says what it holds.
-    ///
-    /// # Errors
-    /// The file could not be written.
     pub fn wait(self) -> Result<RecordingTotals> {
         self.thread.join().map_err(|_panic| anyhow!("the recorder's thread died"))?
     }
@@ -237,7 +216,7 @@ fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::station::status::station_status;
+    use crate::station::page_history::station_status;
     use posebridge_recording::container::{FORMAT, ReadError, RecordingReader};
     use posebridge_station::Station;
     use posebridge_telemetry::{LinkId, LinkState, TimeDelta};

@@ -1,4 +1,4 @@
-//! The files of a run's folder: their names, and the header of a recording.
+//! What a run writes into its folder: the names of the files, the header of a recording, and how recording and telemetry log begin.
 
 use std::path::{Path, PathBuf};
 
@@ -6,9 +6,12 @@ use anyhow::{Context, Result};
 use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, RecordingHeader};
 
+use super::args::RunArgs;
+use super::deferred_errors::DeferredErrors;
+use super::recorder::{Recorder, RecordingTotals};
+use super::tlog_writer::{TlogRecorder, TlogWritten};
 use crate::config::Config;
 
-/// Most names that are tried before giving up.
 const MAX_NAMES: u32 = 10_000;
 
 /// The name of a run's first recording in its folder; those that follow have a number before the dot.
@@ -28,15 +31,12 @@ pub(super) fn unused_path(folder: &Path, name: &str, first: u32) -> Result<(Path
         .with_context(|| format!("no free name for {name} in {}", folder.display()))
 }
 
-/// The header of a recording of this configuration.
-///
-/// # Errors
-/// The configuration cannot be written as text.
-pub fn header(config: &Config, timer: &HostTimer) -> Result<RecordingHeader> {
+/// The header of a recording of this configuration; `utc_start_micros` is the date at the host clock's zero.
+pub fn header(config: &Config, utc_start_micros: u64) -> Result<RecordingHeader> {
     Ok(RecordingHeader {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        utc_start_micros: timer.utc_start(),
+        utc_start_micros,
         config_toml: toml::to_string(config).context("writing the configuration into the recording")?,
         links: config.links.iter().map(|link| link.url.clone()).collect(),
     })
@@ -47,4 +47,70 @@ pub(super) fn done_message(what: &str, path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().display();
     let folder = path.parent().unwrap_or(path).display();
     format!("{what} {name} in {folder}")
+}
+
+#[derive(Default)]
+pub(super) struct RecordedFiles {
+    pub(super) inputs: Vec<(PathBuf, RecordingTotals)>,
+    pub(super) tlog: Option<TlogWritten>,
+}
+
+pub(super) fn output_folder(args: &RunArgs, config: &Config, timer: &HostTimer) -> Result<PathBuf> {
+    let folder = match &args.out {
+        Some(folder) => folder.clone(),
+        None => Path::new(&config.record.directory).join(format!("run-{}", timer.utc_start() / 1_000)),
+    };
+    std::fs::create_dir_all(&folder).with_context(|| format!("creating the folder `{}`", folder.display()))?;
+    Ok(folder)
+}
+
+pub(super) fn start_recorder(
+    args: &RunArgs,
+    config: &Config,
+    timer: &HostTimer,
+    path: &Path,
+    failures: &mut DeferredErrors,
+) -> Result<Option<Recorder>> {
+    if args.no_record || !config.record.enabled {
+        return Ok(None);
+    }
+    let started = Recorder::start_limited(path, &header(config, timer.utc_start())?, config.record.limits());
+    or_continue_without("recording", started, path, failures)
+}
+
+/// A file that cannot be begun is reported once and costs the exit code, not the run: a robot may steer by us. One that is there
+/// already is a slip of who started the run, and cheap to mend before the robot drives.
+fn or_continue_without<T>(
+    what: &str,
+    started: Result<T>,
+    path: &Path,
+    failures: &mut DeferredErrors,
+) -> Result<Option<T>> {
+    match started {
+        Ok(started) => Ok(Some(started)),
+        Err(error) if path.exists() => Err(error),
+        Err(error) => {
+            let reason = format!("{error:#}");
+            tracing::error!(error = reason, "there is no {what}; the run goes on");
+            failures.record::<()>(Err(error.context(format!("the {what} is not whole"))));
+            Ok(None)
+        }
+    }
+}
+
+pub(super) fn start_tlog(
+    args: &RunArgs,
+    config: &Config,
+    timer: &HostTimer,
+    recording: &Path,
+    failures: &mut DeferredErrors,
+) -> Result<Option<TlogRecorder>> {
+    if args.no_record || !(args.tlog || config.record.tlog) {
+        return Ok(None);
+    }
+    let path = recording.with_extension("tlog");
+    let links = config.station_config()?.links;
+    let floor_bytes = config.record.limits().min_free_bytes;
+    let started = TlogRecorder::start(&path, timer.utc_start(), &links, floor_bytes);
+    or_continue_without("telemetry log", started, &path, failures)
 }

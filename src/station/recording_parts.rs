@@ -4,15 +4,16 @@
 //! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
 
 use std::fs::File;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
+use nix::sys::statvfs::statvfs;
 use posebridge_recording::container::{
     OutputHandover, PartHeader, RecordingGap, RecordingHeader, RecordingWriter, TruthSample, WriteError,
 };
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
-use super::watched_file::WatchedFile;
 use crate::config::RecordingLimits;
 
 /// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 400 ms of sparse inputs and a late thread
@@ -24,29 +25,21 @@ const RECORDING_ENDED: &str = "the recording has ended: it could not go on in an
 /// File and disk are looked at this often.
 const DISK_CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// What a recording holds when it has ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecordingTotals {
-    /// Inputs in it.
     pub inputs: u64,
     /// Inputs that it lacks because the disk was too slow.
     pub lost: u64,
-    /// Files.
     pub parts: u32,
 }
 
 impl RecordingTotals {
-    /// Nothing is missing.
-    ///
-    /// # Errors
-    /// Inputs are; the message says how many.
     pub fn check_complete(self) -> Result<()> {
         ensure!(self.lost == 0, "the disk was too slow for {} inputs; a replay is not exact", self.lost);
         Ok(())
     }
 }
 
-/// A recording that is being written.
 pub struct RecordingParts {
     first: PathBuf,
     header: RecordingHeader,
@@ -61,7 +54,6 @@ pub struct RecordingParts {
     last_disk_check: Timestamp<HostClock>,
 }
 
-/// The file that is open.
 struct OpenPart {
     file: WatchedFile,
     writer: RecordingWriter<File>,
@@ -79,9 +71,7 @@ impl OpenPart {
 
 impl RecordingParts {
     /// Creates the first file. `inputs_before` were given to the station before the recording begins.
-    ///
-    /// # Errors
-    /// It cannot be created; one that is there already is never overwritten.
+    /// A file that is there already is never overwritten.
     pub fn create(path: &Path, header: RecordingHeader, limits: RecordingLimits, inputs_before: u64) -> Result<Self> {
         let begins = PartHeader { inputs_before, ..PartHeader::default() };
         let part = OpenPart::create(path, &header, &begins, limits.output_interval)?;
@@ -99,9 +89,7 @@ impl RecordingParts {
     }
 
     /// Records the input with this number in the session; those that are missing before it are a gap.
-    ///
-    /// # Errors
-    /// The recording has ended, and why: what was written before stays readable.
+    /// Fails when the recording has ended, and says why; what was written before stays readable.
     pub fn record(&mut self, now: Timestamp<HostClock>, number: u64, input: &Input) -> Result<()> {
         self.record_gap(now, number)?;
         self.check_disk(now)?;
@@ -118,10 +106,6 @@ impl RecordingParts {
         Ok(())
     }
 
-    /// Records what came out of the station.
-    ///
-    /// # Errors
-    /// As [`Self::record`].
     pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &[Event]) -> Result<()> {
         for event in events {
             self.write(|writer| writer.record_event(now, event))?;
@@ -129,10 +113,6 @@ impl RecordingParts {
         Ok(())
     }
 
-    /// Records what the filter has learned.
-    ///
-    /// # Errors
-    /// As [`Self::record`].
     pub fn record_calibration(
         &mut self,
         now: Timestamp<HostClock>,
@@ -142,35 +122,22 @@ impl RecordingParts {
         self.write(|writer| writer.record_calibration(now, Some(robot), calibration))
     }
 
-    /// Records a line for people, with its MAVLink severity.
-    ///
-    /// # Errors
-    /// As [`Self::record`].
     pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) -> Result<()> {
         self.write(|writer| writer.record_log_message(now, severity, text))
     }
 
     /// Records where a simulated robot really was.
-    ///
-    /// # Errors
-    /// As [`Self::record`].
     pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
         let last = self.last;
         self.write(|writer| writer.record_truth(last, truth))
     }
 
     /// Hands over to the system what waits.
-    ///
-    /// # Errors
-    /// As [`Self::record`].
     pub fn flush(&mut self) -> Result<()> {
         self.write(RecordingWriter::flush)
     }
 
     /// Ends the file; `given` is the number of the session's inputs up to here.
-    ///
-    /// # Errors
-    /// The file could not be written.
     pub fn finish(mut self, given: u64) -> Result<RecordingTotals> {
         self.record_gap(self.last, given)?;
         self.end_part()?;
@@ -192,7 +159,6 @@ impl RecordingParts {
         self.part.as_mut().context(RECORDING_ENDED)
     }
 
-    /// Writes something into it.
     fn write(&mut self, one: impl FnOnce(&mut RecordingWriter<File>) -> Result<(), WriteError>) -> Result<()> {
         let part = self.open()?;
         one(&mut part.writer).with_context(|| part.file.name())
@@ -260,5 +226,63 @@ pub fn part_path(first: &Path, number: u32) -> PathBuf {
             first.with_extension(format!("{number}.{extension}"))
         }
         (_, None) => first.with_extension(number.to_string()),
+    }
+}
+
+/// A file that was made and is being written.
+#[derive(Debug)]
+pub struct WatchedFile {
+    description: &'static str,
+    path: PathBuf,
+    /// Device and number by which the system knows it.
+    identity: (u64, u64),
+}
+
+impl WatchedFile {
+    /// Creates the file; `what` it is stands in every error.
+    /// A file that is there already is never overwritten.
+    pub fn create(what: &'static str, path: &Path) -> Result<(File, Self)> {
+        let name = path.display();
+        let file = File::create_new(path).with_context(|| format!("creating the {what} `{name}`"))?;
+        let identity = file.metadata().map(|found| (found.dev(), found.ino()));
+        let identity = identity.with_context(|| format!("looking at `{name}`"))?;
+        let path = path.to_owned();
+        Ok((file, Self { description: what, path, identity }))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn name(&self) -> String {
+        format!("{} `{}`", self.description, self.path.display())
+    }
+
+    /// How large it is.
+    /// Fails if it was deleted or moved: what is written goes nowhere.
+    pub fn file_size(&self) -> Result<u64> {
+        let found = std::fs::metadata(&self.path).ok();
+        match found.filter(|found| (found.dev(), found.ino()) == self.identity) {
+            Some(found) => Ok(found.len()),
+            None => bail!("{}: the file or its folder has been deleted or moved", self.name()),
+        }
+    }
+
+    /// Looks whether the disk has more room than this.
+    pub fn check_free_space(&self, floor_bytes: u64) -> Result<()> {
+        // A file system that cannot be asked may well have room.
+        let Ok(disk) = statvfs(&self.path) else {
+            return Ok(());
+        };
+        let free_bytes = disk.blocks_available().saturating_mul(disk.fragment_size());
+        if free_bytes >= floor_bytes {
+            return Ok(());
+        }
+        bail!(
+            "{}: the disk has {} MB left, less than `record.min_free_mb` = {}; what was written is whole",
+            self.name(),
+            free_bytes / 1_000_000,
+            floor_bytes / 1_000_000
+        )
     }
 }

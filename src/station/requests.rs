@@ -5,28 +5,30 @@
 //! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
 //! station as a line for people, and so into the recording.
 //!
-//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads (`saver`, and the recorder
+//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads ([`ConfigSaver`], and the recorder
 //! makes its file itself). Here a new recording costs one look at a name.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_link::HostTimer;
 use posebridge_sim::impairment::LinkProfile;
+use posebridge_telemetry::severity::{INFO, WARNING};
 use posebridge_telemetry::{
     ChannelName, HostClock, Input, LinkId, LinkState, ParameterName, Request, RobotId, SimulatorCommand,
     SteeringSource, TimeDelta, Timestamp,
 };
 use tokio::sync::mpsc;
 
-use super::config_writer::ConfigSaver;
 use super::deferred_errors::DeferredErrors;
 use super::recorder::{Recorder, RecordingTotals, StoppingRecorder};
 use super::recording_files::{RECORDING, done_message, header, unused_path};
-use super::request_reports::report_input;
 use super::simulator::CommandSender;
 use crate::config::Config;
+use crate::console::print_line;
 
 /// Recordings that are begun on request begin at least so far apart: each leaves a file, and a person who plays with a button wants no
 /// hundreds of them.
@@ -38,7 +40,6 @@ pub struct RequestHandler {
     timer: HostTimer,
     /// As it was given, for the file that is saved.
     config: Config,
-    /// As a recording needs it.
     recorded_config: Config,
     /// The writer of saved configurations, from the first request on.
     saver: Option<ConfigSaver>,
@@ -51,7 +52,6 @@ pub struct RequestHandler {
     /// When the last one was begun on request.
     last_started: Option<Timestamp<HostClock>>,
     links: BTreeMap<LinkId, LinkState>,
-    /// The simulated bricks of this station.
     bricks: Vec<ReachableBrick>,
     overrides: SimulatorOverrides,
 }
@@ -60,14 +60,12 @@ pub struct RequestHandler {
 pub struct ReachableBrick {
     /// Which robot it is; `None` for the only one.
     pub robot: Option<RobotId>,
-    /// By which it is reached.
     pub commands: CommandSender,
 }
 
 /// How the simulated brick was set last; `None` before that.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SimulatorOverrides {
-    /// By what it steers.
     pub steering: Option<SteeringSource>,
     /// The profile that its link is as bad as.
     pub link_profile: Option<ChannelName>,
@@ -244,7 +242,7 @@ impl RequestHandler {
         let (path, number) = unused_path(&self.folder, RECORDING, self.next_number)?;
         let config = with_tunables(&self.recorded_config, values);
         ensure!(self.folder.is_dir(), done_message("not recording, its folder is gone:", &path));
-        let header = header(&config, &self.timer)?;
+        let header = header(&config, self.timer.utc_start())?;
         let limits = config.record.limits();
         // A replay begins with all links down, as a run does: their states stand in the place of the inputs that reported them.
         let before = input_count.saturating_sub(self.links.len() as u64);
@@ -277,6 +275,102 @@ fn with_tunables(config: &Config, values: &[(ParameterName, f64)]) -> Config {
     let values = values.iter().map(|(name, value)| (name.as_str().to_owned(), *value));
     config.filter.params.extend(values);
     config
+}
+
+/// The name of the saved configuration.
+const SAVED: &str = "parameters.toml";
+/// Most configurations that wait for the disk; each is a person's request.
+const QUEUE_CAPACITY: usize = 4;
+
+struct ConfigSaver {
+    jobs: SyncSender<Config>,
+    reports: mpsc::Receiver<Input>,
+    thread: JoinHandle<()>,
+}
+
+impl ConfigSaver {
+    /// Starts the thread. What this run saves goes into one file of the folder; a file of another program is never touched.
+    fn start(folder: PathBuf) -> Result<Self> {
+        let (jobs, waiting) = sync_channel(QUEUE_CAPACITY);
+        let (reports, waiting_reports) = mpsc::channel(QUEUE_CAPACITY);
+        let thread = std::thread::Builder::new()
+            .name("saver".to_owned())
+            .spawn(move || save_all(&folder, &waiting, &reports))
+            .context("starting the thread that saves")?;
+        Ok(Self { jobs, reports: waiting_reports, thread })
+    }
+
+    fn save(&self, config: Config) -> Result<()> {
+        self.jobs.try_send(config).map_err(|refused| match refused {
+            TrySendError::Full(_) => anyhow!("not saved: the disk is behind, ask again"),
+            TrySendError::Disconnected(_) => anyhow!("not saved: the thread that saves died"),
+        })
+    }
+
+    /// What became of the next one; never, while nothing waits.
+    async fn next_report(&mut self) -> Input {
+        match self.reports.recv().await {
+            Some(report) => report,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Waits until all is written; results that were not received yet are printed.
+    fn finish(mut self) {
+        drop(self.jobs);
+        self.reports.close();
+        if self.thread.join().is_err() {
+            print_line("the thread that saves died");
+        }
+        while let Ok(Input::Report { text, .. }) = self.reports.try_recv() {
+            print_line(&text);
+        }
+    }
+
+    /// What became of the next one, for tests without a runtime.
+    #[cfg(test)]
+    fn wait(&mut self) -> Option<Input> {
+        self.reports.blocking_recv()
+    }
+}
+
+fn save_all(folder: &Path, jobs: &Receiver<Config>, reports: &mpsc::Sender<Input>) {
+    let mut saved = None;
+    for config in jobs {
+        let report = report_input(save(folder, &mut saved, &config));
+        if let Err(unheard) = reports.blocking_send(report)
+            && let Input::Report { text, .. } = unheard.0
+        {
+            print_line(&text);
+        }
+    }
+}
+
+fn save(folder: &Path, saved: &mut Option<PathBuf>, config: &Config) -> Result<String> {
+    let path = match saved {
+        Some(path) => path.clone(),
+        None => unused_path(folder, SAVED, 1)?.0,
+    };
+    let text = format!(
+        "# The configuration of a run with the parameters that were saved in it: posebridge run --config {SAVED}\n\n{}",
+        toml::to_string(config).context("writing the configuration")?
+    );
+    // Atomic: a reader finds the old file or the new one.
+    let beside = path.with_extension("toml.new");
+    std::fs::write(&beside, text)
+        .and_then(|()| std::fs::rename(&beside, &path))
+        .with_context(|| done_message("not saved", &path))?;
+    let message = done_message("saved", &path);
+    *saved = Some(path);
+    Ok(message)
+}
+
+/// The outcome of a request as an input of the station.
+fn report_input(outcome: Result<String>) -> Input {
+    match outcome {
+        Ok(text) => Input::Report { severity: INFO, text },
+        Err(error) => Input::Report { severity: WARNING, text: format!("{error:#}") },
+    }
 }
 
 #[cfg(test)]
@@ -404,7 +498,7 @@ mod tests {
         let gone = folder.path().join("gone/recording.mcap");
         let lost = Recorder::start_in_session(
             &gone,
-            &header(&Config::default(), &HostTimer::start()).unwrap(),
+            &header(&Config::default(), 0).unwrap(),
             Config::default().record.limits(),
             0,
         );
@@ -419,7 +513,6 @@ mod tests {
         assert!(error.contains("gone/recording.mcap"), "{error}");
     }
 
-    /// Each would leave a file.
     #[test]
     fn who_asks_for_recordings_without_end_gets_one_a_second() {
         let folder = tempfile::tempdir().unwrap();

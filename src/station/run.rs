@@ -7,23 +7,19 @@
 
 use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
+use posebridge_report::tables::source_table;
 
 use super::args::RunArgs;
 use super::deferred_errors::DeferredErrors;
 use super::links::LapLimit;
-use super::outcome::{finish, report_learned};
 use super::recording_files::RECORDING;
-use super::run_report as report;
+use super::run_report::{finish, report_learned};
 use super::session::session;
 use super::tui::tty::ensure_terminal;
 use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 
-/// Runs the station.
-///
-/// # Errors
-/// The configuration makes no sense, a link cannot be opened for good, or the recording cannot be written.
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).before_start()?;
     if args.views.tui {
@@ -47,9 +43,6 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
 
 /// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
 /// configuration says, into the file of this name in the flags' folder; gives how the observations of each sensor fared, as a table.
-///
-/// # Errors
-/// As [`execute`].
 pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let mut config = configuration(args).before_start()?;
     config.record.enabled = true;
@@ -57,7 +50,7 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
     let session = run_in_runtime(session(args, &config, file_name, laps))?;
     let robots = session.collectors.entries();
-    let heard = robots.first().map_or_else(String::new, |robot| report::sources(&robot.value));
+    let heard = robots.first().map_or_else(String::new, |robot| source_table(&robot.value.sources));
     session.into_result().while_running()?;
     Ok(heard)
 }

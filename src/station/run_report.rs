@@ -1,34 +1,37 @@
-//! The end of a run: a table of who was how far off, and two pictures.
+//! The end of a run: tables of who was how far off, two pictures, and what was learned.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use posebridge_report::metrics::{PathError, errors_of_estimates, errors_of_track, path_error, summarise};
-use posebridge_report::tables::{run_table, source_table};
+use posebridge_report::tables::{RobotErrors, RobotRow, robots_table, run_table, source_table};
 use posebridge_report::{ErrorSummary, FIGURES, PoseTrack, RunLayers, RunRow, TimedPose};
 use posebridge_sim::{Simulation, Steering, TruthSample};
-use posebridge_telemetry::{Arena, Point2};
+use posebridge_telemetry::{Arena, Point2, TimeDelta};
 
+use super::args::RunArgs;
 use super::event_collector::{EventCollector, MAX_INTERPOLATION_GAP};
+use super::learned_calibration::{learned_table, save_all};
 use super::link_report;
+use super::links::FinishedSimulation;
+use super::per_robot::PerRobot;
+use super::recording_files::RecordedFiles;
+use super::session::Session;
+use crate::config::{Config, Provenance};
+use crate::console::print_result;
+use crate::virtual_station;
 
 /// What the simulator alone knows.
 pub struct SimulationTruth {
-    /// Where the robot was.
     pub track: PoseTrack,
-    /// The path by the brick's own odometry.
     pub odometry: PoseTrack,
-    /// Where it should have been.
     pub path: Vec<Point2<Arena>>,
-    /// How far from the path it drove.
     pub path_error: PathError,
-    /// By what it steered.
     pub steering: Steering,
 }
 
 impl SimulationTruth {
-    /// The truth of a simulation.
     pub fn from_simulation(simulation: &Simulation) -> Self {
         let samples = simulation.truth();
         let positions: Vec<Point2<Arena>> = samples.iter().map(|sample| sample.pose.origin()).collect();
@@ -56,7 +59,7 @@ pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSumm
 }
 
 /// The table of a run whose truth is known; `other` is the same world steered the other way.
-pub fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
+fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
     let mut text = run_table(&[
         RunRow { name: "brick's own odometry", errors: &odometry },
@@ -76,21 +79,8 @@ pub fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<
     text
 }
 
-/// How the observations of each sensor fared.
-pub fn sources(collector: &EventCollector) -> String {
-    source_table(&collector.sources)
-}
-
-/// How the links did.
-pub fn links(collector: &EventCollector) -> String {
-    link_report::tables(collector.links.iter())
-}
-
 /// Draws every figure into a folder and says where.
-///
-/// # Errors
-/// A file cannot be written.
-pub fn draw(
+fn draw_figures(
     folder: &Path,
     title: &str,
     collector: &EventCollector,
@@ -112,4 +102,172 @@ pub fn draw(
         drawn.push(path);
     }
     Ok(drawn)
+}
+
+/// Of more robots what was learned is not printed line by line.
+const MAX_LEARNED_TABLES: usize = 4;
+
+pub(super) fn finish(
+    config: &Config,
+    folder: &Path,
+    collectors: &PerRobot<EventCollector>,
+    simulations: &[FinishedSimulation],
+    recorded: &RecordedFiles,
+) -> Result<()> {
+    let robots = robots_of(collectors, simulations);
+    let mut text = String::new();
+    if let [robot] = robots.as_slice() {
+        text += &one_robot(config, robot)?;
+    } else {
+        text += &several_robots(&robots);
+    }
+    let drawn = draw(folder, &robots);
+    for picture in drawn.iter().flatten() {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "picture    {}", picture.display());
+    }
+    for (recording, kept) in &recorded.inputs {
+        let (file, inputs) = (recording.display(), kept.inputs);
+        let parts = match kept.parts {
+            ..=1 => String::new(),
+            parts => format!(", {parts} parts"),
+        };
+        let _ = writeln!(text, "recording  {file} ({inputs} inputs{parts})");
+    }
+    if let Some(tlog) = &recorded.tlog {
+        let (path, frames) = (tlog.path.display(), tlog.frames);
+        let _ = writeln!(text, "tlog       {path} ({frames} frames)");
+    }
+    if let Some((recording, _)) = recorded.inputs.first() {
+        let recording = recording.display();
+        let _ = writeln!(text, "report     posebridge report {recording}");
+    }
+    print_result(&text)?;
+    drawn.map(drop).context("not all pictures are drawn")
+}
+
+/// A robot when the run is over.
+struct RobotOutcome<'r> {
+    label: String,
+    collector: &'r EventCollector,
+    simulation: Option<&'r FinishedSimulation>,
+    truth: Option<SimulationTruth>,
+}
+
+impl RobotOutcome<'_> {
+    fn row(&self) -> RobotRow {
+        let errors = self.truth.as_ref().map(|truth| {
+            let (estimate, odometry) = errors(self.collector, truth);
+            RobotErrors { odometry, estimate }
+        });
+        RobotRow {
+            label: self.label.clone(),
+            observations: self.collector.observations,
+            estimates: self.collector.estimates.pushed() as u64,
+            errors,
+        }
+    }
+}
+
+/// The robots that were heard, or the one that was not, each with its simulation if it has one.
+fn robots_of<'r>(
+    collectors: &'r PerRobot<EventCollector>,
+    simulations: &'r [FinishedSimulation],
+) -> Vec<RobotOutcome<'r>> {
+    let robots = collectors.entries().iter().map(|entry| {
+        let simulation = simulations.iter().find(|one| one.robot.is_none() || one.robot == entry.robot);
+        RobotOutcome {
+            label: entry.label.clone(),
+            collector: &entry.value,
+            simulation,
+            truth: simulation.map(|one| SimulationTruth::from_simulation(&one.simulation)),
+        }
+    });
+    robots.collect()
+}
+
+fn one_robot(config: &Config, robot: &RobotOutcome<'_>) -> Result<String> {
+    let RobotOutcome { collector, simulation, truth, .. } = robot;
+    let mut text = format!("{}\n{}\n", source_table(&collector.sources), link_report::tables(collector.links.iter()));
+    if let (Some(simulated), Some(truth)) = (simulation, truth) {
+        let complete = simulated.is_complete.then(|| simulate_other_steering(config, simulated));
+        let other = complete.transpose()?;
+        text += &covered_by_tables(&simulated.simulation).unwrap_or_default();
+        text += &table(collector, truth, other.as_ref());
+        text += "\n";
+    }
+    Ok(text)
+}
+
+fn several_robots(robots: &[RobotOutcome<'_>]) -> String {
+    let rows: Vec<RobotRow> = robots.iter().map(RobotOutcome::row).collect();
+    let mut text = robots_table(&rows) + "\n";
+    if let Some(first) = robots.first() {
+        text += &(link_report::tables(first.collector.links.iter()) + "\n");
+        let covered = first.simulation.and_then(|simulated| covered_by_tables(&simulated.simulation));
+        text += &covered.unwrap_or_default();
+    }
+    text
+}
+
+/// Pictures of a robot alone, or of the first of several.
+fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
+    let Some(robot) = robots.first() else {
+        return Ok(Vec::new());
+    };
+    let mut title = robot.simulation.map_or_else(
+        || "live run".to_owned(),
+        |simulated| format!("{}, seed {}", simulated.name, simulated.scenario.seed),
+    );
+    if robots.len() > 1 {
+        title = format!("{title}, robot {}", robot.label);
+    }
+    draw_figures(folder, &title, robot.collector, robot.truth.as_ref())
+}
+
+/// Prints and saves what the filters have learned about the robots.
+pub(super) fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
+    let learned = &session.learned;
+    if learned.len() <= MAX_LEARNED_TABLES {
+        print_result(&learned_table(learned))?;
+    } else {
+        print_result(&format!(
+            "learned    of {} robots: `posebridge replay RECORDING --json` lists it\n",
+            learned.len()
+        ))?;
+    }
+    let Some(path) = &args.save_calibration else {
+        return Ok(());
+    };
+    ensure!(!learned.is_empty(), "nothing was observed, so there is no calibration to save");
+    let provenance = Provenance {
+        utc_micros: session.timer.utc_start(),
+        source: format!("live run, {}", session.folder.display()),
+        filter: config.filter.name.clone(),
+    };
+    save_all(path, learned, &provenance)
+}
+
+/// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.
+fn simulate_other_steering(config: &Config, driven: &FinishedSimulation) -> Result<SimulationTruth> {
+    let other = match driven.scenario.steering {
+        Steering::Odometry => Steering::Estimate,
+        Steering::Estimate => Steering::Odometry,
+    };
+    let mut station_config = config.station_config()?;
+    station_config.links.retain(|link| link.id == driven.link);
+    let run = virtual_station::run(driven.scenario.clone().with_steering(other), station_config)?;
+    Ok(SimulationTruth::from_simulation(&run.simulation))
+}
+
+/// What tables and pictures are made of, where it is not the whole run.
+fn covered_by_tables(simulation: &Simulation) -> Option<String> {
+    let first = simulation.truth().first()?;
+    (first.sim_time > TimeDelta::ZERO).then(|| {
+        format!(
+            "errors and pictures: the last {:.0} s of {:.0} s\n",
+            (simulation.elapsed() - first.sim_time).as_secs_f64(),
+            simulation.elapsed().as_secs_f64()
+        )
+    })
 }

@@ -11,35 +11,29 @@ use tokio_util::sync::CancellationToken;
 use super::args::RunArgs;
 use super::dashboard;
 use super::deferred_errors::DeferredErrors;
-use super::error_to_truth::ErrorToTruth;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
 use super::links::{EmbeddedLink, FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
-use super::live_status::LiveView;
+use super::live_status::{ErrorToTruth, LiveView};
 use super::observer::{Observer, ObserverConfig};
 use super::per_robot::PerRobot;
 use super::recorder::Recorder;
+use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
-use super::run_outputs::{RecordedFiles, output_folder, start_recorder, start_tlog};
-use super::signals::Signals;
 use super::signing::{SigningSession, warn_of_open_listeners};
-use super::simulator::truth_tap::TruthTap;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
 use super::viewers::Viewers;
 use crate::config::Config;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure};
+use crate::exit::{ExitStage, Failure, Signals};
 
-/// What a session has left.
 pub(super) struct Session {
     pub(super) timer: HostTimer,
     pub(super) folder: PathBuf,
     pub(super) collectors: PerRobot<EventCollector>,
     pub(super) recorded: RecordedFiles,
-    /// The simulated bricks, if there were any.
     pub(super) simulations: Vec<FinishedSimulation>,
-    /// What was learned of each robot.
     pub(super) learned: Vec<LearnedCalibration>,
     /// Whether the stamps of signed links were kept.
     pub(super) signing_result: Result<()>,
@@ -59,7 +53,6 @@ impl Session {
     }
 }
 
-/// Runs the station until something ends it.
 pub(super) async fn session(
     args: &RunArgs,
     config: &Config,
@@ -81,7 +74,14 @@ pub(super) async fn session(
     let (ports, mut embedded) = opened.before_start()?;
     let recording = folder.join(file_name);
     let for_recordings = signing.config_for_recording(config);
-    let truth = take_truth_taps(embedded.as_mut());
+    // From the very start.
+    let bricks = embedded.as_mut().map_or(&mut [][..], |link| &mut link.embedded.bricks);
+    let truth = bricks.iter_mut().filter_map(|brick| brick.truth.take()).collect();
+    let reachable = bricks.iter().map(|brick| {
+        let commands = brick.controls.commands.clone();
+        ReachableBrick { robot: brick.robot, commands }
+    });
+    let reachable = reachable.collect();
     let observer = observer(args, embedded.as_ref()).before_start()?;
     let keeper = signing.start_writer().before_start()?;
     let mut failures = DeferredErrors::default();
@@ -101,7 +101,7 @@ pub(super) async fn session(
         failures,
         signing: keeper,
         requests: RequestHandler::new(folder.clone(), timer, config.clone(), for_recordings, current)
-            .with_bricks(simulated_bricks(embedded.as_ref())),
+            .with_bricks(reachable),
         truth,
         dashboard,
     };
@@ -140,7 +140,6 @@ async fn wait_for_end(
     viewers.close_terminal();
 }
 
-/// Opens the links.
 async fn open(
     args: &RunArgs,
     config: &Config,
@@ -156,19 +155,6 @@ async fn open(
     opened
 }
 
-/// By which commands go to the simulated bricks.
-fn simulated_bricks(embedded: Option<&EmbeddedLink>) -> Vec<ReachableBrick> {
-    let bricks = embedded.map_or(&[][..], EmbeddedLink::bricks).iter();
-    bricks.map(|brick| ReachableBrick { robot: brick.robot, commands: brick.controls.commands.clone() }).collect()
-}
-
-/// The receivers of the simulated robots' truth, from the very start.
-fn take_truth_taps(embedded: Option<&mut EmbeddedLink>) -> Vec<TruthTap> {
-    let bricks = embedded.map_or(&mut [][..], |link| &mut link.embedded.bricks);
-    bricks.iter_mut().filter_map(|brick| brick.truth.take()).collect()
-}
-
-/// Shows people what happens.
 fn observer(args: &RunArgs, embedded: Option<&EmbeddedLink>) -> Result<Observer> {
     let view = if args.views.tui {
         // The terminal view shows all that and more.
@@ -208,7 +194,6 @@ fn build_station(args: &RunArgs, config: &Config, signing: &SigningSession) -> R
     Ok(station)
 }
 
-/// What recorder and observer leave.
 struct StoppedStation {
     collectors: PerRobot<EventCollector>,
     recorded: RecordedFiles,

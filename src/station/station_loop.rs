@@ -11,15 +11,14 @@ use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, P
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::clock_step::ClockStepDetector;
 use super::dashboard::{DashboardHandle, next_command};
 use super::deferred_errors::DeferredErrors;
 use super::observer::Observer;
+use super::page_history::station_status;
 use super::recorder::Recorder;
 use super::requests::RequestHandler;
 use super::signing::SigningStateWriter;
-use super::simulator::truth_tap::TruthTap;
-use super::status::station_status;
+use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
 
 /// How often the station gets the counters of its links: as often as it reports their health.
@@ -28,53 +27,34 @@ const COUNTS_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// An observation makes three events: it came, it was fused, this is the estimate.
 const USUAL_EVENTS: usize = 4;
 
-/// When a station loop ends.
 #[derive(Clone, Debug)]
 pub struct StopConditions {
     /// It was requested, or the simulated brick has finished.
     pub stop: CancellationToken,
     /// How much of its drive the simulated brick has done, if there is one; at 1 it pulls its plug.
     pub progress: Option<watch::Receiver<f64>>,
-    /// The session is over at this instant.
     pub at: Option<Timestamp<HostClock>>,
     /// No byte for this long, once one has come.
     pub silence: Option<TimeDelta>,
 }
 
-impl StopConditions {
-    /// Whether the simulated brick has driven all that it was to drive.
-    fn has_finished_driving(&self) -> bool {
-        let progress = self.progress.as_ref();
-        progress.is_some_and(|progress| *progress.borrow() >= 1.0)
-    }
-}
-
-/// A station with its links and what hangs off it.
 pub struct StationLoop {
-    /// The engine.
     pub station: Station,
-    /// Its links.
     pub links: LinkSet,
-    /// The session's clock.
     pub timer: HostTimer,
     /// The recording, if there is one. It can be taken away and another one put here while the station loop runs; such a one begins after
     /// [`Self::input_count`] inputs.
     pub recorder: Option<Recorder>,
-    /// How many inputs the station has been given.
     pub input_count: u64,
     /// The telemetry log beside it, if there is one.
     pub tlog: Option<TlogRecorder>,
-    /// The terminal.
     pub observer: Observer,
-    /// The dashboard, if there is one.
     pub dashboard: Option<DashboardHandle>,
     /// What ended before the run, a recording or the telemetry log, and why.
     pub failures: DeferredErrors,
     /// What keeps the stamps of signed links, if there are any.
     pub signing: Option<SigningStateWriter>,
-    /// What carries out the station's requests.
     pub requests: RequestHandler,
-    /// Where each simulated robot really is.
     pub truth: Vec<TruthTap>,
 }
 
@@ -88,8 +68,8 @@ impl StationLoop {
         let mut states: BTreeMap<LinkId, LinkState> = BTreeMap::new();
         let stopped = ending.stop.cancelled();
         tokio::pin!(stopped);
-        let mut alarm = DeadlineTimer::new(self.timer);
-        let mut calendar = ClockStepDetector::default();
+        let mut deadline_timer = DeadlineTimer::new(self.timer);
+        let mut clock_step = ClockStepDetector::default();
         while !ending.stop.is_cancelled() && finished.len() < self.links.iter().len() {
             let silent_at = ending.silence.and_then(|span| last_byte.map(|last| last + span));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
@@ -112,7 +92,7 @@ impl StationLoop {
                 }
                 command = next_command(&mut self.dashboard) => (self.timer.now(), command),
                 report = self.requests.next_report() => (self.timer.now(), report),
-                () = alarm.wait_until(deadline) => (self.timer.now(), Input::Tick),
+                () = deadline_timer.wait_until(deadline) => (self.timer.now(), Input::Tick),
                 () = &mut stopped => return,
             };
             if end_at.is_some_and(|end| now >= end) {
@@ -122,7 +102,7 @@ impl StationLoop {
             if now >= next_counts {
                 next_counts = now + COUNTS_PERIOD;
                 self.report_counters(now);
-                self.check_clock_step(now, &mut calendar);
+                self.check_clock_step(now, &mut clock_step);
                 self.record_calibration(now);
                 self.publish_status(now);
                 self.record_truth();
@@ -131,15 +111,11 @@ impl StationLoop {
     }
 
     /// Writes down with which stamps the signed links have ended; nothing may be handled after it.
-    ///
-    /// # Errors
-    /// They cannot be written.
     pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
         keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
     }
 
-    /// Passes the counters of the links to the station.
     fn report_counters(&mut self, now: Timestamp<HostClock>) {
         let counts: Vec<_> = self.links.iter().map(|port| (port.id(), port.port_counts())).collect();
         for (link, counts) in counts {
@@ -148,8 +124,8 @@ impl StationLoop {
     }
 
     /// Says so when the computer's date was set: the recording goes on by the date at its start.
-    fn check_clock_step(&mut self, now: Timestamp<HostClock>, calendar: &mut ClockStepDetector) {
-        let Some(leap) = calendar.detect(self.timer.utc_drift()) else {
+    fn check_clock_step(&mut self, now: Timestamp<HostClock>, clock_step: &mut ClockStepDetector) {
+        let Some(leap) = clock_step.detect(self.timer.utc_drift()) else {
             return;
         };
         let text = format!(
@@ -174,7 +150,6 @@ impl StationLoop {
         }
     }
 
-    /// Sends the present state to the dashboard.
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
             let standing = station_status(&self.station, self.recorder.as_ref());
@@ -300,7 +275,6 @@ impl StationLoop {
     }
 }
 
-/// A report of something that failed.
 fn warning(text: String) -> Input {
     let severity = WARNING;
     Input::Report { severity, text }
@@ -314,7 +288,6 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
     true
 }
 
-/// What a link's event is to the station.
 fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {
     match event {
         LinkEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),
@@ -323,7 +296,8 @@ fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timesta
             (at, Input::Link { link, state: LinkState::Up })
         }
         LinkEvent::Down { at, reason, retry_in } => {
-            if ending.has_finished_driving() {
+            // At 1 the simulated brick has driven all that it was to drive.
+            if ending.progress.as_ref().is_some_and(|progress| *progress.borrow() >= 1.0) {
                 tracing::info!(link = link.0, reason, "link down at the end of the drive");
             } else {
                 let retry_ms = retry_in.as_millis_f64().round();
@@ -332,5 +306,42 @@ fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timesta
             (at, Input::Link { link, state: LinkState::Down })
         }
         LinkEvent::Finished { at } => (at, Input::Link { link, state: LinkState::Down }),
+    }
+}
+
+/// Less than this is the steady correction of a clock, not a leap.
+const STEP_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
+
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ClockStepDetector {
+    reported: TimeDelta,
+}
+
+impl ClockStepDetector {
+    /// Takes by how much the date runs ahead of the session's clock, and returns by how much it has leapt since the last report.
+    pub fn detect(&mut self, ahead: TimeDelta) -> Option<TimeDelta> {
+        let leapt = ahead - self.reported;
+        if leapt < STEP_THRESHOLD && leapt > -STEP_THRESHOLD {
+            return None;
+        }
+        self.reported = ahead;
+        Some(leapt)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_date_that_is_set_is_told_once_and_a_slow_correction_is_not() {
+        let mut watch = ClockStepDetector::default();
+        assert_eq!(watch.detect(TimeDelta::from_millis(400)), None);
+        let hour = TimeDelta::from_millis(3_600_000);
+        assert_eq!(watch.detect(hour), Some(hour));
+        assert_eq!(watch.detect(hour + TimeDelta::from_millis(300)), None);
+        let back = watch.detect(TimeDelta::ZERO);
+        assert_eq!(back, Some(-hour));
+        assert_eq!(watch.detect(TimeDelta::ZERO), None);
     }
 }

@@ -1,31 +1,34 @@
-//! The thread that writes a telemetry log beside the recording: what came and what was sent, as ground stations keep it.
+//! The frames of a session as a telemetry log: found in what links brought, and written beside those that were sent. Offline that is
+//! [`TrafficLog`], for `posebridge export`; live a thread writes it beside the recording ([`TlogRecorder`]).
 //!
-//! It hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped
-//! and counted, because the recording is whole without it. The frames are found here and not in the station loop.
+//! The thread hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped
+//! and counted, because the recording is whole without it.
 //!
 //! It is one file, however long the run, because its readers know no parts. Once a second it is looked at as a recording is: one that was
 //! taken away, and one on a disk without room, ends with a reason.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
-use posebridge_station::LinkConfig;
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, VerifiedFrame, verify};
+use posebridge_protocol::routing::MAX_PEERS;
+use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
+use posebridge_station::{AcceptedVersions, LinkConfig};
 use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, TimeDelta, Timestamp};
 
-use super::traffic_log::TrafficLog;
-use super::watched_file::WatchedFile;
+use super::recording_parts::WatchedFile;
 
 /// Most chunks and frames that wait for the disk; further ones are dropped.
 const QUEUE_CAPACITY: usize = 16_384;
 /// What was written reaches the system at least this often; then file and disk are looked at.
 const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Bytes on their way to the file.
 struct Traffic {
     now: Timestamp<HostClock>,
     link: LinkId,
@@ -33,29 +36,22 @@ struct Traffic {
     bytes: Vec<u8>,
 }
 
-/// Which way they went.
 enum Direction {
     /// A chunk that one peer of the link has sent.
     In(PeerId),
-    /// One frame that was sent.
     Out(Priority),
 }
 
-/// A running recorder of a telemetry log.
 pub struct TlogRecorder {
-    /// Where it is written.
     pub path: PathBuf,
     sender: Sender<Traffic>,
     thread: JoinHandle<Result<u64>>,
     dropped: u64,
 }
 
-/// What a telemetry log has become.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlogWritten {
-    /// Where it is.
     pub path: PathBuf,
-    /// Frames in it.
     pub frames: u64,
     /// Chunks and frames that are missing in it because the disk was too slow.
     pub dropped: u64,
@@ -64,9 +60,7 @@ pub struct TlogWritten {
 impl TlogRecorder {
     /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no
     /// MAVLink nothing is written. The log ends when the disk has less room than `floor_bytes`.
-    ///
-    /// # Errors
-    /// The file cannot be created; one that is there already is never overwritten.
+    /// A file that is there already is never overwritten.
     pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
         let (out, file) = WatchedFile::create("telemetry log", path)?;
         let (sender, traffic) = bounded(QUEUE_CAPACITY);
@@ -78,10 +72,6 @@ impl TlogRecorder {
         Ok(Self { path: path.to_owned(), sender, thread, dropped: 0 })
     }
 
-    /// Takes note of what was given to the station.
-    ///
-    /// # Errors
-    /// The file could not be written; nothing more is taken.
     pub fn received(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
         let Input::Bytes { link, peer, bytes } = input else {
             return Ok(());
@@ -89,18 +79,10 @@ impl TlogRecorder {
         self.offer(Traffic { now, link: *link, direction: Direction::In(*peer), bytes: bytes.clone() })
     }
 
-    /// Takes note of a frame that was sent.
-    ///
-    /// # Errors
-    /// The file could not be written; nothing more is taken.
     pub fn sent(&mut self, now: Timestamp<HostClock>, link: LinkId, priority: Priority, frame: &[u8]) -> Result<()> {
         self.offer(Traffic { now, link, direction: Direction::Out(priority), bytes: frame.to_vec() })
     }
 
-    /// Writes what still waits and ends the file.
-    ///
-    /// # Errors
-    /// The file could not be written.
     pub fn finish(self) -> Result<TlogWritten> {
         drop(self.sender);
         let frames = self.thread.join().map_err(|_panic| anyhow!("the telemetry log's thread died"))??;
@@ -155,4 +137,155 @@ fn write(
     // A deleted file counts as not written.
     file.file_size()?;
     Ok(frames)
+}
+
+/// What one peer of a link has sent, up to the middle of a frame.
+struct TrafficStream {
+    last_seen: Timestamp<HostClock>,
+    framer: Framer,
+}
+
+pub struct TrafficLog<W: Write> {
+    writer: TlogWriter<W>,
+    utc_start_micros: u64,
+    links: BTreeMap<LinkId, FramerConfig>,
+    peers: BTreeMap<(LinkId, PeerId), TrafficStream>,
+    frames: u64,
+}
+
+impl<W: Write> TrafficLog<W> {
+    /// Begins a log. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no MAVLink nothing is written.
+    pub fn new(out: W, utc_start_micros: u64, links: &[LinkConfig]) -> Self {
+        Self {
+            writer: TlogWriter::new(out),
+            utc_start_micros,
+            links: links.iter().filter_map(scanner_config).collect(),
+            peers: BTreeMap::new(),
+            frames: 0,
+        }
+    }
+
+    /// Writes the frames that become whole by a chunk of one peer.
+    pub fn received(
+        &mut self,
+        now: Timestamp<HostClock>,
+        link: LinkId,
+        peer: PeerId,
+        bytes: &[u8],
+    ) -> std::io::Result<()> {
+        let Some(config) = self.links.get(&link) else {
+            return Ok(());
+        };
+        let micros = self.utc_micros(now, link);
+        let key = (link, peer);
+        if self.peers.len() >= MAX_PEERS && !self.peers.contains_key(&key) {
+            evict_oldest_peer(&mut self.peers);
+        }
+        let heard = self
+            .peers
+            .entry(key)
+            .or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::with_all_dialects(*config) });
+        heard.last_seen = now;
+        let (writer, frames) = (&mut self.writer, &mut self.frames);
+        let mut written = Ok(());
+        heard.framer.push(now, bytes, &mut |found| {
+            let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
+                return;
+            };
+            if written.is_ok() {
+                written = writer.record(micros, frame.raw);
+                *frames += 1;
+            }
+        });
+        written
+    }
+
+    /// Writes a frame that was sent; one that was only passed on stands there already, as it came, and what a codec sends is none.
+    pub fn sent(
+        &mut self,
+        now: Timestamp<HostClock>,
+        link: LinkId,
+        priority: Priority,
+        frame: &[u8],
+    ) -> std::io::Result<()> {
+        let is_ours = priority != Priority::Forwarded && self.links.contains_key(&link);
+        if is_ours && verify(frame) != VerifiedFrame::Invalid {
+            self.writer.record(self.utc_micros(now, link), frame)?;
+            self.frames += 1;
+        }
+        Ok(())
+    }
+
+    pub fn flush(&mut self) -> std::io::Result<()> {
+        self.writer.flush()
+    }
+
+    pub fn finish(self) -> std::io::Result<(W, u64)> {
+        Ok((self.writer.finish()?, self.frames))
+    }
+
+    /// The time of a record: the date, with the number of the link in its two lowest bits.
+    fn utc_micros(&self, now: Timestamp<HostClock>, link: LinkId) -> u64 {
+        let since_start = u64::try_from(now.as_micros()).unwrap_or(0);
+        let micros = self.utc_start_micros.saturating_add(since_start);
+        (micros & !LINK_BITS) | (u64::from(link.0) & LINK_BITS)
+    }
+}
+
+/// Makes room: what the most silent peer had begun to send is lost with him, and it is seldom anything.
+fn evict_oldest_peer(heard: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
+    let silent = heard.iter().min_by_key(|(_, heard)| heard.last_seen);
+    let silent = silent.map(|(key, _)| *key);
+    if let Some(silent) = silent {
+        heard.remove(&silent);
+    }
+}
+
+/// How a link's bytes are scanned; `None` if they are no MAVLink.
+fn scanner_config(link: &LinkConfig) -> Option<(LinkId, FramerConfig)> {
+    link.brick.is_none().then(|| {
+        let config = FramerConfig {
+            accept_v1: link.accepted_versions == AcceptedVersions::V1AndV2,
+            transport: link.framing,
+            ..FramerConfig::default()
+        };
+        (link.id, config)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_protocol::dialect::Encoder;
+    use posebridge_protocol::framing::WireVersion;
+    use posebridge_protocol::message::Message;
+    use posebridge_telemetry::Address;
+
+    use crate::config::Config;
+
+    /// Who calls again and again from another port is another peer each time.
+    #[test]
+    fn of_many_peers_the_most_silent_are_forgotten_and_no_whole_frame_is_lost() {
+        let target = Address::new(1, 197);
+        let mut frame = Vec::new();
+        let request = Message::ParamRequestList { target };
+        Encoder::new(WireVersion::V2).encode(Address::new(7, 1), &request, &mut frame);
+        let (begun, rest) = frame.split_at(5);
+        let links = Config::default().station_config().unwrap().links;
+        let mut log = TrafficLog::new(Vec::new(), 0, &links);
+        let link = links[0].id;
+        let peers = 3 * MAX_PEERS as u32;
+        for number in 0..peers {
+            let now = Timestamp::from_millis(i64::from(number));
+            log.received(now, link, PeerId(number), &frame).unwrap();
+            log.received(now, link, PeerId(number), begun).unwrap();
+            // One who goes on is not forgotten, however long ago he came.
+            log.received(now, link, PeerId(0), &frame).unwrap();
+            assert!(log.peers.len() <= MAX_PEERS);
+        }
+        let now = Timestamp::from_millis(i64::from(peers));
+        log.received(now, link, PeerId(peers - 1), rest).unwrap();
+        let (_, frames) = log.finish().unwrap();
+        assert_eq!(frames, u64::from(2 * peers + 1));
+    }
 }

@@ -45,10 +45,10 @@ impl Viewers {
         let facts = simulated.as_ref().map(dashboard::simulator_facts);
         let mut taps = FrameTaps::default();
         let terminal_frames = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
-        let plotted = plotjuggler_address(args, config)?;
+        let configured = config.plotjuggler.checked()?;
+        let plotted = args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured));
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
-        let page = (&args.page, config);
-        let started = dashboard::start(reserved, page, (timer, folder), (simulated, taps))?;
+        let started = dashboard::start(reserved, &args.page, config, timer, folder, simulated, taps)?;
         let Some((dashboard, handle)) = started else {
             return Ok((Self::default(), None));
         };
@@ -106,10 +106,4 @@ impl Viewers {
         });
         Ok(())
     }
-}
-
-/// Where datagrams for PlotJuggler go, if they do.
-fn plotjuggler_address(args: &RunArgs, config: &Config) -> Result<Option<std::net::SocketAddr>> {
-    let configured = config.plotjuggler.checked()?;
-    Ok(args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured)))
 }

@@ -13,9 +13,6 @@ pub struct CompletionsArgs {
 }
 
 /// Prints the script for the program of this command line.
-///
-/// # Errors
-/// Standard output cannot be written.
 pub fn execute(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "posebridge", &mut script);

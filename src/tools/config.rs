@@ -22,18 +22,14 @@ pub struct ConfigArgs {
 pub enum ConfigAction {
     /// Print every key with its value and where it comes from.
     Print(ConfigFlags),
-    /// Check a configuration and say nothing if it is good.
+    /// Check a configuration. Prints nothing if it is valid.
     Check(ConfigFlags),
     /// Print the JSON schema.
     Schema,
-    /// Print every parameter of the filters: those of `[filter]`, which ground stations can set while a station runs.
+    /// Print every parameter of the filters, i.e. the keys of `[filter]`; ground stations can set them while the station runs.
     Params,
 }
 
-/// Prints, checks or describes.
-///
-/// # Errors
-/// The configuration makes no sense.
 pub fn execute(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.action {
         ConfigAction::Print(flags) => {

@@ -13,30 +13,22 @@ use crate::flags::DataFlags;
 
 /// A descriptor with the runs that were asked for.
 pub struct DataSet {
-    /// The descriptor.
     pub descriptor: Descriptor,
-    /// Names of the runs.
     pub runs: Vec<String>,
     root: PathBuf,
 }
 
 /// One run with the robot that made it.
 pub struct RobotRun {
-    /// What was recorded.
     pub run: dataset::DatasetRun,
     /// The robot, as the descriptor and the flags describe it.
     pub robot: RobotFile,
-    /// The filter's tunables, as they say.
     pub filter: FilterSection,
-    /// The robot's filter configuration, start included.
     pub filter_config: FilterConfig,
 }
 
 impl DataSet {
     /// Reads a descriptor and chooses its runs.
-    ///
-    /// # Errors
-    /// The file cannot be read or makes no sense, or no run has such a name.
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;
@@ -50,10 +42,6 @@ impl DataSet {
         Ok(Self { descriptor, runs, root: flags.data.clone().unwrap_or(own_folder) })
     }
 
-    /// Loads one run.
-    ///
-    /// # Errors
-    /// A file is missing or a column is not there, or the robot's table makes no sense.
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;

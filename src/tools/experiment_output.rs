@@ -13,10 +13,10 @@ use crate::exit::{ExitStage, Failure};
 /// The flags that every experiment has.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct OutputArgs {
-    /// Folder for the page and the pictures, instead of the current one.
+    /// Folder for the page and the pictures. Default: the current folder.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Write every picture as PNG, too; needs a program built with the feature `png`.
+    /// Also write every picture as PNG; needs a program built with the feature `png`.
     #[arg(long)]
     pub png: bool,
     /// Print one JSON object instead of tables.
@@ -26,9 +26,6 @@ pub struct OutputArgs {
 
 impl OutputArgs {
     /// Makes the folder, before minutes are spent on what could not be kept.
-    ///
-    /// # Errors
-    /// It cannot be made, or this program cannot write what is asked for.
     pub fn folder(&self) -> Result<PathBuf, Failure> {
         if self.png {
             raster::check().before_start()?;
@@ -44,9 +41,6 @@ impl OutputArgs {
     ///
     /// The pictures are called `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is one; those with a name of their own
     /// `<name>-<their name>.svg`.
-    ///
-    /// # Errors
-    /// Something cannot be written.
     pub fn write_outcome(&self, folder: &Path, report: &Report) -> Result<(), Failure> {
         let (name, page) = (report.name(), report.page());
         let pictures: Vec<&String> = page.blocks.iter().filter_map(picture).collect();

@@ -1,31 +1,27 @@
 //! What is known of a robot's recorded run besides what the engine makes of it: where the robot was, and where its own odometry placed it.
+//! The simulator's truth is a CSV file, written by `posebridge sim --truth` and read by `posebridge replay --truth`, or in the recording.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use posebridge_recording::container::{self, TruthSample};
 use posebridge_report::{PoseTrack, TimedPose};
-use posebridge_telemetry::RobotId;
+use posebridge_telemetry::{Heading, Meters, Pose, RobotId, Timestamp};
 
-use super::truth_file;
+use super::csv_table::CsvTable;
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 
 /// Where the robot was, and where its own odometry placed it, as far as the recording or a file beside it contains them.
 #[derive(Debug, Default)]
 pub struct GroundTruth {
-    /// The truth of a simulated run.
     pub truth: Option<PoseTrack>,
-    /// The brick's own dead reckoning.
     pub odometry: Option<PoseTrack>,
 }
 
 impl GroundTruth {
-    /// The truth in a file; nothing if there is none.
-    ///
-    /// # Errors
-    /// The file cannot be read.
     pub fn from_file(truth: Option<&Path>) -> Result<Self> {
-        Ok(Self { truth: truth.map(truth_file::open).transpose()?, odometry: None })
+        Ok(Self { truth: truth.map(open_truth_file).transpose()?, odometry: None })
     }
 
     /// The truth in a file, else that of one robot in the recording of this name and these bytes; empty if it contains none of that robot.
@@ -33,9 +29,6 @@ impl GroundTruth {
     /// `None` is the robot whose samples name none; where all name one, the robot with the lowest id. `Some` is that robot, and where no
     /// sample names a robot, the only simulated one: programs that served one robot wrote no more. Then it answers for any robot, and a
     /// caller that asks for several has to know which of them was simulated.
-    ///
-    /// # Errors
-    /// The file cannot be read, or the recorded truth is damaged.
     pub fn load(name: &str, recording: &[u8], truth: Option<&Path>, robot: Option<RobotId>) -> Result<Self> {
         if truth.is_some() {
             return Self::from_file(truth);
@@ -69,10 +62,53 @@ fn samples_of(robot: Option<RobotId>, mut samples: Vec<TruthSample>) -> Vec<Trut
     samples
 }
 
+const HEADER: &str = "brick_micros,x_m,y_m,heading_rad,odometry_x_m,odometry_y_m,odometry_heading_rad,cross_track_m";
+
+pub fn write_truth_file(samples: &[posebridge_sim::TruthSample]) -> String {
+    let mut text = String::from(HEADER);
+    text.push('\n');
+    for sample in samples {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{},{},{},{},{}",
+            sample.brick_time.as_micros(),
+            sample.pose.x.0,
+            sample.pose.y.0,
+            sample.pose.heading.rad(),
+            sample.odometry.x.0,
+            sample.odometry.y.0,
+            sample.odometry.heading.rad(),
+            sample.cross_track_m,
+        );
+    }
+    text
+}
+
+fn open_truth_file(path: &Path) -> Result<PoseTrack> {
+    let table = CsvTable::read(path).context("reading the truth")?;
+    ensure!(
+        table.columns().iter().eq(HEADER.split(',')),
+        "`{}` is no truth file; its first line must be `{HEADER}`",
+        path.display()
+    );
+    let samples = table.rows().map(|row| {
+        Ok(TimedPose {
+            time: Timestamp::from_micros(row.number("brick_micros")? as i64),
+            pose: Pose::new(
+                Meters(row.number("x_m")?),
+                Meters(row.number("y_m")?),
+                Heading::from_rad(row.number("heading_rad")?),
+            ),
+        })
+    });
+    Ok(PoseTrack::new(samples.collect::<Result<Vec<_>>>()?, MAX_INTERPOLATION_GAP))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Address, Heading, LinkId, Meters, Pose, Timestamp};
+    use posebridge_telemetry::{Address, LinkId};
 
     fn id(system: u8) -> RobotId {
         RobotId { link: LinkId(0), address: Address::new(system, 1) }
@@ -89,23 +125,34 @@ mod tests {
         (0..).zip(robots).map(sample).collect()
     }
 
-    fn positions_of(robot: Option<RobotId>, robots: &[Option<RobotId>]) -> Vec<f64> {
-        samples_of(robot, samples(robots)).iter().map(|sample| sample.pose.x.0).collect()
+    #[test]
+    fn the_truth_is_that_of_one_robot_and_samples_that_name_none_answer_for_any() {
+        let (two, unnamed, mixed) = ([Some(id(2)), Some(id(1)), Some(id(2))], [None, None], [Some(id(1)), None]);
+        for (wanted, robots, expected) in [
+            (None, &two[..], &[1.0][..]),
+            (Some(id(2)), &two, &[0.0, 2.0]),
+            (Some(id(3)), &two, &[]),
+            (Some(id(2)), &unnamed, &[0.0, 1.0]),
+            (None, &mixed, &[1.0]),
+            (Some(id(2)), &mixed, &[]),
+        ] {
+            let found = samples_of(wanted, samples(robots));
+            let positions: Vec<f64> = found.iter().map(|sample| sample.pose.x.0).collect();
+            assert_eq!(positions, expected, "{wanted:?} of {robots:?}");
+        }
     }
 
     #[test]
-    fn the_truth_is_that_of_one_robot() {
-        let two = [Some(id(2)), Some(id(1)), Some(id(2))];
-        assert_eq!(positions_of(None, &two), [1.0]);
-        assert_eq!(positions_of(Some(id(2)), &two), [0.0, 2.0]);
-        assert_eq!(positions_of(Some(id(3)), &two), [] as [f64; 0]);
-    }
-
-    #[test]
-    fn samples_that_name_no_robot_answer_for_any_robot_unless_others_name_one() {
-        assert_eq!(positions_of(Some(id(2)), &[None, None]), [0.0, 1.0]);
-        let mixed = [Some(id(1)), None];
-        assert_eq!(positions_of(None, &mixed), [1.0]);
-        assert_eq!(positions_of(Some(id(2)), &mixed), [] as [f64; 0]);
+    fn a_wrong_file_is_refused_with_line_and_column() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.csv");
+        for (text, expected) in [
+            ("t_s,x_m\n".to_owned(), "truth.csv` is no truth file; its first line must be `brick_micros,x_m"),
+            (format!("{HEADER}\n0,0,0,0,0,0,0,0\n1,0,far,0\n"), "truth.csv` line 3: `far` in column `y_m`"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = format!("{:#}", open_truth_file(&path).unwrap_err());
+            assert!(error.contains(expected), "{error}");
+        }
     }
 }

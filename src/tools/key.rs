@@ -19,17 +19,14 @@ pub struct KeyArgs {
 /// What to do with keys.
 #[derive(Clone, Debug, Subcommand)]
 pub enum KeyAction {
-    /// Make a new key, from random bytes of the operating system, and print its name (docs/routing.md).
+    /// Create a key from random bytes of the operating system and print its name (docs/routing.md).
     New {
-        /// Where to write it; a file that is there already is not touched.
+        /// File to write. An existing file is not overwritten.
         file: PathBuf,
     },
 }
 
 /// Makes a key and prints its name.
-///
-/// # Errors
-/// The file is there already or cannot be written.
 pub fn execute(args: &KeyArgs) -> Result<(), Failure> {
     let KeyAction::New { file } = &args.action;
     let key = create_key(file).before_start()?;

@@ -6,9 +6,6 @@ use anyhow::{Context, Result};
 use posebridge_sim::impairment::LinkProfile;
 
 /// A bundled profile by its name (`none` is the clean link), or one from a TOML file.
-///
-/// # Errors
-/// There is no such name or file, or the file makes no sense; the message names the file, the line and the key.
 pub fn load(name_or_file: &str) -> Result<LinkProfile> {
     let is_file = Path::new(name_or_file).extension().is_some_and(|extension| extension == "toml");
     if !is_file {

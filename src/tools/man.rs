@@ -12,7 +12,7 @@ use crate::exit::{ExitStage, Failure};
 /// Flags of `man`.
 #[derive(Args, Clone, Debug)]
 pub struct ManArgs {
-    /// Write the pages of the program and of every subcommand into this folder, instead of printing the program's.
+    /// Write the pages of the program and of every command into this folder instead of printing the program's page.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -22,14 +22,10 @@ pub struct ManArgs {
 pub struct ManPage {
     /// `posebridge-run.1`.
     pub file: String,
-    /// The text.
     pub roff: String,
 }
 
 /// Prints the page of the program of this command line, or writes all pages into a folder.
-///
-/// # Errors
-/// A page cannot be written.
 pub fn execute(args: &ManArgs, program: Command) -> Result<(), Failure> {
     let pages = pages(program).while_running()?;
     let Some(folder) = &args.out else {
@@ -56,9 +52,6 @@ fn write(folder: &Path, pages: &[ManPage]) -> Result<()> {
 }
 
 /// The page of a program, then one of each subcommand, however deep.
-///
-/// # Errors
-/// A page cannot be made, which would be a fault of ours.
 pub fn pages(program: Command) -> Result<Vec<ManPage>> {
     // `posebridge help` shows the same text.
     let mut program = program.disable_help_subcommand(true);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
-use posebridge_recording::container::{RecordingEnd, RecordingReader};
+use posebridge_recording::container::RecordingReader;
 use posebridge_station::Station;
 use posebridge_telemetry::{
     BrickClock, ChannelName, Event, HostClock, Observation, ObservationKind, Output, RobotId, SensorId, TimeDelta,
@@ -14,9 +14,8 @@ use posebridge_telemetry::{
 use super::import::{self, StationOptions};
 use crate::config::{Overlay, RobotFile, config_with_overlay};
 use crate::console::print_line;
-use crate::station::clock_alignment::ClockAlignment;
-use crate::station::recording_warnings::missing_start;
-use crate::station::signing;
+use crate::station::recorded_session::{ClockAlignment, for_each_input, missing_start};
+use crate::station::signing::recorded_station_config;
 
 /// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the
 /// station checks a brick's clock (`clock::unwrap`).
@@ -25,7 +24,6 @@ const RESTART_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 /// Everything that was observed in one session.
 #[derive(Clone, Debug)]
 pub struct OwnRecordingRun {
-    /// The file.
     pub name: String,
     /// The robot, with the geometry that its brick has described.
     pub robot: RobotFile,
@@ -39,11 +37,9 @@ pub struct OwnRecordingRun {
     pub thermometers: Vec<ThermometerReadings>,
 }
 
-/// What one thermometer showed.
 #[derive(Clone, Debug)]
 pub struct ThermometerReadings {
     brick: RobotId,
-    /// Which of the brick's.
     pub channel: ChannelName,
     /// The latest stamp so far.
     latest: Timestamp<BrickClock>,
@@ -54,9 +50,7 @@ pub struct ThermometerReadings {
 
 impl ThermometerReadings {
     /// Its readings in the order of arrival, by the clock of its brick.
-    ///
-    /// # Errors
-    /// The brick was restarted: its clock has restarted, at an unknown time of the old one.
+    /// Fails if the brick was restarted: its clock began anew, at an unknown time of the old one.
     pub fn readings(&self) -> Result<&[Observation]> {
         ensure!(
             !self.is_restarted,
@@ -71,15 +65,10 @@ impl ThermometerReadings {
     pub fn name_among(&self, all: &[Self]) -> String {
         let mut namesakes = all.iter().filter(|one| one.channel == self.channel);
         if namesakes.any(|one| one.brick != self.brick) {
-            return format!("{}@{}", self.channel, brick_name(self.brick));
+            return format!("{}@{}-{}", self.channel, self.brick.link, self.brick.address);
         }
         self.channel.to_string()
     }
-}
-
-/// A brick as a part of a name, without spaces.
-fn brick_name(brick: RobotId) -> String {
-    format!("{}-{}", brick.link, brick.address)
 }
 
 /// The content of a recording's events.
@@ -163,10 +152,6 @@ pub fn is_own(path: &Path) -> bool {
 }
 
 /// Reads a recording as far as it goes; what is cut off or damaged is reported on stderr.
-///
-/// # Errors
-/// The file cannot be read, is no recording, holds no observation, or its brick was restarted; or what is laid over it makes no
-/// sense.
 pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     let name = path.display().to_string();
     let station = StationOptions { config: None, robot: overlay.robot, settings: overlay.settings };
@@ -180,10 +165,17 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         print_line(&format!("{name}: {lack}"));
     }
     let config = config_with_overlay(&reader.header().config_toml, overlay)?;
-    let mut station_config = config.station_config()?;
-    signing::restore_states(&config, &[], &mut station_config)?;
-    let mut station = Station::new(station_config, Timestamp::ZERO)?;
-    let heard = run_station(&name, &mut reader, &mut station);
+    let mut station = Station::new(recorded_station_config(&config, &[])?, Timestamp::ZERO)?;
+    let mut heard = SessionObservations::default();
+    for_each_input(&name, &mut reader, |now, input| {
+        station.handle(now, input);
+        while let Some(output) = station.poll() {
+            if let Output::Event(event) = output {
+                heard.on_event(&event);
+            }
+        }
+        Ok(())
+    })?;
     ensure!(
         !(heard.observations.is_empty() && heard.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
@@ -200,43 +192,12 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     filter_config.geometry = station.geometry();
     Ok(OwnRecordingRun {
         name,
-        robot: with_described_geometry(robot, &filter_config),
+        robot: robot.with_geometry(&filter_config.geometry),
         config: filter_config,
         arrivals: heard.arrivals_on_brick_clock(),
         observations: heard.observations,
         thermometers: heard.thermometers,
     })
-}
-
-/// What the station made of all that is whole.
-fn run_station(name: &str, reader: &mut RecordingReader<'_>, station: &mut Station) -> SessionObservations {
-    let mut heard = SessionObservations::default();
-    for item in &mut *reader {
-        match item {
-            Ok((now, input)) => station.handle(now, &input),
-            Err(error) => print_line(&format!("{name}: {error}; what is whole is used")),
-        }
-        while let Some(output) = station.poll() {
-            if let Output::Event(event) = output {
-                heard.on_event(&event);
-            }
-        }
-    }
-    if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
-        print_line(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
-    }
-    heard
-}
-
-/// The robot with the geometry that its brick has described.
-fn with_described_geometry(robot: &RobotFile, config: &FilterConfig) -> RobotFile {
-    RobotFile {
-        left_wheel_radius_m: config.geometry.left_wheel_radius.0,
-        right_wheel_radius_m: config.geometry.right_wheel_radius.0,
-        track_width_m: config.geometry.track_width.0,
-        ticks_per_turn: std::f64::consts::TAU / config.geometry.tick.0,
-        ..robot.clone()
-    }
 }
 
 #[cfg(test)]

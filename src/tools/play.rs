@@ -14,16 +14,14 @@ use posebridge_protocol::recorded_robot::RecordedRobot;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::dataset::{DataSet, RobotRun, report_bad_rows};
-use super::station_link;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{DataFlags, StationLink, positive};
-use crate::station::signals::Signals;
 
 /// Flags of `play`.
 #[derive(Args, Clone, Debug)]
 pub struct PlayArgs {
-    /// A recording's descriptor (config/recordings/*.toml).
+    /// Descriptor of a recording (config/recordings/*.toml).
     pub descriptor: PathBuf,
     /// The link to the station.
     #[command(flatten)]
@@ -31,10 +29,11 @@ pub struct PlayArgs {
     /// What to read.
     #[command(flatten)]
     pub data: DataFlags,
-    /// How much faster than real time; other than 1 the station cannot align the clocks, which a recording with one clock does not need.
+    /// Speed relative to real time. With a value other than 1 the station cannot align clocks; a recording with one clock does
+    /// not need that.
     #[arg(long, default_value_t = 1.0, value_name = "FACTOR", value_parser = positive)]
     pub speed: f64,
-    /// Begin at once instead of when the station has been heard.
+    /// Start at once instead of waiting for bytes from the station.
     #[arg(long)]
     pub at_once: bool,
 }
@@ -46,10 +45,6 @@ const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// What was sent last must reach the station before the link closes.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(300);
 
-/// Plays.
-///
-/// # Errors
-/// The descriptor, its files or the link make no sense.
 pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     let data = DataSet::open(&args.descriptor, &args.data).before_start()?;
     let Some(name) = data.runs.first() else {
@@ -64,8 +59,8 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     runtime.block_on(async {
         let timer = HostTimer::start();
         let mut signals = Signals::listen().before_start()?;
-        let mut port = station_link::port(&args.link, timer).before_start()?;
-        print_line(&station_link::open(&args.link, &mut port).await.before_start()?);
+        let mut port = args.link.to_link(timer).before_start()?;
+        print_line(&args.link.open(&mut port).await.before_start()?);
         let mut player = Player { port, timer, speed: args.speed };
         tokio::select! {
             result = player.play(&run, args) => result.while_running(),
@@ -110,7 +105,7 @@ impl Player {
         let clock = DataClock { start, speed: self.speed, total: whole };
         let mut unsent: BTreeMap<&'static str, u64> = BTreeMap::new();
         for timed in &run.run.observations {
-            let due = start + self.real_duration(timed.arrival - first.arrival);
+            let due = start + TimeDelta::from_secs_f64((timed.arrival - first.arrival).as_secs_f64() / self.speed);
             self.serve_until(due, clock, &mut brick).await;
             if !brick.send(&timed.observation) {
                 *unsent.entry(timed.observation.measurement.kind()).or_default() += 1;
@@ -125,10 +120,6 @@ impl Player {
             0 => Ok(()),
             frames => bail!("{frames} chunks were not sent because the link was down or full: play slower"),
         }
-    }
-
-    fn real_duration(&self, span: TimeDelta) -> TimeDelta {
-        TimeDelta::from_secs_f64(span.as_secs_f64() / self.speed)
     }
 
     /// Until a byte comes. A station that was connected to must notice the peer.

@@ -12,10 +12,6 @@ const SCALE: f32 = 2.0;
 #[cfg(any(test, feature = "png"))]
 const FAMILY: &str = "Ubuntu";
 
-/// Whether this program can draw.
-///
-/// # Errors
-/// It was built without.
 pub fn check() -> Result<()> {
     #[cfg(not(feature = "png"))]
     anyhow::bail!(
@@ -27,18 +23,12 @@ pub fn check() -> Result<()> {
 }
 
 /// The picture as PNG, on white.
-///
-/// # Errors
-/// It is no SVG, or too large; or see [`check`].
 #[cfg(not(feature = "png"))]
 pub fn png(_svg: &str) -> Result<Vec<u8>> {
     check().map(|()| Vec::new())
 }
 
 /// The picture as PNG, on white.
-///
-/// # Errors
-/// It is no SVG, or too large.
 #[cfg(feature = "png")]
 pub fn png(svg: &str) -> Result<Vec<u8>> {
     render(svg)

@@ -6,29 +6,30 @@
 //! back what an end has sent, so the peers of one end do not receive each other's frames.
 
 mod ends;
-mod outbox;
-mod report;
 
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
 use posebridge_link::{HostTimer, Link, LinkEvent};
-use posebridge_recording::container::{FORMAT, RecordingHeader};
-use posebridge_sim::impairment::{FrameLedger, ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile};
+use posebridge_recording::container::RecordingHeader;
+use posebridge_sim::impairment::{
+    Counters, FrameCounts, FrameLedger, ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile,
+};
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
+use serde::Serialize;
 
-pub use self::ends::RelayEnds;
-use self::outbox::RelayQueue;
-use self::report::{DirectionReport, RelayReport};
 use super::link_profile;
-use super::station_link;
 use crate::config::{Config, LinkSection};
 use crate::console::{print_line, print_result};
-use crate::exit::{ExitStage, Failure};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{StationLink, positive};
 use crate::station::recorder::{Recorder, RecordingTotals};
-use crate::station::signals::Signals;
+use crate::station::recording_files::header;
+
+pub use self::ends::RelayEnds;
 
 /// Flags of `relay`.
 #[derive(Args, Clone, Debug)]
@@ -36,19 +37,19 @@ pub struct RelayArgs {
     /// Both links.
     #[command(flatten)]
     pub ends: RelayEnds,
-    /// What the link between them is like: a bundled profile's name or a TOML file (docs/impairment.md).
+    /// Link profile: a bundled one by name, or a TOML file (docs/impairment.md).
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     pub impair: String,
-    /// Seed of its randomness.
+    /// Seed of the random impairments.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Record what reached the station (link 0) and the brick (link 1); `posebridge replay` estimates from the former.
+    /// Record the bytes that reached the station (link 0) and the robot (link 1); `posebridge replay` uses link 0.
     #[arg(long, value_name = "FILE.mcap")]
     pub record: Option<PathBuf>,
-    /// End after this many seconds.
+    /// Stop after this number of seconds.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub duration: Option<f64>,
-    /// Print one JSON object at the end instead of a table.
+    /// At the end, print one JSON object instead of a table.
     #[arg(long)]
     pub json: bool,
 }
@@ -59,9 +60,6 @@ const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(2);
 const DRAIN_TIMEOUT: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Relays until Ctrl-C, `--duration`, or the end of a file that is played.
-///
-/// # Errors
-/// The profile or a link makes no sense, or the recording cannot be written.
 pub fn execute(args: &RelayArgs) -> Result<(), Failure> {
     let profile = link_profile::load(&args.impair).before_start()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
@@ -111,13 +109,7 @@ fn start_recorder(args: &RelayArgs, timer: &HostTimer) -> Result<Option<Recorder
     };
     let urls = [&args.ends.brick, &args.ends.station].map(|end| url_of(end).to_owned());
     let config = Config { links: urls.iter().take(1).map(|url| LinkSection::new(url)).collect(), ..Config::default() };
-    let header = RecordingHeader {
-        format: FORMAT,
-        program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        utc_start_micros: timer.utc_start(),
-        config_toml: toml::to_string(&config).context("writing the configuration into the recording")?,
-        links: urls.to_vec(),
-    };
+    let header = RecordingHeader { links: urls.to_vec(), ..header(&config, timer.utc_start())? };
     Recorder::start(Path::new(path), &header).map(Some)
 }
 
@@ -138,8 +130,8 @@ struct RelayEndpoint {
 
 impl RelayEndpoint {
     async fn open(name: &'static str, flags: &StationLink, timer: HostTimer, kind: LinkKind) -> Result<Self> {
-        let mut port = station_link::port(flags, timer).with_context(|| format!("{name} end"))?;
-        let place = station_link::open(flags, &mut port).await?;
+        let mut port = flags.to_link(timer).with_context(|| format!("{name} end"))?;
+        let place = flags.open(&mut port).await?;
         print_line(&format!("{name} end {place}"));
         match (kind, port.is_datagram()) {
             (LinkKind::Stream, true) => print_line(&format!(
@@ -214,7 +206,6 @@ impl Relay {
         }
     }
 
-    /// Hands over what has arrived.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         while let Some(event) = self.link.poll(now) {
             match event {
@@ -320,7 +311,7 @@ impl Relay {
     fn finish(self, args: &RelayArgs, start: Timestamp<HostClock>) -> Result<(), Failure> {
         let direction = |end: LinkEnd, real: &RelayEndpoint, ledger: &FrameLedger| DirectionReport {
             link: self.link.counters(end),
-            frames: report::by_sender(ledger),
+            frames: ledger.counts().map(|(source, counts)| (source.to_string(), counts)).collect(),
             bytes_untaken: real.outbox.untaken_bytes,
             chunks_dropped: real.port.counters().drops_out,
         };
@@ -350,4 +341,118 @@ async fn sleep_until(timer: HostTimer, wake: Option<Timestamp<HostClock>>) {
         Some(wake) => timer.sleep_until(wake).await,
         None => std::future::pending().await,
     }
+}
+
+/// Most bytes that wait; what comes beyond is dropped and counted.
+const CAPACITY_BYTES: usize = 16 * 1024 * 1024;
+
+/// What waits for one end.
+#[derive(Debug, Default)]
+struct RelayQueue {
+    chunks: VecDeque<Vec<u8>>,
+    bytes: usize,
+    /// Bytes that were not handed over: the end was not there, or too slow for too long.
+    untaken_bytes: u64,
+}
+
+impl RelayQueue {
+    /// Takes a chunk for a port and gives the port what it can take.
+    fn push(&mut self, chunk: Vec<u8>, port: &mut Link) {
+        if self.bytes + chunk.len() > CAPACITY_BYTES {
+            self.untaken_bytes += chunk.len() as u64;
+            return;
+        }
+        self.bytes += chunk.len();
+        self.chunks.push_back(chunk);
+        self.flush(port);
+    }
+
+    /// Gives the port what it can take.
+    fn flush(&mut self, port: &mut Link) {
+        while port.port_counts().queued_frames == 0 {
+            let Some(chunk) = self.chunks.pop_front() else {
+                return;
+            };
+            self.bytes -= chunk.len();
+            if port.is_up() {
+                port.send(&chunk);
+            } else {
+                self.untaken_bytes += chunk.len() as u64;
+            }
+        }
+    }
+
+    /// Whether nothing waits, neither here nor in the port.
+    fn is_empty(&self, port: &Link) -> bool {
+        self.chunks.is_empty() && port.port_counts().queued_frames == 0
+    }
+}
+
+/// The end of a relay.
+#[derive(Clone, Debug, Serialize)]
+struct RelayReport {
+    profile: String,
+    seed: u64,
+    duration_s: f64,
+    /// How often the model of the link went down.
+    outages: u64,
+    to_station: DirectionReport,
+    to_brick: DirectionReport,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct DirectionReport {
+    /// What the model of the link did.
+    #[serde(flatten)]
+    link: Counters,
+    /// Bytes that were delivered and that the real end did not take: it was not there, or too slow.
+    bytes_untaken: u64,
+    /// Chunks that the real end's port dropped.
+    chunks_dropped: u64,
+    /// What became of the frames of each sender, `system/component`.
+    frames: BTreeMap<String, FrameCounts>,
+}
+
+impl RelayReport {
+    fn table(&self) -> String {
+        let mut text = format!(
+            "link {}, seed {}, {:.1} s, {} outages\n\n{:<34}{:>14}{:>14}\n",
+            self.profile, self.seed, self.duration_s, self.outages, "", "to station", "to brick"
+        );
+        let (station, brick) = (&self.to_station, &self.to_brick);
+        for ((name, to_station), (_, to_brick)) in rows(station).into_iter().zip(rows(brick)) {
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "{name:<34}{to_station:>14}{to_brick:>14}");
+        }
+        for (end, direction) in [("station", station), ("brick", brick)] {
+            for (source, frames) in &direction.frames {
+                let FrameCounts { sent, whole, lost, .. } = frames;
+                let _ =
+                    writeln!(text, "frames of {source} to the {end}: {sent} sent, {whole} arrived whole, {lost} lost");
+            }
+        }
+        text
+    }
+}
+
+fn rows(direction: &DirectionReport) -> [(&'static str, u64); 16] {
+    let link = direction.link;
+    [
+        ("units offered", link.units_offered),
+        ("bytes offered", link.bytes_offered),
+        ("bytes delivered", link.bytes_delivered),
+        ("bytes on the way at the end", link.bytes_on_the_way),
+        ("bytes lost to a full buffer", link.bytes_lost_to_full_buffer),
+        ("bytes of units lost whole", link.bytes_lost_alone),
+        ("bytes lost in bursts", link.bytes_lost_in_bursts),
+        ("single bytes missing", link.bytes_missing),
+        ("bytes lost to outages", link.bytes_lost_to_outages),
+        ("bits turned over", link.bits_flipped),
+        ("stalls", link.stalls),
+        ("datagrams held back", link.held_back),
+        ("datagrams repeated", link.repeated),
+        ("chunks delivered", link.chunks_delivered),
+        ("bytes that the end did not take", direction.bytes_untaken),
+        ("chunks that its port dropped", direction.chunks_dropped),
+    ]
 }

@@ -14,11 +14,10 @@ use super::dataset::report_bad_rows;
 use super::experiment_output::OutputArgs;
 use super::own_recording::is_own;
 use super::replay::foreign::{ForeignRecording, check_filter, replay_run, truth_of};
-use super::replay::own::{self, WHOLE_RUN};
-use super::replay::recording::{OwnRecording, changed_settings};
+use super::replay::own::{self, OwnRecording, WHOLE_RUN, changed_settings};
 use super::replay::watch::{ReplayLane, Window};
-use super::session::history::SessionHistory;
-use super::session::summary::{RunSummary, ScoreReference, SessionSummary};
+use super::session_history::SessionHistory;
+use super::session_report::{self, RunSummary, ScoreReference, SessionSummary};
 use crate::config::{RobotFile, utc_date};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
@@ -26,7 +25,6 @@ use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::per_robot::{PerRobot, RobotEntry};
-use crate::tools::session::{json as session_json, page as session_page};
 
 /// The filter of a foreign recording unless another is asked for.
 const DEFAULT_FILTER: &str = "pose";
@@ -41,10 +39,10 @@ pub struct ReportArgs {
     /// What to report on.
     #[command(flatten)]
     pub session: SessionFlags,
-    /// Estimator, instead of the recording's.
+    /// Filter. Default: the filter of the recording.
     #[arg(long, visible_alias = "estimator", value_name = "NAME")]
     pub filter: Option<String>,
-    /// Only this robot of a recording with several, by its name or as link/system/component; may be repeated.
+    /// Show only this robot of a recording with several, by name or as link/system/component. Can be repeated.
     #[arg(long, value_name = "ROBOT")]
     pub only: Vec<String>,
     /// Where the page goes, and what is printed.
@@ -53,9 +51,6 @@ pub struct ReportArgs {
 }
 
 /// Makes the page.
-///
-/// # Errors
-/// The recording cannot be read or makes no sense, or a file cannot be written.
 pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
     let window = Window::from_flags(&args.session).before_start()?;
     let session = if is_own(&args.session.recording) {
@@ -67,8 +62,8 @@ pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
         print_line(&format!("{}: {note}", session.recording));
     }
     let folder: PathBuf = args.output.folder()?;
-    let mut report = session_page::report(&session);
-    session_json::add(&mut report, &session);
+    let mut report = session_report::report(&session);
+    session_report::add_data(&mut report, &session);
     args.output.write_outcome(&folder, &report)
 }
 
@@ -86,9 +81,9 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let mut dead_reckoning = PerRobot::new(EventCollector::default);
     let mut lanes =
         [ReplayLane { station, watcher: &mut histories }, ReplayLane { station: alone, watcher: &mut dead_reckoning }];
-    let passage = recording.run(&mut lanes, window, None).while_running()?;
+    let summary = recording.run(&mut lanes, window, None).while_running()?;
     let [ReplayLane { station, .. }, _] = lanes;
-    let mut notes = passage.notes;
+    let mut notes = summary.notes;
     let robots = chosen_robots(args, histories.into_entries(), &mut notes).before_start()?;
     let described = if robots.are_several { &config.robot } else { config.robot_file(station.robots().first()) };
     let mut facts = own_facts(&recording, described);
@@ -120,7 +115,6 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
 /// The robots of a recording that the page is about.
 struct ChosenRobots {
     chosen: Vec<RobotEntry<SessionHistory>>,
-    /// Whether the recording has more than one.
     are_several: bool,
 }
 

@@ -20,14 +20,11 @@ struct ErrorReference {
     time: Timestamp<BrickClock>,
     position: Point2<Arena>,
     heading: Option<Heading>,
-    /// Where on the robot that point is.
     body_from_point: Transform2<Body, Tag>,
     is_truth: bool,
 }
 
-/// What is scored.
 pub trait EstimateSource {
-    /// The estimate for an instant.
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
     /// What it has learned so far.
     fn calibration(&self) -> Option<Calibration>;
@@ -52,8 +49,7 @@ pub struct Scorer {
     references: std::vec::IntoIter<ErrorReference>,
     next: Option<ErrorReference>,
     /// Withheld fixes come late by what the estimator learns.
-    delay: DelayCorrection,
-    /// Errors so far.
+    is_delay_learned: bool,
     pub errors: Vec<PoseError>,
     /// Errors at the fixes' own stamps; empty unless the others are corrected for a delay.
     pub uncorrected: Vec<PoseError>,
@@ -64,21 +60,11 @@ pub struct Scorer {
 /// The estimate for one instant, and the reference that it is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
-    /// The instant of the reference.
     pub time: Timestamp<BrickClock>,
     /// The truth, or the withheld fix; heading 0 where it has none.
     pub expected: Pose<Arena>,
     /// The same point of the robot by the estimate.
     pub estimated: Pose<Arena>,
-}
-
-/// Whether the stamps of the withheld fixes are taken as they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum DelayCorrection {
-    /// As they are.
-    None,
-    /// Less what the estimator has learned.
-    Learned,
 }
 
 impl Scorer {
@@ -93,18 +79,16 @@ impl Scorer {
         all_references.sort_by_key(|reference| reference.time);
         let mut references = all_references.into_iter();
         let next = references.next();
-        let is_learned = !has_truth && prior.fix_delay_s.sigma > 0.0;
         Self {
             references,
             next,
-            delay: if is_learned { DelayCorrection::Learned } else { DelayCorrection::None },
+            is_delay_learned: !has_truth && prior.fix_delay_s.sigma > 0.0,
             errors: Vec::new(),
             uncorrected: Vec::new(),
             pairs: Vec::new(),
         }
     }
 
-    /// After an observation was handled.
     pub fn on_observation(
         &mut self,
         observed: &ObservationKind,
@@ -158,13 +142,8 @@ impl Scorer {
     }
 
     fn learned_delay(&self, belief: &impl EstimateSource) -> Option<TimeDelta> {
-        match self.delay {
-            DelayCorrection::None => None,
-            DelayCorrection::Learned => {
-                let learned = belief.calibration()?.fix_delay_s.value;
-                Some(TimeDelta::from_secs_f64(learned))
-            }
-        }
+        let learned = self.is_delay_learned.then(|| belief.calibration()).flatten()?;
+        Some(TimeDelta::from_secs_f64(learned.fix_delay_s.value))
     }
 }
 

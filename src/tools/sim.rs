@@ -12,13 +12,11 @@ use posebridge_sim::scenario::Personality;
 use posebridge_sim::{Scenario, Simulation, Steering, ev3_beacon};
 use tokio_util::sync::CancellationToken;
 
-use super::station_link;
-use super::truth_file;
+use super::ground_truth::write_truth_file;
 use crate::config::load_scenario;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::StationLink;
-use crate::station::signals::Signals;
 use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
 
 /// Stands for a robot's system in a URL or a file's name.
@@ -27,22 +25,22 @@ const SYSTEM_PLACEHOLDER: &str = "{}";
 /// How the simulated brick steers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SteerBy {
-    /// By its own dead reckoning.
+    /// By its own odometry.
     Odometry,
-    /// By the estimate that comes back.
+    /// By the estimate that the station sends back.
     Estimate,
 }
 
-/// The protocol of the simulated brick.
+/// Protocol of the simulated robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BrickKind {
-    /// MAVLink 2, on one link with the camera.
+    /// MAVLink 2; the camera uses the same link.
     Mavlink,
-    /// The telegrams of a LEGO NXT as it comes out of the box.
+    /// Direct commands of a LEGO NXT with its original firmware.
     Nxt,
-    /// A LEGO NXT whose program pushes compact MAVLink frames.
+    /// A LEGO NXT with a program that sends compact MAVLink frames.
     NxtPush,
-    /// The commands of a LEGO EV3 as it comes out of the box.
+    /// Direct commands of a LEGO EV3 with its original firmware.
     Ev3,
 }
 
@@ -50,10 +48,10 @@ pub enum BrickKind {
 #[derive(Args, Clone, Debug, Default)]
 #[group(multiple = false)]
 pub struct CameraLink {
-    /// Wait for the station on this link for the camera of a LEGO brick, which cannot share the brick's.
+    /// Link of the camera of a simulated LEGO brick, which cannot share the brick's link: wait for the station.
     #[arg(long, value_name = "URL")]
     pub camera_listen: Option<String>,
-    /// Call the station on this link for the camera of a LEGO brick.
+    /// Link of the camera of a simulated LEGO brick: connect to the station.
     #[arg(long, value_name = "URL")]
     pub camera_link: Option<String>,
 }
@@ -61,48 +59,45 @@ pub struct CameraLink {
 /// Flags of `sim`.
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
-    /// A bundled scenario's name (square, circle, figure-eight, waypoints, straight, rough, thermometer) or a TOML file.
+    /// Scenario: square, circle, figure-eight, waypoints, straight, rough, thermometer, or a TOML file.
     #[arg(default_value = "square")]
     pub scenario: String,
     /// The link to the station.
     #[command(flatten)]
     pub link: StationLink,
-    /// The brick's protocol, instead of the scenario's (docs/simulator.md).
+    /// Protocol of the robot. Default: that of the scenario (docs/simulator.md).
     #[arg(long, value_enum, value_name = "KIND")]
     pub brick: Option<BrickKind>,
     /// The camera's link, where it has one of its own.
     #[command(flatten)]
     pub camera: CameraLink,
-    /// Play the eye of a camera program, which calls this link: the corners of the tag in each image go there as lines of JSON, and the
-    /// simulated camera sends no fixes (docs/protocols/camera-json.md).
+    /// Link for an external camera program: it receives the tag corners of each simulated image as JSON lines, and the simulated
+    /// camera sends no fixes (docs/protocols/camera-json.md).
     #[arg(long, value_name = "URL")]
     pub images_listen: Option<String>,
-    /// Announce an EV3 to this UDP address once per second, as one on a network does, e.g. udp://127.0.0.1:3015; it has to listen
-    /// on a TCP port of four digits.
+    /// Announce the simulated EV3 to this UDP address once per second, e.g. udp://127.0.0.1:3015. It must listen on a TCP port of
+    /// four digits.
     #[arg(long, value_name = "URL", requires = "listen")]
     pub announce: Option<String>,
-    /// Seed, instead of the scenario's.
+    /// Seed. Default: that of the scenario.
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Laps, instead of the scenario's.
+    /// Number of laps. Default: that of the scenario.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub laps: Option<u32>,
-    /// The pose to steer by, instead of the scenario's choice.
+    /// Pose that the robot steers by. Default: that of the scenario.
     #[arg(long, value_enum)]
     pub steer: Option<SteerBy>,
-    /// Write the truth to this CSV file at the end; it never goes over the link.
+    /// At the end, write the ground truth to this CSV file. It is never sent over the link.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// Simulate this number of robots, side by side, each with wheels, a seed and a MAVLink system of its own. In the URL of
-    /// --listen and in the name of --truth write {} for the system, e.g. pty:brick-{}.tty; a --link may be one port for all.
+    /// Number of simulated robots, each with its own wheels, seed and MAVLink system id. In the URL of --listen and in the name
+    /// of --truth, {} stands for the system id, e.g. pty:brick-{}.tty. All robots can use one --link.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=250))]
     pub robots: Option<u8>,
 }
 
 /// Runs the brick until its path ends or it is stopped.
-///
-/// # Errors
-/// The scenario or the link makes no sense, or the truth cannot be written.
 pub fn execute(args: &SimArgs) -> Result<(), Failure> {
     let scenario = scenario(args).before_start()?;
     let scenarios = match args.robots {
@@ -255,8 +250,8 @@ async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(
 }
 
 async fn open(link: &StationLink, timer: HostTimer) -> Result<(Link, String)> {
-    let mut port = station_link::port(link, timer)?;
-    let place = station_link::open(link, &mut port).await?;
+    let mut port = link.to_link(timer)?;
+    let place = link.open(&mut port).await?;
     Ok((port, place))
 }
 
@@ -272,7 +267,7 @@ fn beacon_of(tcp_port: Option<u16>) -> Result<Vec<u8>> {
 }
 
 fn write_truth(path: &Path, simulation: &Simulation) -> Result<()> {
-    let text = truth_file::write(simulation.truth());
+    let text = write_truth_file(simulation.truth());
     let path = PathBuf::from(for_system(&path.to_string_lossy(), simulation.scenario().brick.system));
     std::fs::write(&path, text).with_context(|| format!("writing the truth to `{}`", path.display()))
 }

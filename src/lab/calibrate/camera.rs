@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Args;
 use posebridge_lab::calibration::camera::{CalibrationPoint, CameraFit, Similarity, fit_homography, fit_similarity};
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
 use serde_json::json;
 
@@ -22,12 +22,12 @@ const RESIDUAL: Format = Format::new(Unit::Millimetres, 2);
 /// Flags of `calibrate camera`.
 #[derive(Args, Clone, Debug)]
 pub struct CameraArgs {
-    /// A CSV table of four or more points with the columns u, v (where the camera sees them) and x_m, y_m (where they are).
+    /// CSV table of at least four points with the columns u, v (position in the image) and x_m, y_m (position on the floor).
     pub points: PathBuf,
-    /// The camera already measures in metres: look only for its turn, its shift and its scale; two points are enough.
+    /// The camera measures in metres: estimate only rotation, translation and scale. Two points are enough.
     #[arg(long)]
     pub metric: bool,
-    /// Write the numbers to this file.
+    /// Write the result to this file.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.
@@ -35,10 +35,6 @@ pub struct CameraArgs {
     pub output: OutputArgs,
 }
 
-/// Calibrates.
-///
-/// # Errors
-/// The points cannot be read or do not suffice, or an output cannot be written.
 pub(super) fn execute(args: &CameraArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     let points = read(&args.points).before_start()?;
@@ -132,23 +128,24 @@ fn report(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> Report 
 }
 
 fn plot(name: &str, points: &[CalibrationPoint], found: &CameraFit) -> Plot {
-    let floor = points.iter().map(|p| (p.floor_m[0], p.floor_m[1])).collect();
+    let floor = points.iter().map(|p| (p.floor_m[0], p.floor_m[1]));
     let by_camera = points.iter().map(|p| {
         let [x, y] = found.homography.to_floor(p.measured);
         (x, y)
     });
-    let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.to_owned(), shape: CurveShape::Dots(points) };
-    Plot {
-        title: format!("Camera by {name}"),
-        key_figures: format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
-        axes: vec![Axes {
-            x_name: "x [m]".to_owned(),
-            y_name: "y [m]".to_owned(),
-            height_px: 420.0,
-            is_map: true,
-            curves: vec![curve("by the tape", floor), curve("by the camera", by_camera.collect())],
-        }],
-    }
+    Plot::new(
+        format!("Camera by {name}"),
+        format!("residuals {:.2} mm rms", 1e3 * found.rms_m),
+        vec![
+            Axes::new(
+                "x [m]",
+                "y [m]",
+                420.0,
+                [Curve::dots("by the tape", floor), Curve::dots("by the camera", by_camera)],
+            )
+            .with_equal_scales(),
+        ],
+    )
 }
 
 fn metric_report(name: &str, found: &Similarity) -> Report {

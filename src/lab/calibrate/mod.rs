@@ -5,15 +5,11 @@
 
 mod camera;
 mod path;
-mod path_args;
-mod path_online;
 mod path_report;
 mod profile;
 mod rest;
-mod segments;
 pub(super) mod source;
 mod umbmark;
-mod umbmark_source;
 
 use clap::{Args, Subcommand};
 
@@ -30,20 +26,16 @@ pub struct CalibrateArgs {
 /// The ways.
 #[derive(Clone, Debug, Subcommand)]
 pub enum CalibrateBy {
-    /// Wheel difference and track from squares in both directions: UMBmark.
+    /// UMBmark: wheel difference and track from squares in both directions.
     Umbmark(umbmark::UmbmarkArgs),
-    /// Wheels, track, tag and camera delay from any recorded drive with fixes or a truth.
-    Path(path_args::PathArgs),
-    /// Gyro and accelerometers from the times at which a robot stood.
+    /// Wheels, track, tag and camera delay from any recorded drive with fixes or a ground truth.
+    Path(path::PathArgs),
+    /// Gyro and accelerometers from the times at which the robot stood still.
     Rest(rest::RestArgs),
-    /// The overhead camera from points whose places on the floor are known.
+    /// Overhead camera from points with known positions on the floor.
     Camera(camera::CameraArgs),
 }
 
-/// Calibrates.
-///
-/// # Errors
-/// As the way says.
 pub fn execute(args: &CalibrateArgs) -> Result<(), Failure> {
     match &args.by {
         CalibrateBy::Umbmark(args) => umbmark::execute(args),

@@ -1,23 +1,30 @@
 //! `posebridge calibrate path`: a robot from any recorded drive that was watched.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use posebridge_estimator::FilterConfig;
+use clap::Args;
+use posebridge_estimator::models::differential_drive::WheelTravel;
+use posebridge_estimator::{FilterConfig, find_filter};
 use posebridge_lab::calibration::free_path::{
-    AS_GIVEN, CalibrationUnknown, FreePath, PathCalibration, UNKNOWNS, UnknownEstimate, calibrate_path, dead_reckon,
-    start_heading,
+    AS_GIVEN, CalibrationUnknown, FreePath, PathCalibration, PathStart, PositionFix, TravelStep, UNKNOWNS,
+    UnknownEstimate, calibrate_path, dead_reckon, start_heading,
 };
 use posebridge_link::HostTimer;
-use posebridge_telemetry::{Calibration, UncertainValue};
+use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_telemetry::{Calibration, ObservationKind, UncertainValue};
+use serde_json::{Value, json};
 
-use super::path_args::{GeometryParameter, PathArgs};
-use super::path_online;
 use super::path_report::{PathCalibrationResult, RunComparison};
 use super::profile::{CalibratedProfile, fold_into_geometry};
-use super::segments;
 use super::source::{self, CalibrationDrive, CalibrationDrives, CalibrationReference, ReferenceSettings};
-use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
+use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
+use crate::lab::experiments::live::LiveArgs;
+use crate::station::learned_calibration::LearnedCalibration;
+use crate::tools::csv_table::{CsvRow, CsvTable};
+use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
 /// The default error of an instrument's truth: its own millimetre, and a body that sways.
@@ -25,13 +32,8 @@ const TRUTH_SIGMA_M: f64 = 0.005;
 /// The same for a person with a tape.
 const TAPE_SIGMA_M: f64 = 0.01;
 
-/// The instructions for a person with a live robot.
 const TASK: &str = "drive about in the camera's sight, for a minute or two, with turns in both directions";
 
-/// Calibrates.
-///
-/// # Errors
-/// A recording or a flag makes no sense, what was driven does not suffice, or an output cannot be written.
 pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let mut args = args.clone();
@@ -41,7 +43,7 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     }
     let args = &args;
     if args.online {
-        return path_online::execute(args, &timer);
+        return execute_online(args, &timer);
     }
     let folder = args.output.folder()?;
     let material = PathDataset::load(args)?;
@@ -61,7 +63,6 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report)
 }
 
-/// The drives, and the robot that they share.
 pub(super) struct PathDataset {
     recording: String,
     reference: &'static str,
@@ -178,7 +179,7 @@ fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePa
     paths.collect()
 }
 
-fn load_segments(args: &PathArgs, file: &std::path::Path) -> Result<PathDataset> {
+fn load_segments(args: &PathArgs, file: &Path) -> Result<PathDataset> {
     let robot = match &args.robot {
         Some(profile) => RobotProfile::read(profile)?.robot,
         None => RobotFile::default(),
@@ -199,7 +200,7 @@ fn load_segments(args: &PathArgs, file: &std::path::Path) -> Result<PathDataset>
         recording: file.display().to_string(),
         reference: "tape",
         config: filter_config(&robot, &FilterSection::default(), posebridge_telemetry::ArenaMap::default())?,
-        paths: segments::read(file, sigma_m)?,
+        paths: read_segments(file, sigma_m)?,
         validation_paths: Vec::new(),
         robot,
     })
@@ -261,7 +262,6 @@ fn build_result(material: &PathDataset, found: PathCalibration) -> Result<PathCa
     })
 }
 
-/// What was found as the vocabulary has it; what was not looked for is as it was.
 fn to_calibration(config: &FilterConfig, found: &PathCalibration) -> Calibration {
     let mut calibration = config.calibration;
     for unknown in UNKNOWNS {
@@ -277,4 +277,226 @@ fn to_calibration(config: &FilterConfig, found: &PathCalibration) -> Calibration
         *place = after;
     }
     calibration
+}
+
+/// Flags of `calibrate path`.
+#[derive(Args, Clone, Debug)]
+pub struct PathArgs {
+    /// Descriptor (config/recordings/*.toml) or recording (*.mcap).
+    #[arg(required_unless_present_any = ["segments", "link", "listen"], group = "real_robot")]
+    pub recording: Option<PathBuf>,
+    /// A live robot.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// What to read of a descriptor's data; without --use-every all fixes are used.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Instead of a recording: CSV table of wheel distances and positions measured with a tape (docs/lab/calibration.md, section
+    /// 3).
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["real_robot", "run", "use_every", "settings", "against", "unknown_start"])]
+    pub segments: Option<PathBuf>,
+    /// Robot profile for --segments.
+    #[arg(long, value_name = "FILE.toml", requires = "segments")]
+    pub robot: Option<PathBuf>,
+    /// Reference. Default: the fixes, or else the ground truth.
+    #[arg(long, value_enum)]
+    pub against: Option<CalibrationReference>,
+    /// Accuracy of the reference: one standard deviation, in metres [default: 0.005, with --segments 0.01].
+    #[arg(long, value_name = "M")]
+    pub truth_sigma_m: Option<f64>,
+    /// Keep this quantity fixed. Can be repeated.
+    #[arg(long = "hold", value_enum, value_name = "NUMBER")]
+    pub held: Vec<GeometryParameter>,
+    /// Also estimate this quantity, with this prior sigma around its value: QUANTITY=SIGMA, e.g. tag-forward=0.02.
+    #[arg(long = "free", value_name = "NUMBER=SIGMA", value_parser = freed)]
+    pub freed: Vec<(GeometryParameter, f64)>,
+    /// Start pose of the robot and axes of the camera are unknown.
+    #[arg(long)]
+    pub unknown_start: bool,
+    /// Validate the result on the runs whose names begin with this text; they are not used for calibration. Can be repeated.
+    #[arg(long = "try-on", value_name = "PREFIX", conflicts_with_all = ["segments", "link", "listen"])]
+    pub try_on: Vec<String>,
+    /// Use the online calibration of the filter `pose` on one run instead.
+    #[arg(long, conflicts_with_all = ["segments", "try_on", "unknown_start", "held", "freed", "against", "truth_sigma_m"])]
+    pub online: bool,
+    /// Write a robot profile, for `run --robot` and `replay --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save: Option<PathBuf>,
+    /// Where results go.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// A number of a robot, as people say it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum GeometryParameter {
+    /// Mean radius of the wheels.
+    WheelRadius,
+    /// Distance between the wheels.
+    Track,
+    /// Difference of the wheels' radii.
+    WheelDifference,
+    /// Delay of the camera.
+    Delay,
+    /// Position of the tag, forward.
+    TagForward,
+    /// Position of the tag, to the left.
+    TagLeft,
+}
+
+fn freed(text: &str) -> Result<(GeometryParameter, f64), String> {
+    use clap::ValueEnum as _;
+    let (name, sigma) = text.split_once('=').ok_or("must be NUMBER=SIGMA, e.g. tag-forward=0.02")?;
+    let number = GeometryParameter::from_str(name, false).map_err(|_unknown| {
+        let known = GeometryParameter::value_variants().iter();
+        let known: Vec<String> =
+            known.filter_map(|number| Some(number.to_possible_value()?.get_name().to_owned())).collect();
+        format!("`{name}` is none of {}", known.join(", "))
+    })?;
+    match sigma.parse::<f64>() {
+        Ok(sigma) if sigma > 0.0 && sigma.is_finite() => Ok((number, sigma)),
+        _ => Err(format!("`{sigma}` is not a number of more than zero")),
+    }
+}
+
+const FILTER: &str = "pose";
+
+fn execute_online(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure> {
+    let folder = args.output.folder()?;
+    let Some(recording) = &args.recording else {
+        return Err(anyhow::anyhow!("--online needs a recording")).before_start();
+    };
+    let watch = ReferenceSettings { reference: Some(CalibrationReference::Fixes), truth_sigma_m: 1.0 };
+    let drives = source::load(recording, &args.data, watch)?;
+    let drive = single_drive(&drives.drives).before_start()?;
+    let learned = learn(drive).while_running()?;
+    let report = report(&drives.recording, &learned);
+    if let Some(path) = &args.save {
+        let (robot, calibration) = fold_into_geometry(&learned.robot, learned.calibration).while_running()?;
+        let calibrated = CalibratedProfile {
+            robot,
+            calibration,
+            source: format!("{}, {}", drives.recording, drive.name),
+            method: "calibrate path --online",
+            remarks: vec![report.text()],
+        };
+        calibrated.save(path, timer.utc_start()).while_running()?;
+    }
+    args.output.write_outcome(&folder, &report)
+}
+
+fn single_drive(drives: &[CalibrationDrive]) -> Result<&CalibrationDrive> {
+    match drives {
+        [drive] => Ok(drive),
+        _ => bail!("--online takes what one run has taught, but {} are selected: choose one with --run", drives.len()),
+    }
+}
+
+fn learn(drive: &CalibrationDrive) -> Result<LearnedCalibration> {
+    let fixes = |observed: &ObservationKind| matches!(observed, ObservationKind::Fix(_));
+    ensure!(
+        drive.observations.iter().any(|one| fixes(&one.measurement)),
+        "run `{}` has no fixes: on line the filter learns from them alone",
+        drive.name
+    );
+    let Some(entry) = find_filter(FILTER) else { bail!("there is no filter `{FILTER}`") };
+    let mut filter = (entry.build)(&drive.config);
+    for observation in &drive.observations {
+        filter.observe(observation);
+    }
+    let Some(calibration) = filter.calibration() else { bail!("the filter `{FILTER}` has learned nothing") };
+    Ok(LearnedCalibration {
+        run: drive.name.clone(),
+        robot: drive.robot.clone(),
+        prior: drive.config.calibration,
+        calibration,
+    })
+}
+
+fn report(recording: &str, learned: &LearnedCalibration) -> Report {
+    let mut report = Report::new("calibrate-path", format!("What the filter has learned: {recording}"));
+    report.paragraph(format!("The calibration states of the filter `{FILTER}` at the end of run {}.", learned.run));
+    let entries: Vec<(&str, UncertainValue, UncertainValue)> = CALIBRATION_KEYS
+        .iter()
+        .map(|entry| (entry.key, (entry.read)(&learned.calibration), (entry.read)(&learned.prior)))
+        .collect();
+    // What had no uncertainty before was not learned.
+    let shown: Vec<_> = entries.iter().filter(|(.., before)| before.sigma > 0.0).collect();
+    let five = Format::new(Unit::None, 5).signed();
+    let table = Table::of(&shown)
+        .text("", "number", |(key, ..)| (*key).to_owned())
+        .uncertain("", "learned", five, |(_, after, _)| Some(after.value), |(_, after, _)| Some(after.sigma))
+        .uncertain("", "before", five, |(.., before)| Some(before.value), |(.., before)| Some(before.sigma));
+    report.table("", &table);
+    let online = entries
+        .iter()
+        .map(|(key, after, _)| ((*key).to_owned(), json!({ "value": after.value, "sigma": after.sigma })));
+    report.data("recording", json!(recording));
+    report.data("run", json!(learned.run));
+    report.data("online", Value::Object(online.collect()));
+    report
+}
+
+/// How well a person puts a robot onto its start line, in radians.
+const START_HEADING_SIGMA_RAD: f64 = 0.03;
+/// And onto its start point, in metres.
+const START_POSITION_SIGMA_M: f64 = 0.01;
+
+/// Reads a table of the columns `run`, `left_before_mm`, `left_after_mm`, `right_before_mm`, `right_after_mm`, `measured_x_mm` and
+/// `measured_y_mm`: one row per part of a drive, in order. Every run begins at the origin and looks along x.
+///
+/// The parts take a second each, as good as any other time: only their order counts.
+fn read_segments(path: &Path, sigma_m: f64) -> Result<Vec<FreePath>> {
+    let listing = CsvTable::read(path)?;
+    let mut paths: Vec<FreePath> = Vec::new();
+    for row in listing.rows() {
+        let run = row.text("run")?;
+        if paths.last().is_none_or(|path| path.name != run) {
+            ensure!(
+                paths.iter().all(|path| path.name != run),
+                "{}: run `{run}` begins again; its rows must stand together",
+                row.location()
+            );
+            paths.push(new_path(run, sigma_m));
+        }
+        let Some(path) = paths.last_mut() else {
+            continue;
+        };
+        add_segment(path, &row, sigma_m)?;
+    }
+    ensure!(!paths.is_empty(), "`{}` has a first line and no rows", path.display());
+    Ok(paths)
+}
+
+fn new_path(run: &str, sigma_m: f64) -> FreePath {
+    FreePath {
+        name: run.to_owned(),
+        start: PathStart {
+            pose: [0.0; 3],
+            position_sigma_m: START_POSITION_SIGMA_M,
+            heading_sigma_rad: START_HEADING_SIGMA_RAD,
+        },
+        steps: Vec::new(),
+        fixes: vec![PositionFix { at_s: 0.0, position_m: [0.0; 2], sigma_m, tag_m: [0.0; 2] }],
+    }
+}
+
+fn add_segment(path: &mut FreePath, row: &CsvRow<'_>, sigma_m: f64) -> Result<()> {
+    let metres = |column: &str| row.number(column).map(|mm| mm * 1e-3);
+    let from_s = path.steps.len() as f64;
+    path.steps.push(TravelStep {
+        from_s,
+        until_s: from_s + 1.0,
+        travel: WheelTravel {
+            left_m: metres("left_after_mm")? - metres("left_before_mm")?,
+            right_m: metres("right_after_mm")? - metres("right_before_mm")?,
+        },
+    });
+    path.fixes.push(PositionFix {
+        at_s: from_s + 1.0,
+        position_m: [metres("measured_x_mm")?, metres("measured_y_mm")?],
+        sigma_m,
+        tag_m: [0.0; 2],
+    });
+    Ok(())
 }

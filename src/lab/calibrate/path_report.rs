@@ -10,14 +10,12 @@ use serde_json::{Map, Value, json};
 
 use crate::config::RobotFile;
 
-/// Runs that are drawn.
 const MAX_PLOTTED_RUNS: usize = 3;
 /// From here on the numbers do not explain the drive.
 const UNEXPLAINED: f64 = 100.0;
 /// Sigmas are about so rough: a description whose noise is this many times off deserves a word.
 const ROUGH: f64 = 4.0;
 
-/// Everything that a report contains.
 pub(super) struct PathCalibrationResult {
     pub(super) recording: String,
     pub(super) reference: &'static str,
@@ -37,14 +35,12 @@ pub(super) struct RunComparison {
 }
 
 impl RunComparison {
-    /// Errors before and after.
     pub(super) const fn errors(&self) -> [DeadReckoningError; 2] {
         [self.before.error, self.after.error]
     }
 }
 
 impl PathCalibrationResult {
-    /// Everything for people and programs.
     pub(super) fn report(&self) -> Report {
         let mut report = Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.recording));
         report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.reference));
@@ -283,47 +279,29 @@ fn run_json(run: &RunComparison) -> Value {
 }
 
 fn plot(run: &RunComparison) -> Plot {
-    let points = |places: &[[f64; 2]]| places.iter().map(|[x, y]| (*x, *y)).collect();
     let line =
-        |name: &str, places: &[[f64; 2]]| Curve { name: name.to_owned(), shape: CurveShape::Line(points(places)) };
-    let fix_positions: Vec<[f64; 2]> = run.path.fixes.iter().map(|sight| sight.position_m).collect();
-    let off = |places: &[[f64; 2]]| {
-        let sights = run.path.fixes.iter().zip(places);
-        let off = sights.map(|(sight, [x, y])| {
+        |name: &str, places: &[[f64; 2]]| Curve::line(name, places.iter().map(|[x, y]| (*x, *y)).collect::<Vec<_>>());
+    let seen: Vec<[f64; 2]> = run.path.fixes.iter().map(|sight| sight.position_m).collect();
+    let off_mm = |name: &str, places: &[[f64; 2]]| {
+        let off = run.path.fixes.iter().zip(places).map(|(sight, [x, y])| {
             let [seen_x, seen_y] = sight.position_m;
             (sight.at_s, 1e3 * (x - seen_x).hypot(y - seen_y))
         });
-        CurveShape::Line(off.collect())
+        Curve::line(name, off.collect::<Vec<_>>())
     };
+    let (places_before, places_after) = (&run.before.positions_m, &run.after.positions_m);
+    let map = [line("seen", &seen), line("before", places_before), line("after", places_after)];
+    let distances =
+        [Curve::new("seen", CurveShape::Level(0.0)), off_mm("before", places_before), off_mm("after", places_after)];
     let [before, after] = run.errors();
-    Plot {
-        title: run.path.name.clone(),
-        key_figures: format!("rms {:.1} mm before, {:.1} mm after", 1e3 * before.rms_m, 1e3 * after.rms_m),
-        axes: vec![
-            Axes {
-                x_name: "x [m]".to_owned(),
-                y_name: "y [m]".to_owned(),
-                height_px: 420.0,
-                is_map: true,
-                curves: vec![
-                    line("seen", &fix_positions),
-                    line("before", &run.before.positions_m),
-                    line("after", &run.after.positions_m),
-                ],
-            },
-            Axes {
-                x_name: "time [s]".to_owned(),
-                y_name: "distance [mm]".to_owned(),
-                height_px: 200.0,
-                is_map: false,
-                curves: vec![
-                    Curve { name: "seen".to_owned(), shape: CurveShape::Level(0.0) },
-                    Curve { name: "before".to_owned(), shape: off(&run.before.positions_m) },
-                    Curve { name: "after".to_owned(), shape: off(&run.after.positions_m) },
-                ],
-            },
+    Plot::new(
+        run.path.name.clone(),
+        format!("rms {:.1} mm before, {:.1} mm after", 1e3 * before.rms_m, 1e3 * after.rms_m),
+        vec![
+            Axes::new("x [m]", "y [m]", 420.0, map).with_equal_scales(),
+            Axes::new("time [s]", "distance [mm]", 200.0, distances),
         ],
-    }
+    )
 }
 
 #[cfg(test)]

@@ -8,13 +8,11 @@ use posebridge_telemetry::{Calibration, UncertainValue};
 
 use crate::config::{CalibratedRobot, Provenance, RobotFile};
 
-/// A robot as it is after a calibration.
 pub(super) struct CalibratedProfile {
     /// Its geometry is the calibrated one.
     pub(super) robot: RobotFile,
     /// What is left to be known, relative to that geometry.
     pub(super) calibration: Calibration,
-    /// From which recording or runs.
     pub(super) source: String,
     /// `calibrate path` and so on.
     pub(super) method: &'static str,
@@ -23,7 +21,6 @@ pub(super) struct CalibratedProfile {
 }
 
 impl CalibratedProfile {
-    /// The profile as a text, dated.
     pub(super) fn to_toml(&self, utc_micros: u64) -> Result<String> {
         let calibrated = CalibratedRobot {
             robot: self.robot.clone(),
@@ -41,7 +38,6 @@ impl CalibratedProfile {
         Ok(text + &calibrated.to_toml()?)
     }
 
-    /// Writes the profile.
     pub(super) fn save(&self, path: &Path, utc_micros: u64) -> Result<()> {
         std::fs::write(path, self.to_toml(utc_micros)?)
             .with_context(|| format!("writing the profile `{}`", path.display()))
@@ -49,9 +45,6 @@ impl CalibratedProfile {
 }
 
 /// The robot with what was found in its geometry, and what is left: the same sigmas about zero.
-///
-/// # Errors
-/// What was found is no geometry.
 pub(super) fn fold_into_geometry(robot: &RobotFile, found: Calibration) -> Result<(RobotFile, Calibration)> {
     let (scale, difference) = (found.radius_scale, found.radius_difference);
     let robot = RobotFile {

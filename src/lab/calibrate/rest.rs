@@ -20,13 +20,12 @@ use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
 use crate::tools::experiment_output::OutputArgs;
 
-/// The instructions for a person with a live robot.
 const TASK: &str = "leave the robot standing for a minute, its motors off";
 
 /// Flags of `calibrate rest`.
 #[derive(Args, Clone, Debug)]
 pub struct RestArgs {
-    /// A recording's descriptor (config/recordings/*.toml) or a recording (*.mcap); a minute of rest is good.
+    /// Descriptor (config/recordings/*.toml) or recording (*.mcap). One minute of rest is enough.
     #[arg(required_unless_present_any = ["link", "listen"], group = "real_robot")]
     pub recording: Option<PathBuf>,
     /// A live robot.
@@ -35,7 +34,7 @@ pub struct RestArgs {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Write the robot with its noise as a profile for `run --robot` and `replay --robot`.
+    /// Write a robot profile with the measured noise, for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.
@@ -43,7 +42,6 @@ pub struct RestArgs {
     pub output: OutputArgs,
 }
 
-/// A channel with its name and unit.
 struct ChannelNoise {
     name: &'static str,
     unit: &'static str,
@@ -51,10 +49,6 @@ struct ChannelNoise {
     readings: Vec<(f64, f64)>,
 }
 
-/// Calibrates.
-///
-/// # Errors
-/// The recording makes no sense, the robot never stood, or an output cannot be written.
 pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
@@ -91,10 +85,6 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report)
 }
 
-/// The channels with enough data; a note says what the others lack.
-///
-/// # Errors
-/// None does.
 fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>> {
     let named: [(&'static str, &'static str, &RestChannel); 3] = [
         ("gyro", "rad/s", &all.gyro),
@@ -130,7 +120,6 @@ fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>
     Ok(found)
 }
 
-/// The robot with the noise of the channels that were measured.
 fn with_noise(robot: &RobotFile, channels: &[ChannelNoise]) -> RobotFile {
     let mut robot = robot.clone();
     let find = |name: &str| channels.iter().find(|channel| channel.name == name);
@@ -171,17 +160,18 @@ fn report(recording: &str, channels: &[ChannelNoise]) -> Report {
     let mut report = Report::new("calibrate-rest", title.as_str());
     report.background("Readings while the wheels stood: what is left is bias and noise.");
     report.table("channels", &table);
-    let axes = channels.iter().map(|channel| Axes {
-        x_name: "time [s]".to_owned(),
-        y_name: format!("{} [{}]", channel.name, channel.unit),
-        height_px: 200.0,
-        is_map: false,
-        curves: vec![
-            Curve { name: "reading".to_owned(), shape: CurveShape::Line(channel.readings.clone()) },
-            Curve { name: "bias".to_owned(), shape: CurveShape::Level(channel.noise.bias) },
-        ],
+    let axes = channels.iter().map(|channel| {
+        Axes::new(
+            "time [s]",
+            format!("{} [{}]", channel.name, channel.unit),
+            200.0,
+            [
+                Curve::line("reading", channel.readings.clone()),
+                Curve::new("bias", CurveShape::Level(channel.noise.bias)),
+            ],
+        )
     });
-    let plot = Plot { title, key_figures: String::new(), axes: axes.collect() };
+    let plot = Plot::new(title, "", axes.collect());
     report.chart(&plot, "A bias that walks shows as a bend, a coarse sensor as steps.");
     report.data("recording", json!(recording));
     report

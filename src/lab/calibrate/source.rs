@@ -8,10 +8,9 @@ use posebridge_lab::calibration::free_path::{PositionFix, seconds};
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
 use crate::config::{Overlay, RobotFile};
-use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_with_bar;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording::{self, ThermometerReadings};
 
@@ -37,9 +36,7 @@ pub(crate) struct CalibrationDrive {
     pub(crate) reference: CalibrationReference,
 }
 
-/// Drives of one robot.
 pub(crate) struct CalibrationDrives {
-    /// The recording's name.
     pub(crate) recording: String,
     pub(crate) drives: Vec<CalibrationDrive>,
 }
@@ -56,9 +53,6 @@ pub(crate) struct ReferenceSettings {
 const SAME_GEOMETRY_TOLERANCE: f64 = 1e-6;
 
 /// Whether all these drives, by name, are of one robot: nobody can fit one to several.
-///
-/// # Errors
-/// Two are not; the message names them.
 pub(crate) fn check_same_robot<'a>(drives: impl IntoIterator<Item = (&'a str, &'a DriveGeometry)>) -> Result<()> {
     let mut drives = drives.into_iter();
     let Some((first, geometry)) = drives.next() else {
@@ -80,9 +74,6 @@ fn is_same_geometry(one: &DriveGeometry, other: &DriveGeometry) -> bool {
 }
 
 /// Loads the runs that the flags choose.
-///
-/// # Errors
-/// The recording cannot be read or makes no sense.
 pub(crate) fn load(
     recording: &Path,
     flags: &DataFlags,
@@ -97,9 +88,7 @@ pub(crate) fn load(
 
 fn load_descriptor(path: &Path, flags: &DataFlags, watch: ReferenceSettings) -> Result<CalibrationDrives, Failure> {
     let data = DataSet::open(path, flags).before_start()?;
-    let bar = progress_bar(data.runs.len() as u64, "runs read").before_start()?;
-    let loaded = run_all(&data.runs, |run| data.load(run, flags), || bar.inc(1));
-    bar.finish_and_clear();
+    let loaded = run_with_bar(&data.runs, "runs read", |run| data.load(run, flags)).before_start()?;
     let mut drives = Vec::new();
     for loaded in loaded {
         let loaded = loaded.before_start()?;

@@ -1,29 +1,30 @@
 //! `posebridge calibrate umbmark`: wheel difference and track from squares in both directions.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
-use posebridge_estimator::FilterConfig;
+use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_lab::calibration::CalibrationError;
-use posebridge_lab::calibration::free_path::FreePath;
+use posebridge_lab::calibration::free_path::{FreePath, PositionFix, seconds};
 use posebridge_lab::calibration::umbmark::{
-    SquareDirection, SquareError, SquareRobot, SquareRun, Umbmark, estimate_umbmark, square_error,
+    SquareCalibration, SquareDirection, SquareError, SquareRobot, SquareRun, Umbmark, calibrate_squares, closing_runs,
+    estimate_umbmark, square_error,
 };
-use posebridge_lab::calibration::umbmark_drives::{calibrate_squares, closing_runs};
 use posebridge_link::HostTimer;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
-use posebridge_telemetry::{Calibration, UncertainValue};
+use posebridge_sim::montecarlo::{Course, Drive, Scenario};
+use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, UncertainValue};
 use serde_json::json;
 
 use super::profile::{CalibratedProfile, fold_into_geometry};
 use super::source::{self, CalibrationDrive, ReferenceSettings};
-use super::umbmark_source::{read_squares, simulate};
-use crate::config::{RobotFile, RobotProfile};
+use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::{LiveArgs, LiveRobot};
+use crate::tools::csv_table::CsvTable;
 use crate::tools::experiment_output::OutputArgs;
 
 /// A tape's or a tracker's sigma: only its being finite matters here.
@@ -31,14 +32,14 @@ const OBSERVED_SIGMA_M: f64 = 0.005;
 /// Largest difference between the results from x and y, relative to them, before the drives are suspect.
 const SUSPECT_RATIO: f64 = 0.5;
 
-/// The instructions for a person with a live robot.
 const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
 
 /// Flags of `calibrate umbmark`.
 #[derive(Args, Clone, Debug)]
 #[command(group = clap::ArgGroup::new("squares").required(true).multiple(true).args(["recordings", "link", "listen", "ends", "sim"]))]
 pub struct UmbmarkArgs {
-    /// Descriptors whose chosen runs are squares with a truth, and recordings (*.mcap), each of one square whose end a camera saw.
+    /// Descriptors whose selected runs are squares with a ground truth, and recordings (*.mcap) of one square each whose end a
+    /// camera saw.
     #[arg(value_name = "RECORDING", conflicts_with_all = ["ends", "sim"])]
     pub recordings: Vec<PathBuf>,
     /// A live robot, for one more square.
@@ -47,26 +48,26 @@ pub struct UmbmarkArgs {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// In place of a recording: a CSV table of the columns direction (cw or ccw), x_mm, y_mm: where the robot really was, ahead and to
-    /// the left of its start, when its own estimate was back at the start.
+    /// Instead of a recording: CSV table with the columns direction (cw or ccw), x_mm, y_mm: true position, forward and left of
+    /// the start, when the odometry was back at the start.
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["sim", "real_robot", "run", "use_every", "settings"])]
     pub ends: Option<PathBuf>,
-    /// In place of a recording: let the simulated robot drive.
+    /// Instead of a recording: use the simulated robot.
     #[arg(long, conflicts_with_all = ["real_robot", "run", "use_every", "settings", "side_m"])]
     pub sim: bool,
-    /// The robot of --ends: a profile with a [robot] table, the one by which the brick steered.
+    /// Robot profile for --ends: the one that the robot steered by.
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "real_robot", "sim"])]
     pub robot: Option<PathBuf>,
-    /// Length of a side, in metres; recorded drives contain it.
+    /// Length of a side, in metres. Recorded drives contain it.
     #[arg(long, value_name = "M")]
     pub side_m: Option<f64>,
-    /// Simulated squares in each direction.
+    /// Number of simulated squares in each direction.
     #[arg(long, value_name = "N", default_value_t = 5, conflicts_with_all = ["recordings", "real_robot", "ends"], value_parser = clap::value_parser!(u32).range(1..=5))]
     pub runs: u32,
-    /// Seed of the simulated robot, instead of its scenario's.
+    /// Seed of the simulated robot. Default: that of its scenario.
     #[arg(long, value_name = "N", conflicts_with_all = ["recordings", "real_robot", "ends"])]
     pub seed: Option<u64>,
-    /// Write the robot as a profile for `run --robot` and `replay --robot`.
+    /// Write a robot profile, for `run --robot` and `replay --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save: Option<PathBuf>,
     /// Where results go.
@@ -74,7 +75,6 @@ pub struct UmbmarkArgs {
     pub output: OutputArgs,
 }
 
-/// The result of the squares, whatever their source.
 struct UmbmarkResult {
     source: String,
     robot: RobotFile,
@@ -89,10 +89,6 @@ struct UmbmarkResult {
     truth: Option<[f64; 2]>,
 }
 
-/// Calibrates.
-///
-/// # Errors
-/// There are no squares in both directions, a file or a flag makes no sense, or an output cannot be written.
 pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
@@ -139,9 +135,10 @@ fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
             FreePath::new(&drive.name, &drive.config, &drive.observations, sights)
         })
         .collect();
-    let recorded =
-        from_drives(&first.config, &paths, args.side_m).map_err(|error| with_advice(error, &drives)).while_running()?;
-    Ok(UmbmarkResult { source: names(&drives), robot: first.robot.clone(), ..recorded })
+    let squares = calibrate_squares(&first.config, &paths, args.side_m)
+        .map_err(|error| with_advice(error.into(), &drives))
+        .while_running()?;
+    Ok(UmbmarkResult::new(names(&drives), first.robot.clone(), squares))
 }
 
 /// The squares of all recordings, that of the live robot last.
@@ -176,7 +173,7 @@ fn names(drives: &[CalibrationDrive]) -> String {
     names.join(", ")
 }
 
-fn from_table(args: &UmbmarkArgs, path: &std::path::Path) -> Result<UmbmarkResult> {
+fn from_table(args: &UmbmarkArgs, path: &Path) -> Result<UmbmarkResult> {
     let robot = match &args.robot {
         Some(profile) => RobotProfile::read(profile)?.robot,
         None => RobotFile::default(),
@@ -197,42 +194,35 @@ fn from_table(args: &UmbmarkArgs, path: &std::path::Path) -> Result<UmbmarkResul
     })
 }
 
-fn from_drives(config: &FilterConfig, paths: &[FreePath], side_m: Option<f64>) -> Result<UmbmarkResult> {
-    let squares = calibrate_squares(config, paths, side_m)?;
-    Ok(UmbmarkResult {
-        source: String::new(),
-        robot: RobotFile::default(),
-        side_m: squares.side_m,
-        result: squares.estimate,
-        runs_before: squares.runs_before,
-        runs_after: squares.runs_after,
-        validation_errors: None,
-        truth: None,
-    })
-}
-
 fn from_simulation(args: &UmbmarkArgs) -> Result<UmbmarkResult> {
     let simulated = simulate(args.runs, args.seed)?;
     let squares = calibrate_squares(&simulated.config, &simulated.squares, Some(simulated.side_m))?;
     let error_of = |numbers| -> Result<SquareError> {
         Ok(square_error(&closing_runs(&simulated.config, numbers, &simulated.others)?)?)
     };
-    let others = [error_of(&squares.before)?, error_of(&squares.after)?];
+    let validation_errors = Some([error_of(&squares.before)?, error_of(&squares.after)?]);
     let (truth, nominal) = (simulated.true_geometry, simulated.config.geometry);
     let (left, right) = (truth.left_wheel_radius.0, truth.right_wheel_radius.0);
-    Ok(UmbmarkResult {
-        source: "the simulated robot".to_owned(),
-        robot: simulated.robot,
-        side_m: simulated.side_m,
-        result: squares.estimate,
-        runs_before: squares.runs_before,
-        runs_after: squares.runs_after,
-        validation_errors: Some(others),
-        truth: Some([truth.track_width.0 / nominal.track_width.0 - 1.0, (right - left) / f64::midpoint(left, right)]),
-    })
+    let track = truth.track_width.0 / nominal.track_width.0 - 1.0;
+    let truth = Some([track, (right - left) / f64::midpoint(left, right)]);
+    let source = "the simulated robot".to_owned();
+    Ok(UmbmarkResult { validation_errors, truth, ..UmbmarkResult::new(source, simulated.robot, squares) })
 }
 
 impl UmbmarkResult {
+    fn new(source: String, robot: RobotFile, squares: SquareCalibration) -> Self {
+        Self {
+            source,
+            robot,
+            side_m: squares.side_m,
+            result: squares.estimate,
+            runs_before: squares.runs_before,
+            runs_after: squares.runs_after,
+            validation_errors: None,
+            truth: None,
+        }
+    }
+
     fn calibration(&self) -> Calibration {
         let prior = &self.robot.calibration.radius_scale;
         Calibration {
@@ -324,10 +314,7 @@ impl UmbmarkResult {
     fn plot(&self) -> Plot {
         let dots = |name: &str, runs: &[SquareRun], direction: SquareDirection| {
             let ends = runs.iter().filter(|run| run.direction == direction);
-            Curve {
-                name: name.to_owned(),
-                shape: CurveShape::Dots(ends.map(|run| (run.ahead_m, run.left_m)).collect()),
-            }
+            Curve::dots(name, ends.map(|run| (run.ahead_m, run.left_m)))
         };
         let (cw, ccw) = (SquareDirection::Clockwise, SquareDirection::CounterClockwise);
         let mut curves =
@@ -336,18 +323,12 @@ impl UmbmarkResult {
             curves.push(dots("clockwise, after", &self.runs_after, cw));
             curves.push(dots("counter-clockwise, after", &self.runs_after, ccw));
         }
-        curves.push(Curve { name: "home".to_owned(), shape: CurveShape::Dots(vec![(0.0, 0.0)]) });
-        Plot {
-            title: format!("UMBmark: {}", self.source),
-            key_figures: format!("systematic error {:.1} mm", 1e3 * self.result.error.systematic_m),
-            axes: vec![Axes {
-                x_name: "ahead [m]".to_owned(),
-                y_name: "left [m]".to_owned(),
-                height_px: 420.0,
-                is_map: true,
-                curves,
-            }],
-        }
+        curves.push(Curve::dots("home", vec![(0.0, 0.0)]));
+        Plot::new(
+            format!("UMBmark: {}", self.source),
+            format!("systematic error {:.1} mm", 1e3 * self.result.error.systematic_m),
+            vec![Axes::new("ahead [m]", "left [m]", 420.0, curves).with_equal_scales()],
+        )
     }
 }
 
@@ -356,4 +337,95 @@ const fn direction_name(direction: SquareDirection) -> &'static str {
         SquareDirection::Clockwise => "cw",
         SquareDirection::CounterClockwise => "ccw",
     }
+}
+
+/// The simulated squares; every number stands there with its meaning.
+const SCENARIO: &str = include_str!("../../../config/calibrate/umbmark.toml");
+/// Truth of the simulation, in metres: exact, but no sight may be.
+const EXACT_M: f64 = 1e-4;
+
+/// Ends of squares, measured minus odometry, from the columns `direction` (cw or ccw), `x_mm`, `y_mm` and, if the brick showed
+/// something else than home, `odometry_x_mm`, `odometry_y_mm`.
+pub(super) fn read_squares(path: &Path) -> Result<Vec<SquareRun>> {
+    let listing = CsvTable::read(path)?;
+    let has_odometry = listing.has("odometry_x_mm") || listing.has("odometry_y_mm");
+    let runs = listing.rows().map(|row| {
+        let direction = match row.text("direction")? {
+            "cw" => SquareDirection::Clockwise,
+            "ccw" => SquareDirection::CounterClockwise,
+            other => bail!("{}: `{other}` in column `direction` is neither cw nor ccw", row.location()),
+        };
+        let off = |measured: &str, odometry: &str| -> Result<f64> {
+            let shown = if has_odometry { row.number(odometry)? } else { 0.0 };
+            Ok(1e-3 * (row.number(measured)? - shown))
+        };
+        Ok(SquareRun { direction, ahead_m: off("x_mm", "odometry_x_mm")?, left_m: off("y_mm", "odometry_y_mm")? })
+    });
+    runs.collect()
+}
+
+pub(super) struct SimulatedSquares {
+    pub(super) robot: RobotFile,
+    pub(super) config: FilterConfig,
+    pub(super) squares: Vec<FreePath>,
+    pub(super) others: Vec<FreePath>,
+    pub(super) true_geometry: DriveGeometry,
+    pub(super) side_m: f64,
+}
+
+/// Drives `runs` squares in each direction, and four times as many for trying.
+pub(super) fn simulate(runs: u32, seed: Option<u64>) -> Result<SimulatedSquares> {
+    let mut scenario = Scenario::from_toml(SCENARIO).context("the bundled squares")?;
+    let Course::Laps(laps) = &mut scenario.path else { bail!("the bundled squares are no laps") };
+    laps.laps = 2 * runs * 5;
+    let (laps, step_s) = (*laps, scenario.step_s);
+    if let Some(seed) = seed {
+        scenario = scenario.with_seed(seed);
+    }
+    let drive = scenario.drive(0);
+    let prior = drive.prior;
+    let robot = RobotFile {
+        left_wheel_radius_m: prior.geometry.left_wheel_radius.0,
+        right_wheel_radius_m: prior.geometry.right_wheel_radius.0,
+        track_width_m: prior.geometry.track_width.0,
+        ..RobotFile::default()
+    };
+    let config = filter_config(&robot, &FilterSection::default(), ArenaMap::default())?;
+    let rest_steps = (laps.rest_s / step_s).round() as usize;
+    let steps = drive.truth.len().saturating_sub(1 + rest_steps);
+    let lap_steps = steps / laps.laps as usize;
+    ensure!(lap_steps > 0 && lap_steps * laps.laps as usize == steps, "the simulated laps are not alike");
+    let mut squares: Vec<FreePath> = (0..laps.laps as usize)
+        .map(|lap| {
+            let first = rest_steps + lap * lap_steps;
+            cut_lap(&drive, &config, first, first + lap_steps)
+        })
+        .collect::<Result<_>>()?;
+    let others = squares.split_off(2 * runs as usize);
+    Ok(SimulatedSquares { robot, config, squares, others, true_geometry: drive.true_geometry, side_m: laps.side_m })
+}
+
+fn cut_lap(drive: &Drive, config: &FilterConfig, first: usize, last: usize) -> Result<FreePath> {
+    let start = drive.truth.get(first).ok_or_else(|| anyhow!("a simulated lap begins after its drive"))?;
+    let config = FilterConfig {
+        start: Some(StartPose { pose: *start, position_sigma_m: EXACT_M, heading_sigma_rad: EXACT_M }),
+        ..config.clone()
+    };
+    let observations: Vec<Observation> = drive
+        .arrivals
+        .iter()
+        .filter(|arrival| (first..=last).contains(&arrival.step))
+        .map(|arrival| arrival.observation)
+        .collect();
+    let sights = (first..=last).filter_map(|step| {
+        let pose = drive.truth.get(step)?;
+        Some(PositionFix {
+            at_s: seconds(drive.time_at(step)),
+            position_m: [pose.x.0, pose.y.0],
+            sigma_m: EXACT_M,
+            tag_m: [0.0; 2],
+        })
+    });
+    let name = format!("steps {first} to {last}");
+    Ok(FreePath::new(&name, &config, &observations, sights))
 }

@@ -4,35 +4,37 @@
 
 use anyhow::Result;
 use clap::Args;
-use posebridge_lab::accuracy::{ScoreRow, bound_text};
+use posebridge_estimator::smoother::OfflineError;
+use posebridge_lab::accuracy::{BoundSum, FilterScore, ScoreRow, bound_text};
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
 use posebridge_report::report::{Format, Report, Table, Unit};
 use posebridge_report::{ConsistencyBand, SourceTally};
-use posebridge_sim::montecarlo::SCENARIOS;
+use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
 use posebridge_telemetry::TimeDelta;
 use serde_json::{Value, json};
 
-use super::Estimator;
-use super::accuracy_runs::{EstimatorScores, PlannedScenario, ScenarioScores, score_all};
-use crate::console::{print_line, progress_bar};
+use super::estimators::BoundKind;
+use super::{Estimator, EstimatorResult};
+use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::drives::load_scenario;
+use crate::lab::drives::{known_drive, load_scenario};
+use crate::lab::parallel::run_cases;
 use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `lab accuracy`.
 #[derive(Args, Clone, Debug)]
 pub struct LabAccuracyArgs {
-    /// A bundled scenario's name or a TOML file; may be repeated. Without it all bundled ones.
+    /// Bundled scenario by name, or a TOML file. Can be repeated. Default: all bundled ones.
     #[arg(long = "scenario", value_name = "NAME|FILE.toml")]
     pub scenarios: Vec<String>,
-    /// An estimator's name; may be repeated. Without it all that estimate a pose.
+    /// Filter by name. Can be repeated. Default: all that estimate a pose.
     #[arg(long = "estimator", value_name = "NAME")]
     pub estimators: Vec<String>,
-    /// Runs of each scenario, instead of what its file says (mostly 40).
+    /// Number of runs of each scenario. Default: that of its file, mostly 40.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(posebridge_sim::montecarlo::MAX_RUNS)))]
     pub runs: Option<u32>,
-    /// Base seed, instead of each scenario's.
+    /// Base seed. Default: that of each scenario.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// What to leave.
@@ -53,10 +55,6 @@ pub(super) fn accuracy_help() -> String {
     lines.concat()
 }
 
-/// Runs the experiment.
-///
-/// # Errors
-/// A scenario or an estimator does not exist or makes no sense, or an output cannot be written.
 pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let started = timer.now();
@@ -64,9 +62,7 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let planned = plan_scenarios(args).before_start()?;
     let folder = args.output.folder()?;
     let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
-    let bar = progress_bar(runs, "runs").before_start()?;
-    let scored = score_all(planned, &estimators, &timer, || bar.inc(1));
-    bar.finish_and_clear();
+    let scored = score_all(planned, &estimators, &timer).before_start()?;
     args.output.write_outcome(&folder, &report(&scored, &estimators))?;
     print_line(&format!(
         "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core",
@@ -119,7 +115,6 @@ fn report(scored: &[ScenarioScores], estimators: &[Estimator]) -> Report {
     report
 }
 
-/// An estimator in the table of a scenario.
 struct EstimatorRow<'a> {
     row: ScoreRow<'a>,
     scores: &'a EstimatorScores,
@@ -222,5 +217,91 @@ fn chart(scored: &[ScenarioScores], estimators: &[Estimator]) -> AccuracyChart {
     AccuracyChart {
         title: "Accuracy of the estimators over the Monte-Carlo scenarios".to_owned(),
         panels: panels.collect(),
+    }
+}
+
+// Each job draws one drive and runs every estimator over it. Scores are added up in the order of the runs, so that the result does
+// not depend on the number of cores, to the last bit.
+
+struct PlannedScenario {
+    name: String,
+    scenario: Scenario,
+    runs: u32,
+}
+
+struct ScenarioScores {
+    planned: PlannedScenario,
+    results: Vec<EstimatorScores>,
+    /// What no filter can be better than, where there is such a bound.
+    bound: Option<BoundSum>,
+    bound_kind: BoundKind,
+    /// What the bound has cost, on one core.
+    bound_duration: TimeDelta,
+}
+
+#[derive(Clone, Default)]
+struct EstimatorScores {
+    score: FilterScore,
+    /// The runs for which it gives no result, and why.
+    refusals: Vec<(u32, OfflineError)>,
+}
+
+struct DriveScores {
+    results: Vec<EstimatorResult>,
+    bound: Option<BoundSum>,
+    bound_duration: TimeDelta,
+}
+
+fn score_all(
+    planned: Vec<PlannedScenario>,
+    estimators: &[Estimator],
+    timer: &HostTimer,
+) -> Result<Vec<ScenarioScores>> {
+    let score = |planned: &PlannedScenario, run| score_drive(planned, run, estimators, timer);
+    let by_scenario = run_cases(&planned, |planned| planned.runs, "runs", score)?;
+    let scored = planned.into_iter().zip(by_scenario).map(|(planned, drives)| {
+        let mut scored = ScenarioScores {
+            bound_kind: BoundKind::for_scenario(&planned.scenario),
+            planned,
+            results: vec![EstimatorScores::default(); estimators.len()],
+            bound: None,
+            bound_duration: TimeDelta::ZERO,
+        };
+        for (run, drive) in (0..).zip(drives) {
+            scored.add(run, drive);
+        }
+        scored
+    });
+    Ok(scored.collect())
+}
+
+fn score_drive(planned: &PlannedScenario, run: u32, estimators: &[Estimator], timer: &HostTimer) -> DriveScores {
+    let drive = planned.scenario.drive(run);
+    let known = known_drive(&drive);
+    let before = timer.now();
+    let bound = BoundKind::for_scenario(&planned.scenario).compute(&drive, &known);
+    let bound_took = timer.now() - before;
+    DriveScores {
+        results: estimators.iter().map(|estimator| estimator.score(&drive, &known)).collect(),
+        bound,
+        bound_duration: bound_took,
+    }
+}
+
+impl ScenarioScores {
+    fn add(&mut self, run: u32, driven: DriveScores) {
+        for (sum, verdict) in self.results.iter_mut().zip(driven.results) {
+            sum.score.merge(&verdict.score);
+            sum.refusals.extend(verdict.refusal.map(|refusal| (run, refusal)));
+        }
+        if let Some(bound) = driven.bound {
+            self.bound.get_or_insert_with(BoundSum::default).merge(&bound);
+        }
+        self.bound_duration += driven.bound_duration;
+    }
+
+    /// Root mean square of the bound over steps and runs, in metres.
+    fn bound_rms_m(&self) -> Option<f64> {
+        self.bound.as_ref().and_then(BoundSum::rms_m)
     }
 }

@@ -2,8 +2,10 @@
 
 use posebridge_estimator::smoother::{OfflineError, batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
-use posebridge_lab::accuracy::{FilterScore, ReferenceDrive, SmootherScore, score, score_smoother};
-use posebridge_sim::montecarlo::Drive;
+use posebridge_lab::accuracy::{
+    BoundSum, FilterScore, ReferenceDrive, SmootherScore, WheelRotation, score, score_smoother,
+};
+use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};
 use posebridge_telemetry::Calibration;
 
 use crate::lab::drives::filter_config;
@@ -12,9 +14,7 @@ use crate::lab::drives::filter_config;
 const MAIN_FILTER: &str = "pose";
 /// What a clairvoyant filter's name ends in.
 const CLAIRVOYANT: &str = "-true-geometry";
-/// The name of the most likely path.
 const SMOOTH: &str = "smooth";
-/// The name of the flagship run forwards and back.
 const RTS: &str = "rts";
 
 /// An estimator that can be run over a drive.
@@ -29,14 +29,12 @@ pub enum Estimator {
     TrueGeometry(&'static FilterEntry),
     /// The flagship run forwards and back.
     Rts,
-    /// The most likely path of the whole run, found when it is over.
     Smooth,
 }
 
 /// What an estimator made of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EstimatorResult {
-    /// What its errors add up to.
     pub score: FilterScore,
     /// Why it says nothing at all; only a smoother can refuse a whole drive.
     pub refusal: Option<OfflineError>,
@@ -62,10 +60,6 @@ impl Estimator {
         filters.chain(clairvoyant).chain([Self::Rts, Self::Smooth]).collect()
     }
 
-    /// The estimator of this name.
-    ///
-    /// # Errors
-    /// [`UnknownEstimator`] lists the names that exist.
     pub fn from_name(name: &str) -> Result<Self, UnknownEstimator> {
         Self::all()
             .into_iter()
@@ -73,12 +67,10 @@ impl Estimator {
             .ok_or_else(|| UnknownEstimator { name: name.to_owned(), known: Self::names().join(", ") })
     }
 
-    /// The names of all.
     pub fn names() -> Vec<String> {
         Self::all().iter().map(Self::name).collect()
     }
 
-    /// Its name in tables and on the command line.
     pub fn name(&self) -> String {
         match self {
             Self::Filter(entry) => entry.name.to_owned(),
@@ -88,7 +80,6 @@ impl Estimator {
         }
     }
 
-    /// What it is, in one line.
     pub fn summary(&self) -> String {
         match self {
             Self::Filter(entry) => entry.summary.to_owned(),
@@ -126,10 +117,128 @@ impl Estimator {
     }
 }
 
-/// There is no such estimator.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no estimator of a pose is called \"{name}\"; there are {known}")]
 pub struct UnknownEstimator {
     name: String,
     known: String,
+}
+
+// Which scenarios have a bound on the error of any filter, and what it leaves out.
+//
+// The bound takes the robot that the filters are configured with. Where the true one is drawn otherwise there is no bound; where
+// something is added that no filter knows, the bound is that of the drive without it, and says so.
+
+/// What the bound of a scenario is worth.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum BoundKind {
+    Excluding(Vec<&'static str>),
+    Unavailable(&'static str),
+}
+
+impl BoundKind {
+    pub(super) fn for_scenario(scenario: &Scenario) -> Self {
+        let (motion, prior) = (&scenario.motion, &scenario.told);
+        if motion.wheel_travel_m_per_sqrt_m != prior.wheel_travel_m_per_sqrt_m
+            || motion.turn_rad_per_sqrt_rad != prior.turn_rad_per_sqrt_rad
+        {
+            return Self::Unavailable("the noise of the motion is not what a filter is told");
+        }
+        let drawn = match prior.geometry {
+            PriorGeometry::Nominal => scenario.errors,
+            PriorGeometry::True => {
+                GeometryErrors { radius_scale_sigma: 0.0, radius_difference_sigma: 0.0, track_scale_sigma: 0.0 }
+            }
+        };
+        let known = GeometryErrors {
+            radius_scale_sigma: prior.radius_scale_sigma,
+            radius_difference_sigma: prior.radius_difference_sigma,
+            track_scale_sigma: prior.track_scale_sigma,
+        };
+        if drawn != known {
+            return Self::Unavailable("the spread of the geometry is not what a filter is told");
+        }
+        let camera = scenario.camera.as_ref();
+        let left_out = [
+            (camera.is_some_and(|camera| camera.true_noise_factor != 1.0), "the camera's noise is taken as told"),
+            (camera.is_some_and(|camera| camera.outliers.is_some()), "without the outliers"),
+            (scenario.kicks.is_some(), "without the kicks"),
+            (scenario.accelerometer.is_some(), "without what the accelerometers tell"),
+        ];
+        Self::Excluding(left_out.into_iter().filter_map(|(is_there, what)| is_there.then_some(what)).collect())
+    }
+
+    pub(super) fn compute(&self, drive: &Drive, known: &ReferenceDrive) -> Option<BoundSum> {
+        match self {
+            Self::Unavailable(_) => None,
+            Self::Excluding(_) => {
+                let turns: Vec<WheelRotation> =
+                    drive.wheel_turns.iter().map(|turn| WheelRotation { left: turn.left, right: turn.right }).collect();
+                BoundSum::from_drive(&filter_config(&drive.prior), known, &turns)
+            }
+        }
+    }
+
+    /// What it leaves out, or why there is none; `None` where nothing is to be said.
+    pub(super) fn note(&self) -> Option<String> {
+        match self {
+            Self::Unavailable(reason) => Some((*reason).to_owned()),
+            Self::Excluding(left_out) if left_out.is_empty() => None,
+            Self::Excluding(left_out) => Some(left_out.join(", ")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_sim::montecarlo::SCENARIOS;
+    use posebridge_telemetry::Radians;
+
+    use super::*;
+    use crate::lab::drives::known_drive;
+
+    #[test]
+    fn every_bundled_scenario_says_what_its_bound_leaves_out() {
+        for (name, _) in SCENARIOS {
+            let note = BoundKind::for_scenario(&Scenario::bundled(name).unwrap()).note();
+            let expected = match *name {
+                "outliers-3pct" | "outliers-10pct" => Some("without the outliers"),
+                "noise-x4" | "noise-quarter" => Some("the camera's noise is taken as told"),
+                "noise-x4-outliers" => Some("the camera's noise is taken as told, without the outliers"),
+                "kicks" | "kicks-camera-1hz" => Some("without the kicks"),
+                "paper-square" => Some("without what the accelerometers tell"),
+                "wpilib" => Some("the noise of the motion is not what a filter is told"),
+                _ => None,
+            };
+            assert_eq!(note.as_deref(), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_geometry_that_is_drawn_otherwise_than_told_has_no_bound() {
+        let mut scenario = Scenario::bundled("camera-10hz").unwrap();
+        scenario.told.track_scale_sigma = 0.02;
+        let bounded = BoundKind::for_scenario(&scenario);
+        assert!(matches!(bounded, BoundKind::Unavailable(reason) if reason.contains("geometry")));
+        let drive = scenario.drive(0);
+        assert_eq!(bounded.compute(&drive, &ReferenceDrive::default()), None);
+    }
+
+    #[test]
+    fn each_wheel_is_taken_for_itself() {
+        let scenario = Scenario::bundled("unknown-heading").unwrap();
+        let mut drive = scenario.drive(0);
+        for turn in &mut drive.wheel_turns {
+            turn.right = Radians(0.0);
+        }
+        let known = known_drive(&drive);
+        let turns: Vec<WheelRotation> = drive
+            .wheel_turns
+            .iter()
+            .map(|turn| WheelRotation { left: turn.left, ..WheelRotation::default() })
+            .collect();
+        let expected = BoundSum::from_drive(&filter_config(&drive.prior), &known, &turns);
+        assert!(expected.is_some());
+        assert_eq!(BoundKind::for_scenario(&scenario).compute(&drive, &known), expected);
+    }
 }

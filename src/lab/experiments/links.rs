@@ -7,16 +7,21 @@ use std::path::Path;
 
 use anyhow::Result;
 use clap::Args;
-use posebridge_lab::clocks::compare_methods;
+use posebridge_lab::clocks::{ClockRow, compare_methods};
+use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
+use posebridge_report::report::{Format, Report, Table, Unit};
 use posebridge_sim::impairment::{LinkProfile, PROFILES};
+use posebridge_sim::{ReceivedEstimate, Scenario, Steering};
+use posebridge_telemetry::TimeDelta;
+use serde_json::json;
 
-use super::links_pose::{LinkCase, LinkConditions, PoseRow, drive_lap, summarise};
-use super::links_report::report;
-use crate::console::progress_bar;
+use crate::config::Config;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_cases;
+use crate::station::run_report::{SimulationTruth, errors};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::link_profile;
+use crate::virtual_station::{self, VirtualLink};
 
 /// Seeds of the table of clocks: as many as docs/maths/clock.md shows.
 const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
@@ -24,19 +29,19 @@ const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
 /// Flags of `lab links`.
 #[derive(Args, Clone, Debug)]
 pub struct LabLinksArgs {
-    /// A bundled link profile's name or a TOML file; may be repeated. Without it all bundled ones.
+    /// Bundled link profile by name, or a TOML file. Can be repeated. Default: all bundled ones.
     #[arg(long = "profile", value_name = "NAME|FILE.toml")]
     pub profiles: Vec<String>,
-    /// Probability that what is sent at once is lost, each way, on top of the profile; several with commas.
+    /// Additional loss probability in each direction; several values separated by commas.
     #[arg(long = "loss", value_name = "P,..", value_delimiter = ',', default_values_t = [0.0, 0.05], value_parser = a_probability)]
     pub losses: Vec<f64>,
-    /// Delay of each way on top of the profile, ms; several with commas.
+    /// Additional delay in each direction, in ms; several values separated by commas.
     #[arg(long = "delay-ms", value_name = "MS,..", value_delimiter = ',', default_values_t = [0.0, 50.0], value_parser = a_delay_ms)]
     pub delays_ms: Vec<f64>,
-    /// Rate error of the brick's clock, ppm; several with commas.
+    /// Rate error of the robot's clock, in ppm; several values separated by commas.
     #[arg(long = "skew-ppm", value_name = "PPM,..", value_delimiter = ',', default_values_t = [50.0, 2021.0], value_parser = a_skew_ppm, allow_hyphen_values = true)]
     pub skews_ppm: Vec<f64>,
-    /// Laps of each case; world and link differ from lap to lap.
+    /// Number of laps of each case. Each lap has its own random world and link.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
     /// Seed of the first lap.
@@ -70,10 +75,6 @@ fn number_within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64
     }
 }
 
-/// Runs the experiment.
-///
-/// # Errors
-/// A profile does not exist or makes no sense, or an output cannot be written.
 pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
     let cases = cases(args).before_start()?;
     let folder = args.output.folder()?;
@@ -82,7 +83,6 @@ pub fn execute(args: &LabLinksArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report(&clock, &pose))
 }
 
-/// Every profile under every circumstance.
 fn cases(args: &LabLinksArgs) -> Result<Vec<LinkCase>> {
     let names: Vec<String> = if args.profiles.is_empty() {
         PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect()
@@ -116,25 +116,254 @@ fn load_profile(asked: &str) -> Result<(String, LinkProfile)> {
     Ok((name, profile))
 }
 
-/// Drives all cases on all cores; the result does not depend on how many there are.
 fn pose_rows(cases: &[LinkCase], runs: u32) -> Result<Vec<PoseRow>> {
-    let jobs: Vec<(usize, u32)> = (0..cases.len()).flat_map(|case| (0..runs).map(move |run| (case, run))).collect();
-    let bar = progress_bar(jobs.len() as u64, "laps")?;
-    let run = |&(case, run): &(usize, u32)| cases.get(case).map(|case| drive_lap(case, run));
-    let laps = run_all(&jobs, run, || bar.inc(1));
-    let mut driven: Vec<Vec<_>> = cases.iter().map(|_| Vec::new()).collect();
-    for ((case, _), lap) in jobs.iter().zip(laps) {
-        if let (Some(list), Some(lap)) = (driven.get_mut(*case), lap) {
-            list.push(lap);
+    let laps = run_cases(cases, |_| runs, "laps", drive_lap)?;
+    let rows = cases.iter().zip(laps).map(|(case, laps)| {
+        let laps: Vec<LapResult> = laps.into_iter().collect::<Result<_>>()?;
+        Ok(summarise(case, &laps))
+    });
+    rows.collect()
+}
+
+const SCENARIO: &str = "square";
+/// The share of delays and ages that a figure named p99 leaves out.
+const TAIL_SHARE: f64 = 0.01;
+/// Delays of each way that are combined with each of the other's.
+const QUANTILE_SAMPLES: usize = 1_000;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct LinkConditions {
+    /// Probability that what is sent at once is lost, each way.
+    loss: f64,
+    /// Delay of each way, ms.
+    delay_ms: f64,
+    /// Rate error of the brick's clock, ppm.
+    skew_ppm: f64,
+}
+
+struct LinkCase {
+    name: String,
+    profile: LinkProfile,
+    conditions: LinkConditions,
+    seed: u64,
+}
+
+struct LapResult {
+    position_rms_m: Option<f64>,
+    odometry_rms_m: Option<f64>,
+    ages: Vec<TimeDelta>,
+    to_station: Vec<TimeDelta>,
+    to_brick: Vec<TimeDelta>,
+    outages: u64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct PoseRow {
+    profile: String,
+    conditions: LinkConditions,
+    /// Root of the mean over the laps of the squared error, m; `None` when some lap had no estimate.
+    position_rms_m: Option<f64>,
+    /// The same of the brick's own odometry, m.
+    odometry_rms_m: Option<f64>,
+    /// Age of the estimates when the brick had them, ms.
+    age_p50_ms: Option<f64>,
+    /// The same, exceeded by one in a hundred.
+    age_p99_ms: Option<f64>,
+    /// The delay there and back, exceeded by one pair of pieces in a hundred, ms.
+    link_delay_p99_ms: Option<f64>,
+    /// Times the link went down, in all laps.
+    outages: u64,
+}
+
+/// Drives one lap; world and link differ from run to run, and are the same for every case.
+fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
+    let seed = case.seed.wrapping_add(u64::from(run));
+    let scenario = Scenario::bundled(SCENARIO)?.with_seed(seed).with_steering(Steering::Estimate);
+    let config = Config::default().with_tag_of(&scenario);
+    let link = VirtualLink {
+        profile: case.profile.clone(),
+        seed,
+        extra_loss: case.conditions.loss,
+        extra_delay_ms: case.conditions.delay_ms,
+        brick_skew_ppm: Some(case.conditions.skew_ppm),
+    };
+    let driven = virtual_station::run_over_link(scenario, config.station_config()?, &link)?;
+    let (estimate, odometry) = errors(&driven.collector, &SimulationTruth::from_simulation(&driven.simulation));
+    let received = driven.simulation.received_estimates();
+    Ok(LapResult {
+        position_rms_m: estimate.position_rms_m,
+        odometry_rms_m: odometry.position_rms_m,
+        ages: ages(received),
+        to_station: driven.delays_to_station,
+        to_brick: driven.delays_to_brick,
+        outages: driven.link.outages,
+    })
+}
+
+/// How old each instant's first estimate was when the brick had it. A fix that comes late corrects an instant for which the brick
+/// already has an estimate: that is no new instant, and its age says nothing about the link.
+fn ages(received: &[ReceivedEstimate]) -> Vec<TimeDelta> {
+    let mut latest = None;
+    let mut ages = Vec::with_capacity(received.len());
+    for estimate in received {
+        if latest.is_none_or(|latest| estimate.estimate_time > latest) {
+            latest = Some(estimate.estimate_time);
+            ages.push(estimate.age());
         }
     }
-    bar.finish_and_clear();
-    cases
-        .iter()
-        .zip(driven)
-        .map(|(case, laps)| {
-            let laps: Result<Vec<_>> = laps.into_iter().collect();
-            Ok(summarise(case, &laps?))
-        })
-        .collect()
+    ages
+}
+
+fn summarise(case: &LinkCase, laps: &[LapResult]) -> PoseRow {
+    let ages = sorted(laps, |lap| &lap.ages);
+    let ways = [sorted(laps, |lap| &lap.to_station), sorted(laps, |lap| &lap.to_brick)];
+    PoseRow {
+        profile: case.name.clone(),
+        conditions: case.conditions,
+        position_rms_m: mean_square(laps, |lap| lap.position_rms_m),
+        odometry_rms_m: mean_square(laps, |lap| lap.odometry_rms_m),
+        age_p50_ms: quantile_ms(&ages, 0.5),
+        age_p99_ms: quantile_ms(&ages, 1.0 - TAIL_SHARE),
+        link_delay_p99_ms: round_trip_ms(&ways, 1.0 - TAIL_SHARE),
+        outages: laps.iter().map(|lap| lap.outages).sum(),
+    }
+}
+
+fn sorted(laps: &[LapResult], of: impl Fn(&LapResult) -> &Vec<TimeDelta>) -> Vec<TimeDelta> {
+    let mut all: Vec<TimeDelta> = laps.iter().flat_map(|lap| of(lap).iter().copied()).collect();
+    all.sort_unstable();
+    all
+}
+
+fn quantile_ms(sorted: &[TimeDelta], share: f64) -> Option<f64> {
+    let last = sorted.len().checked_sub(1)?;
+    let index = (last as f64 * share).round() as usize;
+    sorted.get(index).map(|span| span.as_millis_f64())
+}
+
+/// The quantile of the delay there and back, if each way had its delays independently of the other. A sum of both ways' quantiles would not
+/// do: where one piece in a hundred stalls, one in fifty does there or back.
+fn round_trip_ms(ways: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
+    let [there, back] = ways.each_ref().map(|way| even_sample(way));
+    let mut sums: Vec<TimeDelta> = there.iter().flat_map(|there| back.iter().map(move |back| *there + *back)).collect();
+    sums.sort_unstable();
+    quantile_ms(&sums, share)
+}
+
+/// Values at even steps through a sorted sample, enough that ten of them lie beyond the 99 % quantile.
+fn even_sample(sorted: &[TimeDelta]) -> Vec<TimeDelta> {
+    let step = |index: usize| sorted.get((2 * index + 1) * sorted.len() / (2 * QUANTILE_SAMPLES));
+    (0..QUANTILE_SAMPLES).filter_map(step).copied().collect()
+}
+
+fn mean_square(laps: &[LapResult], of: impl Fn(&LapResult) -> Option<f64>) -> Option<f64> {
+    let squares = laps.iter().map(|lap| of(lap).map(|rms| rms * rms));
+    let sum = squares.sum::<Option<f64>>()?;
+    (!laps.is_empty()).then(|| (sum / laps.len() as f64).sqrt())
+}
+
+const MS: Unit = Unit::Named("ms");
+
+fn report(clock: &[ClockRow], pose: &[PoseRow]) -> Report {
+    let mut report = Report::new("lab-links", "What links do to clocks and poses");
+    report.background(
+        "Every way to align two clocks gets the same exchanges over links of known delays; then the same lap is driven over each \
+         link profile, steered by the estimate. All of it in virtual time.",
+    );
+    add_clock(&mut report, clock);
+    add_pose(&mut report, pose);
+    report.figure(render_accuracy_chart(&chart(pose)), "Position error of a lap over each link, for each circumstance");
+    report
+}
+
+fn add_clock(report: &mut Report, rows: &[ClockRow]) {
+    let error = Format::new(MS, 3);
+    let table = Table::of(rows)
+        .text("case", "case", |row| row.case.to_owned())
+        .text("method", "method", |row| row.method.to_owned())
+        .number("worst_ms", "worst", error, |row| row.worst_ms)
+        .number("mean_ms", "mean", error, |row| row.mean_ms);
+    report.heading("Clock: error of the offset");
+    report.table("clock", &table);
+}
+
+fn add_pose(report: &mut Report, rows: &[PoseRow]) {
+    let delay = Format::new(MS, 1);
+    let table = Table::of(rows)
+        .text("profile", "profile", |row| row.profile.clone())
+        .text("", "loss", |row| row.conditions.loss.to_string())
+        .data("loss", |row| json!(row.conditions.loss))
+        .text("", "delay ms", |row| row.conditions.delay_ms.to_string())
+        .data("delay_ms", |row| json!(row.conditions.delay_ms))
+        .text("", "skew ppm", |row| row.conditions.skew_ppm.to_string())
+        .data("skew_ppm", |row| json!(row.conditions.skew_ppm))
+        .labels(4)
+        .number("position_rms_m", "pose", Format::new(Unit::Millimetres, 2), |row| row.position_rms_m)
+        .number("odometry_rms_m", "odometry", Format::new(Unit::Millimetres, 1), |row| row.odometry_rms_m)
+        .number("estimate_age_p50_ms", "age p50", delay, |row| row.age_p50_ms)
+        .number("estimate_age_p99_ms", "age p99", delay, |row| row.age_p99_ms)
+        .number("link_delay_p99_ms", "link p99", delay, |row| row.link_delay_p99_ms)
+        .count("outages", "outages", |row| row.outages as usize);
+    report.heading("Pose: one lap of the square, steered by the estimate");
+    report.table("pose", &table);
+}
+
+fn chart(rows: &[PoseRow]) -> AccuracyChart {
+    let mut panels: Vec<AccuracyPanel> = Vec::new();
+    for row in rows {
+        let title = conditions_text(&row.conditions);
+        let mark = AccuracyMark { name: row.profile.clone(), rms_m: row.position_rms_m, claimed_m: None, anees: None };
+        match panels.iter_mut().find(|panel| panel.title == title) {
+            Some(panel) => panel.marks.push(mark),
+            None => panels.push(AccuracyPanel { title, marks: vec![mark] }),
+        }
+    }
+    AccuracyChart { title: "Position error of a lap over links".to_owned(), panels }
+}
+
+/// What comes on top of a profile, in words.
+fn conditions_text(of: &LinkConditions) -> String {
+    format!("{} % more loss, {} ms more delay, clock {} ppm off", 100.0 * of.loss, of.delay_ms, of.skew_ppm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case(profile: &str) -> LinkCase {
+        LinkCase {
+            name: profile.to_owned(),
+            profile: LinkProfile::bundled(profile).unwrap(),
+            conditions: LinkConditions { loss: 0.0, delay_ms: 0.0, skew_ppm: 20.0 },
+            seed: 1,
+        }
+    }
+
+    fn row(profile: &str) -> PoseRow {
+        let case = case(profile);
+        let laps: Vec<LapResult> = (0..2).map(|run| drive_lap(&case, run).unwrap()).collect();
+        summarise(&case, &laps)
+    }
+
+    #[test]
+    fn two_ways_that_stall_one_time_in_a_hundred_stall_together_one_time_in_fifty() {
+        let mut way: Vec<TimeDelta> = vec![TimeDelta::from_millis(10); 1_000];
+        way[990..].fill(TimeDelta::from_millis(100));
+        let ways = [way.clone(), way];
+        assert_eq!(round_trip_ms(&ways, 0.97), Some(20.0));
+        assert_eq!(round_trip_ms(&ways, 0.99), Some(110.0));
+        assert_eq!(round_trip_ms(&[Vec::new(), Vec::new()], 0.99), None);
+    }
+
+    #[test]
+    fn bluetooth_costs_little_accuracy_and_an_estimate_is_no_older_than_its_link() {
+        let (usb, bluetooth, wifi) = (row("usb"), row("bluetooth-spp"), row("wifi"));
+        println!("{usb:?}\n{bluetooth:?}");
+        let ratio = bluetooth.position_rms_m.unwrap() / usb.position_rms_m.unwrap();
+        assert!(ratio < 1.2, "{ratio}");
+        for row in [usb, bluetooth, wifi] {
+            let limit_ms = row.link_delay_p99_ms.unwrap() + 5.0;
+            assert!(row.age_p99_ms.unwrap() < limit_ms, "{row:?}");
+        }
+    }
 }

@@ -23,41 +23,33 @@ const RECORDING: &str = "live.mcap";
 /// other. And of `live_robot`, by itself: how it is recorded is no question about a recording.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct LiveArgs {
-    /// Record a live robot first: call it on this link (docs/links.md). The recording is live.mcap in the folder of the results.
+    /// Record a live robot first: connect to it on this link (docs/links.md). The recording is live.mcap in the output folder.
     #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
     pub link: Option<String>,
-    /// Record a live robot first: wait for its call on this link.
+    /// Record a live robot first: wait for it to connect on this link.
     #[arg(long, value_name = "URL", groups = ["real_robot", "live_robot"])]
     pub listen: Option<String>,
-    /// End the recording of a live robot after this many seconds; without it at Ctrl-C.
+    /// Stop recording the live robot after this number of seconds. Default: at Ctrl-C.
     #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "live_robot")]
     pub duration: Option<f64>,
-    /// Configuration of the station that records a live robot; without it the embedded default.
+    /// Configuration of the station that records the live robot. Default: the built-in one.
     #[arg(long, value_name = "FILE", requires = "live_robot")]
     pub config: Option<PathBuf>,
 }
 
-/// What a live robot is taken for.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LiveRobot<'a> {
-    /// Its file.
     pub file: Option<&'a Path>,
-    /// Keys of the station's configuration.
     pub settings: &'a [Setting],
 }
 
 impl LiveArgs {
-    /// Whether a live robot was asked for.
     pub const fn is_requested(&self) -> bool {
         self.link.is_some() || self.listen.is_some()
     }
 
     /// Records the robot into the folder of the results, after it has printed the instructions; gives the recording. `None` if no live
     /// robot was asked for.
-    ///
-    /// # Errors
-    /// There is a recording of that name already, the configuration makes no sense, the link cannot be opened for good, or the
-    /// recording cannot be written.
     pub fn record(&self, output: &OutputArgs, robot: LiveRobot<'_>, task: &str) -> Result<Option<PathBuf>, Failure> {
         if !self.is_requested() {
             return Ok(None);
@@ -83,9 +75,6 @@ impl LiveArgs {
 
     /// The recording to look at: that of the live robot, which is made first, or the one that was named. `data` has the keys that are
     /// set; runs and fixes are chosen in a descriptor's data alone.
-    ///
-    /// # Errors
-    /// As [`LiveArgs::record`]; or there is neither a live robot nor a name.
     pub fn or_named(
         &self,
         named: Option<&Path>,
@@ -102,9 +91,6 @@ impl LiveArgs {
     }
 
     /// A live robot has one run, and all of it is used.
-    ///
-    /// # Errors
-    /// A run or fixes were chosen for a live robot.
     pub fn reject_data_flags(&self, data: &DataFlags) -> Result<(), Failure> {
         if self.is_requested() && (data.run.is_some() || data.use_every.is_some()) {
             let why = "--run and --use-every choose from a descriptor's data, not from a live robot's";

@@ -1,14 +1,9 @@
 //! `posebridge lab`: experiments. None needs a robot or a link; those of the papers take a recording or a live robot as well.
 
 pub mod accuracy;
-mod accuracy_runs;
-mod again;
-mod bounds;
 mod estimators;
 pub mod indirect;
 pub mod links;
-mod links_pose;
-mod links_report;
 pub mod live;
 pub mod nxt_square;
 pub mod recorded;
@@ -34,33 +29,29 @@ pub struct LabArgs {
 /// The experiments.
 #[derive(Clone, Debug, Subcommand)]
 pub enum LabExperiment {
-    /// Run every estimator over the Monte-Carlo scenarios: errors, and whether the claimed ones are right.
+    /// Run every filter on the Monte-Carlo scenarios: errors and consistency.
     ///
     /// Prints one table per scenario and writes the page lab-accuracy.html with its picture.
     /// docs/lab/accuracy.md describes --json.
     #[command(after_long_help = accuracy_help())]
     Accuracy(LabAccuracyArgs),
-    /// Align clocks and drive laps over links that delay, lose and damage, in virtual time.
+    /// Align clocks and drive laps over impaired links, in virtual time.
     ///
     /// Prints a table of the clocks and one of the poses, and writes the page lab-links.html with its picture.
     /// docs/impairment.md describes --json.
     Links(LabLinksArgs),
-    /// Run the filters of paper 1 on its square, on exported sensor data, on recordings or a live robot: errors, order, R, figures.
+    /// Paper 1: its filters on a simulated square, exported sensor data, recordings or a live robot.
     NxtSquare(nxt_square::LabNxtSquareArgs),
-    /// Tell what a slow thermometer will show in the end, simulated or recorded, and how it is identified (docs/lab/thermometer.md).
+    /// Paper 2: predict the final value of a slow thermometer, simulated or recorded (docs/lab/thermometer.md).
     Thermometer(thermometer::LabThermometerArgs),
-    /// Paper 3: identify a car before a wall, and stop it there by readings, lines and filters; or foretell a recorded or a live
-    /// robot's readings.
+    /// Paper 3: identify a car that drives towards a wall and stop it by readings, lines and filters, or predict the readings of
+    /// a recorded or live robot.
     Wall(wall::LabWallArgs),
-    /// Paper 4: a square by wheels alone, and with accelerometers by the indirect filter, fed forward and back; simulated, recorded or
-    /// live.
+    /// Paper 4: a square by odometry, and with accelerometers by the indirect filter, feed-forward and feedback; simulated,
+    /// recorded or live.
     Indirect(indirect::LabIndirectArgs),
 }
 
-/// Runs an experiment.
-///
-/// # Errors
-/// As the experiment says.
 pub fn execute(args: &LabArgs) -> Result<(), Failure> {
     match &args.experiment {
         LabExperiment::Accuracy(args) => accuracy::execute(args),

@@ -6,41 +6,39 @@ use anyhow::{Context, Result};
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::recorded_drive::{DriveEndReference, RecordedDrive};
 
-use super::again;
 use super::live::{LiveArgs, LiveRobot};
 use crate::config::{Overlay, Setting};
-use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_with_bar;
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
 /// Flags that choose drives of a real robot.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct RecordedArgs {
-    /// Evaluate recordings of a real robot (`posebridge run` writes them), each one drive, instead of simulated drives.
+    /// Evaluate recordings of a real robot from `posebridge run`, one drive each, instead of simulated drives.
     #[arg(long = "recording", value_name = "FILE.mcap", num_args = 1.., group = "real_robot")]
     pub recordings: Vec<PathBuf>,
     /// A live robot.
     #[command(flatten)]
     pub live: LiveArgs,
-    /// Who knows where a recorded drive ended; without it the fixes, and the start where there are none.
+    /// Reference for the end of a recorded drive. Default: the camera, or else the start.
     #[arg(long, value_enum, requires = "real_robot")]
     pub judge: Option<EndReference>,
-    /// The robot, instead of that of the recording or of the simulation: a robot profile, as config/robots/nxt-56mm.toml.
+    /// Robot profile to use instead of the robot of the recording or of the simulation, e.g. config/robots/nxt-56mm.toml.
     #[arg(long, value_name = "FILE.toml", requires = "real_robot")]
     pub robot: Option<PathBuf>,
-    /// Set one key of the recording's configuration, e.g. robot.track_width_m=0.112; may be repeated.
+    /// Set one key of the recording's configuration, e.g. robot.track_width_m=0.112. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
     pub settings: Vec<Setting>,
 }
 
-/// Who knows where a drive ended.
+/// Reference for the end of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum EndReference {
-    /// The camera: its fixes are held back from the filters that they score.
+    /// The camera: its fixes are not given to the filters that they score.
     Fixes,
-    /// The start: the path was closed.
+    /// The start: the path is closed.
     Start,
 }
 
@@ -53,16 +51,13 @@ impl EndReference {
     }
 }
 
-/// One recorded drive.
 pub(super) struct RobotDrive {
-    /// The file.
     pub(super) name: String,
     pub(super) drive: RecordedDrive,
     /// The configuration of the filters, the start included.
     pub(super) config: FilterConfig,
 }
 
-/// Drives of one or of several recordings.
 pub(super) struct RobotDrives {
     pub(super) drives: Vec<RobotDrive>,
     is_live: bool,
@@ -70,25 +65,19 @@ pub(super) struct RobotDrives {
 
 impl RecordedArgs {
     /// Records the live robot, telling it the `task`, or reads the recordings; `None` if neither was asked for.
-    ///
-    /// # Errors
-    /// A recording cannot be made, read or scored; the message names it and says what is missing.
     pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
         let robot = LiveRobot { file: self.robot.as_deref(), settings: &self.settings };
         if let Some(recording) = self.live.record(output, robot, task)? {
             // Robot and settings stand in the recording.
-            let read = self.read(&[recording], Overlay::default());
-            let drives = read.while_running()?;
-            let is_live = true;
-            return Ok(Some(RobotDrives { drives, is_live }));
+            let drives = self.read(&[recording], Overlay::default()).while_running()?;
+            return Ok(Some(RobotDrives { drives, is_live: true }));
         }
         if self.recordings.is_empty() {
             return Ok(None);
         }
         let overlay = Overlay { robot: self.robot.as_deref(), settings: &self.settings };
         let drives = self.read(&self.recordings, overlay).before_start()?;
-        let is_live = false;
-        Ok(Some(RobotDrives { drives, is_live }))
+        Ok(Some(RobotDrives { drives, is_live: false }))
     }
 
     fn read(&self, recordings: &[PathBuf], overlay: Overlay<'_>) -> Result<Vec<RobotDrive>> {
@@ -99,10 +88,7 @@ impl RecordedArgs {
                 .with_context(|| format!("recording `{}`", run.name))?;
             Ok(RobotDrive { config: drive.configure(&run.config), drive, name: run.name })
         };
-        let bar = progress_bar(recordings.len() as u64, "recordings")?;
-        let read = run_all(recordings, one, || bar.inc(1));
-        bar.finish_and_clear();
-        read.into_iter().collect()
+        run_with_bar(recordings, "recordings", one)?.into_iter().collect()
     }
 }
 
@@ -112,7 +98,6 @@ impl RobotDrives {
         if self.is_live { result.while_running() } else { result.before_start() }
     }
 
-    /// The names of the files.
     pub(super) fn names(&self) -> Vec<&str> {
         self.drives.iter().map(|drive| drive.name.as_str()).collect()
     }
@@ -120,7 +105,7 @@ impl RobotDrives {
     /// The command that gives the same again.
     pub(super) fn command(&self) -> String {
         let live = self.names().first().copied();
-        again::rerun_command(live.filter(|_| self.is_live))
+        rerun_command(live.filter(|_| self.is_live))
     }
 
     /// The reference, in words for people.
@@ -132,5 +117,88 @@ impl RobotDrives {
             count if count == self.drives.len() => "the start: every drive is taken to end where it began",
             _ => "fixes that no filter was given, and the start where there are none",
         }
+    }
+}
+
+/// How a live robot is recorded. Its recording holds the robot and the keys that were set.
+const LIVE_ROBOT_FLAGS: [&str; 6] = ["--link", "--listen", "--duration", "--config", "--robot", "--set"];
+
+/// Where results go, which is nothing that a page shows.
+const OUTPUT_FLAG: &str = "--out";
+/// How they are printed; without a value.
+const JSON_FLAG: &str = "--json";
+
+/// The arguments of this process that a page depends on; with what a live robot left in the robot's place.
+pub(super) fn rerun_command(live_recording: Option<&str>) -> String {
+    let args = std::env::args_os().skip(1);
+    let args: Vec<String> = args.map(|arg| arg.to_string_lossy().into_owned()).collect();
+    command_line(&args, live_recording)
+}
+
+fn command_line(args: &[String], live_recording: Option<&str>) -> String {
+    let mut words = vec!["posebridge".to_owned()];
+    let mut args = args.iter();
+    while let Some(arg) = args.next() {
+        let (flag, has_value) = match arg.split_once('=') {
+            Some((flag, _)) => (flag, true),
+            None => (arg.as_str(), false),
+        };
+        let is_of_live = live_recording.is_some() && LIVE_ROBOT_FLAGS.contains(&flag);
+        let is_left_out = is_of_live || flag == OUTPUT_FLAG;
+        if !is_left_out && flag != JSON_FLAG {
+            words.push(quoted(arg));
+        }
+        if is_left_out && !has_value {
+            args.next();
+        }
+    }
+    if let Some(recording) = live_recording {
+        words.extend(["--recording".to_owned(), quoted(recording)]);
+    }
+    words.join(" ")
+}
+
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_./:=,+@%?".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn command_line_of(args: &[&str], live_recording: Option<&str>) -> String {
+        let args: Vec<String> = args.iter().map(|arg| (*arg).to_owned()).collect();
+        command_line(&args, live_recording)
+    }
+
+    #[test]
+    fn a_command_is_told_as_it_was_typed_and_fits_through_a_shell() {
+        let args = ["lab", "wall", "--out", "o", "--json", "--run", "step one", "--set", "a=it's"];
+        assert_eq!(command_line_of(&args, None), r"posebridge lab wall --run 'step one' --set 'a=it'\''s'");
+    }
+
+    #[test]
+    fn the_recording_takes_the_place_of_the_live_robot() {
+        let args = [
+            "lab",
+            "indirect",
+            "--link",
+            "tcp://a:1",
+            "--judge",
+            "start",
+            "--duration=6",
+            "--set",
+            "robot.track_width_m=0.1",
+            "--out",
+            "o",
+        ];
+        assert_eq!(
+            command_line_of(&args, Some("o/live.mcap")),
+            "posebridge lab indirect --judge start --recording o/live.mcap"
+        );
     }
 }

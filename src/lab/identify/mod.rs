@@ -4,22 +4,19 @@
 //! Without a recording each experiment looks at something simulated whose numbers are known, and says how far it was off.
 //! docs/lab/calibration.md, section 7, has the equations.
 
-mod experiments;
-mod report;
-mod source;
+mod findings;
+mod noise;
 mod step;
-mod step_args;
 mod step_dataset;
 mod step_report;
 mod step_simulated;
-mod step_source;
 mod wall;
 
 use anyhow::Result;
 use posebridge_lab::noise_identification::DelaySearch;
 
-use self::report::{Findings, write_findings};
-use self::source::{ExperimentSource, FixTimeSource, SourceArgs};
+use self::findings::{Findings, report};
+use self::noise::{ExperimentSource, FixTimeSource, SourceArgs};
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
 
@@ -34,15 +31,16 @@ pub struct IdentifyArgs {
 /// What can be identified.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum IdentifyExperiment {
-    /// Gyro of a robot that rests: bias, white noise, step, angle random walk, random walk of the bias, Allan deviation.
+    /// Gyro of a resting robot: bias, white noise, resolution, angle random walk, bias random walk, Allan deviation.
     Rest(NoiseArgs),
-    /// Encoder speed of a robot that drives straight: R of each wheel.
+    /// Encoder speeds of a robot that drives straight: the noise variance R of each wheel.
     Straight(NoiseArgs),
-    /// Camera of a robot that turns to and fro: its delay against the wheels.
+    /// Camera of a robot that turns left and right: its delay relative to the wheels.
     Delay(DelayArgs),
-    /// A sensor or a motor that answers a step: gain, dead time, lags and their number, each with a sigma, up and down told apart.
-    Step(step_args::StepArgs),
-    /// A car that drives at a wall: d and m of its drive, steady speed, rise time and measured dt, each with a sigma.
+    /// Step response of a sensor or a motor: gain, dead time, number of lags and their time constants, each with a sigma,
+    /// separately for up and down.
+    Step(step_dataset::StepArgs),
+    /// Car that drives towards a wall: d and m of its drive, steady speed, rise time and measured dt, each with a sigma.
     Wall(wall::WallArgs),
 }
 
@@ -63,10 +61,10 @@ pub struct DelayArgs {
     /// What to look at.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Take a fix for seen when its stamp says so, or when it arrived.
+    /// Time of a fix: its timestamp or its arrival.
     #[arg(long, value_enum, default_value = "arrival")]
     pub by: FixTimeSource,
-    /// The largest delay that is looked at, in seconds; the smallest is a quarter of it, before zero.
+    /// Largest delay to search, in seconds. The search starts at minus a quarter of it.
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     pub most: f64,
     /// What to leave.
@@ -74,17 +72,13 @@ pub struct DelayArgs {
     pub output: OutputArgs,
 }
 
-/// Identifies.
-///
-/// # Errors
-/// The recording or the scenario cannot be had, it does not determine what is asked for, or an output cannot be written.
 pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
     match &args.what {
-        IdentifyExperiment::Rest(args) => run(&args.source, &args.output, &source::REST, experiments::rest),
-        IdentifyExperiment::Straight(args) => run(&args.source, &args.output, &source::STRAIGHT, experiments::straight),
+        IdentifyExperiment::Rest(args) => run(&args.source, &args.output, &noise::REST, noise::rest),
+        IdentifyExperiment::Straight(args) => run(&args.source, &args.output, &noise::STRAIGHT, noise::straight),
         IdentifyExperiment::Delay(args) => {
             let search = DelaySearch { from_s: -0.25 * args.most, to_s: args.most };
-            run(&args.source, &args.output, &source::DELAY, |data| experiments::delay(data, args.by, &search))
+            run(&args.source, &args.output, &noise::DELAY, |data| noise::delay(data, args.by, &search))
         }
         IdentifyExperiment::Step(args) => step::execute(args),
         IdentifyExperiment::Wall(args) => wall::execute(args),
@@ -95,10 +89,10 @@ fn run(
     source: &SourceArgs,
     output: &OutputArgs,
     asked: &ExperimentSource,
-    experiment: impl FnOnce(&source::ExperimentData) -> Result<Findings>,
+    experiment: impl FnOnce(&noise::ExperimentData) -> Result<Findings>,
 ) -> Result<(), Failure> {
     let data = source.read(asked, output)?;
     let folder = output.folder()?;
     let findings = experiment(&data).while_running()?;
-    write_findings(output, &folder, &findings, &data.name)
+    output.write_outcome(&folder, &report(&findings, &data.name))
 }

@@ -7,23 +7,20 @@ use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_telemetry::UncertainValue;
 use serde_json::{Map, Value, json};
 
-use super::report::{Findings, Quantity};
+use super::findings::{Findings, Quantity};
 use super::step_dataset::{StepDataset, StepRun, StepTruth};
 
-/// Heights of the panels.
 const STEP_PX: f64 = 280.0;
 const REST_PX: f64 = 160.0;
 /// Samples that are drawn: more do not fit beside each other.
 const DRAWN: usize = 600;
 
-/// A run with its results.
 pub(super) struct StepResult {
     pub(super) run: StepRun,
     pub(super) identified: IdentifiedStep,
     pub(super) numbers: StepParameters,
 }
 
-/// Everything that was found.
 pub(super) fn findings(material: &StepDataset, found: &[StepResult]) -> Findings {
     let compared = direction_comparison(found);
     let mut notes: Vec<String> = found.iter().map(note).collect();
@@ -157,7 +154,6 @@ fn run_object(found: &StepResult) -> Value {
     })
 }
 
-/// Samples and response above, what is left below.
 fn picture(material: &StepDataset, found: &StepResult) -> Plot {
     let samples = &found.identified.samples;
     let response = found.identified.response();
@@ -173,34 +169,20 @@ fn picture(material: &StepDataset, found: &StepResult) -> Plot {
         .iter()
         .map(|lag| format!("{:.4} ± {:.4} s", lag.time_constant_s, lag.time_constant_sigma_s))
         .collect();
-    Plot {
-        title: format!("{}: {}", material.sensor, found.run.name),
-        key_figures: format!("time constants {}", lags.join(", ")),
-        axes: vec![
-            panel(
-                format!("{}{unit}", material.sensor),
-                STEP_PX,
-                vec![
-                    curve("samples", CurveShape::Dots(by(&|_, value| value))),
-                    curve("response", CurveShape::Line(by(&|at_s, _| response.value_at(at_s)))),
-                ],
-            ),
-            panel(
-                format!("left{unit}"),
-                REST_PX,
-                vec![
-                    curve("sample - response", CurveShape::Dots(by(&|at_s, value| value - response.value_at(at_s)))),
-                    curve("zero", CurveShape::Level(0.0)),
-                ],
-            ),
+    let above = [
+        Curve::dots("samples", by(&|_, value| value)),
+        Curve::line("response", by(&|at_s, _| response.value_at(at_s))),
+    ];
+    let below = [
+        Curve::dots("sample - response", by(&|at_s, value| value - response.value_at(at_s))),
+        Curve::new("zero", CurveShape::Level(0.0)),
+    ];
+    Plot::new(
+        format!("{}: {}", material.sensor, found.run.name),
+        format!("time constants {}", lags.join(", ")),
+        vec![
+            Axes::new("time [s]", format!("{}{unit}", material.sensor), STEP_PX, above),
+            Axes::new("time [s]", format!("left{unit}"), REST_PX, below),
         ],
-    }
-}
-
-fn curve(name: &str, shape: CurveShape) -> Curve {
-    Curve { name: name.to_owned(), shape }
-}
-
-fn panel(y_name: String, height_px: f64, curves: Vec<Curve>) -> Axes {
-    Axes { x_name: "time [s]".to_owned(), y_name, height_px, is_map: false, curves }
+    )
 }

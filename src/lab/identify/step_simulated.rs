@@ -3,11 +3,10 @@
 use anyhow::{Result, ensure};
 use posebridge_lab::identification::Sampling;
 use posebridge_lab::identification::channel::{wheel_speed, wheel_speed_sigma};
-use posebridge_lab::identification::simulated::{SimulatedSensor, step_input};
+use posebridge_lab::identification::step_response::{SimulatedSensor, step_input};
 use posebridge_sim::motor_bench::{ENCODER_TICK_RAD, MotorBench};
 
-use super::step_args::{SimulatedSource, StepArgs};
-use super::step_dataset::{StepDataset, StepRun, StepTruth};
+use super::step_dataset::{SimulatedSource, StepArgs, StepDataset, StepRun, StepTruth};
 
 /// When the water is poured, in seconds.
 const IMMERSION_S: f64 = 10.0;
@@ -20,7 +19,6 @@ const DEAD_TIME_S: f64 = 1.0 + PERIOD_S / 32.0;
 const COLD_C: f64 = 20.0;
 const WARM_C: f64 = 60.0;
 
-/// A thermometer in warm water and back in cold water.
 struct ImmersionTest {
     what: &'static str,
     heating: &'static [(f64, f64)],
@@ -41,10 +39,6 @@ const SHEATHED: ImmersionTest = ImmersionTest {
 /// Last digit of the simulated thermometers, in K: 12 bits of a DS18B20 (data sheet).
 const RESOLUTION_K: f64 = 0.0625;
 
-/// Simulates.
-///
-/// # Errors
-/// A flag that belongs to a recording was given.
 pub(super) fn material(args: &StepArgs) -> Result<StepDataset> {
     ensure!(
         args.onset.is_none() && args.input_step.is_none() && args.end.is_none(),
@@ -117,7 +111,6 @@ fn motor(args: &StepArgs) -> StepDataset {
     }
 }
 
-/// Each run draws its own.
 const fn seed(args: &StepArgs, index: u64) -> u64 {
     args.seed.wrapping_mul(2).wrapping_add(index)
 }

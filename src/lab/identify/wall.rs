@@ -11,41 +11,40 @@ use posebridge_lab::wall::{StepFit, WallLog, fit_by_hand, fit_steps, loop_period
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_sim::wall::{WallScene, simulate_step};
 use posebridge_telemetry::UncertainValue;
-use serde_json::Map;
 
-use super::report::{Findings, Quantity, write_findings};
+use super::findings::{Findings, Quantity, report};
 use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::experiments::wall::recorded::{self, RunSelection};
-use crate::lab::experiments::wall::scene;
+use crate::lab::experiments::wall::recorded::RunSelection;
 use crate::lab::experiments::wall::steps::{PIECE, log_of};
+use crate::lab::experiments::wall::{recorded, scene};
 use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `identify wall`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct WallArgs {
-    /// The car and its sensor, as a TOML file; without it those of paper 3 (config/scenarios/lab/wall.toml).
+    /// Car and sensor, as a TOML file. Default: those of paper 3 (config/scenarios/lab/wall.toml).
     #[arg(long, value_name = "FILE.toml", conflicts_with = "recording")]
     pub scene: Option<PathBuf>,
-    /// Simulated step tests.
+    /// Number of simulated step tests.
     #[arg(long, value_name = "N", default_value_t = 20, conflicts_with = "recording", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub steps: u32,
-    /// Seed of the simulated car, instead of the scene's.
+    /// Seed of the simulated car. Default: that of the scene.
     #[arg(long, value_name = "N", conflicts_with = "recording")]
     pub seed: Option<u64>,
-    /// A recording's descriptor (config/recordings/tof-wall.toml), instead of the simulated car.
+    /// Descriptor, e.g. config/recordings/tof-wall.toml. Default: the simulated car.
     #[arg(long, value_name = "FILE.toml")]
     pub recording: Option<PathBuf>,
-    /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
-    /// Which runs of the descriptor: all whose names begin so; without it all.
+    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
     #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
     pub run: Option<String>,
-    /// Set one key of the robot's table; may be repeated.
+    /// Set one key of the robot. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
     pub settings: Vec<Setting>,
-    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
+    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub command_column: Option<String>,
     /// What to leave.
@@ -53,22 +52,18 @@ pub struct WallArgs {
     pub output: OutputArgs,
 }
 
-/// Identifies.
-///
-/// # Errors
-/// The scene or the recording cannot be had, no step has a result, or an output cannot be written.
 pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
     if let Some(path) = &args.recording {
         let prepared = recorded::prepare(path, &run_selection(args)).before_start()?;
         let folder = args.output.folder()?;
         let findings = findings_of_runs(&prepared.runs).while_running()?;
-        return write_findings(&args.output, &folder, &findings, &path.display().to_string());
+        return args.output.write_outcome(&folder, &report(&findings, &path.display().to_string()));
     }
     let scene = scene(args.scene.as_deref(), args.seed).before_start()?;
     let folder = args.output.folder()?;
     let findings = simulated(&scene, args.steps).while_running()?;
     let source = format!("simulated, {} steps, seed {}", args.steps, scene.seed);
-    write_findings(&args.output, &folder, &findings, &source)
+    args.output.write_outcome(&folder, &report(&findings, &source))
 }
 
 fn run_selection(args: &WallArgs) -> RunSelection<'_> {
@@ -81,7 +76,6 @@ fn run_selection(args: &WallArgs) -> RunSelection<'_> {
     }
 }
 
-/// What is true of a simulated car.
 struct WallTruth {
     steady_m_per_s: f64,
     rise_90_s: f64,
@@ -127,14 +121,7 @@ fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
 }
 
 fn build_findings(quantities: Vec<Quantity>, notes: Vec<String>, plots: Vec<Plot>) -> Findings {
-    Findings {
-        name: "identify-wall",
-        title: "The drive of a car before a wall".to_owned(),
-        quantities,
-        notes,
-        plots,
-        extra_json: Map::new(),
-    }
+    Findings { quantities, notes, plots, ..Findings::new("identify-wall", "The drive of a car before a wall") }
 }
 
 fn quantities(fit: &StepFit, logs: &[WallLog], truth: Option<&WallTruth>, of: Option<&str>) -> Vec<Quantity> {
@@ -183,43 +170,26 @@ fn hand_note(log: &WallLog) -> Option<String> {
     ))
 }
 
-/// Readings and the fitted drive above, what is left below.
 fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
     let explained = fit.fitted_curve(log);
     let points = |value: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
         let rows = explained.iter();
         rows.map(|(at_s, range_m, fitted_m)| (*at_s, value(*range_m, *fitted_m))).collect()
     };
-    let axes = |y_name: &str, height_px: f64, curves: [(&str, CurveShape); 2]| Axes {
-        x_name: "time [s]".to_owned(),
-        y_name: y_name.to_owned(),
-        height_px,
-        is_map: false,
-        curves: curves.into_iter().map(|(name, shape)| Curve { name: name.to_owned(), shape }).collect(),
-    };
-    Plot {
-        title: format!("Step test: {of}"),
-        key_figures: format!(
+    let above = [
+        Curve::dots("readings", points(&|range_m, _| range_m)),
+        Curve::line("fitted drive", points(&|_, fitted_m| fitted_m)),
+    ];
+    let below = [
+        Curve::dots("reading - fit", points(&|range_m, fitted_m| 1e3 * (range_m - fitted_m))),
+        Curve::new("zero", CurveShape::Level(0.0)),
+    ];
+    Plot::new(
+        format!("Step test: {of}"),
+        format!(
             "v_ss {:.3} ± {:.3} m/s, t90 {:.3} ± {:.3} s",
             fit.steady_m_per_s.0, fit.steady_m_per_s.1, fit.rise_90_s.0, fit.rise_90_s.1
         ),
-        axes: vec![
-            axes(
-                "distance [m]",
-                280.0,
-                [
-                    ("readings", CurveShape::Dots(points(&|range_m, _| range_m))),
-                    ("fitted drive", CurveShape::Line(points(&|_, fitted_m| fitted_m))),
-                ],
-            ),
-            axes(
-                "left [mm]",
-                160.0,
-                [
-                    ("reading - fit", CurveShape::Dots(points(&|range_m, fitted_m| 1e3 * (range_m - fitted_m)))),
-                    ("zero", CurveShape::Level(0.0)),
-                ],
-            ),
-        ],
-    }
+        vec![Axes::new("time [s]", "distance [m]", 280.0, above), Axes::new("time [s]", "left [mm]", 160.0, below)],
+    )
 }

@@ -3,31 +3,24 @@
 //! docs/lab/calibration.md, section 8, has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
 
 mod args;
-mod own;
-mod profile;
 mod report;
-mod result;
-mod run;
 mod runs;
 mod trial;
 
-use anyhow::{Result, anyhow, ensure};
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_estimator::{EstimatedQuantity, FilterEntry, find_filter};
-use posebridge_lab::tuning::{FitQuality, SearchOptions, ShareChoice, TunedKey, default_keys};
+use posebridge_lab::tuning::{FitQuality, NOISE_KEYS, SearchOptions, ShareChoice, TunedKey, default_keys};
 
 pub use self::args::TuneArgs;
-use self::result::{KeptValues, ParameterValues, TuneResult};
-use self::run::{RunScore, RunSet, TuneRun};
-use self::runs::TuneDataset;
+use self::report::{KeptValues, ParameterValues, TuneResult};
+use self::runs::{RunScore, RunSet, TuneDataset, TuneRun};
 use self::trial::TuneSearch;
 use super::parallel::run_all;
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
 
-/// Tunes.
-///
-/// # Errors
-/// A recording, a run, a scenario, a filter or a key does not exist or makes no sense, or an output cannot be written.
 pub fn execute(args: &TuneArgs) -> Result<(), Failure> {
     let filter = filter_of(args).before_start()?;
     let material = TuneDataset::load(args).before_start()?;
@@ -35,7 +28,7 @@ pub fn execute(args: &TuneArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     let tuned = tune(args, filter, &material, keys).while_running()?;
     if let Some(path) = &args.out_profile {
-        profile::write(path, &material, &tuned).while_running()?;
+        write_profile(path, &material, &tuned).while_running()?;
         print_line(&format!("profile: {}", path.display()));
     }
     args.output.write_outcome(&folder, &report::report(&tuned))
@@ -148,8 +141,47 @@ fn decide_kept(choice: &ShareChoice, before: &[RunScore], proposed: &[RunScore])
     lost.map_or(KeptValues::Tuned, KeptValues::StartByHeldOut)
 }
 
-/// What the held-out runs are worth.
 fn worth(scores: &[RunScore]) -> FitQuality {
     let held_out: Vec<&RunScore> = scores.iter().filter(|score| score.set == RunSet::HeldOut).collect();
     FitQuality { ln_p_each: report::each(&report::merged_fit(&held_out)), position_rms_m: report::rms_m(&held_out) }
+}
+
+fn write_profile(path: &Path, material: &TuneDataset, tuned: &TuneResult) -> Result<()> {
+    let text = profile_text(material, tuned)?;
+    std::fs::write(path, text).with_context(|| format!("writing the profile to `{}`", path.display()))
+}
+
+fn profile_text(material: &TuneDataset, tuned: &TuneResult) -> Result<String> {
+    let mut robot = toml::Table::try_from(&material.robot)?;
+    // Where it started belongs to the run.
+    robot.remove("start");
+    let mut noise = toml::Table::new();
+    if let Some(first) = material.training().next() {
+        for row in NOISE_KEYS {
+            noise.insert(row.key.to_owned(), (row.read)(&first.config.noise).into());
+        }
+    }
+    let mut filter = toml::Table::new();
+    for (key, values) in tuned.keys.iter().zip(&tuned.values) {
+        match key {
+            TunedKey::Noise(row) => noise.insert(row.key.to_owned(), values.after.into()),
+            TunedKey::Param(row) => filter.insert(row.key.to_owned(), values.after.into()),
+        };
+    }
+    robot.insert("noise".to_owned(), noise.into());
+    let mut origin = toml::Table::new();
+    origin.insert("source".to_owned(), material.source.clone().into());
+    let keys: Vec<toml::Value> = tuned.keys.iter().map(|key| key.name().into()).collect();
+    origin.insert("keys".to_owned(), keys.into());
+    origin.insert("kept".to_owned(), report::kept(tuned).into());
+    let mut page = toml::Table::new();
+    page.insert("tuned".to_owned(), origin.into());
+    page.insert("robot".to_owned(), robot.into());
+    if !filter.is_empty() {
+        page.insert("filter".to_owned(), filter.into());
+    }
+    Ok(format!(
+        "# A robot with tuned noise; give it with `posebridge run --robot FILE` or `posebridge replay --robot FILE`.\n\n{}",
+        toml::to_string(&page)?
+    ))
 }

@@ -1,23 +1,66 @@
 //! What `tune` prints and draws.
 
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_lab::tuning::{
-    ChoiceReason, QualityLoss, RunFit, SHARES, SearchTermination, SourceFit, TunedKey, joint_rms,
+    ChoiceReason, QualityLoss, RunFit, SHARES, SearchResult, SearchTermination, ShareChoice, SourceFit, TunedKey,
 };
 use posebridge_report::SourceTally;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::chart::{Axes, Curve, Plot};
+use posebridge_report::metrics::merge_tally;
 use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
 use serde_json::json;
 
-use super::result::{KeptValues, ParameterValues, TuneResult};
-use super::run::{RunScore, RunSet};
+use super::runs::{RunScore, RunSet};
 
-/// Height of a panel.
 const PANEL_PX: f64 = 220.0;
 
 /// Why parts of the filter stand still while it is tuned.
 const SWITCHED_OFF: &str = "While tuning, the filter takes its noise as told: adapt_gain = 0 (noise that is learned on line would hide the one that is tuned), \
 no slip test (a slip widens S by what is to be explained, so that too small a noise would cost nothing) and the widest gate. \
 The position error is that of the filter as it runs live, with all of them on.";
+
+pub(super) struct TuneResult {
+    pub(super) keys: Vec<TunedKey>,
+    pub(super) optimum: SearchResult,
+    /// How far towards what was found, by data that the search did not see.
+    pub(super) choice: ShareChoice,
+    pub(super) kept: KeptValues,
+    pub(super) start_factor: f64,
+    /// Values of the keys in the first training run.
+    pub(super) values: Vec<ParameterValues>,
+    pub(super) before: Vec<RunScore>,
+    /// With the numbers that the choice gives, kept or not.
+    pub(super) proposed: Vec<RunScore>,
+    /// With the numbers of the file, where the search started from others.
+    pub(super) as_given: Option<Vec<RunScore>>,
+}
+
+pub(super) struct ParameterValues {
+    pub(super) before: f64,
+    /// Where the likelihood of all training runs is largest.
+    pub(super) at_maximum: f64,
+    /// So far as other data agree.
+    pub(super) proposed: f64,
+    pub(super) after: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum KeptValues {
+    Tuned,
+    /// Those to start from: on data that the search did not see no other ones were better.
+    StartByFolds(ChoiceReason),
+    /// Those to start from: on the runs that were held out the tuned ones are worse.
+    StartByHeldOut(QualityLoss),
+}
+
+impl TuneResult {
+    pub(super) fn after(&self) -> &[RunScore] {
+        match self.kept {
+            KeptValues::Tuned => &self.proposed,
+            KeptValues::StartByFolds(_) | KeptValues::StartByHeldOut(_) => &self.before,
+        }
+    }
+}
 
 const LIKELIHOOD: Format = Format::new(Unit::None, 1);
 const POSITION: Format = Format::new(Unit::Millimetres, 2);
@@ -107,7 +150,6 @@ fn add_shares(report: &mut Report, tuned: &TuneResult) {
     );
 }
 
-/// Which numbers are kept, and why.
 pub(super) fn kept(tuned: &TuneResult) -> String {
     let share = tuned.choice.share();
     let start = "the numbers to start from, because";
@@ -138,7 +180,6 @@ pub(super) fn kept(tuned: &TuneResult) -> String {
     }
 }
 
-/// The runs of a set, with one choice of noise.
 struct RunGroup<'a> {
     set: &'static str,
     noise: &'static str,
@@ -249,10 +290,7 @@ pub(super) fn merged_fit(scores: &[&RunScore]) -> RunFit {
 fn live_tallies(scores: &[&RunScore]) -> Vec<SourceTally> {
     let mut all: Vec<SourceTally> = Vec::new();
     for tally in scores.iter().flat_map(|score| &score.sources) {
-        match all.iter_mut().find(|known| known.sensor == tally.sensor) {
-            Some(known) => known.merge(tally),
-            None => all.push(*tally),
-        }
+        merge_tally(&mut all, tally);
     }
     all
 }
@@ -262,31 +300,26 @@ pub(super) fn each(fit: &RunFit) -> Option<f64> {
 }
 
 pub(super) fn rms_m(scores: &[&RunScore]) -> Option<f64> {
-    let of_runs: Vec<f64> = scores.iter().filter_map(|score| score.position_rms_m).collect();
-    joint_rms(&of_runs)
+    mean(scores.iter().filter_map(|score| score.position_rms_m).map(|rms| rms * rms)).map(f64::sqrt)
 }
 
 fn plot(tuned: &TuneResult) -> Plot {
     let found = &tuned.optimum;
     let rounds = || found.rounds.iter().zip(1_u32..);
     let values = rounds().map(|(round, number)| (f64::from(number), round.value));
-    let values = std::iter::once((0.0, found.start_value)).chain(values).collect();
+    let values = std::iter::once((0.0, found.start_value)).chain(values);
     let curves = tuned.keys.iter().enumerate().map(|(i, key)| {
         let at = rounds().filter_map(|(round, number)| Some((f64::from(number), *round.at.get(i)?)));
         let points = std::iter::once((0.0, 0.0)).chain(at).map(|(x, ln)| (x, ln / std::f64::consts::LN_10));
-        Curve { name: key.name(), shape: CurveShape::Line(points.collect()) }
+        Curve::line(key.name(), points)
     });
-    let axes = |y_name: &str, curves: Vec<Curve>| Axes {
-        x_name: "round".to_owned(),
-        y_name: y_name.to_owned(),
-        height_px: PANEL_PX,
-        is_map: false,
-        curves,
-    };
-    let likelihood = Curve { name: "log-likelihood".to_owned(), shape: CurveShape::Line(values) };
-    Plot {
-        title: "Tuning".to_owned(),
-        key_figures: format!("log-likelihood {:.1} -> {:.1}", found.start_value, found.value),
-        axes: vec![axes("ln L", vec![likelihood]), axes("log10 of the factor", curves.collect())],
-    }
+    let likelihood = Curve::line("log-likelihood", values);
+    Plot::new(
+        "Tuning",
+        format!("log-likelihood {:.1} -> {:.1}", found.start_value, found.value),
+        vec![
+            Axes::new("round", "ln L", PANEL_PX, [likelihood]),
+            Axes::new("round", "log10 of the factor", PANEL_PX, curves),
+        ],
+    )
 }

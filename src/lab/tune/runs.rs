@@ -3,19 +3,25 @@
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use posebridge_lab::tuning::{SyntheticFixes, fixes_from_truth};
+use posebridge_estimator::{Filter, FilterConfig, FilterEntry};
+use posebridge_lab::accuracy::{ReferenceDrive, score};
+use posebridge_lab::tuning::{
+    RunFit, SquaredErrors, SyntheticFixes, TimeBlocks, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
+};
+use posebridge_recording::dataset::{DatasetRun, WithheldFix};
+use posebridge_report::metrics::{add_to_tallies, summarise};
+use posebridge_report::{PoseError, SourceTally, TimedPose};
 use posebridge_sim::montecarlo::Drive;
-use posebridge_telemetry::{Observation, TimeDelta};
+use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
 use super::args::TuneArgs;
-use super::own;
-use super::run::{RunReference, RunSet, TuneRun};
-use crate::config::RobotFile;
+use crate::config::{Overlay, RobotFile};
 use crate::flags::DataFlags;
 use crate::lab::calibrate::source::check_same_robot;
 use crate::lab::drives::{self, filter_config, known_drive};
 use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::own_recording;
+use crate::tools::score::{EstimateSource, Scorer};
 
 /// All runs, which are of one robot, and that robot as the first training run describes it.
 pub(super) struct TuneDataset {
@@ -27,9 +33,6 @@ pub(super) struct TuneDataset {
 
 impl TuneDataset {
     /// Reads recordings or draws drives.
-    ///
-    /// # Errors
-    /// One cannot be read or makes no sense, or nothing is left to tune on.
     pub(super) fn load(args: &TuneArgs) -> Result<Self> {
         let material = match &args.sim {
             Some(asked) => simulated(args, asked)?,
@@ -39,7 +42,6 @@ impl TuneDataset {
         Ok(material)
     }
 
-    /// The runs that the search sees.
     pub(super) fn training(&self) -> impl Iterator<Item = &TuneRun> {
         self.runs.iter().filter(|run| run.set == RunSet::Training)
     }
@@ -61,7 +63,7 @@ fn recorded(args: &TuneArgs) -> Result<TuneDataset> {
         let held_out = held_out.iter().map(|name| (name.clone(), RunSet::HeldOut));
         for (name, set) in sets.into_iter().chain(held_out) {
             if own_recording::is_own(path) {
-                let (run, its_robot) = own::load(args, path, set)?;
+                let (run, its_robot) = load_own(args, path, set)?;
                 if set == RunSet::Training {
                     robot.get_or_insert(its_robot);
                 }
@@ -89,7 +91,7 @@ fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
 /// Every run of a descriptor; a recording of ours is one.
 fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
     if own_recording::is_own(path) {
-        return Ok(vec![own::name_of(path)]);
+        return Ok(vec![name_of(path)]);
     }
     Ok(DataSet::open(path, &flags(args, None))?.descriptor.runs)
 }
@@ -170,11 +172,195 @@ fn run_from_drive(drive: &Drive, name: String, set: RunSet) -> TuneRun {
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RunSet {
+    Training,
+    HeldOut,
+}
+
+pub(super) enum RunReference {
+    Recorded(Box<DatasetRun>),
+    Simulated(Box<ReferenceDrive>),
+}
+
+pub(super) struct TuneRun {
+    pub(super) name: String,
+    pub(super) set: RunSet,
+    /// In the order of arrival.
+    pub(super) observations: Vec<Observation>,
+    pub(super) config: FilterConfig,
+    pub(super) reference: RunReference,
+}
+
+pub(super) struct RunScore {
+    pub(super) name: String,
+    pub(super) set: RunSet,
+    /// As the search sees it: what the filter learns on line switched off.
+    pub(super) fit: RunFit,
+    /// Of the filter as it runs live, against truth or withheld fixes.
+    pub(super) position_rms_m: Option<f64>,
+    /// Of the filter as it runs live.
+    pub(super) sources: Vec<SourceTally>,
+}
+
+impl TuneRun {
+    /// The likelihood of the run, with what the filter does about its noise on line switched off.
+    pub(super) fn fit(&self, entry: &FilterEntry, mut config: FilterConfig) -> RunFit {
+        config.params = offline_params(config.params);
+        fit_run(&self.observations, (entry.build)(&config).as_mut())
+    }
+
+    /// The same, each block of time by itself.
+    pub(super) fn fit_in_blocks(
+        &self,
+        entry: &FilterEntry,
+        mut config: FilterConfig,
+        blocks: &TimeBlocks,
+    ) -> Vec<RunFit> {
+        config.params = offline_params(config.params);
+        fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
+    }
+
+    /// The squared position errors of the filter as it runs live, each block of time by itself; empty sums where nothing is known
+    /// of where the robot was.
+    pub(super) fn squares_in_blocks(
+        &self,
+        entry: &FilterEntry,
+        config: &FilterConfig,
+        blocks: &TimeBlocks,
+    ) -> Vec<SquaredErrors> {
+        let mut live = (entry.build)(config);
+        let mut squares = vec![SquaredErrors::default(); blocks.count()];
+        let mut add = |stamp, error: &PoseError| {
+            if let Some(squares) = squares.get_mut(blocks.index(stamp)) {
+                squares.add(error.position_m());
+            }
+        };
+        match &self.reference {
+            RunReference::Simulated(known) => {
+                score_steps(known, live.as_mut(), |truth, error| add(truth.time, error));
+            }
+            RunReference::Recorded(run) => {
+                let mut scorer = Scorer::new(run, &config.calibration);
+                for observation in &self.observations {
+                    live.observe(observation);
+                    let scored_count = scorer.errors.len();
+                    scorer.on_observation(&observation.measurement, observation.stamp, &FilterEstimates(&*live));
+                    for error in scorer.errors.iter().skip(scored_count) {
+                        add(observation.stamp, error);
+                    }
+                }
+            }
+        }
+        squares
+    }
+
+    /// The likelihood as the search sees it, and the error of the filter as it runs live.
+    pub(super) fn score(&self, entry: &FilterEntry, config: FilterConfig) -> RunScore {
+        let mut live = (entry.build)(&config);
+        let (position_rms_m, sources) = match &self.reference {
+            RunReference::Simulated(known) => {
+                let score = score(known, live.as_mut());
+                (score.position_rms_m(), score.sources().to_vec())
+            }
+            RunReference::Recorded(run) => self.score_against(run, &config.calibration, live.as_mut()),
+        };
+        RunScore { name: self.name.clone(), set: self.set, fit: self.fit(entry, config), position_rms_m, sources }
+    }
+
+    fn score_against(
+        &self,
+        run: &DatasetRun,
+        prior: &Calibration,
+        live: &mut dyn Filter,
+    ) -> (Option<f64>, Vec<SourceTally>) {
+        let mut scorer = Scorer::new(run, prior);
+        let mut sources = Vec::new();
+        for observation in &self.observations {
+            add_to_tallies(&mut sources, &live.observe(observation));
+            scorer.on_observation(&observation.measurement, observation.stamp, &FilterEstimates(&*live));
+        }
+        scorer.finish(&FilterEstimates(&*live));
+        (summarise(&scorer.errors).position_rms_m, sources)
+    }
+}
+
+/// Gives a drive to a filter as it arrives, and returns its error at the end of each step that counts.
+fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
+    let mut arrivals = drive.arrivals.iter().peekable();
+    for (step, truth) in drive.truth.iter().enumerate() {
+        while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
+            filter.observe(&arrival.observation);
+        }
+        let estimate = filter.estimate_at(truth.time);
+        if let Some(estimate) = estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position) {
+            error(truth, &PoseError::of_estimate(&estimate, truth.pose));
+        }
+    }
+}
+
+/// A filter as the scoring asks it.
+struct FilterEstimates<'a>(&'a dyn Filter);
+
+impl EstimateSource for FilterEstimates<'_> {
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.0.estimate_at(stamp)
+    }
+    fn calibration(&self) -> Option<Calibration> {
+        self.0.calibration()
+    }
+    fn latest(&self) -> Option<Timestamp<BrickClock>> {
+        self.0.latest_time()
+    }
+}
+
+/// How a recording is called among the runs: its path as it was given.
+pub(super) fn name_of(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// The recording as one run. With --use-every the fixes in between are what it is scored on.
+pub(super) fn load_own(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(TuneRun, RobotFile)> {
+    let name = name_of(path);
+    ensure!(
+        args.fixes_from_truth.is_none(),
+        "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
+    );
+    let overlay = Overlay { robot: None, settings: &args.settings };
+    let own = own_recording::read(path, overlay)?;
+    let (observations, withheld) = split(&own.observations, args.use_every.unwrap_or(1));
+    let run = DatasetRun { name: name.clone(), withheld, ..DatasetRun::default() };
+    let run = TuneRun { name, set, observations, config: own.config, reference: RunReference::Recorded(Box::new(run)) };
+    Ok((run, own.robot))
+}
+
+/// What the filter is shown, and the fixes that are kept from it: of `every` fixes all but the first; all with zero.
+fn split(observations: &[Observation], every: usize) -> (Vec<Observation>, Vec<WithheldFix>) {
+    let mut shown = Vec::new();
+    let mut withheld = Vec::new();
+    let mut fixes = 0_usize;
+    for observation in observations {
+        let ObservationKind::Fix(fix) = observation.measurement else {
+            shown.push(*observation);
+            continue;
+        };
+        if every > 0 && fixes.is_multiple_of(every) {
+            shown.push(*observation);
+        } else {
+            withheld.push(WithheldFix { time: observation.stamp, fix });
+        }
+        fixes += 1;
+    }
+    withheld.sort_by_key(|withheld| withheld.time);
+    (shown, withheld)
+}
+
 #[cfg(test)]
 mod tests {
+    use clap::Parser as _;
+
     use super::*;
     use crate::cli::{Cli, Command};
-    use clap::Parser as _;
 
     const WHEELS: &str = r#"
 source = "written by this test"

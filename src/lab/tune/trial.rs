@@ -8,7 +8,7 @@ use posebridge_lab::tuning::{
     blocks_per_run, choose, fold_count, ln_prior, maximise,
 };
 
-use super::run::TuneRun;
+use super::runs::TuneRun;
 use crate::lab::parallel::run_all;
 
 /// Rounds that the searches, with and without folds, mostly take together: they come past the same points.
@@ -52,12 +52,10 @@ impl<'a> TuneSearch<'a> {
         searched + scored as u64
     }
 
-    /// How many folds there are.
     pub(super) fn folds(&self) -> usize {
         fold_count(self.training.len() * self.blocks)
     }
 
-    /// The configuration of a run at a point of the search.
     pub(super) fn config(&self, run: &TuneRun, at: &[f64]) -> FilterConfig {
         let mut config = run.config.clone();
         for (key, x) in self.keys.iter().zip(at) {
@@ -122,7 +120,6 @@ impl<'a> TuneSearch<'a> {
         choose(&scores)
     }
 
-    /// What a fold says of each share of a way.
     fn score(&self, fold: usize, to: &[f64], ended: &dyn Fn()) -> FoldScore {
         let runs: Vec<usize> = (0..self.training.len())
             .filter(|run| (0..self.blocks).any(|block| self.fold(*run, block) == fold))

@@ -1,16 +1,284 @@
-//! Keys and stamps in files: what signing needs of the world, for links that are to be signed.
+//! Signing: from a configuration to links that sign, live with the key files and what is kept beside them, in a replay with what was recorded.
 //!
 //! The station signs and verifies; here the keys are read, the stamps are kept from one session to the next, and a warning is
 //! printed where any sender is accepted. A key leaves its file only into the station: recordings, events, logs and errors show
 //! its name.
 
-mod exposure;
-mod keeper;
-mod key_file;
-mod session;
-mod state_file;
+mod files;
+mod state_writer;
 
-pub use exposure::warn_of_open_listeners;
-pub use keeper::SigningStateWriter;
-pub use key_file::{create_key, read_key};
-pub use session::{SigningSession, restore_states};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_link::LinkSet;
+use posebridge_protocol::signing::{Key, SigningState, SigningTime};
+use posebridge_station::StationConfig;
+use posebridge_telemetry::{LinkId, TimeDelta};
+
+use self::files::StateFile;
+use self::state_writer::SignedLink;
+use crate::config::{Config, LinkSection, MemoryRecord, SigningSection};
+use crate::console::print_line;
+
+pub use files::{create_key, read_key};
+pub use state_writer::SigningStateWriter;
+
+/// A date that stands further back than this is reported: peers may be a little ahead of us without anything being wrong.
+const TOLERATED_LAG: TimeDelta = TimeDelta::from_millis(1_000);
+
+#[derive(Debug, Default)]
+pub struct SigningSession(Vec<SignedLink>);
+
+impl SigningSession {
+    /// Reads the keys of all links that are to be signed and goes on from the stamps that are kept beside them.
+    /// `utc_start_micros` is the date at the host clock's zero.
+    pub fn open(config: &Config, utc_start_micros: u64) -> Result<Self> {
+        let date = SigningTime::from_unix_micros(utc_start_micros);
+        let mut session = Self::default();
+        for (index, link) in config.links.iter().enumerate() {
+            let Some(section) = &link.signing else {
+                continue;
+            };
+            let name = format!("link {index} `{}`", link.url);
+            let key = key_of(section).with_context(|| name.clone())?;
+            session.check_unused(&key, section.link_id, &name)?;
+            let (memory, file) = resume(section, &key, date).with_context(|| name.clone())?;
+            warn_of_date(&name, date, &memory);
+            let signing = section.to_signing_config(key, memory);
+            session.0.push(SignedLink { name, link: LinkId(index as u16), signing, file });
+        }
+        Ok(session)
+    }
+
+    /// Refuses a link that would sign as one stream with another one, however the paths of their key files are spelt.
+    fn check_unused(&self, key: &Key, link_id: u8, name: &str) -> Result<()> {
+        let is_same = |link: &&SignedLink| link.signing.key == *key && link.signing.link_id == link_id;
+        if let Some(other) = self.0.iter().find(is_same) {
+            bail!(
+                "{name}: {} uses the same key {} with the same `signing.link_id` {link_id}; give each link its own",
+                other.name,
+                key.name()
+            );
+        }
+        Ok(())
+    }
+
+    pub fn apply_to(&self, station_config: &mut StationConfig) {
+        for signed in &self.0 {
+            for link in station_config.links.iter_mut().filter(|link| link.id == signed.link) {
+                link.signing = Some(signed.signing.clone());
+            }
+        }
+    }
+
+    /// The configuration as a recording needs it: with what each signed link began with, and without the keys.
+    pub fn config_for_recording(&self, config: &Config) -> Config {
+        let mut config = config.clone();
+        for SignedLink { link, signing, .. } in &self.0 {
+            let link = config.links.get_mut(usize::from(link.0));
+            if let Some(section) = link.and_then(|link| link.signing.as_mut()) {
+                section.begun = Some(MemoryRecord::of(&signing.key, &signing.state));
+            }
+        }
+        config
+    }
+
+    /// Begins to keep the stamps; `None` where no link is signed.
+    pub fn start_writer(self) -> Result<Option<SigningStateWriter>> {
+        if self.0.is_empty() { Ok(None) } else { SigningStateWriter::start(self.0).map(Some) }
+    }
+}
+
+fn key_of(section: &SigningSection) -> Result<Key> {
+    if section.begun.is_some() {
+        bail!("`signing.begun` belongs to recordings: take it away");
+    }
+    read_key(Path::new(&section.key_file))
+}
+
+fn resume(section: &SigningSection, key: &Key, date: SigningTime) -> Result<(SigningState, StateFile)> {
+    let file = StateFile::lock(Path::new(&section.key_file), section.link_id)?;
+    let memory = match file.read(key)? {
+        Some((memory, ending)) => memory.resume(date, ending),
+        None => SigningState { written_at: date, clock: date, ..SigningState::default() },
+    };
+    Ok((memory, file))
+}
+
+fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
+    let lag = memory.clock.since(date);
+    if lag > TOLERATED_LAG {
+        print_line(&format!(
+            "WARNING: {link}: this computer's date stands {:.0} s before the time that signatures have reached; they go on from there",
+            lag.as_secs_f64()
+        ));
+    } else if date == SigningTime::ZERO {
+        print_line(&format!(
+            "WARNING: {link}: this computer's date lies before 2015; peers refuse our signatures until one of them has told us the time"
+        ));
+    }
+}
+
+/// The station's configuration of a recorded session. The keys of signed links come from these files, or else from where they were when it
+/// was recorded.
+pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<StationConfig> {
+    let mut station_config = config.station_config()?;
+    let given = files.iter().map(|path| read_key(path));
+    let given: Vec<Key> = given.collect::<Result<_>>()?;
+    for (index, link) in config.links.iter().enumerate() {
+        let Some(section) = &link.signing else {
+            continue;
+        };
+        let name = format!("link {index} `{}`", link.url);
+        let Some(begun) = &section.begun else {
+            bail!("{name}: the recording does not say with which stamps its signing began");
+        };
+        let key = key_by_name(&begun.key_name, &given, section).with_context(|| name.clone())?;
+        let signing = section.to_signing_config(key, begun.memory());
+        if let Some(link) = station_config.links.get_mut(index) {
+            link.signing = Some(signing);
+        }
+    }
+    Ok(station_config)
+}
+
+/// The key of that name: one of those given, or else the one in the file that held it.
+fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
+    if let Some(key) = given.iter().find(|key| key.name() == wanted) {
+        return Ok(key.clone());
+    }
+    let names: Vec<String> = given.iter().map(Key::name).collect();
+    let given_names = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
+    let cure = format!(
+        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{given_names}"
+    );
+    let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
+    if key.name() != wanted {
+        bail!("{cure} (`{}` holds {})", section.key_file, key.name());
+    }
+    Ok(key)
+}
+
+/// Warns of every link that listens beyond this computer and accepts frames from any sender.
+pub fn warn_of_open_listeners(ports: &LinkSet, config: &Config) {
+    for (index, (port, section)) in ports.iter().zip(&config.links).enumerate() {
+        let address = port.local_address().filter(|_| port.is_listening());
+        if let Some(warning) = address.and_then(|address| warning(index, section, address)) {
+            print_line(&warning);
+        }
+    }
+}
+
+fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<String> {
+    if address.ip().to_canonical().is_loopback() {
+        return None;
+    }
+    let (state, cure) = match &section.signing {
+        Some(signing) if signing.required => return None,
+        Some(_) => ("its signing is not required", "set `required = true` in its `signing`"),
+        None => (
+            "it is not signed",
+            "make a key with `posebridge key new FILE` and give the link `signing = { key_file = \"FILE\" }` (docs/routing.md)",
+        ),
+    };
+    Some(format!(
+        "WARNING: link {index} `{}` listens on {address} and {state}: anybody who can reach it can send as the robot. To keep others \
+         out, {cure}, or listen on 127.0.0.1.",
+        section.url
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_text;
+
+    fn section(file: &Path) -> SigningSection {
+        SigningSection {
+            key_file: file.display().to_string(),
+            link_id: 0,
+            accept_unsigned: vec![],
+            required: true,
+            begun: None,
+        }
+    }
+
+    #[test]
+    fn one_key_and_link_id_under_two_spellings_is_refused_with_both_links_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.key");
+        create_key(&path).unwrap();
+        let copy = folder.path().join("copy.key");
+        std::fs::copy(&path, &copy).unwrap();
+        let link = |port: u16, file: &Path, link_id: u8| {
+            let file = file.display();
+            format!(
+                "[[link]]\nurl = \"udp://127.0.0.1:{port}\"\nsigning = {{ key_file = \"{file}\", link_id = {link_id} }}\n"
+            )
+        };
+        let open = |links: &str| {
+            let config = load_text("test", links, &[]).unwrap().config;
+            config.station_config().unwrap();
+            SigningSession::open(&config, 1_750_000_000_000_000)
+        };
+        let dotted = folder.path().join("./a.key");
+        for other in [&copy, &dotted] {
+            let error = open(&(link(1, &path, 7) + &link(2, other, 7))).unwrap_err();
+            let error = format!("{error:#}");
+            assert!(error.contains("link 0 `udp://127.0.0.1:1`"), "{error}");
+            assert!(error.contains("link 1 `udp://127.0.0.1:2`"), "{error}");
+            assert!(error.contains("`signing.link_id` 7"), "{error}");
+            assert!(open(&(link(1, &path, 7) + &link(2, other, 8))).is_ok());
+        }
+    }
+
+    #[test]
+    fn of_two_keys_one_may_be_given_and_the_other_lie_where_it_did() {
+        let folder = tempfile::tempdir().unwrap();
+        let [here, given, foreign] = ["a", "b", "c"].map(|name| folder.path().join(name));
+        let [own, other, third] = [&here, &given, &foreign].map(|path| create_key(path).unwrap());
+        let both = [third.clone(), other.clone()];
+        for (wanted, file) in [(&own, &here), (&other, &here)] {
+            let found = key_by_name(&wanted.name(), &both, &section(file)).unwrap();
+            assert_eq!(found, *wanted);
+        }
+        let error = key_by_name(&own.name(), &both, &section(&foreign)).unwrap_err();
+        let error = format!("{error:#}");
+        for named in [&own, &other, &third] {
+            assert!(error.contains(&named.name()), "{error}");
+        }
+        assert!(error.contains("--key FILE"), "{error}");
+    }
+
+    fn is_warned(address: &str, required: Option<bool>) -> bool {
+        let section = LinkSection {
+            signing: required.map(|required| SigningSection {
+                key_file: "a.key".to_owned(),
+                link_id: 0,
+                accept_unsigned: vec![],
+                required,
+                begun: None,
+            }),
+            ..LinkSection::new("udp://:14550")
+        };
+        let warning = warning(0, &section, address.parse().unwrap());
+        if let Some(text) = &warning {
+            assert!(text.contains("link 0 `udp://:14550`"), "{text}");
+            assert!(text.contains(address), "{text}");
+        }
+        warning.is_some()
+    }
+
+    #[test]
+    fn only_a_listener_that_keeps_nobody_out_is_told() {
+        for address in ["0.0.0.0:14550", "192.168.4.1:14550", "[::]:14550"] {
+            assert!(is_warned(address, None));
+            assert!(is_warned(address, Some(false)));
+            assert!(!is_warned(address, Some(true)));
+        }
+        for address in ["127.0.0.1:14550", "[::1]:14550", "[::ffff:127.0.0.1]:14550"] {
+            assert!(!is_warned(address, None));
+        }
+    }
+}

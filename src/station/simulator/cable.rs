@@ -6,22 +6,17 @@ use posebridge_sim::Simulation;
 use posebridge_sim::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
 use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 
-/// A cable.
 pub struct SimulatedCable {
-    /// Without one it is pulled out.
     port: Option<Link>,
     /// What is opened when it is put in again; a port that another program has opened stays.
     reopen_config: Option<(LinkOpenConfig, HostTimer)>,
     /// When it is put in again.
     replug_at: Timestamp<HostClock>,
-    /// Who was heard last.
     station: Option<PeerId>,
-    /// What makes it worse than it is.
     impairment: Option<ImpairedLink>,
 }
 
 impl SimulatedCable {
-    /// A cable that stays in.
     pub const fn fixed(port: Link) -> Self {
         Self { port: Some(port), reopen_config: None, replug_at: Timestamp::ZERO, station: None, impairment: None }
     }
@@ -32,9 +27,6 @@ impl SimulatedCable {
     }
 
     /// Opens the port at its end for the first time.
-    ///
-    /// # Errors
-    /// It cannot be opened, now or ever.
     pub async fn open_first(&mut self) -> Result<()> {
         match &mut self.port {
             Some(port) => Ok(port.try_open().await?),
@@ -50,7 +42,6 @@ impl SimulatedCable {
         }
     }
 
-    /// Gives the simulation what has come.
     pub fn on_link_event(&mut self, now: Timestamp<HostClock>, event: LinkEvent, simulation: &mut Simulation) {
         match event {
             LinkEvent::Bytes { peer, bytes, .. } => {
@@ -60,8 +51,8 @@ impl SimulatedCable {
                 self.station = Some(peer);
                 match &mut self.impairment {
                     // Its number is for those who keep books.
-                    Some(bad) => {
-                        bad.offer(LinkEnd::Station, now, &bytes);
+                    Some(impaired) => {
+                        impaired.offer(LinkEnd::Station, now, &bytes);
                     }
                     None => simulation.receive(&bytes),
                 }
@@ -79,13 +70,13 @@ impl SimulatedCable {
         self.replug_if_due(now, simulation);
         while let Some(bytes) = simulation.poll() {
             match &mut self.impairment {
-                Some(bad) => {
-                    bad.offer(LinkEnd::Brick, now, &bytes);
+                Some(impaired) => {
+                    impaired.offer(LinkEnd::Brick, now, &bytes);
                 }
                 None => self.send(&bytes),
             }
         }
-        while let Some(event) = self.impairment.as_mut().and_then(|bad| bad.poll(now)) {
+        while let Some(event) = self.impairment.as_mut().and_then(|impaired| impaired.poll(now)) {
             match event {
                 ImpairedLinkEvent::Arrived { end, delivery } => match end {
                     LinkEnd::Station => self.send(&delivery.bytes),
@@ -96,9 +87,9 @@ impl SimulatedCable {
                 ImpairedLinkEvent::Up { .. } => simulation.reopen_link(),
             }
         }
-        if let Some(bad) = &mut self.impairment {
+        if let Some(impaired) = &mut self.impairment {
             for end in [LinkEnd::Station, LinkEnd::Brick] {
-                drop(bad.take_log(end));
+                drop(impaired.take_log(end));
             }
         }
     }

@@ -2,7 +2,8 @@
 
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::{CommandExecutor, Simulation, TruthSample};
-use posebridge_telemetry::{HostClock, SimulatorCommand, Timestamp};
+use posebridge_telemetry::{HostClock, RobotId, SimulatorCommand, Timestamp};
+use tokio::sync::broadcast::error::TryRecvError;
 use tokio::sync::{broadcast, mpsc};
 
 use super::cable::SimulatedCable;
@@ -17,23 +18,18 @@ const SAMPLE_CAPACITY: usize = 256;
 pub struct TimedTruthSample {
     /// The instant by the session's clock.
     pub at: Timestamp<HostClock>,
-    /// What happened.
     pub sample: TruthSample,
 }
 
-/// By this a command goes to the brick.
 pub type CommandSender = mpsc::Sender<SimulatorCommand>;
 
-/// The people's side.
 #[derive(Clone, Debug)]
 pub struct SimulatorControls {
-    /// What is to be done to the brick.
     pub commands: CommandSender,
     /// The true pose. A subscriber receives the samples from then on. Lossy, and what is lost is counted by the receiver.
     pub truth: broadcast::Sender<TimedTruthSample>,
 }
 
-/// The brick's side.
 pub struct ControlReceiver {
     commands: mpsc::Receiver<SimulatorCommand>,
     truth: broadcast::Sender<TimedTruthSample>,
@@ -41,7 +37,6 @@ pub struct ControlReceiver {
     published: u64,
 }
 
-/// Both sides.
 pub fn controls() -> (SimulatorControls, ControlReceiver) {
     let (sender, commands) = mpsc::channel(COMMAND_CAPACITY);
     let (truth, _) = broadcast::channel(SAMPLE_CAPACITY);
@@ -51,7 +46,6 @@ pub fn controls() -> (SimulatorControls, ControlReceiver) {
 }
 
 impl ControlReceiver {
-    /// Does what was asked for since the last time.
     pub fn execute_commands(
         &mut self,
         now: Timestamp<HostClock>,
@@ -99,5 +93,69 @@ fn change_link(now: Timestamp<HostClock>, command: &SimulatorCommand, cable: &mu
         | SimulatorCommand::Steering(_)
         | SimulatorCommand::Drive { .. }
         | SimulatorCommand::Path => {}
+    }
+}
+
+/// Takes what was shown since it looked last. Who is too slow misses the oldest samples, and they are counted.
+pub struct TruthTap {
+    receiver: broadcast::Receiver<TimedTruthSample>,
+    robot: Option<RobotId>,
+    missed: u64,
+}
+
+impl TruthTap {
+    /// A receiver of a robot's truth from now on; `None` for the only one.
+    pub fn new(truth: &broadcast::Sender<TimedTruthSample>, robot: Option<RobotId>) -> Self {
+        Self { receiver: truth.subscribe(), robot, missed: 0 }
+    }
+
+    /// Whose truth it is; `None` for that of the only robot.
+    pub const fn robot(&self) -> Option<RobotId> {
+        self.robot
+    }
+
+    /// What was shown since the last time; never waits.
+    pub fn drain(&mut self) -> Vec<TimedTruthSample> {
+        let mut samples = Vec::new();
+        loop {
+            match self.receiver.try_recv() {
+                Ok(sample) => samples.push(sample),
+                Err(TryRecvError::Lagged(missed)) => self.missed += missed,
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return samples,
+            }
+        }
+    }
+
+    pub const fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_sim::Scenario;
+    use posebridge_telemetry::TimeDelta;
+
+    #[test]
+    fn who_looks_too_rarely_misses_the_oldest_and_knows_how_many() {
+        let (controls, mut control_receiver) = controls();
+        let mut tap = TruthTap::new(&controls.truth, None);
+        let mut simulation = Simulation::new(Scenario::default());
+        control_receiver.publish_truth(Timestamp::from_millis(5_000), &simulation);
+        let first = tap.drain();
+        assert_eq!(first.len(), 1, "the start");
+        assert_eq!(first[0].at, Timestamp::from_millis(5_000));
+        // 20 samples a second for 30 s; 256 wait.
+        for _ in 0..30_000 {
+            simulation.step();
+            control_receiver.publish_truth(Timestamp::ZERO, &simulation);
+        }
+        let kept = tap.drain();
+        assert_eq!((kept.len(), tap.missed()), (256, 600 - 256));
+        let last = kept.last().unwrap();
+        assert_eq!(last.at - Timestamp::ZERO, simulation.elapsed());
+        assert_eq!(last.sample.sim_time, TimeDelta::from_millis(30_000));
+        assert_eq!(tap.drain(), []);
     }
 }

@@ -2,40 +2,36 @@
 
 mod cable;
 mod controls;
-mod embedded;
-pub mod truth_tap;
 
-use anyhow::{Context, Result};
-use posebridge_link::{HostTimer, Link, LinkEvent};
-use posebridge_sim::{STEP, Simulation};
-use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_link::{HostTimer, Link, LinkEvent, LinkOpenConfig};
+use posebridge_sim::{STEP, Scenario, Simulation};
+use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
 use tokio::sync::watch;
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
 pub use self::cable::SimulatedCable;
 pub use self::controls::{
-    COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, controls,
+    COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, TruthTap, controls,
 };
-pub use self::embedded::{BrickStart, EmbeddedBrick, EmbeddedBricks};
 
 /// The world is stepped in chunks of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
 const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
 /// After the path's end the brick still sends for this long, so that the last late fixes are used.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
 
-/// Time between two announcements.
 const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// The links of a simulated brick, open.
 pub struct BrickPorts {
-    /// To the station.
     pub brick: SimulatedCable,
     /// The camera's own, where it does not share the brick's. Without it such a camera is not received.
     pub camera: Option<Link>,
     /// Where the camera's images go, if another program looks through it.
     pub images: Option<Link>,
-    /// Where the brick is announced.
     pub announcement: Option<Announcement>,
 }
 
@@ -61,7 +57,6 @@ impl Announcement {
 }
 
 impl BrickPorts {
-    /// The brick's link alone.
     pub const fn of(brick: SimulatedCable) -> Self {
         Self { brick, camera: None, images: None, announcement: None }
     }
@@ -87,7 +82,6 @@ impl BrickPorts {
         }
     }
 
-    /// Sends what brick and camera have to say.
     fn send_all(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
         self.brick.transfer(now, simulation);
         while let Some(bytes) = simulation.poll_camera() {
@@ -114,11 +108,8 @@ async fn next_of(port: Option<&mut Link>) -> LinkEvent {
     }
 }
 
-/// A simulated brick that is ready to drive.
 pub struct BrickDrive {
-    /// Its world.
     pub simulation: Simulation,
-    /// Its links, open.
     pub ports: BrickPorts,
     /// Receives how much of the path is driven, 0 to 1.
     pub progress: watch::Sender<f64>,
@@ -164,9 +155,6 @@ impl BrickDrive {
 
 /// Drives bricks in real time on this thread until all of their paths end or `stop` is cancelled; gives their simulations back in
 /// the same order.
-///
-/// # Errors
-/// A brick's task died.
 pub async fn drive(bricks: Vec<BrickDrive>, timer: HostTimer, stop: &CancellationToken) -> Result<Vec<Simulation>> {
     let tasks = LocalSet::new();
     let running: Vec<_> = bricks.into_iter().map(|brick| tasks.spawn_local(brick.run(timer, stop.clone()))).collect();
@@ -185,5 +173,126 @@ pub async fn drive(bricks: Vec<BrickDrive>, timer: HostTimer, stop: &Cancellatio
 fn step_to(simulation: &mut Simulation, elapsed: TimeDelta) {
     while simulation.elapsed() + STEP <= elapsed {
         simulation.step();
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct BrickStart {
+    pub scenario: Scenario,
+    /// Its end of the link to the station.
+    pub link: LinkOpenConfig,
+    /// Which robot of the station it is; `None` for the only one.
+    pub robot: Option<RobotId>,
+}
+
+pub struct EmbeddedBrick {
+    pub scenario: Scenario,
+    /// Which robot of the station it is; `None` for the only one.
+    pub robot: Option<RobotId>,
+    /// How much of the path is driven, 0 to 1.
+    pub progress: watch::Receiver<f64>,
+    pub controls: SimulatorControls,
+    /// The receiver of the truth from the very start, until it is taken.
+    pub truth: Option<TruthTap>,
+}
+
+impl EmbeddedBrick {
+    /// One more receiver of the truth, from now on.
+    pub fn truth_tap(&self) -> TruthTap {
+        TruthTap::new(&self.controls.truth, self.robot)
+    }
+}
+
+/// Bricks in a thread of their own. Dropped, they stop and take their terminals away: a start that fails behind them leaves none.
+pub struct EmbeddedBricks {
+    thread: Option<JoinHandle<Result<Vec<Simulation>>>>,
+    stop: CancellationToken,
+    /// Cancelled when all paths are driven to their ends.
+    pub finished: CancellationToken,
+    /// The bricks, in the order in which they were given.
+    pub bricks: Vec<EmbeddedBrick>,
+}
+
+impl EmbeddedBricks {
+    /// Starts bricks, each on its link. What they show bears the stamps of `timer`.
+    pub fn start(starts: Vec<BrickStart>, timer: HostTimer, stop: CancellationToken) -> Result<Self> {
+        let finished = CancellationToken::new();
+        let (ready, is_ready) = sync_channel::<Result<()>>(1);
+        let mut bricks = Vec::new();
+        let mut prepared = Vec::new();
+        for BrickStart { scenario, link, robot } in starts {
+            let (sender, progress) = watch::channel(0.0);
+            let (controls, receiver) = controls();
+            let truth = Some(TruthTap::new(&controls.truth, robot));
+            bricks.push(EmbeddedBrick { scenario: scenario.clone(), robot, progress, controls, truth });
+            prepared.push(PreparedBrick { scenario, link, progress: sender, controls: receiver });
+        }
+        let thread = BrickThread { bricks: prepared, timer, stop: stop.clone(), finished: finished.clone(), ready };
+        let thread = std::thread::Builder::new()
+            .name("brick".to_owned())
+            .spawn(move || thread.run())
+            .context("starting the thread of the simulated bricks")?;
+        is_ready.recv().map_err(|_gone| anyhow!("the thread of the simulated bricks died"))??;
+        Ok(Self { thread: Some(thread), stop, finished, bricks })
+    }
+
+    /// Waits for the thread and gives the simulations with their truth, in the order of the bricks.
+    pub fn finish(mut self) -> Result<Vec<Simulation>> {
+        let ended = self.thread.take().map(JoinHandle::join);
+        let ended = ended.context("the simulated bricks have ended already")?;
+        ended.map_err(|_panic| anyhow!("the thread of the simulated bricks died"))?
+    }
+}
+
+impl Drop for EmbeddedBricks {
+    fn drop(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            self.stop.cancel();
+            // Another task has failed, and reports why.
+            drop(thread.join());
+        }
+    }
+}
+
+struct PreparedBrick {
+    scenario: Scenario,
+    link: LinkOpenConfig,
+    progress: watch::Sender<f64>,
+    controls: ControlReceiver,
+}
+
+struct BrickThread {
+    bricks: Vec<PreparedBrick>,
+    timer: HostTimer,
+    stop: CancellationToken,
+    finished: CancellationToken,
+    ready: SyncSender<Result<()>>,
+}
+
+impl BrickThread {
+    fn run(self) -> Result<Vec<Simulation>> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .context("starting the runtime of the simulated bricks")?;
+        runtime.block_on(self.drive())
+    }
+
+    async fn drive(self) -> Result<Vec<Simulation>> {
+        let mut drives = Vec::new();
+        for PreparedBrick { scenario, link, progress, controls } in self.bricks {
+            let mut cable = SimulatedCable::pluggable(link, self.timer);
+            if let Err(error) = cable.open_first().await {
+                // The starter has gone only if it has failed itself.
+                drop(self.ready.send(Err(error)));
+                return Ok(Vec::new());
+            }
+            let simulation = Simulation::new(scenario);
+            drives.push(BrickDrive { simulation, ports: BrickPorts::of(cable), progress, controls: Some(controls) });
+        }
+        drop(self.ready.send(Ok(())));
+        let simulations = drive(drives, self.timer, &self.stop).await;
+        self.finished.cancel();
+        simulations
     }
 }

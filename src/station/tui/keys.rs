@@ -1,65 +1,42 @@
-//! Keys: from the bytes that a terminal sends to what is to be done.
+//! Keys: from the bytes that a terminal sends to what is to be done. What a key does to the simulated brick are the commands of the page's
+//! buttons, with the values that stand there at first.
 //!
 //! Own code, because crossterm's reader waits inside a sequence that was sent in part and turns for ever when the terminal is hung up; the
 //! few sequences that are needed are those of ECMA-48 as xterm sends them (XTerm Control Sequences, "PC-Style Function Keys").
 
-use super::operator_actions::OperatorAction;
+use posebridge_telemetry::simulator::SlippingWheel;
+use posebridge_telemetry::{Command, SensorSwitch, SimulatorCommand, TimeDelta};
 
-/// A key that was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KeyPress {
-    /// A letter, a digit or a sign.
     Letter(char),
-    /// Tab.
     Tab,
-    /// Tab with shift.
     BackTab,
-    /// An arrow.
     Up,
-    /// An arrow.
     Down,
-    /// An arrow.
     Left,
-    /// An arrow.
     Right,
-    /// Escape.
     Escape,
-    /// Ctrl-C.
     Interrupt,
 }
 
-/// What a key asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UiAction {
-    /// End the run.
     Quit,
-    /// The next panel.
     NextPanel,
-    /// The panel before.
     PreviousPanel,
-    /// The next robot.
     NextRobot,
-    /// The robot before.
     PreviousRobot,
-    /// Explain the keys, or stop that.
     Help,
-    /// Close what lies on top.
     Back,
-    /// Something that happens to the simulated brick.
     Do(OperatorAction),
 }
 
-/// A row of [`KEYS`].
 pub struct KeyBinding {
-    /// What does it.
     pub key_presses: &'static [KeyPress],
-    /// How the keys are called.
     pub name: &'static str,
-    /// What it does, in a word.
     pub label: &'static str,
-    /// What it does, in a line.
     pub help: &'static str,
-    /// What it asks for.
     pub action: UiAction,
 }
 
@@ -144,9 +121,8 @@ pub const KEYS: &[KeyBinding] = &[
     },
 ];
 
-/// What a key asks for, if it does anything.
-pub fn action_of(stroke: KeyPress) -> Option<UiAction> {
-    let key = KEYS.iter().find(|key| key.key_presses.contains(&stroke));
+pub fn action_of(key_press: KeyPress) -> Option<UiAction> {
+    let key = KEYS.iter().find(|key| key.key_presses.contains(&key_press));
     key.map(|key| key.action)
 }
 
@@ -186,9 +162,53 @@ const fn parse_escape(end: u8) -> Option<KeyPress> {
     })
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OperatorAction {
+    Kidnap,
+    Camera,
+    Slip,
+    PullCable,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraState {
+    Open,
+    Covered,
+}
+
+impl OperatorAction {
+    /// As a command; the camera is turned into what it is not.
+    pub const fn command(self, camera: CameraState) -> Command {
+        Command::Simulator(match self {
+            Self::Kidnap => SimulatorCommand::Kidnap { forward_m: 0.3, left_m: 0.2, turn_rad: 60_f64.to_radians() },
+            Self::Camera => SimulatorCommand::Camera(match camera {
+                CameraState::Open => SensorSwitch::Off,
+                CameraState::Covered => SensorSwitch::On,
+            }),
+            Self::Slip => SimulatorCommand::Slip {
+                wheel: SlippingWheel::Left,
+                factor: 0.8,
+                duration: TimeDelta::from_millis(1_000),
+            },
+            Self::PullCable => SimulatorCommand::PullCable { duration: TimeDelta::from_millis(3_000) },
+        })
+    }
+
+    pub const fn description(self, camera: CameraState) -> &'static str {
+        match (self, camera) {
+            (Self::Kidnap, _) => "the robot is kidnapped",
+            (Self::Camera, CameraState::Open) => "the camera is covered",
+            (Self::Camera, CameraState::Covered) => "the camera is uncovered",
+            (Self::Slip, _) => "the left wheel slips for a second",
+            (Self::PullCable, _) => "the cable is pulled for 3 s",
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use posebridge_dashboard::command;
 
     #[test]
     fn keys_are_read_as_xterm_sends_them() {
@@ -214,9 +234,28 @@ mod tests {
     #[test]
     fn no_key_stands_twice_and_each_is_explained() {
         let all: Vec<KeyPress> = KEYS.iter().flat_map(|key| key.key_presses).copied().collect();
-        for (index, stroke) in all.iter().enumerate() {
-            assert!(!all[..index].contains(stroke), "{stroke:?}");
+        for (index, key_press) in all.iter().enumerate() {
+            assert!(!all[..index].contains(key_press), "{key_press:?}");
         }
         assert!(KEYS.iter().all(|key| !key.help.is_empty() && !key.name.is_empty()));
+    }
+
+    #[test]
+    fn each_key_gives_the_command_of_the_page_s_button() {
+        let cases = [
+            (
+                OperatorAction::Kidnap,
+                CameraState::Open,
+                r#"{"command":"kidnap","forward_m":0.3,"left_m":0.2,"turn_rad":1.0471975511965976}"#,
+            ),
+            (OperatorAction::Camera, CameraState::Open, r#"{"command":"camera","on":false}"#),
+            (OperatorAction::Camera, CameraState::Covered, r#"{"command":"camera","on":true}"#),
+            (OperatorAction::Slip, CameraState::Open, r#"{"command":"slip","wheel":"left","factor":0.8,"seconds":1}"#),
+            (OperatorAction::PullCable, CameraState::Open, r#"{"command":"pull-cable","seconds":3}"#),
+        ];
+        for (deed, camera, json) in cases {
+            let expected = command::parse(json.as_bytes()).unwrap();
+            assert_eq!(deed.command(camera), expected.command, "{deed:?}");
+        }
     }
 }

@@ -4,13 +4,11 @@
 //! as the page. From a [`Model`] to the cells of the screen goes a pure function ([`render::render`]); [`tty`] takes the terminal, never
 //! waits for it, and gives it back as it was: at the end, after an error, and when something panics.
 
-mod format;
+mod arena;
 pub mod keys;
 pub mod model;
-pub mod operator_actions;
 pub mod panels;
 pub mod render;
-mod screen;
 pub mod theme;
 pub mod tty;
 
@@ -23,15 +21,19 @@ use anyhow::{Context, Result};
 use posebridge_dashboard::model::SimulatorFacts;
 use posebridge_dashboard::views::parse_robot_name;
 use posebridge_dashboard::{CommandSubmitter, FrameTap, TapPoll};
+use ratatui::backend::CrosstermBackend;
+use ratatui::crossterm::queue;
+use ratatui::crossterm::terminal::{Clear, ClearType};
+use ratatui::layout::Rect;
+use ratatui::{Terminal, TerminalOptions, Viewport};
 use tokio_util::sync::CancellationToken;
 
-use self::keys::{UiAction, action_of};
+use self::keys::{CameraState, OperatorAction, UiAction, action_of};
 use self::model::Model;
-use self::operator_actions::{CameraState, OperatorAction};
 use self::panels::PANELS;
-use self::screen::Screen;
+use self::render::render;
 use self::theme::Theme;
-use self::tty::Tty;
+use self::tty::{TerminalWriter, Tty};
 use crate::console::{redirect_stderr, restore_stderr};
 
 /// Most messages that wait for the view, a bit more than a second of them; it looks twenty times a second.
@@ -41,17 +43,12 @@ const DRAW_PERIOD_MILLIS: u16 = 50;
 /// Most lines of the program that are read between two pictures.
 const MAX_LINES: usize = 256;
 
-/// What the view is connected to.
 pub struct TerminalInputs {
-    /// What happens.
     pub frames: FrameTap,
-    /// What is asked for.
     pub commands: CommandSubmitter,
-    /// Cancelled when a person ends the run.
     pub quit: CancellationToken,
     /// The simulated brick, if the station has one of its own.
     pub simulator: Option<SimulatorFacts>,
-    /// The first line among the events.
     pub greeting: String,
 }
 
@@ -63,22 +60,18 @@ pub struct TerminalView {
 }
 
 impl TerminalView {
-    /// Takes the terminal and starts the thread that draws.
-    ///
-    /// # Errors
-    /// The terminal cannot be taken, or the thread cannot be started.
-    pub fn start(wires: TerminalInputs) -> Result<Self> {
+    pub fn start(inputs: TerminalInputs) -> Result<Self> {
         let no_color = std::env::var_os("NO_COLOR");
-        let look = Theme::from_env(no_color.as_deref());
+        let theme = Theme::from_env(no_color.as_deref());
         let tty = Tty::open()?;
         restore_on_panic(&tty, restore_stderr);
-        let said = redirect_stderr();
+        let log_lines = redirect_stderr();
         let is_over = Arc::new(AtomicBool::new(false));
         let mut view = Self { tty: Arc::clone(&tty), is_over: Arc::clone(&is_over), thread: None };
-        let screen = Screen::new(Arc::clone(&tty), look)?;
-        let mut model = Model::new(wires.simulator.clone());
-        model.push_message(&wires.greeting);
-        let work = TerminalLoop { tty, screen, model, inputs: wires, log_lines: said, is_over };
+        let screen = Screen::new(Arc::clone(&tty), theme)?;
+        let mut model = Model::new(inputs.simulator.clone());
+        model.push_message(&inputs.greeting);
+        let work = TerminalLoop { tty, screen, model, inputs, log_lines, is_over };
         let thread = std::thread::Builder::new().name("terminal".to_owned());
         view.thread = Some(thread.spawn(move || work.run()).context("starting the terminal view's thread")?);
         Ok(view)
@@ -110,7 +103,6 @@ fn restore_on_panic(tty: &Arc<Tty>, print_rest: fn()) {
     }));
 }
 
-/// What the thread does.
 struct TerminalLoop {
     tty: Arc<Tty>,
     screen: Screen,
@@ -156,7 +148,7 @@ impl TerminalLoop {
                 self.model.set_notice("ending the run");
                 self.inputs.quit.cancel();
             }
-            UiAction::Do(deed) => self.execute(deed),
+            UiAction::Do(action) => self.execute(action),
             UiAction::NextPanel
             | UiAction::PreviousPanel
             | UiAction::NextRobot
@@ -166,7 +158,7 @@ impl TerminalLoop {
         }
     }
 
-    fn execute(&mut self, deed: OperatorAction) {
+    fn execute(&mut self, action: OperatorAction) {
         if self.model.simulator.is_none() {
             self.model.set_notice("this station has no simulated brick");
             return;
@@ -176,12 +168,12 @@ impl TerminalLoop {
         let camera = if covered.contains(&id) { CameraState::Covered } else { CameraState::Open };
         // One robot needs no name, and a recording of it is as ever.
         let robot = if self.model.visible_robots().len() > 1 { parse_robot_name(&id) } else { None };
-        if !self.inputs.commands.send(robot, deed.command(camera)) {
+        if !self.inputs.commands.send(robot, action.command(camera)) {
             self.model.set_notice("too many commands wait; try again");
             return;
         }
-        self.model.set_notice(deed.description(camera));
-        if deed == OperatorAction::Camera {
+        self.model.set_notice(action.description(camera));
+        if action == OperatorAction::Camera {
             let covered = &mut self.model.selection.covered_cameras;
             if !covered.remove(&id) {
                 covered.insert(id);
@@ -190,7 +182,6 @@ impl TerminalLoop {
     }
 }
 
-/// Chooses what is shown.
 pub fn choose(model: &mut Model, action: UiAction) {
     let robots = model.visible_robots().len().max(1);
     let chosen = &mut model.selection;
@@ -212,3 +203,45 @@ pub fn choose(model: &mut Model, action: UiAction) {
 
 #[cfg(test)]
 mod tests;
+
+/// A terminal with what it shows, so that only what changes is sent.
+struct Screen {
+    tty: Arc<Tty>,
+    theme: Theme,
+    terminal: Terminal<CrosstermBackend<TerminalWriter>>,
+    area: Rect,
+}
+
+impl Screen {
+    fn new(tty: Arc<Tty>, theme: Theme) -> Result<Self> {
+        let area = tty.area()?;
+        let terminal = blank(&tty, area)?;
+        Ok(Self { tty, theme, terminal, area })
+    }
+
+    /// Shows a model, unless the terminal has not taken all of the last picture yet.
+    fn show(&mut self, model: &Model) -> Result<()> {
+        if !self.tty.drain()? {
+            return Ok(());
+        }
+        let area = self.tty.area()?;
+        if area != self.area {
+            self.terminal = blank(&self.tty, area)?;
+            self.area = area;
+        }
+        let theme = self.theme;
+        self.terminal.draw(|frame| {
+            let area = frame.area();
+            render(model, theme, area, frame.buffer_mut());
+        })?;
+        self.tty.drain()?;
+        Ok(())
+    }
+}
+
+fn blank(tty: &Arc<Tty>, area: Rect) -> Result<Terminal<CrosstermBackend<TerminalWriter>>> {
+    let mut writer = TerminalWriter(Arc::clone(tty));
+    queue!(writer, Clear(ClearType::All))?;
+    let options = TerminalOptions { viewport: Viewport::Fixed(area) };
+    Ok(Terminal::with_options(CrosstermBackend::new(writer), options)?)
+}

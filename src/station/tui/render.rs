@@ -5,11 +5,10 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget};
 
-use super::format::{bytes, fixed, sanitize};
 use super::keys::{KEYS, KeyBinding, UiAction};
 use super::model::Model;
 use super::panels::{PANELS, Panel};
-use super::theme::{StyleRole, Theme};
+use super::theme::{StyleRole, Theme, bytes, fixed, sanitize};
 
 /// Below this size one panel is shown at a time: beside each other their lines would be cut.
 const LEAST_FOR_ALL: (u16, u16) = (64, 16);
@@ -20,17 +19,16 @@ const EVENTS_SHARE: u16 = 4;
 /// A frame takes a line above and one below.
 const FRAME: u16 = 2;
 
-/// Draws everything.
-pub fn render(model: &Model, look: Theme, area: Rect, buffer: &mut Buffer) {
+pub fn render(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     let [head, body, foot] =
         Layout::vertical([Constraint::Length(1), Constraint::Min(1), Constraint::Length(1)]).areas(area);
-    head_line(model, look).render(head, buffer);
+    head_line(model, theme).render(head, buffer);
     for (panel, place) in panel_layout(model, area, body) {
-        draw_panel(panel, (model, look), place, buffer);
+        draw_panel(panel, model, theme, place, buffer);
     }
-    foot_line(model, look).render(foot, buffer);
+    foot_line(model, theme).render(foot, buffer);
     if model.selection.has_help {
-        help(look, body, buffer);
+        help(theme, body, buffer);
     }
 }
 
@@ -78,24 +76,24 @@ fn tiled_layout(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
     places
 }
 
-fn draw_panel(panel: &Panel, (model, look): (&Model, Theme), place: Rect, buffer: &mut Buffer) {
+fn draw_panel(panel: &Panel, model: &Model, theme: Theme, place: Rect, buffer: &mut Buffer) {
     // Where there are a few lines only, a frame would take them.
     if place.height <= FRAME + 1 || place.width <= FRAME {
-        (panel.draw)(model, look, place, buffer);
+        (panel.draw)(model, theme, place, buffer);
         return;
     }
-    let title = Span::styled(format!(" {} ", panel.title), look.style(StyleRole::Strong));
-    let block = Block::new().borders(Borders::ALL).border_style(look.style(StyleRole::Quiet)).title(title);
+    let title = Span::styled(format!(" {} ", panel.title), theme.style(StyleRole::Strong));
+    let block = Block::new().borders(Borders::ALL).border_style(theme.style(StyleRole::Quiet)).title(title);
     let inner = block.inner(place);
     block.render(place, buffer);
-    (panel.draw)(model, look, inner, buffer);
+    (panel.draw)(model, theme, inner, buffer);
 }
 
-fn head_line(model: &Model, look: Theme) -> Line<'static> {
-    let mut line = vec![Span::styled("posebridge", look.style(StyleRole::Strong))];
+fn head_line(model: &Model, theme: Theme) -> Line<'static> {
+    let mut line = vec![Span::styled("posebridge", theme.style(StyleRole::Strong))];
     let mut add = |text: String, role: StyleRole| {
         line.push(Span::raw("  "));
-        line.push(Span::styled(text, look.style(role)));
+        line.push(Span::styled(text, theme.style(role)));
     };
     add(format!("{:.1} s", model.now_s), StyleRole::Truth);
     if let Some(known) = &model.simulator {
@@ -121,14 +119,14 @@ fn head_line(model: &Model, look: Theme) -> Line<'static> {
     Line::from(line)
 }
 
-fn foot_line(model: &Model, look: Theme) -> Line<'static> {
+fn foot_line(model: &Model, theme: Theme) -> Line<'static> {
     let mut line = Vec::new();
     if let Some(notice) = model.notice() {
-        line.push(Span::styled(format!("{notice}  "), look.style(StyleRole::Late)));
+        line.push(Span::styled(format!("{notice}  "), theme.style(StyleRole::Late)));
     }
     for key in keys_for(model).filter(|key| !key.label.is_empty()) {
-        line.push(Span::styled(key.name, look.style(StyleRole::Strong)));
-        line.push(Span::styled(format!(" {}  ", key.label), look.style(StyleRole::Quiet)));
+        line.push(Span::styled(key.name, theme.style(StyleRole::Strong)));
+        line.push(Span::styled(format!(" {}  ", key.label), theme.style(StyleRole::Quiet)));
     }
     Line::from(line)
 }
@@ -139,11 +137,11 @@ fn keys_for(model: &Model) -> impl Iterator<Item = &'static KeyBinding> + use<> 
     KEYS.iter().filter(move |key| has_brick || !matches!(key.action, UiAction::Do(_)))
 }
 
-fn help(look: Theme, body: Rect, buffer: &mut Buffer) {
+fn help(theme: Theme, body: Rect, buffer: &mut Buffer) {
     let lines: Vec<Line<'static>> = KEYS
         .iter()
         .map(|key| {
-            let name = Span::styled(format!("{:12}", key.name), look.style(StyleRole::Strong));
+            let name = Span::styled(format!("{:12}", key.name), theme.style(StyleRole::Strong));
             Line::from(vec![name, Span::raw(key.help)])
         })
         .collect();

@@ -42,9 +42,6 @@ pub struct Tty {
 }
 
 /// Whether there is a terminal for output and for keys.
-///
-/// # Errors
-/// Standard output or input is none, or one that can do nothing but letters.
 pub fn ensure_terminal() -> Result<()> {
     ensure!(io::stdout().is_terminal(), "--tui: standard output is no terminal; run it in one, or without --tui");
     ensure!(
@@ -60,9 +57,6 @@ pub fn ensure_terminal() -> Result<()> {
 
 impl Tty {
     /// Takes the terminal of standard output.
-    ///
-    /// # Errors
-    /// It cannot be opened, or its modes cannot be set.
     pub fn open() -> Result<Arc<Self>> {
         let name = nix::unistd::ttyname(io::stdout()).context("--tui: the terminal has no name")?;
         // That of another user, as after `su`, may be opened by the name that every process has for its own.
@@ -70,9 +64,6 @@ impl Tty {
     }
 
     /// Takes the terminal of this name.
-    ///
-    /// # Errors
-    /// It cannot be opened, or its modes cannot be set.
     pub fn open_at(name: &Path) -> Result<Arc<Self>> {
         let flags = OFlag::O_NONBLOCK | OFlag::O_NOCTTY;
         let file = OpenOptions::new()
@@ -96,9 +87,6 @@ impl Tty {
     }
 
     /// Writes what the terminal takes at once; whether nothing is left.
-    ///
-    /// # Errors
-    /// The terminal is gone.
     pub fn drain(&self) -> io::Result<bool> {
         let mut pending = self.pending();
         while !pending.is_empty() {
@@ -113,9 +101,6 @@ impl Tty {
     }
 
     /// What was typed, after this number of milliseconds at the latest.
-    ///
-    /// # Errors
-    /// The terminal is gone.
     pub fn read(&self, within_millis: u16) -> io::Result<Vec<u8>> {
         let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
         match poll(&mut asked, PollTimeout::from(within_millis)) {
@@ -137,9 +122,6 @@ impl Tty {
     }
 
     /// How large it is; a terminal that does not know is taken for one of 80 columns and 24 lines.
-    ///
-    /// # Errors
-    /// The terminal is gone.
     pub fn area(&self) -> io::Result<Rect> {
         let size = rustix::termios::tcgetwinsize(&self.file)?;
         Ok(match (size.ws_col, size.ws_row) {

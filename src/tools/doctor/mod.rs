@@ -1,70 +1,58 @@
 //! `posebridge doctor`: says why a robot cannot be heard, and what to do about it.
 //!
-//! Each check looks at one cause and gives verdicts; a new check is a file and a line in [`CHECKS`]. Checks look, they
+//! Each check looks at one cause and gives verdicts; a new check is a function and a line in [`CHECKS`]. Checks look, they
 //! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is
 //! read from stands in [`SystemRoots`], so that tests look at a made-up computer. docs/getting-started.md is the manual.
 
-pub mod bluetooth;
-mod check_result;
-pub mod configuration;
-mod hear;
-pub mod holders;
-pub mod listening;
-pub mod modem_manager;
-mod open;
-pub mod permissions;
-pub mod ports;
-mod processes;
-pub mod receive_buffer;
-pub mod report;
-pub mod surroundings;
-pub mod time_sync;
+mod context;
+mod host;
+mod links;
+pub mod serial_ports;
 
 use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
+use serde::Serialize;
 
-pub use self::check_result::{CheckResult, DiagnosticContext, Finding, Status};
 use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::positive;
-pub use surroundings::{SystemRoots, UserGroup, UserPermissions};
+
+pub use self::context::{CheckResult, DiagnosticContext, Finding, Status, SystemRoots, UserGroup, UserPermissions};
 
 /// Flags of `doctor`.
 #[derive(Args, Clone, Debug)]
 pub struct DoctorArgs {
-    /// Listen on these links and name what is heard: serial, tcp or udp, e.g. serial:///dev/ttyUSB0.
+    /// Listen on these links and identify what arrives: serial, tcp or udp, e.g. serial:///dev/ttyUSB0.
     #[arg(value_name = "URL")]
     pub links: Vec<String>,
-    /// Check this configuration file, and whether its links open.
+    /// Check this configuration file and try to open its links.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Listen this long on each link, and at each speed of a serial port that is tried.
+    /// Time to listen on each link, and at each baud rate of a serial port, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = up_to_an_hour)]
     pub listen_for: f64,
-    /// Print one JSON object (docs/getting-started.md) instead of lines.
+    /// Print one JSON object instead of lines (docs/getting-started.md).
     #[arg(long)]
     pub json: bool,
 }
 
 /// Every check, in the order of the report. Adding one: a file here and a line there.
 pub const CHECKS: &[Check] = &[
-    Check::new("serial-ports", ports::check),
-    Check::new("permissions", permissions::check),
-    Check::new("port-holders", holders::check),
-    Check::new("modem-manager", modem_manager::check),
-    Check::new("bluetooth", bluetooth::check),
-    Check::new("time-sync", time_sync::check),
-    Check::new("receive-buffer", receive_buffer::check),
-    Check::new("configuration", configuration::check),
-    Check::new("listening", listening::check),
+    Check::new("serial-ports", serial_ports::check_ports),
+    Check::new("permissions", serial_ports::check_permissions),
+    Check::new("port-holders", serial_ports::check_holders),
+    Check::new("modem-manager", serial_ports::check_modem_manager),
+    Check::new("bluetooth", host::check_bluetooth),
+    Check::new("time-sync", host::check_time_sync),
+    Check::new("receive-buffer", host::check_receive_buffer),
+    Check::new("configuration", links::check_configuration),
+    Check::new("listening", links::check_listening),
 ];
 
-/// One check.
 #[derive(Clone, Copy, Debug)]
 pub struct Check {
-    /// Its name in the report.
     pub name: &'static str,
     /// Looks, and gives at least one verdict.
     pub run: fn(&DiagnosticContext) -> Vec<CheckResult>,
@@ -77,21 +65,19 @@ impl Check {
 }
 
 /// Runs the checks and prints their results.
-///
-/// # Errors
-/// There is a problem, or the report cannot be printed: exit code 1.
+/// A problem is a failure: exit code 1.
 pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
-    let examination = DiagnosticContext {
+    let context = DiagnosticContext {
         roots: SystemRoots::host(),
         user: UserPermissions::current(),
         config: args.config.clone(),
         links: args.links.clone(),
         listen_for_s: args.listen_for,
     };
-    let findings = run_checks(&examination);
-    let text = if args.json { report::json(&findings).while_running()? } else { report::text(&findings) };
+    let findings = run_checks(&context);
+    let text = if args.json { json_report(&findings).while_running()? } else { text_report(&findings) };
     print_result(&text).while_running()?;
-    match report::count(&findings, Status::Problem) {
+    match count(&findings, Status::Problem) {
         0 => Ok(()),
         1 => Err(Failure::Failed(anyhow!("the doctor found a problem"))),
         count => Err(Failure::Failed(anyhow!("the doctor found {count} problems"))),
@@ -99,10 +85,10 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
 }
 
 /// The verdicts of all checks, in the order of [`CHECKS`].
-pub fn run_checks(examination: &DiagnosticContext) -> Vec<Finding> {
+pub fn run_checks(context: &DiagnosticContext) -> Vec<Finding> {
     let findings_of = |check: &Check| {
         let name = check.name;
-        let verdicts = (check.run)(examination).into_iter();
+        let verdicts = (check.run)(context).into_iter();
         verdicts.map(move |verdict| Finding { name, result: verdict })
     };
     CHECKS.iter().flat_map(findings_of).collect()
@@ -113,5 +99,83 @@ fn up_to_an_hour(text: &str) -> Result<f64, String> {
     match positive(text) {
         Ok(seconds) if seconds <= 3_600.0 => Ok(seconds),
         _ => Err("must be a number of seconds of more than zero, up to 3600".to_owned()),
+    }
+}
+
+/// The object of `doctor --json`.
+#[derive(Serialize)]
+struct DoctorReport<'a> {
+    version: &'static str,
+    problems: usize,
+    warnings: usize,
+    checks: Vec<CheckRow<'a>>,
+}
+
+#[derive(Serialize)]
+struct CheckRow<'a> {
+    name: &'a str,
+    status: Status,
+    what: &'a str,
+    advice: Option<&'a str>,
+}
+
+/// How many findings came out so.
+fn count(findings: &[Finding], status: Status) -> usize {
+    findings.iter().filter(|finding| finding.result.status == status).count()
+}
+
+fn json_report(findings: &[Finding]) -> serde_json::Result<String> {
+    let checks = findings.iter().map(CheckRow::from_finding).collect();
+    let report = DoctorReport {
+        version: env!("CARGO_PKG_VERSION"),
+        problems: count(findings, Status::Problem),
+        warnings: count(findings, Status::Warning),
+        checks,
+    };
+    Ok(serde_json::to_string(&report)? + "\n")
+}
+
+impl<'a> CheckRow<'a> {
+    fn from_finding(finding: &'a Finding) -> Self {
+        let verdict = &finding.result;
+        Self {
+            name: finding.name,
+            status: verdict.status,
+            what: &verdict.message,
+            advice: Some(verdict.advice.as_str()).filter(|advice| !advice.is_empty()),
+        }
+    }
+}
+
+/// A line per finding, the cure below it, and the sum.
+fn text_report(findings: &[Finding]) -> String {
+    let name_width = findings.iter().map(|finding| finding.name.len()).max().unwrap_or(0);
+    let lines: Vec<_> = findings.iter().map(|finding| format_finding(finding, name_width)).collect();
+    lines.concat() + &summary_line(findings)
+}
+
+fn format_finding(finding: &Finding, name_width: usize) -> String {
+    let verdict = &finding.result;
+    let (word, name) = (verdict.status.as_str(), finding.name);
+    let head = format!("{word:STATUS_WIDTH$}  {name:name_width$}  ");
+    // A message may have lines of its own, such as the line of a file that is wrong.
+    let indent = " ".repeat(head.len());
+    let what = verdict.message.replace('\n', &format!("\n{indent}"));
+    if verdict.advice.is_empty() {
+        format!("{head}{what}\n")
+    } else {
+        format!("{head}{what}\n{indent}cure: {}\n", verdict.advice)
+    }
+}
+
+/// Width of the longest word for a status.
+const STATUS_WIDTH: usize = "problem".len();
+
+fn summary_line(findings: &[Finding]) -> String {
+    let problems = count(findings, Status::Problem);
+    let warnings = count(findings, Status::Warning);
+    match (problems, warnings) {
+        (0, 0) => "nothing is wrong\n".to_owned(),
+        _ => format!("problems: {problems}, warnings: {warnings}\n"),
     }
 }

@@ -1,22 +1,250 @@
-//! Foreign files as recordings of ours, so that everything that works on recordings works on them.
+//! `posebridge import`: foreign files as recordings of ours, so that everything that works on recordings works on them.
 //!
 //! A telemetry log and a descriptor's run become the inputs that a station would have been given, with a configuration in the header.
 //! docs/recordings.md says what is kept and what is lost.
 
-mod command;
-mod descriptor;
-mod recording;
 mod timeline;
 mod tlog;
 
-use anyhow::Result;
-use posebridge_telemetry::{HostClock, Input, Timestamp};
+use std::fs::File;
+use std::io::{Cursor, Seek, Write};
+use std::path::{Path, PathBuf};
 
-pub use command::{ImportArgs, execute};
-pub use recording::{
-    ImportSummary, ImportedSession, InputSource, LoggedInputs, StationOptions, import, logged_frames, recording_bytes,
-    session,
-};
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use posebridge_recording::container::{RecordingHeader, RecordingReader, RecordingWriter};
+use posebridge_telemetry::{Address, Arena, Input, Point2};
 
-/// Takes the inputs of a file as they are found.
-pub type InputSink<'s> = dyn FnMut(Timestamp<HostClock>, &Input) -> Result<()> + 's;
+use self::tlog::timed_frames;
+use super::dataset::{DataSet, RobotRun};
+use crate::config::{self, Config, NumberedPlace, RobotFile, RobotProfile, RobotStart, Setting, WorldConfig};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::station::input_file::{InputFile, InputKind};
+use crate::station::recorded_session::{MemoryLimit, own_bytes};
+use crate::station::recording_files::header;
+
+pub use tlog::{InputSink, TlogSource};
+
+/// Flags of `import`.
+#[derive(Args, Clone, Debug)]
+pub struct ImportArgs {
+    /// A telemetry log (*.tlog, *.tlog.gz) or a recording's descriptor (*.toml).
+    pub file: PathBuf,
+    /// Recording to write. An existing file is not overwritten.
+    #[arg(long, value_name = "FILE.mcap")]
+    pub out: PathBuf,
+    /// What to read of a descriptor's data. For a telemetry log --set takes keys of the station's configuration.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Configuration of the station for a telemetry log: address, robot, filter. Default: the built-in one.
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Robot of a telemetry log: a robot profile or the descriptor of a recording.
+    #[arg(long, value_name = "FILE.toml")]
+    pub robot: Option<PathBuf>,
+}
+
+pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
+    let out = create(args).before_start()?;
+    let station =
+        StationOptions { config: args.config.as_deref(), robot: args.robot.as_deref(), settings: &args.data.settings };
+    let imported = import(&args.file, &args.data, station, out);
+    if imported.is_err() {
+        // Half a recording would be taken for a whole one.
+        drop(std::fs::remove_file(&args.out));
+    }
+    let (_, account) = imported.while_running()?;
+    for note in &account.notes {
+        print_line(note);
+    }
+    print_line(&format!("wrote `{}`: {} inputs", args.out.display(), account.inputs));
+    Ok(())
+}
+
+fn create(args: &ImportArgs) -> Result<File> {
+    // What cannot be read is reported before an empty file is made.
+    drop(InputFile::open(&args.file)?);
+    File::create_new(&args.out).with_context(|| format!("creating `{}`", args.out.display()))
+}
+
+/// With which station a file without a configuration is read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StationOptions<'a> {
+    /// A station's configuration; without it the default one.
+    pub config: Option<&'a Path>,
+    pub robot: Option<&'a Path>,
+    /// Single keys; they go over both.
+    pub settings: &'a [Setting],
+}
+
+impl StationOptions<'_> {
+    fn config(&self) -> Result<Config> {
+        let mut config = config::load(self.config, self.settings)?.config;
+        if let Some(path) = self.robot {
+            config = config.with_robot(RobotProfile::read(path)?);
+            config = config::apply_overrides(&config, self.settings)?;
+        }
+        Ok(config)
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ImportSummary {
+    pub inputs: u64,
+    /// What was left out or changed, in words for people.
+    pub notes: Vec<String>,
+}
+
+/// What a session was given, and how its station was configured.
+pub struct ImportedSession {
+    /// The configuration, and what else the result depends on.
+    pub header: RecordingHeader,
+    /// What was left out, as far as that is known before the inputs are read; in words.
+    pub notes: Vec<String>,
+    pub inputs: InputSource,
+}
+
+pub enum InputSource {
+    Recorded(Vec<u8>),
+    /// In a telemetry log, from which they are made one by one.
+    Logged(Box<TlogSource>),
+}
+
+/// Gives the frames of a telemetry log with their times, microseconds since 1970, cleared of damage and of steps of the date, so that they never
+/// fall; says in words what was wrong with them.
+pub fn logged_frames(
+    path: &Path,
+    station: StationOptions<'_>,
+    take: &mut dyn FnMut(u64, &[u8]),
+) -> Result<Vec<String>> {
+    let own = station.config()?.station;
+    timed_frames(path, Address::new(own.system, own.component), take)
+}
+
+/// Writes a telemetry log or a descriptor's run as a recording of ours.
+pub fn import<W: Write + Seek>(
+    path: &Path,
+    data: &DataFlags,
+    station: StationOptions<'_>,
+    out: W,
+) -> Result<(W, ImportSummary)> {
+    match InputFile::open(path)?.kind {
+        InputKind::Tlog => {
+            let source = TlogSource::open(path, station.config()?)?;
+            let header = header(&source.config, source.epoch_micros)?;
+            write(out, &header, |sink| source.inputs(sink))
+        }
+        InputKind::Descriptor => {
+            let source = DescriptorSource::open(path, data)?;
+            let header = header(&source.config, 0)?;
+            write(out, &header, |sink| source.inputs(sink))
+        }
+        InputKind::Own => bail!("`{}` is a recording of posebridge already", path.display()),
+        InputKind::Bytes => {
+            bail!("`{}`: bytes without times cannot be replayed; a telemetry log (*.tlog) has times", path.display())
+        }
+    }
+}
+
+/// The bytes of a recording of ours: those of the file with all parts that continue it, or made from a telemetry log in memory; and what
+/// was left out.
+pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<u8>, Vec<String>)> {
+    let file = InputFile::open(path)?;
+    if file.kind != InputKind::Tlog {
+        return own_bytes(path, file, MemoryLimit::default());
+    }
+    let source = TlogSource::open(path, station.config()?)?;
+    let header = header(&source.config, source.epoch_micros)?;
+    let out = Cursor::new(Vec::new());
+    let (out, account) = write(out, &header, |sink| source.inputs(sink))?;
+    Ok((out.into_inner(), account.notes))
+}
+
+/// A recording of ours with all parts that continue it, or a telemetry log.
+pub fn session(path: &Path, station: StationOptions<'_>) -> Result<ImportedSession> {
+    if InputFile::open(path)?.kind == InputKind::Tlog {
+        let source = TlogSource::open(path, station.config()?)?;
+        return Ok(ImportedSession {
+            header: header(&source.config, source.epoch_micros)?,
+            notes: Vec::new(),
+            inputs: InputSource::Logged(Box::new(source)),
+        });
+    }
+    let (bytes, notes) = recording_bytes(path, station)?;
+    let reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{}`", path.display()))?;
+    Ok(ImportedSession { header: reader.header().clone(), notes, inputs: InputSource::Recorded(bytes) })
+}
+
+fn write<W: Write + Seek>(
+    out: W,
+    header: &RecordingHeader,
+    inputs: impl FnOnce(&mut InputSink<'_>) -> Result<Vec<String>>,
+) -> Result<(W, ImportSummary)> {
+    let mut writer = RecordingWriter::create(out, header)?;
+    let mut account = ImportSummary::default();
+    account.notes = inputs(&mut |now, input| {
+        account.inputs += 1;
+        Ok(writer.record(now, input)?)
+    })?;
+    Ok((writer.finish()?, account))
+}
+
+struct DescriptorSource {
+    /// The robot, its tunables, and what stands in its arena.
+    config: Config,
+    robot_run: RobotRun,
+}
+
+impl DescriptorSource {
+    fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
+        let data = DataSet::open(path, flags)?;
+        let [name] = data.runs.as_slice() else {
+            bail!(
+                "a recording holds one run, but {} are selected: choose one with --run: {}",
+                data.runs.len(),
+                data.runs.join(", ")
+            );
+        };
+        let robot_run = data.load(name, flags)?;
+        let start = robot_run.filter_config.start.map(|start| RobotStart {
+            x_m: start.pose.x.0,
+            y_m: start.pose.y.0,
+            heading_deg: start.pose.heading.rad().to_degrees(),
+            position_sigma_m: start.position_sigma_m,
+            heading_sigma_deg: start.heading_sigma_rad.to_degrees(),
+        });
+        let config = Config {
+            robot: RobotFile { start, ..robot_run.robot.clone() },
+            filter: robot_run.filter.clone(),
+            world: WorldConfig {
+                landmarks: places(robot_run.run.landmarks.iter().map(|(id, at)| (id.0, *at))),
+                beacons: places(robot_run.run.beacons.iter().map(|(id, at)| (id.0, *at))),
+                walls: Vec::new(),
+            },
+            links: Vec::new(),
+            ..Config::default()
+        };
+        Ok(Self { config, robot_run })
+    }
+
+    fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
+        let run = &self.robot_run.run;
+        for timed in &run.observations {
+            sink(timed.arrival, &Input::Observation(timed.observation))?;
+        }
+        let left_out = [
+            (run.bad_rows.total(), "rows that could not be used"),
+            (run.truth.len(), "true poses: they belong to the descriptor"),
+            (run.withheld.len(), "fixes that the descriptor withholds"),
+        ];
+        let left_out = left_out.into_iter().filter(|(count, _)| *count > 0);
+        Ok(left_out.map(|(count, what)| format!("left out: {count} {what}")).collect())
+    }
+}
+
+fn places(places: impl Iterator<Item = (u32, Point2<Arena>)>) -> Vec<NumberedPlace> {
+    let place = |(id, at): (u32, Point2<Arena>)| NumberedPlace { id, x_m: at.x.0, y_m: at.y.0 };
+    places.map(place).collect()
+}

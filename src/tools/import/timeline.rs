@@ -66,7 +66,6 @@ impl SenderClock {
     }
 }
 
-/// A record of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct TimedRecord<'f> {
     /// Its time, microseconds since 1970, as the file says.
@@ -88,14 +87,10 @@ impl TimedRecord<'_> {
     }
 }
 
-/// What was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct TimelineDefects {
-    /// Times that are damaged.
     pub(super) damaged: u64,
-    /// Steps back of the date.
     pub(super) steps_back: u64,
-    /// Steps forward of the date.
     pub(super) steps_ahead: u64,
     /// Long silences for which no clock stands.
     pub(super) silences: u64,
@@ -121,10 +116,8 @@ impl TimelineDefects {
 /// Takes records with the times that count, microseconds since 1970; they never fall.
 pub(super) type FrameSink<'t> = dyn FnMut(u64, &[u8]) + 't;
 
-/// Corrects the times of a log, record by record.
 pub(super) struct Timeline {
     latest_micros: u64,
-    /// What is added to a file's time.
     shift_micros: i64,
     run: VecDeque<TimedRecord<'static>>,
     clocks: BTreeMap<(Address, u32), SenderClock>,
@@ -252,12 +245,7 @@ impl Timeline {
             self.defects.silences += 1;
         }
         // Whatever the clocks say: the next record counts from here.
-        self.latest_micros = self.latest_micros.max(self.first_of_run());
-    }
-
-    fn first_of_run(&self) -> u64 {
-        let first = self.run.front();
-        first.map_or(self.latest_micros, |first| self.shifted(first.micros))
+        self.latest_micros = self.latest_micros.max(self.run.front().map_or(0, |first| self.shifted(first.micros)));
     }
 
     /// By how much the times of the run advanced more than a sender's clock did; `None` if none decides. A clock that fell began anew.
@@ -299,7 +287,6 @@ pub(super) const fn are_consistent(one_micros: u64, other_micros: u64) -> bool {
     is_possible(one_micros) && is_possible(other_micros) && one_micros.abs_diff(other_micros) <= STEP_THRESHOLD_MICROS
 }
 
-/// No log was kept then.
 pub(super) const fn is_possible(micros: u64) -> bool {
     micros < NEWEST_MICROS
 }
@@ -356,11 +343,18 @@ mod tests {
 
     #[test]
     fn a_silence_stays_and_is_told_where_no_clock_confirms_it() {
-        let (stamps, found) = without_clock(&[10, 11, 5_000, 5_001]);
-        assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
-        let shared = [(10, 3), (11, 4), (5_000, 4_993), (5_001, 4_994)];
-        let (stamps, found) = timeline_of(&shared.map(|(at, clock_s)| (at, Some(clock_s))));
-        assert_eq!((stamps, found), (vec![0, 1, 4_990, 4_991], TimelineDefects::default()));
+        for (readings_s, silences) in [
+            ([None; 4], 1),
+            ([3, 4, 4_993, 4_994].map(Some), 0),
+            // A clock that stands still, and one of a robot that began anew in the silence, say nothing of it.
+            ([0; 4].map(Some), 1),
+            ([900, 901, 2, 3].map(Some), 1),
+        ] {
+            let records: Vec<_> = [10, 11, 5_000, 5_001].into_iter().zip(readings_s).collect();
+            let (stamps, found) = timeline_of(&records);
+            assert_eq!(stamps, [0, 1, 4_990, 4_991], "{readings_s:?}");
+            assert_eq!(found, TimelineDefects { silences, ..TimelineDefects::default() }, "{readings_s:?}");
+        }
     }
 
     #[test]
@@ -390,23 +384,9 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_stands_still_says_nothing_of_a_silence() {
-        let records = [(10, 0), (11, 0), (5_000, 0), (5_001, 0)];
-        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
-        assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
-    }
-
-    #[test]
     fn a_clock_that_wraps_at_the_step_tells_all_the_same() {
         let records = [(5_000, 4_293), (5_001, 4_294), (8_602, 0), (8_603, 1)];
         let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
         assert_eq!((stamps, found.steps_ahead), (vec![0, 1, 2, 3], 1));
-    }
-
-    #[test]
-    fn a_robot_that_began_anew_in_a_silence_says_nothing_of_the_date() {
-        let records = [(10, 900), (11, 901), (5_000, 2), (5_001, 3)];
-        let (stamps, found) = timeline_of(&records.map(|(at, clock_s)| (at, Some(clock_s))));
-        assert_eq!((stamps, found.silences), (vec![0, 1, 4_990, 4_991], 1));
     }
 }

@@ -20,13 +20,10 @@ use posebridge_protocol::message::{Message, WireStamp};
 use posebridge_recording::tlog::{FrameCheck, OLDEST_MICROS, TlogRecord};
 use posebridge_telemetry::{Address, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
 
-use super::InputSink;
 use super::timeline::{ClockReading, FrameSink, TimedRecord, Timeline, TimelineDefects, are_consistent, is_possible};
 use crate::config::{Config, LinkSection};
-use crate::station::input_file::InputFile;
-use crate::tools::tlog_records::{first_records, records};
+use crate::station::input_file::{InputFile, first_tlog_records, tlog_records};
 
-/// The only link of the recording.
 const LINK: LinkId = LinkId(0);
 /// Number of records that are searched for the station.
 const SEARCH_RECORDS: usize = 20_000;
@@ -35,8 +32,10 @@ const TICK: TimeDelta = TimeDelta::from_millis(1_000);
 /// No silence is longer than this many ticks to a station: it has found out by then.
 const MAX_TICKS: u32 = 60;
 
-/// An opened log.
-pub(super) struct TlogSource {
+/// Takes the inputs of a file as they are found.
+pub type InputSink<'s> = dyn FnMut(Timestamp<HostClock>, &Input) -> Result<()> + 's;
+
+pub struct TlogSource {
     /// The station that the log is read with; one link, and nothing is sent on it.
     pub(super) config: Config,
     /// The host clock's zero, microseconds since 1970.
@@ -48,9 +47,6 @@ pub(super) struct TlogSource {
 
 impl TlogSource {
     /// Looks for the zero of the host's clock.
-    ///
-    /// # Errors
-    /// The file cannot be read or holds no frame, or its times make no sense.
     pub(super) fn open(path: &Path, station: Config) -> Result<Self> {
         let own = Address::new(station.station.system, station.station.component);
         let config = Config {
@@ -71,11 +67,8 @@ impl TlogSource {
         })
     }
 
-    /// Gives the inputs in the order of their times.
-    ///
-    /// # Errors
-    /// The file cannot be read any further, or as `sink` says.
-    pub(super) fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
+    /// Gives the inputs in the order of their times, the first one always at [`Timestamp::ZERO`]. Says in words what was left out.
+    pub fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
         let mut inputs = InputBuilder {
             own: self.own,
             epoch_micros: self.epoch_micros,
@@ -103,9 +96,6 @@ impl TlogSource {
 
 /// Gives the frames of a log with the times that count, microseconds since 1970, which never fall; says in words what was wrong with those
 /// in the file.
-///
-/// # Errors
-/// The file cannot be read to its end, or holds no frame, or its times make no sense.
 pub(super) fn timed_frames(path: &Path, own: Address, take: &mut FrameSink<'_>) -> Result<Vec<String>> {
     let first_micros = find_origin(path, own)?.first_micros;
     let (_, found) = process_times(path, own, first_micros, take)?;
@@ -120,13 +110,12 @@ fn process_times(
     take: &mut FrameSink<'_>,
 ) -> Result<(u64, TimelineDefects)> {
     let mut timeline = Timeline::new(first_micros);
-    let reader = records(InputFile::open(path)?, |record| {
+    let reader = tlog_records(InputFile::open(path)?, |record| {
         timeline.push(timed_record(&record, own), take);
     })?;
     Ok((reader.counts().skipped_bytes, timeline.finish(take)))
 }
 
-/// A record with the reading of its sender's clock.
 fn timed_record<'f>(record: &TlogRecord<'f, ()>, own: Address) -> TimedRecord<'f> {
     TimedRecord {
         micros: record.micros,
@@ -174,11 +163,9 @@ fn own_request(frame: &FrameRef<'_>, own: Address) -> Option<Timestamp<HostClock
 struct TimeOrigin {
     /// Zero of the host's clock.
     zero_micros: u64,
-    /// The first time with which another agrees.
     first_micros: u64,
 }
 
-/// What is known of a log's beginning while it is sought.
 #[derive(Default)]
 struct OriginSearch {
     record_count: usize,
@@ -229,14 +216,13 @@ impl OriginSearch {
 
 fn find_origin(path: &Path, own: Address) -> Result<TimeOrigin> {
     let mut sought = OriginSearch::default();
-    first_records(InputFile::open(path)?, |record| {
+    first_tlog_records(InputFile::open(path)?, |record| {
         sought.push(&record, own);
         sought.zero.is_none() && sought.record_count < SEARCH_RECORDS
     })?;
     sought.finish(path)
 }
 
-/// Turns records into inputs.
 struct InputBuilder<'a, 's> {
     own: Address,
     epoch_micros: u64,

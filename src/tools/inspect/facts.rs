@@ -1,13 +1,23 @@
-//! What was found in a file.
+//! What a file holds: telemetry logs and bare captures frame by frame; of recordings of ours the bytes of each MAVLink link as they were
+//! scanned live, of the other links the amount; of descriptors the runs, by kind of observation.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
+use anyhow::{Context, Result};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, parse_verified};
 use posebridge_protocol::statistics::TrafficStatistics;
-use posebridge_recording::container::RecordingHeader;
-use posebridge_recording::tlog::ByteOrder;
-use posebridge_telemetry::{HostClock, LinkId, Timestamp};
+use posebridge_recording::container::{RecordingEnd, RecordingHeader, RecordingReader};
+use posebridge_recording::dataset::TimedObservation;
+use posebridge_recording::tlog::{ByteOrder, FrameCheck, LINK_BITS, TlogRecord};
+use posebridge_telemetry::{BrickClock, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
 
-use super::descriptor::RunFacts;
+use crate::config;
+use crate::console::progress_bar;
+use crate::flags::DataFlags;
+use crate::station::input_file::{InputFile, tlog_records};
+use crate::station::recorded_session::{continuation_names, missing_start};
+use crate::tools::dataset::DataSet;
 
 /// What was found in a file of frames.
 #[derive(Debug, Default)]
@@ -15,7 +25,6 @@ pub(super) struct FramedFacts {
     /// Bytes of the file, or of its MAVLink links, unpacked.
     pub(super) bytes: u64,
     pub(super) census: TrafficStatistics,
-    /// Frames of unknown messages.
     pub(super) unknown_frames: u64,
     /// Their bytes, with the times before them.
     pub(super) unknown_bytes: u64,
@@ -64,15 +73,11 @@ impl InspectResult {
 /// What only a recording of ours has.
 #[derive(Debug)]
 pub(super) struct RecordingFacts {
-    /// Its own description.
     pub(super) header: RecordingHeader,
-    /// How many inputs it holds.
     pub(super) inputs: u64,
     /// Observations that came without bytes, from a foreign recording.
     pub(super) observations: u64,
-    /// Commands.
     pub(super) commands: u64,
-    /// Links by number.
     pub(super) links: BTreeMap<LinkId, LinkFacts>,
     /// When the first input was given; a later part of a session begins late.
     pub(super) first: Option<Timestamp<HostClock>>,
@@ -82,11 +87,8 @@ pub(super) struct RecordingFacts {
     pub(super) missing_start: Option<String>,
     /// The names of the parts that continue it; they are not counted.
     pub(super) continued_by: Vec<String>,
-    /// When the last input was given.
     pub(super) last: Timestamp<HostClock>,
-    /// Where and why it ends early.
     pub(super) truncation: Option<String>,
-    /// What is damaged within it.
     pub(super) damages: Vec<String>,
 }
 
@@ -98,21 +100,248 @@ impl RecordingFacts {
     }
 }
 
-/// One link.
 #[derive(Debug, Default)]
 pub(super) struct LinkFacts {
-    /// Its URL.
     pub(super) url: String,
     /// The protocol of its brick, if that is not MAVLink.
     pub(super) brick: Option<String>,
-    /// Chunks that came.
     pub(super) chunks: u64,
-    /// Their bytes.
     pub(super) bytes: u64,
-    /// How often it came up.
     pub(super) ups: u64,
-    /// How often it went down.
     pub(super) downs: u64,
+}
+
+/// The only link of a file that does not tell links apart.
+const LINK: LinkId = LinkId(0);
+
+pub(super) fn inspect_tlog(file: InputFile) -> Result<FramedFacts> {
+    let mut framed = FramedFacts { epoch_micros: Some(0), ..FramedFacts::default() };
+    let mut facts = TlogFacts::default();
+    let reader = tlog_records(file, |record| {
+        record_tlog_frame(&mut framed, &mut facts, &record);
+    })?;
+    let counts = reader.counts();
+    framed.bytes = counts.bytes;
+    framed.unknown_frames = counts.unknown;
+    framed.unknown_bytes = counts.unknown_bytes;
+    framed.bytes_outside = counts.skipped_bytes + counts.unknown_bytes;
+    facts.order = reader.byte_order().unwrap_or_default();
+    framed.tlog = Some(facts);
+    Ok(framed)
+}
+
+fn record_tlog_frame(framed: &mut FramedFacts, facts: &mut TlogFacts, record: &TlogRecord<'_, ()>) {
+    if !matches!(record.check, FrameCheck::Valid(())) {
+        return;
+    }
+    let bits = (record.micros & LINK_BITS) as usize;
+    if let Some(count) = facts.link_bits.get_mut(bits) {
+        *count += 1;
+    }
+    if let Some(frame) = parse_verified(record.frame) {
+        let at = Timestamp::from_micros(i64::try_from(record.micros).unwrap_or(i64::MAX));
+        framed.census.record_logged(bits, &frame, at);
+    }
+}
+
+/// Inspects bytes as they came off a link.
+pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {
+    let mut framed = FramedFacts::default();
+    let mut framer = inspection_framer();
+    let bar = progress_bar(file.size, "bytes")?;
+    file.chunks(|chunk| {
+        framed.bytes += chunk.len() as u64;
+        let mut take = |found: FramerOutput<'_>| record_frame(&mut framed, LINK, found, None);
+        framer.push(Timestamp::ZERO, chunk, &mut take);
+        bar.inc(chunk.len() as u64);
+    })?;
+    framer.finish(&mut |found| record_frame(&mut framed, LINK, found, None));
+    bar.finish_and_clear();
+    framed.bytes_outside = framer.counters().garbage_bytes + framed.unknown_bytes;
+    Ok(framed)
+}
+
+/// A framer for recordings of other programs: of both versions and every dialect.
+pub(super) fn inspection_framer() -> Framer {
+    Framer::with_all_dialects(FramerConfig { accept_v1: true, ..FramerConfig::default() })
+}
+
+/// Counts what a framer has found.
+pub(super) fn record_frame(
+    framed: &mut FramedFacts,
+    link: LinkId,
+    found: FramerOutput<'_>,
+    at: Option<Timestamp<HostClock>>,
+) {
+    match found {
+        FramerOutput::Frame(frame) => framed.census.record(link, &frame, at),
+        FramerOutput::UnknownFrame(frame) => {
+            framed.unknown_frames += 1;
+            framed.unknown_bytes += frame.raw.len() as u64;
+        }
+        FramerOutput::Error(_) => {}
+    }
+}
+
+/// A recording lies in memory while it is inspected; more than that is not read.
+const MAX_BYTES: u64 = 4 << 30;
+
+const MAX_DAMAGES: usize = 20;
+
+pub(super) fn inspect_recording(file: InputFile, path: &Path) -> Result<FramedFacts> {
+    let name = file.name.clone();
+    let bytes = file.read_all(MAX_BYTES)?;
+    let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+    let mut framed = FramedFacts { epoch_micros: Some(reader.header().utc_start_micros), ..FramedFacts::default() };
+    let mut facts = RecordingFacts {
+        part: reader.part_header().part,
+        missing_start: missing_start(reader.part_header()),
+        continued_by: continuation_names(path, &bytes)?,
+        ..facts_of(reader.header())
+    };
+    let mut scanners: BTreeMap<(LinkId, PeerId), Framer> = BTreeMap::new();
+    for item in &mut reader {
+        match item {
+            Ok((now, input)) => record_input(&mut framed, &mut facts, &mut scanners, now, &input),
+            Err(error) if facts.damages.len() < MAX_DAMAGES => {
+                facts.damages.push(error.to_string());
+            }
+            Err(_) => {}
+        }
+    }
+    for ((link, _), mut framer) in scanners {
+        framer.finish(&mut |found| record_frame(&mut framed, link, found, Some(facts.last)));
+        framed.bytes_outside += framer.counters().garbage_bytes;
+    }
+    framed.bytes_outside += framed.unknown_bytes;
+    if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
+        facts.truncation = Some(format!("byte {offset}: {what}"));
+    }
+    framed.own = Some(facts);
+    Ok(framed)
+}
+
+fn facts_of(header: &RecordingHeader) -> RecordingFacts {
+    // A configuration of a newer program may not be understood; the bytes are counted all the same.
+    let config = config::load_text("the recording's own configuration", &header.config_toml, &[]);
+    let sections = config.map(|loaded| loaded.config.links).unwrap_or_default();
+    let links = header.links.iter().enumerate().map(|(index, url)| {
+        let facts = LinkFacts {
+            url: url.clone(),
+            brick: sections.get(index).and_then(|section| section.brick.clone()),
+            ..LinkFacts::default()
+        };
+        (LinkId(index as u16), facts)
+    });
+    RecordingFacts {
+        header: header.clone(),
+        inputs: 0,
+        observations: 0,
+        commands: 0,
+        links: links.collect(),
+        first: None,
+        part: 1,
+        missing_start: None,
+        continued_by: Vec::new(),
+        last: Timestamp::ZERO,
+        truncation: None,
+        damages: Vec::new(),
+    }
+}
+
+fn record_input(
+    framed: &mut FramedFacts,
+    facts: &mut RecordingFacts,
+    scanners: &mut BTreeMap<(LinkId, PeerId), Framer>,
+    now: Timestamp<HostClock>,
+    input: &Input,
+) {
+    facts.inputs += 1;
+    facts.first.get_or_insert(now);
+    facts.last = now;
+    match input {
+        Input::Bytes { link, peer, bytes } => {
+            let of_link = facts.links.entry(*link).or_default();
+            of_link.chunks += 1;
+            of_link.bytes += bytes.len() as u64;
+            if of_link.brick.as_deref().is_none_or(|brick| brick == "mavlink") {
+                framed.bytes += bytes.len() as u64;
+                let framer = scanners.entry((*link, *peer)).or_insert_with(inspection_framer);
+                framer.push(now, bytes, &mut |found| {
+                    record_frame(framed, *link, found, Some(now));
+                });
+            }
+        }
+        Input::Link { link, state } => {
+            let of_link = facts.links.entry(*link).or_default();
+            match state {
+                LinkState::Up => of_link.ups += 1,
+                LinkState::Down => of_link.downs += 1,
+            }
+        }
+        Input::Observation(_) => facts.observations += 1,
+        Input::Command(_) | Input::RobotCommand { .. } => facts.commands += 1,
+        Input::Report { .. } | Input::Port { .. } | Input::Tick => {}
+    }
+}
+
+pub(super) struct RunFacts {
+    pub(super) name: String,
+    pub(super) observations: Vec<(String, Series)>,
+    pub(super) truth: usize,
+    pub(super) withheld: usize,
+    /// Rows that could not be used, by reason.
+    pub(super) bad_rows: Vec<(&'static str, u64)>,
+}
+
+/// Observations of one kind and sensor.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Series {
+    pub(super) count: u64,
+    pub(super) first: Timestamp<BrickClock>,
+    pub(super) last: Timestamp<BrickClock>,
+    pub(super) longest_gap: TimeDelta,
+}
+
+impl Series {
+    /// Observations per second; `None` of fewer than two.
+    pub(super) fn rate_hz(&self) -> Option<f64> {
+        let elapsed_s = (self.last - self.first).as_secs_f64();
+        (self.count > 1 && elapsed_s > 0.0).then(|| (self.count - 1) as f64 / elapsed_s)
+    }
+}
+
+/// Inspects the runs of a descriptor that the flags choose.
+pub(super) fn inspect_descriptor(path: &Path, flags: &DataFlags) -> Result<Vec<RunFacts>> {
+    let data = DataSet::open(path, flags)?;
+    let runs = data.runs.iter().map(|name| {
+        let run = data.load(name, flags)?.run;
+        let counts = run.bad_rows.counts.iter();
+        Ok(RunFacts {
+            name: name.clone(),
+            observations: series_of(&run.observations),
+            truth: run.truth.len(),
+            withheld: run.withheld.len(),
+            bad_rows: counts.map(|(reason, count)| (reason.name(), *count as u64)).collect(),
+        })
+    });
+    runs.collect()
+}
+
+fn series_of(observations: &[TimedObservation]) -> Vec<(String, Series)> {
+    let mut series: BTreeMap<String, Series> = BTreeMap::new();
+    for timed in observations {
+        let observation = &timed.observation;
+        let (kind, sensor) = (observation.measurement.kind(), observation.sensor);
+        let name = if sensor.name() == kind { kind.to_owned() } else { format!("{kind} ({} {sensor})", sensor.name()) };
+        let stamp = observation.stamp;
+        let one =
+            series.entry(name).or_insert(Series { count: 0, first: stamp, last: stamp, longest_gap: TimeDelta::ZERO });
+        one.count += 1;
+        one.longest_gap = one.longest_gap.max(stamp - one.last);
+        one.last = one.last.max(stamp);
+    }
+    series.into_iter().collect()
 }
 
 #[cfg(test)]

@@ -4,12 +4,8 @@
 //! within a fixed memory, recordings of ours apart. Frames are verified with the checksum seeds of every known dialect.
 //! docs/recordings.md describes the JSON object.
 
-mod descriptor;
 mod facts;
-mod framed;
-mod json;
-mod own;
-mod table;
+mod report;
 
 use std::path::PathBuf;
 
@@ -29,24 +25,21 @@ pub struct InspectArgs {
     /// What to read of a descriptor's data.
     #[command(flatten)]
     pub data: DataFlags,
-    /// Print one JSON object (docs/recordings.md) instead of tables.
+    /// Print one JSON object instead of tables (docs/recordings.md).
     #[arg(long)]
     pub json: bool,
 }
 
-/// Inspects.
-///
-/// # Errors
-/// The file cannot be read or makes no sense.
 pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let file = InputFile::open(&args.file).before_start()?;
     let (name, kind, size) = (file.name.clone(), file.kind, file.size);
     let found = match kind {
-        InputKind::Tlog => framed::tlog(file).map(InspectResult::from_framed).while_running()?,
-        InputKind::Bytes => framed::bytes(file).map(InspectResult::from_framed).while_running()?,
-        InputKind::Own => own::inspect(file, &args.file).map(InspectResult::from_framed).before_start()?,
-        InputKind::Descriptor => InspectResult::Runs(descriptor::inspect(&args.file, &args.data).before_start()?),
+        InputKind::Tlog => facts::inspect_tlog(file).map(InspectResult::from_framed).while_running()?,
+        InputKind::Bytes => facts::inspect_bytes(file).map(InspectResult::from_framed).while_running()?,
+        InputKind::Own => facts::inspect_recording(file, &args.file).map(InspectResult::from_framed).before_start()?,
+        InputKind::Descriptor => InspectResult::Runs(facts::inspect_descriptor(&args.file, &args.data).before_start()?),
     };
-    let text = if args.json { json::text(&name, kind, size, &found) } else { table::text(&name, kind, &found) };
+    let text =
+        if args.json { report::json_text(&name, kind, size, &found) } else { report::table_text(&name, kind, &found) };
     print_result(&text).while_running()
 }

@@ -15,9 +15,7 @@ const AWAITED: &str = "listen";
 /// Both ends of a relay.
 #[derive(Clone, Debug)]
 pub struct RelayEnds {
-    /// The end that is named first.
     pub brick: StationLink,
-    /// The end that is named second.
     pub station: StationLink,
 }
 
@@ -29,14 +27,14 @@ impl Args for RelayEnds {
                     .value_name("URL")
                     .num_args(0..)
                     .action(ArgAction::Append)
-                    .help("Call this link; the first link is the brick's end, the second the station's"),
+                    .help("Connect to this link. The first link goes to the robot, the second to the station"),
             )
             .arg(
                 Arg::new(AWAITED)
                     .long(AWAITED)
                     .value_name("URL")
                     .action(ArgAction::Append)
-                    .help("Wait for a call on this link; it counts where it is written"),
+                    .help("Wait for a connection on this link. It counts at its position among the links"),
             )
     }
 

@@ -6,14 +6,12 @@ use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_ov
 use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Station, StationConfig};
 use posebridge_telemetry::{Address, Input, Observation, Point2, TimeDelta};
 
-use super::args::ReplayArgs;
-use super::output_files::{ReferenceTracks, finish_events, write_charts};
-use super::recording::changed_settings;
-use super::replay_watcher::ReplayWatcher;
-use super::result::{FilterResult, ReplayResult};
-use super::robot;
-use super::smooth::SmoothedRun;
-use super::watch::{EventWatcher, ReplayLane, ReplayPacer, Window, WindowPosition};
+use super::own::{changed_settings, profile_settings};
+use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothedRun};
+use super::watch::{
+    EventWatcher, ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events,
+    write_charts,
+};
 use crate::config::names_of_filters;
 use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
@@ -32,35 +30,23 @@ const DEFAULT_FILTERS: [&str; 2] = ["odometry", "pose"];
 
 /// A descriptor with the runs and the robot that the flags choose.
 pub struct ForeignRecording {
-    /// The runs.
     pub data: DataSet,
     flags: DataFlags,
 }
 
 impl ForeignRecording {
-    /// Reads the descriptor.
-    ///
-    /// # Errors
-    /// It cannot be read or makes no sense, or a flag is for recordings of ours.
     pub fn open(flags: &SessionFlags) -> Result<Self> {
         ensure!(flags.truth.is_none(), "--truth is for recordings of ours: a descriptor names its own truth");
-        let data_flags = DataFlags { settings: robot::settings(flags, &[])?, ..flags.data.clone() };
+        let data_flags = DataFlags { settings: profile_settings(flags, &[])?, ..flags.data.clone() };
         Ok(Self { data: DataSet::open(&flags.recording, &data_flags)?, flags: data_flags })
     }
 
-    /// Reads a run.
-    ///
-    /// # Errors
-    /// A file or a column is missing, or the robot makes no sense.
     pub fn load(&self, name: &str) -> Result<RobotRun> {
         self.data.load(name, &self.flags)
     }
 }
 
 /// Replays the runs of a descriptor with each filter.
-///
-/// # Errors
-/// The descriptor, a file or a flag makes no sense, or an output cannot be written.
 pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     let window = Window::from_flags(&args.session).before_start()?;
     let foreign = ForeignRecording::open(&args.session).before_start()?;
@@ -83,7 +69,10 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
         let robot_run = foreign.load(name).before_start()?;
         replayed.bad_rows += report_bad_rows(&robot_run);
         if args.smooth {
-            replayed.smoothed.push(smoothed_run(&robot_run));
+            let (run, config) = (&robot_run.run, &robot_run.filter_config);
+            let observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
+            let smoothed = SmoothedRun::new(&run.name, config, &observations);
+            replayed.smoothed.push(smoothed.with_scores(run, &config.calibration));
         }
         let mut scored = None;
         for (filter, gathered) in filters.iter().zip(&mut per_filter) {
@@ -123,9 +112,6 @@ fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
 }
 
 /// Whether there is such a filter.
-///
-/// # Errors
-/// There is none.
 pub fn check_filter(filter: &str) -> Result<()> {
     ensure!(
         posebridge_estimator::find_filter(filter).is_some(),
@@ -141,11 +127,9 @@ pub struct ReplayScores {
     pub errors: ErrorSummary,
     /// Without the delay that the estimator has learned.
     pub uncorrected: ErrorSummary,
-    /// What it has learned.
     pub learned: Option<LearnedCalibration>,
     /// From the first observation to the last that was given.
     pub duration: TimeDelta,
-    /// How many were given.
     pub observations: u64,
 }
 
@@ -185,9 +169,6 @@ impl ScoreTotals {
 }
 
 /// Gives one run to one filter.
-///
-/// # Errors
-/// The run is empty, or as the watcher says.
 pub fn replay_run(
     robot_run: &RobotRun,
     filter: &str,
@@ -261,13 +242,6 @@ pub fn replay_run(
         duration: recorded,
         observations,
     })
-}
-
-/// What the filters are given, in hindsight.
-fn smoothed_run(robot_run: &RobotRun) -> SmoothedRun {
-    let (run, config) = (&robot_run.run, &robot_run.filter_config);
-    let observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
-    SmoothedRun::new(&run.name, config, &observations).with_scores(run, &config.calibration)
 }
 
 fn write_run_charts(

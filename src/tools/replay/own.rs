@@ -2,36 +2,37 @@
 
 use std::fs::File;
 use std::io::BufWriter;
+use std::path::Path;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_estimator::FilterConfig;
+use posebridge_recording::container::{RecordingHeader, RecordingReader};
 use posebridge_report::metrics::{errors_of_estimates, summarise};
 use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
+use posebridge_telemetry::{HostClock, Input, RobotId, TimeDelta, Timestamp};
 
-use super::args::ReplayArgs;
-use super::output_files::{ReferenceTracks, finish_events, write_charts};
-use super::recording::OwnRecording;
-use super::replay_watcher::ReplayWatcher;
-use super::result::{FilterResult, ReplayResult};
-use super::smooth::{SmoothError, SmoothedRun};
-use super::watch::{ReplayLane, ReplayPacer, Window};
-use crate::config::{Config, RobotFile};
-use crate::console::print_line;
+use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedRun};
+use super::watch::{
+    ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
+};
+use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
+use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
+use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
 use crate::station::per_robot::{PerRobot, RobotEntry};
+use crate::station::recorded_session::RecordingWarnings;
+use crate::station::signing::recorded_station_config;
 use crate::tools::ground_truth::GroundTruth;
+use crate::tools::import::{self, ImportedSession, InputSource, StationOptions};
 
 /// What a recording of ours is called among runs.
 pub const WHOLE_RUN: &str = "recording";
 
 /// Replays it with the filter of its configuration, or others.
-///
-/// # Errors
-/// The recording, its configuration or a flag makes no sense, or an output cannot be written.
 pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     if let (Some(_), [_, _, ..]) = (&args.events, args.filters.as_slice()) {
         return Err(anyhow!("--events writes the events of one estimator: give --filter once")).before_start();
@@ -78,7 +79,6 @@ struct FilterReplay<'m> {
     collectors: PerRobot<EventCollector>,
 }
 
-/// One configuration for each estimator.
 fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
     if args.filters.is_empty() {
         return Ok(vec![recording.config(&args.session, None)?]);
@@ -144,7 +144,6 @@ fn summarize(
 /// One robot as one estimator followed it.
 struct RobotReplay<'m> {
     config: &'m Config,
-    /// The robot's part of the configuration.
     file: &'m RobotFile,
     filter_config: FilterConfig,
     /// `None` if the station received nothing from a robot.
@@ -218,4 +217,235 @@ fn smoothed(run: &str, config: &FilterConfig, collector: &EventCollector, truth:
         smoothed.errors = summarise(&errors_of_estimates(&smoothed.estimates(), truth));
     }
     smoothed
+}
+
+/// Number of bytes between two moves of the bar.
+const PROGRESS_STEP_BYTES: u64 = 256 * 1024;
+
+/// A recording of ours, in memory, or a telemetry log in its place.
+pub struct OwnRecording {
+    pub name: String,
+    pub header: RecordingHeader,
+    inputs: InputSource,
+    notes: Vec<String>,
+}
+
+/// What came of giving a recording to the engine.
+#[derive(Debug, Default)]
+pub struct ReplaySummary {
+    /// From the first input to the last that was given.
+    pub duration: TimeDelta,
+    /// What is missing or damaged, in words.
+    pub notes: Vec<String>,
+}
+
+impl OwnRecording {
+    /// Reads it; of a telemetry log only the beginning.
+    pub fn open(flags: &SessionFlags) -> Result<Self> {
+        ensure!(
+            flags.data.run.is_none() && flags.data.use_every.is_none(),
+            "--run and --use-every choose from a descriptor's data, not from a recording of ours"
+        );
+        let name = flags.recording.display().to_string();
+        let settings = profile_settings(flags, &["robot"])?;
+        let station = StationOptions { settings: &settings, ..StationOptions::default() };
+        let ImportedSession { header, notes, inputs } = import::session(&flags.recording, station)?;
+        Ok(Self { name, header, inputs, notes })
+    }
+
+    /// The configuration that it was made with, and what the flags and the filter change of it.
+    pub fn config(&self, flags: &SessionFlags, filter: Option<&str>) -> Result<Config> {
+        let origin = "the recording's own configuration";
+        let settings = profile_settings(flags, &["robot"])?;
+        let mut config = config::load_text(origin, &self.header.config_toml, &settings)?.config;
+        if let Some(filter) = filter {
+            filter.clone_into(&mut config.filter.name);
+        }
+        Ok(config)
+    }
+
+    /// What is changed of the configuration that it was made with, in words; empty if nothing is.
+    pub fn changes(&self, flags: &SessionFlags, filters: &[String]) -> Result<Vec<String>> {
+        let recorded = config::load_text("the recording's own configuration", &self.header.config_toml, &[])?;
+        let others = filters.iter().filter(|name| **name != recorded.config.filter.name);
+        let mut changes: Vec<String> = others.map(|name| format!("filter.name={name}")).collect();
+        changes.extend(changed_settings(flags));
+        Ok(changes)
+    }
+
+    pub fn station(flags: &SessionFlags, config: &Config) -> Result<Station> {
+        Ok(Station::new(recorded_station_config(config, &flags.keys)?, Timestamp::ZERO)?)
+    }
+
+    /// The truth of a robot: that of a file, else that of the recording.
+    pub fn ground_truth(&self, truth: Option<&Path>, robot: Option<RobotId>) -> Result<GroundTruth> {
+        match &self.inputs {
+            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth, robot),
+            InputSource::Logged(_) => GroundTruth::from_file(truth),
+        }
+    }
+
+    /// When its first input was given.
+    pub fn origin(&self) -> Timestamp<HostClock> {
+        let InputSource::Recorded(bytes) = &self.inputs else {
+            return Timestamp::ZERO;
+        };
+        let reader = RecordingReader::open(bytes).ok();
+        let first = reader.and_then(|mut reader| reader.find_map(Result::ok));
+        first.map_or(Timestamp::ZERO, |(now, _)| now)
+    }
+
+    /// Gives every lane what the station was given live, at the same instants.
+    pub fn run(
+        &self,
+        lanes: &mut [ReplayLane<'_>],
+        window: Window,
+        pace: Option<&ReplayPacer>,
+    ) -> Result<ReplaySummary> {
+        let mut notes = RecordingWarnings::from_notes(&self.notes);
+        let mut cursor = ReplayCursor {
+            lanes,
+            window,
+            pace,
+            first: None,
+            duration: TimeDelta::ZERO,
+            has_started: false,
+            is_finished: false,
+        };
+        match &self.inputs {
+            InputSource::Recorded(bytes) => run_recorded(bytes, &mut cursor, &mut notes)?,
+            InputSource::Logged(log) => {
+                let left_out = log.inputs(&mut |now, input| cursor.push(now, input))?;
+                for note in left_out {
+                    notes.add(note);
+                }
+            }
+        }
+        let recorded = cursor.duration;
+        ensure!(
+            cursor.has_started || window.is_unbounded(),
+            "`{}`: nothing lies between --from and --to: its inputs lie between 0 and {:.3} s",
+            self.name,
+            recorded.as_secs_f64()
+        );
+        let notes = notes.into_lines();
+        Ok(ReplaySummary { duration: recorded, notes })
+    }
+}
+
+/// The lanes on their way through a session.
+struct ReplayCursor<'c, 'l> {
+    lanes: &'c mut [ReplayLane<'l>],
+    window: Window,
+    pace: Option<&'c ReplayPacer>,
+    first: Option<Timestamp<HostClock>>,
+    duration: TimeDelta,
+    has_started: bool,
+    is_finished: bool,
+}
+
+impl ReplayCursor<'_, '_> {
+    fn push(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
+        let elapsed = now - *self.first.get_or_insert(now);
+        let place = self.window.position(elapsed);
+        self.is_finished |= place == WindowPosition::After;
+        if self.is_finished {
+            return Ok(());
+        }
+        self.has_started |= place == WindowPosition::Within;
+        if let Some(pace) = self.pace {
+            pace.wait(elapsed);
+        }
+        for lane in &mut *self.lanes {
+            lane.push(now, input, place)?;
+        }
+        self.duration = self.duration.max(elapsed);
+        Ok(())
+    }
+}
+
+fn run_recorded(bytes: &[u8], cursor: &mut ReplayCursor<'_, '_>, notes: &mut RecordingWarnings) -> Result<()> {
+    let mut reader = RecordingReader::open(bytes)?;
+    let bar = progress_bar(bytes.len() as u64, "bytes")?;
+    notes.add_missing_start(reader.part_header());
+    while let Some(item) = reader.next() {
+        match item {
+            Ok((now, input)) => cursor.push(now, &input)?,
+            Err(error) => notes.add_damage(&error),
+        }
+        if cursor.is_finished {
+            break;
+        }
+        if reader.offset() >= bar.position() + PROGRESS_STEP_BYTES {
+            bar.set_position(reader.offset());
+        }
+    }
+    bar.finish_and_clear();
+    if !cursor.is_finished {
+        notes.add_ending(&reader.recording_end());
+    }
+    Ok(())
+}
+
+/// What flags lay over a configuration, in words.
+pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
+    let robot = flags.robot.iter();
+    let mut changes: Vec<String> = robot.map(|path| format!("robot of {}", path.display())).collect();
+    let settings = flags.data.settings.iter().chain(&flags.params);
+    changes.extend(settings.map(ToString::to_string));
+    changes
+}
+
+/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is where the robot's table is in what they
+/// are laid over.
+pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Result<Vec<Setting>> {
+    let mut settings = Vec::new();
+    if let Some(path) = &flags.robot {
+        // Its own reading names what makes no sense better than a laid over table could.
+        RobotProfile::read(path)?;
+        let name = path.display();
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
+        let page: toml::Table = toml::from_str(&text)?;
+        settings.extend(of_table(&page, "robot", robot_path));
+        settings.extend(of_table(&page, "filter", &["filter"]));
+    }
+    settings.extend_from_slice(&flags.data.settings);
+    settings.extend_from_slice(&flags.params);
+    Ok(settings)
+}
+
+/// The filter is chosen by `--filter`, and where a robot started belongs to the recording.
+fn of_table(page: &toml::Table, name: &str, path: &[&str]) -> Vec<Setting> {
+    let table = page.get(name).and_then(toml::Value::as_table);
+    let entries = table.into_iter().flatten();
+    let mut settings = Vec::new();
+    for (key, value) in entries {
+        let path: Vec<String> = path.iter().copied().chain([key.as_str()]).map(str::to_owned).collect();
+        let inner = value.as_table().filter(|_| key == "noise" || key == "calibration");
+        match inner {
+            Some(inner) => settings.extend(inner.iter().map(|(inner, value)| Setting {
+                path: path.iter().cloned().chain([inner.clone()]).collect(),
+                value: value.clone(),
+            })),
+            None if key == "start" || (name == "filter" && key == "name") => {}
+            None => settings.push(Setting { path, value: value.clone() }),
+        }
+    }
+    settings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_profile_is_laid_over_key_by_key_without_start_and_filter_name() {
+        let text = "[robot]\ntrack_width_m = 0.2\n[robot.noise]\nfix_position_m = 0.02\n[robot.start]\nx_m = 1.0\n\
+                    [filter]\nname = \"pose\"\naccel_m_s2 = 2.0\n";
+        let page: toml::Table = toml::from_str(text).unwrap();
+        let paths =
+            |settings: Vec<Setting>| -> Vec<String> { settings.iter().map(|setting| setting.path.join(".")).collect() };
+        assert_eq!(paths(of_table(&page, "robot", &["robot"])), ["robot.noise.fix_position_m", "robot.track_width_m"]);
+        assert_eq!(paths(of_table(&page, "filter", &["filter"])), ["filter.accel_m_s2"]);
+    }
 }

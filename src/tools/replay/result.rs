@@ -1,14 +1,58 @@
-//! What a replay found.
+//! The flags of a replay, and what it finds: errors, tallies and calibrations of each estimator, and with `--smooth` the most likely path of
+//! each run, found when it is over, beside what the filters knew in time.
+//!
+//! The smoother gets the observations that the filters were given and their configuration, and is compared with the same reference. It reads
+//! wheels, gyro and fixes; what else a recording has is counted and named.
 
-use posebridge_report::{ErrorSummary, SourceTally};
-use posebridge_telemetry::TimeDelta;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 
-use super::smooth::SmoothedRun;
+use clap::Args;
+use posebridge_estimator::FilterConfig;
+use posebridge_estimator::smoother::{OfflineError, batch};
+use posebridge_link::HostTimer;
+use posebridge_recording::dataset::DatasetRun;
+use posebridge_report::metrics::summarise;
+use posebridge_report::tables::SmoothRow;
+use posebridge_report::{ErrorSummary, PoseTrack, SmoothedPath, SourceTally};
+use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
+
+use crate::flags::{SessionFlags, positive};
+use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 use crate::station::learned_calibration::LearnedCalibration;
+use crate::tools::score::{EstimateSource, Scorer};
+
+/// Flags of `replay`.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// What to replay.
+    #[command(flatten)]
+    pub session: SessionFlags,
+    /// Filter to run. Can be repeated to compare several.
+    #[arg(long = "filter", visible_alias = "estimator", value_name = "NAME")]
+    pub filters: Vec<String>,
+    /// Speed relative to real time. Default: as fast as possible.
+    #[arg(long, value_name = "FACTOR", value_parser = positive)]
+    pub speed: Option<f64>,
+    /// Write every event to this file, as one JSON object per line.
+    #[arg(long, value_name = "FILE")]
+    pub events: Option<PathBuf>,
+    /// Write a robot profile with the calibration that the last learning filter found, for `run --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save_calibration: Option<PathBuf>,
+    /// Also compute the most likely path of each run from wheels, gyro and fixes. Slow for long runs.
+    #[arg(long, conflicts_with_all = ["from", "to"])]
+    pub smooth: bool,
+    /// Write the picture of the last run and the last filter to this file.
+    #[arg(long, value_name = "FILE.svg")]
+    pub figure: Option<PathBuf>,
+    /// Print one JSON object instead of tables (docs/reports.md).
+    #[arg(long)]
+    pub json: bool,
+}
 
 /// What one estimator did over everything that was replayed.
 pub struct FilterResult {
-    /// Its name.
     pub name: String,
     /// Which robot it followed, where the recording has several.
     pub robot: Option<String>,
@@ -30,18 +74,13 @@ impl FilterResult {
     }
 }
 
-/// Everything that was replayed.
 #[derive(Default)]
 pub struct ReplayResult {
-    /// The recording's name.
     pub recording: String,
-    /// Names of the runs.
     pub runs: Vec<String>,
-    /// How many observations one estimator was given.
     pub observations: u64,
     /// Rows that could not be used.
     pub bad_rows: u64,
-    /// One per estimator.
     pub outcomes: Vec<FilterResult>,
     /// One per run; empty unless it was asked for.
     pub smoothed: Vec<SmoothedRun>,
@@ -49,4 +88,140 @@ pub struct ReplayResult {
     pub duration: TimeDelta,
     /// What was laid over the recording's own configuration, in words.
     pub changed_settings: Vec<String>,
+}
+
+pub struct SmoothedRun {
+    pub run: String,
+    /// Its errors against the reference of the filters.
+    pub errors: ErrorSummary,
+    /// Those at the withheld fixes' own stamps, where `errors` is corrected for a delay that was found.
+    pub uncorrected: ErrorSummary,
+    pub result: Result<SmoothedResult, SmoothError>,
+    pub elapsed: TimeDelta,
+    /// Observations of kinds that it does not read, by the name of their sensor.
+    pub ignored: BTreeMap<&'static str, u64>,
+}
+
+/// A path and how it was found.
+pub struct SmoothedResult {
+    path: SmoothedPath,
+    calibration: Calibration,
+    pub fixes_used: usize,
+    /// Fixes that contradict the rest, or lie outside the motion.
+    pub fixes_skipped: usize,
+    pub iterations: u32,
+}
+
+/// Why there is no path.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SmoothError {
+    #[error(transparent)]
+    Offline(#[from] OfflineError),
+    /// One path needs one clock.
+    #[error("the brick restarted {0} time(s): its clock began anew, and what came before and after is not one run")]
+    Restarted(u64),
+}
+
+impl EstimateSource for SmoothedResult {
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.path.at(stamp)
+    }
+    fn calibration(&self) -> Option<Calibration> {
+        Some(self.calibration)
+    }
+    fn latest(&self) -> Option<Timestamp<BrickClock>> {
+        self.path.latest()
+    }
+}
+
+impl SmoothedRun {
+    pub fn new(run: &str, config: &FilterConfig, observations: &[Observation]) -> Self {
+        let timer = HostTimer::start();
+        let before = timer.now();
+        let found = batch(config, observations).map(|smoothed| SmoothedResult {
+            path: SmoothedPath::new(smoothed.poses),
+            calibration: smoothed.calibration,
+            fixes_used: smoothed.fixes_used,
+            fixes_skipped: smoothed.fixes_rejected,
+            iterations: smoothed.iterations,
+        });
+        Self {
+            run: run.to_owned(),
+            errors: ErrorSummary::default(),
+            uncorrected: ErrorSummary::default(),
+            result: found.map_err(SmoothError::from),
+            elapsed: timer.now() - before,
+            ignored: count_ignored(observations),
+        }
+    }
+
+    /// A run that cannot be smoothed.
+    pub fn failed(run: &str, reason: SmoothError) -> Self {
+        Self {
+            run: run.to_owned(),
+            errors: ErrorSummary::default(),
+            uncorrected: ErrorSummary::default(),
+            result: Err(reason),
+            elapsed: TimeDelta::ZERO,
+            ignored: BTreeMap::new(),
+        }
+    }
+
+    /// Holds it against the truth or the withheld fixes of a foreign recording.
+    pub fn with_scores(mut self, run: &DatasetRun, prior: &Calibration) -> Self {
+        if let Ok(found) = &self.result {
+            let mut scorer = Scorer::new(run, prior);
+            scorer.finish(found);
+            self.errors = summarise(&scorer.errors);
+            self.uncorrected = summarise(&scorer.uncorrected);
+        }
+        self
+    }
+
+    /// Its estimates at its own stamps; none without a path.
+    pub fn estimates(&self) -> Vec<Estimate> {
+        let found = self.result.as_ref().ok();
+        found.map_or_else(Vec::new, |found| found.path.estimates().collect())
+    }
+
+    pub fn track(&self) -> Option<PoseTrack> {
+        let found = self.result.as_ref().ok()?;
+        Some(PoseTrack::new(found.path.poses(), MAX_INTERPOLATION_GAP))
+    }
+
+    pub fn row(&self) -> SmoothRow<'_> {
+        let found = self.result.as_ref().ok();
+        SmoothRow {
+            run: &self.run,
+            errors: &self.errors,
+            fixes_used: found.map(|found| found.fixes_used),
+            fixes_left_out: found.map(|found| found.fixes_skipped),
+            iterations: found.map(|found| found.iterations),
+            duration: self.elapsed,
+            unused_observations: &self.ignored,
+            reason: self.result.as_ref().err().map(ToString::to_string),
+        }
+    }
+}
+
+fn count_ignored(observations: &[Observation]) -> BTreeMap<&'static str, u64> {
+    let mut counts = BTreeMap::new();
+    for observation in observations {
+        match observation.measurement {
+            ObservationKind::WheelAngles { .. }
+            | ObservationKind::OdometerPose(_)
+            | ObservationKind::BodyVelocity { .. }
+            | ObservationKind::TurnRate(_)
+            | ObservationKind::Fix(_) => {}
+            ObservationKind::WheelAccelerations { .. }
+            | ObservationKind::Landmark { .. }
+            | ObservationKind::BeaconRange { .. }
+            | ObservationKind::WallRange(_)
+            | ObservationKind::CompassHeading(_)
+            | ObservationKind::Temperature(_) => {
+                *counts.entry(observation.sensor.name()).or_default() += 1;
+            }
+        }
+    }
+    counts
 }

@@ -1,20 +1,24 @@
-//! Which part of a recording counts, how fast it is given, and who sees what the engine makes of it.
+//! Which part of a recording counts, how fast it is given, who sees what the engine makes of it, and the files that are kept of that.
 
-use anyhow::{Result, ensure};
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+
+use anyhow::{Context, Result, ensure};
 use posebridge_link::HostTimer;
+use posebridge_report::{FIGURES, PoseTrack, RunLayers};
 use posebridge_station::Station;
 use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp};
 
+use super::result::ReplayArgs;
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
+use crate::station::live_status::LiveView;
+use crate::station::observer::write_event;
 use crate::station::per_robot::PerRobot;
 
 /// Sees what one estimator's station does.
 pub trait EventWatcher {
     /// Something happened when the input of `now` was handled.
-    ///
-    /// # Errors
-    /// It cannot be kept.
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()>;
     /// All that follows from the input of `now` has happened.
     fn after_input(&mut self, _now: Timestamp<HostClock>, _station: &Station) {}
@@ -36,12 +40,10 @@ impl EventWatcher for PerRobot<EventCollector> {
     }
 }
 
-/// Whether progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WindowPosition {
     /// Before the part that counts: only the filter needs it.
     Before,
-    /// Within it.
     Within,
     /// Behind it.
     After,
@@ -57,10 +59,6 @@ pub struct Window {
 }
 
 impl Window {
-    /// The window from the flags.
-    ///
-    /// # Errors
-    /// It ends before it begins.
     pub fn from_flags(flags: &SessionFlags) -> Result<Self> {
         if let (Some(from), Some(to)) = (flags.from, flags.to) {
             ensure!(from < to, "--from {from} does not lie before --to {to}: nothing would be left");
@@ -68,7 +66,6 @@ impl Window {
         Ok(Self { from: flags.from.map(TimeDelta::from_secs_f64), to: flags.to.map(TimeDelta::from_secs_f64) })
     }
 
-    /// Whether everything counts.
     pub fn is_unbounded(self) -> bool {
         self == Self::default()
     }
@@ -95,16 +92,12 @@ pub struct ReplayPacer {
 
 impl ReplayPacer {
     /// One that begins when its first input does.
-    ///
-    /// # Errors
-    /// The system gives no timer.
     pub fn new(speed: f64) -> Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         let timer = HostTimer::start();
         Ok(Self { runtime, timer, speed, start: timer.now() })
     }
 
-    /// The next run begins.
     pub fn restart(&mut self) {
         self.start = self.timer.now();
     }
@@ -120,17 +113,11 @@ impl ReplayPacer {
 
 /// One estimator with its watcher.
 pub struct ReplayLane<'w> {
-    /// The engine.
     pub station: Station,
-    /// Who sees what it does.
     pub watcher: &'w mut dyn EventWatcher,
 }
 
 impl ReplayLane<'_> {
-    /// Gives an input.
-    ///
-    /// # Errors
-    /// As the watcher says.
     pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, place: WindowPosition) -> Result<()> {
         self.station.handle(now, input);
         while let Some(output) = &self.station.poll() {
@@ -143,6 +130,99 @@ impl ReplayLane<'_> {
         }
         Ok(())
     }
+}
+
+/// The status block is drawn this often, by the clock of the recording at its real speed.
+const DRAW_PERIOD_S: f64 = 0.2;
+
+pub(super) struct ReplayWatcher<'e> {
+    collectors: PerRobot<EventCollector>,
+    /// Every event goes there as a line of text.
+    pub(super) events: Option<&'e mut BufWriter<File>>,
+    view: Option<TimedView>,
+}
+
+/// The status block of a replay with `--speed`.
+struct TimedView {
+    live: LiveView,
+    period: TimeDelta,
+    last_drawn: Timestamp<HostClock>,
+}
+
+impl ReplayWatcher<'_> {
+    /// One that keeps what tables need.
+    pub(super) fn new(collectors: PerRobot<EventCollector>) -> Self {
+        Self { collectors, events: None, view: None }
+    }
+
+    /// Shows the status block of a live run if the replay has a speed.
+    pub(super) fn show_at(&mut self, speed: Option<f64>) {
+        self.view = speed.map(|speed| TimedView {
+            live: LiveView::new(None),
+            period: TimeDelta::from_secs_f64(DRAW_PERIOD_S * speed),
+            last_drawn: Timestamp::ZERO,
+        });
+    }
+
+    pub(super) fn finish(self) -> PerRobot<EventCollector> {
+        if let Some(TimedView { live: shown, .. }) = self.view {
+            shown.finish();
+        }
+        self.collectors
+    }
+}
+
+impl EventWatcher for ReplayWatcher<'_> {
+    fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
+        self.collectors.push(event, EventCollector::on_event);
+        if let Some(file) = self.events.as_deref_mut() {
+            write_event(file, event).context("writing the events")?;
+        }
+        if let Some(view) = &mut self.view {
+            view.live.on_event(now, event);
+            if now - view.last_drawn >= view.period {
+                view.live.draw();
+                view.last_drawn = now;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes what still waits: a writer that is dropped does not report that the disk is full.
+pub(super) fn finish_events(mut events: BufWriter<File>) -> Result<()> {
+    events.flush().context("writing the events")
+}
+
+/// What is drawn beside the estimates.
+#[derive(Clone, Copy, Default)]
+pub(super) struct ReferenceTracks<'a> {
+    pub(super) truth: Option<&'a PoseTrack>,
+    pub(super) odometry: Option<&'a PoseTrack>,
+    pub(super) smoothed: Option<&'a PoseTrack>,
+}
+
+/// Draws the estimates of a collector and these tracks.
+pub(super) fn write_charts(
+    args: &ReplayArgs,
+    title: &str,
+    collector: &EventCollector,
+    tracks: ReferenceTracks<'_>,
+) -> Result<()> {
+    let (Some(path), Some(figure)) = (&args.figure, FIGURES.first()) else {
+        return Ok(());
+    };
+    let ReferenceTracks { truth, odometry, smoothed } = tracks;
+    let layers = RunLayers {
+        title,
+        truth,
+        odometry,
+        estimates: collector.estimates.items(),
+        fixes: collector.fixes.items(),
+        smoothed,
+        ..RunLayers::default()
+    };
+    std::fs::write(path, (figure.render)(&layers)).with_context(|| format!("writing `{}`", path.display()))
 }
 
 #[cfg(test)]

@@ -1,15 +1,16 @@
 //! Simulated drives as tables of sensor readings, and every method over them, on all cores.
 
+use anyhow::Result;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_lab::square::{
-    MeasuredPose, Method, PathErrors, SensorRow, SensorTable, add_compass, path_errors, prepare_config,
+    ErrorMetric, MeasuredPose, Method, PathErrors, SensorRow, SensorTable, WheelMatrices, add_compass, add_jitter,
+    align_accelerations, delay_reference, path_errors, prepare_config, printed_methods, swapped_methods,
 };
-use posebridge_sim::montecarlo::{Camera, CameraSees, Scenario, ScenarioError};
+use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError};
 use posebridge_telemetry::Calibration;
 
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_cases;
 
-/// The scenario of the paper's square.
 const SCENARIO: &str = "paper-square";
 /// The zenithal camera: it is the paper's truth, so it sees the robot at every sample. Its noise is that of a printed tag
 /// under a webcam, as in the other scenarios.
@@ -27,17 +28,12 @@ const CAMERA: Camera = Camera {
 /// The sigma of the compass that filters get, in degrees: noise and deviation together, see docs/lab/square.md.
 const COMPASS_SIGMA_DEG: f64 = 5.0;
 
-/// The square of the paper, with its camera.
-///
-/// # Errors
-/// Never: the scenario is bundled.
 pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
     let mut scenario = Scenario::bundled(SCENARIO)?.with_seed(seed);
     scenario.camera = Some(CAMERA);
     Ok(scenario)
 }
 
-/// The filter configuration for the robot of a scenario.
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
     let prior = scenario.drive(0).prior;
     let mut noise = prior.noise;
@@ -55,7 +51,6 @@ pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
     }
 }
 
-/// One drive as its brick would have logged it.
 pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
     let drive = scenario.drive(run);
     let tick_rad = drive.prior.geometry.tick.0;
@@ -78,7 +73,6 @@ fn seed_of(scenario: &Scenario, run: u32) -> u64 {
     scenario.seed.wrapping_mul(0x9e37_79b9).wrapping_add(u64::from(run))
 }
 
-/// Methods over one table.
 pub(super) fn errors_of(
     table: &SensorTable,
     base: &FilterConfig,
@@ -89,37 +83,228 @@ pub(super) fn errors_of(
     methods.iter().map(|method| path_errors(table, &method.run(table, &config, camera_every), camera_every)).collect()
 }
 
-/// Drives of one kind, and what runs over them.
 pub(super) struct MethodSeries {
-    /// What is driven.
     pub(super) scenario: Scenario,
-    /// What filters know of it.
     pub(super) base: FilterConfig,
-    /// What runs.
     pub(super) methods: Vec<Method>,
-    /// What is done to each table before.
     pub(super) adjust: fn(&mut SensorTable, u64),
 }
 
-/// The errors of every method over every drive of every series; `ended` is called after each drive.
-pub(super) fn all_errors(
-    series: &[MethodSeries],
-    runs: u32,
-    camera_every: usize,
-    ended: impl FnMut(),
-) -> Vec<Vec<Vec<PathErrors>>> {
-    let jobs: Vec<(usize, u32)> = (0..series.len()).flat_map(|index| (0..runs).map(move |run| (index, run))).collect();
-    let run = |&(index, run): &(usize, u32)| {
-        let series = series.get(index)?;
-        let mut table = table(&series.scenario, run);
-        (series.adjust)(&mut table, seed_of(&series.scenario, run));
-        Some(errors_of(&table, &series.base, &series.methods, camera_every))
-    };
-    let mut by_series: Vec<Vec<Vec<PathErrors>>> = series.iter().map(|_| Vec::new()).collect();
-    for ((index, _), errors) in jobs.iter().zip(run_all(&jobs, run, ended)) {
-        if let (Some(list), Some(errors)) = (by_series.get_mut(*index), errors) {
-            list.push(errors);
-        }
-    }
-    by_series
+/// The errors of every method over every drive of every series.
+pub(super) fn all_errors(series: &[MethodSeries], runs: u32, camera_every: usize) -> Result<Vec<Vec<Vec<PathErrors>>>> {
+    run_cases(
+        series,
+        |_| runs,
+        "drives",
+        |series, run| {
+            let mut table = table(&series.scenario, run);
+            (series.adjust)(&mut table, seed_of(&series.scenario, run));
+            errors_of(&table, &series.base, &series.methods, camera_every)
+        },
+    )
 }
+
+// Other ways to read the paper: what its robot, its sensors or its measure of error may have been.
+//
+// Nothing is tuned for one filter: each reading changes the world or what is compared, for all of them alike.
+
+pub(super) struct Variation {
+    pub(super) name: &'static str,
+    pub(super) note: &'static str,
+    pub(super) metric: ErrorMetric,
+    alter: fn(&mut Scenario),
+    adjust: fn(&mut SensorTable, u64),
+    methods: fn() -> Vec<Method>,
+}
+
+const fn unchanged_scenario(_scenario: &mut Scenario) {}
+
+pub(super) const fn unchanged_table(_table: &mut SensorTable, _seed: u64) {}
+
+impl Variation {
+    const fn new(name: &'static str, metric: ErrorMetric, note: &'static str) -> Self {
+        Self { name, note, metric, alter: unchanged_scenario, adjust: unchanged_table, methods: printed_methods }
+    }
+
+    const fn with_scenario(mut self, alter: fn(&mut Scenario)) -> Self {
+        self.alter = alter;
+        self
+    }
+
+    const fn with_table(mut self, adjust: fn(&mut SensorTable, u64)) -> Self {
+        self.adjust = adjust;
+        self
+    }
+
+    const fn with_methods(mut self, methods: fn() -> Vec<Method>) -> Self {
+        self.methods = methods;
+        self
+    }
+
+    pub(super) fn series(&self, scenario: &Scenario) -> MethodSeries {
+        let mut scenario = scenario.clone();
+        (self.alter)(&mut scenario);
+        MethodSeries { base: filter_config(&scenario), scenario, methods: (self.methods)(), adjust: self.adjust }
+    }
+}
+
+fn laps(scenario: &mut Scenario, change: fn(&mut Laps)) {
+    if let Course::Laps(laps) = &mut scenario.path {
+        change(laps);
+    }
+}
+
+/// The spread of an uncalibrated LEGO robot, as in the other scenarios.
+fn uncalibrated(scenario: &mut Scenario) {
+    scenario.errors.radius_scale_sigma = 0.005;
+    scenario.errors.radius_difference_sigma = 0.005;
+    scenario.errors.track_scale_sigma = 0.03;
+}
+
+fn uncalibrated_and_long_rest(scenario: &mut Scenario) {
+    uncalibrated(scenario);
+    laps(scenario, |laps| laps.rest_s = 30.0);
+}
+
+/// A gyro of the MEMS class: 0.1 deg/s, no rounding, little walk.
+fn good_gyro(scenario: &mut Scenario) {
+    scenario.gyro.resolution_deg_per_s = 0.0;
+    scenario.gyro.sigma_deg_per_s = 0.1;
+    scenario.gyro.bias_walk_deg_per_s_sqrt_s = 0.001;
+}
+
+fn good_accelerometers(scenario: &mut Scenario) {
+    if let Some(accelerometer) = &mut scenario.accelerometer {
+        accelerometer.sigma_m_per_s2 = 0.01;
+    }
+}
+
+fn good_inertial(scenario: &mut Scenario) {
+    good_gyro(scenario);
+    good_accelerometers(scenario);
+}
+
+fn exact_and_coarse(scenario: &mut Scenario) {
+    scenario.errors.radius_scale_sigma = 0.0;
+    scenario.errors.radius_difference_sigma = 0.0;
+    scenario.errors.track_scale_sigma = 0.0;
+    scenario.motion.wheel_travel_m_per_sqrt_m = 0.0;
+    scenario.motion.turn_rad_per_sqrt_rad = 0.0;
+    scenario.robot.tick_deg = 10.0;
+}
+
+fn slippery(scenario: &mut Scenario) {
+    scenario.motion.wheel_travel_m_per_sqrt_m *= 5.0;
+    scenario.motion.turn_rad_per_sqrt_rad *= 5.0;
+}
+
+/// Speeds that rise and fall over two seconds.
+fn gentle(scenario: &mut Scenario) {
+    laps(scenario, |laps| laps.ramp_steps = 40);
+}
+
+fn gentle_and_good_accelerometers(scenario: &mut Scenario) {
+    gentle(scenario);
+    good_accelerometers(scenario);
+}
+
+/// White noise of the variance that the paper's equation 19 gives the counters.
+fn noisy_counters(table: &mut SensorTable, seed: u64) {
+    add_jitter(table, WheelMatrices::PRINTED.variances, seed);
+}
+
+/// Delay of an uncorrected camera in rows of 0.05 s: 0.3 s, the upper end for a webcam with image processing.
+const LATE_ROWS: usize = 6;
+
+fn late_camera(table: &mut SensorTable, _seed: u64) {
+    delay_reference(table, LATE_ROWS);
+}
+
+fn in_its_interval(table: &mut SensorTable, _seed: u64) {
+    align_accelerations(table);
+}
+
+pub(super) const VARIATIONS: &[Variation] = &[
+    Variation::new("the end", ErrorMetric::End, "where the robot is after the lap, instead of the whole way"),
+    Variation::new("heading", ErrorMetric::Heading, "the heading instead of the position"),
+    Variation::new("forward speed", ErrorMetric::Forward, "figure 6 instead of figure 7"),
+    Variation::new("turn rate", ErrorMetric::Turn, "figure 6 instead of figure 7"),
+    Variation::new("Q swapped", ErrorMetric::Position, "the last two numbers of Q in the order of equation 24")
+        .with_methods(swapped_methods),
+    Variation::new(
+        "own interval",
+        ErrorMetric::Position,
+        "each acceleration acts in the interval in which it was felt, not in the next one as in equation 20",
+    )
+    .with_table(in_its_interval),
+    Variation::new(
+        "not calibrated",
+        ErrorMetric::Position,
+        "wheels 0.5 % and track 3 % off, as before the calibration of Michel and Rohrer",
+    )
+    .with_scenario(uncalibrated),
+    Variation::new(
+        "not calibrated, long rest",
+        ErrorMetric::Position,
+        "the same, and the gyro zeroed over 30 s at rest",
+    )
+    .with_scenario(uncalibrated_and_long_rest),
+    Variation::new(
+        "not calibrated, good gyro",
+        ErrorMetric::Position,
+        "the same with a gyro of 0.1 deg/s that does not round",
+    )
+    .with_scenario(|scenario| {
+        uncalibrated(scenario);
+        good_gyro(scenario);
+    }),
+    Variation::new("slippery floor", ErrorMetric::Position, "five times the slip").with_scenario(slippery),
+    Variation::new(
+        "coarse counts",
+        ErrorMetric::Position,
+        "an exact robot without slip whose encoders count 10 degrees",
+    )
+    .with_scenario(exact_and_coarse),
+    Variation::new(
+        "late camera",
+        ErrorMetric::Position,
+        "the camera that is the truth is 0.3 s late and nobody took that out",
+    )
+    .with_table(late_camera),
+    Variation::new(
+        "late camera, good gyro",
+        ErrorMetric::Position,
+        "the same with a gyro of 0.1 deg/s and accelerometers of 0.01 m/s^2",
+    )
+    .with_scenario(good_inertial)
+    .with_table(late_camera),
+    Variation::new(
+        "noisy counters",
+        ErrorMetric::Position,
+        "counters as noisy as the paper's R says: 1.5 and 2.5 deg^2, white",
+    )
+    .with_table(noisy_counters),
+    Variation::new("noisy counters, turn rate", ErrorMetric::Turn, "the same, figure 6 instead of figure 7")
+        .with_table(noisy_counters),
+    Variation::new(
+        "noisy counters, turn rate, gentle",
+        ErrorMetric::Turn,
+        "the same, with speeds that rise and fall over 2 s instead of 0.3 s",
+    )
+    .with_scenario(gentle)
+    .with_table(noisy_counters),
+    Variation::new(
+        "noisy counters, forward speed",
+        ErrorMetric::Forward,
+        "noisy counters, figure 6 instead of figure 7",
+    )
+    .with_table(noisy_counters),
+    Variation::new(
+        "noisy counters, forward speed, gentle",
+        ErrorMetric::Forward,
+        "the same, with speeds that rise and fall over 2 s, Q swapped and accelerometers of 0.01 m/s^2",
+    )
+    .with_scenario(gentle_and_good_accelerometers)
+    .with_table(noisy_counters)
+    .with_methods(swapped_methods),
+];

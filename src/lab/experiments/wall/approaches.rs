@@ -1,5 +1,6 @@
 //! Approaches by every source of the distance, over many runs, on all cores.
 
+use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
@@ -13,7 +14,7 @@ use posebridge_sim::wall::{
 };
 
 use super::steps::StepResults;
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_cases;
 
 /// The corrected filter's process noise where the drive has been measured, m per step of 7.6 ms; docs/lab/wall.md section M5.
 const MEASURED_DRIVE_PROCESS_M: f64 = 0.01;
@@ -21,9 +22,7 @@ const MEASURED_DRIVE_PROCESS_M: f64 = 0.01;
 /// Who says how far the wall is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DistanceSource {
-    /// The last reading.
     LastReading,
-    /// The line through the last two.
     Line,
     /// `range-kf` with the paper's noise.
     Faithful,
@@ -34,13 +33,10 @@ pub(super) enum DistanceSource {
 /// Where that one sits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EstimatorPlacement {
-    /// In the loop itself.
     Brick,
-    /// On the other side of the link.
     Host,
 }
 
-/// A kind of approach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ApproachCase {
     pub(super) source: DistanceSource,
@@ -84,7 +80,6 @@ impl EstimatorPlacement {
     }
 }
 
-/// All approaches of one kind.
 pub(super) struct ApproachResult {
     pub(super) case: ApproachCase,
     pub(super) stops: Vec<Option<StopResult>>,
@@ -96,7 +91,7 @@ pub(super) struct ApproachResult {
 }
 
 /// The kinds of approach: the paper's gains, tuned gains, twice the drive, and the host.
-pub(super) fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
+fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     use DistanceSource::{Corrected, Faithful, LastReading, Line};
     use EstimatorPlacement::{Brick, Host};
     let tuned = tuned(scene, model);
@@ -129,34 +124,29 @@ fn tuned(scene: &WallScene, model: WallApproachModel) -> Gains {
     Gains { kp_pwm_per_m: kp, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: kp / model.rate_per_s() }
 }
 
-/// Drives every kind of approach this number of times; `ended` is called once for each approach.
+/// Drives every kind of approach this number of times.
 pub(super) fn drive_all(
     scene: &WallScene,
     steps: &StepResults,
     runs: u32,
     link: &LinkProfile,
-    ended: impl FnMut(),
-) -> Vec<ApproachResult> {
+) -> Result<Vec<ApproachResult>> {
     let cases = cases(scene, steps.all.model());
-    let jobs: Vec<(ApproachCase, u32)> = cases.iter().flat_map(|case| (0..runs).map(|run| (*case, run))).collect();
-    let run = |&(case, run): &(ApproachCase, u32)| drive(scene, steps, link, case, run);
-    let mut done = run_all(&jobs, run, ended).into_iter();
-    let mut driven: Vec<ApproachResult> = Vec::new();
-    for case in cases {
-        let mut approaches = done.by_ref().take(runs as usize);
-        let first = approaches.next().unwrap_or_default();
-        let mut stops = vec![stopped(scene, &first)];
-        stops.extend(approaches.map(|approach| stopped(scene, &approach)));
-        driven.push(ApproachResult {
+    let run = |case: &ApproachCase, run| drive(scene, steps, link, *case, run);
+    let approaches = run_cases(&cases, |_| runs, "approaches", run)?;
+    let driven = cases.into_iter().zip(approaches).map(|(case, approaches)| {
+        let stops: Vec<Option<StopResult>> = approaches.iter().map(|approach| stopped(scene, approach)).collect();
+        ApproachResult {
             case,
             summary: summarise_stops(&stops),
             stops,
             against_line: StopComparison::default(),
-            first,
-        });
-    }
+            first: approaches.into_iter().next().unwrap_or_default(),
+        }
+    });
+    let mut driven: Vec<ApproachResult> = driven.collect();
     compare(&mut driven);
-    driven
+    Ok(driven)
 }
 
 fn compare(driven: &mut [ApproachResult]) {

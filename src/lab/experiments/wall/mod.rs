@@ -5,10 +5,8 @@
 //! those before it. docs/lab/wall.md is the lesson.
 
 mod approaches;
-mod columns;
 mod pictures;
 pub(in crate::lab) mod recorded;
-mod recorded_report;
 mod simulated;
 pub(in crate::lab) mod steps;
 
@@ -17,8 +15,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 
-use super::again;
 use super::live::{LiveArgs, LiveRobot};
+use super::recorded::rerun_command;
 use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
@@ -27,42 +25,41 @@ use crate::tools::link_profile;
 /// Flags of `lab wall`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct LabWallArgs {
-    /// The car, its sensor and its way, as a TOML file; without it the paper's (config/scenarios/lab/wall.toml).
+    /// Car, sensor and path, as a TOML file. Default: those of the paper (config/scenarios/lab/wall.toml).
     #[arg(long, value_name = "FILE.toml", conflicts_with = "real_robot")]
     pub scene: Option<PathBuf>,
-    /// Simulated step tests, from which the drive is found.
+    /// Number of simulated step tests to identify the drive from.
     #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub steps: u32,
-    /// Simulated approaches of each kind.
+    /// Number of simulated approaches of each kind.
     #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub runs: u32,
-    /// Base seed, instead of the scene's.
+    /// Base seed. Default: that of the scene.
     #[arg(long, value_name = "N", conflicts_with = "real_robot")]
     pub seed: Option<u64>,
-    /// The link of the approaches whose filter is on the host: a bundled profile's name or a TOML file (docs/impairment.md).
+    /// Link profile for the approaches with the filter on the host: a bundled one by name, or a TOML file (docs/impairment.md).
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp", conflicts_with = "real_robot")]
     pub profile: String,
-    /// A recording's descriptor (config/recordings/tof-wall.toml) or a recording of ours, instead of the simulated car.
+    /// Descriptor, e.g. config/recordings/tof-wall.toml, or posebridge recording. Default: the simulated car.
     #[arg(long, value_name = "FILE.toml|FILE.mcap", group = "real_robot")]
     pub recording: Option<PathBuf>,
     /// A live robot.
     #[command(flatten)]
     pub live: LiveArgs,
-    /// Where the descriptor's relative paths start; else POSEBRIDGE_DATA, else the descriptor's own folder.
+    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
     #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
     pub data: Option<PathBuf>,
-    /// Which runs of the descriptor: all whose names begin so; without it all.
+    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
     #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
     pub run: Option<String>,
-    /// Set one key of the robot's table, e.g. noise.wall_range_m=0.02; may be repeated. For a recording of ours and a live robot: a
-    /// key of the configuration, e.g. robot.noise.wall_range_m=0.02.
+    /// Set one key of the robot, e.g. noise.wall_range_m=0.02. For a posebridge recording or a live robot: a key of the
+    /// configuration, e.g. robot.noise.wall_range_m=0.02. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
     pub settings: Vec<Setting>,
-    /// The column of the motor's PWM in the recording's files; without it pwm, PWM, motor_pwm or Speed, where there is one.
+    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub command_column: Option<String>,
-    /// The column of a distance that another program has filtered; without it kf_mm, kf, kalman_mm or kalman, where there
-    /// is one.
+    /// Column of a distance that another program has filtered. Default: kf_mm, kf, kalman_mm or kalman, if one exists.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub kalman_column: Option<String>,
     /// Where the results go.
@@ -70,15 +67,11 @@ pub struct LabWallArgs {
     pub output: OutputArgs,
 }
 
-/// Runs the experiment.
-///
-/// # Errors
-/// A file cannot be read or makes no sense, a step has no result, or an output cannot be written.
 pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
     if let Some(prepared) = real(args)? {
         let folder = args.output.folder()?;
         let live = args.live.is_requested();
-        let command = again::rerun_command(live.then_some(prepared.descriptor.as_str()));
+        let command = rerun_command(live.then_some(prepared.descriptor.as_str()));
         let report = recorded::run(&prepared, command).while_running()?;
         return args.output.write_outcome(&folder, &report);
     }
@@ -94,7 +87,6 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report)
 }
 
-/// What a real robot did, live or recorded.
 fn real(args: &LabWallArgs) -> Result<Option<recorded::RecordedRuns>, Failure> {
     let robot = LiveRobot { file: None, settings: &args.settings };
     if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {

@@ -14,19 +14,10 @@ use super::steps::{PIECE, StepResults};
 /// A way is drawn by every so manieth turn of the loop: 30 ms are less than a line's width.
 const DRAWN_EVERY: usize = 4;
 
-fn curve(name: impl Into<String>, shape: CurveShape) -> Curve {
-    Curve { name: name.into(), shape }
+fn axes(y_name: &str, curves: impl IntoIterator<Item = Curve>) -> Axes {
+    Axes::new("time [s]", y_name, 280.0, curves)
 }
 
-fn axes(y_name: &str, curves: Vec<Curve>) -> Axes {
-    Axes { x_name: "time [s]".to_owned(), y_name: y_name.to_owned(), height_px: 280.0, is_map: false, curves }
-}
-
-fn plot(title: &str, key_figures: &str, axes: Vec<Axes>) -> Plot {
-    Plot { title: title.to_owned(), key_figures: key_figures.to_owned(), axes }
-}
-
-/// Adds the picture, with its title and key figures as its caption.
 pub(super) fn add(report: &mut Report, plot: &Plot) {
     let Plot { title, key_figures, .. } = plot;
     let caption = if key_figures.is_empty() { title.clone() } else { format!("{title}: {key_figures}") };
@@ -43,18 +34,18 @@ pub(super) fn step(steps: &StepResults) -> Plot {
     let commands = first.commands.iter().zip(&first.towards_m_per_s);
     let truth = commands.map(|(command, speed)| (command.at_s, *speed));
     let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.0, steps.all.rise_90_s.0);
-    plot(
+    Plot::new(
         "Step test",
-        &key,
+        key,
         vec![
-            axes("distance [m]", vec![curve("readings", CurveShape::Dots(steps.log.readings().collect()))]),
+            axes("distance [m]", vec![Curve::dots("readings", steps.log.readings())]),
             axes(
                 "speed [m/s]",
                 vec![
-                    curve("true", CurveShape::Line(truth.collect())),
-                    curve("differences", CurveShape::Dots(speeds(differences(&steps.log)))),
-                    curve("lines, half overlapping", CurveShape::Line(speeds(overlapping_lines(&steps.log, PIECE)))),
-                    curve("v_ss by the fit", CurveShape::Level(steps.all.steady_m_per_s.0)),
+                    Curve::line("true", truth),
+                    Curve::dots("differences", speeds(differences(&steps.log))),
+                    Curve::line("lines, half overlapping", speeds(overlapping_lines(&steps.log, PIECE))),
+                    Curve::new("v_ss by the fit", CurveShape::Level(steps.all.steady_m_per_s.0)),
                 ],
             ),
         ],
@@ -63,7 +54,7 @@ pub(super) fn step(steps: &StepResults) -> Plot {
 
 /// The filter's distance with the paper's three sigmas, less the fitted model's readings.
 pub(super) fn validation(steps: &StepResults) -> Plot {
-    let mut curves = vec![curve("readings", CurveShape::Dots(steps.log.readings().collect()))];
+    let mut curves = vec![Curve::dots("readings", steps.log.readings())];
     for process_m in [0.01, 0.05, 0.5] {
         let noise = KalmanNoise { process_m, ..KalmanNoise::PAPER };
         let mut kalman = WallKalman::new(steps.all.model(), noise, RangeFilterVariant::Paper);
@@ -76,9 +67,9 @@ pub(super) fn validation(steps: &StepResults) -> Plot {
             let belief = kalman.estimate(entry.at_s);
             points.extend(belief.map(|belief| (entry.at_s, belief.distance_m)));
         }
-        curves.push(curve(format!("sigma_u {:.0} mm", 1e3 * process_m), CurveShape::Line(points)));
+        curves.push(Curve::line(format!("sigma_u {:.0} mm", 1e3 * process_m), points));
     }
-    plot("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
+    Plot::new("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
 }
 
 /// The first run of each kind with tuned gains on the brick, and where all runs stopped.
@@ -100,17 +91,17 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     let ways = tuned.iter().map(|driven| {
         let moments = driven.first.samples.iter().step_by(DRAWN_EVERY);
         let way = moments.map(|moment| (moment.at_s, moment.distance_m));
-        curve(name(driven), CurveShape::Line(way.collect()))
+        Curve::line(name(driven), way)
     });
     let mut ways: Vec<Curve> = ways.collect();
-    ways.push(curve("target", CurveShape::Level(scene.approach.target_m)));
+    ways.push(Curve::new("target", CurveShape::Level(scene.approach.target_m)));
     let stops = tuned.iter().map(|driven| {
         let stops = driven.stops.iter().flatten();
         let stops = stops.map(|stop| (stop.time_s, 1e3 * stop.error_m));
-        curve(name(driven), CurveShape::Dots(stops.collect()))
+        Curve::dots(name(driven), stops)
     });
-    let stops = axes("error of the stop [mm]", stops.collect());
-    plot(
+    let stops = axes("error of the stop [mm]", stops);
+    Plot::new(
         "Approaches with tuned gains, on the brick",
         "above the first run of each kind, below where and when all of them stopped",
         vec![axes("true distance [m]", ways), stops],
@@ -131,12 +122,12 @@ pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f6
     let span = high - low;
     let is_visible = move |value: &f64| *value > low - span && *value < high + span;
     let mut curves = vec![
-        curve("readings", CurveShape::Dots(readings)),
-        curve("line through two", CurveShape::Line(by(&|foreseen| foreseen.line_m.filter(is_visible)))),
-        curve("range-kf-corrected", CurveShape::Line(by(&|foreseen| Some(foreseen.kalman_m).filter(is_visible)))),
+        Curve::dots("readings", readings),
+        Curve::line("line through two", by(&|foreseen| foreseen.line_m.filter(is_visible))),
+        Curve::line("range-kf-corrected", by(&|foreseen| Some(foreseen.kalman_m).filter(is_visible))),
     ];
     if !theirs.is_empty() {
-        curves.push(curve("their own filter", CurveShape::Dots(theirs.to_vec())));
+        curves.push(Curve::dots("their own filter", theirs.to_vec()));
     }
-    plot(&format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
+    Plot::new(format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
 }

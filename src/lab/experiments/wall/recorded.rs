@@ -4,20 +4,19 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use posebridge_lab::wall::{
-    PlantSearch, RangeForecast, WallEntry, WallLog, WallReading, fit_by_hand, fit_steps, forecast, gate_statistics,
-    score_forecasts,
+    ForecastScore, GateStatistics, ManualStepFit, PlantSearch, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
+    WallStepError, fit_by_hand, fit_steps, forecast, gate_statistics, score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
-use posebridge_report::report::Report;
+use posebridge_report::report::{Format, Report, Table, Unit};
 use posebridge_telemetry::{Observation, ObservationKind, SensorId};
+use serde_json::{Value, json};
 
-use super::columns::{ExtraColumn, FOREIGN_FILTER, with_extra};
-use super::recorded_report::{self, RunResult};
+use super::pictures;
 use super::steps::PIECE;
 use crate::config::{Overlay, Setting};
-use crate::console::progress_bar;
 use crate::flags::DataFlags;
-use crate::lab::parallel::run_all;
+use crate::lab::parallel::run_with_bar;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording;
 
@@ -26,13 +25,11 @@ const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
 /// And to the distance that their filter gave.
 const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
 
-/// The runs of a recording, read.
 pub(in crate::lab) struct RecordedRuns {
     pub(super) descriptor: String,
     pub(in crate::lab) runs: Vec<RunLog>,
 }
 
-/// One run, as far as this experiment is concerned.
 pub(in crate::lab) struct RunLog {
     pub(in crate::lab) name: String,
     pub(in crate::lab) log: WallLog,
@@ -43,14 +40,12 @@ pub(in crate::lab) struct RunLog {
     range_sigma_m: f64,
 }
 
-/// The instructions for a person with a live robot.
 pub(super) const TASK: &str =
     "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
 /// What to read of a recording.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::lab) struct RunSelection<'a> {
-    /// Where a descriptor's relative paths start.
     pub(in crate::lab) data: Option<&'a Path>,
     /// The beginning of the names of a descriptor's runs; all without it.
     pub(in crate::lab) run: Option<&'a str>,
@@ -207,12 +202,9 @@ fn readings_of<'a>(
         .collect()
 }
 
-/// Evaluates every run, on all cores; `command` is the one that gives the page again.
 pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Report> {
-    let bar = progress_bar(prepared.runs.len() as u64, "runs")?;
-    let found = run_all(&prepared.runs, evaluate, || bar.inc(1));
-    bar.finish_and_clear();
-    Ok(recorded_report::report(&prepared.descriptor, command, &found))
+    let found = run_with_bar(&prepared.runs, "runs", evaluate)?;
+    Ok(report(&prepared.descriptor, command, &found))
 }
 
 fn evaluate(run: &RunLog) -> RunResult {
@@ -235,5 +227,210 @@ fn evaluate(run: &RunLog) -> RunResult {
         score_against_foreign: score_forecasts(&foreseen, before),
         foreign_filter: run.foreign_filter.clone(),
         forecasts: foreseen,
+    }
+}
+
+pub(super) struct RunResult {
+    pub(super) name: String,
+    pub(super) readings: usize,
+    pub(super) knows_input: bool,
+    pub(super) by_hand: Result<ManualStepFit, WallStepError>,
+    pub(super) fit: Result<StepFit, WallStepError>,
+    pub(super) forecasts: Vec<RangeForecast>,
+    pub(super) foreign_filter: Vec<(f64, f64)>,
+    /// What the filter's gate did.
+    pub(super) gate: Option<GateStatistics>,
+    /// Against the line through two.
+    pub(super) score_against_line: Option<ForecastScore>,
+    /// Against another program's filter.
+    pub(super) score_against_foreign: Option<ForecastScore>,
+}
+
+pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> Report {
+    let mut report = Report::new("lab-wall", "The distance to a wall: a recording");
+    report.background(
+        "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
+         reading is foretold and compared.",
+    );
+    report.command(command);
+    add_steps(&mut report, found);
+    add_scores(&mut report, found);
+    for run in found {
+        pictures::add(&mut report, &pictures::foreseen(&run.name, &run.forecasts, &run.foreign_filter));
+    }
+    report.data("recording", json!(descriptor));
+    report.data("runs", found.iter().map(object).collect());
+    report
+}
+
+const fn input_name(run: &RunResult) -> &'static str {
+    if run.knows_input { "recorded" } else { "assumed" }
+}
+
+fn add_steps(report: &mut Report, found: &[RunResult]) {
+    report.heading("Step: m/s and s under the input 1");
+    report.paragraph("The input is 1 at PWM 80, or for the whole drive where nobody wrote it down.");
+    let two = Format::new(Unit::None, 2);
+    let steady = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
+    let rise = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
+    let table = Table::of(found)
+        .text("", "run", |run| run.name.clone())
+        .count("", "readings", |run| run.readings)
+        .text("", "input", |run| input_name(run).to_owned())
+        .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
+        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.0), move |run| Some(steady(run)?.1))
+        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.0), move |run| Some(rise(run)?.1));
+    report.table("", &table);
+}
+
+fn add_scores(report: &mut Report, found: &[RunResult]) {
+    report.heading("Each reading foretold from those before it, rms");
+    report.paragraph(
+        "Against a line through two readings, and against their own filter. Gate: its mean half-width, and how many readings it refused.",
+    );
+    let mm = Format::new(Unit::Millimetres, 1);
+    let table = Table::of(found)
+        .text("", "run", |run| run.name.clone())
+        .optional_count("", "readings", |run| Some(run.score_against_line?.readings))
+        .number("", "filter", mm, |run| Some(run.score_against_line?.kalman_rms_m))
+        .number("", "line", mm, |run| Some(run.score_against_line?.other_rms_m))
+        .number("", "gate", Format::new(Unit::Millimetres, 0), |run| Some(run.gate?.mean_m))
+        .optional_count("", "refused", |run| Some(run.gate?.gated))
+        .optional_count("", "theirs: readings", |run| Some(run.score_against_foreign?.readings))
+        .number("", "filter", mm, |run| Some(run.score_against_foreign?.kalman_rms_m))
+        .number("", "theirs", mm, |run| Some(run.score_against_foreign?.other_rms_m));
+    report.table("", &table);
+}
+
+fn object(run: &RunResult) -> Value {
+    let scored = |score: Option<ForecastScore>| {
+        score.map(|score| {
+            json!({
+                "readings": score.readings,
+                "filter_rms_m": score.kalman_rms_m,
+                "other_rms_m": score.other_rms_m,
+            })
+        })
+    };
+    json!({
+        "name": run.name,
+        "readings": run.readings,
+        "input": input_name(run),
+        "fit": run.fit.as_ref().ok().map(|fit| json!({
+            "steady_m_per_s": fit.steady_m_per_s.0,
+            "steady_sigma_m_per_s": fit.steady_m_per_s.1,
+            "rise_90_s": fit.rise_90_s.0,
+            "rise_90_sigma_s": fit.rise_90_s.1,
+        })),
+        "no_fit": run.fit.as_ref().err().map(ToString::to_string),
+        "no_hand": run.by_hand.as_ref().err().map(ToString::to_string),
+        "gate": run.gate.map(|gate| json!({
+            "readings": gate.readings,
+            "refused": gate.gated,
+            "mean_m": gate.mean_m,
+        })),
+        "against_line": scored(run.score_against_line),
+        "against_theirs": scored(run.score_against_foreign),
+        "foreseen": run.forecasts.iter().map(|foreseen| json!({
+            "at_s": foreseen.at_s,
+            "range_m": foreseen.range_m,
+            "filter_m": foreseen.kalman_m,
+            "line_m": foreseen.line_m,
+            "gate_m": foreseen.gate_m,
+            "refused": foreseen.is_gated,
+            "steady_m_per_s": foreseen.plant.steady_m_per_s,
+            "time_constant_s": foreseen.plant.time_constant_s,
+            "process_m": foreseen.plant.noise.process_m,
+            "range_sigma_m": foreseen.plant.noise.range_m,
+        })).collect::<Vec<_>>(),
+    })
+}
+
+// Columns of a recording's files that its descriptor does not name: the motor's PWM, and another program's filter.
+//
+// The descriptor's text gets two streams more, bound to the file of the run's range readings; everything else (units, stamps, bad
+// rows) stays with the reader of recordings.
+
+/// The sensor of another program's filtered distance; no descriptor of ours uses it.
+pub(super) const FOREIGN_FILTER: SensorId = SensorId(250);
+/// One in a column of PWM is this much input: 80 is full drive, as in the paper.
+const PER_PWM: f64 = 1.0 / 80.0;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ExtraColumn<'a> {
+    Command(&'a str),
+    Filtered(&'a str),
+}
+
+/// The descriptor's text with one more stream for a run; `None` if the run has no stream of ranges.
+pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Result<Option<String>> {
+    let table: toml::Table = text.parse().context("reading the descriptor again")?;
+    let streams = table.get("wall_range").and_then(toml::Value::as_array);
+    let of_run = streams.into_iter().flatten().filter_map(toml::Value::as_table).find(|stream| is_in(stream, run));
+    let Some(stream) = of_run else {
+        return Ok(None);
+    };
+    let mut added = toml::Table::new();
+    for (key, value) in [("file", stream.get("file")), ("stamp_shift_s", stream.get("stamp_shift_s"))] {
+        if let Some(value) = value {
+            added.insert(key.to_owned(), value.clone());
+        }
+    }
+    added.insert("runs".to_owned(), vec![run].into());
+    let key = match extra {
+        ExtraColumn::Command(column) => {
+            let place = column_of(column, &[("scale", PER_PWM.into())]);
+            added.insert("left".to_owned(), place.clone());
+            added.insert("right".to_owned(), place);
+            "body_velocity"
+        }
+        ExtraColumn::Filtered(column) => {
+            let range = stream.get("range").and_then(toml::Value::as_table);
+            let keep = ["unit", "scale"].map(|key| {
+                let value = range.and_then(|range| range.get(key));
+                value.map(|value| (key, value.clone()))
+            });
+            let keep: Vec<(&str, toml::Value)> = keep.into_iter().flatten().collect();
+            added.insert("range".to_owned(), column_of(column, &keep));
+            added.insert("sensor".to_owned(), i64::from(FOREIGN_FILTER.0).into());
+            "wall_range"
+        }
+    };
+    let mut more = toml::Table::new();
+    more.insert(key.to_owned(), vec![added].into());
+    Ok(Some(format!("{text}\n{more}")))
+}
+
+fn column_of(column: &str, more: &[(&str, toml::Value)]) -> toml::Value {
+    let mut place = toml::Table::new();
+    place.insert("column".to_owned(), column.into());
+    for (key, value) in more {
+        place.insert((*key).to_owned(), value.clone());
+    }
+    place.into()
+}
+
+fn is_in(stream: &toml::Table, run: &str) -> bool {
+    let runs = stream.get("runs").and_then(toml::Value::as_array);
+    runs.is_none_or(|runs| {
+        let prefixes = runs.iter().filter_map(toml::Value::as_str);
+        prefixes.into_iter().any(|prefix| run.starts_with(prefix))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = include_str!("../../../../config/recordings/tof-wall.toml");
+
+    #[test]
+    fn the_descriptor_still_reads_with_more_columns() {
+        for extra in [ExtraColumn::Command("pwm"), ExtraColumn::Filtered("kf \"mm\"")] {
+            let more = with_extra(TEXT, "robotC-20250325", extra).unwrap().unwrap();
+            assert!(Descriptor::from_toml(&more).is_ok(), "{more}");
+        }
+        let other = TEXT.replace("wall_range]]", "compass]]");
+        assert_eq!(with_extra(&other, "x", ExtraColumn::Command("pwm")).unwrap(), None);
     }
 }

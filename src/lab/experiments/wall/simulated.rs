@@ -9,11 +9,10 @@ use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::WallScene;
 use serde_json::{Value, json};
 
-use super::approaches::{ApproachResult, cases, drive_all};
+use super::approaches::{ApproachResult, drive_all};
 use super::pictures;
 use super::steps::{StepResults, steps};
-use crate::console::progress_bar;
-use crate::lab::experiments::again;
+use crate::lab::experiments::recorded::rerun_command;
 
 /// The figures of the paper's own step: v_ss in m/s and t_90 in s.
 const PAPER_STEP: (f64, f64) = (1.225, 0.997);
@@ -22,7 +21,6 @@ const WHOLE_MM: Format = Format::new(Unit::Millimetres, 0);
 const THREE: Format = Format::new(Unit::None, 3);
 const FIVE: Format = Format::new(Unit::None, 5);
 
-/// What was asked for, read and checked.
 pub(super) struct SimulatedSetup {
     pub(super) scene: WallScene,
     pub(super) steps: u32,
@@ -31,19 +29,15 @@ pub(super) struct SimulatedSetup {
     pub(super) link: LinkProfile,
 }
 
-/// Runs all drives and reports them.
 pub(super) fn run(prepared: &SimulatedSetup) -> Result<Report> {
     let steps = steps(&prepared.scene, prepared.steps)?;
-    let kinds = cases(&prepared.scene, steps.all.model()).len() as u64;
-    let bar = progress_bar(kinds * u64::from(prepared.runs), "approaches")?;
-    let driven = drive_all(&prepared.scene, &steps, prepared.runs, &prepared.link, || bar.inc(1));
-    bar.finish_and_clear();
+    let driven = drive_all(&prepared.scene, &steps, prepared.runs, &prepared.link)?;
     let mut report = Report::new("lab-wall", "The distance to a wall");
     report.background(
         "A car drives at a wall. Its range sensor speaks seldom, its motors are slow, and it has to stop a foot before \
          the wall. What does a model of the motors buy?",
     );
-    report.command(again::rerun_command(None));
+    report.command(rerun_command(None));
     report.data("seed", json!(prepared.scene.seed));
     add_identification(&mut report, prepared, &steps);
     add_validation(&mut report, &steps);
@@ -52,7 +46,6 @@ pub(super) fn run(prepared: &SimulatedSetup) -> Result<Report> {
     Ok(report)
 }
 
-/// What a step test gives, one way or another.
 struct IdentificationRow {
     name: String,
     steady_m_per_s: (f64, Option<f64>),

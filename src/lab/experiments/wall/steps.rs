@@ -1,4 +1,4 @@
-//! Simulated step tests and what is found from them.
+//! The simulated step tests, the drive that is identified from them, and how it predicts.
 
 use anyhow::{Context, Result};
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -16,34 +16,24 @@ const ADDED_M: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// The process sigmas that are compared, m: the paper's three and the noise of its readings.
 const PROCESS_M: [f64; 4] = [0.01, 0.02, 0.05, 0.5];
 
-/// The step tests of a scene.
 pub(super) struct StepResults {
     /// The drive as the scene has it.
     pub(super) truth: WallApproachModel,
-    /// The first step.
     pub(super) first: StepRun,
-    /// Its readings and inputs.
     pub(super) log: WallLog,
-    /// By hand, of each step that could be evaluated.
     pub(super) by_hand: Vec<ManualStepFit>,
-    /// From the first step alone.
     pub(super) one: StepFit,
-    /// From all steps.
     pub(super) all: StepFit,
-    /// The filter on the first step's readings.
     pub(super) validations: Vec<ValidationCase>,
-    /// Readings made wrong on purpose.
     pub(super) gate: Vec<GateTrial>,
 }
 
-/// The filter on the readings of a step, with a process sigma.
 pub(super) struct ValidationCase {
     pub(super) process_m: f64,
     pub(super) variant: RangeFilterVariant,
     pub(super) validation: Validation,
 }
 
-/// Drives and evaluates this number of steps.
 pub(super) fn steps(scene: &WallScene, count: u32) -> Result<StepResults> {
     let runs: Vec<StepRun> = (0..count).map(|run| simulate_step(scene, run)).collect();
     let logs: Vec<WallLog> = runs.iter().map(|run| log_of(scene, run)).collect();

@@ -1,0 +1,367 @@
+//! `posebridge lab thermometer`: what a slow sensor will show in the end, told while it is on its way (paper 2).
+//!
+//! Without `--recording` on a simulated sensor, section by section; with it on recorded steps. docs/lab/thermometer.md is its page.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use posebridge_estimator::FilterConfig;
+use posebridge_lab::identification::lesson::{
+    BoundRun, LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_sections,
+};
+use posebridge_lab::identification::sensor_kind::RunSimilarity;
+use posebridge_lab::identification::{SensorChannel, StepOptions, TimedSample, identify_step};
+use posebridge_report::report::{Report, Table};
+use posebridge_telemetry::Observation;
+use serde_json::{Map, Value, json};
+
+use super::live::{LiveArgs, LiveRobot};
+use crate::config::{Overlay, Setting};
+use crate::console::{print_line, progress_bar};
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::lab::parallel::{run_all, run_with_bar};
+use crate::tools::dataset::{DataSet, report_bad_rows, report_skipped};
+use crate::tools::experiment_output::OutputArgs;
+use crate::tools::own_recording;
+
+pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
+    let folder = args.output.folder()?;
+    let sections = if args.is_real() { recorded(args)? } else { simulated(args)? };
+    args.output.write_outcome(&folder, &report(args, &sections))
+}
+
+enum ThermometerJob {
+    Section(usize),
+    Bound(u64),
+}
+
+enum ThermometerOutput {
+    Section(Box<LessonSection>),
+    Bound(BoundRun),
+}
+
+fn simulated(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
+    let sections = (0..SECTIONS.len()).map(ThermometerJob::Section);
+    let jobs: Vec<ThermometerJob> = sections.chain((0..u64::from(args.runs)).map(ThermometerJob::Bound)).collect();
+    let run = |job: &ThermometerJob| match job {
+        ThermometerJob::Section(index) => {
+            let section = SECTIONS.get(*index).map(|make| make(args.seed));
+            ThermometerOutput::Section(Box::new(section.unwrap_or_default()))
+        }
+        // Far from the seeds of the sections.
+        ThermometerJob::Bound(run) => {
+            ThermometerOutput::Bound(bound_run(args.seed.wrapping_mul(1 << 32).wrapping_add(*run)))
+        }
+    };
+    let mut sections = Vec::new();
+    let mut bound_runs = Vec::new();
+    for done in run_with_bar(&jobs, "parts", run).before_start()? {
+        match done {
+            ThermometerOutput::Section(section) => sections.push(*section),
+            ThermometerOutput::Bound(run) => bound_runs.push(run),
+        }
+    }
+    sections.push(bounds_section(&bound_runs));
+    Ok(sections)
+}
+
+fn report(args: &LabThermometerArgs, sections: &[LessonSection]) -> Report {
+    let source = if args.is_real() {
+        let names = args.recordings.iter().map(|path| path.display().to_string());
+        let live = args.live.is_requested().then(|| "a live robot".to_owned());
+        let names: Vec<String> = names.chain(live).collect();
+        format!("recording {}", names.join(", "))
+    } else {
+        format!("simulated sensor, seed {}", args.seed)
+    };
+    let mut report = Report::new("lab-thermometer", "The slow thermometer");
+    report.background("What will a slow sensor show in the end? docs/lab/thermometer.md has the theory and exercises.");
+    report.paragraph(format!("Source: {source}"));
+    for section in sections {
+        add_section(&mut report, section);
+    }
+    report.data("source", json!(source));
+    report.data("sections", sections_json(sections));
+    report
+}
+
+fn add_section(report: &mut Report, section: &LessonSection) {
+    report.heading(section.title.as_str());
+    for paragraph in &section.paragraphs {
+        report.background(paragraph);
+    }
+    if !section.header.is_empty() {
+        let mut table = Table::of(&section.rows);
+        for (column, heading) in section.header.iter().enumerate() {
+            table = table.text("", heading, move |row| row.get(column).cloned().unwrap_or_default());
+        }
+        report.table("", &table);
+    }
+    if let Some((plot, caption)) = &section.figure {
+        report.chart(plot, caption);
+    }
+}
+
+/// `{name: {number: value}}` of the sections that have numbers; a figure that cannot be had is null.
+fn sections_json(sections: &[LessonSection]) -> Value {
+    let of = |section: &LessonSection| {
+        let numbers = section.values.iter();
+        let numbers: Map<String, Value> = numbers.map(|(name, value)| (name.clone(), json!(value))).collect();
+        (section.name.to_owned(), Value::Object(numbers))
+    };
+    let with_numbers = sections.iter().filter(|section| !section.values.is_empty());
+    Value::Object(with_numbers.map(of).collect())
+}
+
+/// Flags of `lab thermometer`.
+#[derive(Args, Clone, Debug)]
+#[command(group = clap::ArgGroup::new("real").multiple(true).args(["recordings", "link", "listen"]))]
+pub struct LabThermometerArgs {
+    /// Descriptor (config/recordings/*.toml) with temperatures, or recordings (*.mcap; each thermometer is one run). Default: the
+    /// simulated sensor.
+    #[arg(long = "recording", value_name = "FILE", num_args = 1..)]
+    pub recordings: Vec<PathBuf>,
+    /// A live robot, whose step the recordings foretell.
+    #[command(flatten)]
+    pub live: LiveArgs,
+    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Runs to identify the sensor on. Default: all.
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
+    pub identify: Vec<String>,
+    /// Runs to predict, each from the other identified runs. Default: all.
+    #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
+    pub predict: Vec<String>,
+    /// All runs are of one sensor in the same medium: steps in one direction have the same dynamics.
+    #[arg(long, requires = "real")]
+    pub same_sensor: bool,
+    /// Set one key of the descriptor's robot, or of the configuration of a recording or a live robot, e.g.
+    /// robot.noise.temperature_k=0.05. Can be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real")]
+    pub settings: Vec<Setting>,
+    /// Number of simulated runs for the coverage of the bounds.
+    #[arg(long, value_name = "N", default_value_t = 1_000, conflicts_with = "real", value_parser = clap::value_parser!(u32).range(10..=100_000))]
+    pub runs: u32,
+    /// Seed of the simulated sensor.
+    #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real")]
+    pub seed: u64,
+    /// What it leaves behind.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+impl LabThermometerArgs {
+    fn is_real(&self) -> bool {
+        !self.recordings.is_empty() || self.live.is_requested()
+    }
+}
+
+/// Half a last digit of a thermometer with sixteen steps per kelvin, where the descriptor gives no noise; as the filter takes it.
+const DEFAULT_SIGMA_K: f64 = 0.03;
+
+const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
+
+fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
+    let robot = LiveRobot { file: None, settings: &args.settings };
+    let live = args.live.record(&args.output, robot, TASK)?;
+    let (chosen, loaded) = match args.recordings.as_slice() {
+        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => of_descriptor(args, descriptor),
+        recordings => of_recordings(args, recordings, live.as_deref()),
+    }
+    .before_start()?;
+    let bar = progress_bar((loaded.len() + chosen.predict.len()) as u64, "steps").before_start()?;
+    let identified = run_all(&loaded, identify_run, || bar.inc(1));
+    let runs: Vec<RecordedRun> = identified.into_iter().collect::<Result<_>>().while_running()?;
+    let jobs = chosen.jobs(&runs);
+    let likeness = if args.same_sensor { RunSimilarity::SameDynamics } else { RunSimilarity::SameKind };
+    let predict = |(run, others): &(&RecordedRun, Vec<&RecordedRun>)| {
+        let found = RecordedPrediction::predict_run(run, others, likeness);
+        let found =
+            found.with_context(|| format!("run `{}`: the other runs have no description in common", run.name))?;
+        Ok(((*run).clone(), found))
+    };
+    let predicted: Vec<_> =
+        run_all(&jobs, predict, || bar.inc(1)).into_iter().collect::<Result<_>>().while_running()?;
+    bar.finish_and_clear();
+    let used: Vec<RecordedRun> = runs.into_iter().filter(|run| chosen.identify.contains(&run.name)).collect();
+    Ok(recorded_sections(&used, &predicted))
+}
+
+struct ThermometerRun {
+    run: String,
+    samples: Vec<TimedSample>,
+    sigma_k: f64,
+}
+
+impl ThermometerRun {
+    /// The readings of the first thermometer: a descriptor may hold further ones, and the experiment is about the first.
+    fn from_readings(run: &str, readings: &[Observation], config: &FilterConfig) -> Self {
+        report_skipped(run, SensorChannel::Temperature.excluded_count(readings));
+        let noise = config.noise.temperature_k;
+        Self {
+            run: run.to_owned(),
+            samples: SensorChannel::Temperature.samples(readings),
+            sigma_k: if noise > 0.0 { noise } else { DEFAULT_SIGMA_K },
+        }
+    }
+}
+
+/// The runs of a descriptor that were asked for, each loaded once.
+fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(RunRoles, Vec<ThermometerRun>)> {
+    let flags = DataFlags {
+        data: args.data.clone(),
+        // Every name begins with nothing: all runs.
+        run: Some(String::new()),
+        use_every: None,
+        settings: args.settings.clone(),
+    };
+    let data = DataSet::open(descriptor, &flags)?;
+    let chosen = RunRoles::resolve(args, &data.runs, [&data.runs, &data.runs])?;
+    let load = |name: &String| -> Result<ThermometerRun> {
+        let run = data.load(name, &flags)?;
+        report_bad_rows(&run);
+        let readings = run.run.observations.iter();
+        let readings: Vec<Observation> = readings.map(|timed| timed.observation).collect();
+        let shown = ThermometerRun::from_readings(name, &readings, &run.filter_config);
+        ensure!(
+            !shown.samples.is_empty(),
+            "run `{name}` of `{}` holds no temperature: it needs a [[temperature]] stream",
+            descriptor.display()
+        );
+        Ok(shown)
+    };
+    let needed = data.runs.iter().filter(|name| chosen.needs(name));
+    let shown = needed.map(load).collect::<Result<_>>()?;
+    Ok((chosen, shown))
+}
+
+/// Each thermometer of each recording is a run; without other flags the earlier recordings foretell a live one.
+fn of_recordings(
+    args: &LabThermometerArgs,
+    recordings: &[PathBuf],
+    live: Option<&Path>,
+) -> Result<(RunRoles, Vec<ThermometerRun>)> {
+    let mut shown = Vec::new();
+    for path in recordings {
+        ensure!(
+            own_recording::is_own(path),
+            "`{}` is a descriptor: give one alone, or recordings (*.mcap) and a live robot",
+            path.display()
+        );
+        shown.extend(thermometers(path, &args.settings)?);
+    }
+    let earlier: Vec<String> = shown.iter().map(|one| one.run.clone()).collect();
+    if let Some(live) = live {
+        // The keys that are set stand in the recording.
+        shown.extend(thermometers(live, &[])?);
+    }
+    let all: Vec<String> = shown.iter().map(|one| one.run.clone()).collect();
+    let new = all.get(earlier.len()..).unwrap_or_default();
+    let chosen = if new.is_empty() || earlier.is_empty() {
+        RunRoles::resolve(args, &all, [&all, &all])?
+    } else {
+        RunRoles::resolve(args, &all, [&earlier, new])?
+    };
+    shown.retain(|one| chosen.needs(&one.run));
+    Ok((chosen, shown))
+}
+
+fn thermometers(path: &Path, settings: &[Setting]) -> Result<Vec<ThermometerRun>> {
+    let overlay = Overlay { robot: None, settings };
+    let own = own_recording::read(path, overlay)?;
+    ensure!(
+        !own.thermometers.is_empty(),
+        "`{}` holds no temperature: let the brick send a named value whose name begins with `temp` (docs/lab/thermometer.md)",
+        own.name
+    );
+    let shown = own.thermometers.iter().map(|one| {
+        let run = format!("{}:{}", own.name, one.name_among(&own.thermometers));
+        let readings = one.readings();
+        let readings = readings.with_context(|| format!("recording `{}`", own.name))?;
+        Ok(ThermometerRun::from_readings(&run, readings, &own.config))
+    });
+    shown.collect()
+}
+
+struct RunRoles {
+    identify: Vec<String>,
+    predict: Vec<String>,
+}
+
+impl RunRoles {
+    /// From `all` runs. The `usual` ones are identified and predicted unless others are named.
+    fn resolve(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
+        let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
+            for name in asked {
+                ensure!(all.contains(name), "`{flag} {name}`: there is no such run; there are: {}", all.join(", "));
+            }
+            Ok(if asked.is_empty() { usual.to_vec() } else { asked.to_vec() })
+        };
+        let [identify, predict] = usual;
+        let identify = named(&args.identify, "--identify", identify)?;
+        let predict = named(&args.predict, "--predict", predict)?;
+        if let ([only], true) = (all, args.predict.is_empty()) {
+            print_line(&format!(
+                "`{only}` is the only run: it is identified, and nothing is foretold. Give a second run of this sensor to see it \
+                 foretold by this one"
+            ));
+            return Ok(Self { identify, predict: Vec::new() });
+        }
+        for name in &predict {
+            ensure!(
+                identify.iter().any(|other| other != name),
+                "run `{name}` cannot be predicted by itself: name another run with --identify"
+            );
+        }
+        Ok(Self { identify, predict })
+    }
+
+    fn needs(&self, run: &String) -> bool {
+        self.identify.contains(run) || self.predict.contains(run)
+    }
+
+    /// Each run that shall be predicted, with those by which: the identified ones without itself.
+    fn jobs<'a>(&self, runs: &'a [RecordedRun]) -> Vec<(&'a RecordedRun, Vec<&'a RecordedRun>)> {
+        let by_name = |name: &String| runs.iter().find(|run| run.name == *name);
+        let predicted = self.predict.iter().filter_map(by_name);
+        predicted
+            .map(|run| {
+                let others = self.identify.iter().filter(|name| **name != run.name);
+                (run, others.filter_map(by_name).collect())
+            })
+            .collect()
+    }
+}
+
+fn identify_run(shown: &ThermometerRun) -> Result<RecordedRun> {
+    let found = identify_step(&shown.samples, &StepOptions::with_sigma(shown.sigma_k));
+    let identified = found.with_context(|| format!("run `{}` (noise.temperature_k = {})", shown.run, shown.sigma_k))?;
+    Ok(RecordedRun { name: shown.run.clone(), identified })
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{ArenaMap, Celsius, ObservationKind, SensorId, TimeDelta, Timestamp};
+
+    use super::*;
+    use crate::config::{FilterSection, RobotFile, filter_config};
+
+    #[test]
+    fn a_stamp_that_is_too_late_takes_no_other_reading_along() {
+        let readings = [0, 1_000, 9_000, 2_000, 3_000, 3_000].map(|millis| Observation {
+            sensor: SensorId::THERMOMETER,
+            stamp: Timestamp::from_millis(millis),
+            stamp_sigma: TimeDelta::ZERO,
+            measurement: ObservationKind::Temperature(Celsius(20.0)),
+        });
+        let robot = RobotFile::default();
+        let config = filter_config(&robot, &FilterSection::default(), ArenaMap::default()).unwrap();
+        let shown = ThermometerRun::from_readings("bath", &readings, &config);
+        let at_s: Vec<f64> = shown.samples.iter().map(|sample| sample.at_s).collect();
+        assert_eq!(at_s, [0.0, 1.0, 2.0, 3.0, 9.0]);
+        assert_eq!(SensorChannel::Temperature.excluded_count(&readings), 1);
+    }
+}

@@ -1,0 +1,294 @@
+//! All that the terminal view knows: made of the same messages as the page, and of what a person has chosen.
+//!
+//! A value without clock and terminal. Everything in it is bounded: trails by [`RecentPoints`], robots, sensors and lines by the constants
+//! here.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use posebridge_dashboard::model::{
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, RecordingNow,
+    RobotFrame, SimulatorFacts, TruthPoint,
+};
+use posebridge_report::RecentNis;
+use posebridge_telemetry::severity::NOTICE;
+
+/// Most robots that are shown; a class has fewer.
+const MAX_ROBOTS: usize = 64;
+/// Most lines that are kept, as on the page.
+const MAX_LINES: usize = 300;
+/// What was done is shown for so long, to be read in passing.
+const NOTICE_DURATION_S: f64 = 5.0;
+
+#[derive(Clone, Debug, Default)]
+pub struct Model {
+    /// The simulated brick, if the station has one of its own.
+    pub simulator: Option<SimulatorFacts>,
+    /// The session's time, in seconds.
+    pub now_s: f64,
+    pub robots: Vec<Robot>,
+    /// Where the only simulated robot really was.
+    truth: RecentPoints<TruthPoint>,
+    /// How far odometry and estimate of the first simulated robot are from the truth.
+    errors: Option<ErrorsRow>,
+    pub links: Vec<LinkRow>,
+    pub clock: Option<ClockRow>,
+    pub recording: Option<RecordingNow>,
+    /// Lines for people, oldest first.
+    pub log: VecDeque<LogLine>,
+    /// Messages that this view has missed because the terminal was slow.
+    pub missed: u64,
+    pub selection: Selection,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Selection {
+    /// Which of [`Model::visible_robots`] robots.
+    pub robot: usize,
+    /// Which panel has the whole screen; `None` for all of them together.
+    pub panel: Option<usize>,
+    pub has_help: bool,
+    /// The robots whose simulated cameras were covered from here.
+    pub covered_cameras: BTreeSet<String>,
+    pub notice: Option<(f64, &'static str)>,
+}
+
+impl Model {
+    pub fn new(simulator: Option<SimulatorFacts>) -> Self {
+        Self { simulator, ..Self::default() }
+    }
+
+    pub fn on_frame(&mut self, frame: &Frame) {
+        self.now_s = self.now_s.max(frame.now_s);
+        for part in &frame.robots {
+            if let Some(robot) = self.robot(&part.id) {
+                robot.on_frame(part);
+            }
+        }
+        for point in &frame.truth {
+            let truth = match &point.robot {
+                None => Some(&mut self.truth),
+                Some(id) => self.robot(id).map(|robot| &mut robot.truth),
+            };
+            if let Some(truth) = truth {
+                truth.push(point.t_s, point.clone());
+            }
+        }
+        if let Some(errors) = &frame.errors {
+            self.errors = Some(errors.clone());
+        }
+        if let Some(links) = &frame.links {
+            self.links.clone_from(links);
+        }
+        if let Some(clock) = &frame.clock {
+            self.clock = Some(clock.clone());
+        }
+        if let Some(recording) = &frame.recording {
+            self.recording.clone_from(recording);
+        }
+        for line in &frame.log {
+            self.add_line(line.clone());
+        }
+    }
+
+    pub fn push_message(&mut self, line: &str) {
+        let t_s = self.now_s;
+        for text in line.lines() {
+            self.add_line(LogLine { t_s, severity: NOTICE, text: text.to_owned() });
+        }
+    }
+
+    pub const fn set_notice(&mut self, what: &'static str) {
+        self.selection.notice = Some((self.now_s, what));
+    }
+
+    /// What was done last, as long as it is new.
+    pub fn notice(&self) -> Option<&'static str> {
+        let (noted_s, what) = self.selection.notice?;
+        (self.now_s - noted_s <= NOTICE_DURATION_S).then_some(what)
+    }
+
+    /// The robots to choose from: those with an estimate. A camera is heard as well but has none. Without any, all.
+    pub fn visible_robots(&self) -> Vec<&Robot> {
+        let estimated: Vec<&Robot> = self.robots.iter().filter(|robot| !robot.estimates.is_empty()).collect();
+        if estimated.is_empty() { self.robots.iter().collect() } else { estimated }
+    }
+
+    pub fn selected_robot(&self) -> Option<&Robot> {
+        let shown = self.visible_robots();
+        let last = shown.len().checked_sub(1)?;
+        shown.get(self.selection.robot.min(last)).copied()
+    }
+
+    /// Where the chosen robot really was, if it is simulated.
+    pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
+        let own = self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty());
+        own.or_else(|| (self.visible_robots().len() <= 1).then_some(&self.truth))
+    }
+
+    /// How far odometry and estimate of the chosen robot are from its truth.
+    pub fn selected_errors(&self) -> Option<&ErrorsRow> {
+        let own = self.selected_robot().and_then(|robot| robot.errors.as_ref());
+        own.or_else(|| self.errors.as_ref().filter(|_| self.visible_robots().len() <= 1))
+    }
+
+    fn robot(&mut self, id: &str) -> Option<&mut Robot> {
+        let known = self.robots.iter().position(|robot| robot.id == id);
+        let index = match known {
+            Some(index) => index,
+            None if self.robots.len() >= MAX_ROBOTS => return None,
+            None => {
+                self.robots.push(Robot::new(id));
+                self.robots.len() - 1
+            }
+        };
+        self.robots.get_mut(index)
+    }
+
+    fn add_line(&mut self, line: LogLine) {
+        if self.log.len() >= MAX_LINES {
+            self.log.pop_front();
+        }
+        self.log.push_back(line);
+    }
+}
+
+/// A robot has a handful of sensors; more than this is not a robot but nonsense.
+const MAX_SOURCES: usize = 32;
+
+#[derive(Clone, Debug, Default)]
+pub struct Robot {
+    pub id: String,
+    pub name: Option<String>,
+    pub estimates: RecentPoints<EstimatePoint>,
+    pub fixes: RecentPoints<FixPoint>,
+    /// Where it really was, if it is one of several simulated robots.
+    pub truth: RecentPoints<TruthPoint>,
+    /// How far odometry and estimate are from that.
+    pub errors: Option<ErrorsRow>,
+    pub sources: BTreeMap<String, SourceModel>,
+    pub calibration: Vec<CalibrationRow>,
+}
+
+#[derive(Clone, Debug, Default)]
+pub struct SourceModel {
+    pub count: u64,
+    pub gated: u64,
+    pub nis: RecentNis,
+    pub last_verdict: String,
+}
+
+impl Robot {
+    pub(super) fn new(id: &str) -> Self {
+        Self { id: id.to_owned(), ..Self::default() }
+    }
+
+    /// What people read: the name, else the id.
+    pub fn label(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.id)
+    }
+
+    pub(super) fn on_frame(&mut self, part: &RobotFrame) {
+        if part.name.is_some() {
+            self.name.clone_from(&part.name);
+        }
+        if part.errors.is_some() {
+            self.errors.clone_from(&part.errors);
+        }
+        for estimate in &part.estimates {
+            self.estimates.push(estimate.t_s, estimate.clone());
+        }
+        for fix in &part.fixes {
+            self.fixes.push(fix.t_s, fix.clone());
+        }
+        for record in &part.fusion {
+            self.on_fusion(record);
+        }
+        if let Some(calibration) = &part.calibration {
+            // A history has one row a second for each; the last one counts.
+            for row in calibration {
+                match self.calibration.iter_mut().find(|kept| kept.name == row.name) {
+                    Some(kept) => kept.clone_from(row),
+                    None => self.calibration.push(row.clone()),
+                }
+            }
+        }
+    }
+
+    fn on_fusion(&mut self, record: &FusionPoint) {
+        let is_known = self.sources.contains_key(&record.sensor);
+        if !is_known && self.sources.len() >= MAX_SOURCES {
+            return;
+        }
+        let source = self.sources.entry(record.sensor.clone()).or_default();
+        source.count += 1;
+        source.last_verdict.clone_from(&record.verdict);
+        match record.verdict.as_str() {
+            "gated" => source.gated += 1,
+            "accepted" | "slip" => {
+                let nis = record.nis.get().unwrap_or(f64::NAN);
+                source.nis.push(nis, u64::from(record.dof));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Trails are so long, as those of the page.
+const WINDOW_S: f64 = 60.0;
+/// Most points that are kept: 80 s at the 50 Hz of a station.
+const MAX_POINTS: usize = 4_096;
+
+/// The latest points, oldest first.
+#[derive(Clone, Debug)]
+pub struct RecentPoints<T> {
+    points: VecDeque<(f64, T)>,
+}
+
+impl<T> Default for RecentPoints<T> {
+    fn default() -> Self {
+        Self { points: VecDeque::new() }
+    }
+}
+
+impl<T> RecentPoints<T> {
+    /// Takes a point of this instant, in seconds of the session.
+    pub fn push(&mut self, t_s: f64, point: T) {
+        self.points.push_back((t_s, point));
+        while self.points.len() > MAX_POINTS
+            || self.points.front().is_some_and(|(oldest_s, _)| t_s - oldest_s > WINDOW_S)
+        {
+            self.points.pop_front();
+        }
+    }
+
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = &T> {
+        self.points.iter().map(|(_, point)| point)
+    }
+
+    pub fn last(&self) -> Option<&T> {
+        self.points.back().map(|(_, point)| point)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_as_old_as_a_minute_and_not_more_than_agreed() {
+        let mut recent = RecentPoints::default();
+        for second in 0..100 {
+            recent.push(f64::from(second), second);
+        }
+        assert_eq!(recent.iter().copied().collect::<Vec<_>>(), (39..100).collect::<Vec<_>>());
+        for _ in 0..10_000 {
+            recent.push(100.0, 7);
+        }
+        assert_eq!(recent.iter().count(), MAX_POINTS);
+        assert_eq!(recent.last(), Some(&7));
+    }
+}

@@ -1,0 +1,311 @@
+//! The panels and their table.
+//!
+//! A panel draws what a [`Model`] holds into a part of a buffer. It knows no terminal and no clock: the same model gives the same cells.
+
+use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine};
+use posebridge_report::Consistency;
+use posebridge_telemetry::severity::WARNING;
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Constraint, Rect};
+use ratatui::text::{Line, Span, Text};
+use ratatui::widgets::{Cell, Paragraph, Row, Table, Widget};
+
+use super::arena;
+use super::model::{Model, Robot, SourceModel};
+use super::theme::{StyleRole, Theme, degrees, fixed, sanitize, signed};
+
+pub struct Panel {
+    pub title: &'static str,
+    /// The number of lines that it needs to show everything.
+    pub lines: fn(&Model) -> usize,
+    pub draw: fn(&Model, Theme, Rect, &mut Buffer),
+}
+
+/// Every panel, in the order in which Tab shows them. Adding one: a function here and a row in this table. The first has the large place
+/// where all are shown together, the last the broad one below; the others stand between as far as there is room.
+pub const PANELS: &[Panel] = &[
+    Panel { title: "Arena", lines: |_| usize::from(u16::MAX), draw: arena::draw },
+    Panel { title: "Pose", lines: |_| 4, draw: draw_pose },
+    Panel { title: "Robots", lines: robot_lines, draw: draw_robots },
+    Panel {
+        title: "Sources and NIS",
+        lines: |model| 1 + model.selected_robot().map_or(0, |robot| robot.sources.len()),
+        draw: draw_sources,
+    },
+    Panel { title: "Links and clock", lines: |model| 1 + 2 * model.links.len(), draw: draw_links },
+    Panel { title: "Biases and calibration", lines: |model| learned(model).count().max(1), draw: draw_calibration },
+    Panel { title: "Events", lines: |model| model.log.len().max(1), draw: draw_events },
+];
+
+fn draw_pose(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let latest = model.selected_robot().and_then(|robot| robot.estimates.last());
+    let mut lines = vec![error_line(model, theme)];
+    match latest {
+        Some(estimate) => lines.extend(pose_lines(estimate, theme)),
+        None => lines.push(Line::styled("no estimate yet", theme.style(StyleRole::Quiet))),
+    }
+    Paragraph::new(lines).render(area, buffer);
+}
+
+/// How far odometry and estimate are from the truth; that of a real robot is unknown.
+fn error_line(model: &Model, theme: Theme) -> Line<'static> {
+    match model.selected_errors() {
+        Some(errors) => Line::from(vec![
+            Span::styled(format!("odometry {} m off", fixed(errors.odometry_m, 2)), theme.style(StyleRole::Odometry)),
+            Span::raw(", "),
+            Span::styled(format!("estimate {} m off", fixed(errors.estimate_m, 3)), theme.style(StyleRole::Estimate)),
+        ]),
+        None => Line::styled("no truth to compare with", theme.style(StyleRole::Quiet)),
+    }
+}
+
+fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
+    let quiet = |text: &'static str| Span::styled(text, theme.style(StyleRole::Quiet));
+    let place = vec![
+        quiet("x "),
+        Span::raw(signed(estimate.x_m, 3)),
+        quiet("  y "),
+        Span::raw(signed(estimate.y_m, 3)),
+        quiet(" m  95 % within "),
+        Span::raw(format!("{} m", fixed(estimate.major_m, 3))),
+    ];
+    let heading = vec![
+        quiet("heading "),
+        Span::raw(format!("{} ± {}°", degrees(estimate.heading_rad, 1), degrees(estimate.heading_sigma_rad, 1))),
+        quiet("  "),
+        Span::raw(format!("{} m/s {}°/s", fixed(estimate.forward_m_per_s, 2), degrees(estimate.turn_rad_per_s, 0))),
+    ];
+    let fix = match (estimate.is_dead_reckoning, estimate.fix_age_s.get()) {
+        (true, _) => Span::styled("dead reckoning", theme.style(StyleRole::Bad)),
+        (false, None) => Span::styled("no fix yet", theme.style(StyleRole::Quiet)),
+        (false, Some(age_s)) => Span::raw(format!("last fix {age_s:.1} s ago")),
+    };
+    let resets = Span::raw(format!("  resets {}", estimate.reset_counter));
+    [Line::from(place), Line::from(heading), Line::from(vec![fix, resets])]
+}
+
+/// Most robots with a line beside the other panels; the panel on the whole screen shows as many as fit.
+const MAX_LINES: usize = 8;
+/// A robot whose last estimate is older is silent; as on the page (web/model/silence.js).
+const SILENT_FROM_S: f64 = 1.0;
+/// The column of names, in characters.
+const NAME_WIDTH: usize = 16;
+
+fn robot_lines(model: &Model) -> usize {
+    match model.visible_robots().len() {
+        0 | 1 => 0,
+        count => count.min(MAX_LINES),
+    }
+}
+
+fn draw_robots(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let robots = model.visible_robots();
+    let selected = model.selected_robot().map(|robot| robot.id.as_str());
+    let index = robots.iter().position(|robot| Some(robot.id.as_str()) == selected).unwrap_or(0);
+    let height = usize::from(area.height).max(1);
+    // The chosen one is always among those that are shown.
+    let first = (index + 1).saturating_sub(height);
+    let rows = robots.iter().skip(first).take(height);
+    let lines: Vec<Line<'static>> = rows.map(|robot| robot_row(robot, model.now_s, selected, theme)).collect();
+    Paragraph::new(lines).render(area, buffer);
+}
+
+fn robot_row(robot: &Robot, now_s: f64, selected: Option<&str>, theme: Theme) -> Line<'static> {
+    let is_selected = Some(robot.id.as_str()) == selected;
+    let label: String = sanitize(robot.label()).chars().take(NAME_WIDTH).collect();
+    let name = format!("{} {label:<NAME_WIDTH$} ", if is_selected { "▸" } else { " " });
+    let role = if is_selected { StyleRole::Strong } else { StyleRole::Truth };
+    let mut spans = vec![Span::styled(name, theme.style(role))];
+    let Some(latest) = robot.estimates.last() else {
+        spans.push(Span::styled("no estimate yet", theme.style(StyleRole::Quiet)));
+        return Line::from(spans);
+    };
+    let silence_s = now_s - latest.t_s;
+    if silence_s >= SILENT_FROM_S {
+        spans.push(Span::styled(format!("silent for {silence_s:.0} s"), theme.style(StyleRole::Bad)));
+        return Line::from(spans);
+    }
+    spans.push(Span::styled("live ", theme.style(StyleRole::Good)));
+    let fix = match latest.fix_age_s.get() {
+        Some(age_s) => format!("fix {age_s:.1} s ago"),
+        None => "no fix".to_owned(),
+    };
+    spans.push(Span::raw(format!("± {} m  {fix}", fixed(latest.major_m, 3))));
+    Line::from(spans)
+}
+
+/// Seen, gated, NIS, claims, last.
+const SOURCE_WIDTHS: [u16; 5] = [5, 5, 4, 10, 8];
+/// Blanks between the columns.
+const GAPS: u16 = SOURCE_WIDTHS.len() as u16;
+/// `landmarks`: in a terminal of 80 columns so long a name leaves the other columns whole.
+const NAME_AT_LEAST: usize = 9;
+
+fn draw_sources(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let sources: Vec<_> = model.selected_robot().into_iter().flat_map(|robot| &robot.sources).collect();
+    let longest = sources.iter().map(|(name, _)| name.chars().count()).max();
+    let room = area.width.saturating_sub(SOURCE_WIDTHS.iter().sum::<u16>() + GAPS);
+    let most = usize::from(room).max(NAME_AT_LEAST);
+    let name_width = longest.unwrap_or(0).clamp(NAME_AT_LEAST, most);
+    let rows = sources.into_iter().map(|(name, source)| source_row(truncate(name, name_width), source, theme));
+    let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
+    let [seen, gated, nis, claims, _last] = SOURCE_WIDTHS.map(Constraint::Length);
+    let name = Constraint::Length(name_width as u16);
+    Table::new(rows, [name, seen, gated, nis, claims, Constraint::Min(0)])
+        .header(head.style(theme.style(StyleRole::Quiet)))
+        .render(area, buffer);
+}
+
+/// A name in this number of columns, with a sign where it is cut.
+fn truncate(name: &str, columns: usize) -> String {
+    let name = sanitize(name);
+    if name.chars().count() <= columns {
+        return name;
+    }
+    name.chars().take(columns - 1).chain(['…']).collect()
+}
+
+fn source_row(name: String, source: &SourceModel, theme: Theme) -> Row<'static> {
+    let nis = source.nis.mean_per_degree();
+    let nis = nis.map_or_else(|| "–".to_owned(), four_digits);
+    let (claims, role) = consistency_label(source.nis.consistency());
+    let right = |text: String| Cell::from(Text::from(text).right_aligned());
+    let last_role = match source.last_verdict.as_str() {
+        "accepted" | "unused" => StyleRole::Quiet,
+        _ => StyleRole::Bad,
+    };
+    Row::new([
+        Cell::from(name),
+        right(source.count.to_string()),
+        right(source.gated.to_string()),
+        right(nis),
+        Cell::from(claims).style(theme.style(role)),
+        Cell::from(source.last_verdict.clone()).style(theme.style(last_role)),
+    ])
+}
+
+/// A number of zero or more in four characters, as long as it has no more digits than that.
+fn four_digits(number: f64) -> String {
+    match number {
+        ..9.995 => format!("{number:.2}"),
+        ..99.95 => format!("{number:.1}"),
+        _ => format!("{number:.0}"),
+    }
+}
+
+/// What the filter is, going by one source: the words of docs/dashboard.md, which are short.
+const fn consistency_label(verdict: Consistency) -> (&'static str, StyleRole) {
+    match verdict {
+        Consistency::OverConfident => ("too sure", StyleRole::Bad),
+        Consistency::Consistent => ("honest", StyleRole::Good),
+        Consistency::UnderConfident => ("too unsure", StyleRole::Late),
+        Consistency::Undetermined => ("–", StyleRole::Quiet),
+    }
+}
+
+fn draw_links(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let mut lines = vec![clock_line(model.clock.as_ref(), theme)];
+    lines.extend(model.links.iter().flat_map(|link| link_lines(link, theme)));
+    Paragraph::new(lines).render(area, buffer);
+}
+
+fn clock_line(clock: Option<&ClockRow>, theme: Theme) -> Line<'static> {
+    let Some(clock) = clock else {
+        return Line::styled("clock not aligned", theme.style(StyleRole::Bad));
+    };
+    Line::from(format!(
+        "clock {:+.3} s {} ppm ± {} ms, {}",
+        clock.offset_s,
+        signed(clock.skew_ppm, 0),
+        fixed(clock.uncertainty_ms, 2),
+        clock.method
+    ))
+}
+
+fn link_lines(link: &LinkRow, theme: Theme) -> [Line<'static>; 2] {
+    let role = if link.state == "up" { StyleRole::Good } else { StyleRole::Bad };
+    let state = Span::styled(link.state.to_uppercase(), theme.style(role));
+    let head = Line::from(vec![
+        Span::raw(format!("{} ", link.id)),
+        state,
+        Span::raw(format!(
+            " {} B/s {} frames/s  {}",
+            fixed(link.bytes_in_per_s, 0),
+            fixed(link.frames_in_per_s, 0),
+            sanitize(&link.name)
+        )),
+    ]);
+    let counts = Line::styled(
+        format!(
+            "  lost {} damaged {} unsent {}  round trip {} ms",
+            link.lost,
+            link.checksum_errors,
+            link.drops_out,
+            fixed(link.round_trip_ms, 1)
+        ),
+        theme.style(StyleRole::Quiet),
+    );
+    [head, counts]
+}
+
+/// Value, sigma, name.
+const CALIBRATION_WIDTHS: [Constraint; 3] = [Constraint::Length(9), Constraint::Length(10), Constraint::Min(0)];
+
+/// Numbers with a sigma: the others are taken as given.
+fn learned(model: &Model) -> impl Iterator<Item = &CalibrationRow> {
+    let robot = model.selected_robot().into_iter();
+    let rows = robot.flat_map(|robot| &robot.calibration);
+    rows.filter(|row| row.sigma > 0.0)
+}
+
+fn draw_calibration(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let rows: Vec<Row<'static>> = learned(model).map(|row| calibration_row(row, theme)).collect();
+    if rows.is_empty() {
+        Text::styled("nothing learned yet", theme.style(StyleRole::Quiet)).render(area, buffer);
+        return;
+    }
+    Table::new(rows, CALIBRATION_WIDTHS).render(area, buffer);
+}
+
+fn calibration_row(row: &CalibrationRow, theme: Theme) -> Row<'static> {
+    Row::new([
+        Cell::from(Text::from(format!("{:+.5}", row.value)).right_aligned()),
+        Cell::from(format!("± {:.5}", row.sigma)),
+        Cell::from(row.name.clone()).style(theme.style(StyleRole::Quiet)),
+    ])
+}
+
+fn draw_events(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let from = model.log.len().saturating_sub(usize::from(area.height));
+    let lines = model.log.iter().skip(from).map(|line| event_line(line, theme));
+    let lines: Vec<Line<'static>> = lines.collect();
+    Paragraph::new(lines).render(area, buffer);
+}
+
+fn event_line(line: &LogLine, theme: Theme) -> Line<'static> {
+    // Severities up to this one mean that something is wrong.
+    let (mark, role) = if line.severity <= WARNING { ("! ", StyleRole::Bad) } else { ("  ", StyleRole::Truth) };
+    Line::from(vec![
+        Span::styled(format!("{:8.1} s ", line.t_s), theme.style(StyleRole::Quiet)),
+        Span::styled(mark, theme.style(role)),
+        Span::styled(sanitize(&line.text), theme.style(role)),
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_whole_or_says_that_it_is_cut() {
+        assert_eq!(truncate("landmarks", 9), "landmarks");
+        assert_eq!(truncate("accelerometer", 9), "accelero…");
+        assert_eq!(truncate("accelerometer", 13), "accelerometer");
+    }
+
+    #[test]
+    fn a_number_takes_four_characters() {
+        let texts = [0.0, 1.006, 9.994, 9.996, 99.94, 99.96, 9_999.0].map(four_digits);
+        assert_eq!(texts, ["0.00", "1.01", "9.99", "10.0", "99.9", "100", "9999"]);
+    }
+}

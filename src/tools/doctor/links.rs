@@ -1,0 +1,402 @@
+//! Checks of links: whether the configuration makes sense and its links open, and what is heard on the given links, on a serial port also
+//! the speed at which it makes sense.
+//!
+//! Nothing is sent. A brick that only answers when it is asked stays silent here.
+
+use std::fs;
+use std::path::Path;
+
+use posebridge_link::{
+    ConnectRole, HostTimer, LineSettingsPolicy, Link, LinkEvent, LinkOpenConfig, LinkTuning, LinkUrl, OpenError,
+};
+use posebridge_protocol::bricks::brick_protocol;
+use posebridge_protocol::detect::{Protocol, ProtocolDetection, recognise};
+use posebridge_telemetry::{LinkId, TimeDelta};
+
+use super::context::{CheckResult, DiagnosticContext};
+use crate::config::{self, Config, LinkTarget, load_scenario};
+use crate::console::print_line;
+
+/// Loads the configuration, then opens each link of a given file once and closes it.
+pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResult> {
+    let path = context.config.as_deref();
+    let name = path.map_or("the embedded default".to_owned(), |path| path.display().to_string());
+    let loaded = match config::load(path, &[]) {
+        Ok(loaded) => loaded,
+        Err(error) => return vec![invalid_config(&error.to_string())],
+    };
+    let config = loaded.config;
+    let targets = config.station_config().and_then(|_| config.targets());
+    let targets = match targets {
+        Ok(targets) => targets,
+        Err(error) => return vec![invalid_config(&format!("{name}: {error:#}"))],
+    };
+    let mut verdicts = vec![CheckResult::ok(format!("{name} makes sense"))];
+    if path.is_some() {
+        verdicts.extend(open_links(&config, &targets));
+    }
+    verdicts
+}
+
+fn invalid_config(what: &str) -> CheckResult {
+    CheckResult::problem(
+        what,
+        "correct it there; `posebridge config print` shows every key, config/default.toml explains them",
+    )
+}
+
+fn open_links(config: &Config, targets: &[(LinkTarget, ConnectRole)]) -> Vec<CheckResult> {
+    run_in_runtime(async {
+        let timer = HostTimer::start();
+        let mut verdicts = Vec::new();
+        for ((target, role), section) in targets.iter().zip(&config.links) {
+            let link = format!("link `{}`", section.url);
+            verdicts.push(match target {
+                LinkTarget::Sim(scenario) => check_scenario(&link, scenario),
+                LinkTarget::Url(url) => open_link(&link, url, *role, timer).await,
+            });
+        }
+        verdicts
+    })
+}
+
+fn check_scenario(link: &str, scenario: &str) -> CheckResult {
+    match load_scenario(scenario) {
+        Ok(_) => CheckResult::ok(format!("{link} is simulated")),
+        Err(error) => CheckResult::problem(
+            format!("{link} cannot be simulated: {error:#}"),
+            "docs/simulator.md, section 4, has the keys and the bundled scenarios",
+        ),
+    }
+}
+
+async fn open_link(link: &str, url: &LinkUrl, role: ConnectRole, timer: HostTimer) -> CheckResult {
+    let scheme = url.transport().scheme();
+    if !matches!(scheme, "serial" | "tcp" | "udp") {
+        // To open one of these would make or change a file.
+        return CheckResult::skipped(format!("{link} is not opened before the station runs"));
+    }
+    match open(url, role, timer).await {
+        OpenOutcome::Up(_, detail) => CheckResult::ok(format!("{link} opens: {detail}")),
+        OpenOutcome::Unavailable(reason) => unavailable_result(link, &reason),
+        OpenOutcome::Rejected(error) => rejected_result(link, &error),
+    }
+}
+
+/// How an attempt to open a link ended.
+enum OpenOutcome {
+    /// Bytes can flow; with what was opened, for people.
+    Up(Box<Link>, String),
+    /// It is not there, and may come.
+    Unavailable(String),
+    Rejected(OpenError),
+}
+
+/// Opens a link; takes at most the deadline of the transports, five seconds.
+async fn open(url: &LinkUrl, role: ConnectRole, timer: HostTimer) -> OpenOutcome {
+    let config = LinkOpenConfig { id: LinkId(0), url: url.clone(), role };
+    let tuning = LinkTuning { line_settings: LineSettingsPolicy::Restore, ..LinkTuning::default() };
+    let mut port = Link::with_tuning(config, tuning, timer);
+    if let Err(error) = port.try_open().await {
+        return OpenOutcome::Rejected(error);
+    }
+    loop {
+        match port.next_event().await {
+            LinkEvent::Up { detail, .. } => return OpenOutcome::Up(Box::new(port), detail),
+            LinkEvent::Down { reason, .. } => return OpenOutcome::Unavailable(reason),
+            // Neither comes before the link is up.
+            LinkEvent::Bytes { .. } | LinkEvent::Finished { .. } => {}
+        }
+    }
+}
+
+/// Runs what opens links. An attempt to open a device that hangs is left behind, so that it does not keep the program alive.
+fn run_in_runtime(look: impl Future<Output = Vec<CheckResult>>) -> Vec<CheckResult> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    match runtime {
+        Ok(runtime) => {
+            let verdicts = runtime.block_on(look);
+            runtime.shutdown_background();
+            verdicts
+        }
+        Err(error) => vec![CheckResult::skipped(format!("no link can be opened: {error}"))],
+    }
+}
+
+/// The result for a link that may come up later.
+fn unavailable_result(link: &str, reason: &str) -> CheckResult {
+    CheckResult::warning(
+        format!("{link} is not there: {reason}"),
+        "plug it in, switch it on or start what listens there; `posebridge run` waits for it",
+    )
+}
+
+/// The result for a link that a person has to change. The errors say what is wrong and, behind a colon, what to do.
+fn rejected_result(link: &str, error: &OpenError) -> CheckResult {
+    let message = error.to_string();
+    let (what, advice) = message.split_once(": ").unwrap_or((&message, "docs/links.md says how a link is written"));
+    CheckResult::problem(format!("{link} does not open: {what}"), advice)
+}
+
+/// Frames with a checksum after which nothing more has to be heard.
+const ENOUGH_FRAMES: usize = 5;
+/// Most that is kept: more than a minute of a 115200 baud line would say nothing new.
+const MAX_BYTES: usize = 1 << 20;
+/// Bytes between two looks at what has come, so that a fast link is not looked at a thousand times over.
+const DETECT_INTERVAL_BYTES: usize = 256;
+
+/// What a link has brought.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct ListenResult {
+    /// The bytes, in the order in which they came.
+    bytes: Vec<u8>,
+    /// Why the link was lost meanwhile, if it was.
+    lost_reason: Option<String>,
+}
+
+impl ListenResult {
+    fn detect(&self) -> ProtocolDetection {
+        recognise(&self.bytes)
+    }
+
+    fn is_enough(&self) -> bool {
+        let found = self.detect();
+        self.bytes.len() >= MAX_BYTES || (found.protocol.is_checked() && found.frames >= ENOUGH_FRAMES)
+    }
+}
+
+/// Listens for this long, or until what is heard leaves no doubt.
+async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> ListenResult {
+    let end = timer.now() + listen_for;
+    let mut heard = ListenResult::default();
+    let mut next_look = DETECT_INTERVAL_BYTES;
+    loop {
+        let event = tokio::select! {
+            event = port.next_event() => event,
+            () = timer.sleep_until(end) => return heard,
+        };
+        match event {
+            LinkEvent::Bytes { bytes, .. } => heard.bytes.extend_from_slice(&bytes),
+            LinkEvent::Down { reason, .. } => {
+                heard.lost_reason = Some(reason);
+                return heard;
+            }
+            LinkEvent::Finished { .. } => return heard,
+            LinkEvent::Up { .. } => {}
+        }
+        if heard.bytes.len() >= next_look {
+            next_look = heard.bytes.len() + DETECT_INTERVAL_BYTES;
+            if heard.is_enough() {
+                return heard;
+            }
+        }
+    }
+}
+
+/// Speeds that are tried after the one of the link, the usual ones first: telemetry radios and Bluetooth modules leave the
+/// factory at 57600 and 9600, boards are programmed for the rest.
+const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
+
+/// Listens on each link in turn.
+pub(super) fn check_listening(context: &DiagnosticContext) -> Vec<CheckResult> {
+    if context.links.is_empty() {
+        return vec![CheckResult::skipped(
+            "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
+        )];
+    }
+    let listener =
+        LinkListener { timer: HostTimer::start(), listen_for: TimeDelta::from_secs_f64(context.listen_for_s) };
+    run_in_runtime(async {
+        let mut verdicts = Vec::new();
+        for link in &context.links {
+            verdicts.push(listener.listen_on(link).await);
+        }
+        verdicts
+    })
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LinkListener {
+    timer: HostTimer,
+    listen_for: TimeDelta,
+}
+
+impl LinkListener {
+    async fn listen_on(self, link: &str) -> CheckResult {
+        let url = match LinkUrl::parse(link) {
+            Ok(url) => url,
+            Err(error) => {
+                return CheckResult::problem(error.to_string(), "docs/links.md says how a link is written");
+            }
+        };
+        match url.transport().scheme() {
+            "serial" => try_speeds(&url, async |url: &LinkUrl| self.attempt(url).await).await,
+            "tcp" | "udp" => match self.attempt(&url).await {
+                Ok(heard) => classify(link, &heard),
+                Err(verdict) => verdict,
+            },
+            scheme => CheckResult::skipped(format!(
+                "{link}: serial, tcp and udp links can be listened on, {scheme} links cannot"
+            )),
+        }
+    }
+
+    /// Opens the link, listens and closes it; a verdict if it does not open.
+    async fn attempt(self, url: &LinkUrl) -> Result<ListenResult, CheckResult> {
+        let link = url.to_string();
+        print_line(&format!("listening on {link}"));
+        match open(url, role_of(url), self.timer).await {
+            OpenOutcome::Up(mut port, _) => Ok(listen(&mut port, self.timer, self.listen_for).await),
+            OpenOutcome::Unavailable(reason) => Err(unavailable_result(&link, &reason)),
+            OpenOutcome::Rejected(error) => Err(rejected_result(&link, &error)),
+        }
+    }
+}
+
+/// Listens at the link's own speed and, if that is noise, at the others.
+async fn try_speeds(
+    url: &LinkUrl,
+    mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<ListenResult, CheckResult>,
+) -> CheckResult {
+    let first = match attempt(url).await {
+        Ok(heard) => heard,
+        Err(verdict) => return verdict,
+    };
+    if let Some(line) = fixed_speed_kind(url.path()) {
+        let place = format!("{url} ({line}, where the speed does not matter)");
+        return classify(&place, &first);
+    }
+    let own_baud = baud_of(url);
+    let at_own = classify(&format!("{url} at {own_baud} baud"), &first);
+    if first.detect().protocol != Protocol::Unrecognized {
+        return at_own;
+    }
+    for baud in SPEEDS_BAUD.into_iter().filter(|baud| *baud != own_baud) {
+        let Some(other) = at_speed(url, baud) else {
+            return at_own;
+        };
+        match attempt(&other).await {
+            Err(verdict) => return verdict,
+            Ok(heard) if heard.detect().protocol.is_known() => {
+                return wrong_speed(&other, own_baud, &heard);
+            }
+            Ok(_) => {}
+        }
+    }
+    let bytes = first.bytes.len();
+    CheckResult {
+        message: format!("{url}: noise at {own_baud} baud ({bytes} bytes) and at every other usual speed"),
+        ..at_own
+    }
+}
+
+/// TCP without a host and UDP wait for the robot: a UDP robot at its own address replies only after a datagram was sent.
+fn role_of(url: &LinkUrl) -> ConnectRole {
+    let (host, _) = url.host_and_port();
+    match url.transport().scheme() {
+        "udp" => ConnectRole::Listen,
+        "tcp" if host.is_empty() => ConnectRole::Listen,
+        _ => ConnectRole::Dial,
+    }
+}
+
+/// The speed of a serial link, in bits per second.
+fn baud_of(url: &LinkUrl) -> u32 {
+    let options = url.transport().options();
+    let baud = options.iter().find(|option| option.name == "baud");
+    baud.map_or(0, |option| url.integer(option))
+}
+
+/// The same port with the same options at another speed; `None` for a path that cannot be written in a link.
+fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
+    let path = url.path().to_str()?;
+    let others = url.transport().options().iter().filter_map(|option| {
+        let value = url.option_text(option);
+        let is_written = option.name != "baud" && value != option.kind.default_text();
+        is_written.then(|| format!("&{}={value}", option.name))
+    });
+    let others: String = others.collect();
+    let other = LinkUrl::parse(&format!("serial:{path}?baud={baud}{others}")).ok()?;
+    (other.path() == url.path()).then_some(other)
+}
+
+/// What a line is whose speed is only a number: a pseudo-terminal or a Bluetooth link.
+fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
+    let device = fs::canonicalize(path).ok()?;
+    let name = device.file_name()?.to_str()?;
+    if device.starts_with("/dev/pts") {
+        Some("a pseudo-terminal")
+    } else {
+        name.starts_with("rfcomm").then_some("Bluetooth")
+    }
+}
+
+/// Names what was heard, and what it means for the station.
+fn classify(place: &str, heard: &ListenResult) -> CheckResult {
+    let found = heard.detect();
+    let description = describe(place, heard, found);
+    match found.protocol {
+        Protocol::NoData => silent_result(place, heard),
+        Protocol::Unrecognized => CheckResult::problem(
+            description,
+            "check_listening the speed, the wires (ground too) and that both ends speak one protocol",
+        ),
+        Protocol::Mavlink1 => CheckResult::warning(
+            description,
+            "let the robot send MAVLink 2, or set `accept_mavlink1 = true` for its link",
+        ),
+        Protocol::Nmea => {
+            CheckResult::warning(description, "this is a satellite receiver: the robot is on another port")
+        }
+        Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
+            let is_read = found.protocol.codec().and_then(brick_protocol).is_some();
+            if is_read {
+                return CheckResult::ok(description);
+            }
+            CheckResult::warning(
+                description,
+                "posebridge does not read this: the robot has to send MAVLink 2 (docs/getting-started.md)",
+            )
+        }
+    }
+}
+
+fn describe(place: &str, heard: &ListenResult, found: ProtocolDetection) -> String {
+    let name = found.protocol.name();
+    let bytes = heard.bytes.len();
+    if found.protocol.is_known() {
+        let (frames, of) = (found.frames, found.frame_bytes);
+        format!("{place}: {name}, whole frames {frames}, with {of} of {bytes} bytes")
+    } else {
+        format!("{place}: {name}, {bytes} bytes")
+    }
+}
+
+fn silent_result(place: &str, heard: &ListenResult) -> CheckResult {
+    if let Some(reason) = &heard.lost_reason {
+        return CheckResult::problem(
+            format!("{place}: the link was lost before a byte came: {reason}"),
+            "check_listening the cable and the power of the robot",
+        );
+    }
+    CheckResult::warning(
+        format!("{place}: silence"),
+        "is the robot on and its program running, are its sending and receiving wires crossed? \
+         A brick without a program only answers when it is asked",
+    )
+}
+
+fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &ListenResult) -> CheckResult {
+    let baud = baud_of(url);
+    let place = format!("{} at {baud} baud", url.path().display());
+    let result = classify(&place, heard);
+    let link = format!("write the link as {url}");
+    let advice = match result.advice.as_str() {
+        "" => link,
+        further => format!("{link}; {further}"),
+    };
+    CheckResult::warning(format!("{}; at {own_baud} baud it is noise", result.message), advice)
+}
+
+#[cfg(test)]
+mod tests;

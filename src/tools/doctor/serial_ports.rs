@@ -1,0 +1,281 @@
+//! Checks of serial ports: which there are and what is plugged in, whether the person may use them, which programs hold them, and whether
+//! ModemManager writes to them.
+//!
+//! ModemManager opens USB boards (`ttyACM*`) when they appear and sends AT commands for some seconds, unless udev says that it must not.
+//! udev's properties are in `/run/udev/data`, by the numbers of the device.
+//!
+//! Source: ModemManager's reference manual, "Common udev tags" (ID_MM_DEVICE_IGNORE, ID_MM_PORT_IGNORE); systemd,
+//! sd-device (the files `c<major>:<minor>` with a line `E:KEY=VALUE` per property).
+
+use std::collections::BTreeSet;
+use std::fs::{self, Metadata};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use posebridge_link::LinkUrl;
+
+use super::context::{
+    CheckResult, DiagnosticContext, SystemRoots, UserPermissions, link_name, names_in, processes, running, value_in,
+};
+
+/// How the names of ports begin that a robot may be behind: USB adapters, USB boards, bound Bluetooth links, and the
+/// pins of a single-board computer. The kernel's documentation, admin-guide/devices.txt, lists them.
+const PREFIXES: &[&str] = &["ttyUSB", "ttyACM", "rfcomm", "ttyAMA"];
+
+/// A serial port, as the system describes it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SerialPort {
+    /// Its name, such as ttyUSB0.
+    pub name: String,
+    pub device: PathBuf,
+    /// The name that stays when the number changes.
+    pub by_id: Option<PathBuf>,
+    pub driver: Option<String>,
+    pub usb: Option<UsbIds>,
+    /// The folders of the device and of all devices that it is a part of, from the inside out.
+    pub sys_folders: Vec<PathBuf>,
+}
+
+/// The numbers by which a USB device is known, four hexadecimal digits each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UsbIds {
+    pub vendor: String,
+    pub product: String,
+    /// Its name for people; empty where it has none.
+    pub name: String,
+}
+
+/// Lists the ports; a computer without one gets a warning, because a robot may as well come by network.
+pub fn check_ports(context: &DiagnosticContext) -> Vec<CheckResult> {
+    let ports = serial_ports(&context.roots);
+    if ports.is_empty() {
+        return vec![CheckResult::warning(
+            "no serial port is there",
+            "if the robot is on a cable: plug it in; a cable that only charges shows nothing. \
+             For Bluetooth: bind the paired brick with `sudo rfcomm bind 0 <address> 1`",
+        )];
+    }
+    ports.iter().map(|port| CheckResult::ok(describe(port))).collect()
+}
+
+fn describe(port: &SerialPort) -> String {
+    let driver = port.driver.as_ref().map(|driver| format!("driver {driver}"));
+    let usb = port.usb.as_ref().map(|usb| {
+        let description = format!("USB {}:{} {}", usb.vendor, usb.product, usb.name);
+        description.trim_end().to_owned()
+    });
+    let by_id = port.by_id.as_ref().map(|id| format!("also {}", id.display()));
+    let parts = [Some(port.device.display().to_string()), driver, usb, by_id];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// The ports of the computer, by name.
+pub fn serial_ports(roots: &SystemRoots) -> Vec<SerialPort> {
+    let names = names_in(&roots.dev);
+    let is_port = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
+    names.iter().filter(is_port).map(|name| port(roots, name)).collect()
+}
+
+fn port(roots: &SystemRoots, name: &str) -> SerialPort {
+    let device_link = roots.sys.join("class/tty").join(name).join("device");
+    let sys_folders = fs::canonicalize(&device_link).map(|folder| folders_up(&folder, &roots.sys)).unwrap_or_default();
+    let tty = roots.sys.join("class/tty").join(name);
+    SerialPort {
+        name: name.to_owned(),
+        device: roots.dev.join(name),
+        by_id: by_id(roots, name),
+        driver: link_name(&device_link.join("driver")),
+        usb: sys_folders.iter().find_map(|folder| usb_ids(folder)),
+        sys_folders: std::iter::once(tty).chain(sys_folders).collect(),
+    }
+}
+
+/// The folder and those above it, as far as they lie in `root`.
+fn folders_up(folder: &Path, root: &Path) -> Vec<PathBuf> {
+    let root = fs::canonicalize(root).unwrap_or_else(|_missing| root.to_owned());
+    folder.ancestors().take_while(|above| above.starts_with(&root) && **above != root).map(Path::to_owned).collect()
+}
+
+fn usb_ids(folder: &Path) -> Option<UsbIds> {
+    Some(UsbIds {
+        vendor: value_in(&folder.join("idVendor"))?,
+        product: value_in(&folder.join("idProduct"))?,
+        name: value_in(&folder.join("product")).unwrap_or_default(),
+    })
+}
+
+fn by_id(roots: &SystemRoots, name: &str) -> Option<PathBuf> {
+    let folder = roots.dev.join("serial/by-id");
+    names_in(&folder).into_iter().map(|id| folder.join(id)).find(|link| link_name(link).as_deref() == Some(name))
+}
+
+/// Reading and writing for the group, in a file's mode.
+const GROUP_READ_WRITE: u32 = 0o060;
+
+/// Looks at every port; a port that is closed to the person is a problem.
+pub fn check_permissions(context: &DiagnosticContext) -> Vec<CheckResult> {
+    let ports = serial_ports(&context.roots);
+    if ports.is_empty() {
+        return vec![CheckResult::skipped("no serial port is there")];
+    }
+    let person = &context.user;
+    ports.iter().map(|port| port_permission(port, person)).collect()
+}
+
+fn port_permission(port: &SerialPort, person: &UserPermissions) -> CheckResult {
+    let device = port.device.display();
+    if (person.can_open)(&port.device) {
+        return CheckResult::ok(format!("{device} may be read and written"));
+    }
+    match port.device.metadata() {
+        Ok(metadata) => {
+            CheckResult::problem(format!("{device} may not be opened"), permission_advice(&metadata, person))
+        }
+        Err(error) => {
+            CheckResult::problem(format!("{device} leads nowhere: {error}"), "unplug the device and plug it in again")
+        }
+    }
+}
+
+fn permission_advice(metadata: &Metadata, person: &UserPermissions) -> String {
+    let number = metadata.gid();
+    let group = (person.group)(number);
+    let name = &group.name;
+    if metadata.mode() & GROUP_READ_WRITE != GROUP_READ_WRITE {
+        return format!(
+            "its mode {:04o} lets no group use it: a udev rule has to open it, such as \
+             SUBSYSTEM==\"tty\", MODE=\"0660\", GROUP=\"{name}\"",
+            metadata.mode() & 0o7777
+        );
+    }
+    if person.groups.contains(&number) {
+        return format!("you are in its group {name}: a container or a security module forbids it");
+    }
+    if group.lists_user {
+        return format!("you are in its group {name} from your next login on: log out and in again");
+    }
+    format!("it belongs to group {name}: run `sudo usermod -aG {name} $USER`, then log out and in again")
+}
+
+/// Looks for holders of every port, and of the devices of the given links.
+pub fn check_holders(context: &DiagnosticContext) -> Vec<CheckResult> {
+    let devices = devices(context);
+    if devices.is_empty() {
+        return vec![CheckResult::skipped("no serial port is there")];
+    }
+    let (holders, hidden) = holders(&context.roots, &devices);
+    let mut verdicts: Vec<_> = holders.iter().map(DeviceHolder::to_result).collect();
+    if verdicts.is_empty() {
+        verdicts.push(none_found(devices.len(), hidden));
+    }
+    verdicts
+}
+
+/// The devices, links followed: that is how they stand in `/proc`.
+fn devices(context: &DiagnosticContext) -> BTreeSet<PathBuf> {
+    let ports = serial_ports(&context.roots);
+    let of_ports = ports.into_iter().map(|port| port.device);
+    let of_links = context
+        .links
+        .iter()
+        .filter_map(|link| LinkUrl::parse(link).ok())
+        .filter(|url| url.transport().scheme() == "serial")
+        .map(|url| url.path().to_owned());
+    of_ports
+        .chain(of_links)
+        .filter_map(|device| fs::canonicalize(device).ok())
+        // The process that creates a pseudo-terminal holds its other side as well, and plays the robot.
+        .filter(|device| !device.starts_with("/dev/pts"))
+        .collect()
+}
+
+fn none_found(devices: usize, hidden: usize) -> CheckResult {
+    let ports = if devices == 1 { "port" } else { "ports" };
+    let message = format!("no program that can be looked into holds the {devices} {ports}");
+    if hidden == 0 {
+        CheckResult::ok(message)
+    } else {
+        CheckResult::ok(format!("{message}; {hidden} programs of other people cannot be looked into (sudo sees them)"))
+    }
+}
+
+struct DeviceHolder {
+    device: PathBuf,
+    name: String,
+    pid: u32,
+}
+
+impl DeviceHolder {
+    fn to_result(&self) -> CheckResult {
+        let Self { device, name, pid } = self;
+        CheckResult::warning(
+            format!("{} is held by {name}, process {pid}", device.display()),
+            format!("close the port there, or end it with `kill {pid}`"),
+        )
+    }
+}
+
+/// Who holds which device, and how many processes cannot be looked into.
+fn holders(roots: &SystemRoots, devices: &BTreeSet<PathBuf>) -> (Vec<DeviceHolder>, usize) {
+    let mut found = Vec::new();
+    let mut hidden = 0;
+    for process in processes(roots) {
+        let Some(files) = process.open_files() else {
+            hidden += 1;
+            continue;
+        };
+        let held: BTreeSet<&Path> = files.iter().filter_map(|file| devices.get(file)).map(PathBuf::as_path).collect();
+        found.extend(held.into_iter().map(|device| DeviceHolder {
+            device: device.to_owned(),
+            name: process.name.clone(),
+            pid: process.pid,
+        }));
+    }
+    (found, hidden)
+}
+
+const PROBED: &str = "ttyACM";
+const IGNORE_TAGS: [&str; 2] = ["E:ID_MM_DEVICE_IGNORE=1", "E:ID_MM_PORT_IGNORE=1"];
+
+/// Looks whether it runs, and which ports it may probe.
+pub fn check_modem_manager(context: &DiagnosticContext) -> Vec<CheckResult> {
+    let roots = &context.roots;
+    if running(roots, &["ModemManager"]).is_none() {
+        return vec![CheckResult::ok("ModemManager does not run")];
+    }
+    let probed: Vec<_> = serial_ports(roots)
+        .into_iter()
+        .filter(|port| port.name.starts_with(PROBED) && !is_ignored(port, roots))
+        .collect();
+    if probed.is_empty() {
+        return vec![CheckResult::ok("ModemManager runs, but has no port here that it would probe")];
+    }
+    probed.iter().map(modem_manager_result).collect()
+}
+
+fn modem_manager_result(port: &SerialPort) -> CheckResult {
+    let rule = match &port.usb {
+        Some(usb) => format!(
+            "`echo 'ATTRS{{idVendor}}==\"{}\", ATTRS{{idProduct}}==\"{}\", ENV{{ID_MM_DEVICE_IGNORE}}=\"1\"' \
+             | sudo tee /etc/udev/rules.d/70-robot.rules`, `sudo udevadm control --reload`",
+            usb.vendor, usb.product
+        ),
+        None => "write a udev rule that sets ENV{ID_MM_DEVICE_IGNORE}=\"1\" for it".to_owned(),
+    };
+    CheckResult::warning(
+        format!(
+            "ModemManager probes {} whenever it is plugged in, and holds it for some seconds",
+            port.device.display()
+        ),
+        format!("{rule}, then plug it in again"),
+    )
+}
+
+/// Whether udev has tagged the port, or the device that it is a part of.
+fn is_ignored(port: &SerialPort, roots: &SystemRoots) -> bool {
+    port.sys_folders
+        .iter()
+        .filter_map(|folder| value_in(&folder.join("dev")))
+        .filter_map(|number| fs::read_to_string(roots.run.join("udev/data").join(format!("c{number}"))).ok())
+        .any(|properties| properties.lines().any(|line| IGNORE_TAGS.contains(&line)))
+}

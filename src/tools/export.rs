@@ -1,0 +1,508 @@
+//! `posebridge export`: what a recording holds and what the engine makes of it, for other programs.
+//!
+//! Reads recordings of ours, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the files.
+
+use std::fs::File;
+use std::io::{BufWriter, Cursor};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Args, ValueEnum};
+use posebridge_recording::container::RecordingReader;
+use posebridge_recording::csv::CsvWriter;
+use posebridge_recording::tlog::TlogWriter;
+use posebridge_recording::tum;
+use posebridge_report::{PoseTrack, TimedPose};
+use posebridge_station::Station;
+use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp};
+
+use super::dataset::DataSet;
+use super::ground_truth::GroundTruth;
+use super::import::{self, StationOptions};
+use super::score::{PosePair, Scorer};
+use crate::config::{Config, Overlay, config_with_overlay};
+use crate::console::print_line;
+use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
+use crate::station::input_file::{InputFile, InputKind};
+use crate::station::per_robot::{PerRobot, file_parts};
+use crate::station::recorded_session::{for_each_input, missing_start};
+use crate::station::signing::recorded_station_config;
+use crate::station::tlog_writer::TrafficLog;
+
+/// Flags of `export`.
+#[derive(Args, Clone, Debug)]
+pub struct ExportArgs {
+    /// A recording (*.mcap), a telemetry log (*.tlog, *.tlog.gz) or a recording's descriptor (*.toml).
+    pub recording: PathBuf,
+    /// Formats to write, separated by commas.
+    #[arg(long = "format", value_enum, value_delimiter = ',', required = true)]
+    pub formats: Vec<Format>,
+    /// Folder for the files; created if it does not exist.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub out: PathBuf,
+    /// What to read of a descriptor's data.
+    #[command(flatten)]
+    pub data: DataFlags,
+    /// Filter. Default: the filter of the recording.
+    #[arg(long, value_name = "NAME")]
+    pub filter: Option<String>,
+    /// Robot profile to use instead of the recording's robot. --set overrides it.
+    #[arg(long, value_name = "FILE.toml")]
+    pub robot: Option<PathBuf>,
+    /// Ground truth from `posebridge sim --truth`. Default: the ground truth in the recording.
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Key file of a signed link. Default: the key file that was used while recording. Can be repeated.
+    #[arg(long = "key", value_name = "FILE")]
+    pub keys: Vec<PathBuf>,
+}
+
+/// What can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// One table per stream: estimates, innovations, observations, links.
+    Csv,
+    /// Trajectories of ground truth and estimate at the same timestamps, for evo.
+    Tum,
+    /// A telemetry log with received and sent frames.
+    Tlog,
+    /// A posebridge recording.
+    Mcap,
+}
+
+fn station(args: &ExportArgs) -> StationOptions<'_> {
+    StationOptions { config: None, robot: args.robot.as_deref(), settings: &args.data.settings }
+}
+
+pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
+    let kind = check(args).before_start()?;
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("making the folder `{}`", args.out.display()))
+        .before_start()?;
+    if args.formats.contains(&Format::Mcap) {
+        write_mcap(args).while_running()?;
+    }
+    let is_copied = kind == InputKind::Tlog && args.formats.contains(&Format::Tlog);
+    if is_copied {
+        copy_tlog(args).while_running()?;
+    }
+    let needs_engine = |format: &Format| match format {
+        Format::Csv | Format::Tum => true,
+        Format::Tlog => !is_copied,
+        Format::Mcap => false,
+    };
+    let wanted: Vec<Format> = args.formats.iter().copied().filter(needs_engine).collect();
+    if wanted.is_empty() {
+        return Ok(());
+    }
+    let session = ExportSession::open(args, kind).before_start()?;
+    let run = session.run(args, &wanted).while_running()?;
+    if wanted.contains(&Format::Tum) {
+        write_trajectories(args, &run).while_running()?;
+    }
+    Ok(())
+}
+
+/// Refuses what cannot be; says what the file is.
+fn check(args: &ExportArgs) -> Result<InputKind> {
+    let name = args.recording.display();
+    let kind = InputFile::open(&args.recording)?.kind;
+    let wants = |format| args.formats.contains(&format);
+    match kind {
+        InputKind::Bytes => {
+            bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
+        }
+        InputKind::Own if wants(Format::Mcap) => {
+            bail!("--format mcap: `{name}` is a recording of posebridge already")
+        }
+        InputKind::Descriptor if wants(Format::Tlog) => {
+            bail!("--format tlog: `{name}` is a descriptor, there are no frames in its data")
+        }
+        InputKind::Descriptor => ensure!(
+            args.truth.is_none() && args.robot.is_none(),
+            "--truth and --robot are for recordings: a descriptor names its own"
+        ),
+        InputKind::Own | InputKind::Tlog => {}
+    }
+    Ok(kind)
+}
+
+fn write_mcap(args: &ExportArgs) -> Result<()> {
+    let (file, fresh) = create_new(args, "mcap")?;
+    let (_, account) = import::import(&args.recording, &args.data, station(args), file)?;
+    print_notes(&account.notes);
+    print_written(fresh.path(), account.inputs, "inputs");
+    fresh.finish()
+}
+
+/// The whole frames of a telemetry log, with their times the right way round and never stepping back.
+fn copy_tlog(args: &ExportArgs) -> Result<()> {
+    let (out, fresh) = create_new(args, "tlog")?;
+    let mut writer = TlogWriter::new(BufWriter::new(out));
+    let mut written = Ok(0);
+    let notes = import::logged_frames(&args.recording, station(args), &mut |micros, frame| {
+        if let Ok(count) = written {
+            let done = writer.record(micros, frame);
+            written = done.map(|()| count + 1);
+        }
+    })?;
+    let written = written.with_context(|| format!("writing `{}`", fresh.path().display()))?;
+    writer.finish()?;
+    print_notes(&notes);
+    print_written(fresh.path(), written, "frames");
+    fresh.finish()
+}
+
+/// A recording with everything that a run through the engine needs.
+struct ExportSession {
+    name: String,
+    bytes: Vec<u8>,
+    config: Config,
+    /// What a descriptor's run is held against.
+    scorer: Option<Scorer>,
+    truth: Option<PoseTrack>,
+}
+
+/// What a run has made besides files.
+struct ExportedRun {
+    /// The robots of a recording of ours; there is always one.
+    robots: Vec<RobotPoses>,
+    /// A descriptor's run at the instants of its truth or withheld fixes.
+    pairs: Option<Vec<PosePair>>,
+}
+
+struct RobotPoses {
+    /// What it is called, where there are several.
+    label: Option<String>,
+    /// The estimates whose position and heading were valid, in the order in which they were made.
+    estimates: Vec<TimedPose>,
+    truth: Option<PoseTrack>,
+}
+
+struct ExportFiles {
+    csv: Option<CsvWriter<'static, File>>,
+    tlog: Option<TrafficLog<BufWriter<File>>>,
+}
+
+impl ExportSession {
+    fn open(args: &ExportArgs, kind: InputKind) -> Result<Self> {
+        let name = args.recording.display().to_string();
+        let (bytes, scorer) = if kind == InputKind::Descriptor {
+            let bytes = Cursor::new(Vec::new());
+            let (bytes, account) = import::import(&args.recording, &args.data, station(args), bytes)?;
+            print_notes(&account.notes);
+            (bytes.into_inner(), Some(scorer_of(args)?))
+        } else {
+            let (bytes, notes) = import::recording_bytes(&args.recording, station(args))?;
+            print_notes(&notes);
+            (bytes, None)
+        };
+        let reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+        if let Some(lack) = missing_start(reader.part_header()) {
+            print_line(&format!("{name}: {lack}; the estimates are not those of the live run"));
+        }
+        // A descriptor's settings are in what was made of it already: their keys are those of its robot.
+        let overlay = match kind {
+            InputKind::Descriptor => Overlay::default(),
+            InputKind::Own | InputKind::Tlog | InputKind::Bytes => {
+                Overlay { robot: args.robot.as_deref(), settings: &args.data.settings }
+            }
+        };
+        let mut config = config_with_overlay(&reader.header().config_toml, overlay)?;
+        if let Some(filter) = &args.filter {
+            config.filter.name.clone_from(filter);
+        }
+        let known = if args.formats.contains(&Format::Tum) || args.truth.is_some() {
+            GroundTruth::load(&name, &bytes, args.truth.as_deref(), None)?
+        } else {
+            GroundTruth::default()
+        };
+        Ok(Self { name, bytes, config, scorer, truth: known.truth })
+    }
+
+    /// Runs the engine and writes the files of the wanted formats but TUM, which needs the whole run.
+    fn run(self, args: &ExportArgs, wanted: &[Format]) -> Result<ExportedRun> {
+        let mut reader = RecordingReader::open(&self.bytes)?;
+        let station_config = recorded_station_config(&self.config, &args.keys)?;
+        let utc_start_micros = reader.header().utc_start_micros;
+        let tlog = wanted.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
+        let (tlog, fresh) = tlog.transpose()?.unzip();
+        let mut files = ExportFiles {
+            csv: wanted.contains(&Format::Csv).then(|| streams(&args.out)),
+            tlog: tlog.map(|file| {
+                let out = BufWriter::new(file);
+                TrafficLog::new(out, utc_start_micros, &station_config.links)
+            }),
+        };
+        let mut station = Station::new(station_config, Timestamp::ZERO)?;
+        let mut scorer = self.scorer;
+        let mut estimates = PerRobot::new(Vec::new);
+        for_each_input(&self.name, &mut reader, |now, input| {
+            files.record_input(now, input)?;
+            station.handle(now, input);
+            files.record_outputs(now, &mut station, &mut estimates)?;
+            if let (Some(scorer), Input::Observation(one)) = (&mut scorer, input) {
+                scorer.on_observation(&one.measurement, one.stamp, &station);
+            }
+            Ok(())
+        })?;
+        if let Some(scorer) = &mut scorer {
+            scorer.finish(&station);
+        }
+        files.finish(args, fresh)?;
+        let robots = robot_poses(args, &self.name, &self.bytes, estimates, self.truth)?;
+        Ok(ExportedRun { robots, pairs: scorer.map(|scorer| scorer.pairs) })
+    }
+}
+
+/// Each robot's estimates with its truth; `truth` is that of the only robot, or of the first.
+fn robot_poses(
+    args: &ExportArgs,
+    name: &str,
+    recording: &[u8],
+    estimates: PerRobot<Vec<TimedPose>>,
+    truth: Option<PoseTrack>,
+) -> Result<Vec<RobotPoses>> {
+    let mut robots = estimates.into_entries();
+    if robots.len() == 1
+        && let Some(only) = robots.pop()
+    {
+        return Ok(vec![RobotPoses { label: None, estimates: only.value, truth }]);
+    }
+    let wants_truth = args.formats.contains(&Format::Tum);
+    let robots = robots.into_iter().map(|robot| {
+        let known = wants_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
+        let truth = known.transpose()?.and_then(|known| known.truth);
+        Ok(RobotPoses { label: Some(robot.label), estimates: robot.value, truth })
+    });
+    robots.collect()
+}
+
+/// The truth or the withheld fixes of the one run that the flags choose.
+fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
+    let data = DataSet::open(&args.recording, &args.data)?;
+    let [run] = data.runs.as_slice() else { anyhow::bail!("choose one run with --run: {}", data.runs.join(", ")) };
+    let robot_run = data.load(run, &args.data)?;
+    if robot_run.run.truth.is_empty() {
+        print_line(
+            "there is no truth: the withheld fixes stand in its place, and the estimates are of the point that they saw",
+        );
+    }
+    Ok(Scorer::new(&robot_run.run, &robot_run.filter_config.calibration))
+}
+
+/// Opens streams in a folder; what an export before this one has left there is overwritten.
+fn streams(folder: &Path) -> CsvWriter<'static, File> {
+    let folder = folder.to_owned();
+    CsvWriter::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))))
+}
+
+impl ExportFiles {
+    fn record_input(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
+        if let (Some(tlog), Input::Bytes { link, peer, bytes }) = (&mut self.tlog, input) {
+            tlog.received(now, *link, *peer, bytes).context("writing the telemetry log")?;
+        }
+        Ok(())
+    }
+
+    fn record_outputs(
+        &mut self,
+        now: Timestamp<HostClock>,
+        station: &mut Station,
+        estimates: &mut PerRobot<Vec<TimedPose>>,
+    ) -> Result<()> {
+        while let Some(output) = station.poll() {
+            match output {
+                Output::Event(event) => {
+                    if let Some(csv) = &mut self.csv {
+                        csv.record(now, &event).context("writing CSV")?;
+                    }
+                    estimates.push(&event, |estimates, event| estimates.extend(valid_pose(event)));
+                }
+                Output::Transmit { link, priority, bytes, .. } => {
+                    if let Some(tlog) = &mut self.tlog {
+                        tlog.sent(now, link, priority, &bytes).context("writing the telemetry log")?;
+                    }
+                }
+                // What the live program did for it, it did then.
+                Output::Request(_) => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(self, args: &ExportArgs, fresh: Option<AtomicFile>) -> Result<()> {
+        if let Some(csv) = self.csv {
+            for (name, lines) in csv.finish().context("writing CSV")? {
+                print_written(&args.out.join(format!("{name}.csv")), lines, "lines");
+            }
+        }
+        if let (Some(tlog), Some(fresh)) = (self.tlog, fresh) {
+            let (_, frames) = tlog.finish().context("writing the telemetry log")?;
+            print_written(fresh.path(), frames, "frames");
+            fresh.finish()?;
+        }
+        Ok(())
+    }
+}
+
+fn valid_pose(event: &Event) -> Option<TimedPose> {
+    let Event::EstimateUpdated { estimate, .. } = event else {
+        return None;
+    };
+    let is_valid = estimate.validity.position && estimate.validity.heading;
+    is_valid.then_some(TimedPose { time: estimate.stamp, pose: estimate.pose })
+}
+
+/// The last digit of a stamp in such a file.
+const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
+
+/// Writes `estimate.tum`, and `truth.tum` where there is truth; of several robots `estimate-NAME.tum` and `truth-NAME.tum` each.
+fn write_trajectories(args: &ExportArgs, run: &ExportedRun) -> Result<()> {
+    if let Some(pairs) = &run.pairs {
+        let at = |time, pose| TimedPose { time, pose };
+        write_one(args, "estimate", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.estimated))))?;
+        return write_one(args, "truth", &with_unique_times(pairs.iter().map(|pair| at(pair.time, pair.expected))));
+    }
+    let labels = run.robots.iter().map(|robot| robot.label.as_deref().unwrap_or_default());
+    for (robot, part) in run.robots.iter().zip(file_parts(labels)) {
+        write_robot(args, robot, &part)?;
+    }
+    Ok(())
+}
+
+/// `part` stands for the robot in file names, where there are several.
+fn write_robot(args: &ExportArgs, robot: &RobotPoses, part: &str) -> Result<()> {
+    let suffix = robot.label.as_ref().map_or_else(String::new, |_| format!("-{part}"));
+    let (estimate, truth) = trajectories(robot);
+    if estimate.is_empty() {
+        let place = if robot.truth.is_some() { " where there is truth" } else { "" };
+        match &robot.label {
+            // The others have theirs.
+            Some(label) => print_line(&format!("there is no valid estimate of {label}{place} to write")),
+            None => bail!("there is no valid estimate{place} to write"),
+        }
+        return Ok(());
+    }
+    write_one(args, &format!("estimate{suffix}"), &estimate)?;
+    if let Some(truth) = truth {
+        return write_one(args, &format!("truth{suffix}"), &truth);
+    }
+    print_line(&format!("there is no truth: `estimate{suffix}.tum` stands alone; give --truth"));
+    Ok(())
+}
+
+fn trajectories(robot: &RobotPoses) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) {
+    let estimates = robot.estimates.iter().copied();
+    let Some(truth) = &robot.truth else {
+        return (with_unique_times(estimates), None);
+    };
+    let pairs = estimates.filter_map(|estimate| {
+        let stamp = estimate.time;
+        let pose = truth.at(stamp)?;
+        Some((estimate, TimedPose { time: stamp, pose }))
+    });
+    // Both have the same stamps in the same order, and so they have them afterwards.
+    let (estimates, truth): (Vec<TimedPose>, Vec<TimedPose>) = pairs.unzip();
+    (with_unique_times(estimates.into_iter()), Some(with_unique_times(truth.into_iter())))
+}
+
+/// The poses in the order of their stamps, at least a microsecond apart, because tools pair poses by their stamps. A late fix makes a
+/// second estimate for an instant; it counts for the score as it does in a replay.
+fn with_unique_times(poses: impl Iterator<Item = TimedPose>) -> Vec<TimedPose> {
+    let mut poses: Vec<TimedPose> = poses.collect();
+    poses.sort_by_key(|one| one.time);
+    let mut free = None;
+    for one in &mut poses {
+        one.time = free.map_or(one.time, |free| one.time.max(free));
+        free = Some(one.time + TIME_RESOLUTION);
+    }
+    poses
+}
+
+fn write_one(args: &ExportArgs, name: &str, poses: &[TimedPose]) -> Result<()> {
+    let path = args.out.join(format!("{name}.tum"));
+    let text: String = poses.iter().map(|one| tum::format_line(one.time, one.pose)).collect();
+    std::fs::write(&path, text).with_context(|| format!("writing `{}`", path.display()))?;
+    print_written(&path, poses.len() as u64, "poses");
+    Ok(())
+}
+
+/// A file that is being written beside the place where it belongs; dropped before [`AtomicFile::finish`] it leaves nothing behind.
+struct AtomicFile {
+    path: PathBuf,
+    temporary: PathBuf,
+    is_complete: bool,
+}
+
+impl AtomicFile {
+    /// Begins one; what is at `path` already is not touched. What a killed export left beside it is written over.
+    fn create(path: PathBuf) -> Result<(File, Self)> {
+        ensure!(
+            !path.exists(),
+            "creating `{}`: the file is there already; move it or choose another folder with --out",
+            path.display()
+        );
+        let mut name = path.clone().into_os_string();
+        name.push(".part");
+        let beside = PathBuf::from(name);
+        let file = File::create(&beside).with_context(|| format!("creating `{}`", beside.display()))?;
+        let fresh = Self { path, temporary: beside, is_complete: false };
+        Ok((file, fresh))
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn finish(mut self) -> Result<()> {
+        std::fs::rename(&self.temporary, &self.path).with_context(|| format!("naming `{}`", self.path.display()))?;
+        self.is_complete = true;
+        Ok(())
+    }
+}
+
+impl Drop for AtomicFile {
+    fn drop(&mut self) {
+        if !self.is_complete {
+            // The caller that drops it reports why there is no file.
+            drop(std::fs::remove_file(&self.temporary));
+        }
+    }
+}
+
+/// Begins the file of this extension in the folder, with the recording's own name; what is there already is not touched.
+fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, AtomicFile)> {
+    let name = format!("{}.{extension}", stem(&args.recording));
+    AtomicFile::create(args.out.join(name))
+}
+
+/// The name of a file without folder and extensions.
+fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
+    let without = Path::new(name).file_stem().unwrap_or_default();
+    without.to_string_lossy().into_owned()
+}
+
+fn print_written(path: &Path, count: u64, what: &str) {
+    print_line(&format!("wrote `{}`: {count} {what}", path.display()));
+}
+
+fn print_notes(notes: &[String]) {
+    for note in notes {
+        print_line(note);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_named_after_its_recording() {
+        assert_eq!(stem(Path::new("a/drive.2.tlog.gz")), "drive.2");
+        assert_eq!(stem(Path::new("recording.mcap")), "recording");
+    }
+}

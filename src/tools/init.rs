@@ -1,0 +1,339 @@
+//! `posebridge init`: writes a commented configuration for a robot.
+//!
+//! The file is `config/default.toml` with the robot's own file laid into it ([`template`]). It is loaded as any configuration is before it is
+//! written, so that what stands there runs. Nothing is opened or changed but that file.
+
+use std::fs::OpenOptions;
+use std::io::{BufRead, ErrorKind, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use clap::Args;
+
+use super::doctor::SystemRoots;
+use super::doctor::serial_ports::{SerialPort, serial_ports};
+use crate::config::{self, BundledRobot, Config, LinkSection, ROBOTS, TemplateLink, list_of_robots, template};
+use crate::console::{print_line, print_result};
+use crate::exit::{ExitStage, Failure};
+
+/// Flags of `init`.
+#[derive(Args, Clone, Debug)]
+pub struct InitArgs {
+    /// Robot profile to start from. Without it the program asks.
+    pub robot: Option<String>,
+    /// Connect to the robot on this link, e.g. serial:///dev/ttyUSB0?baud=115200. Default: a guess from the ports of this
+    /// computer.
+    #[arg(long, value_name = "URL", conflicts_with = "listen")]
+    pub link: Option<String>,
+    /// Wait for the robot to connect on this link, e.g. udp://0.0.0.0:14550.
+    #[arg(long, value_name = "URL")]
+    pub listen: Option<String>,
+    /// Configuration file to write; - prints it.
+    #[arg(long, value_name = "FILE", default_value = "posebridge.toml")]
+    pub out: PathBuf,
+    /// Overwrite an existing file.
+    #[arg(long)]
+    pub force: bool,
+}
+
+pub fn robots_help() -> String {
+    format!("Robots:\n{}", list_of_robots())
+}
+
+const STDOUT: &str = "-";
+
+pub fn execute(args: &InitArgs) -> Result<(), Failure> {
+    let robot = robot(args).before_start()?;
+    let link = link(args, robot).before_start()?;
+    let is_stdout = args.out.as_os_str() == STDOUT;
+    let file = if is_stdout { "FILE".to_owned() } else { args.out.display().to_string() };
+    let text = template(robot, &link, &file);
+    check(&text).before_start()?;
+    if is_stdout {
+        return print_result(&text).while_running();
+    }
+    write(args, &text).before_start()?;
+    print_line(&format!(
+        "wrote `{file}`: {}, at {} ({})\nrun it with: posebridge run --config {file}",
+        robot.name, link.url, link.origin
+    ));
+    Ok(())
+}
+
+fn robot(args: &InitArgs) -> Result<BundledRobot> {
+    if let Some(name) = &args.robot {
+        return Ok(BundledRobot::from_name(name)?);
+    }
+    let (stdin, mut stderr) = (std::io::stdin(), std::io::stderr());
+    if stdin.is_terminal() && stderr.is_terminal() {
+        return prompt(&mut stdin.lock(), &mut stderr);
+    }
+    bail!(
+        "name the robot that yours is most like, for example `posebridge init nxt-56mm`; there are:\n{}",
+        list_of_robots()
+    )
+}
+
+fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
+    let given = |url: &str, is_listening| TemplateLink {
+        url: url.to_owned(),
+        is_listening,
+        origin: "as given to `posebridge init`".to_owned(),
+        notes: Vec::new(),
+    };
+    if let Some(url) = &args.link {
+        return Ok(given(url, false));
+    }
+    if let Some(url) = &args.listen {
+        return Ok(given(url, true));
+    }
+    let own: Config = toml::from_str(robot.text).context(robot.name)?;
+    let usual = own.links.first().ok_or_else(|| anyhow!("config/robots/{}.toml names no link", robot.name))?;
+    Ok(guess(usual, &SystemRoots::host()))
+}
+
+/// What is written is a configuration that can run: its own loader says so.
+fn check(text: &str) -> Result<()> {
+    let loaded = config::load_text("of posebridge init", text, &[])?;
+    loaded.config.targets()?;
+    loaded.config.station_config()?;
+    loaded.config.dashboard.checked()?;
+    Ok(())
+}
+
+/// Writes a new file, or over one if that is asked for; what stands there is never lost by a disk that is full.
+fn write(args: &InitArgs, text: &str) -> Result<()> {
+    let path = &args.out;
+    let name = path.display();
+    if args.force && path.exists() {
+        ensure!(path.is_file(), "`{name}` is no file");
+        return replace(path, text).with_context(|| format!("cannot write `{name}`"));
+    }
+    let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            bail!("`{name}` is there already: name another file with --out, or write over it with --force")
+        }
+        Err(error) => return Err(error).with_context(|| format!("cannot write `{name}`")),
+    };
+    let written = file.write_all(text.as_bytes());
+    if written.is_err() {
+        // Half a configuration is none.
+        drop(std::fs::remove_file(path));
+    }
+    written.with_context(|| format!("cannot write `{name}`"))
+}
+
+fn replace(path: &Path, text: &str) -> Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".new");
+    std::fs::write(&beside, text)?;
+    std::fs::rename(&beside, path)?;
+    Ok(())
+}
+
+/// So often a person may err.
+const TRIES: u32 = 3;
+/// No answer is longer, in bytes.
+const LONGEST_ANSWER: u64 = 1_000;
+
+/// Shows the robots with numbers and takes a number or a name.
+fn prompt(answers: &mut impl BufRead, terminal: &mut impl Write) -> Result<BundledRobot> {
+    writeln!(terminal, "Which robot is it most like?")?;
+    for (number, robot) in (1..).zip(ROBOTS) {
+        writeln!(terminal, "{number:>3}  {:<15} {}", robot.name, robot.summary())?;
+    }
+    for _ in 0..TRIES {
+        write!(terminal, "Number or name: ")?;
+        terminal.flush()?;
+        let mut answer = String::new();
+        let mut limited = std::io::Read::take(&mut *answers, LONGEST_ANSWER);
+        let read = limited.read_line(&mut answer).context("reading the answer")?;
+        if read == 0 {
+            bail!("no robot was chosen; give its name: posebridge init {}", ROBOTS[0].name);
+        }
+        let answer = answer.trim();
+        match parse_choice(answer) {
+            Some(robot) => return Ok(robot),
+            None => writeln!(
+                terminal,
+                "`{}` is none of them: a number from 1 to {} or a name",
+                answer.escape_debug(),
+                ROBOTS.len()
+            )?,
+        }
+    }
+    bail!("no robot was chosen in {TRIES} tries; give its name: posebridge init {}", ROBOTS[0].name)
+}
+
+fn parse_choice(answer: &str) -> Option<BundledRobot> {
+    let by_number = |number: usize| ROBOTS.get(number.checked_sub(1)?).copied();
+    match answer.parse() {
+        Ok(number) => by_number(number),
+        Err(_no_number) => BundledRobot::from_name(answer).ok(),
+    }
+}
+
+/// How a URL of a serial port begins.
+const SERIAL: &str = "serial://";
+/// A board on a USB cable is one or the other, by its chip.
+const USB_PREFIXES: [&str; 2] = ["ttyACM", "ttyUSB"];
+/// Most further ports that are listed.
+const MAX_LISTED: usize = 8;
+
+/// The robot's usual link, with a port that is there in the place of its own.
+fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
+    let as_usual = |origin: &str, notes| TemplateLink {
+        url: usual.url.clone(),
+        is_listening: usual.listen,
+        origin: origin.to_owned(),
+        notes,
+    };
+    let Some(device) = serial_device(&usual.url) else {
+        return as_usual("how this robot is usually reached", Vec::new());
+    };
+    let ports = serial_ports(roots);
+    let (fitting, others): (Vec<_>, Vec<_>) = ports.iter().partition(|port| is_alike(&port.name, &device));
+    let Some((first, further)) = fitting.split_first() else {
+        let notes = describe_ports(&others, "no such port is there now; there is");
+        return as_usual("a guess, no such port is there: `posebridge doctor` shows which are", notes);
+    };
+    let path = first.by_id.as_ref().unwrap_or(&first.device).display();
+    let further: Vec<&SerialPort> = further.iter().chain(&others).copied().collect();
+    TemplateLink {
+        url: format!("{SERIAL}{path}{}", options_of(&usual.url)),
+        is_listening: false,
+        origin: format!("a guess: {} is there", describe_port(first)),
+        notes: describe_ports(&further, "also there:"),
+    }
+}
+
+/// The name of the device that a serial URL opens.
+fn serial_device(url: &str) -> Option<String> {
+    let path = url.strip_prefix(SERIAL)?;
+    let path = path.split('?').next().unwrap_or(path);
+    Some(Path::new(path).file_name()?.to_string_lossy().into_owned())
+}
+
+fn options_of(url: &str) -> &str {
+    url.find('?').and_then(|at| url.get(at..)).unwrap_or("")
+}
+
+/// Whether a port is of the kind that is usual.
+fn is_alike(name: &str, usual: &str) -> bool {
+    let kind = |name: &str| {
+        let stem = name.trim_end_matches(|character: char| character.is_ascii_digit());
+        let is_usb = USB_PREFIXES.contains(&stem);
+        if is_usb { USB_PREFIXES[0] } else { stem }.to_owned()
+    };
+    kind(name) == kind(usual)
+}
+
+fn describe_ports(ports: &[&SerialPort], what: &str) -> Vec<String> {
+    let lines = ports.iter().take(MAX_LISTED).map(|port| format!("{what} {}", describe_port(port)));
+    lines.collect()
+}
+
+/// Its device and what is plugged in; names of foreign devices are one line.
+fn describe_port(port: &SerialPort) -> String {
+    let device = port.device.display();
+    let name = port.usb.as_ref().map(|usb| usb.name.as_str());
+    match name.filter(|name| !name.is_empty()) {
+        Some(name) => {
+            let name: String =
+                name.chars().map(|character| if character.is_control() { ' ' } else { character }).collect();
+            format!("{device} ({name})")
+        }
+        None => device.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn prompt_with(answers: &str) -> (Result<&'static str, String>, String) {
+        let mut shown = Vec::new();
+        let robot = prompt(&mut answers.as_bytes(), &mut shown);
+        let shown = String::from_utf8(shown).unwrap();
+        let name = robot.map(|robot| robot.name);
+        (name.map_err(|error| error.to_string()), shown)
+    }
+
+    #[test]
+    fn a_number_or_a_name_chooses() {
+        for answer in ["4\n", " nxt-56mm \n", "nxt-56mm", "0\nseven\n4\n"] {
+            let (robot, shown) = prompt_with(answer);
+            assert_eq!(robot.as_deref(), Ok("nxt-56mm"), "{answer}");
+            assert!(shown.contains("  4  nxt-56mm        LEGO NXT with 56 mm"), "{shown}");
+        }
+        let (_, shown) = prompt_with("0\nseven\n4\n");
+        assert!(shown.contains("`seven` is none of them: a number from 1 to 6 or a name"), "{shown}");
+    }
+
+    #[test]
+    fn who_does_not_answer_or_only_nonsense_is_told_what_to_do() {
+        let (robot, _) = prompt_with("");
+        let error = robot.unwrap_err();
+        assert_eq!(error, "no robot was chosen; give its name: posebridge init arduino-2wd");
+        let (robot, shown) = prompt_with("a\n\u{1b}[2J\nc\n4\n");
+        assert!(robot.unwrap_err().starts_with("no robot was chosen in 3 tries"));
+        assert!(!shown.contains('\u{1b}'), "no escape comes back to the terminal");
+    }
+
+    fn usual(url: &str) -> LinkSection {
+        LinkSection::new(url)
+    }
+
+    /// A computer with these device nodes.
+    fn computer(names: &[&str]) -> (tempfile::TempDir, SystemRoots) {
+        let folder = tempfile::tempdir().unwrap();
+        let roots = SystemRoots::under(folder.path());
+        fs::create_dir_all(&roots.dev).unwrap();
+        for name in names {
+            fs::write(roots.dev.join(name), "").unwrap();
+        }
+        (folder, roots)
+    }
+
+    #[test]
+    fn a_port_of_the_usual_kind_takes_its_place_and_keeps_the_options() {
+        let (_folder, roots) = computer(&["rfcomm0", "tty0", "ttyUSB3", "ttyUSB7"]);
+        let found = guess(&usual("serial:///dev/ttyACM0?baud=57600"), &roots);
+        let device = roots.dev.join("ttyUSB3");
+        let expected = format!("serial://{}?baud=57600", device.display());
+        assert_eq!(found.url, expected);
+        assert_eq!(found.origin, format!("a guess: {} is there", device.display()));
+        let dev = roots.dev.display();
+        let notes = [format!("also there: {dev}/ttyUSB7"), format!("also there: {dev}/rfcomm0")];
+        assert_eq!(found.notes, notes);
+    }
+
+    #[test]
+    fn a_name_that_stays_is_taken_before_a_number() {
+        let (_folder, roots) = computer(&["ttyACM0"]);
+        let by_id = roots.dev.join("serial/by-id");
+        fs::create_dir_all(&by_id).unwrap();
+        std::os::unix::fs::symlink("../../ttyACM0", by_id.join("usb-board")).unwrap();
+        let found = guess(&usual("serial:///dev/ttyACM0"), &roots);
+        assert_eq!(found.url, format!("serial://{}", by_id.join("usb-board").display()));
+    }
+
+    #[test]
+    fn without_a_fitting_port_the_usual_link_stands_and_the_others_are_named() {
+        let (_folder, roots) = computer(&["ttyACM0"]);
+        let found = guess(&usual("serial:///dev/rfcomm0"), &roots);
+        assert_eq!(found.url, "serial:///dev/rfcomm0");
+        assert!(found.origin.starts_with("a guess, no such port"), "{}", found.origin);
+        assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
+    }
+
+    #[test]
+    fn a_link_that_is_no_port_stays_as_it_is() {
+        let (_folder, roots) = computer(&["ttyACM0"]);
+        let listening = LinkSection { listen: true, ..usual("tcp://127.0.0.1:5760") };
+        let found = guess(&listening, &roots);
+        assert_eq!((found.url.as_str(), found.is_listening), ("tcp://127.0.0.1:5760", true));
+    }
+}

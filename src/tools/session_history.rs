@@ -1,0 +1,346 @@
+//! What happened in a session, over its time: gathered from the engine's events, in bounded memory.
+//!
+//! Times are seconds since the first input, by the host's clock. Tests and tallies see everything; what is only drawn is thinned in
+//! sessions of hours ([`ThinnedSeries`]). [`EventTimeline`] has in words and in order what a person would have noted down: what comes many
+//! times a second is not in it, damage is named once for each link and kind, and the tables of the links count it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::Result;
+use posebridge_report::chart::session::{CalibrationSample, ClockSample, ErrorSample, InnovationSample, LinkSample};
+use posebridge_report::metrics::InnovationTest;
+use posebridge_report::{PoseTrack, SourceTally};
+use posebridge_station::{Robot, Station};
+use posebridge_telemetry::{
+    Estimate, Event, FusionRecord, HostClock, LinkId, ReceiveError, SensorId, SignatureError, TimeDelta, Timestamp,
+};
+
+use super::replay::watch::EventWatcher;
+use crate::config::CALIBRATION_KEYS;
+use crate::station::event_collector::{EventCollector, ThinnedSeries};
+use crate::station::per_robot::PerRobot;
+
+/// Most samples of a curve that are kept; an hour at 50 Hz has fewer.
+const MAX_SAMPLES: usize = 200_000;
+/// What was learned is asked for this often.
+const LEARNED_PERIOD: TimeDelta = TimeDelta::from_millis(200);
+
+/// The history of one sensor.
+#[derive(Debug)]
+pub struct SourceHistory {
+    pub sensor: SensorId,
+    pub kind: &'static str,
+    pub test: InnovationTest,
+    pub samples: ThinnedSeries<InnovationSample>,
+}
+
+/// The estimates of one systematic error.
+#[derive(Debug)]
+pub struct CalibrationHistory {
+    pub key: &'static str,
+    pub samples: ThinnedSeries<CalibrationSample>,
+}
+
+#[derive(Debug)]
+pub struct SessionHistory {
+    /// What the tables of a replay need, by the same code.
+    pub collector: EventCollector,
+    /// By sensor, in the order in which they were first heard.
+    pub sources: Vec<SourceHistory>,
+    pub links: BTreeMap<LinkId, ThinnedSeries<LinkSample>>,
+    /// Alignments of the brick's clock.
+    pub clock: ThinnedSeries<ClockSample>,
+    /// What happened, in words.
+    pub timeline: EventTimeline,
+    origin: Timestamp<HostClock>,
+    last: Timestamp<HostClock>,
+    estimates: ThinnedSeries<(f64, Estimate)>,
+    learned: Vec<CalibrationHistory>,
+    last_calibration_poll: Option<Timestamp<HostClock>>,
+}
+
+impl SessionHistory {
+    /// One that counts time from the first input.
+    pub fn new(origin: Timestamp<HostClock>) -> Self {
+        let learned = CALIBRATION_KEYS
+            .iter()
+            .map(|entry| CalibrationHistory { key: entry.key, samples: ThinnedSeries::with_capacity(MAX_SAMPLES) });
+        Self {
+            collector: EventCollector::default(),
+            sources: Vec::new(),
+            links: BTreeMap::new(),
+            clock: ThinnedSeries::with_capacity(MAX_SAMPLES),
+            timeline: EventTimeline::default(),
+            origin,
+            last: origin,
+            estimates: ThinnedSeries::with_capacity(MAX_SAMPLES),
+            learned: learned.collect(),
+            last_calibration_poll: None,
+        }
+    }
+
+    /// The estimates whose position was valid.
+    pub fn estimates(&self) -> Vec<Estimate> {
+        let estimates = self.estimates.items().iter();
+        estimates.map(|(_, estimate)| *estimate).collect()
+    }
+
+    /// How far each estimate was from the truth.
+    pub fn errors(&self, truth: &PoseTrack) -> Vec<ErrorSample> {
+        let estimates = self.estimates.items().iter();
+        estimates.filter_map(|(t_s, estimate)| ErrorSample::from_estimate(*t_s, estimate, truth)).collect()
+    }
+
+    /// What was not known from the beginning, and was learned: its sigma has fallen.
+    pub fn learned(&self) -> impl Iterator<Item = &CalibrationHistory> {
+        self.learned.iter().filter(|series| {
+            let samples = series.samples.items();
+            let ends = samples.first().zip(samples.last());
+            ends.is_some_and(|(first, last)| {
+                first.sigma > 0.0 && (last.sigma < first.sigma || last.value != first.value)
+            })
+        })
+    }
+
+    pub fn tally(&self, sensor: SensorId) -> Option<&SourceTally> {
+        let mut tallies = self.collector.sources.iter();
+        tallies.find(|tally| tally.sensor == sensor)
+    }
+
+    /// From the first input to the last.
+    pub fn length(&self) -> TimeDelta {
+        self.last - self.origin
+    }
+
+    fn on_fusion(&mut self, t_s: f64, record: &FusionRecord) {
+        let known = self.sources.iter().position(|source| source.sensor == record.sensor);
+        let index = known.unwrap_or_else(|| {
+            self.sources.push(SourceHistory {
+                sensor: record.sensor,
+                kind: record.kind,
+                test: InnovationTest::default(),
+                samples: ThinnedSeries::with_capacity(MAX_SAMPLES),
+            });
+            self.sources.len() - 1
+        });
+        if let Some(source) = self.sources.get_mut(index) {
+            source.test.add(record);
+            if let Some(sample) = InnovationSample::from_record(t_s, record) {
+                source.samples.push(sample);
+            }
+        }
+    }
+
+    fn on_clock_event(&mut self, t_s: f64, event: &Event) {
+        match event {
+            Event::Health { link, health, .. } => {
+                let samples = self.links.entry(*link);
+                let samples = samples.or_insert_with(|| ThinnedSeries::with_capacity(MAX_SAMPLES));
+                samples.push(LinkSample { t_s, health: *health });
+            }
+            Event::BrickClockAligned { offset, skew_ppm, uncertainty, round_trip, .. } => {
+                self.clock.push(ClockSample {
+                    t_s,
+                    offset_s: offset.as_secs_f64(),
+                    skew_ppm: *skew_ppm,
+                    uncertainty_s: uncertainty.as_secs_f64(),
+                    round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
+                });
+            }
+            Event::EstimateUpdated { estimate, .. } => {
+                if estimate.validity.position {
+                    self.estimates.push((t_s, *estimate));
+                }
+            }
+            Event::ObservationFused { record, .. } => self.on_fusion(t_s, record),
+            Event::ObservationAligned { .. }
+            | Event::Temperature { .. }
+            | Event::RobotDetected { .. }
+            | Event::RobotNamed { .. }
+            | Event::RobotLost { .. }
+            | Event::BrickRestarted { .. }
+            | Event::CameraClockAligned { .. }
+            | Event::Link { .. }
+            | Event::ReceiveError { .. }
+            | Event::Text { .. } => {}
+        }
+    }
+}
+
+impl EventWatcher for SessionHistory {
+    fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
+        let t_s = (now - self.origin).as_secs_f64();
+        self.collector.on_event(event);
+        self.on_clock_event(t_s, event);
+        self.timeline.on_event(t_s, event);
+        Ok(())
+    }
+
+    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
+        self.record_calibration(now, station.robots().first());
+    }
+}
+
+/// One history for each robot.
+impl EventWatcher for PerRobot<SessionHistory> {
+    fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
+        self.try_push(event, |history, event| history.observe(now, event))
+    }
+
+    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
+        let robots = station.robots();
+        for entry in self.entries_mut() {
+            // Both are in the order in which robots were heard, but not every robot has been observed.
+            let robot = robots.iter().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
+            entry.value.record_calibration(now, robot);
+        }
+    }
+}
+
+impl SessionHistory {
+    /// Keeps now and then what a robot's filter has learned.
+    fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: Option<&Robot>) {
+        self.last = self.last.max(now);
+        let is_due = self.last_calibration_poll.is_none_or(|asked| now - asked >= LEARNED_PERIOD);
+        let Some(robot) = robot.filter(|robot| is_due && robot.latest_time().is_some()) else {
+            return;
+        };
+        self.last_calibration_poll = Some(now);
+        let Some(calibration) = robot.calibration() else {
+            return;
+        };
+        let t_s = (now - self.origin).as_secs_f64();
+        for (entry, series) in CALIBRATION_KEYS.iter().zip(&mut self.learned) {
+            let known = (entry.read)(&calibration);
+            series.samples.push(CalibrationSample { t_s, value: known.value, sigma: known.sigma });
+        }
+    }
+}
+
+/// Most events that are kept; the rest is counted.
+const MAX_ENTRIES: usize = 400;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimelineEntry {
+    /// When, in seconds since the first input.
+    pub t_s: f64,
+    pub text: String,
+}
+
+#[derive(Debug, Default)]
+pub struct EventTimeline {
+    /// In their order.
+    pub entries: Vec<TimelineEntry>,
+    pub omitted: u64,
+    /// Events that are listed once.
+    pushed_once: BTreeSet<String>,
+    resets: Option<u8>,
+    is_dead_reckoning: Option<bool>,
+}
+
+impl EventTimeline {
+    pub fn on_event(&mut self, t_s: f64, event: &Event) {
+        if let Some((severity, text)) = event.describe() {
+            let is_text = matches!(event, Event::Text { .. });
+            self.push(t_s, if is_text { format!("{text} (severity {severity})") } else { text });
+        } else if let Event::EstimateUpdated { estimate, .. } = event {
+            self.on_estimate(t_s, estimate);
+        } else if let Event::BrickClockAligned { uncertainty, .. } = event {
+            self.push_once(t_s, &alignment_text("the brick's clock", *uncertainty), "brick clock");
+        } else if let Event::CameraClockAligned { camera, uncertainty, .. } = event {
+            let whose = format!("the clock of camera {camera}");
+            self.push_once(t_s, &alignment_text(&whose, *uncertainty), &whose);
+        } else if let Event::ReceiveError { link, defect } = event {
+            let what = format!("first on link {link}: {}", kind_of(defect));
+            self.push_once(t_s, &what, &what);
+        }
+    }
+
+    fn on_estimate(&mut self, t_s: f64, estimate: &Estimate) {
+        let before = self.resets.replace(estimate.reset_counter);
+        if before.is_some_and(|before| before != estimate.reset_counter) {
+            self.push(t_s, estimate.describe_reset());
+        }
+        let before = self.is_dead_reckoning.replace(estimate.is_dead_reckoning);
+        // Before the first fix everything is dead reckoning: nothing has happened.
+        if before.is_some_and(|before| before != estimate.is_dead_reckoning) {
+            let what = if estimate.is_dead_reckoning {
+                "dead reckoning: no fix for longer than the limit"
+            } else {
+                "fixes: no dead reckoning any more"
+            };
+            self.push(t_s, what.to_owned());
+        }
+    }
+
+    fn push_once(&mut self, t_s: f64, what: &str, key: &str) {
+        if self.pushed_once.insert(key.to_owned()) {
+            self.push(t_s, what.to_owned());
+        }
+    }
+
+    fn push(&mut self, t_s: f64, what: String) {
+        if self.entries.len() < MAX_ENTRIES {
+            self.entries.push(TimelineEntry { t_s, text: what });
+        } else {
+            self.omitted += 1;
+        }
+    }
+}
+
+fn alignment_text(whose: &str, uncertainty: TimeDelta) -> String {
+    format!("{whose} aligned, ± {:.2} ms", uncertainty.as_millis_f64())
+}
+
+const fn kind_of(defect: &ReceiveError) -> &'static str {
+    match defect {
+        ReceiveError::Checksum { .. } => "a frame with a wrong checksum",
+        ReceiveError::UnframedBytes { .. } => "bytes outside every frame",
+        ReceiveError::ImpossibleHeader { .. } => "a header that its message cannot have",
+        ReceiveError::Timeout { .. } => "a frame whose bytes stopped coming",
+        ReceiveError::Payload { .. } => "a payload that makes no sense",
+        ReceiveError::SequenceGap { .. } => "frames missing",
+        ReceiveError::SignatureRejected { reason, .. } => match reason {
+            SignatureError::Unsigned => "a frame refused: not signed",
+            SignatureError::Invalid => "a frame refused: wrong signature",
+            SignatureError::Replayed => "a frame refused: its signature was used before",
+            SignatureError::Stale => "a frame refused: its signature is too old",
+        },
+        ReceiveError::AddressConflict { .. } => "a frame under the station's own address",
+        ReceiveError::ClockNotAligned { .. } => "a stamp that cannot be aligned",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{Address, RobotId};
+
+    fn text(text: &str) -> Event {
+        Event::Text { source: Address::new(1, 1), severity: 4, text: text.to_owned() }
+    }
+
+    #[test]
+    fn damage_is_named_once_and_the_rest_in_order() {
+        let mut timeline = EventTimeline::default();
+        let damage = Event::ReceiveError { link: LinkId(0), defect: ReceiveError::UnframedBytes { bytes: 3 } };
+        timeline.on_event(1.0, &text("battery low"));
+        timeline.on_event(2.0, &damage);
+        timeline.on_event(3.0, &damage);
+        timeline.on_event(4.0, &Event::BrickRestarted { robot: RobotId::default() });
+        let texts: Vec<&str> = timeline.entries.iter().map(|one| one.text.as_str()).collect();
+        assert_eq!(texts.len(), 3);
+        assert_eq!(texts[0], "1/1: battery low (severity 4)");
+        assert_eq!(texts[1], "first on link 0: bytes outside every frame");
+        assert!(texts[2].contains("restarted"));
+    }
+
+    #[test]
+    fn a_robot_that_talks_without_end_is_counted() {
+        let mut timeline = EventTimeline::default();
+        for _ in 0..1_000 {
+            timeline.on_event(0.0, &text("x"));
+        }
+        assert_eq!((timeline.entries.len(), timeline.omitted), (MAX_ENTRIES, 600));
+    }
+}

@@ -1,0 +1,477 @@
+//! The report of a session, or of the runs of a foreign recording: verdict first, then path, errors, sensors, what was learned, links, clock,
+//! and what happened. `report --json` prints the same as one object, documented in docs/reports.md.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use posebridge_report::chart::session::{
+    self, CalibrationSeries, InnovationSeries, display_unit, learning, render_clock, render_errors, render_innovations,
+    render_link,
+};
+use posebridge_report::metrics::{InnovationVerdict, VerdictTone};
+use posebridge_report::page::{ReportBlock, ReportFigure};
+use posebridge_report::report::Report;
+use posebridge_report::tables::{EstimatorRow, NO_VALUE, runs_table};
+use posebridge_report::{ErrorSummary, PoseTrack, RunLayers, SourceTally};
+use posebridge_telemetry::{LinkCounter, SensorId, TimeDelta, UncertainValue};
+use serde_json::{Map, Value, json};
+
+use super::session_history::SessionHistory;
+use crate::config::CALIBRATION_KEYS;
+use crate::station::learned_calibration::LearnedCalibration;
+
+/// What is reported of each link.
+pub const LINK_COUNTERS: [LinkCounter; 8] = [
+    LinkCounter::FRAMES_IN,
+    LinkCounter::FRAMES_OUT,
+    LinkCounter::FRAMES_LOST,
+    LinkCounter::CHECKSUM_ERRORS,
+    LinkCounter::GARBAGE_BYTES,
+    LinkCounter::TIMEOUTS,
+    LinkCounter::UNSENT,
+    LinkCounter::RECONNECTS,
+];
+
+pub struct SessionSummary {
+    pub recording: String,
+    /// Its own description: name and value.
+    pub facts: Vec<(String, String)>,
+    pub filter: String,
+    /// What was laid over the recording's own configuration.
+    pub changed: Vec<String>,
+    pub notes: Vec<String>,
+    /// The whole session, or the runs of a descriptor.
+    pub runs: Vec<RunSummary>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScoreReference {
+    Truth,
+    /// Fixes that the filter was not given.
+    WithheldFixes,
+    /// Nothing.
+    None,
+}
+
+pub struct RunSummary {
+    pub name: String,
+    pub history: SessionHistory,
+    /// How far off the estimate was, as `replay` has it.
+    pub errors: ErrorSummary,
+    pub reference: ScoreReference,
+    pub truth: Option<PoseTrack>,
+    /// The path by the brick's own odometry, or by the wheels alone.
+    pub odometry: Option<PoseTrack>,
+    pub learned: Option<LearnedCalibration>,
+}
+
+/// What is to be thought of one sensor.
+#[derive(Clone, Copy, Debug)]
+pub struct SourceSummary {
+    pub sensor: SensorId,
+    /// What became of its observations, as `replay` has it.
+    pub tally: SourceTally,
+    pub assessment: InnovationVerdict,
+}
+
+impl RunSummary {
+    /// A verdict for every sensor that was heard.
+    pub fn source_summaries(&self) -> Vec<SourceSummary> {
+        let sources = self.history.sources.iter();
+        sources
+            .filter_map(|source| {
+                Some(SourceSummary {
+                    sensor: source.sensor,
+                    tally: *self.history.tally(source.sensor)?,
+                    assessment: source.test.evaluate(),
+                })
+            })
+            .collect()
+    }
+
+    /// The verdict on the whole run: bad if any sensor's is, good if at least one could be tested.
+    pub fn verdict(&self) -> (VerdictTone, &'static str, String) {
+        let verdicts = self.source_summaries();
+        let with = |tone: VerdictTone| {
+            let these = verdicts.iter().filter(|one| one.assessment.tone() == tone);
+            these.map(|one| one.sensor.name()).collect::<Vec<_>>()
+        };
+        let (bad, good) = (with(VerdictTone::Bad), with(VerdictTone::Good));
+        if !bad.is_empty() {
+            let text = format!("look at {}: what to do stands with it below", bad.join(", "));
+            return (VerdictTone::Bad, "Not all is well:", text);
+        }
+        if good.is_empty() {
+            let text = "no sensor has been predicted often enough to judge the filter by it".to_owned();
+            return (VerdictTone::Inconclusive, "Nothing to judge by:", text);
+        }
+        let text = format!("what the filter claims fits what it saw of {}", good.join(", "));
+        (VerdictTone::Good, "All is well:", text)
+    }
+}
+
+/// The name of the reference, for people.
+impl ScoreReference {
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Truth => "the truth",
+            Self::WithheldFixes => "fixes that were withheld",
+            Self::None => "nothing",
+        }
+    }
+}
+
+/// The report, without data for programs: in a terminal errors and verdicts, on the page all of it.
+pub fn report(session: &SessionSummary) -> Report {
+    let mut report = Report::new("report", format!("Report of {}, filter {}", session.recording, session.filter));
+    add_summary(&mut report, session);
+    for (index, run) in session.runs.iter().enumerate() {
+        if session.runs.len() > 1 {
+            report.heading(format!("Run {}", run.name));
+        }
+        add_run(&mut report, run, index);
+    }
+    report.background(format!(
+        "Made by posebridge {} from the recorded inputs alone, by the engine that runs live.",
+        env!("CARGO_PKG_VERSION")
+    ));
+    report
+}
+
+fn add_summary(report: &mut Report, session: &SessionSummary) {
+    let facts = session.facts.iter().map(|(name, value)| vec![name.clone(), value.clone()]);
+    let filter = vec!["filter".to_owned(), session.filter.clone()];
+    report.page_only(ReportBlock::CodeTable {
+        header: vec!["recording".to_owned(), session.recording.clone()],
+        rows: facts.chain([filter]).collect(),
+    });
+    if !session.changed.is_empty() {
+        report.paragraph(format!("Replayed with {}: this is not what ran.", session.changed.join(", ")));
+    }
+    if !session.notes.is_empty() {
+        report.page_only(ReportBlock::List(session.notes.clone()));
+    }
+    let runs = session.runs.iter();
+    let rows: Vec<EstimatorRow<'_>> =
+        runs.map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
+    report.code(runs_table(&rows));
+}
+
+fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
+    let (tone, word, text) = run.verdict();
+    report.verdict(tone, word, text);
+    report.paragraph(in_figures(run));
+    report.page_only(ReportBlock::FigureGrid(main_pictures(run, index)));
+    add_sources(report, run, index);
+    let blocks = [calibration_blocks(run, index), link_blocks(run, index), timeline_blocks(&run.history)];
+    for block in blocks.into_iter().flatten() {
+        report.page_only(block);
+    }
+}
+
+/// How long, how many, how far off: in one sentence each.
+fn in_figures(run: &RunSummary) -> String {
+    let history = &run.history;
+    let mut text = format!("{:.1} s, {} observations.", history.length().as_secs_f64(), history.collector.observations);
+    let errors = &run.errors;
+    if let (Some(rms_m), Some(max_m), Some(end_m)) =
+        (errors.position_rms_m, errors.position_max_m, errors.position_end_m)
+    {
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            " Against {} the position is {} mm off (root mean square), at most {} mm, at the end {} mm.",
+            run.reference.description(),
+            millimetres(rms_m),
+            millimetres(max_m),
+            millimetres(end_m)
+        );
+    }
+    if let Some(heading_rad) = errors.heading_rms_rad {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " The heading is {:.2} degrees off.", heading_rad.to_degrees());
+    }
+    if let Some(anees) = errors.anees {
+        let _ = write!(text, " ANEES {anees:.2}: 1 is honest, more is too sure.");
+    }
+    if run.reference == ScoreReference::None {
+        text += " No truth is known: errors cannot be told.";
+    }
+    text
+}
+
+fn millimetres(length_m: f64) -> String {
+    format!("{:.1}", length_m * 1e3)
+}
+
+fn picture(index: usize, name: &str, svg: String, caption: &str) -> ReportFigure {
+    ReportFigure { name: format!("run{}-{name}", index + 1), svg, caption: caption.to_owned() }
+}
+
+fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
+    let collector = &run.history.collector;
+    let estimates = run.history.estimates();
+    let layers = RunLayers {
+        title: &run.name,
+        truth: run.truth.as_ref(),
+        odometry: run.odometry.as_ref(),
+        estimates: &estimates,
+        fixes: collector.fixes.items(),
+        ..RunLayers::default()
+    };
+    let mut pictures = vec![picture(
+        index,
+        "path",
+        session::render_path(&layers),
+        "The path. An ellipse holds the robot in 95 of 100 cases, if the claims are honest.",
+    )];
+    if let Some(truth) = &run.truth {
+        pictures.push(picture(
+            index,
+            "errors",
+            render_errors("Error of the estimate", &run.history.errors(truth)),
+            "How far the estimate was from the truth, and twice the standard deviation that it claimed.",
+        ));
+    }
+    pictures
+}
+
+fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
+    let verdicts = run.source_summaries();
+    if verdicts.is_empty() {
+        return;
+    }
+    report.page_only(ReportBlock::Subheading("Sensors".to_owned()));
+    for one in &verdicts {
+        report.verdict(one.assessment.tone(), format!("{}:", one.sensor.name()), one.assessment.to_string());
+    }
+    let header = [
+        "sensor",
+        "used",
+        "slip",
+        "gated",
+        "too late",
+        "malformed",
+        "re-based",
+        "reset to",
+        "unused",
+        "NIS/dof",
+        "dof",
+        "correlation",
+    ];
+    report.page_only(ReportBlock::table(&header, verdicts.iter().map(source_row).collect()));
+    let predicted = run.history.sources.iter().filter(|source| !source.samples.items().is_empty());
+    let pictures = predicted.map(|source| {
+        let name = source.sensor.name();
+        let series = InnovationSeries {
+            name: &format!("Innovations: {name}"),
+            kind: source.kind,
+            samples: source.samples.items(),
+        };
+        picture(
+            index,
+            &format!("innovations-{}", name.replace(' ', "-")),
+            render_innovations(&series),
+            "Observed minus predicted, with two standard deviations of what was claimed. Below, the normalised square: what lies above \
+             the panel is drawn on its edge.",
+        )
+    });
+    let pictures: Vec<ReportFigure> = pictures.collect();
+    if !pictures.is_empty() {
+        report.page_only(ReportBlock::FigureGrid(pictures));
+    }
+}
+
+fn source_row(verdict: &SourceSummary) -> Vec<String> {
+    let tally = &verdict.tally;
+    let number = |value: Option<f64>| value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"));
+    vec![
+        verdict.sensor.name().to_owned(),
+        (tally.used + tally.reset_to).to_string(),
+        tally.slip.to_string(),
+        tally.gated.to_string(),
+        tally.too_old.to_string(),
+        tally.malformed.to_string(),
+        tally.rebased.to_string(),
+        tally.reset_to.to_string(),
+        tally.unused.to_string(),
+        number(tally.mean_nis_per_dof()),
+        tally.degrees_of_freedom().to_string(),
+        number(verdict.assessment.correlation),
+    ]
+}
+
+fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let Some(learned) = &run.learned else {
+        return Vec::new();
+    };
+    let open = CALIBRATION_KEYS.iter().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
+    let rows: Vec<Vec<String>> = open
+        .map(|entry| {
+            let (unit, factor) = display_unit(entry.key);
+            let [before, after] = [&learned.prior, &learned.calibration].map(|calibration| {
+                let known = (entry.read)(calibration);
+                format!("{:.3} ± {:.3}", known.value * factor, known.sigma * factor)
+            });
+            vec![entry.key.to_owned(), unit.to_owned(), before, after]
+        })
+        .collect();
+    if rows.is_empty() {
+        return Vec::new();
+    }
+    let mut parts = vec![
+        ReportBlock::Subheading("What was learned of the robot".to_owned()),
+        ReportBlock::table(&["entry", "unit", "before", "after"], rows),
+    ];
+    let series: Vec<CalibrationSeries<'_>> = run
+        .history
+        .learned()
+        .map(|learned| CalibrationSeries { key: learned.key, samples: learned.samples.items() })
+        .collect();
+    if !series.is_empty() {
+        parts.push(ReportBlock::FigureGrid(vec![picture(
+            index,
+            "learned",
+            learning("Learned", &series),
+            "What was believed of each systematic error, with two standard deviations.",
+        )]));
+    }
+    parts
+}
+
+fn link_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
+    let history = &run.history;
+    let mut pictures: Vec<ReportFigure> = history
+        .links
+        .iter()
+        .map(|(id, samples)| {
+            picture(
+                index,
+                &format!("link-{id}"),
+                render_link(&format!("Link {id}"), samples.items()),
+                "What came and left per second; what never happened is not shown.",
+            )
+        })
+        .collect();
+    if !history.clock.items().is_empty() {
+        pictures.push(picture(
+            index,
+            "clock",
+            render_clock("The brick's clock", history.clock.items()),
+            "Brick time less host time, and how far it may be off.",
+        ));
+    }
+    if pictures.is_empty() {
+        return Vec::new();
+    }
+    vec![ReportBlock::Subheading("Links and clock".to_owned()), link_table(history), ReportBlock::FigureGrid(pictures)]
+}
+
+fn link_table(history: &SessionHistory) -> ReportBlock {
+    let links = history.collector.links.iter();
+    let mut header = vec!["link"];
+    header.extend(LINK_COUNTERS.iter().map(|counter| counter.label));
+    header.push("round trip [ms]");
+    let rows = links.map(|(id, report)| {
+        let round_trip = report.health.round_trip;
+        let mut row = vec![id.to_string()];
+        row.extend(LINK_COUNTERS.iter().map(|counter| (counter.read)(&report.health).to_string()));
+        row.push(round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())));
+        row
+    });
+    ReportBlock::table(&header, rows.collect())
+}
+
+fn timeline_blocks(history: &SessionHistory) -> Vec<ReportBlock> {
+    let all = &history.timeline;
+    if all.entries.is_empty() {
+        return Vec::new();
+    }
+    let rows = all.entries.iter().map(|one| vec![format!("{:.2}", one.t_s), one.text.clone()]);
+    let mut rows: Vec<Vec<String>> = rows.collect();
+    if all.omitted > 0 {
+        rows.push(vec![String::new(), format!("and {} more", all.omitted)]);
+    }
+    vec![
+        ReportBlock::Subheading("What happened".to_owned()),
+        ReportBlock::CodeTable { header: vec!["time [s]".to_owned(), "what".to_owned()], rows },
+    ]
+}
+
+pub fn add_data(report: &mut Report, session: &SessionSummary) {
+    let facts: BTreeMap<&str, &str> =
+        session.facts.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
+    report.data("recording", json!(session.recording));
+    report.data("facts", json!(facts));
+    report.data("filter", json!(session.filter));
+    report.data("changed", json!(session.changed));
+    report.data("notes", json!(session.notes));
+    report.data("runs", session.runs.iter().map(run).collect());
+}
+
+fn run(run: &RunSummary) -> Value {
+    let errors = &run.errors;
+    let history = &run.history;
+    let reference = match run.reference {
+        ScoreReference::Truth => Some("truth"),
+        ScoreReference::WithheldFixes => Some("withheld"),
+        ScoreReference::None => None,
+    };
+    let entries = history.timeline.entries.iter();
+    json!({
+        "name": run.name,
+        "length_s": history.length().as_secs_f64(),
+        "observations": history.collector.observations,
+        "verdict": run.verdict().2,
+        "yardstick": reference,
+        "position_rms_m": errors.position_rms_m,
+        "position_max_m": errors.position_max_m,
+        "position_end_m": errors.position_end_m,
+        "heading_rms_rad": errors.heading_rms_rad,
+        "anees": errors.anees,
+        "sources": run.source_summaries().iter().map(source).collect::<Vec<_>>(),
+        "calibration": calibration(run),
+        "links": links(run),
+        "happenings": entries.map(|one| json!({ "t_s": one.t_s, "what": one.text })).collect::<Vec<_>>(),
+        "further_happenings": history.timeline.omitted,
+    })
+}
+
+fn source(verdict: &SourceSummary) -> Value {
+    let (tally, judgement) = (&verdict.tally, &verdict.assessment);
+    json!({
+        "name": verdict.sensor.name(),
+        "used": tally.used + tally.reset_to,
+        "gated": tally.gated,
+        "too_old": tally.too_old,
+        "mean_nis_per_dof": tally.mean_nis_per_dof(),
+        "degrees_of_freedom": tally.degrees_of_freedom(),
+        "finding": judgement.finding.as_text(),
+        "due": judgement.band.map(|band| [band.low, band.high]),
+        "correlation": judgement.correlation,
+        "correlation_bound": judgement.correlation_bound,
+        "gated_share": judgement.gated_share,
+        "verdict": judgement.to_string(),
+    })
+}
+
+fn calibration(run: &RunSummary) -> Option<Value> {
+    let learned = run.learned.as_ref()?;
+    let entries = CALIBRATION_KEYS.iter().map(|entry| {
+        let UncertainValue { value, sigma } = (entry.read)(&learned.calibration);
+        (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
+    });
+    Some(Value::Object(entries.collect::<Map<String, Value>>()))
+}
+
+fn links(run: &RunSummary) -> Value {
+    let links = run.history.collector.links.iter().map(|(id, report)| {
+        let health = &report.health;
+        let mut fields = json!({ "link": id.0, "round_trip_s": health.round_trip.map(TimeDelta::as_secs_f64) });
+        for counter in LINK_COUNTERS {
+            fields[counter.key] = json!((counter.read)(health));
+        }
+        fields
+    });
+    Value::Array(links.collect())
+}
