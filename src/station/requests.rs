@@ -5,7 +5,7 @@
 //! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
 //! station as a line for people, and so into the recording.
 //!
-//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads ([`ConfigSaver`], and the recorder
+//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads (`ConfigSaver`, and the recorder
 //! makes its file itself). Here a new recording costs one look at a name.
 
 use std::collections::BTreeMap;
