@@ -7,8 +7,6 @@
 //! and time are arguments, frames and messages are results. Nothing opens a link, reads a clock, aligns clocks or
 //! estimates.
 
-#![warn(missing_docs)]
-
 pub mod bricks;
 pub mod detect;
 pub mod dialect;

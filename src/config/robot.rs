@@ -1,12 +1,11 @@
 //! A robot as a file describes it: geometry, noise, calibration, start, thermometers.
 
 use anyhow::{Context, Result, ensure};
-use posebridge_estimator::StartPose;
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_station::ThermometerConfig;
 use posebridge_telemetry::{
-    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise,
+    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

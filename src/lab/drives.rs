@@ -1,10 +1,11 @@
 //! Monte-Carlo drives as commands want them: the scenario by its name or from its file, what a filter may know, what the scoring must.
 
+use posebridge_telemetry::StartPose;
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use posebridge_estimator::{FilterConfig, Params, StartPose};
+use posebridge_estimator::{FilterConfig, Params};
 use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive};
 use posebridge_report::TimedPose;
 use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};

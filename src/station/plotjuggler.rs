@@ -87,7 +87,7 @@ fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut SendC
 
 /// A field of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Field {
+pub struct PlotField {
     /// Where it stands: the names of the objects around it and its own, with slashes between. ID, SENSOR and N stand for those of a
     /// robot, a sensor, a link.
     pub name: &'static str,
@@ -95,13 +95,13 @@ pub struct Field {
     pub help: &'static str,
 }
 
-const fn field(name: &'static str, help: &'static str) -> Field {
-    Field { name, help }
+const fn field(name: &'static str, help: &'static str) -> PlotField {
+    PlotField { name, help }
 }
 
 /// Every field of the datagrams. docs/dashboard.md has the same table, and tests compare both with what is sent. Adding one: a row here, one in
 /// the page, and a field in an object below.
-pub const FIELDS: &[Field] = &[
+pub const FIELDS: &[PlotField] = &[
     field("timestamp", "seconds of the session, by the station's clock"),
     field("robot_ID/estimate/x_m", "estimate, east"),
     field("robot_ID/estimate/y_m", "estimate, north"),
@@ -157,7 +157,7 @@ pub const FIELDS: &[Field] = &[
 /// The name in [`FIELDS`] of a field that was sent.
 pub fn pattern_of(name: &str) -> Option<&'static str> {
     let sent: Vec<&str> = name.split('/').collect();
-    let fits = |field: &&Field| {
+    let fits = |field: &&PlotField| {
         let known: Vec<&str> = field.name.split('/').collect();
         known.len() == sent.len() && known.iter().zip(&sent).all(|(known, sent)| fits_part(known, sent))
     };

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use posebridge_estimator::{FilterConfig, StartPose};
+use posebridge_estimator::FilterConfig;
 use posebridge_recording::dataset::{self, Descriptor, LoadOptions};
 use posebridge_telemetry::ArenaMap;
 
@@ -51,12 +51,7 @@ impl DataSet {
             .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
         ensure!(!run.observations.is_empty(), "run `{}` holds no observation", run.name);
         let mut config = filter_config(&robot, &filter, world_of(&run))?;
-        let start = run.start.map(|start| StartPose {
-            pose: start.pose,
-            position_sigma_m: start.position_sigma_m,
-            heading_sigma_rad: start.heading_sigma_rad,
-        });
-        config.start = start.or(config.start);
+        config.start = run.start.or(config.start);
         Ok(RobotRun { run, robot, filter, filter_config: config })
     }
 

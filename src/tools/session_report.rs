@@ -245,21 +245,9 @@ fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
     for one in &verdicts {
         report.verdict(one.assessment.tone(), format!("{}:", one.sensor.name()), one.assessment.to_string());
     }
-    let header = [
-        "sensor",
-        "used",
-        "slip",
-        "gated",
-        "too late",
-        "malformed",
-        "re-based",
-        "reset to",
-        "unused",
-        "NIS/dof",
-        "dof",
-        "correlation",
-    ];
-    report.page_only(ReportBlock::table(&header, verdicts.iter().map(source_row).collect()));
+    let headings = ["sensor"].into_iter().chain(SourceTally::COUNT_HEADINGS).chain(["NIS/dof", "dof", "correlation"]);
+    let headings: Vec<&str> = headings.collect();
+    report.page_only(ReportBlock::table(&headings, verdicts.iter().map(source_row).collect()));
     let predicted = run.history.sources.iter().filter(|source| !source.samples.items().is_empty());
     let pictures = predicted.map(|source| {
         let name = source.sensor.name();
@@ -285,20 +273,13 @@ fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
 fn source_row(verdict: &SourceSummary) -> Vec<String> {
     let tally = &verdict.tally;
     let number = |value: Option<f64>| value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"));
-    vec![
-        verdict.sensor.name().to_owned(),
-        (tally.used + tally.reset_to).to_string(),
-        tally.slip.to_string(),
-        tally.gated.to_string(),
-        tally.too_old.to_string(),
-        tally.malformed.to_string(),
-        tally.rebased.to_string(),
-        tally.reset_to.to_string(),
-        tally.unused.to_string(),
+    let counts = tally.counts().into_iter().map(|count| count.to_string());
+    let consistency = [
         number(tally.mean_nis_per_dof()),
         tally.degrees_of_freedom().to_string(),
         number(verdict.assessment.correlation),
-    ]
+    ];
+    std::iter::once(verdict.sensor.name().to_owned()).chain(counts).chain(consistency).collect()
 }
 
 fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {

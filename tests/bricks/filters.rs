@@ -5,12 +5,14 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use posebridge_estimator::{FilterConfig, Params, StartPose, find_filter};
+use posebridge_estimator::{FilterConfig, Params, find_filter};
 use posebridge_lab::square::{
     Method, SensorRow, SensorTable, TableSensor, corrected_methods, parse, printed_methods, swapped_methods, write,
 };
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise, UncertainValue};
+use posebridge_telemetry::{
+    Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise, StartPose, UncertainValue,
+};
 
 use crate::support::root;
 

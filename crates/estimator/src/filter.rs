@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use posebridge_telemetry::{
-    Arena, ArenaMap, BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation,
-    OnlineCalibration, Pose, ScalarEstimate, SensorNoise, Timestamp,
+    ArenaMap, BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation,
+    OnlineCalibration, ScalarEstimate, SensorNoise, StartPose, Timestamp,
 };
 
 use crate::params::Params;
@@ -49,17 +49,6 @@ pub trait Filter: Send {
     }
 }
 
-/// Where a robot starts, and how well that is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StartPose {
-    /// The pose.
-    pub pose: Pose<Arena>,
-    /// One standard deviation of x and of y, in metres.
-    pub position_sigma_m: f64,
-    /// One standard deviation of the heading, in radians.
-    pub heading_sigma_rad: f64,
-}
-
 /// A command of the operator to a running filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FilterCommand {
@@ -92,7 +81,7 @@ pub struct FilterConfig {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use posebridge_telemetry::{Meters, Radians};
+    use posebridge_telemetry::{Meters, Pose, Radians};
 
     use super::*;
 

@@ -15,8 +15,6 @@
 //! d   distance along the path of the body's origin      dth  change of heading      b  track width
 //! ```
 
-#![warn(missing_docs)]
-
 mod filter;
 pub mod filters;
 pub mod history;
@@ -31,6 +29,6 @@ pub mod smoother;
 pub mod update;
 mod validation;
 
-pub use filter::{Filter, FilterCommand, FilterConfig, StartPose};
+pub use filter::{Filter, FilterCommand, FilterConfig};
 pub use params::{PARAMS, Param, Params};
 pub use registry::{EstimatedQuantity, FILTERS, FilterEntry, Initialization, LateDataPolicy, find_filter};

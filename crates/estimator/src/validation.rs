@@ -6,10 +6,9 @@ use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
     Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, Pose, PoseCorrection, Radians,
-    SensorId, TimeDelta, Timestamp,
+    SensorId, StartPose, TimeDelta, Timestamp,
 };
 
-use crate::filter::StartPose;
 use crate::motion::{InsertOutcome, MotionReading};
 use crate::update::{ScalarOutcome, UpdateOutcome, nis_and_log_likelihood};
 

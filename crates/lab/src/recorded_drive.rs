@@ -22,11 +22,11 @@
 
 use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
 use posebridge_estimator::models::se2::BodyStep;
-use posebridge_estimator::{Filter, FilterConfig, StartPose};
+use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_report::metrics::PoseError;
 use posebridge_telemetry::{
     Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, Observation, ObservationKind, Point2, Pose, Radians,
-    Timestamp,
+    StartPose, Timestamp,
 };
 
 use super::end_errors::FilteredDrive;

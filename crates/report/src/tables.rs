@@ -221,33 +221,13 @@ fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
 
 /// What became of the observations of each sensor, and whether the filter trusts it too much or too little.
 pub fn source_table(tallies: &[SourceTally]) -> String {
-    let mut table = TextTable::new([
-        "source",
-        "used",
-        "slip",
-        "gated",
-        "too old",
-        "malformed",
-        "re-based",
-        "reset to",
-        "unused",
-        "NIS/dof",
-        "the filter is",
-    ]);
+    let headings = ["source"].into_iter().chain(SourceTally::COUNT_HEADINGS).chain(["NIS/dof", "the filter is"]);
+    let mut table = TextTable::new(headings);
     for tally in tallies {
-        table.push([
-            format!("{} ({})", tally.sensor.name(), tally.sensor),
-            tally.used.to_string(),
-            tally.slip.to_string(),
-            tally.gated.to_string(),
-            tally.too_old.to_string(),
-            tally.malformed.to_string(),
-            tally.rebased.to_string(),
-            tally.reset_to.to_string(),
-            tally.unused.to_string(),
-            two_digits(tally.mean_nis_per_dof()),
-            tally.consistency().as_text().to_owned(),
-        ]);
+        let counts = tally.counts().into_iter().map(|count| count.to_string());
+        let assessment = [two_digits(tally.mean_nis_per_dof()), tally.consistency().as_text().to_owned()];
+        let name = format!("{} ({})", tally.sensor.name(), tally.sensor);
+        table.push(std::iter::once(name).chain(counts).chain(assessment));
     }
     table.render()
 }

@@ -10,12 +10,12 @@
 //! # Sources
 //! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/ground-stations.md.
 
-use posebridge_estimator::{PARAMS, Params, StartPose};
+use posebridge_estimator::{PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
     Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
-    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, severity,
+    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
 };
 
 use crate::estimator::Estimator;

@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
-use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params, StartPose};
+use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    OnlineCalibration, SensorId, SensorSwitch, TimeDelta, Timestamp,
+    OnlineCalibration, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
 };
 
 /// Most components of a fix: x, y and heading.

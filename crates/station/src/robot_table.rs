@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_estimator::{FilterEntry, StartPose, find_filter};
+use posebridge_estimator::{FilterEntry, find_filter};
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{
-    Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, SystemId, TimeDelta,
-    Timestamp,
+    Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
+    TimeDelta, Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;

@@ -1,10 +1,10 @@
 //! The configuration that the unit tests begin with.
 
-use posebridge_estimator::{FilterConfig, Params, StartPose};
+use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::LinkRules;
 use posebridge_telemetry::{
-    Address, Calibration, DriveGeometry, LinkId, Meters, Point2, Pose, Radians, SensorNoise, TimeDelta,
+    Address, Calibration, DriveGeometry, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
 };
 
 use crate::config::{

@@ -6,8 +6,6 @@
 //!
 //! Conventions: x forward or east, y left or north, counter-clockwise positive, SI units, headings in (-pi, pi].
 
-#![warn(missing_docs)]
-
 pub mod clock;
 pub mod command;
 pub mod ellipse;
@@ -39,6 +37,6 @@ pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond, Volts,
 };
 pub use repeat_filter::{RepeatDecision, RepeatFilter};
-pub use robot::{ArenaMap, Calibration, DriveGeometry, SensorNoise, UncertainValue, Wall};
+pub use robot::{ArenaMap, Calibration, DriveGeometry, SensorNoise, StartPose, UncertainValue, Wall};
 pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};

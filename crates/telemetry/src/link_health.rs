@@ -91,7 +91,6 @@ pub struct LinkCounter {
 }
 
 #[rustfmt::skip]
-#[expect(missing_docs, reason = "each has its description as a value")]
 impl LinkCounter {
     pub const BYTES_IN: Self = Self::new("bytes_in", "received bytes", "Bytes received.", |of| of.bytes_in);
     pub const BYTES_OUT: Self = Self::new("bytes_out", "sent bytes", "Bytes handed to the link.", |of| of.bytes_out);

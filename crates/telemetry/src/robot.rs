@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::ids::{BeaconId, LandmarkId};
 use crate::quantities::{Meters, Radians};
-use crate::spaces::{Arena, Point2};
+use crate::spaces::{Arena, Point2, Pose};
 
 /// A differential drive: two driven wheels on one axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,6 +120,16 @@ pub struct Calibration {
     pub landmark_offset_m: UncertainValue,
     /// Relative error of the camera's ranges to landmarks.
     pub landmark_scale: UncertainValue,
+}
+
+/// Where a robot starts, and how well that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StartPose {
+    pub pose: Pose<Arena>,
+    /// One standard deviation of x and of y.
+    pub position_sigma_m: f64,
+    /// One standard deviation.
+    pub heading_sigma_rad: f64,
 }
 
 /// The positions of landmarks, beacons and walls.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
-use posebridge_estimator::{FilterConfig, StartPose};
+use posebridge_estimator::FilterConfig;
 use posebridge_lab::calibration::CalibrationError;
 use posebridge_lab::calibration::free_path::{FreePath, PositionFix, seconds};
 use posebridge_lab::calibration::umbmark::{
@@ -15,7 +15,7 @@ use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
 use posebridge_sim::montecarlo::{Course, Drive, Scenario};
-use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, UncertainValue};
+use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, StartPose, UncertainValue};
 use serde_json::json;
 
 use super::profile::{CalibratedProfile, fold_into_geometry};

@@ -19,10 +19,10 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
     BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
-    Timestamp,
+    StartPose, Timestamp,
 };
 
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::{DynamicModel, MAX_STATES, QUANTITY, ROWS};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};

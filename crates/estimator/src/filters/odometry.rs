@@ -8,10 +8,10 @@ use std::collections::VecDeque;
 use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
-    PoseCorrection, RadiansPerSecond, TimeDelta, Timestamp, Validity,
+    PoseCorrection, RadiansPerSecond, StartPose, TimeDelta, Timestamp, Validity,
 };
 
-use crate::filter::{Filter, FilterCommand, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::models::differential_drive::{body_step, propagate_pose, step_noise};
 use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SPEED_HOLD};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};

@@ -19,13 +19,15 @@
 
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord};
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, StartPose};
 
-use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
+use super::paper_scaffold::{
+    GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
+};
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
 use super::rows;
 use super::rows::{position_in_arena, with_heading};
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::{FixContext, fix_noise};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
@@ -186,15 +188,9 @@ impl SampledFilter for FiveStateEkf {
         rows::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
+    fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let known_bias = context.config.calibration.gyro_bias_rad_per_s.value;
-        self.gyro_heading_rad += (rate_rad_per_s - known_bias) * dt_s;
+        self.gyro_heading_rad += (step.rate_rad_per_s - known_bias) * step.dt_s;
         let seen_rad = self.gyro_heading_rad;
         let scalar = scalar_observation(&self.mean, HEADING, seen_rad, GYRO_HEADING_VARIANCE);
         rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)

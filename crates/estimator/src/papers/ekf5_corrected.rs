@@ -25,11 +25,13 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
-use posebridge_telemetry::{DriveGeometry, FusionOutcome, FusionRecord, UncertainValue};
+use posebridge_telemetry::{DriveGeometry, FusionOutcome, FusionRecord, StartPose, UncertainValue};
 
-use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
+use super::paper_scaffold::{
+    GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
+};
 use super::rows;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{WheelTravel, step_noise};
 use crate::models::planar_speeds::{self, Acceleration};
 use crate::motion::UNOBSERVED_M_PER_SQRT_S;
@@ -305,16 +307,10 @@ impl SampledFilter for CorrectedEkf {
         rows::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
 
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
+    fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let noise = &context.config.noise;
-        self.covariance[(GYRO_HEADING_ERROR, GYRO_HEADING_ERROR)] += gyro_variance(noise, dt_s * dt_s);
-        self.gyro_heading_rad += rate_rad_per_s * dt_s;
+        self.covariance[(GYRO_HEADING_ERROR, GYRO_HEADING_ERROR)] += gyro_variance(noise, step.dt_s * step.dt_s);
+        self.gyro_heading_rad += step.rate_rad_per_s * step.dt_s;
         let expected_rad = self.mean[HEADING] + self.mean[GYRO_HEADING_ERROR];
         let scalar = ScalarMeasurement {
             innovation: self.gyro_heading_rad - expected_rad,

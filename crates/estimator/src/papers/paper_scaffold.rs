@@ -19,12 +19,12 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
-    MetersPerSecond, Observation, ObservationKind, Pose, PoseCorrection, RadiansPerSecond, SensorId, TimeDelta,
-    Timestamp, UncertainValue, Validity,
+    MetersPerSecond, Observation, ObservationKind, Pose, PoseCorrection, RadiansPerSecond, SensorId, StartPose,
+    TimeDelta, Timestamp, UncertainValue, Validity,
 };
 
 use super::state_history::StateHistory;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{WheelTravel, body_step};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::models::se2::BodyStep;
@@ -216,7 +216,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         let short = interval.filter(|interval| *interval <= MAX_STEP);
         let verdict = if let Some(interval) = short {
             let dt_s = interval.as_secs_f64();
-            next.filter.use_gyro(rate_rad_per_s, dt_s, &self.context, record)
+            next.filter.use_gyro(&GyroStep { rate_rad_per_s, dt_s }, &self.context, record)
         } else {
             next.filter.rebase_gyro();
             FusionOutcome::Accepted
@@ -416,15 +416,8 @@ pub(super) trait SampledFilter: Copy + Send {
     /// Uses what the wheels turned since the reading before.
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome;
 
-    /// Uses the mean turn rate of the last `dt_s`, bias included, in rad/s.
-    fn use_gyro(
-        &mut self,
-        rate_rad_per_s: f64,
-        dt_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
-        let _ = (rate_rad_per_s, dt_s, context, record);
+    fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let _ = (step, context, record);
         FusionOutcome::Unused
     }
 
@@ -439,6 +432,14 @@ pub(super) trait SampledFilter: Copy + Send {
         let _ = (fix, stamp_sigma_s, context, record);
         FusionOutcome::Unused
     }
+}
+
+/// What the gyro measured since the reading before.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GyroStep {
+    /// Mean turn rate, bias included.
+    pub(super) rate_rad_per_s: f64,
+    pub(super) dt_s: f64,
 }
 
 // The travel between two neighbouring readings of the wheels' counters, in the order in which they come.

@@ -20,12 +20,12 @@
 
 use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, TimeDelta,
-    Timestamp,
+    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, StartPose,
+    TimeDelta, Timestamp,
 };
 
 use super::state_history::StateHistory;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};

@@ -2,9 +2,8 @@
 
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord};
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, StartPose};
 
-use crate::filter::StartPose;
 use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 use crate::observations::fix::{lever_in_arena, with_heading_variance};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, use_scalar};

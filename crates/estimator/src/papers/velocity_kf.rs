@@ -16,12 +16,12 @@
 
 use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};
-use posebridge_telemetry::{FusionOutcome, FusionRecord};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
 use super::rows;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, PredictionStep};
 use crate::validation::write_innovation;
 

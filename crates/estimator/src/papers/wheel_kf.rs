@@ -17,12 +17,12 @@
 
 use nalgebra::{Matrix2, Matrix3, SVector, Vector2, Vector3};
 use posebridge_telemetry::estimate::row;
-use posebridge_telemetry::{FusionOutcome, FusionRecord};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::SAMPLING_INTERVAL_S;
 use super::rows;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, propagate_pose, step_noise};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::numerics::covariance::symmetrise;

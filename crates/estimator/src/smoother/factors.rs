@@ -11,13 +11,13 @@
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{DriveGeometry, Heading, Meters};
+use posebridge_telemetry::{DriveGeometry, Heading, Meters, StartPose};
 
 use super::problem::{
     AssociatedFix, CONSTANTS, FIX_DELAY, GyroInterval, MotionSegment, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE,
     SmoothingProblem, TAG_FORWARD, TAG_LEFT, TRACK_SCALE, UnwrappedPose, VariableLayout, constants_of,
 };
-use crate::filter::{FilterConfig, StartPose};
+use crate::filter::FilterConfig;
 use crate::models::differential_drive::{CalibratedStep, WheelTravel, calibrated_step, step_noise};
 use crate::models::lie::Se2;
 use crate::models::se2::{BodyStep, StepRule, displace};

@@ -3,12 +3,10 @@
 use std::f64::consts::PI;
 
 use nalgebra::Matrix5;
-use posebridge_estimator::{
-    EstimatedQuantity, FILTERS, Filter, FilterEntry, Initialization, LateDataPolicy, StartPose,
-};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterEntry, Initialization, LateDataPolicy};
 use posebridge_telemetry::{
     Celsius, Estimate, Fix, FusionOutcome, Heading, Meters, MetersPerSecond, Observation, ObservationKind,
-    RadiansPerSecond, SensorId, TimeDelta,
+    RadiansPerSecond, SensorId, StartPose, TimeDelta,
 };
 use proptest::prelude::*;
 

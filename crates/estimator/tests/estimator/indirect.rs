@@ -8,10 +8,10 @@ use posebridge_estimator::papers::indirect::error_state::{
     RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals, TRACK_SCALE, X, Y, nominal_step, process_noise, start_row,
     transition,
 };
-use posebridge_estimator::{Filter, FilterConfig, StartPose};
+use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     Fix, FusionOutcome, Meters, MetersPerSecondSquared, Observation, ObservationKind, Point2, Radians,
-    RadiansPerSecond, SensorId, Timestamp, quantities::wrap_rad,
+    RadiansPerSecond, SensorId, StartPose, Timestamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;

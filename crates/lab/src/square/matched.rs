@@ -235,9 +235,9 @@ impl MatchedSpeeds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_estimator::{Params, StartPose, find_filter};
+    use posebridge_estimator::{Params, find_filter};
     use posebridge_telemetry::{
-        Calibration, Heading, Meters, Pose, Radians, SensorNoise, Timestamp, quantities::wrap_rad,
+        Calibration, Heading, Meters, Pose, Radians, SensorNoise, StartPose, Timestamp, quantities::wrap_rad,
     };
 
     use crate::square::table::{SensorRow, SensorTable, TableSensor};

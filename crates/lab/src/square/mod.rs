@@ -14,8 +14,8 @@ mod report;
 mod score;
 mod table;
 
-use posebridge_estimator::{FilterConfig, StartPose};
-use posebridge_telemetry::{Heading, Meters, Pose, UncertainValue};
+use posebridge_estimator::FilterConfig;
+use posebridge_telemetry::{Heading, Meters, Pose, StartPose, UncertainValue};
 
 pub use self::csv::{COLUMNS, MAX_ROWS, SensorTextError, parse, write};
 pub use self::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};

@@ -189,7 +189,7 @@ mod tests {
             }
             observations.push(fix(1_050, 0.2, heading));
             let config = FilterConfig {
-                start: heading.is_none().then_some(posebridge_estimator::StartPose {
+                start: heading.is_none().then_some(posebridge_telemetry::StartPose {
                     pose: posebridge_telemetry::Pose::new(Meters(1.0), Meters(0.0), Heading::from_rad(1.57)),
                     position_sigma_m: 0.01,
                     heading_sigma_rad: 0.01,

@@ -1,10 +1,11 @@
 //! The scoring of drives with known truth: a toy estimator with a known error gives the known figures.
 
-use posebridge_estimator::{Filter, StartPose};
+use posebridge_estimator::Filter;
 use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, ScoreRow, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, TimeDelta, Timestamp,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
+    Timestamp,
 };
 
 use crate::support::wheels;

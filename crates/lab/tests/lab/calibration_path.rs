@@ -3,14 +3,14 @@
 
 use std::f64::consts::TAU;
 
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
-use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_lab::calibration::CalibrationError;
 use posebridge_lab::calibration::free_path::{
     AS_GIVEN, CalibrationUnknown, FreePath, HypothesisTest, PathCalibration, PathStart, PositionFix, TravelStep,
     UnknownEstimate, UnknownStatus, Wiring, calibrate_path, dead_reckon,
 };
-use posebridge_telemetry::{Calibration, Meters, Pose, SensorNoise, UncertainValue};
+use posebridge_telemetry::{Calibration, Meters, Pose, SensorNoise, StartPose, UncertainValue};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

@@ -1,11 +1,11 @@
 //! The path in hindsight and the bound, on a straight way where both are known by hand.
 
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::smoother::{OfflineError, batch};
-use posebridge_estimator::{FilterConfig, StartPose};
 use posebridge_lab::accuracy::{BoundSum, ObservationArrival, ReferenceDrive, WheelRotation, score_smoother};
 use posebridge_report::TimedPose;
 use posebridge_telemetry::{
-    Arena, BrickClock, Heading, Meters, Pose, Radians, SensorId, SensorNoise, TimeDelta, Timestamp,
+    Arena, BrickClock, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, TimeDelta, Timestamp,
 };
 
 use crate::support;

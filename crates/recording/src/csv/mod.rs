@@ -9,7 +9,7 @@
 //! fusion.csv         the outcome of each observation: innovation, S, NIS
 //! <kind>.csv         the observations of a kind: wheel_angles, fix, ..
 //! clock.csv          alignments of the brick's clock
-//! temperature.csv    thermometers
+//! temperature.csv    live thermometers; the observations of recorded ones are in temperature_observations.csv
 //! links.csv          health of the links, once per second                      host_s: since the session began
 //! sources.csv        counters of each sender
 //! events.csv         everything else, in words

@@ -188,7 +188,12 @@ fn observation_row(robot: RobotId, arrival: Timestamp<HostClock>, observation: &
         ("sensor", u64::from(observation.sensor.0).into()),
     ];
     columns.extend(measured_columns(&observation.measurement));
-    CsvRow { stream: observation.measurement.kind(), columns, robot: Some(robot) }
+    // `temperature` holds the readings of live thermometers, which have other columns.
+    let stream = match observation.measurement.kind() {
+        "temperature" => "temperature_observations",
+        kind => kind,
+    };
+    CsvRow { stream, columns, robot: Some(robot) }
 }
 
 fn measured_columns(observed: &ObservationKind) -> Vec<(&'static str, CsvField)> {

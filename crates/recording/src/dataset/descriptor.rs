@@ -8,9 +8,8 @@ use std::ops::Range;
 use toml::Spanned;
 
 use super::column::ColumnRef;
-use super::run::StartPose;
 use super::schema::{FileEntry, PointMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPosition};
-use posebridge_telemetry::{Heading, Meters, Pose};
+use posebridge_telemetry::{Heading, Meters, Pose, StartPose};
 
 /// Why a descriptor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

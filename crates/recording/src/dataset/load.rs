@@ -9,11 +9,11 @@ use std::rc::Rc;
 
 use posebridge_telemetry::{
     Arena, BeaconId, BrickClock, DriveGeometry, LandmarkId, Meters, Observation, ObservationKind, Point2, Pose,
-    SensorId, TimeDelta, Timestamp,
+    SensorId, StartPose, TimeDelta, Timestamp,
 };
 
 use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
-use super::run::{DatasetRun, LoadError, StartPose, TimedObservation, TruthPose, WithheldFix};
+use super::run::{DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
 use super::streams::{RowClock, RowReader, positions, sensors, wheels};
 use super::table::{DatasetTable, decode_text, seconds_to_nanos};

@@ -14,6 +14,4 @@ mod table;
 
 pub use descriptor::{Descriptor, DescriptorError};
 pub use load::{LoadOptions, load};
-pub use run::{
-    BadRow, BadRowReason, BadRows, DatasetRun, LoadError, StartPose, TimedObservation, TruthPose, WithheldFix,
-};
+pub use run::{BadRow, BadRowReason, BadRows, DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::{fmt, io};
 
 use posebridge_telemetry::{
-    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, Pose, Timestamp,
+    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, StartPose, Timestamp,
 };
 
 /// One run of a foreign recording.
@@ -28,17 +28,6 @@ pub struct DatasetRun {
     pub beacons: Vec<(BeaconId, Point2<Arena>)>,
     /// Rows that were left out, and why.
     pub bad_rows: BadRows,
-}
-
-/// Where a run starts, and how well that is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StartPose {
-    /// The pose of the body at the first observation.
-    pub pose: Pose<Arena>,
-    /// One standard deviation of x and of y, in metres.
-    pub position_sigma_m: f64,
-    /// One standard deviation of the heading, in radians.
-    pub heading_sigma_rad: f64,
 }
 
 /// An observation with the instant at which the host had it.

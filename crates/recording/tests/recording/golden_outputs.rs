@@ -48,6 +48,7 @@ fn observation_events() -> Vec<Event> {
         ObservationKind::BeaconRange { id: BeaconId(17), range: Meters(1.5) },
         ObservationKind::WallRange(Meters(3.0)),
         ObservationKind::CompassHeading(Heading::from_rad(-1.0)),
+        ObservationKind::Temperature(Celsius(21.5)),
     ];
     let event = |(system, measurement)| Event::ObservationAligned {
         robot: other_robot(system),

@@ -181,6 +181,16 @@ pub struct SourceTally {
 }
 
 impl SourceTally {
+    /// Headings of [`SourceTally::counts`].
+    pub const COUNT_HEADINGS: [&str; 8] =
+        ["used", "slip", "gated", "too old", "malformed", "re-based", "reset to", "unused"];
+
+    /// The first includes the observations to which the pose was reset.
+    pub const fn counts(&self) -> [u64; 8] {
+        let Self { used, slip, gated, too_old, malformed, rebased, reset_to, unused, .. } = *self;
+        [used + reset_to, slip, gated, too_old, malformed, rebased, reset_to, unused]
+    }
+
     pub const fn new(sensor: SensorId) -> Self {
         Self {
             sensor,

@@ -20,15 +20,15 @@ pub mod state;
 use std::borrow::Cow;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, TimeDelta,
-    Timestamp, UncertainValue,
+    BrickClock, Calibration, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, StartPose,
+    TimeDelta, Timestamp, UncertainValue,
 };
 
 use self::entry::{PoseEntry, UpdateKind};
 use self::motion_update::UpdateContext;
 use self::relocalize::StateCommand;
 use self::state::{CAMERA_STATES, CORE_STATES, PoseState, RANGE_STATES};
-use crate::filter::{Filter, FilterCommand, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::history::{FixedLagHistory, ReplayStep};
 use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};

@@ -16,13 +16,13 @@
 use std::f64::consts::PI;
 
 use nalgebra::{SMatrix, SVector};
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration};
+use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, StartPose};
 
 use super::columns::linearize;
 use super::state::{
     FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, PositionState, RejectedFixes, calibration_rows, gyro_bias_prior,
 };
-use crate::filter::{FilterConfig, StartPose};
+use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::fix::{self, FixContext, FixNoise};
 use crate::observations::model::{PoseView, StateTerm};

@@ -16,11 +16,12 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Meters, Pose, PoseCorrection, TimeDelta, Timestamp, UncertainValue,
+    Arena, BrickClock, Calibration, Heading, Meters, Pose, PoseCorrection, StartPose, TimeDelta, Timestamp,
+    UncertainValue,
 };
 
 use super::noise_scales::{NoiseScales, ObserverFrames};
-use crate::filter::{FilterConfig, StartPose};
+use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, rounding_variance};
 use crate::observations::speed::SpeedReading;

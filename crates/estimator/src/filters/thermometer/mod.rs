@@ -20,13 +20,13 @@ mod filter_bank;
 
 use posebridge_telemetry::{
     BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
-    Timestamp,
+    StartPose, Timestamp,
 };
 
 use self::change_detector::{ChangeDetector, ReadingClass};
 use self::filter_bank::{FilterBank, MeanVariance};
 use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter};
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::DynamicModel;
 use crate::update::{ScalarOutcome, UpdateOutcome};
 use crate::validation::{self, add_innovation, outcome_without_pose};

@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::{
     BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId,
-    TimeDelta, Timestamp, UncertainValue,
+    StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
 use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
@@ -35,7 +35,7 @@ pub use self::nominal_path::CorrectionMode;
 use self::nominal_path::NominalPath;
 use self::path_state::PathState;
 use super::state_history::StateHistory;
-use crate::filter::{Filter, FilterConfig, StartPose};
+use crate::filter::{Filter, FilterConfig};
 use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
 use crate::validation;
 

@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, PoseCorrection, Timestamp,
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, PoseCorrection, StartPose, Timestamp,
 };
 
 use super::error_state::{
@@ -12,7 +12,7 @@ use super::error_state::{
 };
 use super::instruments::{AccelerometerIntegral, GyroAngle};
 use super::path_state::PathState;
-use crate::filter::{FilterConfig, StartPose};
+use crate::filter::FilterConfig;
 use crate::models::differential_drive::WheelTravel;
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::{MotionTrack, TravelSegment};

@@ -3,8 +3,10 @@
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::CORE_STATES;
 use posebridge_estimator::models::lie::Se2;
-use posebridge_estimator::{Filter, FilterConfig, StartPose};
-use posebridge_telemetry::{Body, Fix, FusionOutcome, Heading, Meters, Point2, Pose, TimeDelta, quantities::wrap_rad};
+use posebridge_estimator::{Filter, FilterConfig};
+use posebridge_telemetry::{
+    Body, Fix, FusionOutcome, Heading, Meters, Point2, Pose, StartPose, TimeDelta, quantities::wrap_rad,
+};
 
 use crate::support::alter::{PROMPT_CAMERA, altered_fixes, at, error_at, fixes, share_accepted, with_tag_moved};
 use crate::support::filters::without_start;

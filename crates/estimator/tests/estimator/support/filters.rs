@@ -1,7 +1,7 @@
 //! The filters of the table, a drive straight on, and what a filter believes.
 
-use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterConfig, FilterEntry, StartPose, find_filter};
-use posebridge_telemetry::{Estimate, Heading, Meters, Pose, TimeDelta};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterConfig, FilterEntry, find_filter};
+use posebridge_telemetry::{Estimate, Heading, Meters, Pose, StartPose, TimeDelta};
 
 use super::observe::{gyro, wheels};
 use super::robot::{RADIUS_M, config};

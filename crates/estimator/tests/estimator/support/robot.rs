@@ -1,7 +1,7 @@
 //! The robot of the tests: a LEGO robot with one-degree encoders and a one-degree gyro.
 
-use posebridge_estimator::{FilterConfig, Params, StartPose};
-use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Pose, Radians, SensorNoise, UncertainValue};
+use posebridge_estimator::{FilterConfig, Params};
+use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Pose, Radians, SensorNoise, StartPose, UncertainValue};
 
 pub(crate) const DEGREE: f64 = std::f64::consts::PI / 180.0;
 pub(crate) const RADIUS_M: f64 = 0.028;

@@ -1,9 +1,9 @@
 //! A drive as a calibration takes it: what the wheels did, and where the robot was seen.
 
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::motion::{MotionReading, MotionTrack, TravelSegment};
-use posebridge_estimator::{FilterConfig, StartPose};
-use posebridge_telemetry::{BrickClock, Observation, Timestamp};
+use posebridge_telemetry::{BrickClock, Observation, StartPose, Timestamp};
 
 /// A drive.
 #[derive(Clone, Debug, PartialEq)]

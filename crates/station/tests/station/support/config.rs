@@ -1,13 +1,14 @@
 //! The configuration of a station with one stream link, for tests and benchmarks.
 
-use posebridge_estimator::{FilterConfig, Params, StartPose};
+use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_station::{
     AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OutputInstant, OutputKind, OutputStream,
     RobotConfig, StationConfig,
 };
 use posebridge_telemetry::{
-    Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, TimeDelta, Timestamp,
+    Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
+    Timestamp,
 };
 
 pub(crate) const LINK: LinkId = LinkId(3);
