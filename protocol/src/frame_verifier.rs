@@ -207,6 +207,18 @@ mod tests {
     }
 
     #[test]
+    fn invented_senders_are_dropped_before_busy_ones() {
+        let sender = |index: u16| Address::new((index >> 8) as u8, index as u8);
+        let frames = |index: u16| if index == 3 { 50 } else { u64::from(index >= 5) + 1 };
+        let health = |index| (sender(index), SourceHealth { source: sender(index), frames: frames(index), lost: 0 });
+        let mut sources: BTreeMap<_, _> = (0..MAX_SENDERS as u16 + 4).map(health).collect();
+        retain_most_active(&mut sources);
+        assert_eq!(sources.len(), MAX_SENDERS);
+        let dropped: Vec<u16> = (0..10).filter(|index| !sources.contains_key(&sender(*index))).collect();
+        assert_eq!(dropped, [0, 1, 2, 4]);
+    }
+
+    #[test]
     fn an_unsigned_frame_on_a_link_with_a_key_is_rejected_and_counts_for_nobody() {
         let signing = SigningConfig {
             key: Key::from_bytes([7; 32]),

@@ -158,6 +158,13 @@ mod tests {
     }
 
     #[test]
+    fn differences_of_two_bytes_do_not_cancel() {
+        assert!(is_equal([7; MAC], [7; MAC]));
+        assert!(!is_equal([7; MAC], [7, 7, 7, 8, 8, 7]));
+        assert!((0..MAC).all(|at| !is_equal([0; MAC], std::array::from_fn(|index| u8::from(index == at)))));
+    }
+
+    #[test]
     fn six_bytes_hold_it_whole() {
         let stamp = SigningTime::from_units(0x1234_5678_9ABC);
         assert_eq!(stamp.to_wire(), [0xBC, 0x9A, 0x78, 0x56, 0x34, 0x12]);

@@ -16,6 +16,7 @@ mod framer;
 mod golden;
 mod nxt;
 mod properties;
+mod recorded_robot;
 mod resync;
 mod routing;
 mod session;

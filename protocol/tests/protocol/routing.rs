@@ -145,6 +145,17 @@ fn the_station_s_own_words_go_nowhere_and_teach_nothing() {
 }
 
 #[test]
+fn a_frame_of_another_station_is_no_echo() {
+    let mut bench = Bench::new(Default::default()).introduced();
+    let bytes = framed(77, STATION, &HEARTBEAT);
+    bench.router.record_sent(&bytes);
+    assert_eq!(bench.receive(10, GCS_LINK, &bytes).duplicate_status, DuplicateStatus::Echo);
+    let other_station = Address::new(9, STATION.component.0);
+    let heard = bench.send(20, GCS_LINK, other_station, &HEARTBEAT);
+    assert_eq!((heard.duplicate_status, heard.to.len()), (DuplicateStatus::New, 3));
+}
+
+#[test]
 fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
     let mut bench = Bench::new(Default::default()).introduced();
     let bytes = framed(77, ROBOT, &HEARTBEAT);

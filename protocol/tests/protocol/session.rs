@@ -96,6 +96,8 @@ fn heartbeats_come_once_per_period_and_missed_ones_are_not_made_up_for() {
     session.tick(at(10_300));
     assert_eq!(std::iter::from_fn(|| session.poll()).count(), 1);
     assert_eq!(session.deadline(), Some(at(11_300)));
+    session.tick(at(11_700));
+    assert_eq!(session.deadline(), Some(at(12_300)), "a late one leaves the rhythm as it is");
 }
 
 #[test]
@@ -113,6 +115,18 @@ fn peers_are_seen_lost_and_seen_again() {
     assert_eq!(lost, [&(5_000, expected)]);
     assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
     assert!(station.receive(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
+}
+
+#[test]
+fn a_clock_that_is_set_back_delays_no_peer_s_loss() {
+    let mut station = Station::new(quiet());
+    station.run_until(at(3_600_000));
+    station.receive(ROBOT, &Message::Heartbeat(ROVER));
+    station.now = at(5);
+    station.session.tick(station.now);
+    let outputs = station.run_until(at(10_000));
+    let lost = outputs.iter().find(|(_, output)| matches!(output, SessionOutput::PeerLost { .. }));
+    assert_eq!(lost.map(|(millis, _)| *millis), Some(3_005));
 }
 
 #[test]
@@ -455,4 +469,22 @@ fn what_stands_is_told_only_where_somebody_has_asked_and_by_its_own_name() {
     let told = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
     assert_eq!(session.report_parameter(2, 8.0), Some(told));
     assert_eq!(session.report_parameter(3, 8.0), None);
+}
+
+#[test]
+fn parameter_requests_to_others_are_not_answered() {
+    let read = |target| Message::ParamRequestRead { target, name: "TAU_S".to_owned(), index: -1 };
+    let set = |target| Message::ParamSet { target, name: "TAU_S".to_owned(), value: 2.5 };
+    let of_all_components = Address::new(STATION.system.0, 0);
+    for target in [ROBOT, Address::new(2, STATION.component.0), Address::new(2, 0)] {
+        let mut session = owner();
+        for message in [Message::ParamRequestList { target }, read(target), set(target)] {
+            session.handle(at(0), GCS, &message);
+        }
+        assert_eq!(session.poll(), None, "{target}");
+        assert_eq!(values_sent_until(&mut session, 1_000), [], "{target}");
+    }
+    let mut session = owner();
+    session.handle(at(0), GCS, &read(of_all_components));
+    assert!(matches!(session.poll(), Some(SessionOutput::Send(Message::ParamValue { index: 2, .. }))));
 }

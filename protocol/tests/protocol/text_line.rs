@@ -318,6 +318,11 @@ fn counts_that_fall_to_zero_are_no_motion() {
     let heard = push(&mut *board, Timestamp::ZERO, lines);
     let wheels: Vec<_> = heard.iter().filter_map(|item| item.split_once("wheels ")).map(|(_, counts)| counts).collect();
     assert_eq!(wheels, ["500 400", "510 410", "520 420", "520 420", "525 426"]);
+    // One wheel alone far from zero, left or right.
+    for (lines, expected) in [("500,4\n510,5\n520,6\n0,0\n", "520 6"), ("4,500\n5,510\n6,520\n0,0\n", "6 520")] {
+        let heard = push(&mut *codec(columns(&["left_ticks", "right_ticks"])), Timestamp::ZERO, lines.as_bytes());
+        assert!(heard.iter().rfind(|item| item.contains("wheels ")).unwrap().ends_with(expected), "{heard:?}");
+    }
     // Slowly back through zero.
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let heard = push(&mut *board, Timestamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
