@@ -51,40 +51,36 @@ pub struct Timestamp<C> {
 }
 
 impl<C: Clock> Timestamp<C> {
-    /// The clock's zero.
     pub const ZERO: Self = Self::from_nanos(0);
 
-    /// An instant in nanoseconds since the clock's zero.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self { nanos, clock: PhantomData }
     }
 
-    /// An instant in microseconds since the clock's zero; saturates at the ends of the range.
+    /// Saturates at the ends of the range.
     pub const fn from_micros(micros: i64) -> Self {
         Self::from_nanos(micros.saturating_mul(1_000))
     }
 
-    /// An instant in milliseconds since the clock's zero; saturates at the ends of the range.
+    /// Saturates at the ends of the range.
     pub const fn from_millis(millis: i64) -> Self {
         Self::from_nanos(millis.saturating_mul(1_000_000))
     }
 
-    /// An instant in seconds since the clock's zero, rounded to the nearest nanosecond; saturates, NaN gives zero.
+    /// Rounds to the nearest nanosecond; saturates, NaN gives zero.
     pub fn from_secs_f64(secs: f64) -> Self {
         Self::from_nanos(round_to_i64(secs * 1e9))
     }
 
-    /// Nanoseconds since the clock's zero.
     pub const fn as_nanos(self) -> i64 {
         self.nanos
     }
 
-    /// Microseconds since the clock's zero, rounded towards minus infinity.
+    /// Rounds towards minus infinity.
     pub const fn as_micros(self) -> i64 {
         self.nanos.div_euclid(1_000)
     }
 
-    /// Seconds since the clock's zero.
     pub fn as_secs_f64(self) -> f64 {
         self.nanos as f64 * 1e-9
     }
@@ -146,34 +142,29 @@ impl<C: Clock> Sub<TimeDelta> for Timestamp<C> {
 pub struct TimeDelta(i64);
 
 impl TimeDelta {
-    /// Zero.
     pub const ZERO: Self = Self(0);
 
-    /// A duration in nanoseconds.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
-    /// A duration in microseconds; saturates.
+    /// Saturates at the ends of the range.
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
-    /// A duration in milliseconds; saturates.
+    /// Saturates at the ends of the range.
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }
-    /// A duration in seconds, rounded to the nearest nanosecond; saturates, NaN gives zero.
+    /// Rounds to the nearest nanosecond; saturates, NaN gives zero.
     pub fn from_secs_f64(secs: f64) -> Self {
         Self(round_to_i64(secs * 1e9))
     }
-    /// The duration in nanoseconds.
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
-    /// The duration in seconds.
     pub fn as_secs_f64(self) -> f64 {
         self.0 as f64 * 1e-9
     }
-    /// The duration in milliseconds, with fractions.
     pub fn as_millis_f64(self) -> f64 {
         self.0 as f64 * 1e-6
     }

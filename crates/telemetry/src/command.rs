@@ -21,23 +21,20 @@ pub type ParameterName = ChannelName;
 pub enum Command {
     /// Set the pose, with the given standard deviations; counted as a reset.
     SetPose {
-        /// The robot's pose.
         pose: Pose<Arena>,
-        /// One standard deviation of x and of y, in metres.
+        /// One standard deviation, of x and of y each.
         position_sigma_m: f64,
-        /// One standard deviation of the heading, in radians.
         heading_sigma_rad: f64,
     },
     /// Discard the pose: the filter starts again at the configured start pose, or else at the next fix.
     ResetPose,
-    /// Set one tunable of the filter from now on.
     SetParameter {
         /// Its key, as in `[filter]` of the configuration.
         name: ParameterName,
         /// The new value, in the tunable's own unit.
         value: f64,
     },
-    /// Set all tunables at once.
+    /// Store, reload or reset all tunables.
     Parameters(ParameterStorage),
     /// Whether the filter goes on estimating the robot's constants: wheel radii, track width, delay of fixes, position of the tag, errors
     /// of ranges. The gyro's bias is always estimated, because it drifts.
@@ -46,16 +43,11 @@ pub enum Command {
     ResetCalibration,
     /// Use the observations of a sensor, or ignore them.
     SwitchSource {
-        /// The sensor.
         sensor: SensorId,
-        /// Whether it is used from now on.
         to: SensorSwitch,
     },
-    /// Begin a new recording.
     StartRecording,
-    /// End the recording.
     StopRecording,
-    /// A command to the simulated brick.
     Simulator(SimulatorCommand),
 }
 
@@ -95,7 +87,6 @@ impl Command {
 }
 
 impl fmt::Display for Command {
-    /// The name with the command's values, for people.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.name();
         match self {
@@ -126,16 +117,13 @@ pub enum ParameterStorage {
     Save,
     /// Restore those that were saved last, or else those of the start.
     Reload,
-    /// Restore the defaults.
     Default,
 }
 
 /// Whether the filter estimates the robot's constants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnlineCalibration {
-    /// They keep their values.
     Frozen,
-    /// Observations correct them.
     Enabled,
 }
 
@@ -158,7 +146,6 @@ pub enum Request {
     Simulator {
         /// The robot that the brick drives; `None` if none was named.
         robot: Option<RobotId>,
-        /// The command.
         command: SimulatorCommand,
     },
 }

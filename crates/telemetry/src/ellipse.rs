@@ -16,9 +16,7 @@ const CORNERS: u32 = 48;
 /// An ellipse around an estimated position, in the arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipse {
-    /// Half the longer axis, in metres.
     pub semi_major_m: f64,
-    /// Half the shorter axis, in metres.
     pub semi_minor_m: f64,
     /// Direction of the longer axis, counter-clockwise from the arena's x, in radians, in (-pi/2, pi/2].
     pub direction_rad: f64,
@@ -28,9 +26,8 @@ impl Ellipse {
     /// An ellipse of this many standard deviations holds 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05).
     pub const SIGMAS_95: f64 = 2.447_746_830_680_816;
 
-    /// The ellipse of `sigmas` standard deviations of a covariance given by its upper triangle, in m².
-    ///
-    /// `None` if it is not finite or not positive semi-definite (beyond rounding).
+    /// The ellipse of `sigmas` standard deviations, from the covariance's upper triangle; `None` if that is not finite
+    /// or not positive semi-definite (beyond rounding).
     pub fn from_covariance(xx_m2: f64, xy_m2: f64, yy_m2: f64, sigmas: f64) -> Option<Self> {
         let mean = f64::midpoint(xx_m2, yy_m2);
         let half_difference = (xx_m2 - yy_m2) / 2.0;

@@ -22,9 +22,7 @@ pub mod row {
 /// The pose of a robot with its speeds, covariance and provenance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// The instant for which it holds.
     pub stamp: Timestamp<BrickClock>,
-    /// The robot's pose.
     pub pose: Pose<Arena>,
     /// Along the body's x axis.
     pub forward_speed: MetersPerSecond,
@@ -32,7 +30,6 @@ pub struct Estimate {
     pub turn_rate: RadiansPerSecond,
     /// 5 x 5, symmetric, SI units squared, rows and columns as in [`row`].
     pub covariance: [[f64; 5]; 5],
-    /// The parts that are valid.
     pub validity: Validity,
     /// No absolute observation was used for longer than the configured limit.
     pub is_dead_reckoning: bool,
@@ -40,12 +37,10 @@ pub struct Estimate {
     pub fix_age: Option<TimeDelta>,
     /// Counts jumps of the estimate that are not motion.
     pub reset_counter: u8,
-    /// The last such jump.
     pub last_correction: Option<PoseCorrection>,
 }
 
 impl Estimate {
-    /// The last reset of the pose in words.
     pub fn describe_reset(&self) -> String {
         match self.last_correction {
             Some(PoseCorrection { dx_m, dy_m, turn }) => {
@@ -55,21 +50,19 @@ impl Estimate {
         }
     }
 
-    /// The ellipse that holds the position with a probability of 95 %; `None` if the covariance is none.
+    /// The ellipse that holds the position with a probability of 95 %; `None` if the covariance is not positive
+    /// semi-definite.
     pub fn ellipse_95(&self) -> Option<Ellipse> {
         let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = self.covariance;
         Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, Ellipse::SIGMAS_95)
     }
 
-    /// Standard deviation of x, in metres.
     pub fn x_sigma_m(&self) -> f64 {
         self.covariance[row::X][row::X].max(0.0).sqrt()
     }
-    /// Standard deviation of y, in metres.
     pub fn y_sigma_m(&self) -> f64 {
         self.covariance[row::Y][row::Y].max(0.0).sqrt()
     }
-    /// Standard deviation of the heading, in radians.
     pub fn heading_sigma_rad(&self) -> f64 {
         self.covariance[row::HEADING][row::HEADING].max(0.0).sqrt()
     }
@@ -89,9 +82,7 @@ pub struct Validity {
 /// A jump of the estimate that was not motion, from before to after.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseCorrection {
-    /// Change of x, in metres.
     pub dx_m: f64,
-    /// Change of y, in metres.
     pub dy_m: f64,
     /// Change of heading, the short way.
     pub turn: Radians,
@@ -103,15 +94,11 @@ const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// The estimate of a filter for one quantity, such as a distance or a temperature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarEstimate {
-    /// The instant for which it holds.
     pub stamp: Timestamp<BrickClock>,
-    /// The quantity.
     pub value: f64,
-    /// One standard deviation of it.
     pub sigma: f64,
     /// Rate of change, per second; zero for a constant.
     pub rate_per_s: f64,
-    /// Its unit, as it is printed.
     pub unit: &'static str,
 }
 

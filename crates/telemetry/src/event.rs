@@ -9,56 +9,43 @@ use crate::observation::{Observation, ObservationKind};
 use crate::quantities::Celsius;
 use crate::severity::{INFO, WARNING};
 
-/// One event.
+/// An entry of the station's log: what happened, for people, recorders and dashboards.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A robot was heard for the first time, or again after it was lost.
+    /// The first message of a robot, or its first one after `RobotLost`.
     RobotDetected {
-        /// The robot.
         robot: RobotId,
     },
-    /// A robot that appeared has a name in the configuration; said once, and not of robots without one.
+    /// A detected robot has a name in the configuration. Emitted once, and never for a robot without a name.
     RobotNamed {
-        /// The robot.
         robot: RobotId,
-        /// What people call it.
         name: String,
     },
-    /// A robot has not been heard for the heartbeat time-out.
+    /// No message of a robot within the heartbeat time-out.
     RobotLost {
-        /// The robot.
         robot: RobotId,
-        /// Time since it was last heard.
+        /// Time since its last message.
         silence: TimeDelta,
     },
     /// The brick's clock jumped: the brick was restarted; counters and clock are re-based.
     BrickRestarted {
-        /// The robot.
         robot: RobotId,
     },
-    /// An observation came in and was aligned to the brick's clock.
+    /// An observation arrived and was aligned to the brick's clock.
     ObservationAligned {
-        /// The robot that was observed.
         robot: RobotId,
-        /// Who sent it.
         source: Address,
         /// When its last byte arrived.
         arrival: Timestamp<HostClock>,
-        /// The observation.
         observation: Observation,
     },
     /// The filter tried to use an observation.
     ObservationFused {
-        /// The robot.
         robot: RobotId,
-        /// The outcome.
         record: FusionRecord,
     },
-    /// The filter's estimate after an observation.
     EstimateUpdated {
-        /// The robot.
         robot: RobotId,
-        /// The estimate.
         estimate: Estimate,
     },
     /// A thermometer's reading, and the final value that its own filter predicts.
@@ -73,71 +60,55 @@ pub enum Event {
         stamp: Timestamp<BrickClock>,
         /// The reading.
         shown: Celsius,
-        /// Whether the filter used it.
         verdict: FusionOutcome,
         /// The predicted final value; `None` before the first usable reading.
         settled: Option<ScalarEstimate>,
     },
-    /// The clocks of host and brick were aligned anew.
+    /// A new alignment of the brick's clock.
     BrickClockAligned {
-        /// The robot.
         robot: RobotId,
         /// Brick time minus host time at `host`.
         offset: TimeDelta,
-        /// Rate of the brick's clock against the host's, minus one, in parts per million.
+        /// Rate of the brick's clock against the host's, minus one.
         skew_ppm: f64,
-        /// Half the distance between the bounds.
+        /// Half the width of the interval that bounds the offset.
         uncertainty: TimeDelta,
         /// Round-trip time of the exchange that led to it, if it was one.
         round_trip: Option<TimeDelta>,
-        /// The brick instant at which it was evaluated.
         brick: Timestamp<BrickClock>,
-        /// The host instant at which it was evaluated.
         host: Timestamp<HostClock>,
     },
-    /// The clocks of host and camera were aligned anew.
+    /// A new alignment of the camera's clock.
     CameraClockAligned {
-        /// The camera.
         camera: Address,
         /// Camera time minus host time at `host`.
         offset: TimeDelta,
-        /// Half the distance between the bounds.
+        /// Half the width of the interval that bounds the offset.
         uncertainty: TimeDelta,
-        /// The camera instant at which it was evaluated.
         stamp: Timestamp<CameraClock>,
-        /// The host instant at which it was evaluated.
         host: Timestamp<HostClock>,
     },
-    /// A link changed its state.
     Link {
-        /// The link.
         link: LinkId,
-        /// Its new state.
         state: LinkState,
     },
     /// The health of a link, once per second.
     Health {
-        /// The link.
         link: LinkId,
-        /// Its counters.
         health: LinkHealth,
-        /// What each sender sent on it, in the order of their addresses.
+        /// Per sender, in the order of addresses.
         sources: Vec<SourceHealth>,
     },
     /// Damaged input was skipped.
     ReceiveError {
-        /// The link on which it came.
         link: LinkId,
-        /// The fault.
         defect: ReceiveError,
     },
     /// A peer sent a status text.
     Text {
-        /// The sender.
         source: Address,
         /// MAVLink severity, 0 emergency to 7 debug.
         severity: u8,
-        /// The line.
         text: String,
     },
 }
@@ -191,10 +162,9 @@ impl Event {
     }
 }
 
-/// The state of a link.
+/// Whether bytes can flow on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkState {
-    /// Bytes can flow.
     Up,
     /// The peer, the device or the network is lost; reconnecting.
     Down,
@@ -230,59 +200,46 @@ impl SignatureError {
 pub enum ReceiveError {
     /// A candidate frame's checksum did not match.
     Checksum {
-        /// Message id that the candidate claimed.
         message_id: u32,
-        /// The checksum in the frame.
         found: u16,
-        /// The checksum computed from the bytes.
         expected: u16,
     },
-    /// Bytes outside every frame.
     UnframedBytes {
-        /// Their number.
         bytes: u32,
     },
     /// A header announced a length or flags that its message cannot have.
     ImpossibleHeader {
-        /// Message id that the candidate claimed.
         message_id: u32,
-        /// Length that it claimed.
         length: u8,
     },
-    /// A candidate's bytes stopped coming.
+    /// The rest of a candidate frame did not arrive.
     Timeout {
-        /// The bytes received until then.
+        /// Bytes received before the time-out.
         bytes: u32,
     },
     /// A frame is whole, but its payload is invalid.
     Payload {
-        /// The message's id.
         message_id: u32,
     },
     /// Frames are missing before this one, by the sequence numbers and stamps of its sender.
     SequenceGap {
-        /// The sender.
         source: Address,
         /// Missing frames since the last report.
         frames: u32,
     },
-    /// A frame's signature was not accepted.
     SignatureRejected {
         /// The sender that the frame claims.
         source: Address,
-        /// The reason.
         reason: SignatureError,
     },
     /// A frame carries the station's own address, but the station has not sent it: another participant has the same address, and
     /// both ignore each other's frames.
     AddressConflict {
-        /// The message's id.
         message_id: u32,
     },
     /// A message's timestamp was not used: its clock is not aligned yet, or the timestamp is from before a restart, or it contradicts the
     /// alignment so much that the alignment starts again.
     ClockNotAligned {
-        /// The sender.
         source: Address,
     },
 }

@@ -3,18 +3,15 @@
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ids::SensorId;
 
-/// The outcome of one observation.
+/// One attempt to use an observation, and its outcome.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FusionRecord {
-    /// The sensor that made the observation.
     pub sensor: SensorId,
     /// The observation's kind, as [`crate::ObservationKind::kind`] names it.
     pub kind: &'static str,
-    /// The observation's timestamp.
     pub stamp: Timestamp<BrickClock>,
     /// How far behind the filter's time it was.
     pub lag: TimeDelta,
-    /// Whether it was used.
     pub outcome: FusionOutcome,
     /// Observed minus predicted, SI units, up to three components; unused ones are zero.
     pub innovation: [f64; 3],

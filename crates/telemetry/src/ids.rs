@@ -36,30 +36,22 @@ id!(/// A radio beacon at a known position in the arena.
     BeaconId(u32));
 
 impl SensorId {
-    /// The wheel encoders.
     pub const WHEELS: Self = Self(0);
-    /// The gyro.
     pub const GYRO: Self = Self(1);
-    /// The accelerometers.
     pub const ACCELEROMETER: Self = Self(2);
     /// The overhead camera.
     pub const CAMERA: Self = Self(3);
     /// A foreign odometer that reports a pose or a velocity of its own.
     pub const ODOMETER: Self = Self(4);
-    /// A range finder.
     pub const RANGE: Self = Self(5);
-    /// A thermometer.
     pub const THERMOMETER: Self = Self(6);
     /// A sensor of known landmarks, such as a camera on board.
     pub const LANDMARKS: Self = Self(7);
     /// Radio ranges to beacons.
     pub const BEACONS: Self = Self(8);
-    /// A compass.
     pub const COMPASS: Self = Self(9);
 
-    /// The id of the second camera.
     const SECOND_CAMERA: u8 = 32;
-    /// The names of the second camera and those after it.
     const FURTHER_CAMERAS: [&'static str; 7] =
         ["camera 2", "camera 3", "camera 4", "camera 5", "camera 6", "camera 7", "camera 8"];
 
@@ -80,7 +72,6 @@ impl SensorId {
         self.name() != Self::UNNAMED
     }
 
-    /// The name for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::WHEELS => "wheels",
@@ -125,7 +116,6 @@ impl ChannelName {
         name
     }
 
-    /// The name as text.
     pub fn as_str(&self) -> &str {
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let said = self.bytes.get(..end.unwrap_or(Self::MAX_LEN));
@@ -149,14 +139,11 @@ impl fmt::Debug for ChannelName {
 /// One MAVLink participant: a component of a system.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Address {
-    /// The system.
     pub system: SystemId,
-    /// The component within it.
     pub component: ComponentId,
 }
 
 impl Address {
-    /// The address `system/component`.
     pub const fn new(system: u8, component: u8) -> Self {
         Self { system: SystemId(system), component: ComponentId(component) }
     }
@@ -171,9 +158,7 @@ impl fmt::Display for Address {
 /// A robot; the address alone is not unique across links.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RobotId {
-    /// The robot's link.
     pub link: LinkId,
-    /// Its address on that link.
     pub address: Address,
 }
 

@@ -9,82 +9,65 @@ use crate::ids::{LinkId, PeerId, RobotId};
 use crate::link_health::LinkCounts;
 use crate::observation::Observation;
 
-/// An input of the station.
+/// Everything that the station reacts to; with its arrival time, the content of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
     /// Bytes from a link, as one read returned them.
     Bytes {
-        /// The link.
         link: LinkId,
-        /// The peer that sent them; each peer is a stream of its own.
+        /// Each peer is a stream of its own.
         peer: PeerId,
-        /// The bytes.
         bytes: Vec<u8>,
     },
-    /// A link came up or went down.
     Link {
-        /// The link.
         link: LinkId,
-        /// Its new state.
         state: LinkState,
     },
     /// The counters of a link's transport, given now and then for the link's health.
     Port {
-        /// The link.
         link: LinkId,
-        /// Its counts.
         counts: LinkCounts,
     },
     /// An observation from a foreign recording, already in SI units and in brick time.
     Observation(Observation),
-    /// A command of a person or a program: a pose is that of the first robot, calibration and sensors are those of all.
+    /// A command from a person or a program: a pose applies to the first robot, calibration and sensors to all.
     Command(Command),
-    /// A command of a person for one robot. A command for the whole station (parameters, recordings) does what [`Self::Command`] does.
+    /// A command for one robot. A command for the whole station (parameters, recordings) acts as in [`Self::Command`].
     RobotCommand {
-        /// The robot, as its events name it.
         robot: RobotId,
-        /// The command.
         command: Command,
     },
     /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
     Report {
         /// MAVLink severity, 0 emergency to 7 debug.
         severity: u8,
-        /// A line for people.
         text: String,
     },
     /// Time passed; given when the station's deadline is reached.
     Tick,
 }
 
-/// An output of the station.
+/// Everything that the station asks its program to do or to show.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
     reason = "an output is moved once, from the station to its reader; a box would cost an allocation for each event"
 )]
 pub enum Output {
-    /// An event.
     Event(Event),
-    /// Bytes to send on a link.
     Transmit {
-        /// The link.
         link: LinkId,
-        /// The recipients.
         to: Recipients,
-        /// The priority on a slow link.
         priority: Priority,
         /// One whole frame, ready for the wire.
         bytes: Vec<u8>,
     },
-    /// A task for the program that runs the station.
     Request(Request),
 }
 
 /// The recipients of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recipients {
-    /// Every peer of the link.
     All,
     /// One peer; nobody if it is no longer there.
     Peer(PeerId),
@@ -93,7 +76,6 @@ pub enum Recipients {
 }
 
 impl Recipients {
-    /// Whether a peer is among the recipients.
     pub fn includes(self, peer: PeerId) -> bool {
         match self {
             Self::All => true,
@@ -111,7 +93,6 @@ pub enum Priority {
     Command,
     /// Heartbeats and time requests: repeated soon.
     Session,
-    /// Forwarded frames.
     Forwarded,
     /// An estimate; the next one of the same stream replaces it.
     Estimate {

@@ -8,33 +8,28 @@ use crate::spaces::{Arena, Body, Odom, Point2, Pose};
 /// One observation, aligned to the brick's clock: the estimator's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// The sensor.
     pub sensor: SensorId,
     /// The instant of the measurement: end of the interval for counters and rates, middle of the exposure for images.
     pub stamp: Timestamp<BrickClock>,
     /// How far `stamp` may be off (one standard deviation), from the alignment of the clocks.
     pub stamp_sigma: TimeDelta,
-    /// The measurement.
     pub measurement: ObservationKind,
 }
 
 /// Whether the observations of a sensor are used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorSwitch {
-    /// They are used.
     On,
-    /// They are ignored.
     Off,
 }
 
 /// The kinds of observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ObservationKind {
-    /// Total rotation of each wheel since the counters were zeroed; a jump to zero re-bases, it is not motion.
+    /// Total rotation of each wheel since the counters were zeroed, forward positive. A jump to zero re-bases; it is
+    /// not motion.
     WheelAngles {
-        /// The left wheel's total rotation, forward positive.
         left: Radians,
-        /// The right wheel's total rotation, forward positive.
         right: Radians,
     },
     /// The pose that a foreign odometer has integrated; only its increments are used.
@@ -50,25 +45,21 @@ pub enum ObservationKind {
     TurnRate(RadiansPerSecond),
     /// Forward acceleration at each wheel.
     WheelAccelerations {
-        /// At the left wheel.
         left: MetersPerSecondSquared,
-        /// At the right wheel.
         right: MetersPerSecondSquared,
     },
     /// A position or a pose in the arena, seen from outside.
     Fix(Fix),
-    /// Range and bearing to a landmark with a known place.
+    /// Range and bearing to a landmark of known position.
     Landmark {
-        /// Which landmark.
         id: LandmarkId,
         /// Distance from the sensor, which sits at the body's origin.
         range: Meters,
-        /// Direction in the body's space, counter-clockwise from forward.
+        /// In the body's frame, counter-clockwise from forward.
         bearing: Radians,
     },
-    /// Range to a beacon with a known place.
+    /// Range to a beacon of known position.
     BeaconRange {
-        /// Which beacon.
         id: BeaconId,
         /// The distance as measured, bias and scale included.
         range: Meters,
@@ -77,7 +68,6 @@ pub enum ObservationKind {
     WallRange(Meters),
     /// Heading against the arena, from a compass.
     CompassHeading(Heading),
-    /// A temperature.
     Temperature(Celsius),
 }
 
@@ -118,12 +108,9 @@ pub struct Fix {
 /// Covariance of a fix, in the arena: the upper triangle of x, y, heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionCovariance {
-    /// Variance along x, in m².
     pub xx_m2: f64,
-    /// Covariance of x and y, in m².
     pub xy_m2: f64,
-    /// Variance along y, in m².
     pub yy_m2: f64,
-    /// Variance of the heading, in rad²; infinite when there is none.
+    /// Infinite without a heading.
     pub heading_rad2: f64,
 }

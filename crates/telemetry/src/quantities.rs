@@ -99,12 +99,11 @@ impl Heading {
         Self(wrap_rad(angle.0))
     }
 
-    /// Wraps an angle in radians onto the circle.
     pub fn from_rad(angle_rad: f64) -> Self {
         Self(wrap_rad(angle_rad))
     }
 
-    /// The angle in radians, in (-pi, pi].
+    /// In radians, in (-pi, pi].
     pub const fn rad(self) -> f64 {
         self.0
     }

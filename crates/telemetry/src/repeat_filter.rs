@@ -20,17 +20,15 @@ impl Default for RepeatFilter {
     }
 }
 
-/// The output for one line.
+/// Which lines to show for one pushed line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RepeatDecision {
     /// The previous line with the number of its repetitions, if there were any.
     pub repeat_summary: Option<String>,
-    /// Whether the line itself is shown.
     pub is_shown: bool,
 }
 
 impl RepeatFilter {
-    /// Handles a line that arrives at `now`.
     pub fn push(&mut self, now: Timestamp<HostClock>, line: &str) -> RepeatDecision {
         let is_repeated = self.last_line.as_deref() == Some(line) && now - self.last_arrival < REPEAT_WINDOW;
         self.last_arrival = now;

@@ -9,9 +9,7 @@ use crate::spaces::{Arena, Point2, Pose};
 /// A differential drive: two driven wheels on one axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveGeometry {
-    /// Radius of the left wheel.
     pub left_wheel_radius: Meters,
-    /// Radius of the right wheel.
     pub right_wheel_radius: Meters,
     /// Distance between the wheels' contact points.
     pub track_width: Meters,
@@ -22,39 +20,32 @@ pub struct DriveGeometry {
 /// Noise of a robot's sensors and of its motion, one standard deviation unless the name says variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorNoise {
-    /// Wheel travel: sigma of one wheel grows with the square root of its path, in m per sqrt(m).
+    /// Of one wheel; grows with the square root of its path.
     pub wheel_travel_m_per_sqrt_m: f64,
-    /// Distance along the track, common to both wheels: sigma grows with the square root of the path, in m per sqrt(m).
+    /// Along the track, common to both wheels; grows with the square root of the path.
     pub travel_m_per_sqrt_m: f64,
-    /// Heading: sigma grows with the square root of the turn, in rad per sqrt(rad).
+    /// Of the heading; grows with the square root of the turn.
     pub turn_rad_per_sqrt_rad: f64,
-    /// Heading: sigma grows with the square root of the path, in rad per sqrt(m).
+    /// Of the heading; grows with the square root of the path.
     pub heading_rad_per_sqrt_m: f64,
-    /// Gyro white noise per sample, in rad/s.
+    /// White noise per sample.
     pub gyro_rad_per_s: f64,
-    /// Resolution of the gyro, in rad/s; 0 when it is fine.
+    /// 0 where the resolution is finer than the noise.
     pub gyro_resolution_rad_per_s: f64,
-    /// Sigma of the gyro bias at power-up, in rad/s.
+    /// At power-up.
     pub gyro_bias_rad_per_s: f64,
-    /// Random walk of the gyro bias, in rad/s per sqrt(s).
     pub gyro_bias_walk_rad_per_s_sqrt_s: f64,
-    /// A fix's position, each axis, in m, where the fix does not bring its own covariance.
+    /// Each axis, where the fix does not bring its own covariance.
     pub fix_position_m: f64,
-    /// A fix's heading, in rad, where the fix does not bring its own covariance.
+    /// Where the fix does not bring its own covariance.
     pub fix_heading_rad: f64,
-    /// An accelerometer at a wheel, per sample, in m/s².
+    /// At one wheel, per sample.
     pub accelerometer_m_per_s2: f64,
-    /// A compass heading, in rad.
     pub compass_rad: f64,
-    /// The range to a landmark, in m.
     pub landmark_range_m: f64,
-    /// The bearing of a landmark, in rad.
     pub landmark_bearing_rad: f64,
-    /// The range to a beacon, in m.
     pub beacon_range_m: f64,
-    /// The range to a wall, in m.
     pub wall_range_m: f64,
-    /// A thermometer, in K.
     pub temperature_k: f64,
 }
 
@@ -84,9 +75,7 @@ impl SensorNoise {
 /// A number with one standard deviation; a sigma of zero means that it is fixed and not estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UncertainValue {
-    /// The number.
     pub value: f64,
-    /// One standard deviation, in the number's own unit.
     pub sigma: f64,
 }
 
@@ -98,25 +87,20 @@ pub struct UncertainValue {
 /// r_L, r_R, b. For a robot that reports speeds or an odometer's pose the same numbers scale distance and turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
-    /// Relative error of the mean wheel radius.
     pub radius_scale: UncertainValue,
-    /// Relative difference of the wheels' radii, right minus left.
     pub radius_difference: UncertainValue,
-    /// Relative error of the track width.
     pub track_scale: UncertainValue,
-    /// Gyro bias, in rad/s.
     pub gyro_bias_rad_per_s: UncertainValue,
-    /// Delay of a fix: how much earlier than its timestamp it was measured, in seconds.
+    /// How much earlier than its timestamp a fix was measured.
     pub fix_delay_s: UncertainValue,
-    /// Error of the tag's configured position, forward, in metres.
+    /// Error of the tag's configured position.
     pub tag_forward_m: UncertainValue,
-    /// Error of the tag's configured position, to the left, in metres.
     pub tag_left_m: UncertainValue,
-    /// Offset of each beacon's ranges, in metres; positive reads long.
+    /// Offset of each beacon's ranges; positive reads long.
     pub beacon_offset_m: UncertainValue,
     /// Relative error of each beacon's ranges.
     pub beacon_scale: UncertainValue,
-    /// Offset of the robot camera's ranges to landmarks, in metres; positive reads long.
+    /// Offset of the robot camera's ranges to landmarks; positive reads long.
     pub landmark_offset_m: UncertainValue,
     /// Relative error of the camera's ranges to landmarks.
     pub landmark_scale: UncertainValue,
@@ -137,7 +121,6 @@ pub struct StartPose {
 pub struct ArenaMap {
     /// Points that a robot's camera identifies.
     pub landmarks: BTreeMap<LandmarkId, Point2<Arena>>,
-    /// Radio beacons.
     pub beacons: BTreeMap<BeaconId, Point2<Arena>>,
     /// Walls that a range sensor measures.
     pub walls: Vec<Wall>,
@@ -146,8 +129,6 @@ pub struct ArenaMap {
 /// A straight wall between two points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wall {
-    /// One end.
     pub from: Point2<Arena>,
-    /// The other end.
     pub to: Point2<Arena>,
 }

@@ -19,48 +19,39 @@ pub type ProfileName = ChannelName;
 pub enum SimulatorCommand {
     /// Carry the robot elsewhere; its wheels spin in the air, and the encoders count.
     Kidnap {
-        /// How far along its own x axis it is carried, in metres.
+        /// Along its own x axis.
         forward_m: f64,
-        /// How far along its own y axis it is carried, in metres.
+        /// Along its own y axis.
         left_m: f64,
-        /// By how much it is turned there, counter-clockwise, in radians.
+        /// Counter-clockwise.
         turn_rad: f64,
     },
     /// Wheels lose grip: the encoders count, but the robot moves less.
     Slip {
-        /// The wheels that slip.
         wheel: SlippingWheel,
         /// The share of their travel that is lost: 0 is full grip, 1 spins on the spot.
         factor: f64,
-        /// For how long.
         duration: TimeDelta,
     },
     /// Uncover or cover the camera.
     Camera(SensorSwitch),
-    /// Set the latency of the camera's fixes.
     CameraDelay {
         /// From the middle of the exposure to the first byte.
         delay: TimeDelta,
     },
-    /// Add a step to the gyro's bias.
     GyroBiasStep {
-        /// The step, in radians per second.
         rad_per_s: f64,
     },
     /// Impair the brick's link by a profile, or stop impairing it.
     LinkProfile(Option<ProfileName>),
-    /// Disconnect the brick's cable for a while.
     PullCable {
-        /// How long it is disconnected.
         duration: TimeDelta,
     },
-    /// Select the pose by which the brick steers.
     Steering(SteeringSource),
     /// Drive by hand; holds for [`DRIVE_HOLD_TIME`].
     Drive {
-        /// Forward speed, in metres per second.
         forward_m_per_s: f64,
-        /// Turn rate, counter-clockwise, in radians per second.
+        /// Counter-clockwise.
         turn_rad_per_s: f64,
     },
     /// Return to the path, at its nearest point.
@@ -74,19 +65,15 @@ pub const DRIVE_HOLD_TIME: TimeDelta = TimeDelta::from_millis(500);
 /// The wheels that lose grip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlippingWheel {
-    /// The left one.
     Left,
-    /// The right one.
     Right,
-    /// Both.
     Both,
 }
 
 impl SlippingWheel {
-    /// All variants.
     pub const ALL: [Self; 3] = [Self::Left, Self::Right, Self::Both];
 
-    /// Its word, as a command's JSON spells it.
+    /// The value in a command's JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Left => "left",
@@ -106,10 +93,9 @@ pub enum SteeringSource {
 }
 
 impl SteeringSource {
-    /// All variants.
     pub const ALL: [Self; 2] = [Self::Odometry, Self::Estimate];
 
-    /// Its word, as a command's JSON spells it.
+    /// The value in a command's JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Odometry => "odometry",
@@ -125,14 +111,11 @@ pub struct NumberField {
     pub command: &'static str,
     /// The field's name in JSON, with its unit.
     pub field: &'static str,
-    /// The smallest permitted value.
     pub minimum: f64,
-    /// The largest permitted value.
     pub maximum: f64,
 }
 
 impl NumberField {
-    /// The permitted range.
     pub const fn range(&self) -> RangeInclusive<f64> {
         self.minimum..=self.maximum
     }
@@ -146,9 +129,7 @@ impl NumberField {
 /// A number of a command that is out of its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutOfRange {
-    /// The number's field.
     pub field: &'static NumberField,
-    /// The value.
     pub value: f64,
 }
 
@@ -217,10 +198,7 @@ impl SimulatorCommand {
         }
     }
 
-    /// Checks that every number is in its range.
-    ///
-    /// # Errors
-    /// A number is out of its range or not finite.
+    /// Fails if a number is out of its range or not finite.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         match *self {
             Self::Kidnap { forward_m, left_m, turn_rad } => {
@@ -252,7 +230,6 @@ impl SimulatorCommand {
 }
 
 impl fmt::Display for SimulatorCommand {
-    /// The name with the command's values, for people.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.name();
         match self {

@@ -56,23 +56,18 @@ space!(/// Fixed to the marker on the robot that the camera sees.
 /// A point in the space `S`.
 #[derive(Debug)]
 pub struct Point2<S> {
-    /// Along the first axis.
     pub x: Meters,
-    /// Along the second axis.
     pub y: Meters,
     space: PhantomData<S>,
 }
 
 impl<S> Point2<S> {
-    /// The space's origin.
     pub const ORIGIN: Self = Self::new(Meters(0.0), Meters(0.0));
 
-    /// The point (x, y).
     pub const fn new(x: Meters, y: Meters) -> Self {
         Self { x, y, space: PhantomData }
     }
 
-    /// The straight distance between two points of one space.
     pub fn distance(self, other: Self) -> Meters {
         Meters((self.x.0 - other.x.0).hypot(self.y.0 - other.y.0))
     }
@@ -98,11 +93,10 @@ impl<S> Default for Point2<S> {
 /// The rigid transform that turns coordinates in `Source` into coordinates in `Target`: a rotation, then a translation.
 #[derive(Debug)]
 pub struct Transform2<Target, Source> {
-    /// Where the origin of `Source` lies in `Target`, along x.
+    /// Position of the origin of `Source` in `Target`.
     pub x: Meters,
-    /// Where the origin of `Source` lies in `Target`, along y.
     pub y: Meters,
-    /// Where the x axis of `Source` points in `Target`.
+    /// Direction of the x axis of `Source` in `Target`.
     pub heading: Heading,
     spaces: PhantomData<(Target, Source)>,
 }
@@ -116,7 +110,6 @@ impl<Target, Source> Transform2<Target, Source> {
         Self { x, y, heading, spaces: PhantomData }
     }
 
-    /// The transform back.
     pub fn inverse(self) -> Transform2<Source, Target> {
         let (sin, cos) = self.heading.rad().sin_cos();
         Transform2::new(
@@ -126,7 +119,6 @@ impl<Target, Source> Transform2<Target, Source> {
         )
     }
 
-    /// The origin of `Source`, as a point of `Target`.
     pub const fn origin(self) -> Point2<Target> {
         Point2::new(self.x, self.y)
     }
