@@ -28,7 +28,7 @@ use posebridge_telemetry::Timestamp;
 use crate::bricks::nxt::NxtStatus;
 use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 
-/// Guesses the protocol of `bytes`, in the order in which they came; datagrams one behind the other.
+/// Detects the protocol of `bytes`, in the order of their arrival; datagrams are concatenated.
 pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
     if bytes.is_empty() {
         return UnitCounts::default().detection(Protocol::NoData);
@@ -68,7 +68,6 @@ fn mavlink(bytes: &[u8]) -> (UnitCounts, UnitCounts) {
     (v1, v2)
 }
 
-/// Sentences whose checksum matches.
 fn nmea_sentences(bytes: &[u8]) -> UnitCounts {
     let mut tally = UnitCounts::default();
     for line in bytes.split(|byte| *byte == b'\n') {
@@ -79,7 +78,7 @@ fn nmea_sentences(bytes: &[u8]) -> UnitCounts {
     tally
 }
 
-/// The length of the sentence that ends the line, without the line end; noise may stand in front.
+/// The length of the sentence that ends the line, without the line end; noise may come before it.
 fn nmea_length(line: &[u8]) -> Option<usize> {
     let line = line.strip_suffix(b"\r").unwrap_or(line);
     let start = line.iter().rposition(|byte| *byte == b'$' || *byte == b'!')?;
@@ -96,7 +95,7 @@ const fn is_printable(byte: u8) -> bool {
     matches!(byte, 0x20..=0x7E)
 }
 
-/// The lines, if nearly all bytes are text. What follows the last line end is not a whole line.
+/// The lines, if nearly all bytes are text. The rest after the last line end does not count.
 fn text_lines(bytes: &[u8]) -> Option<UnitCounts> {
     let is_text = |byte: &&u8| is_printable(**byte) || b"\r\n\t".contains(*byte);
     let text_bytes = bytes.iter().filter(is_text).count();
@@ -106,36 +105,31 @@ fn text_lines(bytes: &[u8]) -> Option<UnitCounts> {
         .then_some(UnitCounts { frames: memchr::memchr_iter(end, bytes).count(), bytes: whole })
 }
 
-/// Text, or an EV3 that announces itself by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
+/// Text, or the announcement of an EV3 by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
 fn text_protocol(bytes: &[u8]) -> Protocol {
     const ANNOUNCEMENT: &[u8] = b"Protocol: EV3";
     let announces = bytes.windows(ANNOUNCEMENT.len()).any(|window| window == ANNOUNCEMENT);
     if announces { Protocol::Ev3 } else { Protocol::Text }
 }
 
-/// What a link may carry.
+/// A protocol that a link may carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Protocol {
-    /// MAVLink 2.
     Mavlink2,
-    /// MAVLink 1.
     Mavlink1,
-    /// NXT telegrams over Bluetooth, each behind its length.
+    /// NXT telegrams over Bluetooth, each with its length before it.
     Nxt,
-    /// EV3 telegrams, or the brick's announcement of itself by UDP.
+    /// EV3 telegrams, or the brick's announcement by UDP.
     Ev3,
-    /// NMEA 0183 sentences, as satellite receivers send them.
+    /// NMEA 0183 sentences, as from satellite receivers.
     Nmea,
-    /// Lines of text.
     Text,
-    /// Bytes that fit nothing: another protocol, or the wrong speed.
+    /// Another protocol, or the wrong baud rate.
     Unrecognized,
-    /// No byte.
     NoData,
 }
 
 impl Protocol {
-    /// Its name for people.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mavlink2 => "MAVLink 2",
@@ -149,7 +143,7 @@ impl Protocol {
         }
     }
 
-    /// The row of [`crate::bricks::BRICK_PROTOCOLS`] that would read it, if this program has it; `None` for what no robot speaks.
+    /// The row of [`crate::bricks::BRICK_PROTOCOLS`] that decodes it; `None` if there is none.
     pub const fn codec(self) -> Option<&'static str> {
         match self {
             Self::Mavlink2 | Self::Mavlink1 => Some("mavlink"),
@@ -160,25 +154,24 @@ impl Protocol {
         }
     }
 
-    /// True if each frame proves itself by a checksum, so that a few of them leave no doubt.
+    /// Whether its frames have checksums, so that a few of them are proof.
     pub const fn is_checked(self) -> bool {
         matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea)
     }
 
-    /// True for everything but noise and silence.
+    /// False for noise and silence.
     pub const fn is_known(self) -> bool {
         !matches!(self, Self::Unrecognized | Self::NoData)
     }
 }
 
-/// What was recognised.
+/// The result of a detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProtocolDetection {
-    /// The protocol.
     pub protocol: Protocol,
     /// Whole frames, telegrams, sentences or lines; 0 for noise and silence.
     pub frames: usize,
-    /// Bytes of these, out of all that was heard.
+    /// Bytes of these, among all bytes.
     pub frame_bytes: usize,
 }
 
@@ -204,17 +197,16 @@ impl UnitCounts {
 const NXT_MAX_BYTES: usize = 128;
 /// Longest that an EV3 sends: its buffer for replies.
 const EV3_MAX_BYTES: usize = 1024;
-/// How far a first telegram may have begun before the bytes do, EV3's longest.
+/// Largest offset of the first whole telegram, the EV3's longest.
 const MAX_SKIPPED: usize = EV3_MAX_BYTES + LENGTH_BYTES;
-/// Bytes of the length in front of each telegram.
 const LENGTH_BYTES: usize = 2;
-/// Telegrams in a row that are needed when they do not start at the first byte.
+/// Least number of telegrams in a row when they do not start at the first byte.
 const MIN_TELEGRAMS: usize = 3;
 
-/// Whether bytes without their length are a telegram that a brick of this kind sends.
+/// Whether bytes, without their length, are a telegram from a brick of this kind.
 type TelegramPredicate = fn(&[u8]) -> bool;
 
-/// No telegram is one of both.
+/// The predicates exclude each other.
 const TELEGRAM_KINDS: &[(Protocol, TelegramPredicate)] = &[(Protocol::Ev3, is_of_ev3), (Protocol::Nxt, is_of_nxt)];
 
 /// The protocol whose telegrams fill the bytes.
@@ -232,7 +224,7 @@ fn detect_telegrams(bytes: &[u8]) -> Option<(Protocol, UnitCounts)> {
     None
 }
 
-/// The telegrams, if they follow each other until fewer bytes are left than the last one claims.
+/// The telegrams, if they follow each other until fewer bytes remain than the last one's length.
 fn count_chain(mut rest: &[u8], is_telegram: TelegramPredicate) -> Option<UnitCounts> {
     let mut tally = UnitCounts::default();
     while let Some((length, behind)) = rest.split_first_chunk::<LENGTH_BYTES>() {
@@ -250,7 +242,7 @@ fn count_chain(mut rest: &[u8], is_telegram: TelegramPredicate) -> Option<UnitCo
     Some(tally)
 }
 
-/// A reply with a status that the firmware knows, or a message from a program on the brick.
+/// A reply with a known status, or a message from a program on the brick.
 fn is_of_nxt(telegram: &[u8]) -> bool {
     if telegram.len() > NXT_MAX_BYTES {
         return false;
@@ -267,7 +259,7 @@ const fn is_nxt_opcode(opcode: u8) -> bool {
     matches!(opcode, 0x00..=0x13 | 0x80..=0xA2)
 }
 
-/// A reply behind its counter, or a mailbox that a program on the brick writes.
+/// A reply after its counter, or a mailbox write by a program on the brick.
 fn is_of_ev3(telegram: &[u8]) -> bool {
     match telegram {
         // Replies to direct and to system commands, with and without an error.

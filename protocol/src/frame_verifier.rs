@@ -1,4 +1,4 @@
-//! Decides who sent a frame: checks its signature and counts what its sender's sequence numbers say is missing.
+//! Authenticates frames by their signatures, and counts missing frames by their senders' sequence numbers.
 //!
 //! One verifier serves one link. All peers of a link share its key and its signing streams; each peer has sequence numbers of its own,
 //! because two robots behind one socket may have the same address.
@@ -14,18 +14,17 @@ use crate::framing::{FramerOutput, SequenceTracker};
 use crate::routing::SenderCheck;
 use crate::signing::{FrameSigner, LinkSigner, SigningConfig, SigningState};
 
-/// Most senders that [`FrameVerifier::source_health`] lists; those with the most frames. A class of robots has a few hundred.
+/// Most senders in [`FrameVerifier::source_health`], those with the most frames. A class of robots has a few hundred.
 const MAX_SENDERS: usize = 1_024;
-/// Most peers whose sequence numbers outlive a loss of the link, those with the highest ids: a link with one peer always calls it 0,
-/// and a link with several gives a returning peer a new id.
+/// Most peers whose sequence numbers are kept after a loss of the link, those with the highest ids: the peer of a link
+/// with one peer is always 0, and a link with several gives a returning peer a new id.
 const MAX_SUSPENDED: usize = 16;
 
-/// What is known about the sender of a frame that may be used.
+/// The authentication and the loss count of an accepted frame.
 #[derive(Clone, Copy, Debug)]
 pub struct VerifiedSender {
-    /// Whether the frame comes from the address that it names.
     pub check: SenderCheck,
-    /// How many more of the sender's frames are now known to be missing.
+    /// Increase in the number of the sender's missing frames.
     pub missing: u32,
 }
 
@@ -38,14 +37,14 @@ impl VerifiedSender {
 pub struct FrameVerifier {
     signer: Option<LinkSigner>,
     present: BTreeMap<PeerId, SequenceTracker>,
-    /// Peers that were present when the link was lost: one that comes back under its id goes on where it was.
+    /// Peers that were present when the link was lost; one that returns under its id continues its sequence.
     suspended: BTreeMap<PeerId, SequenceTracker>,
-    /// Totals of peers that were forgotten.
+    /// Totals of forgotten peers.
     closed_sources: BTreeMap<Address, SourceHealth>,
 }
 
 impl FrameVerifier {
-    /// `signing` is the link's key; without one every frame is taken for its sender's.
+    /// `signing` is the link's key; without one every sender is taken to be authentic.
     pub fn new(signing: Option<SigningConfig>) -> Self {
         Self {
             signer: signing.map(LinkSigner::new),
@@ -55,8 +54,8 @@ impl FrameVerifier {
         }
     }
 
-    /// Who sent what a framer has found. An error of the framer has no sender.
-    /// Fails if the link has a key and the frame's signature does not hold.
+    /// Verifies a framer's frame. A framer's error has no sender. Fails if the link has a key and the frame's signature
+    /// is invalid.
     pub fn verify(
         &mut self,
         now: Timestamp<HostClock>,
@@ -81,7 +80,7 @@ impl FrameVerifier {
         Ok(VerifiedSender { check: SenderCheck::Verified, missing: sequences.record(frame, now) })
     }
 
-    /// A peer is gone for good; what it had counted stays counted.
+    /// Forgets a peer that will not return; its counts are kept.
     pub fn forget(&mut self, peer: PeerId) {
         if let Some(sequences) = self.present.remove(&peer) {
             add_sources(&mut self.closed_sources, &sequences);
@@ -89,8 +88,8 @@ impl FrameVerifier {
         }
     }
 
-    /// The link was lost. What a sender sends next still follows what it sent last, so that what it sent meanwhile is known to be
-    /// missing.
+    /// The link was lost. The next frame of each sender still continues its sequence, so that frames sent in the
+    /// meantime count as missing.
     pub fn handle_link_loss(&mut self) {
         for (peer, mut sequences) in std::mem::take(&mut self.present) {
             sequences.handle_link_loss();
@@ -103,7 +102,7 @@ impl FrameVerifier {
         }
     }
 
-    /// What each sender has sent, in the order of their addresses.
+    /// Counters per sender, in the order of addresses.
     pub fn source_health(&self) -> Vec<SourceHealth> {
         let mut sources = self.closed_sources.clone();
         for sequences in self.present.values().chain(self.suspended.values()) {
@@ -113,28 +112,27 @@ impl FrameVerifier {
         sources.into_values().collect()
     }
 
-    /// Whether the link has a key.
     pub const fn is_signed(&self) -> bool {
         self.signer.is_some()
     }
 
-    /// What the next outgoing frame is signed with; `None` without a key, or while no signing time can be given.
+    /// Signs the next outgoing frame; `None` without a key, or when there is no later signing time.
     pub fn next_signer(&mut self, now: Timestamp<HostClock>) -> Option<FrameSigner<'_>> {
         self.signer.as_mut()?.next_signer(now)
     }
 
-    /// What must be known after a restart; `None` without a key.
+    /// The state to keep for a restart; `None` without a key.
     pub fn signing_state(&self, now: Timestamp<HostClock>) -> Option<SigningState> {
         self.signer.as_ref().map(|signer| signer.state(now))
     }
 
-    /// How many signed streams were received for the first time.
+    /// Number of signed streams that were new.
     pub fn signing_stream_count(&self) -> u64 {
         self.signer.as_ref().map_or(0, LinkSigner::streams_seen)
     }
 }
 
-/// Beyond the limit of senders, those with the most frames stay: the others were invented, or are damage.
+/// Keeps the senders with the most frames, up to the limit: the others are invented, or damage.
 fn retain_most_active(sources: &mut BTreeMap<Address, SourceHealth>) {
     if sources.len() <= MAX_SENDERS {
         return;

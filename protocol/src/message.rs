@@ -11,31 +11,31 @@ use posebridge_telemetry::{
 
 use crate::dialect::ids::{COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL};
 
-/// The largest message id: 24 bits, all of them exact in a 32-bit float.
+/// The largest message id: 24 bits, exact in a 32-bit float.
 const LARGEST_ID: f32 = 16_777_215.0;
 
 /// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
 pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
 
-/// A message that the station, the simulated brick or the camera says or understands.
+/// A message in either direction between station, brick and camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
     /// HEARTBEAT (0).
     Heartbeat(Heartbeat),
-    /// SYSTEM_TIME (2): milliseconds since boot; a fall means a restart.
+    /// SYSTEM_TIME (2): a fall of the time since boot means a restart.
     SystemTime {
-        /// Unix time in microseconds, 0 if unknown.
+        /// 0 if unknown.
         unix_micros: u64,
-        /// Time since boot.
+        /// In milliseconds.
         since_boot: WireStamp,
     },
     /// TIMESYNC (111).
     TimeSync(TimeSync),
     /// COMMAND_LONG (76) with MAV_CMD_SET_MESSAGE_INTERVAL (511).
     SetMessageInterval(SetMessageInterval),
-    /// COMMAND_LONG (76) with any other command, known to us or not.
+    /// COMMAND_LONG (76) with any other command.
     Command(CommandLong),
-    /// COMMAND_INT (75), whatever the command.
+    /// COMMAND_INT (75) with any command.
     CommandInt(CommandInt),
     /// COMMAND_ACK (77).
     CommandAck(CommandAck),
@@ -45,7 +45,6 @@ pub enum Message {
         severity: u8,
         /// At most 50 bytes on the wire.
         text: String,
-        /// Which part of a longer text.
         part: TextPart,
     },
     /// AUTOPILOT_VERSION (148).
@@ -56,7 +55,7 @@ pub enum Message {
     ComponentInformation(ComponentInformation),
     /// MESSAGE_INTERVAL (244).
     MessageInterval(MessageInterval),
-    /// NAMED_VALUE_FLOAT (251), temperatures apart: those are [`Self::Thermometer`].
+    /// NAMED_VALUE_FLOAT (251), except temperatures: those are [`Self::Thermometer`].
     NamedValue(NamedValue),
     /// DEBUG_FLOAT_ARRAY (350).
     FloatArray(FloatArray),
@@ -70,43 +69,37 @@ pub enum Message {
     FusionHealth(FusionHealth),
     /// PB_ROBOT_DESCRIPTION (own dialect).
     RobotDescription(RobotDescription),
-    /// WHEEL_DISTANCE (9000), first two wheels: left, right.
+    /// WHEEL_DISTANCE (9000), first two wheels: distance since boot.
     WheelDistance {
         /// End of the interval.
         stamp: WireStamp,
-        /// Distance that the left wheel has rolled since boot.
         left: Meters,
-        /// Distance that the right wheel has rolled since boot.
         right: Meters,
     },
-    /// SCALED_IMU (26), RAW-scaled to SI; only the planar parts.
+    /// SCALED_IMU (26) in SI units; only the planar parts.
     ScaledImu(PlanarImu),
     /// HIGHRES_IMU (105), only the planar parts.
     HighresImu(PlanarImu),
     /// DISTANCE_SENSOR (132), forward looking.
     DistanceSensor {
-        /// Instant of the range.
         stamp: WireStamp,
-        /// The range.
         range: Meters,
-        /// Standard deviation, if the sender knows it.
+        /// `None` if the sender does not know it.
         sigma: Option<Meters>,
     },
-    /// SCALED_PRESSURE (29), the temperature alone; its channel is called [`SCALED_PRESSURE_CHANNEL`]. NAMED_VALUE_FLOAT (251) with a
-    /// name that begins with `temp`, in degrees Celsius.
+    /// SCALED_PRESSURE (29), only the temperature; its channel is [`SCALED_PRESSURE_CHANNEL`]. NAMED_VALUE_FLOAT (251)
+    /// with a name that begins with `temp`, in degrees Celsius.
     Thermometer {
         /// Time since the sender's boot.
         stamp: WireStamp,
-        /// Which of the sender's thermometers; at most ten bytes on the wire.
+        /// At most ten bytes on the wire.
         channel: ChannelName,
-        /// What it shows.
         temperature: Celsius,
     },
-    /// A compass. No MAVLink message carries it here; bricks with protocols of their own have one.
+    /// A compass. No MAVLink message carries it here; only bricks with other protocols send it.
     Compass {
-        /// Instant of the reading.
         stamp: WireStamp,
-        /// Heading in the arena, as far as the compass's zero is known.
+        /// Heading in the arena, if the compass's zero is configured.
         heading: Heading,
     },
     /// VISION_POSITION_ESTIMATE (102): a fix from outside, of the body's origin.
@@ -119,79 +112,68 @@ pub enum Message {
     LocalPosition {
         /// Time since the sender's boot.
         stamp: WireStamp,
-        /// x east, y north in the arena.
+        /// East in the arena; `y` is north.
         x: Meters,
-        /// See `x`.
         y: Meters,
-        /// Speed along the arena's x.
+        /// Along the arena's x.
         x_speed: MetersPerSecond,
-        /// Speed along the arena's y.
+        /// Along the arena's y.
         y_speed: MetersPerSecond,
     },
     /// ATTITUDE (30), the planar parts.
     Attitude {
         /// Time since the sender's boot.
         stamp: WireStamp,
-        /// Heading in the arena.
+        /// In the arena.
         heading: Heading,
-        /// Turn rate, counter-clockwise positive.
+        /// Counter-clockwise positive.
         turn_rate: RadiansPerSecond,
     },
     /// ESTIMATOR_STATUS (230).
     EstimatorStatus(EstimatorStatus),
     /// PARAM_REQUEST_LIST (21).
-    ParamRequestList {
-        /// Whose parameters.
-        target: Address,
-    },
+    ParamRequestList { target: Address },
     /// PARAM_REQUEST_READ (20).
     ParamRequestRead {
-        /// Whose parameter.
         target: Address,
-        /// Its name, at most 16 bytes, empty if asked by index.
+        /// At most 16 bytes; empty in a request by index.
         name: String,
-        /// Its index, -1 if asked by name.
+        /// -1 in a request by name.
         index: i16,
     },
     /// PARAM_SET (23), real-valued.
     ParamSet {
-        /// Whose parameter.
         target: Address,
-        /// Its name, at most 16 bytes.
+        /// At most 16 bytes.
         name: String,
-        /// The new value.
         value: f32,
     },
     /// PARAM_SET (23) of a type that does not fit into 32 bits or does not exist. The sender gets the present value.
     ParamSetUnsupported {
-        /// Whose parameter.
         target: Address,
-        /// Its name, at most 16 bytes.
+        /// At most 16 bytes.
         name: String,
         /// MAV_PARAM_TYPE of the value.
         kind: u8,
     },
     /// PARAM_VALUE (22), real-valued.
     ParamValue {
-        /// Its name, at most 16 bytes.
+        /// At most 16 bytes.
         name: String,
-        /// The value.
         value: f32,
-        /// How many parameters there are.
         count: u16,
-        /// The index of this one.
         index: u16,
     },
 }
 
 impl Message {
-    /// The number of the tag that a fix is of, if it has one.
+    /// The number of the tag of a fix, if it has one.
     pub const fn fix_tag(&self) -> Option<u32> {
         if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
     }
 
-    /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for the conversation, in which an
-    /// answer holds two clocks.
+    /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for requests and replies, some of
+    /// which hold two clocks.
     pub const fn stamp(&self) -> Option<WireStamp> {
         match self {
             Self::WheelTicks(WheelTicks { stamp, .. })
@@ -248,14 +230,14 @@ pub struct Heartbeat {
     pub system_status: u8,
 }
 
-/// One half of a time exchange.
+/// A time request or its reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeSync {
-    /// Clock of the answering side, ns; 0 in a request.
+    /// Clock of the replying side; 0 in a request.
     pub answer_nanos: i64,
-    /// Clock of the asking side when it asked, ns; echoed in the answer.
+    /// Clock of the requesting side at the request; echoed in the reply.
     pub request_nanos: i64,
-    /// Whom it is for; `None` on the wire is 0/0, a broadcast.
+    /// `None` on the wire is 0/0, a broadcast.
     pub target: Option<Address>,
 }
 
@@ -265,17 +247,15 @@ pub(crate) const STOP_INTERVAL: f32 = -1.0;
 /// A request to send a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SetMessageInterval {
-    /// Whom it is for.
     pub target: Address,
-    /// The message's id.
     pub message_id: u32,
     /// The interval; `None` stops the message, zero asks for the sender's default.
     pub interval: Option<TimeDelta>,
 }
 
 impl SetMessageInterval {
-    /// The request that a command is; `None` if it is another one, or its parameters name no message or no interval. Of negative ones
-    /// only -1 has a meaning.
+    /// `None` for another command, or if its parameters are no message id or no interval. The only valid negative
+    /// interval is -1.
     pub fn from_command(command: &CommandLong) -> Option<Self> {
         let [_, interval_micros, ..] = command.params;
         let message_id = command.named_message()?;
@@ -290,19 +270,18 @@ impl SetMessageInterval {
     }
 }
 
-/// Any other command.
+/// Any command except MAV_CMD_SET_MESSAGE_INTERVAL.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandLong {
-    /// Whom it is for.
     pub target: Address,
-    /// MAV_CMD, known to us or not.
+    /// MAV_CMD, supported or not.
     pub command: u16,
-    /// Its seven parameters.
     pub params: [f32; 7],
 }
 
 impl CommandLong {
-    /// The message that a command about a message names by its first parameter; `None` for other commands, and for what is no id.
+    /// The message id in the first parameter of a command about a message; `None` for other commands, and for an
+    /// invalid id.
     pub fn named_message(&self) -> Option<u32> {
         let is_about_one = matches!(
             self.command,
@@ -316,19 +295,18 @@ impl CommandLong {
 /// Any command, with coordinates in integers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandInt {
-    /// Whom it is for.
     pub target: Address,
     /// MAV_FRAME of the coordinates.
     pub frame: u8,
-    /// MAV_CMD, known to us or not.
+    /// MAV_CMD, supported or not.
     pub command: u16,
-    /// Its first four parameters.
+    /// The first four parameters.
     pub params: [f32; 4],
-    /// The fifth: metres times 10^4 in a local frame, degrees of latitude times 10^7 in a global one, itself in a frame of neither kind.
+    /// The fifth parameter: metres times 10^4 in a local frame, degrees of latitude times 10^7 in a global one,
+    /// unscaled in other frames. `y` is the sixth, in the same way.
     pub x: i32,
-    /// The sixth, like `x`.
     pub y: i32,
-    /// The seventh.
+    /// The seventh parameter.
     pub z: f32,
 }
 
@@ -354,43 +332,41 @@ impl CommandInt {
     }
 }
 
-/// What becomes of a command: MAV_RESULT of common.xml, those that are sent or understood here.
+/// MAV_RESULT of common.xml: the results that are sent or understood here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum CommandResult {
-    /// It is valid and was done.
+    /// Valid, and carried out.
     Accepted = 0,
-    /// It is valid but cannot be done now; the sender may try again.
+    /// Valid, but cannot be carried out now; the sender may try again.
     TemporarilyRejected = 1,
-    /// It is known but its parameters are not valid.
+    /// Supported, but its parameters are invalid.
     Denied = 2,
-    /// It is not known here.
     Unsupported = 3,
-    /// It is valid, was tried, and did not succeed.
+    /// Valid, but it failed.
     Failed = 4,
-    /// It was begun; another answer follows.
+    /// Started; another reply follows.
     InProgress = 5,
 }
 
 /// The answer to a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandAck {
-    /// The command that is answered.
     pub command: u16,
     /// MAV_RESULT: 0 accepted, 2 denied, 3 unsupported, 4 failed.
     pub result: u8,
-    /// Who asked; `None` on the wire is 0/0.
+    /// `None` on the wire is 0/0.
     pub target: Option<Address>,
 }
 
-/// Total encoder counts of both wheels.
+/// Total encoder counts of both wheels, forward positive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WheelTicks {
-    /// When they were read.
+    /// When the counts were read.
     pub stamp: WireStamp,
-    /// The left wheel, forward positive; 32 bits on the wire, wraps.
+    /// 32 bits on the wire, wraps.
     pub left: EncoderTicks,
-    /// The right wheel, forward positive; 32 bits on the wire, wraps.
+    /// 32 bits on the wire, wraps.
     pub right: EncoderTicks,
 }
 
@@ -399,7 +375,7 @@ pub struct WheelTicks {
 pub struct Inertial {
     /// End of the interval over which the rates are means.
     pub stamp: WireStamp,
-    /// Turn rate, bias included.
+    /// Bias included.
     pub turn_rate: Option<RadiansPerSecond>,
     /// Turn since power-up, bias included, so that a lost frame costs nothing.
     pub turn: Option<Radians>,
@@ -410,11 +386,10 @@ pub struct Inertial {
 /// The planar parts of an inertial measurement unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarImu {
-    /// Instant of the sample.
     pub stamp: WireStamp,
-    /// Turn rate about the vertical, counter-clockwise positive.
+    /// Counter-clockwise positive.
     pub turn_rate: Option<RadiansPerSecond>,
-    /// Forward acceleration of the body.
+    /// Of the body.
     pub forward_acceleration: Option<MetersPerSecondSquared>,
 }
 
@@ -423,7 +398,6 @@ pub struct PlanarImu {
 pub struct PlanarPose {
     /// Brick time for which it holds, microseconds, wrapped as the brick's own counter.
     pub stamp: WireStamp,
-    /// Where the robot is.
     pub pose: Pose<Arena>,
     /// Along the body's x axis.
     pub forward_speed: MetersPerSecond,
@@ -435,32 +409,31 @@ pub struct PlanarPose {
     pub fix_age: Option<TimeDelta>,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
-    /// What of it may be used.
+    /// The valid parts.
     pub flags: PoseFlags,
 }
 
-/// What of a [`PlanarPose`] may be used.
+/// The valid parts of a [`PlanarPose`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[expect(clippy::struct_excessive_bools, reason = "five independent bits of the wire, each with a name")]
 pub struct PoseFlags {
-    /// Bit 0: the position is meaningful.
+    /// Bit 0.
     pub position_valid: bool,
-    /// Bit 1: the heading is meaningful.
+    /// Bit 1.
     pub heading_valid: bool,
-    /// Bit 2: the speeds are meaningful.
+    /// Bit 2.
     pub speeds_valid: bool,
-    /// Bit 3: nothing absolute has been used for a while.
+    /// Bit 3: no absolute observation has been used for a while.
     pub dead_reckoning: bool,
     /// Bit 4: predicted ahead of the last observation, to the time at which it arrives.
     pub predicted: bool,
 }
 
-/// How the last observation of one sensor fared.
+/// The outcome of the last observation of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionHealth {
     /// Brick time of the observation, microseconds.
     pub stamp: WireStamp,
-    /// The sensor.
     pub sensor: SensorId,
     /// 0 accepted, 1 gated, 2 too old, 3 malformed, 4 re-based, 5 reset to, 6 unused.
     pub verdict: u8,
@@ -468,11 +441,11 @@ pub struct FusionHealth {
     pub nis_per_dof: f64,
     /// Innovation, SI units, up to three components.
     pub innovation: [f64; 3],
-    /// How late it was; saturates at 65.535 s.
+    /// Saturates at 65.535 s.
     pub lag: TimeDelta,
-    /// Accepted observations of this sensor so far, wraps.
+    /// Wraps.
     pub accepted: u16,
-    /// Refused observations of this sensor so far, wraps.
+    /// Wraps.
     pub refused: u16,
 }
 
@@ -481,17 +454,15 @@ pub struct FusionHealth {
 pub struct RobotDescription {
     /// At most 16 bytes.
     pub name: String,
-    /// Radius of the left wheel.
     pub left_wheel_radius: Meters,
-    /// Radius of the right wheel.
     pub right_wheel_radius: Meters,
     /// Distance between the wheels' contact points.
     pub track_width: Meters,
-    /// Encoder counts per turn of a wheel.
+    /// Per turn of a wheel.
     pub ticks_per_turn: f64,
-    /// Gyro noise per sample, one standard deviation; 0 when there is no gyro.
+    /// Per sample, one standard deviation; 0 without a gyro.
     pub gyro_sigma: RadiansPerSecond,
-    /// Resolution of the gyro; 0 when it is fine or absent.
+    /// 0 when it is finer than the noise, or without a gyro.
     pub gyro_resolution: RadiansPerSecond,
 }
 
@@ -500,40 +471,37 @@ pub struct RobotDescription {
 pub struct VisionFix {
     /// The observer's own clock, middle of the exposure.
     pub stamp: WireStamp,
-    /// Position in the arena.
+    /// In the arena.
     pub x: Meters,
-    /// Position in the arena.
     pub y: Meters,
-    /// Heading in the arena; NaN on the wire when the observer does not know it.
+    /// NaN on the wire when the observer does not know it.
     pub heading: Option<Heading>,
-    /// Variances of x, y, heading and the covariance of x and y, if the observer knows them: xx, xy, yy, heading.
+    /// xx, xy, yy and heading, if the observer knows them.
     pub covariance: Option<[f64; 4]>,
-    /// Counts the observer's own jumps.
+    /// Counts the jumps of the observer's frame.
     pub reset_counter: u8,
-    /// The number of the tag that was seen; MAVLink's messages have none.
+    /// MAVLink's messages have none.
     pub tag: Option<u32>,
 }
 
-/// ODOMETRY, the interoperable pose with covariance.
+/// ODOMETRY: a pose with covariance in the standard dialect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Odometry {
-    /// The instant for which it holds.
     pub stamp: WireStamp,
-    /// Pose, in the space that its kind says.
     pub pose: OdometryPose,
     /// Along the body's x axis.
     pub forward_speed: MetersPerSecond,
     /// About the vertical.
     pub turn_rate: RadiansPerSecond,
-    /// Upper triangle of the pose covariance as in [`PlanarPose::covariance`], if known.
+    /// As in [`PlanarPose::covariance`], if known.
     pub covariance: Option<[f64; 6]>,
     /// Counts jumps that are not motion.
     pub reset_counter: u8,
-    /// -1 failed, 0 unset, 1 to 100 per cent.
+    /// In per cent from 1; 0 unset, -1 failed.
     pub quality: i8,
 }
 
-/// In which space an [`Odometry`] lives.
+/// The frame of an [`Odometry`] pose, with the pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OdometryPose {
     /// A pose in the arena (estimator type vision or mocap, or the station's own output).
@@ -545,13 +513,12 @@ pub enum OdometryPose {
 /// ESTIMATOR_STATUS, the parts that make sense for a planar robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EstimatorStatus {
-    /// The instant for which it holds.
     pub stamp: WireStamp,
-    /// Which parts are good.
+    /// The valid parts.
     pub flags: PoseFlags,
     /// Horizontal position innovation test ratio: NIS over gate.
     pub position_ratio: f64,
-    /// One standard deviation of the horizontal position.
+    /// One standard deviation, horizontal.
     pub position_sigma: Meters,
 }
 
@@ -567,11 +534,11 @@ pub struct AutopilotVersion {
 /// PROTOCOL_VERSION (300), in hundredths: MAVLink 2 is 200.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProtocolVersion {
-    /// What is spoken.
+    /// The version in use.
     pub version: u16,
-    /// The oldest that is understood.
+    /// The oldest supported version.
     pub min_version: u16,
-    /// The newest that is understood.
+    /// The newest supported version.
     pub max_version: u16,
 }
 
@@ -593,9 +560,9 @@ pub struct ComponentInformation {
 /// MESSAGE_INTERVAL (244).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageInterval {
-    /// The message; the wire has room for 16 bits of its id.
+    /// The wire has only 16 bits of the id.
     pub message_id: u16,
-    /// Microseconds between two of them; -1 when it is not sent, 0 when the sender has no such message.
+    /// -1 when the message is not sent, 0 when the sender has no such message.
     pub interval_micros: i32,
 }
 
@@ -606,7 +573,7 @@ pub struct NamedValue {
     pub stamp: WireStamp,
     /// At most ten bytes on the wire.
     pub name: ChannelName,
-    /// The number, in whatever unit its name stands for.
+    /// In the unit that its name stands for.
     pub value: f32,
 }
 
@@ -619,22 +586,22 @@ pub struct FloatArray {
     pub name: ChannelName,
     /// Distinguishes arrays of one sender.
     pub id: u16,
-    /// At most 58 numbers; zeros at the end are not distinguished from none.
+    /// At most 58 numbers; zeros at the end are truncated on the wire.
     pub values: Vec<f32>,
 }
 
-/// Which part of a text a STATUSTEXT is. The default is the whole of it.
+/// The position of a STATUSTEXT in a longer text. The default is a whole text.
 ///
 /// Source: common.xml, STATUSTEXT (extension fields id and chunk_seq).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TextPart {
-    /// The text that it is a part of; 0 for a text of one part.
+    /// The id of the longer text; 0 for a text of one part.
     pub text_id: u16,
-    /// Which of its parts, from 0.
+    /// From 0.
     pub index: u8,
 }
 
-/// A time stamp as it stood on the wire, before unwrapping and alignment.
+/// A timestamp as on the wire, before unwrapping and alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WireStamp {
     /// Microseconds in 32 bits; wraps after 71.6 minutes.
@@ -643,17 +610,17 @@ pub enum WireStamp {
     Millis32(u32),
     /// Microseconds in 64 bits.
     Micros64(u64),
-    /// None: the brick was asked, and looked between question and answer by the clock of whoever asked. Never on a wire.
+    /// Without a timestamp: the brick was polled, and the value was read between request and reply by the clock of the
+    /// requesting side. Never on a wire.
     HostInterval {
-        /// When the question left.
         sent: Timestamp<HostClock>,
-        /// When the last byte of the answer was there.
+        /// When the last byte of the reply arrived.
         answered: Timestamp<HostClock>,
     },
 }
 
 impl WireStamp {
-    /// In whole microseconds as it stands there; of an answer the middle between question and answer, by the clock of who asked.
+    /// In whole microseconds as on the wire; for a `HostInterval` the middle between request and reply.
     pub const fn as_micros(self) -> u64 {
         match self {
             Self::Micros32(micros) => micros as u64,

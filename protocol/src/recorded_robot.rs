@@ -23,17 +23,17 @@ const GROUND_ROVER: u8 = 10;
 const ACTIVE: u8 = 4;
 const HEARTBEAT: Heartbeat =
     Heartbeat { vehicle_type: GROUND_ROVER, autopilot: 0, base_mode: 0, system_status: ACTIVE };
-/// As often as the simulated brick describes itself: a station that comes later must know the geometry.
+/// The simulated brick's period: a station that connects later needs the geometry.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// No peer is lost while a recording plays.
+/// Longer than any recording, so that no peer is lost while it plays.
 const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// The channel of a recorded thermometer. A named value keeps the digits that SCALED_PRESSURE would round.
 const THERMOMETER: &[u8] = b"temp";
-/// Angles this near to a whole number of counts are counts.
+/// Angles this close to a whole number of counts are sent as counts.
 const COUNT_TOLERANCE: f64 = 1e-6;
 
-/// The brick.
+/// The brick of a recording: sends its observations as MAVLink.
 pub struct RecordedRobot {
     start: Timestamp<BrickClock>,
     geometry: DriveGeometry,
@@ -42,7 +42,7 @@ pub struct RecordedRobot {
     encoder: Encoder,
     bytes: Vec<u8>,
     now: Timestamp<BrickClock>,
-    /// Where held speeds have led: a message for commanded speeds does not exist, one for an odometer does.
+    /// The integral of commanded speeds: no message has commanded speeds, but ODOMETRY has a pose.
     commanded_motion: Option<CommandedMotion>,
     description: RobotDescription,
     last_description: Timestamp<BrickClock>,
@@ -57,7 +57,7 @@ struct CommandedMotion {
 }
 
 impl RecordedRobot {
-    /// A brick whose clock shows `start` when the playing begins.
+    /// `start` is the brick's clock at the start of the playback.
     pub fn new(start: Timestamp<BrickClock>, geometry: DriveGeometry, name: &str) -> Self {
         let config = SessionConfig {
             own: ADDRESS,
@@ -99,7 +99,7 @@ impl RecordedRobot {
         self.encode(&Message::RobotDescription(description));
     }
 
-    /// The brick's clock moves on to this long after the start.
+    /// Sets the brick's clock to `elapsed` after the start.
     pub fn advance_clock(&mut self, elapsed: TimeDelta) {
         self.now = self.now.max(self.start + elapsed);
         self.session.tick(self.now);
@@ -109,7 +109,6 @@ impl RecordedRobot {
         }
     }
 
-    /// Bytes from the station.
     pub fn receive(&mut self, bytes: &[u8]) {
         let mut heard = Vec::new();
         // The framer only measures silence with its clock: any clock will do.
@@ -127,7 +126,7 @@ impl RecordedRobot {
         self.drain_session();
     }
 
-    /// Sends an observation; `false` if there is no message for its kind.
+    /// Sends an observation; `false` if its kind has no message.
     pub fn send(&mut self, observation: &Observation) -> bool {
         let stamp = WireStamp::Micros64(observation.stamp.as_micros().unsigned_abs());
         match self.message(observation, stamp) {
@@ -139,7 +138,6 @@ impl RecordedRobot {
         }
     }
 
-    /// What waits to be sent.
     pub fn take_bytes(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.bytes)
     }

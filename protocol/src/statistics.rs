@@ -20,32 +20,29 @@ use posebridge_telemetry::{Address, HostClock, LinkId, TimeDelta, Timestamp};
 use crate::dialect;
 use crate::framing::{FrameRef, SequenceCounter, WireVersion};
 
-/// Least silence of all senders that is reported: four heartbeats come in it, mostly from several senders.
+/// Shortest silence of all senders that is reported: it normally contains several heartbeats.
 pub const MIN_GAP: TimeDelta = TimeDelta::from_millis(1_000);
-/// Most gaps that are kept; the others are counted.
+/// Most gaps that are kept; the others are only counted.
 const MAX_KEPT_GAPS: usize = 100;
-/// Most senders that are followed; the frames of others are counted as those of a crowd. A flood of made-up addresses must not fill
+/// Most distinguished senders; the frames of others are counted together. A flood of invented addresses must not fill
 /// the memory, and no fleet on one link is larger.
 const MAX_SOURCES: usize = 4_096;
-/// Number of frames of a sender from which one stamp is read: to decode all of them would take longer than everything else.
+/// One of this number of frames of a sender is decoded for its stamp: decoding all would take longer than everything
+/// else.
 const STAMP_SAMPLE_PERIOD: u64 = 16;
-/// A stamp that falls by more is that of a clock that began anew, and not of a message that was overtaken.
+/// A larger fall of a stamp is a clock restart, and not a message that was overtaken.
 const RESTART_THRESHOLD_S: f64 = 1.0;
-/// Below it a drift says more about the link than about the clock, s.
+/// Over a shorter time a drift is dominated by the link, s.
 const MIN_DRIFT_BASELINE_S: f64 = 10.0;
 
-/// Frames of one kind.
+/// Counters of a set of frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MessageStatistics {
-    /// How many.
     pub frames: u64,
-    /// Their bytes, start byte to checksum or signature.
+    /// Start byte to checksum or signature.
     pub bytes: u64,
-    /// When the first came.
     pub first: Option<Timestamp<HostClock>>,
-    /// When the last came.
     pub last: Option<Timestamp<HostClock>>,
-    /// The longest time between two of them.
     pub longest_silence: TimeDelta,
 }
 
@@ -62,7 +59,7 @@ impl MessageStatistics {
         }
     }
 
-    /// The same over what two senders have sent; the silence is the longer of the two.
+    /// The sum of two senders' counters; the silence is the longer of the two.
     pub fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
@@ -73,7 +70,7 @@ impl MessageStatistics {
         }
     }
 
-    /// Frames per second; `None` of fewer than two, or without times.
+    /// Frames per second; `None` for fewer than two frames, or without times.
     pub fn rate_hz(&self) -> Option<f64> {
         let elapsed_s = (self.last? - self.first?).as_secs_f64();
         (self.frames > 1 && elapsed_s > 0.0).then(|| (self.frames - 1) as f64 / elapsed_s)
@@ -84,14 +81,12 @@ fn min_present(one: Option<Timestamp<HostClock>>, other: Option<Timestamp<HostCl
     [one, other].into_iter().flatten().min()
 }
 
-/// What the stamps of one sender show of its clock, by the message that was met first among those that have one.
+/// A sender's clock by the stamps of one message, the first with stamps that it sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SenderClockStatistics {
-    /// The message.
     pub message_id: u32,
-    /// How often the clock began anew.
     pub restarts: u64,
-    /// Stamp and arrival, s, since the clock last began.
+    /// Stamp and arrival, s, after the last restart.
     first: (f64, f64),
     last: (f64, f64),
 }
@@ -105,13 +100,13 @@ impl SenderClockStatistics {
         self.last = (stamp_s, at_s);
     }
 
-    /// Rate of the sender's clock against that of the arrivals, less one, in parts per million; `None` over too short a time.
+    /// Rate of the sender's clock against that of the arrivals, minus one; `None` over too short a time.
     pub fn drift_ppm(&self) -> Option<f64> {
         let elapsed_s = self.last.1 - self.first.1;
         (elapsed_s >= MIN_DRIFT_BASELINE_S).then(|| 1e6 * ((self.last.0 - self.first.0) / elapsed_s - 1.0))
     }
 
-    /// The sender's clock at the last stamp less that of the arrivals, s.
+    /// The sender's clock at the last stamp minus that of the arrivals.
     pub fn offset_s(&self) -> f64 {
         self.last.0 - self.last.1
     }
@@ -120,49 +115,45 @@ impl SenderClockStatistics {
 /// One sender on one link.
 #[derive(Clone, Debug)]
 pub struct SenderStatistics {
-    /// The link.
     pub link: LinkId,
-    /// Who.
     pub address: Address,
-    /// Everything that it has sent.
     pub total: MessageStatistics,
-    /// By message id.
     pub messages: BTreeMap<u32, MessageStatistics>,
-    /// Frames missing by its sequence numbers, were they of one link.
+    /// Missing frames by its sequence numbers, if all were of one link.
     lost: u64,
-    /// The same with every step of the numbers taken for a loss, as simple counters do; absurd for a sender that does not count by one.
+    /// The same with every step of the numbers counted as a loss, as simple counters do; meaningless for a sender that
+    /// does not count by one.
     pub sequence_steps: u64,
-    /// Its clock, if it sends stamps and the times of arrival are known.
+    /// `None` without stamps or arrival times.
     pub clock: Option<SenderClockStatistics>,
     last_sequence: u8,
-    /// Its numbers, were they of one link.
+    /// Its numbers, if all were of one link.
     numbers: SequenceCounter,
-    /// The only link of a log on which it was met.
+    /// The only link of a log with this sender.
     only_link: Option<usize>,
-    /// Once it was met on a second one.
+    /// Once the sender was seen on a second link.
     by_link: Option<Box<LinkLossCounter>>,
 }
 
-/// A sender's numbers with each link of a log followed for itself.
+/// A sender's sequence numbers by link of a log.
 #[derive(Clone, Debug, Default)]
 struct LinkLossCounter {
     lost: u64,
     numbers: [SequenceCounter; MAX_LOG_LINKS],
 }
 
-/// How many links a log can distinguish: two bits. A sender counts for each link for itself.
+/// Number of links that a log can distinguish: two bits. A sender counts on each link separately.
 pub const MAX_LOG_LINKS: usize = 4;
 
 /// A time without frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrafficGap {
-    /// When the last frame before it came.
+    /// When the last frame before it arrived.
     pub from: Timestamp<HostClock>,
-    /// How long it lasted.
     pub length: TimeDelta,
 }
 
-/// Counts frames.
+/// Counts frames by sender, by message and in time.
 #[derive(Clone, Debug, Default)]
 pub struct TrafficStatistics {
     sources: Vec<SenderStatistics>,
@@ -177,13 +168,13 @@ pub struct TrafficStatistics {
 }
 
 impl TrafficStatistics {
-    /// A census of nothing.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Counts a frame of a log that may distinguish its links by a number, but may also mean nothing by it. The losses are then those
-    /// of the reading that has fewer: numbers that mean nothing tear a sequence apart, and links that are not distinguished mix several.
+    /// Counts a frame of a log in which `number` may or may not distinguish links. The losses are those of the
+    /// interpretation with fewer: a meaningless number splits a sequence, and links that are not distinguished mix
+    /// several.
     pub fn record_logged(&mut self, number: usize, frame: &FrameRef<'_>, at: Timestamp<HostClock>) {
         if let Some(source) = self.count_frame(LinkId(0), frame, Some(at)) {
             source.follow_by_link(number, frame.sequence);
@@ -191,14 +182,14 @@ impl TrafficStatistics {
         }
     }
 
-    /// Counts a frame; `at` is when it was received or sent.
+    /// `at` is when the frame was received or sent.
     pub fn record(&mut self, link: LinkId, frame: &FrameRef<'_>, at: Option<Timestamp<HostClock>>) {
         if let Some(source) = self.count_frame(link, frame, at) {
             source.record(frame, at);
         }
     }
 
-    /// Counts it among all and gives its sender; `None` if it is of the crowd.
+    /// Counts a frame and returns its sender; `None` beyond the limit of senders.
     fn count_frame(
         &mut self,
         link: LinkId,
@@ -217,7 +208,7 @@ impl TrafficStatistics {
         self.sources.get_mut(index?)
     }
 
-    /// Every sender, in the order in which they were first heard.
+    /// In the order of their first frames.
     pub fn sources(&self) -> &[SenderStatistics] {
         &self.sources
     }
@@ -232,12 +223,11 @@ impl TrafficStatistics {
         messages
     }
 
-    /// Everything.
+    /// Over all senders.
     pub const fn all(&self) -> &MessageStatistics {
         &self.all
     }
 
-    /// How many frames are of this layout.
     pub const fn frames_of_version(&self, version: WireVersion) -> u64 {
         let [v1, v2] = self.versions;
         match version {
@@ -251,17 +241,17 @@ impl TrafficStatistics {
         self.signed
     }
 
-    /// Frames of senders beyond those that are followed.
+    /// Frames of senders beyond the limit.
     pub const fn untracked_frames(&self) -> u64 {
         self.crowd
     }
 
-    /// The first silences of [`MIN_GAP`] or more, and how many there were.
+    /// The first silences of [`MIN_GAP`] or more, and the number of all.
     pub fn gaps(&self) -> (&[TrafficGap], u64) {
         (&self.gaps, self.gap_count)
     }
 
-    /// How often the time of a frame lay before that of the frame before it.
+    /// How often a frame's time is earlier than that of the previous one.
     pub const fn time_reversals(&self) -> u64 {
         self.backwards
     }
@@ -280,7 +270,7 @@ impl TrafficStatistics {
         }
     }
 
-    /// Where a sender stands among the sources; `None` when there are too many.
+    /// The index of a sender; `None` beyond the limit.
     fn source_index(&mut self, link: LinkId, frame: &FrameRef<'_>) -> Option<usize> {
         let is_it = |source: &SenderStatistics| source.address == frame.source && source.link == link;
         // Most frames follow one of the same sender.
@@ -313,13 +303,13 @@ impl TrafficStatistics {
 }
 
 impl SenderStatistics {
-    /// Frames missing by its sequence numbers; up to half the circle is a loss, more is an old frame.
+    /// Missing frames by its sequence numbers; up to half the circle is a loss, more is an old frame.
     pub fn lost(&self) -> u64 {
         let by_link = self.by_link.as_ref().map(|by_link| by_link.lost);
         self.lost.min(by_link.unwrap_or(u64::MAX))
     }
 
-    /// Follows the next number as one of this link's. On one link alone that is what is done anyway.
+    /// Counts the number in the sequence of this link. With one link that is the normal counter.
     fn follow_by_link(&mut self, link: usize, sequence: u8) {
         let only = *self.only_link.get_or_insert(link);
         if only == link && self.by_link.is_none() {

@@ -11,67 +11,59 @@ use super::text_line::TextLineSettings;
 use crate::framing::{FrameRef, FramerConfig, FramerCounters};
 use crate::message::Message;
 
-/// The address of a brick whose protocol knows none: system 1, component 1, as an autopilot's.
+/// The address of a brick whose protocol has none: system 1, component 1, as an autopilot's.
 pub const DEFAULT_BRICK_ADDRESS: Address = Address::new(1, 1);
 
-/// What a codec must know of a brick; each takes its own part.
+/// The settings of all brick protocols; each codec uses its own part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CodecSettings {
-    /// How MAVLink is cut out of the bytes.
     pub framer: FramerConfig,
-    /// A LEGO NXT: its motors, sensors and framing.
     pub nxt: NxtSettings,
-    /// What is plugged into an EV3, and how it is reached.
+    /// The sensors of an EV3, and how it is reached.
     pub ev3: Ev3Settings,
-    /// How the lines of a board that prints are laid out.
+    /// The layout of the lines of a board that prints text.
     pub line: TextLineSettings,
-    /// Settings for cameras that send JSON.
     pub fixes: CameraJsonSettings,
 }
 
-/// What a codec heard.
+/// The output of a codec.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CodecEvent<'a> {
-    /// A message that means something here.
     Message {
-        /// Who sent it.
         from: Address,
-        /// The message.
         message: Message,
     },
-    /// A question for the brick's time was answered.
+    /// The brick replied to a time request.
     ClockReply {
-        /// Who answered.
         from: Address,
-        /// When the question left; the answer came with the bytes at hand.
+        /// When the request was sent; the reply is in the current bytes.
         sent: Timestamp<HostClock>,
-        /// The brick's clock in between, in nanoseconds since its power-up.
+        /// The brick's clock in between, since its power-up.
         peer_nanos: i64,
     },
-    /// Something that people should read, such as why a brick refuses what it is asked.
+    /// A text for people, such as why a brick refuses a request.
     StatusText {
-        /// The sender that it is about.
+        /// The brick that it is about.
         from: Address,
         /// MAVLink severity, 0 emergency to 7 debug.
         severity: u8,
-        /// The line.
         text: String,
     },
-    /// A whole frame that means nothing here: forward it untouched.
+    /// A whole frame with an unknown message id: forward it unchanged.
     ForwardFrame(FrameRef<'a>),
-    /// Something damaged or missing.
+    /// Damaged or missing input.
     Error(ReceiveError),
 }
 
 /// Bytes of one link to messages and back. Holds the link's framing state; reads no clock and does no IO.
 pub trait BrickCodec: fmt::Debug + Send {
-    /// The link came up at `now`: nothing that was half heard goes on, and a brick that must be asked is asked from now on.
+    /// The link came up at `now`: discards incomplete input, and starts to poll a brick that answers only requests.
     fn on_link_up(&mut self, now: Timestamp<HostClock>);
 
-    /// Takes one chunk, which arrived at `now`.
+    /// Decodes one chunk, which arrived at `now`.
     fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>));
 
-    /// The same for a chunk of one of several peers of a link. A brick is alone on its link; who may have company keeps them apart.
+    /// The same for a chunk of one of several peers of a link. The default is for a brick that is alone on its link.
     fn push_from_peer(
         &mut self,
         now: Timestamp<HostClock>,
@@ -82,38 +74,38 @@ pub trait BrickCodec: fmt::Debug + Send {
         self.push(now, bytes, sink);
     }
 
-    /// When [`BrickCodec::tick`] must be called if nothing comes before.
+    /// When [`BrickCodec::tick`] must be called if no input comes before.
     fn deadline(&self) -> Option<Timestamp<HostClock>>;
 
-    /// Gives up what has waited for too long, and asks what is due.
+    /// Handles timeouts and sends due requests.
     fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>));
 
-    /// The next bytes that the codec itself wants to send, to be asked for after every other call until there are none.
+    /// The next bytes that the codec itself sends; call it after every other method until it returns `None`.
     fn poll(&mut self) -> Option<Vec<u8>>;
 
-    /// The same with whom the bytes are for.
+    /// The same with the recipients.
     fn poll_addressed(&mut self) -> Option<(Recipients, Vec<u8>)> {
         self.poll().map(|bytes| (Recipients::All, bytes))
     }
 
-    /// Appends the message to `out` and returns how many bytes it took; 0 when the protocol cannot say it, or not now.
+    /// Appends the message to `out` and returns its length in bytes; 0 when the protocol has no such message, or it
+    /// must not be sent now.
     fn encode(&mut self, now: Timestamp<HostClock>, from: Address, message: &Message, out: &mut Vec<u8>) -> usize;
 
-    /// What was found in the bytes so far.
     fn counters(&self) -> FramerCounters;
 
-    /// What each sender has sent, and what of it is missing.
+    /// Frames received from each sender, and those missing.
     fn source_health(&self) -> Vec<SourceHealth>;
 }
 
 pub(super) type CodecEventSink<'a> = dyn FnMut(CodecEvent<'_>) + 'a;
 
-/// A message of a brick whose protocol knows no address.
+/// Emits a message of a brick whose protocol has no addresses.
 pub(super) fn emit_message(sink: &mut CodecEventSink<'_>, message: Message) {
     sink(CodecEvent::Message { from: DEFAULT_BRICK_ADDRESS, message });
 }
 
-/// A line about a brick whose protocol knows no address.
+/// Emits a text about a brick whose protocol has no addresses.
 pub(super) fn emit_status_text(sink: &mut CodecEventSink<'_>, severity: u8, text: impl Into<String>) {
     sink(CodecEvent::StatusText { from: DEFAULT_BRICK_ADDRESS, severity, text: text.into() });
 }

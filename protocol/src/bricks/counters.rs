@@ -1,4 +1,4 @@
-//! Totals of motors whose counters jump to zero under a station that goes on.
+//! Wheel totals from motor counters that may be reset while the station runs.
 //!
 //! A program that starts or stops on a LEGO brick sets the counters of the motors to zero. That is no motion. Nor is a damaged byte in a
 //! telegram without a checksum. Both bricks that are asked for their counts share this rule.
@@ -30,15 +30,15 @@
 
 use posebridge_telemetry::TimeDelta;
 
-/// Sharpest change of speed, counts per s^2.
+/// Largest acceleration, counts per s^2.
 const MAX_COUNTS_PER_S2: f64 = 10_000.0;
-/// Over longer times the sharpest change explains anything.
+/// Over longer times the largest acceleration explains any change.
 const MAX_ACCELERATION_TIME_S: f64 = 0.1;
-/// Steps of both samples, and backlash.
+/// Rounding of both samples, and backlash.
 const STEPS: f64 = 3.0;
-/// Part of what the speed leads to by which the wheels may have turned further, or back.
+/// Share of the travel at the last speed by which the wheels may have turned further, or back.
 const SPEED_TOLERANCE: f64 = 0.25;
-/// A speed over less time than this is noise.
+/// A speed over a shorter interval is noise.
 const MIN_INTERVAL_S: f64 = 0.001;
 
 /// Counts of the left and the right wheel's motor, and of a third where it is read.
@@ -51,7 +51,7 @@ pub(super) struct MotorCounts {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotorLimits {
     pub(super) max_counts_per_s: f64,
-    /// Counts that two samples may differ by besides.
+    /// Additional difference between two samples, in counts.
     pub(super) margin: f64,
 }
 
@@ -63,18 +63,18 @@ pub(super) enum WheelState {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CounterUpdate {
-    /// The wheels have turned so far, left and right.
+    /// Totals of the left and the right wheel.
     Total([i64; 2]),
-    /// So far; the counters were set to zero in between, or began anew somewhere else.
+    /// Totals; the counters were reset in between, to zero or to another value.
     Rebased([i64; 2]),
-    /// It may be damaged, or the counters began anew; the next one tells.
+    /// The sample is damaged, or the counters were reset; the next one decides.
     Rejected,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotorCounters {
     limits: MotorLimits,
-    /// Time since the first sample, s.
+    /// Time since the first sample.
     now_s: f64,
     last: Option<CounterSample>,
     doubtful: Option<CounterSample>,
@@ -90,7 +90,7 @@ struct CounterSample {
     speed: Option<[f64; 2]>,
 }
 
-/// What a sample means that follows a doubted one.
+/// The meaning of a sample that follows a rejected one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CounterInterpretation {
     Motion,
@@ -104,12 +104,12 @@ impl MotorCounters {
         Self { limits, now_s: 0.0, last: None, doubtful: None, is_restarted: false }
     }
 
-    /// The brick was switched off and on: its counters began at zero, wherever they stand when they are read next.
+    /// The brick was restarted: its counters began at zero, whatever they show at the next reading.
     pub(super) const fn brick_restarted(&mut self) {
         self.is_restarted = true;
     }
 
-    /// Takes the counts that were read at most `since` after the ones before, doubted ones included.
+    /// Takes counts that were read at most `since` after the previous ones, rejected ones included.
     pub(super) fn push(&mut self, since: TimeDelta, counts: MotorCounts) -> CounterUpdate {
         self.now_s += since.as_secs_f64();
         let is_restarted = std::mem::take(&mut self.is_restarted);
@@ -200,7 +200,7 @@ impl CounterSample {
         })
     }
 
-    /// Whether the change to a doubted sample is motion, or motion since zero, by the speeds before and after.
+    /// Whether the change to a rejected sample is motion, or motion since zero, by the speeds before and after.
     fn more_likely_meaning(&self, doubted: &Self, now: &Self) -> CounterInterpretation {
         let dt_s = doubted.at_s - self.at_s;
         let before = self.speed.unwrap_or_default();
@@ -236,13 +236,12 @@ impl CounterSample {
     }
 }
 
-/// By how much the counters, which wrap, have changed.
 fn count_changes(from: [i32; 2], to: [i32; 2]) -> [i64; 2] {
     let [left, right] = to;
     [i64::from(left.wrapping_sub(from[0])), i64::from(right.wrapping_sub(from[1]))]
 }
 
-/// How far a change lies outside of what lies between nothing and these.
+/// Distance of a change from the range between zero and `led`.
 fn distance_to_range(change: f64, led: [f64; 2]) -> f64 {
     let least = led.iter().copied().fold(0.0, f64::min);
     let most = led.iter().copied().fold(0.0, f64::max);

@@ -33,7 +33,7 @@ impl HeartbeatSource {
         Self { vehicle_type: CAMERA, autopilot: NOT_AN_AUTOPILOT, last_sent: None }
     }
 
-    /// The brick was heard at `now`: its heartbeat, if one is due.
+    /// The brick sent something at `now`: returns its heartbeat, if one is due.
     pub(super) fn heartbeat_if_due(&mut self, now: Timestamp<HostClock>) -> Option<Message> {
         if self.last_sent.is_some_and(|last| now - last < PERIOD) {
             return None;

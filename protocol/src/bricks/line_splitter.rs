@@ -3,7 +3,6 @@
 //! A line ends with LF, CR or both; empty ones do not count. A line that exceeds the longest one is dropped to its end,
 //! so that no sender can fill the memory.
 
-/// So much of a line is quoted.
 const MAX_QUOTED: usize = 80;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,16 +12,16 @@ pub(super) enum SplitItem<'a> {
     TooLong(u32),
 }
 
-/// The line that is coming in, of at most `LONGEST` bytes without its end.
+/// An incomplete line of at most `LONGEST` bytes without its end.
 #[derive(Debug, Default)]
 pub(super) struct LineSplitter<const LONGEST: usize> {
     line: Vec<u8>,
-    /// Bytes of a line that is too long, so far.
+    /// Bytes of a line that is too long.
     dropped: u32,
 }
 
 impl<const LONGEST: usize> LineSplitter<LONGEST> {
-    /// Drops the line that is coming in, and says how many bytes of it there were.
+    /// Drops the incomplete line, and returns its length in bytes.
     pub(super) fn clear(&mut self) -> u32 {
         let bytes = self.waiting_bytes();
         self.line.clear();
@@ -59,7 +58,6 @@ impl<const LONGEST: usize> LineSplitter<LONGEST> {
     }
 }
 
-/// What of a line can be shown on a terminal.
 pub(super) fn printable(line: &[u8]) -> String {
     let shown = line.iter().take(MAX_QUOTED);
     let shown = shown.map(|byte| match byte {

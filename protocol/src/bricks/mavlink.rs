@@ -11,7 +11,7 @@ use crate::message::Message;
 struct MavlinkCodec {
     config: FramerConfig,
     framer: Framer,
-    /// What was counted before the link came up last.
+    /// The counters before the link came up last.
     previous_counters: FramerCounters,
     sequences: SequenceTracker,
     encoder: Encoder,

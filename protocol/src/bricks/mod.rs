@@ -20,7 +20,7 @@ pub mod text_line;
 
 pub use codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
 
-/// Every brick protocol. Adding one: a folder here and a line there.
+/// Every brick protocol. To add one: a folder here and a row there.
 pub const BRICK_PROTOCOLS: &[BrickProtocol] = &[
     BrickProtocol {
         name: "mavlink",
@@ -55,13 +55,10 @@ pub const BRICK_PROTOCOLS: &[BrickProtocol] = &[
 pub struct BrickProtocol {
     /// The name in configurations, lower case.
     pub name: &'static str,
-    /// What it is, in one line.
     pub summary: &'static str,
-    /// Makes the codec for one link.
     pub open: fn(&CodecSettings) -> Box<dyn BrickCodec>,
 }
 
-/// The protocol with this name.
 pub fn brick_protocol(name: &str) -> Option<&'static BrickProtocol> {
     BRICK_PROTOCOLS.iter().find(|protocol| protocol.name == name)
 }

@@ -18,10 +18,9 @@ const PAGES: usize = 1 << 16;
 /// A payload is at most this long.
 const MAX_PAYLOAD: usize = 255;
 
-/// The catalogue of all dialects that this station speaks.
 pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
     LazyLock::new(|| MessageCatalogue::build(supported_messages()));
-/// The same with the messages of foreign dialects.
+/// Also with the messages of foreign dialects.
 pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
     let foreign = FOREIGN_MESSAGES.iter().map(|message| {
         let shape = MessageLayout {
@@ -34,7 +33,7 @@ pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| 
     MessageCatalogue::build(supported_messages().chain(foreign))
 });
 
-/// The name of a message in its definition, also of one of a dialect that is not spoken here; `None` for an unknown id.
+/// The name of a message in its definition, also in foreign dialects; `None` for an unknown id.
 pub fn message_name(id: u32) -> Option<&'static str> {
     let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
     let own = || posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name());
@@ -45,7 +44,6 @@ pub fn message_name(id: u32) -> Option<&'static str> {
     standard().or_else(own).or_else(|| foreign().map(|message| message.name))
 }
 
-/// The messages that this station speaks, with their shapes.
 fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
     let standard =
         common::MavMessage::all_ids().iter().filter_map(|&id| Some((id, measure_layout::<common::MavMessage>(id)?)));
@@ -55,7 +53,7 @@ fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
     standard.chain(own)
 }
 
-/// What a frame of one message must look like.
+/// The checksum seed and the lengths of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct MessageLayout {
     /// Seed of the checksum, from the message's definition.
@@ -69,7 +67,7 @@ pub(crate) struct MessageLayout {
 /// Every message that this station can verify.
 #[derive(Debug)]
 pub(crate) struct MessageCatalogue {
-    /// Which page of `shapes` is that of the ids from `PAGE` times the index; page 0 is empty.
+    /// The page of layouts for the ids from `PAGE` times the index; page 0 is empty.
     pages: Vec<u8>,
     layouts: Vec<[Option<MessageLayout>; PAGE]>,
 }
@@ -89,7 +87,7 @@ impl MessageCatalogue {
         catalogue
     }
 
-    /// The shape of the message `id`; `None` when it is in no dialect.
+    /// The layout of the message `id`; `None` when it is in no dialect.
     #[inline]
     pub(crate) fn layout(&self, id: u32) -> Option<MessageLayout> {
         let id = id as usize;
@@ -107,8 +105,8 @@ fn measure_layout<M: Message>(id: u32) -> Option<MessageLayout> {
     })
 }
 
-/// How many bytes a message writes, whatever it returns: MAVLink 2 returns the length without trailing zeros. Written
-/// bytes are those that do not depend on what stood there before.
+/// Number of bytes that a message writes. MAVLink 2's own result excludes trailing zeros, so the written bytes are
+/// detected as those that do not depend on the buffer's previous content.
 fn written_length<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
     let mut over_zeros = [0x00; MAX_PAYLOAD];
     let mut over_ones = [0xFF; MAX_PAYLOAD];

@@ -36,11 +36,10 @@ pub const SUPPORTED_COMMANDS: [u16; 7] = [
     ids::COMMAND_SOURCE,
 ];
 
-/// Largest meaningful yaw, degrees: a whole turn either way. What is far beyond is damage, and where in a turn it lies is an
-/// accident of rounding.
+/// Largest valid yaw, degrees: a whole turn either way. Larger angles are damage, and too coarse in a float.
 const MAX_YAW_DEG: f32 = 360.0;
 
-/// Why a command says nothing that could be done.
+/// Why a command is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CommandError {
@@ -50,22 +49,19 @@ pub enum CommandError {
         /// MAV_CMD.
         command: u16,
     },
-    /// A parameter of it makes no sense. Short, because it has to fit into a STATUSTEXT.
+    /// An invalid parameter. The message is short, because it has to fit into a STATUSTEXT.
     #[error("{command} param{index} {value:?}, not {wanted}")]
     Parameter {
-        /// MAV_CMD.
         command: u16,
-        /// Which of the seven, from 1.
+        /// From 1 to 7.
         index: u8,
-        /// Its value.
         value: f32,
-        /// What it can be.
+        /// The valid values.
         wanted: &'static str,
     },
 }
 
-/// What a command asks for.
-/// Fails if it is none of [`SUPPORTED_COMMANDS`], or if a parameter of it makes no sense.
+/// Fails if the command is none of [`SUPPORTED_COMMANDS`], or if a parameter of it is invalid.
 pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
     match command.command {
         ids::COMMAND_PREFLIGHT_STORAGE => decode_storage(command),
@@ -141,14 +137,13 @@ fn decode_set_pose(command: &CommandLong) -> Result<Command, CommandError> {
     })
 }
 
-/// A parameter that is one of few whole numbers.
+/// A parameter with a few valid whole numbers.
 fn integer_parameter(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
     let value = bounded_parameter(command, index);
     let whole = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
     if whole { Ok(value as u8) } else { Err(parameter_error(command, index, wanted)) }
 }
 
-/// One of the seven, from 1.
 fn bounded_parameter(command: &CommandLong, index: u8) -> f32 {
     let place = usize::from(index).wrapping_sub(1);
     command.params.get(place).copied().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! Encodes messages to frames with the sequence numbers of one link, and changes frames of others with their checksum.
+//! Encodes messages to frames with the sequence numbers of one link, and rewrites frames of others.
 
 use std::collections::BTreeMap;
 
@@ -14,10 +14,10 @@ use crate::signing::{FLAG_SIGNED, FrameSigner};
 /// The bytes of a frame beside its payload, at most: header, checksum and signature of MAVLink 2.
 const MAX_FRAME_OVERHEAD: usize = 10 + 2 + 13;
 
-/// Writes frames for one link.
+/// Encodes frames for one link.
 ///
-/// Receivers compute losses per (system, component) and link, so an encoder belongs to one link and counts for each address that
-/// sends on it.
+/// Receivers compute losses per (system, component) and link, so an encoder belongs to one link and counts for each of
+/// its senders.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     version: WireVersion,
@@ -25,7 +25,6 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// An encoder that has sent nothing.
     pub fn new(version: WireVersion) -> Self {
         Self { version, sequences: BTreeMap::new() }
     }
@@ -87,11 +86,11 @@ impl Encoder {
         out.len() - start
     }
 
-    /// Gives a whole frame of somebody else a sender's address, its own or another, and the next number of that sender on this link. Its
-    /// checksum follows; nothing else changes.
+    /// Gives a whole frame a sender's address, its own or another, and the next sequence number of that sender on this
+    /// link. Updates the checksum; nothing else changes.
     ///
-    /// The checksum's seed is found from the old checksum, so that messages of no dialect can be changed as well.
-    /// A frame that cannot be changed stays as it is.
+    /// The checksum's seed is computed from the old checksum, so that messages of unknown dialects can be changed as
+    /// well. After an error the frame is unchanged.
     pub fn readdress(&mut self, frame: &mut [u8], sender: Address) -> Result<(), RenumberError> {
         rewrite(frame, |frame, layout| {
             frame[layout.sequence_at] = self.next_sequence(sender);
@@ -101,7 +100,8 @@ impl Encoder {
         })
     }
 
-    /// Records that a forwarded frame leaves under the number that it came with: the next one of its sender here is the next after that.
+    /// A forwarded frame leaves with its original sequence number: the next frame of its sender here has the number
+    /// after it.
     pub fn note_forwarded(&mut self, from: Address, sequence: u8) {
         self.sequences.insert(from, sequence.wrapping_add(1));
     }
@@ -183,9 +183,8 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
     })
 }
 
-/// Changes a whole, unsigned frame and makes its checksum right. The checksum's seed is found from the old checksum, so that messages of
-/// no dialect can be changed as well.
-/// A frame that cannot be changed stays as it is.
+/// Changes a whole, unsigned frame and updates its checksum. The checksum's seed is computed from the old checksum, so
+/// that messages of unknown dialects can be changed as well. After an error the frame is unchanged.
 pub(crate) fn rewrite(
     frame: &mut [u8],
     change: impl FnOnce(&mut [u8], &FrameLayout) -> Result<(), RenumberError>,
@@ -210,28 +209,27 @@ pub(crate) fn rewrite(
 /// Why a frame was not changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RenumberError {
-    /// The bytes are no whole frame.
     #[error("the bytes are no whole frame")]
     NoFrame,
-    /// It is signed: only who has the key may change it.
+    /// Only a holder of the key may change it.
     #[error("the frame is signed, and only its sender can sign it anew")]
     Signed,
-    /// No CRC_EXTRA makes its checksum right, so no right one can be given to it.
+    /// No CRC_EXTRA gives its checksum, so a new one cannot be computed.
     #[error("the frame's checksum is right for no message")]
     Damaged,
 }
 
-/// Whether a whole frame bears a signature; false of what is no frame.
+/// Whether a whole frame has a signature; false for other bytes.
 pub fn is_signed(frame: &[u8]) -> bool {
     FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
 }
 
 pub(crate) struct FrameLayout {
     pub(crate) sequence_at: usize,
-    /// Where the sender's system stands; the component follows it.
+    /// Offset of the sender's system; the component follows it.
     pub(crate) system_at: usize,
     pub(crate) payload_at: usize,
-    /// Where the payload ends and the checksum begins.
+    /// Offset of the payload's end, where the checksum begins.
     pub(crate) end: usize,
     is_signed: bool,
 }

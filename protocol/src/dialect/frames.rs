@@ -20,9 +20,9 @@ use posebridge_telemetry::quantities::wrap_rad;
 /// "unknown" for a single element, so the number must be too large to be used.
 pub(super) const UNOBSERVED_VARIANCE: f32 = 1e4;
 
-/// Places of the planar elements in a 6 x 6 upper triangle of x, y, z, roll, pitch, yaw.
+/// Indices of the planar elements in a 6 x 6 upper triangle of x, y, z, roll, pitch, yaw.
 const PLANAR: [usize; 6] = [0, 1, 5, 6, 10, 20];
-/// Places of the variances of z, roll and pitch there.
+/// Indices of the variances of z, roll and pitch there.
 const UNOBSERVED: [usize; 3] = [11, 15, 18];
 /// Elements of such a triangle.
 pub(super) const TRIANGLE_LEN: usize = 21;
@@ -35,7 +35,7 @@ pub(crate) struct PlanarPoint {
     pub(crate) angle: f64,
 }
 
-/// The value with its sign turned; zero stays the positive zero, whose bytes can be cut off.
+/// The negated value; zero stays the positive zero, whose bytes can be truncated.
 pub(super) fn negate(value: f64) -> f64 {
     0.0 - value
 }
@@ -91,7 +91,7 @@ pub(super) fn quaternion(yaw_rad: f64) -> [f32; 4] {
     [cos as f32, 0.0, 0.0, sin as f32]
 }
 
-/// The turn about the vertical of a quaternion (w, x, y, z), in radians; `None` when it is none (NaN or all zeros).
+/// The turn about the vertical of a quaternion (w, x, y, z), in radians; `None` for an invalid one (NaN or all zeros).
 pub(super) fn yaw(quaternion: [f32; 4]) -> Option<f64> {
     let [w, x, y, z] = quaternion.map(f64::from);
     let norm = w * w + x * x + y * y + z * z;

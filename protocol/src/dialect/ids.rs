@@ -3,7 +3,6 @@
 /// A message that can be decoded and encoded here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageInfo {
-    /// The number on the wire.
     pub id: u32,
     /// The name in the dialect's definition.
     pub name: &'static str,
@@ -65,7 +64,7 @@ pub const COMMAND_GET_MESSAGE_INTERVAL: u16 = 510;
 pub const COMMAND_REQUEST_MESSAGE: u16 = 512;
 /// MAV_CMD_SET_MESSAGE_INTERVAL, the command that [`crate::message::Message::SetMessageInterval`] is.
 pub const COMMAND_SET_MESSAGE_INTERVAL: u16 = 511;
-/// MAV_CMD_PREFLIGHT_STORAGE; what this and the following mean here is said in [`super::commands`].
+/// MAV_CMD_PREFLIGHT_STORAGE; [`super::commands`] defines the meaning of this and the following.
 pub const COMMAND_PREFLIGHT_STORAGE: u16 = 245;
 /// MAV_CMD_LOGGING_START.
 pub const COMMAND_LOGGING_START: u16 = 2_510;

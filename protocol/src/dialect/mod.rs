@@ -31,9 +31,8 @@ use crate::message::{Message, WireStamp};
 
 /// Decodes a verified frame.
 ///
-/// `None` means that the message is of no use here: an id without a row in [`MESSAGES`], a range finder that looks
-/// sideways, a reading that its sender marks as invalid, an integer parameter.
-/// Fails if the frame is whole but its content makes no sense.
+/// `None` means that the message is not used: an id without a row in [`MESSAGES`], a range finder that looks sideways,
+/// a reading that its sender marks as invalid, an integer parameter. Fails if the content of the frame is invalid.
 pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
     let payload = frame.payload;
     match frame.message_id {

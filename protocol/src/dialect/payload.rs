@@ -23,7 +23,7 @@ impl Payload {
         &self.bytes[..self.len]
     }
 
-    /// Writes a generated message; trailing zeros are cut off in version 2, extensions in version 1.
+    /// Encodes a generated message; truncates trailing zeros in version 2, extensions in version 1.
     pub(super) fn encode<D: MessageData>(version: WireVersion, data: &D) -> Self {
         let mut bytes = [0; MAX_PAYLOAD];
         let len = data.ser(mavlink_version(version), &mut bytes);
@@ -38,12 +38,12 @@ const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
     }
 }
 
-/// Reads a generated message. Bytes that were cut off are zeros again; that holds for version 1 as well.
+/// Decodes a generated message. Truncated bytes are zeros, in version 1 as well.
 pub(super) fn decode_generated<D: MessageData>(payload: &[u8]) -> Result<D, PayloadError> {
     D::deser(MavlinkVersion::V2, payload).map_err(|source| PayloadError::Layout { message_id: D::ID, source })
 }
 
-/// Reads fields one after the other; beyond the end there are zeros.
+/// Reads fields in order; after the end there are zeros.
 #[derive(Debug)]
 pub(super) struct PayloadReader<'a> {
     rest: &'a [u8],
@@ -121,7 +121,7 @@ impl<'a> PayloadReader<'a> {
 pub(super) struct PayloadWriter {
     bytes: [u8; MAX_PAYLOAD],
     len: usize,
-    /// Where the extension fields begin, once they have begun.
+    /// Offset of the extension fields, if there are any.
     base_len: Option<usize>,
 }
 
@@ -181,7 +181,7 @@ impl PayloadWriter {
         self.u8(address.system.0).u8(address.component.0)
     }
 
-    /// What follows is an extension: version 1 does not carry it.
+    /// The following fields are extensions: version 1 does not carry them.
     pub(super) fn extensions(mut self) -> Self {
         self.base_len = Some(self.len);
         self
@@ -196,7 +196,7 @@ impl PayloadWriter {
     }
 }
 
-/// Text up to the first NUL; what is not UTF-8 is replaced, never refused.
+/// Text up to the first NUL; invalid UTF-8 is replaced.
 pub(super) fn text_from(bytes: &[u8]) -> String {
     let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     String::from_utf8_lossy(&bytes[..end]).into_owned()
@@ -210,7 +210,7 @@ pub(super) fn text_to<const N: usize>(text: &str) -> [u8; N] {
     bytes
 }
 
-/// The address, or `None` for 0/0, which is a broadcast.
+/// The address; `None` for 0/0, which is a broadcast.
 pub(super) fn specific_address(address: Address) -> Option<Address> {
     (address != Address::new(0, 0)).then_some(address)
 }
@@ -238,62 +238,33 @@ pub(super) const fn micros64(stamp: WireStamp) -> u64 {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PayloadError {
-    /// A number that must be finite is not.
     #[error("message {message_id}: {field} is {value}, it must be finite")]
-    NotFinite {
-        /// The message's id.
-        message_id: u32,
-        /// The field.
-        field: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// A temperature that no matter has.
+    NotFinite { message_id: u32, field: &'static str, value: f64 },
+    /// Below absolute zero or above the range of any sensor.
     #[error(
         "message {message_id}: a temperature of {degrees_c} degrees Celsius is below absolute zero or above the range of any sensor"
     )]
-    Temperature {
-        /// The message's id.
-        message_id: u32,
-        /// The value.
-        degrees_c: f64,
-    },
-    /// ODOMETRY in a coordinate frame that has no counterpart here.
+    Temperature { message_id: u32, degrees_c: f64 },
+    /// ODOMETRY in an unsupported coordinate frame.
     #[error(
         "message {message_id}: no conversion from MAV_FRAME {frame}; send 1, 4, 14 to 17, 20 or 21 with child 8, 12 or 13"
     )]
     UnknownFrame {
-        /// The message's id.
         message_id: u32,
         /// MAV_FRAME of the pose or of the speeds.
         frame: u8,
     },
-    /// ODOMETRY whose sender says that it has failed.
+    /// ODOMETRY with a negative quality, which means failed.
     #[error("message {message_id}: its quality is negative, the sender says that it has failed")]
-    SenderFailed {
-        /// The message's id.
-        message_id: u32,
-    },
-    /// WHEEL_DISTANCE for fewer than two wheels.
+    SenderFailed { message_id: u32 },
     #[error("message {message_id}: {count} wheels, at least 2 are needed")]
-    TooFewWheels {
-        /// The message's id.
-        message_id: u32,
-        /// How many wheels it has.
-        count: u8,
-    },
-    /// The generated type cannot be read from the payload.
+    TooFewWheels { message_id: u32, count: u8 },
+    /// The payload does not fit the generated type.
     #[error("message {message_id}: the payload does not fit its definition")]
-    Layout {
-        /// The message's id.
-        message_id: u32,
-        /// What the generated code says.
-        source: mavlink_core::error::ParserError,
-    },
+    Layout { message_id: u32, source: mavlink_core::error::ParserError },
 }
 
 impl PayloadError {
-    /// The message's id.
     pub const fn message_id(&self) -> u32 {
         match *self {
             Self::NotFinite { message_id, .. }
@@ -306,7 +277,7 @@ impl PayloadError {
     }
 }
 
-/// What one payload decodes to: `None` when the message is known and of no use here.
+/// The result of one payload: `None` when the message is known and not used.
 pub(super) type Decoded = Result<Option<Message>, PayloadError>;
 
 pub(super) fn require_finite(message_id: u32, field: &'static str, value: f64) -> Result<f64, PayloadError> {

@@ -15,7 +15,6 @@ use super::payload::{Decoded, Payload, PayloadError, decode_generated, micros32,
 use crate::framing::WireVersion;
 use crate::message::{FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp};
 
-/// Unit of PB_INERTIAL.turn_rate.
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
 /// Unit of PB_INERTIAL.turn_urad.
 const TURN_UNIT_RAD: f64 = 1e-6;
@@ -37,7 +36,7 @@ pub(super) fn wheel_ticks(payload: &[u8]) -> Decoded {
     Ok(ticks_of(payload)?.map(Message::WheelTicks))
 }
 
-/// Both wheels' counts; `None` if the sender has not both.
+/// Both wheels' counts; `None` if the sender lacks one.
 #[inline]
 pub(super) fn ticks_of(payload: &[u8]) -> Result<Option<WheelTicks>, PayloadError> {
     let data: PB_WHEEL_TICKS_DATA = decode_generated(payload)?;

@@ -32,7 +32,7 @@ mod frame {
     pub(super) const BODY_FRD: u8 = 12;
     /// Reserved since 2019, formerly BODY_FLU, still sent.
     pub(super) const BODY_FLU: u8 = 13;
-    /// The four that follow are reserved since 2019, formerly the spaces of trackers, still sent.
+    /// This and the following three are reserved since 2019, formerly the frames of trackers, still sent.
     pub(super) const MOCAP_NED: u8 = 14;
     pub(super) const MOCAP_ENU: u8 = 15;
     pub(super) const VISION_NED: u8 = 16;
@@ -41,9 +41,9 @@ mod frame {
     pub(super) const LOCAL_FLU: u8 = 21;
 }
 
-/// MAV_ESTIMATOR_TYPE_UNKNOWN: none of the listed ones is wheels and gyro.
+/// MAV_ESTIMATOR_TYPE_UNKNOWN: there is no type for wheels and gyro.
 const ESTIMATOR_UNKNOWN: u8 = 0;
-/// MAV_ESTIMATOR_TYPE_VISION: without inertial sensors, it looks from outside.
+/// MAV_ESTIMATOR_TYPE_VISION: an external observer without inertial sensors.
 const ESTIMATOR_VISION: u8 = 2;
 const ESTIMATOR_MOCAP: u8 = 6;
 
@@ -287,7 +287,7 @@ pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
     })))
 }
 
-/// A position that lives on dead reckoning is "relative" and not "absolute". There is no flag for "predicted".
+/// A position by dead reckoning is "relative" and not "absolute". There is no flag for "predicted".
 pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
     let valid = status.flags;
     let mut flags = EstimatorStatusFlags::empty();

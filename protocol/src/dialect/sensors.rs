@@ -27,13 +27,13 @@ const VARIANCE_UNKNOWN: u8 = u8::MAX;
 const QUALITY_INVALID: u8 = 1;
 /// Unit of SCALED_PRESSURE.temperature.
 const CENTIDEGREE_C: f64 = 1e-2;
-/// Bytes of NAMED_VALUE_FLOAT.name.
 pub(super) const NAME_BYTES: usize = 10;
-/// A named value whose name begins so is a temperature in degrees Celsius; the definition of the message leaves that to its sender.
+/// A named value whose name begins so is a temperature in degrees Celsius; the message's definition leaves the meaning
+/// to its sender.
 const TEMPERATURE_NAME: &[u8] = b"temp";
 /// Absolute zero (SI brochure, section 2.3.1).
 const MIN_TEMPERATURE_C: f64 = -273.15;
-/// Above the melting point of tungsten (3422 degrees): no thermometer of contact shows more.
+/// Above the melting point of tungsten (3422 degrees), beyond any contact thermometer.
 const MAX_TEMPERATURE_C: f64 = 3_500.0;
 /// MAV_DISTANCE_SENSOR_UNKNOWN.
 const RANGER_UNKNOWN: u8 = 4;
@@ -67,7 +67,7 @@ pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
     })))
 }
 
-/// SCALED_IMU cannot say that a value is missing: a missing one is written as zero.
+/// SCALED_IMU has no value for "missing": zero is written.
 pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
     let turn_rate = imu.turn_rate.unwrap_or_default();
     let acceleration = imu.forward_acceleration.unwrap_or_default();
@@ -125,7 +125,7 @@ pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
     Payload::encode(version, &data)
 }
 
-/// Forward-looking ranges inside the sensor's own limits; everything else is of no use here.
+/// Forward-looking ranges inside the sensor's own limits; others are not used.
 pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
@@ -170,7 +170,7 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
         .finish(version)
 }
 
-/// The temperature beside the pressures, which are of no use here and are not looked at.
+/// Only the temperature; the pressures are not used.
 pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());
@@ -183,7 +183,7 @@ pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     }))
 }
 
-/// Named values are for people; those that are temperatures by their names are those of a thermometer.
+/// Only named values whose names mark them as temperatures are used.
 pub(super) fn named_value(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Millis32(reader.u32());

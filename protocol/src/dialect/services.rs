@@ -189,8 +189,8 @@ pub(super) fn param_set(payload: &[u8]) -> Message {
     }
 }
 
-/// The number in the slot of a parameter, bytewise: the slot of an integer holds its bits, and taking these for a float would be a
-/// wrong number, not a rounded one. `None` for what does not fit into 32 bits.
+/// The number in the slot of a parameter, bytewise: the slot of an integer holds its bits, which as a float would be a
+/// wrong number. `None` for types that do not fit into 32 bits.
 fn param_number(slot: f32, kind: u8) -> Option<f32> {
     let bits = slot.to_bits();
     Some(match kind {
@@ -205,7 +205,7 @@ fn param_number(slot: f32, kind: u8) -> Option<f32> {
     })
 }
 
-/// A foreign autopilot has integers among its parameters; those are of no use here.
+/// A foreign autopilot has integer parameters, which are not used.
 pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
     let value = reader.f32();
@@ -238,7 +238,7 @@ pub(super) fn write_param_set(version: WireVersion, target: Address, name: &str,
     PayloadWriter::new().f32(value).address(target).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32).finish(version)
 }
 
-/// The value has a type that cannot be read here, so that none is written.
+/// The value has an unreadable type, so none is written.
 pub(super) fn write_param_set_unsupported(version: WireVersion, target: Address, name: &str, kind: u8) -> Payload {
     PayloadWriter::new().f32(0.0).address(target).text::<PARAM_NAME>(name).u8(kind).finish(version)
 }
@@ -254,7 +254,8 @@ const ARRAY: usize = 58;
 const LONG_NAME: usize = 32;
 /// Length of its versions, a terminator included.
 const SHORT_NAME: usize = 24;
-/// Bytes of AUTOPILOT_VERSION's uid, versions of other software and of the board, and of vendor and product, which nothing here has.
+/// Bytes of AUTOPILOT_VERSION's uid, versions of other software and of the board, and of vendor and product; unknown
+/// here.
 const NO_HARDWARE: [u8; 44] = [0; 44];
 
 pub(super) fn autopilot_version(payload: &[u8]) -> Message {
@@ -302,7 +303,7 @@ pub(super) fn component_information(payload: &[u8]) -> Message {
     })
 }
 
-/// Its texts must end with a zero, so that one byte less than the field is taken of each.
+/// Its texts must end with a zero, so each is one byte shorter than its field.
 pub(super) fn write_component_information(version: WireVersion, said: &ComponentInformation) -> Payload {
     let unknown_date = 0;
     let no_hardware_version = [0; SHORT_NAME];

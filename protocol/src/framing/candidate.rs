@@ -1,8 +1,8 @@
-//! Classifies what begins at a start byte by its header alone, and keeps frames with an unknown id until they are decided.
+//! Classifies a candidate frame by its header alone, and keeps frames with an unknown id until they are decided.
 //!
-//! Early judgement is what keeps a torn or invented header from holding back the frames behind it: flags that no
-//! protocol version has and lengths that the claimed message cannot have are refused before their bytes have come.
-//! Checksums are the framer's business.
+//! Early classification keeps a torn or invented header from delaying the frames after it: flags that no protocol
+//! version has and lengths that the claimed message cannot have are rejected before their bytes have come. The framer
+//! verifies the checksums.
 //!
 //! The checksum of a frame with an unknown id cannot be verified, so it never stops the scan: the search for verified frames goes on
 //! inside it. It is accepted when a verified frame (or another accepted one, or the end of all bytes) begins exactly where it
@@ -22,7 +22,6 @@ const CHECKSUM: usize = 2;
 /// Bytes of the signature: link, 48 bits of time, 48 bits of hash.
 const SIGNATURE: usize = 13;
 
-/// A header that can begin a frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FrameHeader {
     version: WireVersion,
@@ -36,29 +35,35 @@ pub(super) struct FrameHeader {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum FrameCandidate {
-    /// The header is not whole yet.
     Incomplete,
-    /// The header says what no sender can mean.
-    Impossible { message_id: u32, length: u8 },
-    /// A header with an id of a dialect; the frame may not be whole yet.
-    Supported { header: FrameHeader, crc_extra: u8 },
-    /// A header with an id of no dialect; the frame may not be whole yet.
-    Unknown { header: FrameHeader },
+    /// Flags or a length that the message cannot have.
+    Impossible {
+        message_id: u32,
+        length: u8,
+    },
+    /// A known id; the frame may be incomplete.
+    Supported {
+        header: FrameHeader,
+        crc_extra: u8,
+    },
+    /// An unknown id; the frame may be incomplete.
+    Unknown {
+        header: FrameHeader,
+    },
 }
 
-/// What the bytes of one supposed frame are.
+/// The result of verifying one candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VerifiedFrame<'a> {
     /// A frame of any known dialect whose checksum matches.
     Frame(FrameRef<'a>),
-    /// A whole frame by its length, with an id of no known dialect.
+    /// A whole frame by its length, with an unknown id.
     UnknownFrame(FrameRef<'a>),
-    /// No frame.
     Invalid,
 }
 
-/// Verifies bytes that something else has cut out, a record of a file for instance: they must be exactly one frame. Messages of
-/// foreign dialects are known here, as to [`super::Framer::with_all_dialects`].
+/// Verifies bytes that were framed by something else, such as a record of a file: they must be exactly one frame.
+/// Includes the foreign dialects, as [`super::Framer::with_all_dialects`].
 pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
     match classify(raw, &FULL_CATALOGUE) {
         FrameCandidate::Supported { header, crc_extra } if header.total == raw.len() => {
@@ -79,8 +84,8 @@ pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
     }
 }
 
-/// The frame that these bytes are, by its header alone; `None` if their number differs from it. For bytes that [`verify`] has
-/// seen, which need not be summed up again.
+/// Parses a frame by its header alone; `None` if the number of bytes differs from it. For bytes that [`verify`] has
+/// accepted, which need no second checksum.
 #[inline]
 pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
     let header = match raw {
@@ -129,7 +134,7 @@ fn classify_v1(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
     })
 }
 
-/// What stands behind the start byte of version 2; `None` if it is not whole.
+/// The header after the start byte of version 2; `None` if it is incomplete.
 #[inline]
 fn header_v2(rest: &[u8]) -> Option<FrameHeader> {
     let [length, flags, _, sequence, system, component, id0, id1, id2, ..] = *rest else {
@@ -147,7 +152,7 @@ fn header_v2(rest: &[u8]) -> Option<FrameHeader> {
     })
 }
 
-/// What stands behind the start byte of version 1; `None` if it is not whole.
+/// The header after the start byte of version 1; `None` if it is incomplete.
 #[inline]
 fn header_v1(rest: &[u8]) -> Option<FrameHeader> {
     let [length, sequence, system, component, id, ..] = *rest else {
@@ -198,7 +203,7 @@ impl FrameHeader {
         self.message_id
     }
 
-    /// The part of the frame that the checksum covers, and the checksum that stands there.
+    /// The part of the frame that the checksum covers, and the checksum in the frame.
     #[inline]
     pub(super) fn covered<'a>(&self, raw: &'a [u8]) -> (&'a [u8], u16) {
         let end = self.header_len() + self.payload_len;
@@ -213,8 +218,8 @@ impl FrameHeader {
     }
 }
 
-/// More claims than this at once are not kept: enough for a second of unknown telemetry at 50 Hz between two heartbeats,
-/// and a bound on the memory (64 frames of at most 280 bytes).
+/// Most undecided claims: enough for a second of unknown telemetry at 50 Hz between two heartbeats, and a bound on the
+/// memory (64 frames of at most 280 bytes).
 const MAX_SPANS: usize = 64;
 
 /// A claim: bytes `start..end` of the framer's buffer may be an unknown frame.
@@ -261,7 +266,7 @@ impl UnknownSpans {
         chain
     }
 
-    /// Drops every claim that nothing can confirm any more, given that the scan stands at `cursor`.
+    /// Drops every claim that cannot be confirmed any more, with the scan at `cursor`.
     pub(super) fn prune(&mut self, cursor: usize) {
         let mut alive: Vec<UnknownSpan> = Vec::with_capacity(self.0.len());
         for &claim in self.0.iter().rev() {
@@ -274,7 +279,7 @@ impl UnknownSpans {
         self.0 = alive;
     }
 
-    /// Renumbers the claims after the first `gone` bytes of the buffer were dropped; no claim begins before them.
+    /// Shifts the claims after the first `gone` bytes of the buffer were dropped; no claim begins before them.
     pub(super) fn shift(&mut self, gone: usize) {
         for claim in &mut self.0 {
             claim.start -= gone;

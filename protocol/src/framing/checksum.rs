@@ -2,7 +2,7 @@
 
 use crc::{CRC_16_MCRF4XX, Crc, Table};
 
-/// Almost all the time of receiving goes into this sum: sixteen bytes per step.
+/// Sixteen bytes per step, because receiving spends almost all its time here.
 static MCRF4XX: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MCRF4XX);
 
 /// The checksum of a frame: over `bytes` (everything between the start byte and the checksum), then over the message's
@@ -14,8 +14,8 @@ pub fn checksum(bytes: &[u8], crc_extra: u8) -> u16 {
     digest.finalize()
 }
 
-/// The CRC_EXTRA with which `bytes` have this checksum; `None` if there is none. There is never more than one, because the last
-/// step of the sum takes every byte to another remainder.
+/// The CRC_EXTRA with which `bytes` have this checksum; `None` if there is none. There is never more than one, because
+/// the last step of the checksum maps every byte to another remainder.
 pub(crate) fn crc_extra_of(bytes: &[u8], sum: u16) -> Option<u8> {
     let mut before = MCRF4XX.digest();
     before.update(bytes);

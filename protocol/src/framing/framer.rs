@@ -63,17 +63,16 @@ pub struct Framer {
 struct ScanProgress {
     cursor: usize,
     decided: usize,
-    /// Where the last emitted frame ends.
     frames_end: usize,
     unknown_spans: UnknownSpans,
 }
 
-/// Which candidates must not be waited for.
+/// Which incomplete candidates to wait for.
 #[derive(Clone, Copy)]
 enum WaitPolicy {
-    /// Those that begin before this offset; 0 waits for all.
+    /// Only those that begin at or after this offset; 0 waits for all.
     WaitFrom(usize),
-    /// All: nothing more will come.
+    /// None: no more bytes will come.
     GiveUp,
 }
 
@@ -87,7 +86,6 @@ impl WaitPolicy {
 }
 
 impl Framer {
-    /// A framer without any bytes.
     pub fn new(config: FramerConfig) -> Self {
         Self {
             config,
@@ -101,7 +99,7 @@ impl Framer {
         }
     }
 
-    /// A framer that verifies the messages of foreign dialects as well, for recordings. A live link forwards them unverified, because
+    /// Also verifies the messages of foreign dialects, for recordings. A live link forwards them unverified, because
     /// its peers may use a newer version of their dialect.
     pub fn with_all_dialects(config: FramerConfig) -> Self {
         Self { catalogue: &FULL_CATALOGUE, ..Self::new(config) }
@@ -191,7 +189,6 @@ impl Framer {
         self.doubtful_end = 0;
     }
 
-    /// The counters since the start.
     pub const fn counters(&self) -> &FramerCounters {
         &self.counters
     }
@@ -205,7 +202,7 @@ impl Framer {
         self.doubtful_end = self.doubtful_end.saturating_sub(decided);
     }
 
-    /// Which candidates in `buffer` need no wait, now that its last bytes have come.
+    /// Which candidates in `buffer` to wait for, now that its last bytes have arrived.
     fn wait_policy(&self, buffer: &[u8]) -> WaitPolicy {
         match self.config.transport {
             TransportKind::Datagram => WaitPolicy::GiveUp,
@@ -220,7 +217,7 @@ impl Framer {
         }
     }
 
-    /// Where the last frame ends that a pass over `buffer` would emit; `None` if it would emit none.
+    /// The end of the last frame that a pass over `buffer` would emit; `None` if it would emit none.
     fn end_of_hidden_frames(&self, buffer: &[u8], wait_policy: WaitPolicy) -> Option<usize> {
         let mut progress = self.progress.clone();
         ScanPass {

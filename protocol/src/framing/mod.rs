@@ -1,8 +1,7 @@
 //! Bytes to frames: finds MAVLink frames in whatever a link delivers.
 //!
-//! Gets chunks and their arrival times from a link; gives whole, verified frames that borrow from the chunk, and a
-//! record of everything else. It decides only what is a frame. What a payload means is the business of
-//! [`crate::dialect`]; signatures are carried along but not verified.
+//! Gets chunks and their arrival times from a link; returns whole, verified frames that borrow from the chunk, and a
+//! record of everything else. [`crate::dialect`] decodes the payloads; signatures are passed on, not verified.
 //!
 //! It exists beside the `mavlink` crate's reader because that one cannot give up a torn frame, counts nothing, drops
 //! unknown messages, and spends most of its time in a bytewise checksum.
@@ -24,14 +23,12 @@ pub use sequence::{SequenceCounter, SequenceTracker};
 
 use posebridge_telemetry::{Address, ReceiveError, TimeDelta};
 
-/// Start byte of a MAVLink 2 frame.
 pub const START_BYTE_V2: u8 = 0xFD;
-/// Start byte of a MAVLink 1 frame.
 pub const START_BYTE_V1: u8 = 0xFE;
 /// Incompatibility flag of a MAVLink 2 frame: a signature follows. The only one in use.
 pub const FLAG_SIGNED: u8 = 0x01;
 
-/// Which of the two frame layouts.
+/// The version of a frame's layout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WireVersion {
     /// MAVLink 1: 8-bit message ids, no extension fields.
@@ -41,7 +38,7 @@ pub enum WireVersion {
     V2,
 }
 
-/// How a link cuts what it delivers.
+/// Whether a link delivers a stream or datagrams.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TransportKind {
     /// A stream of bytes, cut anywhere.
@@ -51,15 +48,14 @@ pub enum TransportKind {
     Datagram,
 }
 
-/// How a [`Framer`] works.
+/// The settings of a [`Framer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FramerConfig {
     /// Accept MAVLink 1 frames as well. Off by default: with an 8-bit start and a 16-bit checksum as the only
     /// redundancy, noise yields a false frame every few megabytes.
     pub accept_v1: bool,
-    /// Silence after which a frame that is not yet whole is given up.
+    /// Silence after which an incomplete frame is dropped.
     pub gap: TimeDelta,
-    /// How the link cuts its bytes.
     pub transport: TransportKind,
 }
 
@@ -71,26 +67,23 @@ impl Default for FramerConfig {
     }
 }
 
-/// Counts of one framer since it was made. Every byte ends up in exactly one of: a frame, an unknown frame, garbage, or
-/// the framer's pending bytes.
+/// Counters of one framer. Every byte is in exactly one of: a frame, an unknown frame, garbage, or the framer's pending
+/// bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FramerCounters {
-    /// Frames whose checksum matched.
     pub frames: u64,
-    /// Candidates whose checksum did not match.
     pub checksum_errors: u64,
     /// Bytes outside every frame.
     pub garbage_bytes: u64,
-    /// Frames with an id of no dialect that were handed out unverified.
+    /// Frames with an unknown id, emitted unverified.
     pub unknown_ids: u64,
-    /// Times that a frame stopped in its middle for longer than the gap, whether or not its rest came later.
+    /// Interruptions of a frame for longer than the gap, whether or not its rest came later.
     pub stalls: u64,
     /// Candidates with a length or flags that their message cannot have.
     pub impossible_headers: u64,
 }
 
 impl FramerCounters {
-    /// The sum of two framers' counts.
     pub const fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
@@ -106,15 +99,12 @@ impl FramerCounters {
 /// One frame, borrowed from the framer's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameRef<'a> {
-    /// The layout in which it came.
     pub version: WireVersion,
-    /// The message's id, 24 bits.
+    /// 24 bits.
     pub message_id: u32,
-    /// Who sent it.
     pub source: Address,
-    /// The sender's sequence number.
     pub sequence: u8,
-    /// The payload as it stood on the wire, trailing zeros possibly cut off.
+    /// As on the wire; trailing zeros may be truncated.
     pub payload: &'a [u8],
     /// The whole frame, start byte to checksum or signature.
     pub raw: &'a [u8],
@@ -127,14 +117,13 @@ impl FrameRef<'_> {
     }
 }
 
-/// The output of a framer.
+/// A frame or a fault in the bytes of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FramerOutput<'a> {
-    /// A frame whose checksum matched.
     Frame(FrameRef<'a>),
-    /// A frame that is whole by its length but whose id is in no dialect, so that its checksum cannot be verified. Forward
-    /// it untouched; do not trust it.
+    /// A frame that is whole by its length but has an unknown id, so that its checksum cannot be verified. Forward it
+    /// unchanged; do not trust it.
     UnknownFrame(FrameRef<'a>),
-    /// Something damaged was skipped.
+    /// Damaged input was skipped.
     Error(ReceiveError),
 }

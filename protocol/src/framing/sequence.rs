@@ -1,19 +1,20 @@
-//! How many frames are missing, by the senders' sequence numbers.
+//! Counts missing frames by the senders' sequence numbers.
 //!
-//! Every (system, component) counts for itself. What is missing is what the sender has sent between two frames that came, less
-//! what came between them, as RFC 3550 defines the cumulative loss of RTP. A frame that comes late is taken off again; one that
-//! comes twice counts once. An 8-bit number gives a distance only modulo 256, so that silences need more than the number:
+//! Each (system, component) is counted separately. Missing is what the sender has sent between two received frames,
+//! less what was received between them, as RFC 3550 defines the cumulative loss of RTP. A late frame is subtracted
+//! again; a duplicate counts once. An 8-bit number gives a distance only modulo 256, so that silences need more than
+//! the number:
 //!
 //! ```text
 //! n = a + 256 k     a = advance of the number modulo 256     k such that n is nearest to pace x (time between the two frames)
 //! ```
-//! The time is the sender's own, from the stamps of its messages: that of the arrivals says nothing, because a link that stalls for
-//! seconds delivers everything at once. A sender whose messages bear no stamps is followed by its number alone: up to half
-//! the circle is a loss, more is an old frame.
+//! The time is the sender's own, from the stamps of its messages. Arrival times are useless for this, because a link
+//! that stalls for seconds delivers everything at once. A sender without stamps is followed by its number alone: an
+//! advance of up to half the circle is a loss, more is an old frame.
 //!
 //! # Assumptions
-//! The sender counts by one and keeps about its pace through a silence; see [`send_rate`]. A sender that was restarted begins anew: its
-//! clock shows it, and what was lost about that instant is not counted, because it is unknown.
+//! The sender counts by one and roughly keeps its pace through a silence; see [`send_rate`]. A restarted sender begins
+//! anew: its clock shows it, and losses around the restart are unknown and not counted.
 //!
 //! # Sources
 //! Cumulative number of packets lost: RFC 3550, section 6.4.1 and appendix A.3.
@@ -30,19 +31,18 @@ use self::sender::{SenderSequence, StampedArrival};
 use super::FrameRef;
 use crate::dialect;
 
-/// Remembers what came of every sender on one link, and counts.
+/// Counts the frames of every sender on one link, received and missing.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceTracker {
     senders: BTreeMap<Address, SenderSequence>,
 }
 
 impl SequenceTracker {
-    /// A tracker without any frames.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes note of a frame that arrived at `arrival` and returns how many more frames of its sender are known to be missing.
+    /// Records a frame that arrived at `arrival` and returns the increase in the number of its sender's missing frames.
     /// That can be more than those just before it: only a message with a stamp shows how long a silence was.
     pub fn record(&mut self, frame: &FrameRef<'_>, arrival: Timestamp<HostClock>) -> u32 {
         let sender = self.senders.entry(frame.source).or_default();
@@ -55,22 +55,23 @@ impl SequenceTracker {
         sender.take_new_losses()
     }
 
-    /// Takes note of a frame by its number alone and returns how many frames of its sender are missing before it: 0 to 127.
+    /// Records a frame by its number alone and returns the number of its sender's frames that are missing before it: 0
+    /// to 127.
     pub fn record_number(&mut self, source: Address, sequence: u8) -> u8 {
         let sender = self.senders.entry(source).or_default();
         sender.record(sequence);
         u8::try_from(sender.take_new_losses()).unwrap_or(u8::MAX)
     }
 
-    /// The link was away. A sender with stamps is followed across it; for the others it is unknown whether they are the same, and
-    /// their next frame follows nothing.
+    /// The link was lost. A sender with stamps is followed across the loss; for the others it is unknown whether they
+    /// are the same, and their next frame starts a new sequence.
     pub fn handle_link_loss(&mut self) {
         for sender in self.senders.values_mut() {
             sender.handle_link_loss();
         }
     }
 
-    /// What each sender has sent, in the order of their addresses.
+    /// Counters per sender, in the order of addresses.
     pub fn source_health(&self) -> impl Iterator<Item = SourceHealth> {
         self.senders.iter().map(|(source, sender)| SourceHealth {
             source: *source,
@@ -80,12 +81,11 @@ impl SequenceTracker {
     }
 }
 
-/// The frames of one sender by their numbers alone.
+/// Counts the frames of one sender by their numbers alone.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceCounter(SenderSequence);
 
 impl SequenceCounter {
-    /// As [`SequenceTracker::record_number`], of the one sender.
     pub fn record_number(&mut self, sequence: u8) -> u8 {
         self.0.record(sequence);
         u8::try_from(self.0.take_new_losses()).unwrap_or(u8::MAX)

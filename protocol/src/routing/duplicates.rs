@@ -34,17 +34,18 @@ use super::endpoints::Endpoint;
 use crate::dialect::ids;
 use crate::framing::{FrameRef, START_BYTE_V1, START_BYTE_V2};
 
-/// So many keys are remembered for each endpoint that was heard; the oldest of all go first. A line of 115200 baud carries 8229 of the
-/// smallest telemetry frames (21 bytes) in 15 s.
+/// Number of remembered keys per endpoint; the oldest of all are dropped first. A line of 115200 baud carries 8229 of
+/// the smallest telemetry frames (21 bytes) in 15 s.
 const KEYS_PER_ENDPOINT: usize = 8_192;
-/// Fewer endpoints have as many keys as so many.
+/// With fewer endpoints the number of keys is that for this many.
 const MIN_ENDPOINTS: usize = 2;
-/// More endpoints have no more keys than so many: a sender may invent peers, and a key takes about 80 bytes.
+/// With more endpoints the number of keys is that for this many: a sender may invent peers, and a key takes about 80
+/// bytes.
 const MAX_ENDPOINTS: usize = 32;
-/// For so many keys there is room from the start: what a brick has said in ten seconds comes at once after a stall, and a station's memory
-/// should not grow by it.
+/// Number of preallocated keys: ten seconds of a brick, which arrive at once after a stall and should not grow a
+/// station's memory.
 const RESERVED_KEYS: usize = 4_096;
-/// Most keys that may wait to be sorted in.
+/// Most unsorted keys.
 const MAX_WAITING: usize = 64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -69,7 +70,7 @@ pub(super) fn content_key(group: u16, frame: &FrameRef<'_>) -> FrameKey {
     FrameKey::Content(hash([&head, payload]))
 }
 
-/// The same in every run of a program: its keys are fixed.
+/// The same in every run of the program: the hash keys are fixed.
 fn hash<const N: usize>(parts: [&[u8]; N]) -> u64 {
     let mut hasher = DefaultHasher::new();
     for part in parts {
@@ -84,23 +85,23 @@ struct SeenFrame {
     endpoint: Endpoint,
 }
 
-/// Frames of the last while.
+/// The frames received within the window.
 ///
-/// To sort a key in takes longer than anything else that is done with a small frame, so that it waits until no reply is due
-/// ([`Self::sort_and_expire`]), and as long as frames come from a single endpoint, where none can be a repeat; what is not sorted
-/// in yet is known all the same.
+/// Sorting a key in takes longer than everything else that is done with a small frame, so it is deferred until no reply
+/// is due ([`Self::sort_and_expire`]), and while frames come from a single endpoint, where none can be a duplicate.
+/// Lookups include the unsorted keys.
 #[expect(clippy::disallowed_types, reason = "keys are looked up and never walked through: no order can leak")]
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: TimeDelta,
     seen: HashMap<FrameKey, SeenFrame>,
-    /// Every note, oldest first; a key that was noted again stands here twice.
+    /// Every record, oldest first; a key that was recorded again is in it twice.
     expiry_order: VecDeque<(Timestamp<HostClock>, FrameKey)>,
-    /// Notes that are not sorted in, oldest first.
+    /// Records that are not sorted in, oldest first.
     unsorted: VecDeque<(FrameKey, SeenFrame)>,
-    /// By which endpoints notes came, at most [`MAX_ENDPOINTS`].
+    /// The endpoints of the records, at most [`MAX_ENDPOINTS`].
     endpoints: BTreeSet<Endpoint>,
-    /// By which endpoint the last note came, and when one came last by another endpoint than the one before it.
+    /// The endpoint of the last record, and when a record last came from another endpoint than the one before it.
     last_endpoint: Option<Endpoint>,
     last_endpoint_change: Timestamp<HostClock>,
 }
@@ -119,7 +120,7 @@ impl DuplicateGuard {
         }
     }
 
-    /// Notes a key that came by `endpoint`, and returns by which other endpoint it came first within the window.
+    /// Records a key from `endpoint`, and returns the other endpoint from which it came first within the window.
     pub(super) fn record(&mut self, now: Timestamp<HostClock>, endpoint: Endpoint, key: FrameKey) -> Option<Endpoint> {
         if self.unsorted.len() >= MAX_WAITING {
             self.sort_and_expire(now);
@@ -135,7 +136,7 @@ impl DuplicateGuard {
         None
     }
 
-    /// By which other endpoint than `endpoint` a key came first within the window.
+    /// The other endpoint from which a key came first within the window.
     pub(super) fn first_endpoint(
         &self,
         now: Timestamp<HostClock>,
@@ -150,12 +151,12 @@ impl DuplicateGuard {
         (now - note.arrival < self.window).then_some(note.endpoint).filter(|first| *first != endpoint)
     }
 
-    /// Whether all that came within the window came by the endpoint by which the last came: none of it is a repeat.
+    /// Whether all frames within the window came from the endpoint of the last one: then none is a duplicate.
     fn is_single_endpoint(&self, now: Timestamp<HostClock>) -> bool {
         now - self.last_endpoint_change >= self.window
     }
 
-    /// Sorts in what waits, and forgets what is too old.
+    /// Sorts in the deferred records, and discards the expired ones.
     pub(super) fn sort_and_expire(&mut self, now: Timestamp<HostClock>) {
         if self.is_single_endpoint(now) {
             self.expire_unsorted(now);
@@ -200,8 +201,8 @@ impl DuplicateGuard {
     }
 }
 
-/// Number of sent frames that are remembered. At a hundred frames per second on each of four links it is 20 s: longer than a frame is on
-/// its way round a loop.
+/// Number of remembered sent frames. At a hundred frames per second on each of four links it is 20 s: longer than a
+/// frame takes round a loop.
 const MAX_SENT_FRAMES: usize = 8_192;
 /// Bytes of a frame besides payload and signature: the header with its start byte, and the checksum.
 const BESIDE_PAYLOAD_V1: usize = 8;
@@ -230,7 +231,7 @@ impl SentFrameLog {
     }
 }
 
-/// The mark of a whole frame; `None` of what is none.
+/// `None` for bytes that are no whole frame.
 fn fingerprint(frame: &[u8]) -> Option<u32> {
     let (beside, length, sequence, id) = match *frame {
         [START_BYTE_V2, length, _, _, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V2, length, sequence, id),
@@ -241,7 +242,7 @@ fn fingerprint(frame: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes([checksum[0], checksum[1], sequence, id]))
 }
 
-/// Messages whose payload holds the sender's time: all kinds of telemetry that are fused here, and the commonest of the others.
+/// Messages whose payload contains the sender's time: all telemetry that is fused here, and the most common others.
 /// Source: common.xml (fields time_usec and time_boot_ms), our own dialect (time_us). By rising id.
 const TIMESTAMPED_MESSAGES: &[u32] = &[
     ids::SYSTEM_TIME,
@@ -278,7 +279,7 @@ const TIMESTAMPED_MESSAGES: &[u32] = &[
     ids::PB_FUSION_HEALTH,
 ];
 
-/// Whether equal payloads of this message are one and the same message.
+/// Whether equal payloads of this message mean the same message.
 pub fn has_timestamp(message_id: u32) -> bool {
     TIMESTAMPED_MESSAGES.binary_search(&message_id).is_ok()
 }

@@ -1,10 +1,10 @@
 //! Endpoints, the routes to them, and the target of a message, read from its payload without decoding it.
 //!
-//! About seventy messages name a target. Where its bytes stand follows from the definition in endpoints that are easy to get wrong:
-//! fields travel by falling size and not in the order of the definition, extension fields last. The table is therefore made by
-//! the generated encoders themselves, when it is first needed: each message is written twice with different targets, and the
-//! byte that differs is the field. Decoding would not do: one enumeration value that is newer than our dialect makes the
-//! generated decoder refuse a command that another system understands.
+//! About seventy messages name a target. The offset of its bytes follows from the definition in a way that is easy to
+//! get wrong: fields are sent by falling size and not in the order of the definition, extension fields last. The table
+//! is therefore computed with the generated encoders, when it is first needed: each message is encoded twice with
+//! different targets, and the byte that differs is the field. Decoding would not do: one enumeration value that is
+//! newer than our dialect makes the generated decoder reject a command that another system understands.
 //!
 //! # Sources
 //! minimal.xml, standard.xml and common.xml of the MAVLink project, as the `mavlink` crate ships them; our own dialect.
@@ -20,15 +20,13 @@ use crate::dialect::RenumberError;
 use crate::dialect::encoder::rewrite;
 use crate::dialect::generated::posebridge;
 
-/// Most peers of a link that are told apart, and as many routes and senders: what a UDP port remembers.
+/// Most distinguished peers of a link, and most routes and senders: the limit of a UDP port.
 pub const MAX_PEERS: usize = 4_096;
 
-/// By which endpoint a frame came: a peer of a link. The default is the only peer of the first link.
+/// The peer of a link from which a frame came. The default is the only peer of the first link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Endpoint {
-    /// The link.
     pub link: LinkId,
-    /// Which of its peers.
     pub peer: PeerId,
 }
 
@@ -36,10 +34,10 @@ pub struct Endpoint {
 pub(super) const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 const MAX_ROUTES: usize = MAX_PEERS;
 
-/// Behind one endpoint no honest neighbourhood is larger than this: as many systems as eight bits name.
+/// More routes than this behind one endpoint are invented: eight bits name this many systems.
 const MANY_ROUTES: usize = 255;
 
-/// Routes that were learnt by listening.
+/// Routes learned from received frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RouteTable(BTreeMap<(Address, Endpoint), Timestamp<HostClock>>);
 
@@ -51,12 +49,12 @@ impl RouteTable {
         self.0.insert((source, endpoint), now);
     }
 
-    /// The endpoints to one component, by rising link and peer.
+    /// The endpoints of one component, by rising link and peer.
     pub(super) fn to_component(&self, now: Timestamp<HostClock>, address: Address) -> BTreeSet<Endpoint> {
         self.endpoints_in_range(now, address, address)
     }
 
-    /// The endpoints to any component of a system.
+    /// The endpoints of any component of a system.
     pub(super) fn to_system(&self, now: Timestamp<HostClock>, system: SystemId) -> BTreeSet<Endpoint> {
         let component = |number| Address { system, component: ComponentId(number) };
         self.endpoints_in_range(now, component(0), component(u8::MAX))
@@ -76,9 +74,9 @@ impl RouteTable {
             .collect()
     }
 
-    /// A sender that invents addresses displaces its own entries: of the endpoint with the most routes the older half goes, at once,
-    /// so that a flood costs no search per frame. If no endpoint has many, the flood comes by invented endpoints, and the link with the
-    /// most loses as much.
+    /// A sender that invents addresses displaces its own entries: drops the older half of the routes of the endpoint
+    /// with the most, at once, so that a flood costs no search per frame. If no endpoint has many, the flood comes from
+    /// invented endpoints, and the link with the most routes loses as many.
     fn evict_routes(&mut self, now: Timestamp<HostClock>) {
         self.0.retain(|_, heard| now - *heard <= LIFETIME);
         if self.0.len() < MAX_ROUTES {
@@ -110,22 +108,19 @@ impl RouteTable {
     }
 }
 
-/// A payload is at most this long.
 const MAX_PAYLOAD: usize = 255;
 
-/// Whom a message is for.
+/// The recipients of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MessageTarget {
-    /// Broadcast: it names no target, target 0, or its definition is not known.
+    /// It names no target, target 0, or its definition is unknown.
     Broadcast,
-    /// All components of a system.
     System(SystemId),
-    /// One component.
     Component(Address),
 }
 
 impl MessageTarget {
-    /// The system that it is for; `None` for a broadcast.
+    /// `None` for a broadcast.
     pub const fn system(self) -> Option<SystemId> {
         match self {
             Self::Broadcast => None,
@@ -135,7 +130,6 @@ impl MessageTarget {
     }
 }
 
-/// Where the target fields of one message stand in its payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct TargetOffsets {
     message_id: u32,
@@ -155,7 +149,7 @@ static OFFSETS: LazyLock<Vec<TargetOffsets>> = LazyLock::new(|| {
     offsets
 });
 
-/// Whom the message `message_id` with this payload is for. Trailing zeros of the payload may be cut off.
+/// Trailing zeros of the payload may be truncated.
 pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     let Ok(index) = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id) else {
         return MessageTarget::Broadcast;
@@ -171,8 +165,8 @@ pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     }
 }
 
-/// Changes for whom a whole frame is: the system, and the component if the frame names one. Its checksum follows; nothing else changes.
-/// A frame that names no target, or that cannot be changed, stays as it is.
+/// Changes the target of a whole frame: the system, and the component if the frame names one. Updates the checksum;
+/// nothing else changes. A frame without a target is unchanged, as after an error.
 pub fn retarget(message_id: u32, frame: &mut [u8], to: Address) -> Result<(), RenumberError> {
     let index = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id);
     let offsets = index.map_err(|_unknown| RenumberError::NoFrame)?;
@@ -201,7 +195,7 @@ fn offsets_of<M: Message>(message_id: u32) -> Option<TargetOffsets> {
     })
 }
 
-/// Where the field that `field` reaches stands on the wire; `None` if the message does not have it.
+/// The offset on the wire of the field that `field` accesses; `None` if the message does not have it.
 fn offset_of<M: Message>(message: &mut M, field: fn(&mut M) -> Option<&mut u8>) -> Option<u8> {
     let mut written_with = |value: u8| {
         *field(message)? = value;

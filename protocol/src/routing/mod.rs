@@ -1,8 +1,8 @@
-//! Whom a frame is passed on to: a station between several links is also a router.
+//! Routes frames: a station between several links is also a router.
 //!
-//! Gets the frames that [`crate::framing`] finds, with the endpoint by which each came, and says to which links and peers it goes
-//! on. It is a value: it sends nothing, reads no clock and changes no byte. Which frames are used is not decided here, except
-//! that a frame that came before from another endpoint is distinguished from a new one ([`DuplicateStatus`]).
+//! Gets the frames that [`crate::framing`] finds, each with its endpoint, and returns the links and peers to which each
+//! is forwarded. It is a value: it sends nothing, reads no clock and changes no byte. It does not decide which frames
+//! are used, but distinguishes duplicates from another endpoint ([`DuplicateStatus`]).
 //!
 //! # Model
 //! ```text
@@ -12,8 +12,8 @@
 //! component s/c   not heard, s ≠ own                the endpoints by which s was heard
 //! component s/c   not heard, s = own                nobody; nor anybody for the station's own address
 //! ```
-//! Never back to the endpoint that it came from, and never to another link of the same group: those lead to the same robot. Every
-//! rule of the links (whether to forward at all, filters) is applied on top.
+//! A frame is never forwarded back to its endpoint, nor to another link of the same group: those lead to the same
+//! robot. The rules of the links (forwarding, filters) apply in addition.
 //!
 //! # Sources
 //! MAVLink guide, "Routing": broadcasts go everywhere, targeted messages only to known destinations, unknown messages are
@@ -41,78 +41,73 @@ pub const ROUTE_LIFETIME: TimeDelta = endpoints::LIFETIME;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
-/// Whether a frame's sender is who its header says.
+/// Whether a frame's sender is authentic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SenderCheck {
-    /// He is: the checksum holds, and on a link with a key the signature.
+    /// The checksum is right, and on a link with a key the signature.
     Verified,
-    /// Unknown: the message is in no dialect, so that its checksum cannot be verified, or it may come without the signature
-    /// that its link asks for. Passed on, but nothing is learnt from it.
+    /// Unknown: the message is in no dialect, so that its checksum cannot be verified, or its link accepts it without a
+    /// signature. Forwarded, but no route is learned from it.
     Unverifiable,
 }
 
-/// Whether a link has peers.
+/// Whether a peer shares its link with others; nothing is forwarded back on an exclusive one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkSharing {
-    /// Only the peer itself: nothing goes back there.
     Exclusive,
-    /// Others, too.
     Shared,
 }
 
-/// What is known of a frame's sender.
+/// The authentication of a frame's sender, and whether it shares its link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SenderInfo {
-    /// Whether he is who the header says.
     pub check: SenderCheck,
-    /// Whether he has the link for himself.
     pub sharing: LinkSharing,
 }
 
-/// A sender on a link that others may share.
+/// On a link that others may share.
 impl From<SenderCheck> for SenderInfo {
     fn from(check: SenderCheck) -> Self {
         Self { check, sharing: LinkSharing::Shared }
     }
 }
 
-/// Whether a frame has come before.
+/// Whether a frame was received before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DuplicateStatus {
-    /// It has not, or only by the very same endpoint.
+    /// Not before, or only from the same endpoint.
     New,
-    /// It has, over a redundant link to the same sender: it says nothing new.
+    /// From a redundant link to the same sender: it is not used again.
     Duplicate,
-    /// It has, by a link that has nothing to do with this one: somewhere the links form a loop. It goes nowhere, but only who
-    /// knows for whom he waits on which link can say whether it is news.
+    /// From an unrelated link: the links form a loop. It is not forwarded, but only the caller, who knows on which link
+    /// a reply is expected, can decide whether to use it.
     Loop,
-    /// The station has said it itself: a link echoes, or it went round a loop. It goes nowhere and says nothing.
+    /// The station sent it itself: a link echoes, or it went round a loop. It is neither forwarded nor used.
     Echo,
-    /// It bears the station's address, but the station has not said it: another sender has the same one. It goes nowhere.
+    /// It has the station's address, but the station did not send it: another sender has the same address. It is not
+    /// forwarded.
     AddressConflict,
 }
 
-/// What is to become of a frame.
+/// The routing of one frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RoutingDecision {
-    /// Whether it has come before. If it has, it goes nowhere.
     pub duplicate_status: DuplicateStatus,
-    /// Where it goes on to, by rising link id.
+    /// The links and recipients to which it is forwarded, by rising link id; none for a duplicate.
     pub to: Vec<(LinkId, Recipients)>,
 }
 
-/// What a [`FrameRouter`] is built from.
+/// The configuration of a [`FrameRouter`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct RouterConfig {
-    /// The station's own address; what is meant for it alone goes nowhere else.
+    /// The station's own address; frames for it alone are not forwarded.
     pub own: Address,
-    /// How long a frame is remembered to know it again; zero turns this off.
+    /// How long frames are remembered to detect duplicates; zero turns this off.
     pub duplicate_window: TimeDelta,
-    /// The rules of each link.
     pub links: BTreeMap<LinkId, LinkRules>,
 }
 
-/// Knows who was heard where and which frames have come, and decides where each goes on to.
+/// Learns routes, detects duplicates, and decides where each frame is forwarded.
 #[derive(Clone, Debug)]
 pub struct FrameRouter {
     config: RouterConfig,
@@ -122,7 +117,6 @@ pub struct FrameRouter {
 }
 
 impl FrameRouter {
-    /// A router without any frames.
     pub fn new(config: RouterConfig) -> Self {
         Self {
             routes: RouteTable::default(),
@@ -132,26 +126,27 @@ impl FrameRouter {
         }
     }
 
-    /// The station itself says this frame, on whichever link.
+    /// The station sends this frame, on whichever link.
     pub fn record_sent(&mut self, frame: &[u8]) {
         self.sent_frames.record(frame);
     }
 
-    /// The station sends this frame in the name of a sender that is received from `endpoint`: when it comes back from another endpoint, it is a duplicate.
+    /// The station sends this frame in the name of a sender that is received from `endpoint`: when it returns from
+    /// another endpoint, it is a duplicate.
     ///
-    /// His own frames stay his own, even one with the same bytes, as long as they come by that endpoint.
+    /// The sender's own frames stay its own, even one with the same bytes, as long as they come from that endpoint.
     pub fn record_sent_for(&mut self, now: Timestamp<HostClock>, endpoint: Endpoint, frame: &[u8]) {
         self.duplicates.record(now, endpoint, frame_key(frame));
     }
 
-    /// Whether a link's inward filter lets a frame in: one that it does not is neither used nor forwarded.
+    /// Whether a link's inward filter accepts a frame; rejected ones are neither used nor forwarded.
     pub fn admits(&self, link: LinkId, frame: &FrameRef<'_>) -> bool {
         self.config.links.get(&link).is_none_or(|rules| rules.inward.admits(frame.source, frame.message_id))
     }
 
-    /// Takes note of a frame that was let in at `now` and decides where it goes.
+    /// Records a frame that was admitted at `now` and decides where it is forwarded.
     ///
-    /// A frame with the station's own address goes nowhere and adds no route, whoever sent it.
+    /// A frame with the station's own address is not forwarded and adds no route.
     pub fn route(
         &mut self,
         now: Timestamp<HostClock>,
@@ -173,15 +168,15 @@ impl FrameRouter {
         self.decide(now, from, frame, SenderInfo { check, sharing }, occurrence)
     }
 
-    /// By which other endpoint a frame came first, while that is remembered.
+    /// The other endpoint from which a frame came first, while that is remembered.
     pub fn first_endpoint(&self, now: Timestamp<HostClock>, from: Endpoint, frame: &FrameRef<'_>) -> Option<Endpoint> {
         let by_bytes = self.duplicates.first_endpoint(now, from, frame_key(frame.raw));
         let group = self.group(from.link).filter(|_| has_timestamp(frame.message_id));
         by_bytes.or_else(|| self.duplicates.first_endpoint(now, from, content_key(group?, frame)))
     }
 
-    /// Decides where a frame goes that is new although [`Self::route`] found it to be a copy: only the caller knows that another sender
-    /// with the same address sent the same bytes by [`Self::first_endpoint`].
+    /// Decides where a frame is forwarded that [`Self::route`] took for a duplicate: only the caller knows that another
+    /// sender with the same address sent the same bytes from [`Self::first_endpoint`].
     pub fn route_as_new(
         &mut self,
         now: Timestamp<HostClock>,
@@ -215,7 +210,7 @@ impl FrameRouter {
         RoutingDecision { duplicate_status: occurrence, to }
     }
 
-    /// Where a frame goes whose target's endpoint only the caller knows: there, if the rules let it.
+    /// The destinations of a frame whose target's endpoint only the caller knows, subject to the rules.
     pub fn destinations_at(
         &self,
         from: Endpoint,
@@ -228,22 +223,21 @@ impl FrameRouter {
         may_go.then_some((recipient.link, Recipients::Peer(recipient.peer))).into_iter().collect()
     }
 
-    /// Does the work that no reply waits for; best called when an input's answers have left.
+    /// Does work that is not urgent; call it after the replies to an input were sent.
     pub fn run_deferred_work(&mut self, now: Timestamp<HostClock>) {
         self.duplicates.sort_and_expire(now);
     }
 
-    /// Forgets who was heard on a link, because it was lost.
     pub fn forget_link(&mut self, link: LinkId) {
         self.routes.forget_link(link);
     }
 
-    /// Whether two links are one, or redundant links of one group: what is heard on either comes from the same robot.
+    /// Whether two links are the same or redundant links of one group: both lead to the same robot.
     pub fn are_redundant(&self, a: LinkId, b: LinkId) -> bool {
         a == b || (self.group(a).is_some() && self.group(a) == self.group(b))
     }
 
-    /// The link that stands for a group of redundant links: that with the lowest id; the link itself if it is in none.
+    /// The link with the lowest id in a group of redundant links; the link itself if it is in none.
     pub fn first_of_group(&self, link: LinkId) -> LinkId {
         let Some(group) = self.group(link) else {
             return link;
@@ -256,8 +250,8 @@ impl FrameRouter {
         self.config.links.get(&link)?.group
     }
 
-    /// Takes note of a frame and says whether it came by another endpoint before. Equal bytes and equal content may have come from two
-    /// endpoints; what a redundant link has brought is no news, even if a detour was quicker still.
+    /// Records a frame and classifies it. Equal bytes and equal content may have come from two endpoints; a copy from a
+    /// redundant link is a duplicate, even if a detour was faster still.
     fn classify_duplicate(
         &mut self,
         now: Timestamp<HostClock>,
@@ -358,7 +352,7 @@ impl FrameRouter {
     }
 }
 
-/// The priority of a forwarded frame on a slow link: commands to one and their answers are never dropped.
+/// The priority of a forwarded frame on a slow link: commands to one recipient and their replies are never dropped.
 pub fn priority_of(frame: &FrameRef<'_>) -> Priority {
     let is_command =
         matches!(frame.message_id, ids::COMMAND_INT | ids::COMMAND_LONG | ids::COMMAND_ACK | COMMAND_CANCEL);

@@ -1,4 +1,4 @@
-//! What may pass on a link, and how much: filters, a least interval per message, a budget of bytes.
+//! Filters, minimum intervals per message, and byte budgets of a link.
 //!
 //! # Model
 //! ```text
@@ -20,43 +20,37 @@ use crate::dialect::generated::posebridge;
 /// The rules of one link.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkRules {
-    /// Redundant links to one robot share a number; `None` for a link that stands alone.
+    /// Redundant links to one robot share a number; `None` for a single link.
     pub group: Option<u16>,
-    /// What of the others' frames is passed on to it.
     pub forward: ForwardPolicy,
     /// Which of its frames are used and forwarded.
     pub inward: FrameFilter,
-    /// What of the others' frames may leave on it.
+    /// Which frames of other links may be sent on it.
     pub outward: FrameFilter,
-    /// How much of the others' frames and of our estimates may leave on it.
+    /// Rate limits of other links' frames and of our estimates.
     pub limits: RateLimits,
 }
 
-/// What of the others' frames is passed on to a link.
+/// Which frames of other links are forwarded to a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ForwardPolicy {
-    /// Everything that concerns it.
     #[default]
     All,
-    /// Only what names a target that was heard there.
+    /// Only frames whose target was heard there.
     Targeted,
-    /// Nothing, and nothing that comes from it goes to another link: the link takes no part.
+    /// None, and none of its frames is forwarded to another link.
     Disabled,
 }
 
-/// Lets frames pass or not, by message, system and component of their sender. The default lets all pass.
+/// Accepts frames by message, and by the sender's system and component. The default accepts all.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameFilter {
-    /// By message id.
     pub messages: AllowBlockList<u32>,
-    /// By the sender's system.
     pub systems: AllowBlockList<SystemId>,
-    /// By the sender's component.
     pub components: AllowBlockList<ComponentId>,
 }
 
 impl FrameFilter {
-    /// Whether a frame of this sender with this message passes.
     pub fn admits(&self, source: Address, message_id: u32) -> bool {
         self.messages.admits(&message_id)
             && self.systems.admits(&source.system)
@@ -64,12 +58,10 @@ impl FrameFilter {
     }
 }
 
-/// Two lists that choose.
+/// Selects the items in `allow`, or all if that is empty, except those in `block`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AllowBlockList<T> {
-    /// Only these; empty means all.
     pub allow: Vec<T>,
-    /// But not these.
     pub block: Vec<T>,
 }
 
@@ -80,18 +72,17 @@ impl<T> Default for AllowBlockList<T> {
 }
 
 impl<T: PartialEq> AllowBlockList<T> {
-    /// Whether `item` is chosen.
     pub fn admits(&self, item: &T) -> bool {
         (self.allow.is_empty() || self.allow.contains(item)) && !self.block.contains(item)
     }
 }
 
-/// The id of the message with this name, in the standard dialect or ours. Case matters, as in the definitions.
+/// The id of the message with this name, in the standard dialect or ours; case-sensitive.
 pub fn message_id_named(name: &str) -> Option<u32> {
     common::MavMessage::message_id_from_name(name).or_else(|| posebridge::MavMessage::message_id_from_name(name))
 }
 
-/// So much of the rate may leave at once: a quarter of a second is what people who steer notice.
+/// Share of the rate that may be sent at once: a delay of a quarter of a second is noticeable in steering.
 const BURST: TimeDelta = TimeDelta::from_millis(250);
 /// A MAVLink 2 frame with signature.
 const MAX_FRAME_BYTES: i64 = 280;
@@ -102,31 +93,31 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 /// Limits of one link. The default limits nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RateLimits {
-    /// Least time between two of a message of one sender, by message id.
+    /// Minimum interval of a message of one sender, by message id.
     pub min_intervals: BTreeMap<u32, TimeDelta>,
-    /// Bytes per second; `None` for no budget. A frame for several peers of the link is paid for once, and each of them gets it.
+    /// `None` for no budget. A frame for several peers of the link is charged once, and each of them gets it.
     pub bytes_per_s: Option<u32>,
 }
 
-/// Applies the limits of one link.
+/// Enforces the rate limits of one link.
 #[derive(Clone, Debug)]
 pub struct LinkRateLimiter {
     limits: RateLimits,
     last_sent: BTreeMap<(u32, Address), Timestamp<HostClock>>,
-    /// What may leave, in bytes times nanoseconds per second: integers, so that no rounding adds up.
+    /// Remaining budget, in bytes times nanoseconds per second: integers, so that rounding does not accumulate.
     budget: i64,
     refilled: Timestamp<HostClock>,
 }
 
 impl LinkRateLimiter {
-    /// A limiter with a full budget at `now`.
+    /// With a full budget at `now`.
     pub fn new(limits: RateLimits, now: Timestamp<HostClock>) -> Self {
         let mut limiter = Self { limits, last_sent: BTreeMap::new(), budget: 0, refilled: now };
         limiter.budget = limiter.max_budget();
         limiter
     }
 
-    /// Whether a frame of `bytes` bytes may leave at `now`; if so it has been paid for.
+    /// Whether a frame of `bytes` bytes may be sent at `now`; if so it is charged.
     pub fn admits(&mut self, now: Timestamp<HostClock>, source: Address, message_id: u32, bytes: usize) -> bool {
         let interval = self.limits.min_intervals.get(&message_id).copied();
         let key = (message_id, source);
@@ -146,7 +137,7 @@ impl LinkRateLimiter {
         true
     }
 
-    /// A frame that is not held back leaves at `now`: it only pays.
+    /// Charges a frame that is sent at `now` regardless of the budget.
     pub fn charge(&mut self, now: Timestamp<HostClock>, bytes: usize) {
         self.refill(now);
         self.consume(bytes);

@@ -1,7 +1,7 @@
 //! The MAVLink services beside the telemetry: heartbeats, time synchronization, message intervals, commands,
 //! parameters.
 //!
-//! A session is the part of one participant on one link. It is a value without IO: it takes time and messages, returns
+//! A session is one participant's part on one link. It is a value without IO: it takes time and messages, returns
 //! messages and events, and has a deadline. The station, the simulated brick and the simulated camera all use it, each
 //! in its own clock.
 //!
@@ -30,54 +30,51 @@ use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
 
-/// How a [`Session`] behaves.
+/// The configuration of a [`Session`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionConfig {
-    /// Who we are on this link.
+    /// Our address on this link.
     pub own: Address,
-    /// Our own heartbeat.
     pub heartbeat: Heartbeat,
     /// Time between our heartbeats; the convention is one second.
     pub heartbeat_period: TimeDelta,
-    /// Time between our time requests once the first ten are out; `None` answers only.
+    /// Time between our time requests after the first ten; `None` only replies.
     pub timesync_period: Option<TimeDelta>,
     /// Silence after which a peer is lost.
     pub peer_timeout: TimeDelta,
-    /// Messages that every newly seen robot is asked for, with their intervals.
+    /// Messages that are requested from every new robot, with their intervals.
     pub requested_messages: Vec<(u32, TimeDelta)>,
-    /// Messages whose interval others may set; a request for any other is answered as unsupported.
+    /// Messages whose interval others may set; a request for any other gets the reply "unsupported".
     pub offered_messages: Vec<u32>,
 }
 
-/// Whether a [`Session`] shows that it is there.
+/// Whether a [`Session`] sends heartbeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HeartbeatMode {
-    /// It sends heartbeats.
     #[default]
     Active,
-    /// It sends none, because the component behind it is not there: others must see that. It answers all the same.
+    /// It sends none, because its component is absent, which others must detect. It still replies.
     Suppressed,
 }
 
-/// One participant's part of the conversation on one link, in its own clock `C`.
+/// One participant's MAVLink services on one link, in its own clock `C`.
 #[derive(Debug)]
 pub struct Session<C: Clock> {
     config: SessionConfig,
     latest: Timestamp<C>,
     next_heartbeat: Timestamp<C>,
-    /// Before this nothing is due; `None` if that must be found out. What is planned for later can only be put off without this.
+    /// Nothing is due before this; `None` if that must be computed. It may be too early, never too late.
     idle_until: Option<Timestamp<C>>,
     heartbeat_mode: HeartbeatMode,
     time_requests: TimeRequests<C>,
     peers: PeerTable<C>,
     parameters: ParameterServer<C>,
-    /// Commands that are passed on.
+    /// Commands that are passed to the owner.
     served_commands: &'static [u16],
     outputs: VecDeque<SessionOutput<C>>,
 }
 
 impl<C: Clock> Session<C> {
-    /// A session without any peer; its first heartbeat is due at `now`.
     pub fn new(config: SessionConfig, now: Timestamp<C>) -> Self {
         Self {
             time_requests: TimeRequests::new(config.timesync_period, now),
@@ -93,28 +90,30 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    /// Offers parameters by these names, at most sixteen bytes each, with these values. Their number and order must not change.
+    /// Offers parameters by these names, at most sixteen bytes each, with these values. Their number and order must not
+    /// change.
     pub fn offer_parameters(&mut self, named: impl Iterator<Item = (String, f32)>) {
         self.parameters.offer(named);
     }
 
-    /// This value of an offered parameter stands now, whether anything changed or not. The messages for all peers of this link,
-    /// if one of them has ever requested them.
+    /// Stores the value of an offered parameter, changed or not. Returns the message for all peers of this link, if one
+    /// of them has ever requested parameters.
     pub fn report_parameter(&mut self, index: usize, value: f32) -> Option<Message> {
         self.parameters.set_value(index, value)
     }
 
-    /// Passes these commands on, as [`SessionOutput::CommandReceived`], also when they are for all components of our system.
+    /// Passes these commands to the owner, as [`SessionOutput::CommandReceived`], also when they are for all components
+    /// of our system.
     pub const fn serve_commands(&mut self, served: &'static [u16]) {
         self.served_commands = served;
     }
 
-    /// Takes a message that arrived at `now`. Our own messages, coming back from a link that echoes, are ignored.
+    /// Handles a message that arrived at `now`. Our own messages, from a link that echoes, are ignored.
     pub fn handle(&mut self, now: Timestamp<C>, from: Address, message: &Message) {
         self.handle_from_peer(now, SessionSender { address: from, peer: None }, message);
     }
 
-    /// The same on a link where several participants may have one address: each of them answers a time request.
+    /// The same on a link where several participants may have one address: each of them replies to a time request.
     pub fn handle_from_peer(&mut self, now: Timestamp<C>, sender: SessionSender, message: &Message) {
         let from = sender.address;
         self.rebase_clock(now);
@@ -157,18 +156,18 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    /// Takes note that a known peer is alive, from a message at `now` that is not for this session.
+    /// Records that a known peer is alive, from a message at `now` that is not for this session.
     pub fn record_activity(&mut self, now: Timestamp<C>, from: Address) {
         self.rebase_clock(now);
         self.peers.record_activity(now, from);
     }
 
-    /// Whether heartbeats are sent from now on; the beat stays the same.
+    /// Starts or stops the heartbeats; their schedule stays.
     pub const fn set_heartbeat_mode(&mut self, presence: HeartbeatMode) {
         self.heartbeat_mode = presence;
     }
 
-    /// The content of a heartbeat; `None` while they are withheld.
+    /// The content of a heartbeat; `None` while suppressed.
     pub fn active_heartbeat(&self) -> Option<Heartbeat> {
         (self.heartbeat_mode == HeartbeatMode::Active).then_some(self.config.heartbeat)
     }
@@ -184,7 +183,6 @@ impl<C: Clock> Session<C> {
         now < self.latest || due <= now
     }
 
-    /// Does what is due at `now`.
     pub fn tick(&mut self, now: Timestamp<C>) {
         self.rebase_clock(now);
         self.idle_until = None;
@@ -209,12 +207,11 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    /// What is to be done next; `None` when nothing is left.
+    /// The next action; `None` when there is none.
     pub fn poll(&mut self) -> Option<SessionOutput<C>> {
         self.outputs.pop_front()
     }
 
-    /// Whether [`Self::poll`] has nothing.
     pub fn is_idle(&self) -> bool {
         self.outputs.is_empty()
     }
@@ -231,7 +228,7 @@ impl<C: Clock> Session<C> {
         others.fold(self.next_heartbeat, Timestamp::min)
     }
 
-    /// Asks a robot again for everything wanted, because it was restarted and has forgotten; ignored for strangers.
+    /// Repeats all requests to a robot that was restarted and has forgotten them; ignored for unknown peers.
     pub fn peer_restarted(&mut self, now: Timestamp<C>, peer: Address) {
         self.rebase_clock(now);
         self.idle_until = None;
@@ -239,12 +236,11 @@ impl<C: Clock> Session<C> {
         self.time_requests.restart_quick(now);
     }
 
-    /// Acknowledges a command to its sender.
     pub fn acknowledge_command(&mut self, to: Address, command: u16, result: CommandResult) {
         self.send(Message::CommandAck(CommandAck { command, result: result as u8, target: Some(to) }));
     }
 
-    /// Sends a message of its owner's, behind what it has to say already.
+    /// Queues a message of the owner after the pending ones.
     pub fn queue_message(&mut self, message: Message) {
         self.send(message);
     }
@@ -326,8 +322,8 @@ impl<C: Clock> Session<C> {
             && (target.component == ComponentId(0) || target.component == own.component)
     }
 
-    /// A clock of 32 bits falls when it wraps, and any clock may be set back: everything planned falls with it, so that
-    /// nothing waits for a time that comes an hour later.
+    /// A 32-bit clock falls when it wraps, and any clock may be set back: shifts the schedule with it, so that nothing
+    /// waits for an hour.
     fn rebase_clock(&mut self, now: Timestamp<C>) {
         if now < self.latest {
             self.idle_until = None;
@@ -341,7 +337,7 @@ impl<C: Clock> Session<C> {
     }
 }
 
-/// Our clock in an answer; 0 would make a request of it.
+/// Our clock in a reply; 0 would make a request of it.
 fn nonzero_nanos<C: Clock>(now: Timestamp<C>) -> i64 {
     match now.as_nanos() {
         0 => 1,

@@ -5,79 +5,65 @@ use posebridge_telemetry::{Address, PeerId, TimeDelta, Timestamp};
 
 use crate::message::{CommandLong, Heartbeat, Message};
 
-/// What a [`Session`](super::Session) wants done or known.
+/// A message or an event of a [`Session`](super::Session).
 #[derive(Clone, Debug, PartialEq)]
 pub enum SessionOutput<C: Clock> {
     /// Send this from our own address.
     Send(Message),
-    /// A peer was heard for the first time, or again after it was lost.
-    PeerSeen {
-        /// Who it is.
-        peer: Address,
-        /// Its heartbeat.
-        heartbeat: Heartbeat,
-    },
-    /// A peer has fallen silent.
+    /// The first message of a peer, or its first one after it was lost.
+    PeerSeen { peer: Address, heartbeat: Heartbeat },
+    /// No message of a peer within the time-out.
     PeerLost {
-        /// Who it was.
         peer: Address,
-        /// Time since it was last heard.
+        /// Time since its last message.
         silence: TimeDelta,
     },
-    /// A time request of ours was answered.
+    /// A reply to a time request of ours.
     TimeExchanged {
-        /// Who answered.
         peer: Address,
-        /// When we asked.
+        /// When we sent the request.
         sent: Timestamp<C>,
-        /// When the answer arrived.
         received: Timestamp<C>,
-        /// The peer's clock in between, in nanoseconds.
+        /// The peer's clock in between.
         peer_nanos: i64,
     },
-    /// A request to send a message at an interval; our acknowledgement is sent.
+    /// A request to send a message at an interval; the session acknowledges it.
     IntervalRequested {
-        /// Who asks.
         by: Address,
-        /// The message's id.
         message_id: u32,
-        /// The interval; `None` stops the message, zero asks for our default.
+        /// `None` stops the message, zero requests our default.
         interval: Option<TimeDelta>,
     },
-    /// A command to us alone, or one to all of our system that we serve. The owner of the session reports with
-    /// [`Session::acknowledge_command`](super::Session::acknowledge_command) its result;
+    /// A command to us alone, or one of the served commands to all of our system. The owner reports its result with
+    /// [`Session::acknowledge_command`](super::Session::acknowledge_command);
     /// [`CommandResult::Unsupported`](crate::message::CommandResult::Unsupported) if no component accepts it.
     CommandReceived {
-        /// Who commands.
         by: Address,
-        /// The command, known to us or not; COMMAND_INT comes in this form, too.
+        /// Supported or not; COMMAND_INT is converted to this form.
         command: CommandLong,
     },
     /// A request to set one of our parameters; the resulting value must be reported with
     /// [`Session::report_parameter`](super::Session::report_parameter).
     ParameterSetRequested {
-        /// Who asks.
         by: Address,
-        /// Which of those that were offered.
+        /// Its index among the offered parameters.
         index: usize,
-        /// The value, any bits.
+        /// May be NaN or infinite.
         value: f32,
     },
     /// A request to set one of our parameters with an unreadable type; the value must be reported as after a
     /// set request.
     ParameterUnsupported {
-        /// Who asks.
         by: Address,
-        /// Which of those that were offered.
+        /// Its index among the offered parameters.
         index: usize,
         /// MAV_PARAM_TYPE of the value.
         kind: u8,
     },
     /// A request to us alone for a parameter that we do not have; nothing is answered.
     ParameterUnknown {
-        /// Who asks.
         by: Address,
-        /// The name or the index that was asked for, as it came.
+        /// The requested name or index, as received.
         asked: String,
     },
 }
@@ -91,11 +77,10 @@ pub(super) fn next_period<C: Clock>(due: Timestamp<C>, period: TimeDelta, now: T
     if next > now { next } else { now + period }
 }
 
-/// Who sent a message on the session's link.
+/// The sender of a message on the session's link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SessionSender {
-    /// The address that the message names.
     pub address: Address,
-    /// By which peer of the link it came; `None` if that says nothing.
+    /// The peer of the link; `None` if the address is unique.
     pub peer: Option<PeerId>,
 }

@@ -19,7 +19,6 @@ use crate::message::Message;
 /// Time between two values of a list: 37 bytes each, a sixth of a line of 115 200 baud.
 const LIST_INTERVAL: TimeDelta = TimeDelta::from_millis(20);
 
-/// A name, at most sixteen bytes, and the value that stands.
 #[derive(Clone, Debug, PartialEq)]
 struct OfferedParameter {
     name: String,
@@ -33,7 +32,6 @@ struct ParameterListing<C: Clock> {
     due: Timestamp<C>,
 }
 
-/// The later of an instant and one before which nothing may go out, if there is one.
 fn not_before<C: Clock>(now: Timestamp<C>, earliest: Option<Timestamp<C>>) -> Timestamp<C> {
     earliest.map_or(now, |earliest| earliest.max(now))
 }
@@ -42,9 +40,9 @@ fn not_before<C: Clock>(now: Timestamp<C>, earliest: Option<Timestamp<C>>) -> Ti
 pub(super) struct ParameterServer<C: Clock> {
     offered: Vec<OfferedParameter>,
     listing: Option<ParameterListing<C>>,
-    /// Before it no other value of a list goes out, not even of the next list.
+    /// No value of any list is sent before this.
     next_allowed: Option<Timestamp<C>>,
-    /// A peer on this link has requested some of them.
+    /// A peer on this link has requested parameters.
     was_requested: bool,
 }
 
@@ -53,14 +51,14 @@ impl<C: Clock> ParameterServer<C> {
         Self { offered: Vec::new(), listing: None, next_allowed: None, was_requested: false }
     }
 
-    /// Offers these, in this order. The order must not change afterwards: ground stations ask by index.
+    /// Offers these parameters. Their order must not change afterwards: ground stations request by index.
     pub(super) fn offer(&mut self, named: impl Iterator<Item = (String, f32)>) {
         let named = named.map(|(name, value)| OfferedParameter { name, value });
         // An index has sixteen bits, signed in a request.
         self.offered = named.take(i16::MAX as usize).collect();
     }
 
-    /// Takes a request that arrived at `now` from `by`; what is to be done about it.
+    /// Handles a request that arrived at `now` from `by`; returns the resulting outputs.
     pub(super) fn handle(
         &mut self,
         now: Timestamp<C>,
@@ -105,7 +103,7 @@ impl<C: Clock> ParameterServer<C> {
         }
     }
 
-    /// This value stands from now on; the messages to send.
+    /// Stores a value and returns the message that reports it, if any.
     pub(super) fn set_value(&mut self, index: usize, value: f32) -> Option<Message> {
         self.offered.get_mut(index)?.value = value;
         self.was_requested.then(|| self.value(index))?
@@ -163,12 +161,14 @@ impl<C: Clock> ParameterServer<C> {
     }
 }
 
-/// Ours, or for all components of our system; "everybody" is not answered for, lest a whole class starts to send.
+/// Ours, or for all components of our system; requests to all systems get no reply, or a whole class would start to
+/// send.
 fn is_for(own: Address, target: Address) -> bool {
     target.system == own.system && (target.component == own.component || target.component == ComponentId(0))
 }
 
-/// A component does not answer for a parameter that it does not have; but who meant us alone should know why nothing comes.
+/// A component does not reply for a parameter that it does not have; but a request to us alone is reported to the
+/// owner.
 fn unknown_parameter<C: Clock>(
     own: Address,
     by: Address,

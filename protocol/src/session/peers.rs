@@ -1,4 +1,4 @@
-//! The other participants of the link, and the message intervals still to be requested from them.
+//! The other participants of the link, and the message intervals to request from them.
 //!
 //! COMMAND_ACK names the command and not its parameters, so a robot gets one request for a message interval at a time:
 //! otherwise an acknowledgement could not be assigned to its request.
@@ -14,11 +14,10 @@ use crate::message::Heartbeat;
 const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_TYPE_GCS: some ground stations claim an autopilot.
 const GROUND_STATION: u8 = 6;
-/// Times that one interval is requested before the next one gets its turn.
+/// Number of requests of one interval before the next one is requested.
 const MAX_ATTEMPTS: u8 = 5;
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Where we are with the requests to one robot.
 #[derive(Clone, Copy, Debug)]
 struct RequestProgress<C: Clock> {
     index: usize,
@@ -61,7 +60,7 @@ impl<C: Clock> PeerTable<C> {
         }
     }
 
-    /// Takes note of a heartbeat; true if its sender is new.
+    /// Records a heartbeat; true if its sender is new.
     pub(super) fn record_heartbeat(&mut self, now: Timestamp<C>, from: Address, heartbeat: Heartbeat) -> bool {
         if self.peers.contains_key(&from) {
             return false;
@@ -79,7 +78,7 @@ impl<C: Clock> PeerTable<C> {
         }
     }
 
-    /// Removes and returns the peers that have been silent for too long, with their silence.
+    /// Removes and returns the peers that have been silent for longer than the time-out, with their silence.
     pub(super) fn take_lost(&mut self, now: Timestamp<C>) -> Vec<(Address, TimeDelta)> {
         let mut lost = Vec::new();
         self.peers.retain(|&address, peer| {
@@ -93,12 +92,12 @@ impl<C: Clock> PeerTable<C> {
         lost
     }
 
-    /// Whom to ask now for which of `wanted` messages.
+    /// The peers to send a request now, each with the index of the requested message, of `wanted` ones.
     pub(super) fn due_requests(&mut self, now: Timestamp<C>, wanted: usize) -> Vec<(Address, usize)> {
         self.peers.iter_mut().filter_map(|(&address, peer)| Some((address, peer.due_request(now, wanted)?))).collect()
     }
 
-    /// The robot has answered the request that is open, whatever it said: on to the next one.
+    /// The robot has replied to the open request, whatever the result: continues with the next one.
     pub(super) fn record_response(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
             peer.request_progress = peer

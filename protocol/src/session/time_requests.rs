@@ -10,13 +10,13 @@ use posebridge_telemetry::{PeerId, TimeDelta, Timestamp};
 
 use super::output::{MIN_PERIOD, SessionSender, next_period};
 
-/// Requests at the start, and again for each new peer, that come in quick succession: ten exchanges give the hulls of the
+/// Number of requests in quick succession, at the start and for each new peer: ten exchanges give the hulls of the
 /// clock alignment their first bounds.
 const QUICK_REQUESTS: u8 = 10;
 const QUICK_PERIOD: TimeDelta = TimeDelta::from_millis(100);
-/// An answer that comes later than this says nothing useful about the clock.
+/// A later reply says nothing useful about the clock.
 const STALE: TimeDelta = TimeDelta::from_millis(5_000);
-/// The most requests that are remembered: five seconds of quick ones.
+/// Most remembered requests: five seconds of quick ones.
 const MAX_OPEN: usize = 50;
 
 #[derive(Debug)]
@@ -26,7 +26,7 @@ struct OpenTimeRequest<C: Clock> {
 }
 
 impl<C: Clock> OpenTimeRequest<C> {
-    /// Whether a sender has answered already; one whose peer is not known may be any that has its address.
+    /// Whether a sender has replied already; a reply from an unknown peer counts for every peer with its address.
     fn is_answered_by(&self, sender: SessionSender) -> bool {
         let of_address = |peer| SessionSender { peer, ..sender };
         let is_unknown_peer = self.answered_by.contains(&of_address(None));
@@ -38,7 +38,7 @@ impl<C: Clock> OpenTimeRequest<C> {
     }
 }
 
-/// The requests that may still be answered, and when the next one is due.
+/// The open requests, and when the next one is due.
 #[derive(Debug)]
 pub(super) struct TimeRequests<C: Clock> {
     period: Option<TimeDelta>,
@@ -63,7 +63,7 @@ impl<C: Clock> TimeRequests<C> {
         self.next = self.next.min(now + QUICK_PERIOD);
     }
 
-    /// The stamp to send in a request, if one is due.
+    /// The timestamp to send in a request, if one is due.
     pub(super) fn due(&mut self, now: Timestamp<C>) -> Option<i64> {
         let period = self.period?;
         if now < self.next {
@@ -81,7 +81,7 @@ impl<C: Clock> TimeRequests<C> {
         Some(now.as_nanos())
     }
 
-    /// When we asked, if this is the first answer of `peer` to a request that is still open.
+    /// When the request was sent, if this is the first reply of `peer` to an open request.
     pub(super) fn match_response(
         &mut self,
         now: Timestamp<C>,
@@ -101,7 +101,7 @@ impl<C: Clock> TimeRequests<C> {
         self.period.map(|_| self.next)
     }
 
-    /// The clock fell: what was stamped before cannot be compared any more.
+    /// The clock fell: earlier timestamps cannot be compared any more.
     pub(super) fn shift_clock(&mut self, fall: TimeDelta) {
         self.next = self.next - fall;
         self.open.clear();

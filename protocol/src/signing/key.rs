@@ -7,33 +7,27 @@ use std::str::FromStr;
 use sha2::{Digest, Sha256};
 
 const LENGTH: usize = 32;
-/// Goes before the key where its name is made, so that the name is no part of any signature.
+/// Prefix of the hashed key, so that the key's name is no part of any signature.
 const NAME_PREFIX: &[u8] = b"posebridge key name:";
 
 /// A secret that two ends of a link share. Printing one shows its [name](Self::name).
 #[derive(Clone, PartialEq, Eq)]
 pub struct Key([u8; LENGTH]);
 
-/// Why a text is not a key. Says nothing of the text but its length and where it is wrong.
+/// Why a text is not a key. Contains only the text's length and the position of the error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyError {
-    /// Too short or too long.
     #[error("a key has 64 hexadecimal digits, this has {found} characters")]
-    Length {
-        /// How many characters it has.
-        found: usize,
-    },
-    /// A character that is no hexadecimal digit.
+    Length { found: usize },
     #[error("a key has 64 hexadecimal digits, character {position} is none")]
     Digit {
-        /// Which character, from 1.
+        /// From 1.
         position: usize,
     },
 }
 
 impl Key {
-    /// The key of these bytes.
     pub const fn from_bytes(bytes: [u8; LENGTH]) -> Self {
         Self(bytes)
     }

@@ -1,8 +1,8 @@
 //! Message signing of MAVLink 2: only a holder of the key may send, and a frame cannot be replayed.
 //!
-//! Gets verified frames from [`crate::framing`] and says whether their signatures hold; gives the frames of
-//! [`crate::dialect::Encoder`] their signatures. One [`LinkSigner`] per link. It reads no clock and no file: the time is
-//! an argument, and what must survive a restart is a value ([`SigningState`]). It hides nothing: signed frames are readable.
+//! Gets verified frames from [`crate::framing`] and verifies their signatures; signs the frames of
+//! [`crate::dialect::Encoder`]. One [`LinkSigner`] per link. It reads no clock and no file: the time is an argument,
+//! and what must survive a restart is a value ([`SigningState`]). It does not encrypt: signed frames are readable.
 //!
 //! # Model
 //! ```text

@@ -1,4 +1,4 @@
-//! The 13 bytes behind a frame, and their time: the only use of the calendar in anything that is computed.
+//! The signature of a frame and its time; nothing else computes with the calendar.
 
 use posebridge_telemetry::TimeDelta;
 use sha2::{Digest, Sha256};
@@ -20,37 +20,36 @@ pub struct SigningTime(u64);
 impl SigningTime {
     /// The beginning of 2015.
     pub const ZERO: Self = Self(0);
-    /// The last one that there is.
+    /// The last instant, in 2104.
     pub const MAX: Self = Self(MAX_UNITS);
 
-    /// That many units; the last one there is for more than 48 bits.
+    /// Saturates at 48 bits.
     pub const fn from_units(units: u64) -> Self {
         if units > MAX_UNITS { Self::MAX } else { Self(units) }
     }
 
-    /// The instant that many microseconds after 1970 UTC; [`Self::ZERO`] for what lies before 2015.
+    /// [`Self::ZERO`] for instants before 2015.
     pub const fn from_unix_micros(micros: u64) -> Self {
         Self::from_units(micros.saturating_sub(EPOCH_UNIX_MICROS) / 10)
     }
 
-    /// Its units.
     pub const fn units(self) -> u64 {
         self.0
     }
 
-    /// The instant a span later, cut to whole units; saturates, and a negative span changes nothing.
+    /// Cut to whole units; saturates, and a negative span changes nothing.
     pub fn saturating_add(self, span: TimeDelta) -> Self {
         let units = u64::try_from(span.as_nanos() / UNIT_NANOS).unwrap_or(0);
         Self::from_units(self.0.saturating_add(units))
     }
 
-    /// How much later than `earlier`; zero if it is not.
+    /// Zero if `earlier` is not earlier.
     pub fn since(self, earlier: Self) -> TimeDelta {
         let units = i64::try_from(self.0.saturating_sub(earlier.0)).unwrap_or(i64::MAX);
         TimeDelta::from_nanos(units.saturating_mul(UNIT_NANOS))
     }
 
-    /// The smallest that is later; `None` after the last.
+    /// The next instant; `None` after the last.
     pub fn next(self) -> Option<Self> {
         (self < Self::MAX).then_some(Self(self.0 + 1))
     }
@@ -66,7 +65,7 @@ impl SigningTime {
     }
 }
 
-/// What one frame of our own is signed with; its timestamp is used up.
+/// Signs one frame of our own; its timestamp is used once.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameSigner<'k> {
     pub(super) key: &'k Key,
@@ -108,7 +107,7 @@ impl<'a> Signature<'a> {
         Some(Self { link_id, timestamp: SigningTime::from_wire([a, b, c, d, e, f]), mac: *mac, signed_bytes: covered })
     }
 
-    /// Whether it was made with this key over these bytes.
+    /// Whether this key made the signature over these bytes.
     pub(super) fn is_valid(&self, key: &Key) -> bool {
         is_equal(mac(key, self.signed_bytes), self.mac)
     }
@@ -125,8 +124,8 @@ fn mac(key: &Key, covered: &[u8]) -> [u8; MAC] {
     mac
 }
 
-/// Compares in the same time wherever the difference is: who could measure how far a guess is right would need 6 · 256
-/// guesses and not 256⁶.
+/// Compares in constant time: whoever could measure the length of the matching prefix would need 6 · 256 guesses and
+/// not 256⁶.
 fn is_equal(a: [u8; MAC], b: [u8; MAC]) -> bool {
     let differing = a.iter().zip(b).fold(0, |bits, (a, b)| bits | (a ^ b));
     // Hidden from the optimiser, which might leave early once a bit is set.

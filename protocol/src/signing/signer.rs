@@ -8,37 +8,35 @@ use super::state::SigningState;
 use super::verifier::{SignatureVerifier, UnsignedPolicy};
 use crate::framing::FrameRef;
 
-/// Everything that decides how a link signs.
+/// The configuration of a link's signing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SigningConfig {
     /// The secret that both ends share.
     pub key: Key,
-    /// What we call the link in our signatures.
+    /// The number of the link in our signatures.
     pub link_id: u8,
-    /// What becomes of frames without a signature.
     pub unsigned: UnsignedPolicy,
-    /// What the link begins with, as of the host clock's zero.
+    /// The state at the host clock's zero.
     pub state: SigningState,
 }
 
-/// Signs the frames that leave on one link and verifies those that arrive there.
+/// Signs the outgoing frames of one link and verifies the received ones.
 ///
-/// The time of signatures is the calendar's at the start and goes on with the host clock. A verified frame that is ahead sets it
-/// forward, so that a station without a right date learns it from its peers.
+/// Signature time starts at the computer's date and continues with the host clock. A verified frame that is ahead sets
+/// it forward, so that a station without a correct date learns it from its peers.
 #[derive(Clone, Debug)]
 pub struct LinkSigner {
     key: Key,
     link_id: u8,
     /// The computer's date at the host clock's zero.
     start_date: SigningTime,
-    /// The time of signatures at the host clock's zero.
+    /// Signature time at the host clock's zero.
     start: SigningTime,
     last_sent: SigningTime,
     verifier: SignatureVerifier,
 }
 
 impl LinkSigner {
-    /// A link that goes on from its memory.
     pub fn new(config: SigningConfig) -> Self {
         let memory = config.state;
         Self {
@@ -51,15 +49,14 @@ impl LinkSigner {
         }
     }
 
-    /// What the next frame of our own is signed with: a timestamp of `now`, and later than every one before. `None` when there
+    /// Signs the next frame of our own, with the timestamp of `now` or later, after every one before. `None` when there
     /// is no later one.
     pub fn next_signer(&mut self, now: Timestamp<HostClock>) -> Option<FrameSigner<'_>> {
         self.last_sent = self.clock(now).max(self.last_sent.next()?);
         Some(FrameSigner { key: &self.key, link_id: self.link_id, timestamp: self.last_sent })
     }
 
-    /// Verifies a frame that came at `now`.
-    /// The error is why it must be rejected; it has changed nothing.
+    /// Verifies a frame that arrived at `now`. The error is why it must be rejected; it changes no state.
     pub fn verify(&mut self, now: Timestamp<HostClock>, frame: &FrameRef<'_>) -> Result<(), SignatureError> {
         let clock = self.clock(now);
         let date = self.date(now);
@@ -71,13 +68,13 @@ impl LinkSigner {
         Ok(())
     }
 
-    /// Whether the sender of an accepted frame is authenticated. A frame without a signature that came in only because of its
-    /// message id is not authenticated: anyone can send it, under any address.
+    /// Whether the sender of an accepted frame is authenticated. A frame without a signature that was accepted only
+    /// because of its message id is not: anyone can send it, under any address.
     pub fn is_authenticated(&self, frame: &FrameRef<'_>) -> bool {
         self.verifier.accepts_unsigned() || Signature::parse(frame).is_some()
     }
 
-    /// What must be known after a restart, as of `now`.
+    /// The state to keep for a restart, as of `now`.
     pub fn state(&self, now: Timestamp<HostClock>) -> SigningState {
         SigningState {
             written_at: self.date(now),
@@ -88,8 +85,8 @@ impl LinkSigner {
         }
     }
 
-    /// How many streams were heard for the first time. When it has grown, the memory should be written down at once: of a
-    /// stream that is not in it nothing is known after a restart.
+    /// Number of new streams. When it has grown, the state should be written at once: after a restart nothing is known
+    /// of a stream that is not in it.
     pub const fn streams_seen(&self) -> u64 {
         self.verifier.streams_seen()
     }

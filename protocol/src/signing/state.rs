@@ -1,7 +1,7 @@
-//! What a link's signing must still know after a restart, and how a session begins from it.
+//! The state of a link's signing that must survive a restart.
 //!
-//! What is written down is always a little old when a program is killed. Nothing that happened after the writing may be
-//! possible a second time, so [`SigningState::resumed`] goes ahead of what was written: by at most [`SigningState::LARGEST_LOSS`].
+//! The written state is always a little old when a program is killed. Nothing after the writing may be repeatable, so
+//! [`SigningState::resume`] advances the state: by at most [`SigningState::MAX_WRITE_GAP`].
 
 use std::collections::BTreeMap;
 
@@ -9,64 +9,62 @@ use posebridge_telemetry::{Address, TimeDelta};
 
 use super::signature::SigningTime;
 
-/// How far a sender's stamps may run ahead of the time that passes: a burst of frames takes one stamp each.
+/// How far a sender's timestamps may run ahead of its time: a burst of frames takes one timestamp each.
 const BURST: TimeDelta = TimeDelta::from_millis(500);
 
-/// One sender on one of its links: what has timestamps of its own.
+/// One sender on one of its links, which has its own timestamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct StreamId {
-    /// Who sends.
     pub source: Address,
-    /// What the sender calls the link.
+    /// The sender's number of the link.
     pub link_id: u8,
 }
 
 /// The last accepted timestamp of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignedStreamState {
-    /// Its timestamp, by the sender's clock.
+    /// By the sender's clock.
     pub timestamp: SigningTime,
-    /// When it came, by our computer's date.
+    /// Its arrival, by our computer's date.
     pub date: SigningTime,
 }
 
 /// How the session that wrote a [`SigningState`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ShutdownKind {
-    /// It closed: nothing was sent or heard after the writing.
+    /// Closed: nothing was sent or received after the writing.
     Clean,
-    /// It was still running when it wrote, and never wrote again.
+    /// Killed some time after the writing.
     Interrupted,
 }
 
 /// The timestamps of one link, at one instant.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SigningState {
-    /// What the computer's date said at that instant.
+    /// The computer's date at that instant.
     pub written_at: SigningTime,
-    /// The time of signatures at that instant; ahead of the date if a peer was.
+    /// Signature time at that instant; ahead of the date if a peer was.
     pub clock: SigningTime,
-    /// The last timestamp that we have signed with.
+    /// The last timestamp of our own frames.
     pub last_sent: SigningTime,
-    /// Streams that are not listed are refused if their timestamp is this or an earlier one: a stream that made room for others
-    /// was that far.
+    /// Unlisted streams with this timestamp or an earlier one are rejected: a stream that was dropped to make room had
+    /// reached it.
     pub min_timestamp: Option<SigningTime>,
-    /// The last accepted timestamp of every stream.
     pub streams: BTreeMap<StreamId, SignedStreamState>,
 }
 
 impl SigningState {
-    /// How often a running station writes its memory down, while there is anything new.
+    /// How often a running station writes a changed state.
     pub const WRITE_PERIOD: TimeDelta = TimeDelta::from_millis(500);
 
-    /// The longest that it may go without: twenty times as long, so that a disk that hangs for a while costs nothing.
+    /// The longest time without a write: twenty periods, so that a disk that stalls for a while does no harm.
     pub const MAX_WRITE_GAP: TimeDelta = TimeDelta::from_millis(10_000);
 
-    /// What a session begins with that finds this memory when its computer's date is `utc`.
+    /// The state of a new session that starts from this one at the computer's date `utc`.
     ///
-    /// After [`ShutdownKind::Interrupted`] our own timestamps begin so far ahead that none is used twice. What a stream has said
-    /// between the writing and the cut cannot be known; its stamps cannot have gone on by much more than the time since it was
-    /// last heard, so that much is refused.
+    /// After [`ShutdownKind::Interrupted`] our own timestamps begin so far ahead that none is used twice. The
+    /// timestamps of the streams between the writing and the end are unknown; they cannot have advanced by much more
+    /// than the time since the stream's last frame, so that much is rejected.
     pub fn resume(mut self, utc: SigningTime, ending: ShutdownKind) -> Self {
         if ending == ShutdownKind::Interrupted {
             let since_writing = if utc > self.written_at {

@@ -1,4 +1,4 @@
-//! Which frames of a link are accepted.
+//! Verifies the signatures of a link's frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,21 +9,21 @@ use super::signature::{Signature, SigningTime};
 use super::state::{SignedStreamState, StreamId};
 use crate::framing::FrameRef;
 
-/// Most streams that are remembered. Only holders of the key make streams; a class of robots has a few hundred.
+/// Most remembered streams. Only holders of the key make streams; a class of robots has a few hundred.
 const MAX_STREAMS: usize = 1_024;
 /// A new stream may be this far behind: 6 million units, MAVLink guide, "Timestamp Handling".
 const MAX_LAG: TimeDelta = TimeDelta::from_millis(60_000);
 
-/// What becomes of frames without a signature.
+/// Whether frames without a signature are accepted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UnsignedPolicy {
-    /// They are accepted. Those that have a signature must still have a right one.
+    /// A signature, if there is one, must still be valid.
     Accept,
-    /// They are refused, except these message ids.
+    /// Rejected, except these message ids.
     RejectExcept(BTreeSet<u32>),
 }
 
-/// Remembers how far every stream of a link is.
+/// The last timestamp of every stream of a link.
 #[derive(Clone, Debug)]
 pub(super) struct SignatureVerifier {
     unsigned: UnsignedPolicy,
@@ -41,8 +41,8 @@ impl SignatureVerifier {
         Self { unsigned, streams, floor, met: 0 }
     }
 
-    /// The timestamp of a frame to accept, `None` if it comes without; takes note of it. `clock` is the time of
-    /// signatures, `date` the computer's.
+    /// Verifies a frame and stores its timestamp, which is returned; `None` if an accepted frame has no signature.
+    /// `clock` is signature time, `date` the computer's.
     pub(super) fn verify(
         &mut self,
         (clock, date): (SigningTime, SigningTime),
@@ -92,7 +92,7 @@ impl SignatureVerifier {
         self.met += 1;
     }
 
-    /// Whether a stream that is not remembered may have said this.
+    /// Whether a stream that is not remembered may have used this timestamp.
     fn may_be_replayed(&self, timestamp: SigningTime) -> bool {
         self.floor.is_some_and(|floor| timestamp <= floor)
     }
@@ -105,7 +105,7 @@ impl SignatureVerifier {
         self.floor
     }
 
-    /// How many streams have begun.
+    /// Number of new streams.
     pub(super) const fn streams_seen(&self) -> u64 {
         self.met
     }

@@ -28,7 +28,7 @@ use crate::message::{CommandLong, Message, TimeSync, VisionFix, WireStamp};
 const MAX_LINE_BYTES: usize = 1_024;
 /// Most senders of a link that are kept apart; the oldest one is dropped first.
 const MAX_PEERS: usize = 64;
-/// Most replies that wait to be sent; more are dropped, because complaints come again.
+/// Most queued replies; more are dropped, because errors are reported again.
 const MAX_REPLIES: usize = 64;
 const MAX_UNKNOWN_KEYS: usize = 8;
 /// The message id of a line in [`ReceiveError`](posebridge_telemetry::ReceiveError)s, which has none.
@@ -44,7 +44,6 @@ struct CameraJsonCodec {
     unknown: BTreeSet<String>,
     is_error_reported: bool,
     is_overflow_reported: bool,
-    /// Fixes that were asked for.
     requests: u64,
 }
 
@@ -258,7 +257,6 @@ impl CameraJsonCodec {
         sink(CodecEvent::Message { from, message });
     }
 
-    /// One word about each key that means nothing here.
     fn report_unknown_keys(&mut self, from: Address, unknown: &[String], sink: &mut CodecEventSink<'_>) {
         for key in unknown {
             if self.unknown.len() < MAX_UNKNOWN_KEYS && self.unknown.insert(key.clone()) {
@@ -348,10 +346,10 @@ const fn address(index: usize) -> Address {
     Address::new(SYSTEM, FIRST_COMPONENT + index as u8)
 }
 
-/// One complaint a second for each sender: a camera that is wrong thirty times a second does not need as many replies.
+/// One error reply per second and sender: a camera whose every line is wrong does not need thirty.
 const ERROR_REPLY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// When a sender was last sent an error, and how many were held back since.
+/// When a sender was last sent an error, and the number suppressed since.
 #[derive(Clone, Copy, Debug, Default)]
 struct ErrorReplies {
     last: Option<Timestamp<HostClock>>,

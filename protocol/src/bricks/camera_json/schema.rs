@@ -43,30 +43,29 @@ pub(super) const KEYS: &[&str] = &[
 const DEFAULT_CAMERA_NAME: &[u8] = b"camera";
 /// No arena is larger: 100 km.
 const MAX_COORDINATE_M: f64 = 1e5;
-/// A smaller sigma, m or rad, is a mistake: no camera knows a place to a micrometre, and its square must not vanish among numbers of 64
-/// bits.
+/// A smaller sigma, m or rad, is a mistake: no camera is precise to a micrometre, and its square must not vanish in
+/// 64-bit arithmetic.
 const MIN_SIGMA: f64 = 1e-6;
-/// A sigma of more says nothing.
+/// A larger sigma carries no information.
 const MAX_SIGMA: f64 = 1e3;
 /// Largest unwrapped angle that is accepted.
 const MAX_ANGLE_RAD: f64 = 1e6;
-/// Nanoseconds in 64 bits end after 292 years; UNIX time is far below.
+/// Nanoseconds in 64 bits last for 292 years; UNIX time is far below.
 const MAX_TIME_S: f64 = 9e9;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
     pub(super) camera: ChannelName,
-    /// Whether it says that it makes a fix when it is asked.
+    /// Whether the camera makes a fix on request.
     pub(super) takes_requests: Option<bool>,
     pub(super) message: CameraMessage,
-    /// Keys that mean nothing here, made printable.
+    /// Unknown keys, made printable.
     pub(super) unknown: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum CameraMessage {
     Fix(CameraFixMessage),
-    /// The camera's clock between a question and the answer.
     Time {
         request: i64,
         /// Since the clock's zero.
@@ -77,17 +76,17 @@ pub(super) enum CameraMessage {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CameraFixMessage {
-    /// Middle of the exposure by the camera's clock, microseconds.
+    /// Middle of the exposure by the camera's clock.
     pub(super) exposed_micros: Option<u64>,
     pub(super) x: Meters,
     pub(super) y: Meters,
     pub(super) heading: Option<Heading>,
     /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
     pub(super) covariance: Option<[f64; 4]>,
-    /// 0 to 100 per cent, if the camera says.
+    /// In per cent.
     pub(super) quality: Option<f64>,
     pub(super) reset_counter: u8,
-    /// The number of the tag that was seen, if the camera distinguishes tags.
+    /// `None` if the camera does not distinguish tags.
     pub(super) tag: Option<u32>,
 }
 
@@ -107,8 +106,7 @@ impl FieldError {
     }
 }
 
-/// The message of a line.
-/// Fails if it is no JSON object, or if a key is missing or has a value that it cannot have.
+/// Fails if the line is not a JSON object, or if a key is missing or has an invalid value.
 pub(super) fn parse_line(line: &[u8]) -> Result<CameraLine, FieldError> {
     let value: Value = serde_json::from_slice(line).map_err(|error| json_error(line, &error))?;
     let Value::Object(map) = value else {
@@ -189,8 +187,8 @@ impl LineKeys<'_> {
         self.angle("heading_rad", "heading_deg", range)
     }
 
-    /// Variances from the sigmas. Both or none where there is a heading: a sigma of the position alone would leave the heading without
-    /// any, and the station cannot guess it.
+    /// Variances from the sigmas. With a heading, both sigmas or none: the station cannot guess the variance of the
+    /// heading.
     fn covariance(&self, heading: Option<Heading>) -> Result<Option<[f64; 4]>, FieldError> {
         let position = self.bounded("sigma_m", MIN_SIGMA, MAX_SIGMA)?;
         let turn = self.angle("sigma_heading_rad", "sigma_heading_deg", MIN_SIGMA..=MAX_SIGMA)?;
@@ -222,7 +220,7 @@ impl LineKeys<'_> {
         Ok(told.nanos)
     }
 
-    /// An instant, in seconds under one name or in microseconds under the other.
+    /// An instant, in seconds under one key or in microseconds under the other.
     fn time_s(&self, seconds: &'static str, micros: &'static str) -> Result<Option<CameraInstant>, FieldError> {
         let in_seconds = self.bounded(seconds, 0.0, MAX_TIME_S)?;
         let in_micros = self.bounded(micros, 0.0, MAX_TIME_S * 1e6)?;
@@ -238,7 +236,7 @@ impl LineKeys<'_> {
         }
     }
 
-    /// An angle in radians under one name or in degrees under the other, within a range of radians.
+    /// An angle in radians under one key or in degrees under the other, within a range of radians.
     fn angle(
         &self,
         radians: &'static str,
@@ -306,18 +304,18 @@ struct CameraInstant {
 /// Settings for cameras that send JSON.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraJsonSettings {
-    /// Whether a chunk is a datagram, whose end ends its last line.
+    /// In a datagram, the end of the chunk ends the last line.
     pub framing: TransportKind,
-    /// How long before its arrival a fix without a time was exposed.
+    /// Delay between exposure and arrival of a fix without a time.
     pub delay: TimeDelta,
-    /// It may be so much more or less.
+    /// Deviation of the delay, either way.
     pub delay_spread: TimeDelta,
-    /// Fixes of less quality are left out; 0 to 100 per cent; a camera that has failed sends 0.
+    /// Fixes of lower quality are dropped, in per cent; a camera that has failed sends 0.
     pub min_quality: f64,
 }
 
 impl Default for CameraJsonSettings {
-    /// A camera program at 30 images per second takes one to three of them for an image.
+    /// A camera program at 30 images per second takes the time of one to three images.
     fn default() -> Self {
         Self {
             framing: TransportKind::Stream,

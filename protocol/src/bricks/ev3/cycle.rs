@@ -14,9 +14,8 @@ use super::settings::{Ev3Settings, GyroMounting, GyroReading, GyroSettings, Moto
 use super::telegrams::DirectCommand;
 use crate::message::{Inertial, Message, WheelTicks, WireStamp};
 
-/// Bytes of every value.
 const VALUE_BYTES: usize = 4;
-/// No gyro of LEGO's turns faster (EV3: 440 degrees per second, with twice that as a margin): more is damage.
+/// Largest rate of LEGO's gyros (EV3: 440 degrees per second) with a factor of two; more is damage.
 const MAX_DEG_PER_S: f64 = 880.0;
 /// The gyro's angle has 16 bits.
 const MAX_DEG: f64 = 32_768.0;
@@ -25,7 +24,7 @@ const MAX_DEG: f64 = 32_768.0;
 pub(super) struct CycleValues {
     pub(super) micros: u32,
     pub(super) counts: [i32; 2],
-    /// Two values of each sensor; not a number where none is.
+    /// Two values of each sensor; NaN where there is none.
     pub(super) sensors: [[f64; 2]; MAX_SENSORS],
 }
 
@@ -67,7 +66,7 @@ pub(super) const fn wheel_ticks(settings: &Ev3Settings, stamp: WireStamp, total:
     Message::WheelTicks(WheelTicks { stamp, left: EncoderTicks(left), right: EncoderTicks(right) })
 }
 
-/// What a sensor's values say; `None` if that is nothing.
+/// The message of a sensor's values; `None` without a valid one.
 pub(super) fn sensor_message(
     role: SensorRole,
     stamp: WireStamp,
@@ -84,7 +83,7 @@ pub(super) fn sensor_message(
     }
 }
 
-/// In the mode for both the angle comes first.
+/// In the combined mode the angle is the first value.
 fn gyro_message(
     gyro: GyroSettings,
     stamp: WireStamp,

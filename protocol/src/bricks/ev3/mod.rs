@@ -38,19 +38,19 @@ use crate::message::Message;
 /// Shortest and longest distance of two telegrams: 50 Hz is more than a Bluetooth link carries, and below 0.1 Hz steering is impossible.
 const MIN_CYCLE: TimeDelta = TimeDelta::from_millis(20);
 const MAX_CYCLE: TimeDelta = TimeDelta::from_millis(10_000);
-/// Most questions that wait at once: the brick keeps them in the buffers of its Bluetooth chip.
+/// Most outstanding requests: the brick keeps them in the buffers of its Bluetooth chip.
 const MAX_OUTSTANDING: u8 = 4;
-/// How long an answer is waited for; doubled by each that does not come, so that a stalled link does not fill up.
+/// Time-out of a request; doubled by each one, so that a stalled link does not fill up.
 const REPLY_TIMEOUT_MS: i64 = 500;
-/// So often it is doubled: four seconds.
+/// Limit of the doublings: four seconds.
 const MAX_TIMEOUT_DOUBLINGS: u32 = 3;
 /// How long setting up a sensor may take: changing the mode of an EV3 sensor resets it, about a second.
 const SET_UP_TIMEOUT: TimeDelta = TimeDelta::from_millis(3_000);
-/// Wheels whose counts have not changed for so long stand, and are likely to for as long as a set-up takes.
+/// Wheels whose counts have not changed for this long are at rest, and probably stay so during a set-up.
 const STANDSTILL_TIME: TimeDelta = TimeDelta::from_millis(1_000);
-/// A telegram that stops for so long will not go on.
+/// A telegram that is interrupted for longer is incomplete.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(100);
-/// A brick that refuses even its counters is asked again after so long.
+/// Interval of requests to a brick that refuses even its counters.
 const REJECTED_PAUSE: TimeDelta = TimeDelta::from_millis(1_000);
 /// No motor of the set is faster, counts of 1 degree per second: 260 rpm of the EV3's medium motor at 9 V without load (Philohome,
 /// Pybricks' identified model).
@@ -61,24 +61,24 @@ const ANSWER_ID: u32 = 0x02;
 #[derive(Debug)]
 struct Ev3Codec {
     settings: Ev3Settings,
-    /// The link has come up; before that nothing is asked.
+    /// Nothing is requested before the link is up.
     is_up: bool,
     framer: ReplyFramer,
     last_byte: Timestamp<HostClock>,
-    /// Something that came is no telegram: the answer that it was will not come.
+    /// Bytes that are no telegram were received: the reply that they were will not come.
     is_damaged: bool,
     requests: OutstandingRequests,
     sensors: SensorBank,
     stamps: StampChecker,
     counters: MotorCounters,
-    /// The counts as they were read last, and since when they are these.
+    /// The last counts, and the instant since when they are unchanged.
     standstill_since: Option<([i32; 2], Timestamp<HostClock>)>,
     turn: TurnAccumulator,
     heartbeat: HeartbeatSource,
-    /// Questions in a row that were not answered.
+    /// Consecutive requests without a reply.
     timeouts: u32,
     next_cycle: Timestamp<HostClock>,
-    /// When something can be asked that cannot be now.
+    /// When a request can be sent that must wait now.
     wake: Option<Timestamp<HostClock>>,
     outbox: VecDeque<Vec<u8>>,
     counts: FramerCounters,
@@ -193,7 +193,7 @@ impl BrickCodec for Ev3Codec {
 }
 
 impl Ev3Codec {
-    /// Asks as much as may be asked, and sets when more may be.
+    /// Sends as many requests as allowed, and sets the time of the next.
     fn send_requests(&mut self, now: Timestamp<HostClock>) {
         self.wake = None;
         if !self.is_up {
@@ -377,7 +377,7 @@ impl Ev3Codec {
         }
     }
 
-    /// False if a program may have begun, so that the sensors may show something else than they were set up for.
+    /// False if a program may have started, so that the sensors may be in other modes than they were set to.
     fn handle_counts(
         &mut self,
         now: Timestamp<HostClock>,
@@ -428,7 +428,7 @@ impl Ev3Codec {
         }
     }
 
-    /// Gives up what stopped in its middle, and the questions whose answers that was.
+    /// Drops an interrupted telegram, and the requests whose replies it was.
     fn abandon_damaged(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) {
         let bytes = self.framer.waiting_bytes() as u32;
         if bytes > 0 {

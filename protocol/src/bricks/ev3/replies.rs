@@ -15,7 +15,6 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::sensors::CycleSensors;
 
-/// Bytes of the length in front of a telegram.
 const LENGTH_BYTES: usize = 2;
 const HEAD_BYTES: usize = 3;
 /// Longest telegram that an EV3 sends: its buffer for replies.
@@ -24,7 +23,6 @@ const REPLY: u8 = 0x02;
 const ERROR: u8 = 0x04;
 /// System command without reply, as a program on the brick sends it.
 const SYSTEM_COMMAND: u8 = 0x81;
-/// WRITEMAILBOX.
 const WRITE_MAILBOX: u8 = 0x9E;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,7 +31,7 @@ pub(super) enum Ev3Telegram {
         counter: u16,
         answer: ReplyBody,
     },
-    /// A program on the brick wrote to a mailbox; it means nothing here.
+    /// A program on the brick wrote to a mailbox; ignored.
     Mailbox,
     UnframedBytes(u32),
 }
@@ -50,7 +48,7 @@ enum FrontMatch {
     Telegram { bytes: usize },
 }
 
-/// Bytes that came and are no telegram yet; at most one telegram more than the last chunk.
+/// Received bytes that are no telegram yet; at most one telegram more than the last chunk.
 #[derive(Debug, Default)]
 pub(super) struct ReplyFramer {
     buffer: Vec<u8>,
@@ -69,7 +67,8 @@ impl ReplyFramer {
         self.buffer.len()
     }
 
-    /// The next find; `None` until more bytes come. `values_of` returns how many bytes of values a request asked for.
+    /// The next telegram; `None` until more bytes come. `values_of` returns the number of value bytes that a request
+    /// asked for.
     pub(super) fn next_telegram(&mut self, values_of: &dyn Fn(u16) -> Option<usize>) -> Option<Ev3Telegram> {
         let mut skipped = 0;
         loop {
@@ -86,7 +85,7 @@ impl ReplyFramer {
         }
     }
 
-    /// Skips the first byte of what waits, so that the search goes on behind it.
+    /// Skips the first pending byte; the search continues after it.
     pub(super) fn skip_byte(&mut self) {
         if !self.buffer.is_empty() {
             self.buffer.remove(0);
@@ -132,7 +131,8 @@ fn match_front(rest: &[u8], values_of: &dyn Fn(u16) -> Option<usize>) -> FrontMa
     }
 }
 
-/// Whether the bytes behind the type, as many as are there, may be 9E, length of the name, name, length of the payload, payload.
+/// Whether the bytes after the type, as many as there are, may be 9E, length of the name, name, length of the payload,
+/// payload.
 fn may_be_mailbox(command: &[u8], length: usize) -> bool {
     let Some((command, rest)) = command.split_first() else {
         return true;
@@ -152,13 +152,13 @@ fn may_be_mailbox(command: &[u8], length: usize) -> bool {
     said.is_none_or(|said| usize::from(u16::from_le_bytes(*said)) == payload_bytes)
 }
 
-/// Most abandoned requests whose late replies are still recognized. Ten seconds of silence, with the time to wait growing,
-/// give up five.
+/// Most abandoned requests whose late replies are still recognized. Ten seconds of silence, with the growing time-out,
+/// abandon five.
 const MAX_ABANDONED: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ev3Request {
-    /// To set up the sensor with this index and to read it once.
+    /// Sets up the sensor with this index and reads it once.
     SetUp(usize),
     /// Clock, counts and these sensors.
     Cycle(CycleSensors),
@@ -168,7 +168,6 @@ pub(super) enum Ev3Request {
 pub(super) struct OutstandingRequest {
     pub(super) request: Ev3Request,
     counter: u16,
-    /// Bytes of values in its answer.
     values: usize,
     pub(super) sent: Timestamp<HostClock>,
     due: Timestamp<HostClock>,
@@ -188,7 +187,7 @@ pub(super) struct OutstandingRequests {
 }
 
 impl OutstandingRequests {
-    /// Forgets all questions; their counters are not used again soon.
+    /// Forgets all requests; their counters are not used again soon.
     pub(super) fn clear(&mut self) {
         self.waiting.clear();
         self.abandoned.clear();
@@ -198,7 +197,6 @@ impl OutstandingRequests {
         self.last_counter.wrapping_add(1)
     }
 
-    /// The question with [`Self::next_counter`] left.
     pub(super) fn record_sent(
         &mut self,
         question: Ev3Request,
@@ -216,7 +214,6 @@ impl OutstandingRequests {
         });
     }
 
-    /// A counter for a telegram that is not answered.
     pub(super) fn allocate_counter(&mut self) -> u16 {
         self.last_counter = self.next_counter();
         self.last_counter
@@ -226,7 +223,7 @@ impl OutstandingRequests {
         self.waiting.len()
     }
 
-    /// How many bytes of values the answer to a question has; `None` if there was no request.
+    /// Number of value bytes in the reply to a request; `None` if there was no such request.
     pub(super) fn values_of(&self, counter: u16) -> Option<usize> {
         let all = self.waiting.iter().chain(&self.abandoned);
         let asked = all.into_iter().find(|asked| asked.counter == counter);
@@ -253,14 +250,15 @@ impl OutstandingRequests {
         self.abandon_at(index)
     }
 
-    /// The next question that left before this one and still waits: answers come in the order of their questions.
+    /// The next outstanding request that was sent before this one: replies come in the order of their requests, so it
+    /// is lost.
     pub(super) fn pop_overtaken(&mut self, by: &OutstandingRequest) -> Option<Ev3Request> {
         let is_older = |asked: &OutstandingRequest| by.counter.wrapping_sub(asked.counter) < u16::MAX / 2;
         let index = self.waiting.iter().position(is_older)?;
         self.abandon_at(index)
     }
 
-    /// The next question, whose answer will not come.
+    /// The next outstanding request, whose reply will not come.
     pub(super) fn abandon_all(&mut self) -> Option<Ev3Request> {
         self.abandon_at(0)
     }

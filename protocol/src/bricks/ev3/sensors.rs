@@ -13,17 +13,17 @@ use super::telegrams::{DirectCommand, SensorMode};
 use crate::bricks::counters::WheelState;
 
 pub(super) const MAX_SENSORS: usize = 2;
-/// A sensor that is not there is asked for again after so long.
+/// Interval between set-ups of a missing sensor.
 const RETRY_INTERVAL: TimeDelta = TimeDelta::from_millis(10_000);
-/// That time is doubled by each set-up in a row that was not answered, so often at most: five minutes.
+/// Limit of the doublings of that interval, one for each consecutive set-up without a reply: five minutes.
 const MAX_RETRY_DOUBLINGS: u32 = 5;
-/// A sensor that shows nothing for so long is held to be gone.
+/// A sensor without a value for this long counts as unplugged.
 const LOST_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
-/// No distance: what the ultrasonic sensors show for it, and from where on.
+/// No echo: the value that the ultrasonic sensors show for it, and the least such value.
 const NO_ECHO_CM: f64 = 255.0;
 /// The infrared sensor's proximity of 100 (LEGO's manual: about 70 cm), cm per step.
 const INFRARED_CM: f64 = 0.7;
-/// What the infrared sensor shows for nothing in sight.
+/// The infrared sensor's value without a target.
 const NO_TARGET: f64 = 100.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,34 +35,31 @@ pub(super) enum SensorRole {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct CycleSensors(pub(super) [Option<SensorRole>; MAX_SENSORS]);
 
-/// One sensor.
 #[derive(Clone, Copy, Debug)]
 struct SensorSlot {
     role: SensorRole,
     port: SensorPort,
     state: SetUpState,
     is_absence_reported: bool,
-    /// Set-ups in a row that were not answered.
+    /// Consecutive set-ups without a reply.
     unanswered: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SetUpFailure {
-    /// The brick said at once that nothing is there.
+    /// The brick replied at once that there is no sensor.
     Rejected,
-    /// The brick said nothing.
+    /// The brick did not reply.
     TimedOut,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SetUpState {
-    /// To be set up when this instant has come.
     Pending { from: Timestamp<HostClock> },
-    /// Set up; shows nothing since then.
     Ready { silent_since: Option<Timestamp<HostClock>> },
 }
 
-/// The sensors of one brick, in the order of their values in an answer.
+/// The sensors of one brick, in the order of their values in a reply.
 #[derive(Clone, Debug)]
 pub(super) struct SensorBank(Vec<SensorSlot>);
 
@@ -104,7 +101,7 @@ impl SensorBank {
         }
     }
 
-    /// Writes the reading of all that are set up, and says which they are.
+    /// Writes the reading of all sensors that are set up, and returns which they are.
     pub(super) fn write_reading(&self, command: &mut DirectCommand) -> CycleSensors {
         let mut included = CycleSensors::default();
         for (sensor, slot) in self.0.iter().zip(&mut included.0) {
@@ -128,7 +125,7 @@ impl SensorBank {
         }
     }
 
-    /// A sensor could not be set up, or is gone: what people should know, once.
+    /// A sensor could not be set up, or is unplugged: returns the text for people, once.
     pub(super) fn is_absent(
         &mut self,
         index: usize,
@@ -153,14 +150,14 @@ impl SensorBank {
         })
     }
 
-    /// The brick would not read all of them together: each is set up again, which finds the one that is missing.
+    /// The brick refused to read all sensors together: sets each up again, which finds the missing one.
     pub(super) fn restart_set_up(&mut self, now: Timestamp<HostClock>) {
         for sensor in &mut self.0 {
             sensor.state = SetUpState::Pending { from: now };
         }
     }
 
-    /// A sensor showed something, or nothing: what people should know if it is held to be gone.
+    /// Records a value or its absence; returns the text for people if the sensor counts as unplugged.
     pub(super) fn record_reading(&mut self, index: usize, now: Timestamp<HostClock>, values: &[f64]) -> Option<String> {
         let sensor = self.0.get_mut(index)?;
         let SetUpState::Ready { silent_since } = &mut sensor.state else {
@@ -213,7 +210,7 @@ impl SensorRole {
 }
 
 impl DistanceKind {
-    /// The range that a value says, with its sigma as far as that is known; `None` if nothing is in sight.
+    /// The range of a value, with its sigma if that is known; `None` without a target.
     pub(super) fn range(self, value: f64) -> Option<(Meters, Option<Meters>)> {
         match self {
             Self::Ultrasonic | Self::NxtUltrasonic => {
@@ -230,17 +227,16 @@ impl DistanceKind {
     }
 }
 
-/// The sensor's range, degrees per second (LEGO's manual).
+/// The sensor's limit, degrees per second (LEGO's manual).
 const MAX_DEG_PER_S: f64 = 440.0;
-/// Steps of both angles and of the rate.
+/// Rounding of both angles and of the rate.
 const MARGIN_DEG: f64 = 5.0;
-/// Period of the sensor's angle.
 const PERIOD_DEG: f64 = 65_536.0;
 
-/// The turn since the first sample, degrees, the sensor's own sign, without wraps or jumps.
+/// The turn since the first sample, degrees, with the sensor's sign, without wraps or jumps.
 ///
-/// The sensor counts degrees in 16 bits, and setting its mode, as a program on the brick may do, sets the angle to zero. A change
-/// that the rate does not explain is replaced by the integral of the rate.
+/// The sensor counts degrees in 16 bits, and setting its mode, as a program on the brick may do, resets the angle. A
+/// change that the rate does not explain is replaced by the integral of the rate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TurnAccumulator {
     total_deg: f64,
@@ -248,7 +244,7 @@ pub(super) struct TurnAccumulator {
 }
 
 impl TurnAccumulator {
-    /// Takes angle and rate, so long after the ones before.
+    /// Takes angle and rate; `since` is the time since the previous ones.
     pub(super) fn push(&mut self, since: TimeDelta, angle_deg: f64, rate_deg_per_s: f64) -> f64 {
         if let Some(last_deg) = self.last_deg {
             let half = 0.5 * PERIOD_DEG;

@@ -1,23 +1,20 @@
-//! What the EV3 codec must know of the brick: what is plugged in where, and how it is reached.
+//! The settings of an EV3: its motors and sensors, and how it is reached.
 
-/// Everything about one EV3, as its user would say it. The default is LEGO's Educator robot: motors B and C, gyro at port 2.
+/// The settings of one EV3. The default is LEGO's Educator robot: motors B and C, gyro at port 2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ev3Settings {
-    /// The motor of the left wheel.
     pub left_motor: MotorPort,
-    /// The motor of the right wheel.
     pub right_motor: MotorPort,
-    /// Which way the motors turn when the robot drives forward.
+    /// The direction of both motors when the robot drives forward.
     pub motors: MotorDirection,
-    /// The gyro; `None` if there is none.
     pub gyro: Option<GyroSettings>,
-    /// A sensor that looks straight ahead; `None` if there is none.
+    /// `None` if there is none.
     pub distance: Option<DistanceSettings>,
-    /// Most telegrams per second, 0.1 to 50. Fewer come if the link is slower: at a turn-around of 30 ms about 33.
+    /// Most telegrams per second, 0.1 to 50. A slow link reduces them: at a turn-around of 30 ms to about 33.
     pub rate_hz: f64,
-    /// Most requests that may wait for their replies at once, 1 to 4. More than one hides the turn-around of the link.
+    /// Most outstanding requests, 1 to 4. More than one hides the turn-around of the link.
     pub outstanding: u8,
-    /// The mailbox of a program on the brick that gets the estimate; `None` sends none.
+    /// The mailbox, of a program on the brick, that receives the estimate; `None` sends none.
     pub mailbox: Option<String>,
 }
 
@@ -39,13 +36,9 @@ impl Default for Ev3Settings {
 /// A port for motors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotorPort {
-    /// Port A.
     A,
-    /// Port B.
     B,
-    /// Port C.
     C,
-    /// Port D.
     D,
 }
 
@@ -55,26 +48,22 @@ impl MotorPort {
     }
 }
 
-/// Which way the motors turn when the robot drives forward.
+/// The direction of the motors when the robot drives forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotorDirection {
-    /// Their counts rise.
+    /// The counts increase.
     #[default]
     Forward,
-    /// Their counts fall: the motors are built in the other way round.
+    /// The counts decrease: the motors are mounted the other way round.
     Backward,
 }
 
-/// A port for sensors, as it is printed on the brick.
+/// A port for sensors, by its printed number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorPort {
-    /// Port 1.
     P1,
-    /// Port 2.
     P2,
-    /// Port 3.
     P3,
-    /// Port 4.
     P4,
 }
 
@@ -90,7 +79,6 @@ impl SensorPort {
         }
     }
 
-    /// Its printed number, 1 to 4.
     pub const fn label(self) -> u8 {
         self.number() + 1
     }
@@ -100,14 +88,11 @@ impl SensorPort {
     }
 }
 
-/// The gyro.
+/// The gyro's port, reading and mounting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GyroSettings {
-    /// Where it is plugged in.
     pub port: SensorPort,
-    /// What is read of it.
     pub reading: GyroReading,
-    /// How it is built in.
     pub mounting: GyroMounting,
 }
 
@@ -117,43 +102,42 @@ impl Default for GyroSettings {
     }
 }
 
-/// What is read of the gyro.
+/// The quantities that are read from the gyro.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GyroReading {
     /// The rate, in steps of 1 degree per second.
     #[default]
     Rate,
-    /// Rate and angle. The angle has steps of 1 degree, so the mean rate between two telegrams has steps of 1 degree over their distance:
-    /// better than the rate below about one telegram per second, worse above.
+    /// Rate and angle. The angle has steps of 1 degree, so the mean rate between two telegrams has steps of 1 degree
+    /// over their interval: better than the rate below about one telegram per second, worse above.
     RateAndAngle,
 }
 
-/// How the gyro is built in.
+/// The orientation of the gyro.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GyroMounting {
-    /// The arrows on its case look up: clockwise is positive for the sensor (LEGO's manual; ev3dev, lego-ev3-gyro).
+    /// The arrows on its case are visible from above: clockwise is positive for the sensor (LEGO's manual; ev3dev,
+    /// lego-ev3-gyro).
     #[default]
     Upright,
-    /// The arrows look down.
+    /// The arrows face down.
     UpsideDown,
 }
 
-/// A sensor that looks straight ahead.
+/// A forward-looking range sensor: port and kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DistanceSettings {
-    /// Where it is plugged in.
     pub port: SensorPort,
-    /// What it is.
     pub kind: DistanceKind,
 }
 
-/// Which sensor looks straight ahead.
+/// The kind of a forward-looking range sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DistanceKind {
     /// The EV3's ultrasonic sensor: 3 to 250 cm in steps of 0.1 cm.
     Ultrasonic,
     /// The NXT's ultrasonic sensor: up to 250 cm in steps of 1 cm.
     NxtUltrasonic,
-    /// The EV3's infrared sensor: a proximity of 0 to 100, which is about 70 cm and depends on what is seen.
+    /// The EV3's infrared sensor: a proximity of 0 to 100, which is about 70 cm and depends on the target.
     Infrared,
 }

@@ -1,4 +1,4 @@
-//! Whether the clock in a reply is plausible: it was read between question and answer.
+//! Plausibility of the clock in a reply: it was read between request and reply.
 //!
 //! The telegrams have no checksum, and one damaged stamp would be taken for a restart of the brick's clock. But of two answers the host
 //! knows between which instants each was given, and by so much the brick's clock has run on.
@@ -13,14 +13,14 @@
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 const PERIOD_MICROS: i128 = 1 << 32;
-/// A clock may be off by so much of its rate, in hundredths: the station's limit for any brick.
+/// Largest rate error of a clock, in per cent: the station's limit for any brick.
 const LARGEST_SKEW_PERCENT: i64 = 1;
-/// Below half a period the counter's difference has one meaning.
+/// Below half a period the counter's difference is unambiguous.
 const UNAMBIGUOUS: TimeDelta = TimeDelta::from_millis(2_000_000);
-/// Steps of both clocks and of the brick's scheduler.
+/// Resolution of both clocks and jitter of the brick's scheduler.
 const MARGIN: TimeDelta = TimeDelta::from_millis(5);
 
-/// A stamp with the instants between which it was made.
+/// A stamp with the instants of its request and reply.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BrickStamp {
     pub(super) micros: u32,
@@ -30,9 +30,9 @@ pub(super) struct BrickStamp {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StampAdvance {
-    /// The clock ran on, for about so long since the last one; zero for the first of all.
+    /// The clock continued, with about this much time since the last stamp; zero for the first one.
     Continuous(TimeDelta),
-    /// The clock was set, or the brick was switched off and on; the host's time since the last accepted stamp.
+    /// The clock was set, or the brick was restarted; the host's time since the last accepted stamp.
     Stepped(TimeDelta),
 }
 
@@ -63,8 +63,8 @@ impl StampChecker {
 }
 
 impl BrickStamp {
-    /// The time since a stamp that this one follows: the longer of what both clocks say. The host's is too short for answers that were held
-    /// back together, the brick's for a damaged stamp that looked like a good one.
+    /// The time since an earlier stamp: the longer of what both clocks give. The host's is too short for replies that
+    /// were delayed together, the brick's for a damaged stamp that was accepted.
     fn since(&self, last: &Self) -> TimeDelta {
         let on_host = self.answered - last.answered;
         let by_brick = self.micros.wrapping_sub(last.micros) as i32;

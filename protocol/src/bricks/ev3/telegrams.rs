@@ -27,15 +27,14 @@ const TIMER_READ_US: u8 = 0x8F;
 /// opOUTPUT_GET_COUNT: layer, port, count.
 const OUTPUT_GET_COUNT: u8 = 0xB3;
 const INPUT_DEVICE: u8 = 0x99;
-/// Its subcommand READY_SI: layer, port, type, mode, how many values, values as float.
+/// Its subcommand READY_SI: layer, port, type, mode, number of values, values as float.
 const READY_SI: u8 = 0x1D;
 /// opINPUT_READSI: layer, port, type, mode, value as float.
 const INPUT_READ_SI: u8 = 0x9D;
-/// The brick itself, not one that is chained to it.
+/// The brick itself, not one that is daisy-chained to it.
 const LAYER: u8 = 0;
-/// Type 0: whatever is plugged in.
 const ANY_TYPE: u8 = 0;
-/// Mode -1: the one that is set.
+/// Mode -1: the present one.
 const SAME_MODE: u8 = 0x3F;
 /// A constant that needs a byte of its own.
 const LONG_CONSTANT: u8 = 0x81;
@@ -43,7 +42,7 @@ const LONG_CONSTANT: u8 = 0x81;
 const SHORT_CONSTANT: u8 = 31;
 /// A global variable in one byte.
 const GLOBAL: u8 = 0x60;
-/// Every value that is read here has four bytes.
+/// Bytes of every value that is read here.
 const VALUE_BYTES: u8 = 4;
 const WITH_REPLY: u8 = 0x00;
 /// Counter, type and header.
@@ -55,7 +54,7 @@ pub(super) struct SensorMode {
     pub(super) mode: u8,
 }
 
-/// A direct command that is being written. Each thing that is read takes the next four bytes of the answer, two values take eight.
+/// A direct command under construction. Each read value takes the next four bytes of the reply.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DirectCommand {
     bytecodes: Vec<u8>,
@@ -74,7 +73,7 @@ impl DirectCommand {
         self.bytecodes.extend([OUTPUT_GET_COUNT, LAYER, port.number(), global]);
     }
 
-    /// Values of a sensor, f32 each, once it is ready. With a mode it is set to that first; without one it stays as it is.
+    /// Reads values of a sensor, f32 each, once it is ready. `mode` is set before; `None` keeps the present one.
     pub(super) fn wait_for(&mut self, port: SensorPort, mode: Option<SensorMode>, values: u8) {
         self.bytecodes.extend([INPUT_DEVICE, READY_SI, LAYER, port.number()]);
         match mode {
@@ -91,13 +90,13 @@ impl DirectCommand {
         }
     }
 
-    /// The value of a sensor as it is, f32; not a number if there is none.
+    /// Reads the present value of a sensor, f32; NaN if there is none.
     pub(super) fn read_value(&mut self, port: SensorPort) {
         let global = self.global();
         self.bytecodes.extend([INPUT_READ_SI, LAYER, port.number(), ANY_TYPE, SAME_MODE, global]);
     }
 
-    /// How many bytes the answer has behind its type.
+    /// Length of the reply after its type.
     pub(super) const fn reply_bytes(&self) -> usize {
         self.globals as usize
     }
@@ -131,10 +130,10 @@ impl DirectCommand {
 const WRITE_MAILBOX: [u8; 2] = [0x81, 0x9E];
 /// Counter, type, command, length of the name, length of the payload.
 const MAILBOX_HEAD_BYTES: usize = 7;
-/// A name has one byte of length, with its final zero.
+/// The length of a name has one byte and includes the final zero.
 const MAX_NAME_BYTES: usize = 254;
 
-/// Writes to a mailbox. Of a name that is too long the front is taken.
+/// Writes to a mailbox. A name that is too long is cut.
 pub(super) fn encode_mailbox_write(counter: u16, name: &str, payload: &[u8]) -> Vec<u8> {
     let name = name.as_bytes();
     let name = name.get(..MAX_NAME_BYTES).unwrap_or(name);
@@ -151,7 +150,7 @@ pub(super) fn encode_mailbox_write(counter: u16, name: &str, payload: &[u8]) -> 
     telegram
 }
 
-/// The payload of an estimate; `None` if a number of it is not finite.
+/// The payload of an estimate; `None` if a number in it is not finite.
 pub(super) fn encode_estimate(pose: &PlanarPose, sequence: u16) -> Option<[u8; 24]> {
     let tick_ms = (pose.stamp.as_micros() / 1_000) as u32;
     let [xx_m2, _, _, yy_m2, ..] = pose.covariance;

@@ -22,11 +22,11 @@ use crate::bricks::mavlink;
 use crate::framing::{FramerConfig, FramerCounters, START_BYTE_V2, TransportKind};
 use crate::message::{Message, PlanarPose, WireStamp};
 
-/// The brick sleeps after ten minutes without a command that counts; each of these begins them anew.
+/// The brick switches itself off after ten minutes without certain commands; each of these restarts that time.
 const KEEP_ALIVE_PERIOD: TimeDelta = TimeDelta::from_millis(60_000);
 
-/// Number of sync requests without a reply, whether frames come or not, that means that a pushing program has taken over the
-/// link: leJOS answers no command of LEGO's, and would find ours in its own input.
+/// Number of consecutive sync requests without a reply, with or without frames, that means that a pushing program has
+/// taken over the link: leJOS answers none of LEGO's commands, and would receive ours as its own input.
 const MAX_UNANSWERED_BARRIERS: u8 = 4;
 
 #[derive(Debug)]
@@ -36,18 +36,17 @@ pub(super) struct NxtCodec {
     framer: TelegramFramer,
     requests: RequestTracker,
     pub(super) schedule: PollSchedule,
-    /// What is to be sent; each element is one telegram on the wire.
     outbox: VecDeque<Vec<u8>>,
     is_started: bool,
-    /// The next question, while the same one waits for its answer.
+    /// The next request, delayed while an equal one is outstanding.
     held_request: Option<NxtRequest>,
-    /// Fences in a row that were not answered.
+    /// Consecutive barriers without a reply.
     lost_barriers: u8,
     next_keep_alive: Timestamp<HostClock>,
     presence: BrickLiveness,
     heartbeat: HeartbeatSource,
     pub(super) clock: TickClock,
-    /// Answers since the clock of the host stood in for the brick's.
+    /// Replies since the last host timestamp that replaced the brick's.
     pub(super) replies_since_host_tick: u8,
     pub(super) motors: MotorReadings,
     pub(super) totals: WheelTotals,
@@ -56,17 +55,17 @@ pub(super) struct NxtCodec {
     pub(super) accelerations: PendingAccelerations,
     pub(super) mailbox: EstimateMailbox,
     pub(super) notes: StatusTextFilter,
-    /// What a program on the brick sends of itself.
+    /// Decodes the frames that a program on the brick sends.
     frames: Option<Box<dyn BrickCodec>>,
     damage_counters: FramerCounters,
 }
 
-/// The brick is asked; no program need run on it.
+/// Polls the brick; needs no program on it.
 pub(in crate::bricks) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     Box::new(NxtCodec::new(&settings.nxt, None))
 }
 
-/// A program on the brick pushes MAVLink frames; only the clock is asked.
+/// A program on the brick pushes MAVLink frames; only the clock is polled.
 pub(in crate::bricks) fn open_push(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     let frames = mavlink::open(&CodecSettings {
         framer: FramerConfig {
@@ -130,7 +129,6 @@ impl NxtCodec {
         self.notes.emit_if_new(topic, severity, text.into(), self.brick, sink);
     }
 
-    /// What time alone brings: silence, time-outs.
     fn expire(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         if let Some(torn) = self.framer.expire(now) {
             self.handle(now, torn, sink);
@@ -170,7 +168,7 @@ impl NxtCodec {
         }
     }
 
-    /// A program on the brick says something that is not for this station.
+    /// A program on the brick sent a telegram for another receiver.
     fn handle_foreign(&mut self, now: Timestamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.damage_counters.unknown_ids += 1;
         // Whether or not it replies, it is there, and the possible reason for no reply is reported.
@@ -223,7 +221,7 @@ impl NxtCodec {
         }
     }
 
-    /// Says how many came late, at each doubling.
+    /// Reports the number of late replies, each time that it doubles.
     fn report_late(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         let late = self.requests.counts().late;
         if late.is_power_of_two() {
@@ -233,7 +231,7 @@ impl NxtCodec {
         }
     }
 
-    /// A fence stayed without an answer for the whole time-out. One that noise broke off says nothing about who is there.
+    /// A barrier had no reply within the time-out. If noise interrupted it, that is no evidence about who answers.
     fn handle_barrier_timeout(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.lost_barriers = self.lost_barriers.saturating_add(1);
         if self.is_blocked_by_program() {
@@ -280,7 +278,7 @@ impl NxtCodec {
         }
     }
 
-    /// Whether a pushing program leaves all questions unanswered, so that none is asked any more.
+    /// Whether a pushing program leaves all requests without a reply, so that none is sent any more.
     fn is_blocked_by_program(&self) -> bool {
         self.frames.is_some() && self.lost_barriers >= MAX_UNANSWERED_BARRIERS
     }
@@ -325,7 +323,8 @@ impl NxtCodec {
         self.schedule.next_request(now, &asked)
     }
 
-    /// A telegram without a reply that goes in front of a question, so that the brick never gets more than two at a time of us.
+    /// A telegram without a reply that is sent before a request, so that the brick never has more than two of ours at a
+    /// time.
     fn next_piggyback(&mut self, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
         if self.requests.needs_barrier() {
             return None;
@@ -446,7 +445,7 @@ impl BrickCodec for NxtCodec {
 }
 
 impl NxtCodec {
-    /// The brick's tick for which an estimate holds.
+    /// The brick's tick for the instant of an estimate.
     fn millis_of(&self, pose: &PlanarPose) -> u32 {
         match pose.stamp {
             WireStamp::Micros32(micros) => self.clock.millis_of(micros),
@@ -459,7 +458,7 @@ impl NxtCodec {
 /// Silence after which the brick counts as lost for the session: LEGO's own limit of two seconds.
 const LOST_AFTER: TimeDelta = TimeDelta::from_millis(2_000);
 
-/// Whether the brick is alive, by its replies.
+/// Detects from its replies whether the brick is alive.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BrickLiveness {
     last_reply: Option<Timestamp<HostClock>>,
@@ -467,19 +466,19 @@ pub(super) struct BrickLiveness {
 }
 
 impl BrickLiveness {
-    /// The link came up: from now on it should answer.
+    /// The link came up: the time-out starts again.
     pub(super) const fn reset(&mut self, now: Timestamp<HostClock>) {
         self.last_reply = Some(now);
         self.is_lost = false;
     }
 
-    /// It answered; true if it was lost before.
+    /// A reply was received; true if the brick was lost before.
     pub(super) const fn record_reply(&mut self, now: Timestamp<HostClock>) -> bool {
         self.last_reply = Some(now);
         std::mem::replace(&mut self.is_lost, false)
     }
 
-    /// It said something that is no answer.
+    /// Something else than a reply was received.
     const fn record_activity(&mut self, now: Timestamp<HostClock>) {
         if !self.is_lost {
             self.last_reply = Some(now);
@@ -491,7 +490,7 @@ impl BrickLiveness {
         Some(last + LOST_AFTER)
     }
 
-    /// True once when it is lost.
+    /// True once when the brick is lost.
     pub(super) fn expire(&mut self, now: Timestamp<HostClock>) -> bool {
         let is_lost = self.deadline().is_some_and(|due| due <= now);
         self.is_lost |= is_lost;
@@ -499,7 +498,7 @@ impl BrickLiveness {
     }
 }
 
-/// What a line is about; a new line about it replaces the old.
+/// The subject of a status text; a new text replaces the previous one of its subject.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum StatusTopic {
     Presence,
@@ -510,7 +509,6 @@ pub(super) enum StatusTopic {
     Outstanding,
     Program,
     LateReplies,
-    /// What a program on the brick says by itself.
     ForeignMessages,
     Gyro,
     /// A sensor port, 0 to 3.
@@ -523,7 +521,7 @@ pub(super) struct StatusTextFilter {
 }
 
 impl StatusTextFilter {
-    /// Says a line, unless it is the last one about its topic.
+    /// Emits a text unless it repeats the last one of its topic.
     fn emit_if_new(
         &mut self,
         topic: StatusTopic,
@@ -539,7 +537,7 @@ impl StatusTextFilter {
         sink(CodecEvent::StatusText { from, severity, text });
     }
 
-    /// There is nothing to say about a topic any more; the next text is new.
+    /// The cause of a topic's text is gone; the next text is emitted even if it is the same.
     pub(super) fn clear(&mut self, topic: StatusTopic) {
         self.last_texts.remove(&topic);
     }

@@ -1,4 +1,4 @@
-//! Sensors on the I2C bus: written to without a reply, their answers read with the next round of IO maps.
+//! Sensors on the I2C bus: requests without a reply, and answers that are read with the next round of IO maps.
 //!
 //! # Model
 //! ```text
@@ -25,7 +25,7 @@ use super::telegram;
 
 /// Address of LEGO's and HiTechnic's digital sensors.
 const SENSOR: u8 = 0x02;
-/// First register of what they measure.
+/// First register of their measurements.
 const MEASURED: u8 = 0x42;
 /// Address of LEGO's thermometer.
 const THERMOMETER: u8 = 0x98;
@@ -37,9 +37,9 @@ const RING_BYTES: u8 = 16;
 const MAX_REPLY_ROUNDS: u8 = 3;
 /// Requests in a row without a reply after which a warning is sent.
 const UNANSWERED_LIMIT: u8 = 10;
-/// Time that a sensor gets to settle into its mode.
+/// Settling time of a sensor's mode.
 const SETTLING_TIME: TimeDelta = TimeDelta::from_millis(100);
-/// Most bytes that one of them answers.
+/// Longest answer of these sensors, in bytes.
 const MAX_REPLY_BYTES: usize = 6;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +49,6 @@ pub(super) enum DigitalMeasurement {
     /// Clockwise from magnetic north.
     CompassDegrees(f64),
     Range(Meters),
-    /// The ultrasonic sensor receives no echo.
     NoEcho,
     Temperature(Celsius),
 }
@@ -58,7 +57,7 @@ pub(super) enum DigitalMeasurement {
 struct BusProtocol {
     request: &'static [u8],
     reply_bytes: u8,
-    /// Sent once after it is set up.
+    /// Sent once after the set-up.
     prepare: Option<&'static [u8]>,
     period: TimeDelta,
 }
@@ -88,7 +87,7 @@ pub(super) struct DigitalSensor {
     rounds: u8,
     unanswered: u8,
     last_ring_end: Option<u8>,
-    /// The firmware was seen to write answers to the start of the ring.
+    /// The firmware writes answers to the start of the ring.
     ring_restarts: bool,
 }
 
@@ -118,12 +117,11 @@ impl DigitalSensor {
         self.last_ring_end = None;
     }
 
-    /// When it was asked what it has not answered yet.
+    /// When the sensor was asked, while its answer is outstanding.
     pub(super) const fn pending_since(&self) -> Option<Timestamp<HostClock>> {
         self.asked
     }
 
-    /// True when it has not answered for many questions.
     pub(super) const fn is_silent(&self) -> bool {
         self.unanswered >= UNANSWERED_LIMIT
     }
@@ -168,13 +166,13 @@ impl DigitalSensor {
         end == self.protocol.reply_bytes
     }
 
-    /// Whether a few answers, one behind the other in the ring, lead from one index to another, or none did.
+    /// Whether a few answers, one after the other in the ring, or none lead from one index to another.
     fn is_whole_replies(&self, before: u8, end: u8) -> bool {
         let step = self.protocol.reply_bytes;
         (0..=MAX_REPLY_ROUNDS).any(|answers| (before % RING_BYTES + answers * step) % RING_BYTES == end)
     }
 
-    /// What was fetched from the buffer: `said` bytes of `data`.
+    /// Parses the answer in the buffer: `said` bytes of `data`.
     pub(super) fn read_fetched(&mut self, said: u8, data: [u8; 16]) -> Option<DigitalMeasurement> {
         if said < self.protocol.reply_bytes {
             self.keep_waiting();

@@ -1,7 +1,8 @@
-//! The estimate on its way into a mailbox of the brick, and whether a program reads it there.
+//! The estimate in a mailbox of the brick, and whether a program reads it there.
 //!
-//! Messages leave without a reply, because a reply costs a turn-around of the radio chip. Without a program on the brick they are
-//! not read; to learn of that, one every few seconds wants a reply. It is a question like others, so it waits for its turn.
+//! Messages are sent without a reply, because a reply costs a turn-around of the radio chip. Without a program on the
+//! brick they are not read; to detect that, one every few seconds requires a reply. It waits for its turn like other
+//! requests.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -9,22 +10,22 @@ use super::telegram::{NxtStatus, ReplyRequest, message_write};
 use crate::bricks::estimate::estimate_bytes;
 use crate::message::PlanarPose;
 
-/// Between two estimates to a program that pushes: each turns the radio around, which cannot send and receive at once, and holds
-/// up the frames.
+/// Interval of estimates to a program that pushes: each turns the radio around, which cannot send and receive at once,
+/// and delays the frames.
 pub(super) const PUSHED_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
-/// A program may be started at any time.
+/// Interval of the probes, because a program may be started at any time.
 const PROBE_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 
 #[derive(Debug)]
 pub(super) struct EstimateMailbox {
     number: u8,
-    /// Estimates leave no more often than this.
+    /// Shortest time between two estimates.
     interval: TimeDelta,
     last: Option<Timestamp<HostClock>>,
-    /// A program reads it, as far as is known.
+    /// A program reads the mailbox, as far as is known.
     is_read: bool,
     next_probe: Option<Timestamp<HostClock>>,
-    /// The message of the probe, while it waits for its turn.
+    /// The probe, while it waits for its turn.
     probe: Option<Vec<u8>>,
     sequence: u16,
 }
@@ -38,7 +39,7 @@ impl EstimateMailbox {
         *self = Self { sequence: self.sequence, ..Self::new(self.number, self.interval) };
     }
 
-    /// The telegram that takes an estimate to the brick at once, if it may; otherwise the next probe takes it, or it stays.
+    /// The telegram that sends an estimate at once, if allowed; otherwise the next probe carries it, or it is dropped.
     pub(super) fn publish(
         &mut self,
         now: Timestamp<HostClock>,

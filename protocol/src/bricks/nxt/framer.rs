@@ -29,24 +29,25 @@ use super::telegram::{
 use crate::dialect::catalogue::CATALOGUE;
 use crate::framing::{START_BYTE_V2, checksum};
 
-/// So long the link must be silent to be at the start of a telegram: three turn-arounds of the radio chip, at about 30 ms.
+/// Silence that proves the start of a telegram: three turn-arounds of the radio chip, at about 30 ms.
 const QUIET: TimeDelta = TimeDelta::from_millis(100);
-/// Nothing is asked while everything is thrown away. Whatever still comes after this time comes by itself, ...
+/// No requests are sent while bytes are discarded. What still comes after this time is sent by a program, ...
 const RESYNC_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
-/// ... and then this silence must do: longer than any inside a telegram, and what programs leave between two of up to 50 per second.
+/// ... and then this shorter silence must suffice: longer than any inside a telegram, and shorter than the pauses of
+/// programs that send up to 50 per second.
 const TELEGRAM_SILENCE: TimeDelta = TimeDelta::from_millis(15);
 /// Bytes in front of the payload of a MAVLink 2 frame, of its checksum and of its signature.
 const HEADER_BYTES: usize = 10;
 const CHECKSUM_BYTES: usize = 2;
 const SIGNATURE_BYTES: usize = 13;
-/// Mailboxes of a brick, with those that its own program writes.
+/// Mailboxes of a brick, including those that its own program writes.
 const MAILBOXES: u8 = 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StreamContent {
     /// Replies, and messages from mailbox to mailbox.
     Telegrams,
-    /// Also MAVLink 2 frames that a program sends of itself.
+    /// Also MAVLink 2 frames from a program.
     TelegramsAndFrames,
 }
 
@@ -54,16 +55,16 @@ pub(super) enum StreamContent {
 pub(super) enum TelegramPart {
     /// A whole telegram, without its length.
     Telegram(Vec<u8>),
-    /// The same of a type that is not read here: a program on the brick sends to another receiver.
+    /// A telegram of a type that is not read here: a program on the brick sends to another receiver.
     Foreign(Vec<u8>),
-    /// Number of bytes that are no telegram, and dropped.
+    /// Number of bytes that are no telegram, and were dropped.
     OutOfSync { bytes: usize },
 }
 
 #[derive(Debug)]
 pub(super) struct TelegramFramer {
     content: StreamContent,
-    /// A telegram that is not whole yet, with its length in front; while draining, what may be the begin of a frame.
+    /// An incomplete telegram, with its length before it; while draining, a possible begin of a frame.
     pending: Vec<u8>,
     last_byte: Option<Timestamp<HostClock>>,
     draining_since: Option<Timestamp<HostClock>>,
@@ -80,12 +81,11 @@ impl TelegramFramer {
         Self { content, pending: Vec::with_capacity(2 * MAX_TELEGRAM_BYTES), last_byte: None, draining_since: None }
     }
 
-    /// True while everything is thrown away: no question can be answered.
+    /// True while bytes are discarded: no request can be answered.
     pub(super) const fn is_draining(&self) -> bool {
         self.draining_since.is_some()
     }
 
-    /// When silence means something; then [`TelegramFramer::expire`].
     pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let last = self.last_byte?;
         let quiet = match self.draining_since {
@@ -96,7 +96,7 @@ impl TelegramFramer {
         Some(last + quiet)
     }
 
-    /// Silence may have ended a drain or torn a telegram: the bytes that are given up by it, if there are any.
+    /// Ends a drain or drops an incomplete telegram after silence; returns the dropped bytes, if any.
     pub(super) fn expire(&mut self, now: Timestamp<HostClock>) -> Option<TelegramPart> {
         if self.deadline().is_none_or(|due| due > now) {
             return None;
@@ -107,7 +107,7 @@ impl TelegramFramer {
         (bytes > 0).then_some(TelegramPart::OutOfSync { bytes })
     }
 
-    /// Cuts one chunk; [`TelegramFramer::expire`] comes first.
+    /// Splits one chunk; call [`TelegramFramer::expire`] before.
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], found: &mut Vec<TelegramPart>) {
         if bytes.is_empty() {
             return;
@@ -147,7 +147,7 @@ impl TelegramFramer {
         is_in_step
     }
 
-    /// Throws away what cannot be the begin of a frame; true if a proven one was found.
+    /// Discards bytes that cannot be the begin of a frame; true if a verified frame was found.
     fn resynchronize(&mut self, found: &mut Vec<TelegramPart>) -> bool {
         let hunted = match self.content {
             StreamContent::Telegrams => ResyncPoint::nothing_in(&self.pending),
@@ -165,7 +165,7 @@ impl TelegramFramer {
         true
     }
 
-    /// The telegram between two places in the stream, if there is one.
+    /// The telegram between two offsets in the stream, if there is one.
     fn telegram(&self, begin: usize, end: usize) -> Option<TelegramPart> {
         let telegram = self.pending.get(begin..end)?.get(PREFIX_BYTES..)?.to_vec();
         let is_ours = match telegram.first()? {
@@ -177,10 +177,10 @@ impl TelegramFramer {
     }
 }
 
-/// Where a stream that is out of step may be in step again.
+/// A position where a stream that is out of step may be in step again.
 struct ResyncPoint {
     at: usize,
-    /// Length of a proven frame there, with its length in front; `None` if the rest may become one.
+    /// Length of a verified frame there, including its length prefix; `None` if the rest may become one.
     length: Option<usize>,
 }
 
@@ -190,7 +190,7 @@ impl ResyncPoint {
     }
 }
 
-/// The first proven frame, or else the first place where one may begin that is not whole yet.
+/// The first verified frame, or else the first offset at which an incomplete one may begin.
 fn find_resync_point(stream: &[u8]) -> ResyncPoint {
     let mut begun = None;
     for at in 0..stream.len() {
@@ -212,7 +212,7 @@ fn find_resync_point(stream: &[u8]) -> ResyncPoint {
     ResyncPoint { at: begun.unwrap_or(stream.len()), ..ResyncPoint::nothing_in(stream) }
 }
 
-/// Whether this is a MAVLink 2 frame of a message that is known, and undamaged.
+/// Whether this is an undamaged MAVLink 2 frame of a known message.
 fn has_right_checksum(frame: &[u8]) -> bool {
     let Some([START_BYTE_V2, payload, _, _, _, _, _, id @ ..]) = bytes_at::<HEADER_BYTES>(frame, 0) else {
         return false;
@@ -226,7 +226,7 @@ fn has_right_checksum(frame: &[u8]) -> bool {
     shape.is_some_and(|shape| checksum(covered, shape.crc_extra) == u16::from_le_bytes(sum))
 }
 
-/// Decides as early as the bytes allow: what is wrong with its first byte is not waited for.
+/// Decides as early as the bytes allow: does not wait for the rest of a wrong beginning.
 fn classify_prefix(bytes: &[u8]) -> PrefixMatch {
     let Some((prefix, begun)) = bytes.split_first_chunk::<PREFIX_BYTES>() else {
         return PrefixMatch::Incomplete;

@@ -1,4 +1,4 @@
-//! The HiTechnic gyro: a turn rate as the difference of a reading and what it reads at rest.
+//! The HiTechnic gyro: the turn rate is the difference between a reading and the reading at rest.
 //!
 //! # Model
 //! ```text
@@ -26,51 +26,49 @@ use posebridge_telemetry::{HostClock, RadiansPerSecond, TimeDelta, Timestamp};
 use super::settings::GyroSign;
 use crate::bricks::counters::WheelState;
 
-/// Readings that make a first rest value: under a second's worth, a mean good to 0.3 degrees per second, which is little beside
-/// the bias that a filter expects of this sensor. Robots rarely stand for longer before they drive off.
+/// Readings for the first rest value: less than a second's, a mean within 0.3 degrees per second, which is small
+/// against the bias that a filter expects of this sensor. Robots rarely stand for longer before they drive off.
 const MIN_REST_READINGS: u32 = 10;
-/// Readings over which the rest is a mean, afterwards.
+/// Number of readings of the running mean afterwards.
 const MAX_REST_READINGS: u32 = 500;
 /// Largest spread of readings at rest, in counts: the noise is about one.
 const REST_SPREAD: f64 = 8.0;
-/// A reading further from the rest than this is a robot that is turned by hand.
+/// Largest deviation of a reading at rest; beyond it the robot is turned by hand.
 const MAX_REST_DEVIATION: f64 = 4.0;
-/// How long a calm lasts, and how many readings make one at least.
+/// Duration of a calm, and its least number of readings.
 const CALM_TIME: TimeDelta = TimeDelta::from_millis(3_000);
 const CALM_COUNT: u32 = 30;
 /// Largest spread of readings of a calm, in counts: fifty readings with a noise of 0.6 to 1 count mostly stay within it.
 const CALM_SPREAD: f64 = 4.0;
-/// A calm within this number of counts of the rest changes nothing.
+/// A calm whose mean is closer to the rest value changes nothing.
 const CALM_NEWS: f64 = 1.0;
-/// Where a rest can be, generously.
+/// Possible rest values, with a margin.
 const REST_RANGE: std::ops::RangeInclusive<f64> = 500.0..=700.0;
-/// Furthest reading from the rest: 360 degrees per second, and a margin for what the rest is off by.
+/// Largest deviation of a reading from the rest: 360 degrees per second, and a margin for the error of the rest value.
 const RANGE: f64 = 380.0;
-/// The converter's stop: nothing pulls the input down.
+/// The converter's limit: an open input.
 const OPEN_INPUT: u16 = 1023;
-/// So long after its first reading a gyro whose rest is not known is worth a word.
+/// Time after the first reading at which an unknown rest value is reported.
 const REST_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum GyroReadout {
     /// The turn rate, counter-clockwise positive, bias included.
     Rate(RadiansPerSecond),
-    /// It says nothing yet: the rest is not known.
+    /// No rate yet: the rest value is unknown.
     Unknown,
-    /// It says nothing, and for five seconds already.
+    /// No rate for five seconds: the rest value is still unknown.
     RestTimeout,
-    /// No gyro reads this: nothing is plugged in.
+    /// No gyro has this reading: the port is empty.
     Disconnected,
 }
 
-/// What a reading taught about the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum RestUpdate {
-    /// Nothing that people need to know.
     Unchanged,
-    /// The rest is known from now on, in counts.
+    /// The first rest value, in counts.
     First(f64),
-    /// It was wrong and is this.
+    /// The rest value was wrong; the new one, in counts.
     Corrected(f64),
 }
 
@@ -105,12 +103,12 @@ impl AnalogGyro {
         }
     }
 
-    /// What it reads at rest, in counts, if that is known.
+    /// In counts, once known.
     fn rest_value(&self) -> Option<f64> {
         self.configured_rest.or(self.rest_mean.value())
     }
 
-    /// What a reading of the instant `at` means, and what it taught.
+    /// Converts a reading at the instant `at`, and updates the rest value.
     pub(super) fn push(&mut self, at: Timestamp<HostClock>, raw: u16, wheels: WheelState) -> (GyroReadout, RestUpdate) {
         if raw >= OPEN_INPUT {
             self.calm_period = CalmPeriod::default();
@@ -199,7 +197,7 @@ impl RestMean {
     }
 }
 
-/// Readings that hardly differ while both wheels stand.
+/// Readings with a small spread while both wheels stand.
 #[derive(Clone, Copy, Debug, Default)]
 struct CalmPeriod {
     since: Option<Timestamp<HostClock>>,
@@ -207,7 +205,7 @@ struct CalmPeriod {
 }
 
 impl CalmPeriod {
-    /// The mean of a calm that is long enough with this reading; the next begins anew.
+    /// The mean of a calm that this reading completes; the next one begins anew.
     fn push(&mut self, at: Timestamp<HostClock>, raw: f64, wheels: WheelState) -> Option<RunningMean> {
         if wheels == WheelState::Turning || !REST_RANGE.contains(&raw) {
             *self = Self::default();

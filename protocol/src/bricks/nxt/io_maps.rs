@@ -14,8 +14,8 @@
 
 use super::telegram::{NxtReply, bytes_at, opcode};
 
-/// A part of a module's map. Reads of one module that may wait for their answers together have different lengths, because an answer
-/// repeats the module and the length, but not the offset.
+/// A part of a module's map. Outstanding reads of one module must have different lengths, because a reply repeats the
+/// module and the length, but not the offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct IoMapWindow {
     pub(super) module: FirmwareModule,
@@ -48,9 +48,9 @@ pub(super) const TICK: IoMapWindow = IoMapWindow { module: FirmwareModule::Comma
 const MOTOR_BYTES: u16 = 32;
 const INPUT_BYTES: u16 = 20;
 const BUFFER_BYTES: u16 = 19;
-/// Bytes of one motor up to its overload flag, the last that the module documents.
+/// Bytes of one motor up to its overload flag, the last documented one.
 const MOTOR_USED_BYTES: u16 = 28;
-/// A port's bytes up to its last interesting one, @16.
+/// Bytes of a port up to the last that is used, @16.
 const PORT_USED_BYTES: u16 = 17;
 
 pub(super) const ALL_MOTORS: IoMapWindow =
@@ -60,7 +60,7 @@ pub(super) const ALL_INPUTS: IoMapWindow =
 pub(super) const ALL_BUFFERS: IoMapWindow =
     IoMapWindow { module: FirmwareModule::LowSpeed, offset: 0, length: 4 * BUFFER_BYTES };
 
-/// Two neighbouring motors, the first wholly and the second's count: 36 of the 55 bytes that every firmware allows.
+/// Two neighbouring motors, the first completely and the second's count: 36 of the 55 bytes that every firmware allows.
 pub(super) const fn motor_pair(first: u8) -> IoMapWindow {
     IoMapWindow { module: FirmwareModule::Output, offset: MOTOR_BYTES * first as u16, length: MOTOR_BYTES + 4 }
 }
@@ -89,7 +89,7 @@ pub(super) const fn buffer(port: u8) -> IoMapWindow {
     }
 }
 
-/// Bytes of a map in an answer, and where in the module they stand.
+/// Bytes of a map in a reply, and their position in the module.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct IoMapData<'a> {
     window: IoMapWindow,
@@ -100,9 +100,9 @@ pub(super) struct IoMapData<'a> {
 pub(super) struct AnalogInput {
     /// Of the ten-bit converter.
     pub(super) raw: u16,
-    /// The sensor's type as it is set up.
+    /// The type to which the port is set up.
     pub(super) kind: u8,
-    /// False until the first conversion after it was set up.
+    /// False until the first conversion after the set-up.
     pub(super) is_valid: bool,
 }
 
@@ -110,11 +110,11 @@ pub(super) struct AnalogInput {
 pub(super) struct DigitalBuffer {
     pub(super) ring: [u8; 16],
     pub(super) end: u8,
-    /// Bytes of an answer that are still on the bus; none are for a sensor that failed, either.
+    /// Bytes of an answer that are still on the bus; zero also for a sensor that failed.
     pub(super) pending_bytes: u8,
 }
 
-/// The id and the length that an answer to READ IO MAP repeats, and the data.
+/// The id and the length that a reply to READ IO MAP repeats, and the data.
 pub(super) fn parse_reply<'a>(reply: &NxtReply<'a>) -> Option<(u32, u16, &'a [u8])> {
     if reply.opcode != opcode::READ_IO_MAP {
         return None;
@@ -126,7 +126,7 @@ pub(super) fn parse_reply<'a>(reply: &NxtReply<'a>) -> Option<(u32, u16, &'a [u8
 }
 
 impl<'a> IoMapData<'a> {
-    /// What an answer says of the window that was asked for.
+    /// The data of the window that was requested.
     pub(super) fn from_reply(window: IoMapWindow, reply: &NxtReply<'a>) -> Option<Self> {
         let (module, length, bytes) = parse_reply(reply)?;
         let fits = module == window.module.id() && length == window.length;
@@ -138,17 +138,17 @@ impl<'a> IoMapData<'a> {
         bytes_at(self.bytes, usize::from(inside))
     }
 
-    /// The brick's clock, in milliseconds since its power-up.
+    /// Since its power-up.
     pub(super) fn tick_millis(&self) -> Option<u32> {
         self.bytes_at(TICK.offset).map(u32::from_le_bytes)
     }
 
-    /// A motor's count in degrees, if the window holds it.
+    /// In degrees; `None` if the window does not contain it.
     pub(super) fn count(&self, motor: u8) -> Option<i32> {
         self.bytes_at(MOTOR_BYTES * u16::from(motor)).map(i32::from_le_bytes)
     }
 
-    /// An analog port, if the window holds it.
+    /// `None` if the window does not contain it.
     pub(super) fn input(&self, port: u8) -> Option<AnalogInput> {
         let base = INPUT_BYTES * u16::from(port);
         Some(AnalogInput {
@@ -158,7 +158,7 @@ impl<'a> IoMapData<'a> {
         })
     }
 
-    /// A digital port's receive buffer, if the window holds it.
+    /// A digital port's receive buffer; `None` if the window does not contain it.
     pub(super) fn buffer(&self, port: u8) -> Option<DigitalBuffer> {
         let base = BUFFER_BYTES * u16::from(port);
         let [end, _, to_come] = self.bytes_at(base + 16)?;
@@ -167,7 +167,8 @@ impl<'a> IoMapData<'a> {
 }
 
 impl DigitalBuffer {
-    /// The last `N` bytes that came. The firmware goes round the ring, or begins anew at its start: both leave them before the end.
+    /// The last `N` received bytes. The firmware continues round the ring, or restarts at its beginning: in both cases
+    /// they are before the write index.
     pub(super) fn last_bytes<const N: usize>(&self) -> [u8; N] {
         let size = self.ring.len();
         let first = usize::from(self.end) % size + size - N % size;

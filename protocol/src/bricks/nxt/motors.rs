@@ -13,8 +13,8 @@ use super::settings::MotorPort;
 use crate::bricks::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, WheelState};
 use crate::message::WireStamp;
 
-/// So long the counts must not have changed for wheels to stand; a wheel that turns slower than this allows is slower than 4 degrees
-/// per second.
+/// Wheels whose counts have not changed for this long stand; a wheel that turns below this limit is slower than 4
+/// degrees per second.
 const STANDSTILL_TIME: TimeDelta = TimeDelta::from_millis(250);
 
 /// The interval between a request and its reply; the value was read within it.
@@ -44,14 +44,13 @@ struct MotorReading {
     interval: RequestInterval,
 }
 
-/// The readings of both wheels, and the interval within which they were read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct WheelReadings {
     pub(super) counts: MotorCounts,
     pub(super) interval: RequestInterval,
 }
 
-/// Accelerations at the wheels, each waiting for the other.
+/// Accelerations of both wheels, each until the other arrives.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PendingAccelerations {
     pub(super) left: Option<AccelerationReading>,
@@ -76,7 +75,7 @@ impl MotorReadings {
         self.readings[motor.index()] = Some(MotorReading { count, interval });
     }
 
-    /// Both wheels, once both were read since the last time.
+    /// Both wheels, once both were read since the last call.
     pub(super) fn take_pair(&mut self, left: MotorPort, right: MotorPort) -> Option<WheelReadings> {
         let (first, second) = (self.readings[left.index()]?, self.readings[right.index()]?);
         let third = MotorPort::ALL
@@ -130,15 +129,15 @@ impl WheelTotals {
     }
 }
 
-/// A tick that lies further back than this was read before the brick was switched off: readings come in order, and the clocks of host and
-/// brick differ by far less over any silence that is not a restart.
+/// A tick that is further behind was read before a restart of the brick: readings come in order, and the clocks of host
+/// and brick differ by far less over any silence without a restart.
 const RESTART_BACK_MILLIS: i64 = 1_000;
 const PERIOD_MILLIS: i64 = 1 << 32;
 const PERIOD_MICROS: i64 = 1 << 32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TickAdvance {
-    /// The clock ran on, or is known for the first time.
+    /// The clock continued, or this is its first tick.
     Continuous,
     Restarted,
 }
@@ -160,7 +159,7 @@ impl TickClock {
         if ahead < -(RESTART_BACK_MILLIS + elapsed / 100) { TickAdvance::Restarted } else { TickAdvance::Continuous }
     }
 
-    /// The tick whose microseconds show this in 32 bits, next to the one that was read last.
+    /// The tick nearest to the last one whose microseconds, in 32 bits, are `micros`.
     pub(super) fn millis_of(&self, micros: u32) -> u32 {
         let Some((last, _)) = self.last else {
             return micros / 1_000;
@@ -171,7 +170,7 @@ impl TickClock {
     }
 }
 
-/// The value next to zero that is equal modulo the period.
+/// The value nearest to zero that is equal modulo the period.
 const fn wrapped(value: i64, period: i64) -> i64 {
     (value + period / 2).rem_euclid(period) - period / 2
 }

@@ -18,11 +18,12 @@ use crate::bricks::codec::CodecEvent;
 use crate::bricks::counters::CounterUpdate;
 use crate::message::{Inertial, Message, PlanarImu, WheelTicks};
 
-/// Answers interval two instants of the station's clock, where the brick does not report its own.
+/// Replies between two host timestamps, where the brick does not report its own clock.
 const REPLIES_PER_HOST_TICK: u8 = 9;
-/// Type of a port that is not set up.
+/// Type of a port without set-up.
 const NO_SENSOR: u8 = 0;
-/// Where a motor's count stands behind the status of GETOUTPUTSTATE: port, power, mode, regulation, turn ratio, run state, limit.
+/// Offset of a motor's count after the status of GETOUTPUTSTATE: port, power, mode, regulation, turn ratio, run state,
+/// limit.
 const COUNT_AT: usize = 10;
 
 type CodecEventSink<'a> = &'a mut dyn FnMut(CodecEvent<'_>);
@@ -70,7 +71,7 @@ impl NxtCodec {
         }
     }
 
-    /// A brick that does not report its clock uses the station's: then no stamp needs an alignment.
+    /// Uses the station's clock for a brick that does not report its own: then no stamp needs an alignment.
     fn substitute_host_clock(&mut self, interval: RequestInterval, sink: CodecEventSink<'_>) {
         if self.schedule.has_tick() {
             self.replies_since_host_tick = REPLIES_PER_HOST_TICK;
@@ -362,7 +363,7 @@ impl NxtCodec {
         self.emit_message(message, sink);
     }
 
-    /// Both wheels' accelerations once both are known; that of the middle at once.
+    /// Emits both wheels' accelerations once both are known; one at the centre at once.
     fn acceleration_message(
         &mut self,
         port: u8,

@@ -32,19 +32,20 @@ use super::telegram::{self, NxtReply, bytes_at, opcode};
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum NxtRequest {
-    /// For the firmware's version; it is used for nothing else, so its reply proves that every earlier request is answered or lost.
+    /// Reads the firmware's version, which nothing else does: its reply proves that every earlier request is answered
+    /// or lost.
     SyncBarrier,
     IoMap(IoMapWindow),
     Motor(MotorPort),
     Analog(u8),
-    /// For what a digital port's sensor has answered.
+    /// Reads the answer of a digital port's sensor.
     Digital(u8),
-    /// That a port be set up for a sensor of this type.
+    /// Sets up a port for a sensor of this type.
     SetUp {
         port: u8,
         kind: u8,
     },
-    /// Puts this telegram into a mailbox, to learn whether a program reads it.
+    /// Writes this telegram to a mailbox, to detect whether a program reads it.
     Mailbox(Vec<u8>),
 }
 
@@ -73,8 +74,8 @@ impl NxtRequest {
         }
     }
 
-    /// Whether a reply can be to this question: by its opcode, and by the port or the map where the reply repeats it. A refusal need
-    /// not repeat anything.
+    /// Whether a reply can belong to this request: by its opcode, and by the port or the map where the reply repeats
+    /// it. A refusal may repeat nothing.
     pub(super) fn matches_reply(&self, reply: &NxtReply<'_>) -> bool {
         if reply.opcode != self.opcode() {
             return false;
@@ -90,7 +91,7 @@ impl NxtRequest {
         }
     }
 
-    /// True if it is asked in every round, or nearly.
+    /// True if it is sent in almost every round.
     pub(super) const fn is_for_data(&self) -> bool {
         match self {
             Self::IoMap(window) => !matches!(window.module, FirmwareModule::Command),
@@ -100,7 +101,8 @@ impl NxtRequest {
     }
 }
 
-/// Most given-up questions that are remembered; while a fence waits no others are asked, so there are a few and fences.
+/// Most abandoned requests that are remembered; while a barrier is outstanding nothing else is sent, so there are only
+/// a few.
 const MAX_OVERDUE: usize = 8;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -125,11 +127,11 @@ enum SyncBarrier {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RequestCounts {
-    /// Questions that were answered in time.
+    /// Requests with a reply in time.
     pub(super) answered: u64,
-    /// Questions, fences apart, that were given up.
+    /// Abandoned requests, barriers excluded.
     pub(super) lost: u64,
-    /// Replies to questions that had been given up, and to none.
+    /// Replies to abandoned requests, and to none.
     pub(super) late: u64,
 }
 
@@ -163,7 +165,7 @@ impl RequestTracker {
         self.barrier == SyncBarrier::Wanted
     }
 
-    /// Whether another question may leave when at most `most` wait.
+    /// Whether another request may be sent with at most `most` outstanding.
     pub(super) fn has_capacity(&self, most: usize) -> bool {
         match self.barrier {
             SyncBarrier::Clear => self.waiting.len() < most,
@@ -172,7 +174,7 @@ impl RequestTracker {
         }
     }
 
-    /// Whether this very question waits. It must not be asked again before: with two equal ones the reply would be ambiguous.
+    /// Whether an equal request is outstanding. It must not be sent again before: the reply would be ambiguous.
     pub(super) fn is_waiting_for(&self, question: &NxtRequest) -> bool {
         self.waiting.iter().any(|asked| asked.request == *question)
     }
@@ -207,7 +209,7 @@ impl RequestTracker {
         ReplyMatch::Reply(asked)
     }
 
-    /// Any fence that comes back is one: all that stood before it is known to be over.
+    /// Any reply to a barrier settles all earlier requests.
     fn match_barrier(&mut self) -> ReplyMatch {
         let is_waited_for = self.barrier == SyncBarrier::Pending;
         let waiting = self.waiting.iter().position(|asked| asked.request == NxtRequest::SyncBarrier);
@@ -221,7 +223,7 @@ impl RequestTracker {
         ReplyMatch::Reply(asked)
     }
 
-    /// Gives up the oldest question that waits for too long; a fence must come next.
+    /// Abandons the oldest request after the time-out; a barrier must follow.
     pub(super) fn expire(&mut self, now: Timestamp<HostClock>) -> Option<NxtRequest> {
         if self.deadline().is_none_or(|due| due > now) {
             return None;
@@ -231,7 +233,7 @@ impl RequestTracker {
         Some(asked.request)
     }
 
-    /// The stream is out of step: no answer to what waits will be understood. Returns the questions that are lost by it.
+    /// The stream is out of step: replies to the outstanding requests will not be recognized. Returns these requests.
     pub(super) fn abort_all(&mut self) -> Vec<NxtRequest> {
         let mut lost = Vec::new();
         while let Some(asked) = self.waiting.pop_front() {
@@ -259,24 +261,23 @@ impl RequestTracker {
     }
 }
 
-/// Ticks at connect: the first places the clock, the others narrow it.
+/// Ticks at connect: the first sets the clock, the others narrow it.
 const FIRST_TICKS: u8 = 3;
-/// Other questions between two ticks: at the pace of Bluetooth, with 30 ms for each, 0.6 s. A clock that is 2000 ppm off drifts
-/// by 1.2 ms in that time, and what ticks cost is a twentieth of the states per second.
+/// Other requests between two ticks: over Bluetooth, with 30 ms for each, 0.6 s. A clock with an error of 2000 ppm
+/// drifts by 1.2 ms in that time, and the ticks cost a twentieth of the readings.
 const BETWEEN_TICKS: u8 = 19;
-/// Questions of the trial of two outstanding.
 const TRIAL_REQUESTS: u8 = 8;
-/// Refusals or time-outs of one kind of read in a row that mean that the brick cannot do it.
+/// Consecutive refusals or time-outs of one kind of read after which the brick is taken not to support it.
 const MAX_STRIKES: u8 = 2;
-/// Over a quick link more rounds than this say nothing new: the brick counts once in a millisecond, and a turn of a degree takes longer.
+/// Shortest round over a fast link: the brick counts once in a millisecond, and a turn of a degree takes longer.
 const MIN_ROUND: TimeDelta = TimeDelta::from_millis(10);
-/// A program on the brick pushes the data; then this is how often its clock is asked.
+/// Interval between ticks while a program on the brick pushes the data.
 const PUSHED_TICK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// SETINPUTMODE types: LIGHT_INACTIVE gives a raw value without 9 V pulses, LOWSPEED_9V is the bus with 9 V.
 const LIGHT_INACTIVE: u8 = 0x06;
 const LOWSPEED_9V: u8 = 0x0B;
 
-/// How much of an IO map the brick gives in one reply.
+/// How much of an IO map the brick returns in one reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ReadSize {
     /// 119 bytes: a whole module.
@@ -298,7 +299,7 @@ pub(super) enum PortState {
     Unused,
     Unconfigured,
     Configuring,
-    /// It was set up and has no valid value yet.
+    /// Set up, without a valid value yet.
     Settling,
     Ready,
 }
@@ -326,7 +327,7 @@ pub(super) struct PollSchedule {
     is_reach_known: bool,
     strikes: u8,
     outstanding: MaxOutstanding,
-    /// Questions of the trial that have not been asked, and that have not been answered.
+    /// Requests of the trial that have not been sent, and that have not been answered.
     trial: Option<(u8, u8)>,
     most: usize,
     has_tick: bool,
@@ -363,7 +364,7 @@ impl PollSchedule {
         }
     }
 
-    /// The link came up: everything is found out anew.
+    /// The link came up: restarts all detection.
     pub(super) fn reset(&mut self, now: Timestamp<HostClock>) {
         self.reach = ReadSize::Whole;
         self.is_reach_known = self.source == WheelSource::Pushed;
@@ -381,7 +382,7 @@ impl PollSchedule {
         self.set_up_again();
     }
 
-    /// The brick forgot its sensors, or may have.
+    /// The brick has lost its sensor set-up, or may have.
     pub(super) fn set_up_again(&mut self) {
         self.round.clear();
         self.ports = self.sensors.map(|sensor| match (sensor, self.source) {
@@ -411,12 +412,12 @@ impl PollSchedule {
         self.has_tick
     }
 
-    /// True once it is known how much of an IO map comes in one reply.
+    /// True once the largest read is known.
     pub(super) const fn is_read_size_known(&self) -> bool {
         self.is_reach_known
     }
 
-    /// The next question of the plan, fences and mailbox apart; `asked` are the ports on the bus that were written to.
+    /// The next request of the schedule, barriers and mailbox excluded; `asked` are the bus ports that were written to.
     pub(super) fn next_request(&mut self, now: Timestamp<HostClock>, asked: &[u8]) -> Option<NxtRequest> {
         if let Some(tick) = self.next_tick_request(now) {
             return Some(tick);
@@ -471,7 +472,7 @@ impl PollSchedule {
         Some(NxtRequest::SetUp { port, kind })
     }
 
-    /// When [`PollSchedule::next`] may have a question again if nothing is heard before.
+    /// When `next_request` may have a request again if nothing is received before.
     pub(super) fn next_wake(&self) -> Option<Timestamp<HostClock>> {
         match self.source {
             WheelSource::Pushed => self.has_tick.then_some(self.next_tick),
@@ -498,7 +499,7 @@ impl PollSchedule {
         self.round.extend(analog);
     }
 
-    /// Whether the analog side of a port must be read: for its value, or to see whether the port is set up.
+    /// Whether the analog side of a port must be read: for its value, or to check its set-up.
     fn needs_input(&self, port: u8) -> bool {
         let index = usize::from(port);
         let is_analog = self.sensors[index] == NxtSensor::HtGyro;
@@ -534,7 +535,7 @@ impl PollSchedule {
         }
     }
 
-    /// A question was not answered, or refused. Says whether the plan had to change for it.
+    /// A request had no reply, or was refused. Returns the resulting change of the schedule, if any.
     pub(super) fn record_failure(&mut self, question: &NxtRequest, why: RequestFailure) -> Option<ScheduleChange> {
         let is_tick = *question == NxtRequest::IoMap(TICK);
         let is_trial = self.trial.is_some_and(|(unasked, _)| unasked < TRIAL_REQUESTS);

@@ -1,9 +1,9 @@
-//! The settings of an NXT: which motor is which wheel, which sensor is at which port.
+//! The settings of an NXT: the motors of the wheels, and the sensor at each port.
 
 use posebridge_telemetry::TimeDelta;
 use thiserror::Error;
 
-/// Longest wait for an answer; people's programs wait from 0.5 s to 2 s (RWTH Aachen NXT toolbox: 2 s).
+/// Longest wait for a reply; other programs wait from 0.5 s to 2 s (RWTH Aachen NXT toolbox: 2 s).
 const ANSWER_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
 /// Mailboxes that a host may write to (LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2, MESSAGEWRITE).
 const MAILBOXES: u8 = 10;
@@ -11,16 +11,15 @@ const MAILBOXES: u8 = 10;
 /// A motor's port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotorPort {
-    /// Port A, number 0 on the wire.
+    /// Number 0 on the wire.
     A,
-    /// Port B, 1.
+    /// Number 1.
     B,
-    /// Port C, 2.
+    /// Number 2.
     C,
 }
 
 impl MotorPort {
-    /// All of them, in their order on the wire.
     pub const ALL: [Self; 3] = [Self::A, Self::B, Self::C];
 
     /// Its number on the wire.
@@ -33,70 +32,54 @@ impl MotorPort {
     }
 }
 
-/// Which way a motor sits.
+/// The orientation of a motor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotorMounting {
-    /// Its count rises when the robot drives forward.
+    /// The count increases when the robot drives forward.
     #[default]
     Forward,
-    /// Its count falls when the robot drives forward.
+    /// The count decreases when the robot drives forward.
     Backward,
 }
 
-/// The motor of one wheel.
+/// The motor of one wheel: port and orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WheelMotor {
-    /// Where it is plugged in.
     pub port: MotorPort,
-    /// Which way it sits.
     pub mounting: MotorMounting,
 }
 
 /// The axis of an accelerometer that points forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ForwardAxis {
-    /// Its x axis.
     #[default]
     X,
-    /// Against its x axis.
     MinusX,
-    /// Its y axis.
     Y,
-    /// Against its y axis.
     MinusY,
-    /// Its z axis.
     Z,
-    /// Against its z axis.
     MinusZ,
 }
 
-/// Where an accelerometer sits.
+/// The position of an accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AccelerometerMounting {
-    /// Above the left wheel.
     Left,
-    /// Above the right wheel.
     Right,
-    /// Between them.
+    /// Between the wheels.
     #[default]
     Centre,
 }
 
-/// What is plugged in at a sensor port.
+/// A sensor at a port, with its resolution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NxtSensor {
-    /// Nothing that is read.
     #[default]
     None,
     /// HiTechnic NGY1044, one degree per second and count.
     HtGyro,
     /// HiTechnic NAC1040, 200 counts per g.
-    HtAccelerometer {
-        /// Its axis that points forward.
-        forward: ForwardAxis,
-        /// Where it sits.
-        place: AccelerometerMounting,
-    },
+    HtAccelerometer { forward: ForwardAxis, place: AccelerometerMounting },
     /// HiTechnic NMC1034, one degree.
     HtCompass,
     /// LEGO 9846, one centimetre, looking forward.
@@ -105,48 +88,43 @@ pub enum NxtSensor {
     Temperature,
 }
 
-/// Which way a gyro counts.
+/// The sign of a gyro's readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GyroSign {
-    /// The reading rises when the robot turns counter-clockwise, seen from above.
+    /// The reading increases when the robot turns counter-clockwise, seen from above.
     #[default]
     CounterClockwise,
-    /// The reading rises when it turns clockwise: the sensor hangs upside down.
+    /// The reading increases when the robot turns clockwise: the sensor is mounted upside down.
     Clockwise,
 }
 
-/// How many questions may wait for their answers at the same time.
+/// The number of outstanding requests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MaxOutstanding {
-    /// One: every firmware can do that.
+    /// Every firmware supports one.
     #[default]
     One,
     /// Two, if a trial at connect shows that the brick answers both.
     Two,
 }
 
-/// One NXT, as its codec must know it.
+/// The settings of one NXT.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NxtSettings {
-    /// The left wheel's motor.
     pub left_motor: WheelMotor,
-    /// The right wheel's motor.
     pub right_motor: WheelMotor,
-    /// What is plugged in at the ports 1 to 4.
+    /// At the ports 1 to 4.
     pub sensors: [NxtSensor; 4],
-    /// What the gyro reads at rest, in counts; `None` learns it while both wheels stand.
+    /// The gyro's reading at rest; `None` learns it while both wheels stand.
     pub gyro_rest_counts: Option<f64>,
-    /// Which way the gyro counts.
     pub gyro_sign: GyroSign,
-    /// What the compass reads when the robot points along the arena's x axis, in degrees.
     pub compass_zero_deg: f64,
-    /// The mailbox that takes the estimate, 0 to 9.
+    /// The mailbox for the estimate, 0 to 9.
     pub mailbox: u8,
-    /// Shortest time between two estimates; `None` is 200 ms to a program that pushes, and none where the brick is asked.
+    /// Shortest time between two estimates; `None` is 200 ms for a program that pushes, and no limit for a polled
+    /// brick.
     pub estimate_interval: Option<TimeDelta>,
-    /// How many questions may wait at the same time.
     pub outstanding: MaxOutstanding,
-    /// Longest wait for an answer.
     pub answer_timeout: TimeDelta,
 }
 
@@ -169,30 +147,25 @@ impl Default for NxtSettings {
     }
 }
 
-/// Why settings cannot be those of a robot.
+/// Why settings are invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum NxtSettingsError {
-    /// Both wheels at one port.
     #[error("both wheels are at motor port {0:?}")]
     OneMotor(MotorPort),
-    /// No such mailbox.
     #[error("mailbox {0} does not exist: a brick has 0 to 9")]
     Mailbox(u8),
-    /// The gyro's rest value is none of the ten-bit converter.
+    /// Outside the range of the ten-bit converter.
     #[error("a gyro cannot read {0} at rest: the reading lies between 0 and 1023")]
     GyroRest(f64),
-    /// The compass's zero is no number.
     #[error("the compass zero is {0} degrees, which is no direction")]
     CompassZero(f64),
-    /// No reply takes zero time.
     #[error("the longest wait for an answer is {0} ms, but must be more than zero")]
     AnswerTimeout(f64),
 }
 
 impl NxtSettings {
-    /// Says what cannot be about them.
-    /// The error is the first setting that no robot can have.
+    /// Returns the first invalid setting as the error.
     pub fn validate(&self) -> Result<(), NxtSettingsError> {
         if self.left_motor.port == self.right_motor.port {
             return Err(NxtSettingsError::OneMotor(self.left_motor.port));

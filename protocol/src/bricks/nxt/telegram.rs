@@ -13,14 +13,13 @@ use super::settings::MotorPort;
 
 const DIRECT: u8 = 0x00;
 const SYSTEM: u8 = 0x01;
-/// Bit that says that no reply is wanted.
+/// Bit that requests no reply.
 const NO_REPLY: u8 = 0x80;
 pub(super) const REPLY: u8 = 0x02;
 /// Type of a direct command without reply: how a brick writes to another's mailbox.
 pub(super) const DIRECT_NO_REPLY: u8 = DIRECT | NO_REPLY;
 /// Bytes of a file name in a command, zeros behind it.
 const FILE_NAME_BYTES: usize = 20;
-/// Bytes of the length in front of a telegram.
 pub(super) const PREFIX_BYTES: usize = 2;
 /// The brick's Bluetooth buffer: no telegram is longer.
 pub(super) const MAX_TELEGRAM_BYTES: usize = 128;
@@ -42,12 +41,10 @@ pub(super) mod opcode {
     pub(in super::super) const READ_IO_MAP: u8 = 0x94;
 }
 
-/// Whether the brick shall answer.
+/// Whether a command requests a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplyRequest {
-    /// It shall.
     Required,
-    /// It shall not.
     NotRequired,
 }
 
@@ -60,10 +57,10 @@ impl ReplyRequest {
     }
 }
 
-/// What a motor shall do (SETOUTPUTSTATE).
+/// A motor command (SETOUTPUTSTATE).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputState {
-    /// Which motor; `None` is all three.
+    /// `None` is all three.
     pub port: Option<MotorPort>,
     /// Per cent of the battery, negative backwards.
     pub power: i8,
@@ -75,17 +72,16 @@ pub struct OutputState {
     pub turn_ratio: i8,
     /// 00 idle, 10 ramp up, 20 run, 40 ramp down.
     pub run_state: u8,
-    /// Degrees after which to stop; 0 runs on.
+    /// Degrees after which to stop; 0 is unlimited.
     pub tacho_limit: u32,
 }
 
 impl OutputState {
-    /// The motor runs at this power with its speed regulated, until the next command.
+    /// Runs a motor at this power with its speed regulated, until the next command.
     pub const fn run(port: MotorPort, power: i8) -> Self {
         Self { port: Some(port), power, mode: 0b111, regulation: 1, turn_ratio: 0, run_state: 0x20, tacho_limit: 0 }
     }
 
-    /// All motors are let go.
     pub const fn coast() -> Self {
         Self { port: None, power: 0, mode: 0, regulation: 0, turn_ratio: 0, run_state: 0, tacho_limit: 0 }
     }
@@ -116,7 +112,7 @@ pub fn start_program(file_name: &str, answer: ReplyRequest) -> Vec<u8> {
     telegram
 }
 
-/// STOPPROGRAM: stops whichever runs.
+/// STOPPROGRAM: stops the running program.
 pub fn stop_program(answer: ReplyRequest) -> Vec<u8> {
     vec![DIRECT | answer.bit(), opcode::STOP_PROGRAM]
 }
@@ -146,7 +142,7 @@ pub(super) fn get_input_values(port: u8) -> Vec<u8> {
     vec![DIRECT, opcode::GET_INPUT_VALUES, port]
 }
 
-/// `answer_bytes` are read from the sensor after `bytes` were written to it; at most 16 each.
+/// Writes `bytes` to a sensor and reads `answer_bytes` from it; at most 16 each.
 pub(super) fn ls_write(port: u8, bytes: &[u8], answer_bytes: u8) -> Vec<u8> {
     let length = bytes.len() as u8;
     let mut telegram = vec![DIRECT_NO_REPLY, opcode::LS_WRITE, port, length, answer_bytes];
@@ -174,7 +170,7 @@ pub(super) fn read_io_map(module: u32, offset: u16, length: u16) -> Vec<u8> {
     telegram
 }
 
-/// A telegram as it stands on the link: behind its length.
+/// A telegram with its length before it, as on the link.
 pub fn framed(telegram: &[u8]) -> Vec<u8> {
     let mut bytes = (telegram.len() as u16).to_le_bytes().to_vec();
     bytes.extend_from_slice(telegram);
@@ -197,7 +193,8 @@ impl<'a> NxtReply<'a> {
     }
 }
 
-/// How long a reply to this opcode is when all went well, IO maps apart, whose length was asked for; `None` for what is never asked.
+/// Length of a successful reply to this opcode, except IO maps, whose length was requested; `None` for opcodes that are
+/// never requested.
 pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
     match opcode {
         opcode::START_PROGRAM
@@ -214,24 +211,22 @@ pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
     }
 }
 
-/// The bytes from `at`, if there are enough.
 pub(super) fn bytes_at<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }
 
-/// What became of a command.
+/// The status of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct NxtStatus(pub u8);
 
 impl NxtStatus {
-    /// It was done.
     pub const OK: Self = Self(0x00);
     /// The sensor has not answered yet.
     pub const PENDING: Self = Self(0x20);
     /// Mailboxes are not read: no program runs.
     pub const NO_PROGRAM: Self = Self(0xEC);
 
-    /// True for a byte that the firmware knows as a status.
+    /// Whether the firmware has such a status.
     pub const fn is_known(self) -> bool {
         matches!(
             self.0,
@@ -239,7 +234,7 @@ impl NxtStatus {
         )
     }
 
-    /// What it means, and what can be done about it; lower case, no full stop.
+    /// The meaning and a remedy; lower case, no full stop.
     pub const fn meaning(self) -> &'static str {
         match self.0 {
             0x00 => "it was done",

@@ -21,13 +21,13 @@ use super::row::BoardTime;
 const PERIOD: i128 = 1 << 32;
 /// Largest rate error of a clock: one part in this number: the station's limit for any brick.
 const SKEW_PARTS: i64 = 100;
-/// A clock may run ahead or fall by so much without reason: less than what the pipeline takes for a restart.
+/// Unexplained error of a clock, either way: less than the pipeline's threshold of a restart.
 const MAX_CLOCK_ERROR: TimeDelta = TimeDelta::from_millis(500);
-/// No link holds back a line for longer.
+/// Longest delay of a line by a link.
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(60_000);
 /// Number of lines without a time that are each followed by a time exchange: the pipeline needs three to know a clock.
 const EXCHANGES_AT_ONCE: u32 = 4;
-/// Later ones are so far apart.
+/// Interval of the later ones.
 const EXCHANGE_PERIOD: TimeDelta = TimeDelta::from_millis(500);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -44,7 +44,7 @@ struct LineTime {
 }
 
 impl BoardClock {
-    /// Whether the time of a line that arrived at `arrival` is accepted.
+    /// Whether the time of a line that arrived at `arrival` is plausible.
     pub(super) fn accept(&mut self, time: BoardTime, arrival: Timestamp<HostClock>) -> bool {
         let Some(last) = self.last else {
             self.last = Some(LineTime::new(time, arrival));
@@ -70,7 +70,7 @@ impl LineTime {
         Self { time, arrival, delay: TimeDelta::ZERO }
     }
 
-    /// A later line of the same clock; `None` if it cannot be one.
+    /// The state after a later line of the same clock; `None` if it cannot be one.
     fn advance(&self, time: BoardTime, arrival: Timestamp<HostClock>) -> Option<Self> {
         let on_host = (arrival - self.arrival).max(TimeDelta::ZERO);
         let skew = TimeDelta::from_nanos(on_host.as_nanos() / SKEW_PARTS);
@@ -94,7 +94,7 @@ impl LineTime {
     }
 }
 
-/// When the host's clock is to be passed to the station as that of a board that has none.
+/// Passes the host's clock to the station as that of a board without one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SubstituteClock {
     exchanges: u32,
@@ -102,7 +102,7 @@ pub(super) struct SubstituteClock {
 }
 
 impl SubstituteClock {
-    /// A line arrived: whether an exchange of time is due.
+    /// A line arrived: returns whether a time exchange is due.
     pub(super) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
         let is_due = self.exchanges < EXCHANGES_AT_ONCE || self.last.is_none_or(|last| now - last >= EXCHANGE_PERIOD);
         if is_due {

@@ -30,7 +30,7 @@ use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::framing::FramerCounters;
 use crate::message::{Inertial, Message, PlanarPose, WheelTicks, WireStamp};
 
-/// A line that stops for so long was cut off: a board at 9600 baud prints the longest one in 270 ms.
+/// A line that is interrupted for longer was cut off: a board at 9600 baud prints the longest one in 270 ms.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
 const MAX_UNKNOWN: usize = 8;
 /// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
@@ -38,9 +38,9 @@ const MAX_LINE_BYTES: usize = 256;
 const THERMOMETER: &[u8] = b"temperature";
 /// The message id of a line in [`ReceiveError`]s, which has no number.
 const LINE_ID: u32 = 0;
-/// Counts that fell to zero from more than this multiple of their last change were set to zero.
+/// Counts that fall to zero from more than this multiple of their last change were reset.
 const CHANGES_TO_ZERO: i64 = 3;
-/// Counts near zero may have rolled there.
+/// Counts below this may have rolled to zero.
 const NEAR_ZERO: i64 = 10;
 
 #[derive(Debug)]
@@ -48,7 +48,7 @@ struct TextLineCodec {
     settings: TextLineSettings,
     splitter: LineSplitter<MAX_LINE_BYTES>,
     last_byte: Timestamp<HostClock>,
-    /// The next line may be the end of one whose beginning is missing.
+    /// The next line may be incomplete at its beginning.
     may_be_truncated: bool,
     clock: BoardClock,
     substitute_clock: SubstituteClock,
@@ -183,7 +183,7 @@ impl TextLineCodec {
         self.emit_row(stamp, row, sink);
     }
 
-    /// The stamp of a line without a time, by the host's clock.
+    /// The host's time as the stamp of a line without one.
     fn substitute_stamp(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) -> WireStamp {
         if self.substitute_clock.is_due(now) {
             sink(CodecEvent::ClockReply { from: DEFAULT_BRICK_ADDRESS, sent: now, peer_nanos: now.as_nanos() });
@@ -264,18 +264,17 @@ impl TextLineCodec {
     }
 }
 
-/// Totals of a board whose counts begin anew when it is reset.
+/// Totals of a board whose counts restart at zero when it is reset.
 #[derive(Clone, Copy, Debug, Default)]
 struct ResettableCounters {
     last: Option<[i64; 2]>,
     change: [i64; 2],
     base: [i64; 2],
-    /// How often the counts were set to zero.
     reset_count: u64,
 }
 
 impl ResettableCounters {
-    /// The totals, and whether the counts were set to zero: both are exactly zero, and one is further from it than its last
+    /// The totals, and whether the counts were reset: both are exactly zero, and one is further from it than its last
     /// change explains.
     fn push(&mut self, counts: [i64; 2]) -> ([i64; 2], bool) {
         let last = self.last.replace(counts).unwrap_or(counts);
@@ -299,10 +298,10 @@ impl ResettableCounters {
 /// Numbers on a board have 32 bits.
 const MAX_NUMBER: f64 = i32::MAX as f64;
 
-/// `E,<tick_ms>,<x_mm>,<y_mm>,<heading_mrad>,<sigma_mm>,<flags>*hh`, where `tick_ms` is of the board's own clock and `hh` the
-/// exclusive or of all characters before the `*`.
+/// The line of an estimate, `E,<tick_ms>,<x_mm>,<y_mm>,<heading_mrad>,<sigma_mm>,<flags>*hh`, where `tick_ms` is of the
+/// board's own clock and `hh` the exclusive or of all characters before the `*`.
 ///
-/// The line of an estimate; `None` if a number of it is not finite. `last` is the time of the board's last line.
+/// `None` if a number of it is not finite. `last` is the time of the board's last line.
 fn encode_line(pose: &PlanarPose, last: Option<BoardTime>) -> Option<String> {
     let origin = pose.pose.origin();
     let [xx_m2, _, _, yy_m2, ..] = pose.covariance;
@@ -318,8 +317,8 @@ fn encode_line(pose: &PlanarPose, last: Option<BoardTime>) -> Option<String> {
     Some(format!("{text}*{sum:02X}\n"))
 }
 
-/// The instant in milliseconds as the board counts them. The stamp holds microseconds modulo 2^32, which a counter of milliseconds
-/// outlives: what is missing is known from the board's last line.
+/// The instant as the board's millisecond counter shows it. The stamp holds microseconds modulo 2^32, a shorter period:
+/// the rest comes from the board's last line.
 fn tick_ms(stamp: WireStamp, last: Option<BoardTime>) -> u32 {
     let micros = stamp.as_micros();
     let Some(BoardTime::Millis(last_ms)) = last else {

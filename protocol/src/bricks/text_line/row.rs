@@ -2,13 +2,14 @@
 
 use super::settings::{ChecksumPolicy, Column, ColumnSign, LineLayout, Quantity, Separator, TextLineSettings};
 
-/// No robot turns faster, rad/s: sixteen turns per second, beyond any gyro that prints.
+/// Largest turn rate, rad/s: sixteen turns per second, beyond any gyro of such a board.
 const MAX_RAD_PER_S: f64 = 100.0;
-/// Nothing that a robot carries sees further, m.
+/// Largest range of a sensor on a robot, m.
 const MAX_RANGE_M: f64 = 1_000.0;
-/// What a thermometer may show, degrees Celsius: from absolute zero to the melting point of tungsten, as in the other protocols.
+/// Range of a thermometer, degrees Celsius: from absolute zero to the melting point of tungsten, as in the other
+/// protocols.
 const TEMPERATURES_C: std::ops::RangeInclusive<f64> = -273.15..=3_500.0;
-/// Counts beyond this are no exact f64.
+/// Larger counts are not exact in f64.
 const MAX_COUNT: i64 = 1 << 53;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -51,7 +52,7 @@ pub(super) enum ChecksumStatus {
     Absent,
 }
 
-/// The text of a line and whether it had a checksum; `$` and checksum are taken off.
+/// The text of a line without `$` and checksum, and whether it had a checksum.
 pub(super) fn strip_checksum(line: &[u8], checksum: ChecksumPolicy) -> Result<(&str, ChecksumStatus), LineError> {
     let is_text = |byte: &u8| matches!(byte, 0x20..=0x7E | b'\t');
     let text = std::str::from_utf8(line)
@@ -75,7 +76,7 @@ pub(super) fn exclusive_or(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |sum, byte| sum ^ byte)
 }
 
-/// The text before `*hh`, and that number.
+/// The text before `*hh`, and the value of `hh`.
 fn checksum_of(text: &str) -> Option<(&str, u8)> {
     let (text, digits) = text.rsplit_once('*')?;
     let is_checksum = digits.len() == 2 && digits.bytes().all(|byte| byte.is_ascii_hexdigit());
@@ -83,7 +84,7 @@ fn checksum_of(text: &str) -> Option<(&str, u8)> {
     is_checksum.then_some((text, found))
 }
 
-/// What a line of this text says. Names that the layout does not know go to `unknown`.
+/// Parses a line without its checksum. Names that are not in the layout are added to `unknown`.
 pub(super) fn parse_row(
     text: &str,
     settings: &TextLineSettings,
@@ -132,7 +133,7 @@ fn parse_pairs(
     Ok(row)
 }
 
-/// Names and values. Where both separators are the same they take turns.
+/// Names and values. If both separators are the same, names and values alternate.
 fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&str, &str)> {
     if separator == key_separator {
         let words: Vec<&str> = split(text, separator).collect();
@@ -151,7 +152,7 @@ fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&st
     pairs.map(|(key, value)| (key.trim_ascii(), value.trim_ascii())).collect()
 }
 
-/// The parts of a text, without blanks around them. Several blanks are one.
+/// The parts of a text, trimmed. Several blanks are one.
 fn split(text: &str, separator: Separator) -> impl Iterator<Item = &str> {
     let is_blank = separator == Separator::Blank;
     let is_between = move |c: char| {
@@ -161,7 +162,7 @@ fn split(text: &str, separator: Separator) -> impl Iterator<Item = &str> {
 }
 
 impl BoardReading {
-    /// Notes a value; `None` if it is no number that this quantity can have.
+    /// Stores a value; `None` if it is not a valid number for its quantity.
     fn set(&mut self, column: Column, value: &str) -> Option<()> {
         match column.quantity {
             Quantity::TimeMs => self.time = Some(BoardTime::Millis(counter(value)?)),
@@ -201,7 +202,7 @@ fn parse_integer(text: &str) -> Option<i64> {
     (-MAX_COUNT..=MAX_COUNT).contains(&value).then_some(value)
 }
 
-/// A clock, modulo its period.
+/// A clock value, modulo its period.
 fn counter(text: &str) -> Option<u32> {
     let value = parse_integer(text).filter(|value| *value >= 0)?;
     Some(value as u32)
@@ -223,7 +224,7 @@ fn rate(rad_per_s: f64, sense: ColumnSign) -> Option<f64> {
     })
 }
 
-/// What a range finder says when it sees nothing is not positive, or very far.
+/// Range finders without an echo give zero, a negative or a very large number.
 fn range(range_m: f64) -> Option<f64> {
     (range_m > 0.0 && range_m <= MAX_RANGE_M).then_some(range_m)
 }

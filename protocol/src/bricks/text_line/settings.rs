@@ -4,17 +4,15 @@ use std::fmt;
 
 use posebridge_telemetry::TimeDelta;
 
-/// Everything about one board that prints lines. The default is CSV of `time_ms,left_ticks,right_ticks`.
+/// The settings of one board that prints lines. The default is CSV of `time_ms,left_ticks,right_ticks`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextLineSettings {
-    /// What stands where.
     pub layout: LineLayout,
-    /// Whether lines must end with their checksum.
     pub checksum: ChecksumPolicy,
-    /// The estimate is printed to the board at most so often; `None` sends it nothing. A board that takes single letters or digits as
-    /// commands would obey parts of such a line, so this must be asked for.
+    /// Shortest time between two estimates printed to the board; `None` sends none. A board that takes single letters
+    /// or digits as commands would execute parts of such a line, so this must be configured.
     pub estimate_interval: Option<TimeDelta>,
-    /// How old a line without a time may be when it arrives: its values are taken to be from any time within this interval before.
+    /// Largest age of a line without a time at its arrival: its values are from any time within this interval before.
     pub delay: TimeDelta,
 }
 
@@ -31,8 +29,7 @@ impl Default for TextLineSettings {
 }
 
 impl TextLineSettings {
-    /// Whether a board of this layout can be understood.
-    /// Refuses a value that stands twice, one wheel alone, and a layout without any measurement.
+    /// Rejects a repeated quantity, one wheel without the other, and a layout without any measurement.
     pub fn validate(&self) -> Result<(), LayoutError> {
         let columns: Vec<Column> = self.layout.columns().collect();
         let is_there = |wanted: Quantity| columns.iter().any(|column| column.quantity == wanted);
@@ -53,16 +50,14 @@ impl TextLineSettings {
     }
 }
 
-/// Why a layout cannot be.
+/// Why a layout is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LayoutError {
-    /// No wheel, gyro, distance or temperature.
     #[error(
         "the layout has nothing that is measured; there are: left_ticks and right_ticks, gyro_.., distance_.., temperature_c"
     )]
     Empty,
-    /// One wheel without the other.
     #[error("the layout has one of left_ticks and right_ticks; both are needed")]
     SingleWheel,
     /// The same quantity again, or in another unit.
@@ -70,23 +65,21 @@ pub enum LayoutError {
     Duplicate(Quantity),
 }
 
-/// What stands where in a line.
+/// The quantities in a line and their separators.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LineLayout {
     /// Values in a fixed order, all of them in every line: CSV.
     Columns {
-        /// The columns from left to right.
         columns: Vec<Column>,
-        /// What stands between them.
+        /// Between the values.
         separator: Separator,
     },
     /// Names and values in any order, such as `t:123|l:45|r:46`.
     Pairs {
-        /// The names that the board uses and what they mean; each must stand in every line.
         keys: Vec<(String, Column)>,
-        /// What stands between pairs.
+        /// Between the pairs.
         separator: Separator,
-        /// What stands between a name and its value.
+        /// Between a name and its value.
         key_separator: Separator,
     },
 }
@@ -103,7 +96,7 @@ impl LineLayout {
 }
 
 impl fmt::Display for LineLayout {
-    /// As a line would look, with the quantities in the place of numbers.
+    /// The line with the quantities instead of numbers.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Columns { columns, separator } => {
@@ -123,23 +116,21 @@ impl fmt::Display for LineLayout {
     }
 }
 
-/// One column or key: its quantity, and its sign.
+/// A quantity with its sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// Its quantity.
     pub quantity: Quantity,
-    /// Whether forward and counter-clockwise are positive, as here.
     pub sense: ColumnSign,
 }
 
 impl Column {
-    /// A quantity with the sign that is usual here.
+    /// A quantity with the normal sign.
     pub const fn new(quantity: Quantity) -> Self {
         Self { quantity, sense: ColumnSign::Normal }
     }
 
-    /// The column with this name, such as `left_ticks`, or `-gyro_deg_per_s` for a gyro that counts clockwise. `None` if there is none, or
-    /// if it has no sign to turn.
+    /// The column with this name, such as `left_ticks`, or `-gyro_deg_per_s` for a gyro that counts clockwise. `None`
+    /// if there is none, or if the quantity has no sign to invert.
     pub fn from_name(name: &str) -> Option<Self> {
         let (plain, sense) = match name.strip_prefix('-') {
             Some(plain) => (plain, ColumnSign::Inverted),
@@ -161,7 +152,7 @@ impl fmt::Display for Column {
     }
 }
 
-/// The sign of a column.
+/// The positive direction of a column.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ColumnSign {
     /// Forward and counter-clockwise are positive.
@@ -182,9 +173,7 @@ pub enum Quantity {
     LeftTicks,
     /// Total count of the right wheel's encoder, a whole number.
     RightTicks,
-    /// Turn rate in degrees per second.
     GyroDegPerS,
-    /// Turn rate in radians per second.
     GyroRadPerS,
     /// Range straight ahead in millimetres; zero and less mean none.
     DistanceMm,
@@ -192,9 +181,8 @@ pub enum Quantity {
     DistanceCm,
     /// Range straight ahead in metres; zero and less mean none.
     DistanceM,
-    /// Temperature in degrees Celsius.
     TemperatureC,
-    /// Nothing that is of use here.
+    /// A value that is not used.
     Ignore,
 }
 
@@ -213,7 +201,7 @@ pub const QUANTITIES: &[(&str, Quantity)] = &[
     ("ignore", Quantity::Ignore),
 ];
 
-/// What a quantity is, whatever its unit.
+/// The physical quantity, whatever its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum QuantityKind {
     Time,
@@ -250,25 +238,19 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// What stands between two things in a line.
+/// A separator in a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Separator {
-    /// `,`
     Comma,
-    /// `;`
     Semicolon,
-    /// `|`
     Pipe,
-    /// `:`
     Colon,
-    /// `=`
     Equals,
     /// Any run of spaces and tabs.
     Blank,
 }
 
 impl Separator {
-    /// The separator that is written so.
     pub fn from_text(text: &str) -> Option<Self> {
         let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank];
         if text == "\t" {
@@ -277,7 +259,6 @@ impl Separator {
         all.into_iter().find(|separator| separator.text() == text)
     }
 
-    /// As it is written.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Comma => ",",
@@ -294,10 +275,10 @@ impl Separator {
 /// 0183 a `$` at the beginning does not count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ChecksumPolicy {
-    /// It is checked where it stands.
+    /// Verified if present.
     #[default]
     Optional,
-    /// A line without it is refused.
+    /// A line without it is rejected.
     Required,
 }
 

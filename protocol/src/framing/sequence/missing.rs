@@ -1,10 +1,10 @@
-//! Sets of frames by their numbers: which of a sender's latest frames are missing and may still come, and which of the 256
-//! numbers were seen.
+//! Sets of frames by their numbers: the missing ones among a sender's latest frames, and the received ones of the 256
+//! numbers.
 
-/// Number of the latest frames that are remembered: at 100 per second what a stall of twenty seconds holds back.
+/// Number of remembered frames: at 100 per second a stall of twenty seconds.
 const WINDOW: u64 = 2_048;
 
-/// The latest frames by their unwrapped numbers, a bit for each that is missing.
+/// The latest frames by their unwrapped numbers, with a bit for each missing one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MissingFrames {
     bits: [u64; (WINDOW / 64) as usize],
@@ -31,7 +31,8 @@ impl MissingFrames {
         self.bits[word(number)] & bit(number) != 0
     }
 
-    /// The frame at this distance before the newest has come after all; false if it was not missing, or it is unknown.
+    /// Records the late arrival of the frame at this distance before the newest; false if it was not missing, or is
+    /// unknown.
     pub(super) const fn recover_late(&mut self, behind: u64) -> bool {
         let was_missing = self.contains(behind);
         if was_missing {
@@ -57,7 +58,7 @@ const fn bit(number: u64) -> u64 {
     1 << (number % 64)
 }
 
-/// Which of the 256 numbers are in it.
+/// A set of 8-bit numbers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SequenceSet([u64; 4]);
 
@@ -70,13 +71,13 @@ impl SequenceSet {
         self.0[word(sequence as u64)] & bit(sequence as u64) != 0
     }
 
-    /// Its numbers, the smallest first.
+    /// In increasing order.
     pub(super) fn iter(&self) -> impl Iterator<Item = u8> {
         let words = self.0.into_iter().zip((0_u8..=192).step_by(64));
         words.flat_map(|(word, first)| set_bits(word).map(move |one| first + one))
     }
 
-    /// Those of its numbers that are among the 64 behind `from` on the circle, each as how far ahead of `from` it lies, the nearest first.
+    /// The numbers among the 64 after `from` on the circle, each as its distance from `from`, the nearest first.
     pub(super) fn ahead_of(&self, from: u8) -> impl Iterator<Item = u8> {
         let first = from.wrapping_add(1);
         let (at, shift) = (word(u64::from(first)), first & 63);
@@ -87,7 +88,7 @@ impl SequenceSet {
     }
 }
 
-/// The places of the bits that are set, the lowest first.
+/// The positions of the set bits, the lowest first.
 fn set_bits(mut word: u64) -> impl Iterator<Item = u8> {
     std::iter::from_fn(move || {
         let place = (word != 0).then(|| word.trailing_zeros() as u8);

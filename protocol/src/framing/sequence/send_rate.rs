@@ -1,4 +1,4 @@
-//! How fast a sender sends, and how many frames it has sent in a silence.
+//! The send rate of a sender, and the number of frames that it sends in a silence.
 //!
 //! # Model
 //! ```text
@@ -6,25 +6,26 @@
 //! n = a + 256 k nearest to expected,         known while  0.12 expected < 128
 //! n = a + 256 k nearest to 0.95 expected,    beyond that, known while  0.07 expected < 128
 //! ```
-//! The pace is that of everything that the sender says. It varies with what others ask of it: in an outage there are no time requests,
-//! and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a tenth. It does not exceed its mean
-//! then, so a long silence has between 0.88 and 1.02 of what is expected.
+//! The pace is that of all frames of the sender. It varies with the requests that it gets: in an outage there are no
+//! time requests, and a brick of 42 frames per second that otherwise answers five requests falls short of its mean by a
+//! tenth. It does not exceed its mean then, so a long silence has between 0.88 and 1.02 of the expected frames.
 
-/// Time over which the pace is averaged, s of the sender's clock: longer than an outage, shorter than a person's patience.
+/// Time over which the pace is averaged, s of the sender's clock: longer than an outage, short enough for a user to
+/// wait.
 const AVERAGE_S: f64 = 20.0;
-/// Frames are gathered for so long before they say anything of the pace, s: heartbeats come once per second.
+/// Time before the first average, s: heartbeats come once per second.
 const GATHER_S: f64 = 1.0;
-/// A sender may be this much slower or faster than its pace through a silence: what the answers to time requests make of a brick.
+/// Deviation of a sender from its pace through a silence, either way: the effect of time requests on a brick.
 const VARIATION: f64 = 0.12;
-/// Through a long silence it lies so near to [`LONG_SHARE`] of its pace: from 0.88 to 1.02.
+/// Deviation from [`LONG_SHARE`] of the pace through a long silence: 0.88 to 1.02.
 const LONG_VARIATION: f64 = 0.07;
 /// See [`LONG_VARIATION`].
 const LONG_SHARE: f64 = 0.95;
-/// What comes once per second or more rarely may fall on either side of an end of the silence.
+/// Frames that are sent once per second or less often may fall on either side of a silence's ends.
 const VARIATION_FRAMES: f64 = 8.0;
-/// Half the circle: a number further off from what is expected is nearer to the next turn.
+/// Half the circle: a number further from the expected one is nearer to the next turn.
 const HALF_CIRCLE: f64 = 128.0;
-/// A number that has advanced by no more than this over a silence of many turns is that of a sender that was silent itself.
+/// Largest advance over a silence of many turns that means that the sender itself was silent.
 const MAX_ADVANCE_OVER_PAUSE: u32 = 16;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -35,8 +36,8 @@ pub(super) struct SendRate {
 }
 
 impl SendRate {
-    /// How many frames were sent in `elapsed_s`, in which the number advanced by `advance` modulo 256 and `received` frames came.
-    /// 0 of a sender that does not count by one, `None` if the silence was too long to tell.
+    /// Number of frames sent in `elapsed_s`, in which the number advanced by `advance` modulo 256 and `received` frames
+    /// came. 0 for a sender that does not count by one, `None` if the silence was too long to decide.
     pub(super) fn estimate_sent(&self, elapsed_s: f64, advance: u8, received: u32) -> Option<u32> {
         let Some(per_s) = self.per_s else {
             // Nothing is known yet: half the circle or more is an old number.
@@ -65,15 +66,14 @@ impl SendRate {
         Some(sent)
     }
 
-    /// How many frames before the one with the stamp a frame was sent whose stamp lies `back_s` before it and whose number `behind`
-    /// modulo 256. `None` if it was sent after it: a camera's images may overtake each other.
+    /// Number of frames between an overtaken frame and the stamped one: its stamp is `back_s` earlier, its number
+    /// `behind` modulo 256. `None` if it was sent later: a camera's images may overtake each other.
     pub(super) fn estimate_behind(&self, back_s: f64, behind: u8) -> Option<u64> {
         let expected = self.per_s.unwrap_or(0.0) * back_s;
         let turns = ((expected - f64::from(behind)) / 256.0).round();
         (turns >= 0.0).then(|| u64::from(behind) + 256 * turns as u64)
     }
 
-    /// Records a number of frames that were sent in `elapsed_s`.
     pub(super) fn update(&mut self, sent: u32, elapsed_s: f64) {
         self.gathered_frames += f64::from(sent);
         self.gathered_s += elapsed_s;

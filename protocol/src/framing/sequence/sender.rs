@@ -1,7 +1,7 @@
-//! What came of one sender, and what is missing.
+//! Received and missing frames of one sender.
 //!
-//! From one stamped message to the next the frames are only noted. The second one shows how many were sent between them, and the
-//! account of that interval is settled. Until then the gaps that the numbers show stand for what is missing.
+//! Between two stamped messages the frames are only recorded. The second message shows how many were sent between them,
+//! and the losses of that interval are counted. Until then the gaps in the numbers are the estimate.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -9,21 +9,20 @@ use super::missing::{MissingFrames, SequenceSet};
 use super::send_rate::SendRate;
 use crate::message::WireStamp;
 
-/// The largest advance of a number that stands for frames sent since; a larger one is an old frame. Half the circle.
+/// Largest advance of a number that means frames sent since; a larger one is an old frame. Half the circle.
 const MAX_ADVANCE: u8 = 128;
-/// The sender's clock and ours may disagree by so much over one interval, s: longer than any link holds a frame back.
+/// Largest disagreement of the sender's clock and ours over one interval, s: longer than any link delays a frame.
 const MAX_DELAY_S: f64 = 60.0;
-/// A stamp may lie so far behind the one before it: a datagram that was overtaken by what a stall had held back with it. Further
-/// back is a clock that began anew, s.
+/// Largest fall of a stamp by reordering, s: a datagram was overtaken by others that a stall had delayed with it. A
+/// larger fall is a clock restart.
 const MAX_REORDER_S: f64 = 15.0;
-/// Number of earlier stamps in a row, of frames that were not missing, that mean that the clock restarted.
+/// Consecutive earlier stamps, of frames that were not missing, that mean a clock restart.
 const MAX_STRAYS: u32 = 8;
-/// A message is overtaken by no more frames than this, which [`SequenceSet::ahead_of`] looks at.
+/// Most frames that overtake a message, the range of [`SequenceSet::ahead_of`].
 const MAX_AHEAD: u8 = 64;
-/// Number of frames without another stamp of the same message after which stamps are no longer used: it is not sent any more.
+/// Frames without another stamp of the same message after which stamps are no longer used: it is not sent any more.
 const MAX_RECORDED: u32 = 96;
 
-/// The stamp of a message, and when it came.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StampedArrival {
     pub(super) message_id: u32,
@@ -31,16 +30,16 @@ pub(super) struct StampedArrival {
     pub(super) arrival: Timestamp<HostClock>,
 }
 
-/// The message with a stamp from which is counted, and what came since.
+/// The stamped message that begins an interval, and the frames received since.
 #[derive(Clone, Copy, Debug)]
 struct StampInterval {
     from: u8,
     start: StampedArrival,
     recorded: SequenceSet,
     received: u32,
-    /// What the numbers alone say is missing.
+    /// Missing frames by the numbers alone.
     gaps: u32,
-    /// Frames noted that were missing before: they came late.
+    /// Recorded frames that were missing before.
     late_frames: u32,
 }
 
@@ -52,18 +51,19 @@ impl StampInterval {
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct SenderSequence {
-    /// The newest number; `None` before the first frame and after a break.
+    /// The newest number; `None` before the first frame and after a loss of the link.
     newest: Option<u8>,
     frames: u64,
-    /// Settled.
+    /// Of closed intervals.
     lost: u64,
     reported_lost: u64,
     missing: MissingFrames,
-    /// What follows a late frame with a stamp in its datagram: the number, and how many frames it lies behind.
+    /// The frame expected right after a late stamped frame in its datagram: its number, and how many frames it is
+    /// behind.
     late_companion: Option<(u8, u64)>,
-    /// Stamps in a row that lay behind for no reason.
+    /// Consecutive unexplained earlier stamps.
     stray_count: u32,
-    /// An old frame that came last: a second one right behind it is no old frame but a sender that begins anew.
+    /// The last unexplained old number: a second one right after it means that the sender restarted.
     last_stray: Option<u8>,
     interval: Option<StampInterval>,
     pace: SendRate,
@@ -79,7 +79,7 @@ impl SenderSequence {
         (self.lost + u64::from(gaps)).saturating_sub(u64::from(late))
     }
 
-    /// How many more are missing than when it was last asked.
+    /// Increase in missing frames since the last call.
     pub(super) fn take_new_losses(&mut self) -> u32 {
         let lost = self.lost();
         let news = lost.saturating_sub(self.reported_lost);
@@ -139,7 +139,7 @@ impl SenderSequence {
         }
     }
 
-    /// A frame with a stamp, and how many frames before the reference frame it was sent.
+    /// Records a stamped frame that was sent `behind` frames before the reference frame.
     fn record_overtaken(&mut self, sequence: u8, dated: StampedArrival, behind: u64) {
         self.frames += 1;
         if self.recover_late(sequence, behind) {
@@ -199,7 +199,7 @@ impl SenderSequence {
         }
     }
 
-    /// A stamped message that follows that of the interval by `elapsed_s` of the sender's time.
+    /// Records a stamped message `elapsed_s` of the sender's time after that of the interval.
     fn end_interval(&mut self, sequence: u8, dated: StampedArrival, elapsed_s: f64) {
         let Some(interval) = self.interval.take() else {
             return;
@@ -218,7 +218,7 @@ impl SenderSequence {
         }
     }
 
-    /// What overtook the message that closes an interval of `sent` frames belongs to the next one.
+    /// Assigns the frames that overtook the closing message of an interval of `sent` frames to the next interval.
     fn carry_to_next_interval(&mut self, noted: &SequenceSet, sent: u32) {
         let Some(interval) = &mut self.interval else {
             return;
@@ -234,7 +234,7 @@ impl SenderSequence {
         }
     }
 
-    /// Closes the account of the `sent` frames behind number `from`.
+    /// Counts the losses among the `sent` frames after number `from`.
     fn count_losses(&mut self, from: u8, sent: u32, noted: &SequenceSet, received: u32) {
         let Some(sent) = u8::try_from(sent).ok() else {
             self.count_long_losses(from, sent, noted, received);
@@ -257,7 +257,7 @@ impl SenderSequence {
         }
     }
 
-    /// Closes the account of more frames than there are numbers: those that came are held to lie at the nearer end.
+    /// Counts the losses among more frames than there are numbers: the received ones are assigned to the nearer end.
     fn count_long_losses(&mut self, from: u8, sent: u32, noted: &SequenceSet, received: u32) {
         let to = from.wrapping_add(sent as u8);
         for step in 1..=sent {
@@ -273,7 +273,7 @@ impl SenderSequence {
         self.lost += u64::from(sent.saturating_sub(received));
     }
 
-    /// What was sent before this message is unknown.
+    /// Starts a new sequence at this message; nothing is known before it.
     fn restart(&mut self, sequence: u8, dated: StampedArrival) {
         self.newest = Some(sequence);
         self.missing = MissingFrames::default();
@@ -283,7 +283,7 @@ impl SenderSequence {
         self.reported_lost = self.reported_lost.min(self.lost);
     }
 
-    /// The message with the stamps comes no more: the result by the numbers has to do.
+    /// The stamped message is not sent any more: the losses by the numbers are final.
     fn abandon_stamps(&mut self) {
         if let Some(interval) = self.interval.take() {
             self.lost += u64::from(interval.gaps);
