@@ -9,9 +9,8 @@ use posebridge_telemetry::{
 
 use crate::params::Params;
 
-/// What every filter does.
+/// A filter of a pose or of one quantity: observations in, estimates out.
 pub trait Filter: Send {
-    /// Fuses an observation and reports the outcome with its innovation.
     fn observe(&mut self, observation: &Observation) -> FusionRecord;
 
     /// Sets the pose at [`Filter::latest_time`], after all observations of that instant; counts as a reset.
@@ -52,30 +51,25 @@ pub trait Filter: Send {
 /// A command of the operator to a running filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FilterCommand {
-    /// Replace the tunables. Late observations, and what is replayed for them, use the new ones too.
+    /// Late observations, and the replay that they cause, use the new tunables too.
     SetParams(Params),
     /// Make the pose unknown until the next fix; counts as a reset.
     ResetPose,
-    /// Freeze the calibration, or learn it further.
     SetOnlineCalibration(OnlineCalibration),
     /// Return to the configured calibration, including the gyro bias.
     ResetCalibration,
 }
 
-/// The configuration of a filter.
+/// Everything that a filter is built from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilterConfig {
-    /// The robot's nominal geometry.
     pub geometry: DriveGeometry,
-    /// The noise of its sensors and motion.
     pub noise: SensorNoise,
-    /// Where it starts; without it the first fixes decide.
+    /// `None` if the first fixes decide.
     pub start: Option<StartPose>,
-    /// The tunables.
     pub params: Params,
-    /// Priors of the systematic errors. A sigma of zero: taken as given, not estimated.
+    /// Priors of the systematic errors. A constant whose sigma is zero is given and not estimated.
     pub calibration: Calibration,
-    /// What stands in the arena.
     pub arena_map: Arc<ArenaMap>,
 }
 

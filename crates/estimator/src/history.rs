@@ -1,8 +1,8 @@
-//! Late data for any filter: what was used during the last seconds, with states from which it can be used again.
+//! Late data for any filter: the entries of the last seconds, with states from which they can be applied again.
 //!
-//! An entry that comes late is put where its time says. The states from there on are out of date; [`FixedLagHistory::insert`] gives back
-//! each of these entries with the state before it, oldest first, for the filter to apply again. So the order of arrival does not matter,
-//! bit for bit, as long as nothing is older than the history.
+//! A late entry is inserted at its own time. The states from there on are out of date; [`FixedLagHistory::insert`]
+//! returns each of these entries with the state before it, oldest first, for the filter to apply again. So the order of
+//! arrival does not matter, bit for bit, as long as nothing is older than the history.
 //!
 //! # Model
 //! ```text
@@ -24,20 +24,19 @@ use crate::motion::count_before;
 const RECENT_STATES: usize = 16;
 /// The distance between the older states that are kept, in entries.
 const CHECKPOINT_INTERVAL: usize = 8;
-/// The first capacity for checkpoints: three seconds of a brick that is read 80 times a second. Memory that is moved later leaves a hole
-/// as large as it was in a station that runs for weeks.
+/// The first capacity for checkpoints: three seconds of a brick that is read 80 times a second. Growing later would
+/// fragment the memory of a station that runs for weeks.
 const INITIAL_CHECKPOINTS: usize = 32;
 
 /// An input of a filter at one instant.
 pub trait HistoryEntry {
-    /// The instant.
     fn stamp(&self) -> Timestamp<BrickClock>;
 
-    /// The order in which two entries are applied: by time first. Entries that are equal are applied in the order in which they came.
+    /// The order in which two entries are applied: by time first. Equal entries are applied in the order of arrival.
     fn order(&self, other: &Self) -> Ordering;
 }
 
-/// The entries of the last seconds in the order of time, with states between them.
+/// The entries of the last seconds in time order, with states between them.
 #[derive(Clone, Debug)]
 pub struct FixedLagHistory<E, S> {
     /// Oldest first.
@@ -52,42 +51,38 @@ pub struct FixedLagHistory<E, S> {
 }
 
 impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
-    /// No entries, and the state before them.
     pub const fn new(base: S) -> Self {
         Self { entries: VecDeque::new(), base, checkpoints: VecDeque::new(), recent: Vec::new(), ring_offset: 0 }
     }
 
-    /// The entries, oldest first.
     pub const fn entries(&self) -> &VecDeque<E> {
         &self.entries
     }
 
-    /// The state before the oldest entry.
     pub const fn base(&self) -> &S {
         &self.base
     }
 
-    /// The state before the oldest entry, to change it while there is none.
+    /// To change the state before the oldest entry while there is none.
     pub const fn base_mut(&mut self) -> &mut S {
         &mut self.base
     }
 
-    /// The state after the last entry.
     pub fn last_state(&self) -> &S {
         self.kept_state(self.entries.len()).1
     }
 
-    /// The state after the last entry at or before an instant, as the nearest state that is kept and the entries to apply to it; that
-    /// before all entries if there is none.
+    /// The state after the last entry at or before an instant, or the base, as the nearest kept state and the entries
+    /// to apply to it.
     pub fn state_at_or_before(&self, stamp: Timestamp<BrickClock>) -> (&S, impl Iterator<Item = &E>) {
         let wanted = self.count_until(stamp);
         let (kept, state) = self.kept_state(wanted);
         (state, self.entries.range(kept..wanted))
     }
 
-    /// Inserts an entry at its own time and returns what has to be applied again, oldest first: the entry and all after it, what comes
-    /// after `changed_after` where that is earlier, and what lies between there and the nearest state that is kept. Until they are
-    /// applied their states are not those after them.
+    /// Inserts an entry at its own time and returns the entries to apply again, oldest first: this one and all later
+    /// ones, those after `changed_after` where that is earlier, and those between there and the nearest kept state.
+    /// Their states are invalid until then.
     pub fn insert(&mut self, entry: E, changed_after: Option<Timestamp<BrickClock>>) -> Replay<'_, E, S> {
         let inserted = count_before(&self.entries, |other| other.order(&entry) != Ordering::Greater);
         let changed = changed_after.map_or(inserted, |after| self.count_until(after)).min(inserted);
@@ -108,12 +103,12 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         Replay { history: self, inserted, next }
     }
 
-    /// Whether [`Self::discard_before`] the same instant may discard anything. This takes no search.
+    /// Whether [`Self::discard_before`] the same instant may discard anything; in constant time.
     pub fn has_outdated(&self, stamp: Timestamp<BrickClock>) -> bool {
         self.entries.get(CHECKPOINT_INTERVAL - 1).is_some_and(|entry| entry.stamp() < stamp)
     }
 
-    /// Forgets entries before an instant, up to the last checkpoint there; the state after them is the one before all others.
+    /// Discards entries before an instant, up to the last checkpoint there, whose state becomes the base.
     pub fn discard_before(&mut self, stamp: Timestamp<BrickClock>) {
         let outdated = self.entries.iter().take_while(|entry| entry.stamp() < stamp).count();
         let checkpoints = (outdated / CHECKPOINT_INTERVAL).min(self.checkpoints.len());
@@ -126,19 +121,19 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         }
     }
 
-    /// Forgets all entries, and begins from another state.
+    /// Discards all entries.
     pub fn reset(&mut self, base: S) {
         self.entries.clear();
         self.checkpoints.clear();
         self.base = base;
     }
 
-    /// The number of entries at or before an instant.
+    /// Number of entries at or before an instant.
     fn count_until(&self, stamp: Timestamp<BrickClock>) -> usize {
         count_before(&self.entries, |entry| entry.stamp() <= stamp)
     }
 
-    /// The nearest state that is kept at or before a state, and its number.
+    /// The nearest kept state at or before a state, with its number.
     fn kept_state(&self, wanted: usize) -> (usize, &S) {
         if self.is_recent(wanted) {
             return (wanted, &self.recent[self.slot(wanted)]);
@@ -150,17 +145,17 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         }
     }
 
-    /// Whether a state stands in the ring. The base has a place of its own.
+    /// Whether a state is in the ring. The base is kept separately.
     fn is_recent(&self, state: usize) -> bool {
         state > 0 && state + RECENT_STATES > self.entries.len()
     }
 
-    /// Where a state stands in the ring, if it does.
+    /// The index of a state in the ring, if it is there.
     const fn slot(&self, state: usize) -> usize {
         (self.ring_offset + state) % RECENT_STATES
     }
 
-    /// Copies a state out of the ring, if it is one of those that are kept for longer.
+    /// Copies a state from the ring to the checkpoints, if it is one.
     fn store_checkpoint(&mut self, number: usize) {
         if number == 0 || !number.is_multiple_of(CHECKPOINT_INTERVAL) {
             return;
@@ -174,31 +169,29 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
     }
 }
 
-/// What has to be applied again after an insertion.
+/// The entries to apply again after an insertion.
 #[derive(Debug)]
 #[must_use = "until all entries are applied again the states behind the insertion are not theirs"]
 pub struct Replay<'h, E, S> {
     history: &'h mut FixedLagHistory<E, S>,
     inserted: usize,
-    /// The next entry; the state before it stands in the ring.
+    /// The next entry; the state before it is in the ring.
     next: usize,
 }
 
 /// One entry that has to be applied.
 #[derive(Debug)]
 pub struct ReplayStep<'h, E, S> {
-    /// The entry.
     pub entry: &'h E,
-    /// The state before it.
     pub before: &'h S,
-    /// The state after it, which begins as a copy of that before.
+    /// A copy of `before`, to be updated to the state after the entry.
     pub after: &'h mut S,
-    /// Whether it is the one that was inserted, or another that was applied before.
+    /// Whether it is the inserted entry and not one that was applied before.
     pub is_inserted: bool,
 }
 
 impl<E: HistoryEntry, S: Copy> Replay<'_, E, S> {
-    /// The next entry to apply; the one before it was applied meanwhile.
+    /// The next entry to apply; the previous one must have been applied.
     #[inline]
     #[expect(clippy::should_implement_trait, reason = "what it returns borrows from the replay")]
     pub fn next(&mut self) -> Option<ReplayStep<'_, E, S>> {

@@ -5,64 +5,42 @@
 
 use std::ops::RangeInclusive;
 
-/// The tunables of the filters, SI units.
+/// The tunables of the filters, SI units; [`PARAMS`] describes each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// See `gate_prob` in [`PARAMS`].
     pub gate_probability: f64,
-    /// See `history_s` in [`PARAMS`].
     pub history_s: f64,
-    /// See `gyro_window_s` in [`PARAMS`].
     pub gyro_window_s: f64,
-    /// See `slip_nis` in [`PARAMS`].
     pub slip_nis: f64,
-    /// See `accel_m_s2` in [`PARAMS`].
     pub acceleration_m_per_s2: f64,
-    /// See `turn_acc_rad_s2` in [`PARAMS`].
     pub turn_acceleration_rad_per_s2: f64,
-    /// See `max_wheel_rad_s` in [`PARAMS`].
     pub max_wheel_rad_per_s: f64,
-    /// See `fix_timeout_s` in [`PARAMS`].
     pub fix_timeout_s: f64,
-    /// See `reset_after_s` in [`PARAMS`].
     pub reset_after_s: f64,
-    /// See `reset_after_n` in [`PARAMS`].
     pub reset_after_fixes: f64,
-    /// See `adapt_gain` in [`PARAMS`].
     pub adapt_gain: f64,
-    /// See `student_dof` in [`PARAMS`].
     pub student_dof: f64,
-    /// See `wear_per_sqrt_m` in [`PARAMS`].
     pub wear_per_sqrt_m: f64,
-    /// See `dynamic_tau_s` in [`PARAMS`].
     pub dynamic_tau_s: f64,
-    /// See `dynamic_walk` in [`PARAMS`].
     pub dynamic_walk_k_per_sqrt_s: f64,
-    /// See `wall_drag_s_m` in [`PARAMS`].
     pub wall_drag_s_per_m: f64,
-    /// See `wall_mass_s2_m` in [`PARAMS`].
     pub wall_mass_s2_per_m: f64,
-    /// See `wall_process_m` in [`PARAMS`].
     pub wall_process_m: f64,
-    /// See `wall_gate_m` in [`PARAMS`].
     pub wall_gate_m: f64,
 }
 
-/// One tunable: what it is, and how to reach it.
+/// One tunable: its key, unit, default, range and accessors.
 pub struct Param {
     /// Its key in the configuration, below `[filter]`; at most 16 bytes, so that it fits PARAM messages.
     pub key: &'static str,
-    /// Its unit, empty for a pure number.
+    /// Empty for a pure number.
     pub unit: &'static str,
-    /// Its value unless configured.
     pub default: f64,
-    /// The values that make sense.
+    /// Permitted values.
     pub range: RangeInclusive<f64>,
-    /// What it does, in one line.
+    /// Its effect, in one line.
     pub doc: &'static str,
-    /// Reads it.
     pub read: fn(&Params) -> f64,
-    /// Writes it.
     pub write: fn(&mut Params, f64),
 }
 
@@ -190,24 +168,11 @@ impl Params {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParamError {
-    /// No row has this key.
     #[error("unknown filter parameter `{key}`")]
-    Unknown {
-        /// The key.
-        key: String,
-    },
-    /// The value makes no sense.
+    Unknown { key: String },
+    /// Outside the row's range.
     #[error("filter parameter `{key}` is {value}, must lie in {low} to {high}")]
-    OutOfRange {
-        /// The key.
-        key: &'static str,
-        /// The value.
-        value: f64,
-        /// Lowest value that makes sense.
-        low: f64,
-        /// Highest value that makes sense.
-        high: f64,
-    },
+    OutOfRange { key: &'static str, value: f64, low: f64, high: f64 },
 }
 
 #[cfg(test)]

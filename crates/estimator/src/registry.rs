@@ -14,28 +14,24 @@ use crate::papers::{ekf5_corrected, ukf5, velocity_kf, wheel_kf};
 pub struct FilterEntry {
     /// Its name in the configuration and in reports.
     pub name: &'static str,
-    /// One line of description.
     pub summary: &'static str,
-    /// What it estimates.
     pub quantity: EstimatedQuantity,
-    /// How it treats a late observation.
+    /// The treatment of late observations.
     pub late_data: LateDataPolicy,
-    /// How it comes to know where the robot is.
+    /// How the filter gets its first pose.
     pub initialization: Initialization,
-    /// Builds one.
     pub build: fn(&FilterConfig) -> Box<dyn Filter>,
 }
 
-/// What a filter estimates.
+/// The quantity that a filter estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EstimatedQuantity {
-    /// The robot's pose, by [`Filter::estimate_at`].
     Pose,
     /// One quantity, by [`Filter::scalar_at`].
     Scalar,
 }
 
-/// How a filter comes to know where the robot is.
+/// How a filter gets its first pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initialization {
     /// By the first fix, or by [`FilterConfig::start`].
@@ -46,7 +42,7 @@ pub enum Initialization {
     NotApplicable,
 }
 
-/// How a filter treats a late observation.
+/// The treatment of late observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LateDataPolicy {
     /// It is used at its own time: the order of arrival does not matter.
@@ -144,7 +140,7 @@ pub const FILTERS: &[FilterEntry] = &[
 ];
 
 impl FilterEntry {
-    /// A paper's filter of the pose, which uses observations when they come.
+    /// A pose filter of a paper, which uses observations when they come.
     const fn of_paper(
         name: &'static str,
         summary: &'static str,
@@ -165,7 +161,6 @@ impl FilterEntry {
     }
 }
 
-/// The row with this name.
 pub fn find_filter(name: &str) -> Option<&'static FilterEntry> {
     FILTERS.iter().find(|entry| entry.name == name)
 }

@@ -111,7 +111,7 @@ impl<const K: usize> ScalarMeasurement<K> {
 }
 
 impl<const K: usize> ScalarMeasurement<K> {
-    /// One row of P H', summed up as [`Self::cross`] does.
+    /// One row of P H', with the same order of summation as [`Self::cross_covariance`].
     #[inline]
     fn cross_covariance_at<const N: usize>(&self, covariance: &SMatrix<f64, N, N>, i: usize) -> f64 {
         let terms = self.rows.iter().zip(&self.jacobian);
@@ -119,14 +119,13 @@ impl<const K: usize> ScalarMeasurement<K> {
     }
 }
 
-/// What became of a scalar observation.
+/// The result of a scalar observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarOutcome {
     /// S = H P H' + R.
     pub innovation_variance: f64,
     /// Innovation squared over S.
     pub nis: f64,
-    /// Whether it was used.
     pub outcome: UpdateOutcome,
 }
 
@@ -176,8 +175,8 @@ pub fn use_scalar<const N: usize, const K: usize>(
     ScalarOutcome { innovation_variance: s, nis, outcome: usage }
 }
 
-/// What [`use_scalar`] without a gate would make of some rows, which must rise: their mean and their covariance; `None` if it would change
-/// nothing. Bit for bit the same, without the other rows.
+/// The effect of [`use_scalar`] without a gate on some rows, in rising order: their mean and covariance; `None` if it
+/// would change nothing. Bit for bit the same, without the other rows.
 ///
 /// Panics: a named row is N or more.
 #[inline]

@@ -1,4 +1,4 @@
-//! Validation of observations, independent of a filter's state, and the records that every filter returns.
+//! Validation of observations, independent of a filter's state, and common parts of fusion records.
 
 use std::cmp::Reverse;
 
@@ -12,21 +12,23 @@ use posebridge_telemetry::{
 use crate::motion::{InsertOutcome, MotionReading};
 use crate::update::{ScalarOutcome, UpdateOutcome, nis_and_log_likelihood};
 
-/// A stamp further ahead than this is damage, not the future.
+/// A stamp further ahead is damaged.
 const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
-/// Larger numbers than this are damage: no arena, wheel or rate of ours comes near, and their squares must stay finite.
+/// Larger numbers are damage: no arena, wheel or rate comes near, and their squares must stay finite.
 const MAX_MAGNITUDE: f64 = 1e9;
-/// No sensor is better than a nanometre or a nanoradian: a smaller claim is damage, and would divide by next to nothing.
+/// Smaller variances are damage, a nanometre or a nanoradian squared: no sensor is better, and they would divide by
+/// almost zero.
 const MIN_VARIANCE: f64 = 1e-18;
-/// A tag further from mid-axle than this is not on the robot, m.
+/// A tag further from mid-axle is not on the robot, m.
 const MAX_LEVER_M: f64 = 1e3;
 
-/// After the brick's clock restarted the robot may have been carried: sigma of its position, m.
+/// Sigma of the position after a restart of the brick's clock, in which the robot may have been carried, m.
 pub(crate) const RESTART_POSITION_SIGMA_M: f64 = 0.1;
 /// The same for its heading, rad.
 pub(crate) const RESTART_HEADING_SIGMA_RAD: f64 = 0.3;
 
-/// Why an observation is rejected whatever the state: damaged, too old, or from the far future. `latest` is the latest timestamp so far.
+/// Why an observation is rejected whatever the state: damaged, too old, or from the far future. `latest` is the latest
+/// timestamp so far.
 fn reject_invalid(
     observation: &Observation,
     latest: Option<Timestamp<BrickClock>>,
@@ -43,8 +45,8 @@ fn reject_invalid(
     (observation.stamp < horizon).then_some(FusionOutcome::TooOld)
 }
 
-/// The valid observations of a run in time order; at one instant the better source of motion comes first, so that the result does
-/// not depend on the order of arrival.
+/// The valid observations of a run in time order; at one instant the better source of motion comes first, so that the
+/// result does not depend on the order of arrival.
 pub(crate) fn valid_in_time_order(observations: &[Observation]) -> Vec<&Observation> {
     let mut latest = None;
     let mut sound = Vec::with_capacity(observations.len());
@@ -73,7 +75,6 @@ pub(crate) fn reject_repeated(
     (stamp < before).then_some(FusionOutcome::TooOld)
 }
 
-/// The change from one pose to another.
 pub(crate) fn correction_between(before: Pose<Arena>, after: Pose<Arena>) -> PoseCorrection {
     PoseCorrection {
         dx_m: after.x.0 - before.x.0,
@@ -129,7 +130,8 @@ fn is_finite_fix(fix: &Fix) -> bool {
         && covariance
 }
 
-/// Applies an observation unless it is invalid whatever the state, and returns its record; `apply` gets one with the outcome `Unused`.
+/// Applies an observation unless it is invalid whatever the state, and returns its record; `apply` gets one with the
+/// outcome `Unused`.
 pub(crate) fn observe_if_valid(
     observation: &Observation,
     latest: Option<Timestamp<BrickClock>>,
@@ -149,7 +151,7 @@ pub(crate) fn observe_if_valid(
     record
 }
 
-/// A record of no kind, for an input that is not reported.
+/// A record without a kind, for an input that is not reported.
 pub(crate) const fn blank_record(sensor: SensorId, stamp: Timestamp<BrickClock>) -> FusionRecord {
     FusionRecord {
         sensor,
@@ -165,7 +167,7 @@ pub(crate) const fn blank_record(sensor: SensorId, stamp: Timestamp<BrickClock>)
     }
 }
 
-/// The verdict on a reading that a track did or did not take.
+/// The outcome of a reading that a track did or did not insert.
 pub(crate) const fn fusion_outcome(added: InsertOutcome) -> FusionOutcome {
     match added {
         InsertOutcome::Inserted(_) => FusionOutcome::Accepted,
@@ -178,7 +180,8 @@ pub(crate) const fn fusion_outcome(added: InsertOutcome) -> FusionOutcome {
 
 // Filling in a record: an innovation at once, or what the sequential scalar updates of one observation come to together.
 
-/// Writes an innovation with its covariance into a record; `false`, and nothing written, when the covariance is none.
+/// Writes an innovation with its covariance into a record; `false`, and nothing written, when the covariance is not
+/// positive definite.
 pub(crate) fn write_innovation<const M: usize>(
     record: &mut FusionRecord,
     innovation: &SVector<f64, M>,
@@ -199,9 +202,10 @@ pub(crate) fn write_innovation<const M: usize>(
     true
 }
 
-/// Enters one more innovation with its S; beyond three there is no room.
+/// Adds one more innovation with its S; at most three fit.
 ///
-/// Each is taken after the ones before it have been used, so they are independent: their NIS and log-likelihoods add up.
+/// Each is computed after the ones before it have been used, so they are independent: their NIS and log-likelihoods add
+/// up.
 pub(crate) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome: &ScalarOutcome) {
     let i = usize::from(record.degrees_of_freedom);
     if outcome.outcome == UpdateOutcome::Indefinite || i >= record.innovation.len() {

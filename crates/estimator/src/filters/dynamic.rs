@@ -29,9 +29,9 @@ use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation;
 use crate::validation::{add_innovation, outcome_without_pose};
 
-/// Large enough to weigh next to nothing against two samples, small enough to leave ten digits of P.
+/// Large enough to weigh almost nothing against two samples, small enough to keep ten digits of P.
 const PRIOR_SIGMAS: f64 = 1e5;
-/// Half a last digit of a thermometer with sixteen steps per kelvin: what is taken where the robot's file gives no noise.
+/// Noise where the robot's file gives none: half a last digit of a thermometer with sixteen steps per kelvin.
 pub(super) const DEFAULT_SIGMA_K: f64 = 0.03;
 
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +41,7 @@ struct State {
     covariance: SMatrix<f64, ROWS, ROWS>,
 }
 
-/// The dynamic measurement filter.
+/// Estimates the final value of a slow sensor.
 pub struct DynamicFilter {
     model: DynamicModel,
     sigma: f64,
@@ -54,15 +54,15 @@ pub struct DynamicFilter {
 }
 
 impl DynamicFilter {
-    /// One thermometer, [`SensorId::THERMOMETER`], of first order with the time constant `dynamic_tau_s`. A time constant that
-    /// is not positive ([`crate::Params::set`] lets none in) makes a filter that has no use for any temperature.
+    /// One thermometer, [`SensorId::THERMOMETER`], of first order with the time constant `dynamic_tau_s`. With a time
+    /// constant that is not positive ([`crate::Params::set`] lets none in) the filter ignores all temperatures.
     pub fn new(config: &FilterConfig) -> Self {
         let tau_s = config.params.dynamic_tau_s;
         let model = DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty());
         Self::with_model(config, model)
     }
 
-    /// Any model: several sensors, of any order. Noise, walk and history come from the configuration.
+    /// For any model: several sensors, of any order. Noise, walk and history come from the configuration.
     pub fn with_model(config: &FilterConfig, model: DynamicModel) -> Self {
         let sigma = config.noise.temperature_k;
         let sigma = if sigma > 0.0 { sigma } else { DEFAULT_SIGMA_K };
@@ -77,8 +77,8 @@ impl DynamicFilter {
         }
     }
 
-    /// Starts with another doubt than next to no knowledge: one standard deviation of the quantity and of each state, around the
-    /// first sample and around zero. Values that are not positive and finite change nothing.
+    /// Sets the initial uncertainty: one standard deviation of the quantity around the first sample, and of each state
+    /// around zero. Ignores values that are not positive and finite.
     pub fn with_prior_sigma(mut self, sigma: f64) -> Self {
         if sigma > 0.0 && sigma.is_finite() {
             self.prior_sigma = sigma;
@@ -86,8 +86,8 @@ impl DynamicFilter {
         self
     }
 
-    /// The expected sample of a sensor at an instant and its variance, noise included;
-    /// `None` before the first sample and for a sensor that the model does not know.
+    /// The expected sample of a sensor at an instant and its variance, noise included; `None` before the first sample
+    /// and for a sensor that is not in the model.
     pub fn expected(&self, sensor: SensorId, stamp: Timestamp<BrickClock>) -> Option<(f64, f64)> {
         let row = self.model.row_of(sensor)?;
         let state = self.predict_state(self.state?, stamp);
@@ -131,7 +131,7 @@ impl DynamicFilter {
         self.record_sample(observation);
     }
 
-    /// Paper 2's start: the first sample for the quantity, nothing for the states, and next to no trust in either.
+    /// Paper 2's start: the quantity at the first sample, the states at zero, both almost unknown.
     fn initial_state(&self, stamp: Timestamp<BrickClock>, quantity: f64) -> State {
         let variance = self.prior_sigma.powi(2);
         let mut state = State { stamp, mean: SVector::zeros(), covariance: SMatrix::zeros() };
@@ -142,7 +142,7 @@ impl DynamicFilter {
         state
     }
 
-    /// The state carried on to an instant; unchanged for one that is not ahead.
+    /// The state predicted to an instant; unchanged for one that is not ahead.
     fn predict_state(&self, mut state: State, to: Timestamp<BrickClock>) -> State {
         let dt_s = (to - state.stamp).as_secs_f64();
         if dt_s <= 0.0 {
@@ -167,7 +167,7 @@ impl DynamicFilter {
         std::array::from_fn(|column| (0..ROWS).map(|i| row[i] * back[(i, column)]).sum())
     }
 
-    /// Each sensor's samples are used in their order and once.
+    /// Rejects a sensor's samples that are repeated or out of order.
     fn reject_repeated(&self, observation: &Observation) -> Option<FusionOutcome> {
         let (_, last) = self.last_samples.iter().flatten().find(|(sensor, _)| *sensor == observation.sensor)?;
         validation::reject_repeated(Some(*last), observation.stamp)
@@ -191,7 +191,7 @@ impl Filter for DynamicFilter {
         })
     }
 
-    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         outcome_without_pose(start)
     }

@@ -37,7 +37,7 @@ impl DeadReckonedState {
     }
 }
 
-/// Dead reckoning.
+/// Dead reckoning by the wheels alone.
 pub struct OdometryFilter {
     config: FilterConfig,
     track: MotionTrack,
@@ -67,7 +67,7 @@ impl OdometryFilter {
         self.states.back().copied().unwrap_or_else(DeadReckonedState::at_origin)
     }
 
-    /// Carries an estimate forward over the wheels' motion, and stands still where nothing is known.
+    /// Propagates an estimate by the wheels' motion; where none is known the robot rests.
     fn propagate(&self, from: &DeadReckonedState, to: Timestamp<BrickClock>) -> DeadReckonedState {
         let mut next = *from;
         next.stamp = Some(to);
@@ -101,7 +101,7 @@ impl OdometryFilter {
         validation::fusion_outcome(added)
     }
 
-    /// A late reading changes only what lies behind it: recomputes from the last estimate before it.
+    /// Recomputes the estimates that follow a late reading, from the last one before it.
     ///
     /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
     fn recompute_from(&mut self, stamp: Timestamp<BrickClock>) {
@@ -133,7 +133,6 @@ fn state_at_start(start: &StartPose) -> DeadReckonedState {
     }
 }
 
-/// The diagonal covariance of a pose with these sigmas.
 fn diagonal_pose_covariance(position_sigma_m: f64, heading_sigma_rad: f64) -> Matrix3<f64> {
     let position_m2 = position_sigma_m.powi(2);
     let heading_rad2 = heading_sigma_rad.powi(2);

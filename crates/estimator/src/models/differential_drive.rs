@@ -23,20 +23,15 @@ use crate::numerics::covariance::symmetrise;
 /// Travel of the two wheels' contact points, in metres, forward positive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelTravel {
-    /// Of the left wheel.
     pub left_m: f64,
-    /// Of the right wheel.
     pub right_m: f64,
 }
 
-/// Uncertainty of a step.
+/// Variances of a step's distance and turn, and their covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepNoise {
-    /// Variance of the distance, m².
     pub forward_var_m2: f64,
-    /// Variance of the change of heading, rad².
     pub turn_var_rad2: f64,
-    /// Covariance of the two, m rad.
     pub forward_turn_m_rad: f64,
 }
 
@@ -48,7 +43,6 @@ pub fn body_step(travel: WheelTravel, geometry: &DriveGeometry) -> BodyStep {
     }
 }
 
-/// How uncertain a step over this travel is.
 pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorNoise) -> StepNoise {
     let step = body_step(travel, geometry);
     let b = geometry.track_width.0;
@@ -65,8 +59,8 @@ pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorN
     }
 }
 
-/// A step of wheels and a track with relative errors, which are those of the mean radius, of the radii against each other (right
-/// minus left) and of the track; and how the step depends on them.
+/// A step corrected for relative errors of mean radius, of the difference of radii (right minus left) and of the track
+/// width, with its derivatives by these.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CalibratedStep {
     /// The travel of the true wheels.
@@ -79,7 +73,7 @@ pub struct CalibratedStep {
     pub turn_by_scales: [f64; 3],
 }
 
-/// What wheel travel by the nominal geometry was with these relative errors.
+/// The true step for wheel travel that was computed with the nominal geometry.
 #[inline]
 pub fn calibrated_step(
     travel: WheelTravel,

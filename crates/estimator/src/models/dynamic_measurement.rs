@@ -1,7 +1,8 @@
-//! A sensor that takes its time: what it shows is its input, seen through its own dynamics.
+//! Models of slow sensors: the reading is the input, filtered by the sensor's dynamics.
 //!
-//! A thermometer in a bath shows the bath's temperature only after minutes, but the course of its readings determines the end
-//! long before. The models here say how sensors approach a constant input; [`crate::filters::dynamic`] estimates the input.
+//! A thermometer in a bath shows the bath's temperature only after minutes, but its first readings determine the final
+//! value long before. The models here describe how sensors approach a constant input; [`crate::filters::dynamic`]
+//! estimates the input.
 //!
 //! # Model
 //! ```text
@@ -31,14 +32,14 @@ pub const ROWS: usize = 1 + MAX_STATES;
 /// The row of the measured quantity u.
 pub const QUANTITY: usize = 0;
 
-/// How one or several sensors follow the quantity that they measure.
+/// The response of one or several sensors to the quantity that they measure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DynamicModel {
-    /// A of all sensors, 1/s; block diagonal, zero where no state is.
+    /// A of all sensors, 1/s; block diagonal, zero for unused states.
     rates: SMatrix<f64, MAX_STATES, MAX_STATES>,
     sensors: Vec<SensorOutput>,
     state_count: usize,
-    /// B: where a step of the quantity leads.
+    /// B: the effect of a step of the quantity.
     step: [f64; ROWS],
 }
 
@@ -57,7 +58,7 @@ impl DynamicModel {
         Self::empty().with_lags(sensor, 1.0, &[time_constant_s])
     }
 
-    /// A model without sensors, to which they are added.
+    /// Without sensors; `with_lags` and `with_coefficients` add them.
     pub fn empty() -> Self {
         Self {
             rates: SMatrix::zeros(),
@@ -145,26 +146,26 @@ impl DynamicModel {
         Ok(self)
     }
 
-    /// H of a sensor, over all rows; `None` for a sensor that the model does not know.
+    /// H of a sensor, over all rows; `None` for a sensor that is not in the model.
     pub fn row_of(&self, sensor: SensorId) -> Option<[f64; ROWS]> {
         let known = self.sensors.iter().find(|row| row.sensor == sensor)?;
         Some(known.row)
     }
 
-    /// How many states the sensors have together.
+    /// Number of states of all sensors together.
     pub const fn states(&self) -> usize {
         self.state_count
     }
 
-    /// F over a time in seconds: how the quantity (it stays) and the sensors' states go on. Negative times lead back.
+    /// F over a time in seconds: the quantity stays, the sensors' states follow their dynamics. Negative times go back.
     pub fn transition(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let mut f = SMatrix::<f64, ROWS, ROWS>::identity();
         f.fixed_view_mut::<MAX_STATES, MAX_STATES>(1, 1).copy_from(&exponential(&(self.rates * dt_s)));
         f
     }
 
-    /// Q over a time in seconds, at least 0, of a quantity that walks with unit density: by doubling from an interval that is short
-    /// against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
+    /// Q over a time in seconds, at least 0, for a random walk of the quantity with unit density: by doubling from an
+    /// interval that is short against all lags, Q(2 h) = F(h) Q(h) F(h)' + Q(h).
     pub fn random_walk_noise(&self, dt_s: f64) -> SMatrix<f64, ROWS, ROWS> {
         let doublings = (row_norm(&self.rates) * dt_s / SHORT_STEP).log2().ceil().clamp(0.0, MAX_DOUBLINGS);
         let short_s = dt_s * (-doublings).exp2();
@@ -180,7 +181,7 @@ impl DynamicModel {
     }
 }
 
-/// Over so much of the fastest lag the middle of an interval stands for all of it, to a ten-thousandth.
+/// Up to this share of the fastest lag the midpoint rule is exact to a ten-thousandth.
 const SHORT_STEP: f64 = 1.0 / 32.0;
 /// An hour in steps of a nanosecond.
 const MAX_DOUBLINGS: f64 = 42.0;
@@ -231,43 +232,26 @@ fn is_stable(coefficients: &[f64]) -> bool {
     true
 }
 
-/// Why a model was not built.
+/// Why a model is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {
-    /// A time constant makes no sense.
+    /// Not positive or not finite.
     #[error("a time constant of {tau_s} s is not positive and finite")]
-    TimeConstant {
-        /// The time constant.
-        tau_s: f64,
-    },
-    /// Two lags of one sensor cannot be told apart.
+    TimeConstant { tau_s: f64 },
+    /// Two equal lags of one sensor cannot be distinguished.
     #[error("two lags of one sensor have the time constant {tau_s} s")]
-    EqualTimeConstants {
-        /// The time constant.
-        tau_s: f64,
-    },
-    /// A gain makes no sense.
+    EqualTimeConstants { tau_s: f64 },
+    /// Zero or not finite.
     #[error("a gain of {gain} is zero or not finite")]
-    Gain {
-        /// The gain.
-        gain: f64,
-    },
+    Gain { gain: f64 },
     /// The sensor would not settle.
     #[error("the coefficients are those of an unstable sensor")]
     Unstable,
-    /// The sensor is in the model already.
     #[error("sensor {sensor} is in the model already")]
-    DuplicateSensor {
-        /// The sensor.
-        sensor: SensorId,
-    },
-    /// No state at all, or too many.
+    DuplicateSensor { sensor: SensorId },
     #[error("{states} states, must be 1 to {MAX_STATES}")]
-    TooManyStates {
-        /// How many there would be.
-        states: usize,
-    },
+    TooManyStates { states: usize },
 }
 
 #[cfg(test)]

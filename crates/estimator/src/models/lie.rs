@@ -13,32 +13,31 @@
 use nalgebra::Matrix3;
 use posebridge_telemetry::quantities::wrap_rad;
 
-/// An element of SE(2): where a body is in a space, and where it points.
+/// An element of SE(2): position and heading of a body in a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Se2 {
-    /// First coordinate of the origin, m.
+    /// Coordinates of the origin.
     pub x_m: f64,
-    /// Second coordinate of the origin, m.
     pub y_m: f64,
-    /// Heading, wrapped, rad.
+    /// Wrapped.
     pub heading_rad: f64,
 }
 
 impl Se2 {
-    /// The motion that a twist makes in unit time: forward and to the left in metres, turn in radians.
+    /// The motion of a twist in unit time: forward and left in metres, turn in radians.
     pub fn exp([forward_m, left_m, turn_rad]: [f64; 3]) -> Self {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
         Self { x_m: s * forward_m - c * left_m, y_m: c * forward_m + s * left_m, heading_rad: wrap_rad(turn_rad) }
     }
 
-    /// The twist whose motion this is, with a turn in (-pi, pi].
+    /// The twist of this motion, with a turn in (-pi, pi].
     pub fn log(self) -> [f64; 3] {
         let (s, c) = sine_and_cosine_ratios(self.heading_rad);
         let determinant = s * s + c * c;
         [(s * self.x_m + c * self.y_m) / determinant, (s * self.y_m - c * self.x_m) / determinant, self.heading_rad]
     }
 
-    /// How the motion of a twist changes, seen from its end, with the twist: the right Jacobian of the group.
+    /// The right Jacobian of the group: how a twist's motion changes with the twist, in the frame of its end.
     pub fn right_jacobian([forward_m, left_m, turn_rad]: [f64; 3]) -> Matrix3<f64> {
         let (s, c) = sine_and_cosine_ratios(turn_rad);
         // (1 - s) / turn and (1 - cos) / turn^2, by series near zero.
@@ -57,7 +56,7 @@ impl Se2 {
         )
     }
 
-    /// This pose, moved by `motion` in its own space.
+    /// This pose, moved by `motion` in its own frame.
     pub fn compose(self, motion: Self) -> Self {
         let (sin, cos) = self.heading_rad.sin_cos();
         Self {
@@ -67,7 +66,6 @@ impl Se2 {
         }
     }
 
-    /// The motion back.
     pub fn inverse(self) -> Self {
         let (sin, cos) = self.heading_rad.sin_cos();
         Self {
@@ -77,12 +75,12 @@ impl Se2 {
         }
     }
 
-    /// The motion that leads from this pose to another.
+    /// The motion from this pose to another.
     pub fn between(self, other: Self) -> Self {
         self.inverse().compose(other)
     }
 
-    /// Where a point of the space in which this pose is given, in metres, lies for the body: (forward, left), in metres.
+    /// A point, given in the frame of this pose, in the body's frame: (forward, left), in metres.
     #[inline]
     pub fn point_in_body(self, x_m: f64, y_m: f64) -> [f64; 2] {
         let (sin, cos) = self.heading_rad.sin_cos();
@@ -91,7 +89,7 @@ impl Se2 {
     }
 }
 
-/// sin(t)/t and (1 - cos t)/t, from the chord: no digits are lost near zero, where 1 - cos t has few.
+/// sin(t)/t and (1 - cos t)/t, from the chord: no loss of digits near zero, as 1 - cos t would have.
 fn sine_and_cosine_ratios(turn_rad: f64) -> (f64, f64) {
     let half = 0.5 * turn_rad;
     let (sin, cos) = if half.abs() < 1e-3 {
@@ -105,14 +103,11 @@ fn sine_and_cosine_ratios(turn_rad: f64) -> (f64, f64) {
     (chord * cos, chord * sin)
 }
 
-/// A step along an arc, as the errors of a pose see it: all in the body's space at the end of the step.
+/// A step along an arc and its derivatives, in the body's frame at the end of the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcStep {
-    /// The step itself.
     pub motion: Se2,
-    /// Cosine of the turn.
     pub cos: f64,
-    /// Sine of the turn.
     pub sin: f64,
     /// Derivatives of the end's position by the distance.
     pub by_forward: [f64; 2],
@@ -121,7 +116,7 @@ pub struct ArcStep {
 }
 
 impl ArcStep {
-    /// A step of this length that turns by this angle.
+    /// A step of length `forward_m` along an arc that turns by `turn_rad`.
     pub fn new(forward_m: f64, turn_rad: f64) -> Self {
         let (sin_half, cos_half) = (0.5 * turn_rad).sin_cos();
         let (chord, chord_by_turn) = chord_ratio_of(0.5 * turn_rad, sin_half, cos_half);
@@ -147,7 +142,7 @@ pub(super) fn chord_ratio(turn_rad: f64) -> (f64, f64) {
     chord_ratio_of(half, sin, cos)
 }
 
-/// The same where sine and cosine of half the turn are known.
+/// The same, with sine and cosine of half the turn given.
 fn chord_ratio_of(half: f64, sin: f64, cos: f64) -> (f64, f64) {
     if half.abs() < 1e-3 {
         // The next terms are below 1e-14 of the first.

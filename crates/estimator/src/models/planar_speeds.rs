@@ -32,24 +32,21 @@ use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::DriveGeometry;
 use posebridge_telemetry::estimate::row;
 
-/// Number of states.
 pub const N: usize = 5;
 /// Mean of the state, SI units.
 pub type Mean = SVector<f64, N>;
 /// Covariance of the state, SI units squared.
 pub type Covariance = SMatrix<f64, N, N>;
 
-/// The accelerations of the body: the input.
+/// The accelerations of the body, along its x axis and about the vertical: the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Acceleration {
-    /// Along the body's x axis, m/s².
     pub forward_m_per_s2: f64,
-    /// About the vertical, rad/s².
     pub turn_rad_per_s2: f64,
 }
 
 impl Acceleration {
-    /// Turns the accelerations felt at the two wheels, in m/s², into those of the body.
+    /// Turns the accelerations measured at the two wheels into those of the body.
     ///
     /// ```text
     /// a = (a_L + a_R) / 2          alpha = (a_R - a_L) / b
@@ -65,15 +62,15 @@ impl Acceleration {
 /// One step of the motion, for mean and covariance together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionStep {
-    /// Length of the step, in seconds, more than zero.
+    /// More than zero.
     pub interval_s: f64,
     /// The diagonal of Q for this step, rows as telemetry's `estimate::row`: m², m², rad², m²/s², rad²/s².
     pub variances: [f64; N],
 }
 
 impl PredictionStep {
-    /// Carries mean and covariance over the step: [`advance`], and F P F' + Q with the F of [`jacobian`]. Of the covariance only
-    /// the lower triangle is read; the result is symmetric to the last bit.
+    /// Propagates mean and covariance over the step: [`advance`], and F P F' + Q with the F of [`jacobian`]. Reads only
+    /// the lower triangle of the covariance; the result is symmetric to the last bit.
     #[inline]
     pub fn predict(&self, mean: &mut Mean, covariance: &mut Covariance, felt: Acceleration) {
         let slope = SparseJacobian::at(mean, self.interval_s);
@@ -82,7 +79,7 @@ impl PredictionStep {
     }
 }
 
-/// Moves the state by `dt_s` seconds: pose by the speeds at the beginning, speeds by the accelerations.
+/// Moves the state by `dt_s`: pose by the speeds at the beginning, speeds by the accelerations.
 pub fn advance(mean: &Mean, felt: Acceleration, dt_s: f64) -> Mean {
     SparseJacobian::at(mean, dt_s).predict_mean(mean, felt)
 }
@@ -130,7 +127,7 @@ impl SparseJacobian {
         }
     }
 
-    /// The state behind the step: the motion is linear in v and w but for the direction, so F's own entries move it.
+    /// The state after the step: the motion is linear in v and w except for the direction, so F's own entries give it.
     #[inline]
     fn predict_mean(&self, mean: &Mean, felt: Acceleration) -> Mean {
         let t = self.heading_by_turn;

@@ -14,13 +14,13 @@ use super::lie::chord_ratio;
 /// A step of the body: distance along its path and change of heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BodyStep {
-    /// Distance along the path of the body's origin, forward positive, in metres.
+    /// Distance along the path of the body's origin, forward positive.
     pub forward_m: f64,
-    /// Change of heading, counter-clockwise positive, in radians.
+    /// Change of heading, counter-clockwise positive.
     pub turn_rad: f64,
 }
 
-/// Which rule turns a step into a displacement.
+/// The rule that turns a step into a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepRule {
     /// The chord of the arc: exact for constant curvature.
@@ -29,12 +29,10 @@ pub enum StepRule {
     Midpoint,
 }
 
-/// Where a step leads, and how that depends on where it began and on the step itself.
+/// The displacement of a step and its derivatives by the start heading and by the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
-    /// Change of x, in metres.
     pub dx_m: f64,
-    /// Change of y, in metres.
     pub dy_m: f64,
     /// Derivatives of (dx, dy) by the heading at the start.
     pub by_heading: [f64; 2],
@@ -44,7 +42,7 @@ pub struct Displacement {
     pub by_turn: [f64; 2],
 }
 
-/// Computes where a step leads from a heading, in the space of that heading.
+/// The displacement of a step, in the frame of the heading.
 pub fn displace(heading_rad: f64, step: BodyStep, rule: StepRule) -> Displacement {
     let (chord, chord_by_turn) = match rule {
         StepRule::Arc => chord_ratio(step.turn_rad),

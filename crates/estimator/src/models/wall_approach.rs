@@ -26,32 +26,30 @@ pub const DISTANCE: usize = 0;
 /// Row of the speed towards the wall, m/s.
 pub const SPEED: usize = 1;
 
-/// How a robot answers to its motor input.
+/// The response of a robot's speed to its motor input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallApproachModel {
-    /// Drag d: input per steady speed, s/m.
+    /// Drag d: input per steady speed.
     pub drag_s_per_m: f64,
-    /// Mass m: input per acceleration, s²/m.
+    /// Mass m: input per acceleration.
     pub mass_s2_per_m: f64,
 }
 
 /// One step of the model: x' = A x + B u.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DiscreteModel {
-    /// By the state.
     pub a: Matrix2<f64>,
-    /// By the input.
     pub b: Vector2<f64>,
 }
 
 impl WallApproachModel {
-    /// By a step test: the steady speed under the input 1, and the time to 90 % of it; m = d t90 / ln 10.
+    /// From a step test: the steady speed under the input 1, and the time to 90 % of it; m = d t90 / ln 10.
     pub fn from_step_test(steady_m_per_s: f64, rise_90_s: f64) -> Self {
         let drag_s_per_m = 1.0 / steady_m_per_s;
         Self { drag_s_per_m, mass_s2_per_m: drag_s_per_m * rise_90_s / std::f64::consts::LN_10 }
     }
 
-    /// a = d / m, 1/s: the inverse of the time constant.
+    /// a = d / m: the inverse of the time constant.
     pub fn rate_per_s(&self) -> f64 {
         self.drag_s_per_m / self.mass_s2_per_m
     }
@@ -64,7 +62,7 @@ impl WallApproachModel {
         }
     }
 
-    /// The exact step for an input that is held. Negative steps lead back.
+    /// The exact step for a held input. Negative steps go back.
     pub fn exact(&self, dt_s: f64) -> DiscreteModel {
         let a = self.rate_per_s();
         let decayed = -(-a * dt_s).exp_m1();
@@ -75,7 +73,8 @@ impl WallApproachModel {
         }
     }
 
-    /// What white noise on distance (m²/s) and on speed (m²/s³) leaves over a step, `dt_s` at least 0.
+    /// Covariance that white noise on distance (density in m²/s) and on speed (m²/s³) adds over a step, `dt_s` at least
+    /// 0.
     pub fn exact_noise(&self, dt_s: f64, distance_density: f64, speed_density: f64) -> Matrix2<f64> {
         let a = self.rate_per_s();
         let g = -(-a * dt_s).exp_m1() / a;

@@ -9,16 +9,16 @@ use super::reading::InsertOutcome;
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
 const SAMPLE_HOLD: TimeDelta = TimeDelta::from_millis(60);
-/// Neighbours further apart than this leave a hole. A sample is the mean since the one before it only where the sender sums
-/// the turn; elsewhere it says nothing about a long gap. Five lost frames in a row at 20 Hz are still bridged.
+/// Samples further apart than this leave a gap. A sample is the mean since the one before it only where the sender sums
+/// the turn; elsewhere a long gap is unknown. Five lost frames in a row at 20 Hz are still bridged.
 const MAX_SAMPLE_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 /// The gyro's turn between two instants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroTurn {
-    /// Integral of the rate, bias included, rad.
+    /// Integral of the rate, bias included.
     pub turn_rad: f64,
-    /// Sum of the squared lengths of the samples' parts, s²: times the variance of one sample, the variance of `turn_rad`.
+    /// Sum of the squared intervals of the samples: times the variance of one sample, the variance of `turn_rad`.
     pub squared_intervals_s2: f64,
 }
 
@@ -38,7 +38,6 @@ pub struct GyroTrack {
 }
 
 impl GyroTrack {
-    /// Adds a sample.
     pub fn insert(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> InsertOutcome {
         let index = count_before(&self.samples, |sample| sample.0 < stamp);
         if self.samples.get(index).is_some_and(|sample| sample.0 == stamp) {
@@ -59,14 +58,14 @@ impl GyroTrack {
         Some(last.0)
     }
 
-    /// The same for an instant that most samples lie behind.
+    /// The same by bisection, for an instant before most samples.
     pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.0 <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.0)
     }
 
-    /// Whether the whole span is covered: no hole in it, the last sample held for a moment.
+    /// Whether the span has no gap; the last sample is held for `SAMPLE_HOLD`.
     pub fn covers(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> bool {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let Some(first) = next.checked_sub(1).and_then(|i| self.samples.get(i)) else {
@@ -106,8 +105,8 @@ impl GyroTrack {
         turn
     }
 
-    /// The turn between two instants, the first before the second, if the whole span is covered: as [`Self::covers`] and
-    /// [`Self::turn_between`] say, in one pass.
+    /// As [`Self::covers`] and [`Self::turn_between`] in one pass: the turn between two instants, the first before the
+    /// second; `None` if the span has a gap.
     pub fn covered_turn(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> Option<GyroTurn> {
         let next = count_before(&self.samples, |sample| sample.0 <= from);
         let mut last = self.samples.get(next.checked_sub(1)?)?.0;
@@ -131,7 +130,7 @@ impl GyroTrack {
         (to <= last + SAMPLE_HOLD).then_some(turn)
     }
 
-    /// Forgets what is not needed for instants from `horizon` on; the sample before it stays.
+    /// Discards samples that instants from `horizon` on do not need; the sample before it stays.
     pub fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
         while self.samples.get(1).is_some_and(|second| second.0 <= horizon) {
             self.samples.pop_front();

@@ -1,4 +1,4 @@
-//! Wheel travel and gyro rate over time, apart from any filter state.
+//! Wheel travel and gyro rate over time, independent of any filter state.
 //!
 //! A filter asks these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
 //! stamp lies inside an encoder interval is applied at its own time, and a late reading changes nothing but the intervals
@@ -17,16 +17,15 @@ pub use gyro::{GyroTrack, GyroTurn};
 pub use reading::{InsertOutcome, MotionReading, MotionSource};
 pub use track::{MotionTrack, TravelSegment};
 
-/// Speeds are held for this long after the last motion observation, and are stale behind it.
+/// Speeds are held for this long after the last motion observation, and are stale after that.
 pub(crate) const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
-/// What a robot may do while nothing observes its motion: it walks at random with this speed, m/s per sqrt(s). A LEGO robot's
-/// walking pace.
+/// Random walk of a robot whose motion is not observed, m/s per sqrt(s): a LEGO robot's usual speed.
 pub(crate) const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).
 pub(crate) const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
 
-/// How many elements from the front belong before: `belongs` holds for them and for no later one, as in
-/// [`VecDeque::partition_point`], but sought from the back in steps that double: what lies there was touched last and is quick to reach.
+/// Number of elements at the front for which `belongs` holds, as [`VecDeque::partition_point`], but by a search from
+/// the back in doubling steps: recent elements are the likely ones, and in the cache.
 pub fn count_before<T>(queue: &VecDeque<T>, belongs: impl Fn(&T) -> bool) -> usize {
     // All from here on do not belong.
     let mut end = queue.len();

@@ -4,23 +4,23 @@ use posebridge_telemetry::{BrickClock, DriveGeometry, Heading, ObservationKind, 
 
 use crate::models::differential_drive::WheelTravel;
 
-/// What became of a reading.
+/// The result of inserting a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InsertOutcome {
-    /// Taken; what is known changed after this instant, the stamp of the reading before it. `None`: it is the first.
+    /// Inserted; the motion changed after this instant, the stamp of the reading before it. `None`: it is the first.
     Inserted(Option<Timestamp<BrickClock>>),
-    /// Taken, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a better
-    /// source took over.
+    /// Inserted, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a
+    /// better source took over.
     Rebased(Timestamp<BrickClock>),
-    /// A better source moves the robot.
+    /// A better source is in use.
     Superseded,
-    /// A reading with this stamp is there already.
+    /// There is a reading with this stamp already.
     Duplicate,
-    /// Older than anything that is still kept, or from before a better source took over.
+    /// Older than all kept readings, or from before a better source took over.
     TooOld,
 }
 
-/// Which kind of observation moves the robot; a better one takes over from a worse one.
+/// The kind of motion observation in use; a later variant replaces an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MotionSource {
     /// Commanded or foreign speeds, held.
@@ -31,23 +31,20 @@ pub enum MotionSource {
     Wheels,
 }
 
-/// A motion observation, as its sensor gives it.
+/// A motion observation, as measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionReading {
-    /// Total rotation of each wheel, rad.
+    /// Total rotation of each wheel.
     Wheels {
-        /// Left wheel.
         left_rad: f64,
-        /// Right wheel.
         right_rad: f64,
     },
-    /// A foreign odometer's pose.
     Odometer(Pose<Odom>),
     /// Speeds, held until the next reading.
     Velocity {
-        /// Forward, m/s.
+        /// Along the body's x axis.
         forward_m_per_s: f64,
-        /// Turn, rad/s.
+        /// About the vertical.
         turn_rad_per_s: f64,
     },
 }
@@ -72,7 +69,6 @@ impl MotionReading {
         }
     }
 
-    /// The kind of this reading.
     pub const fn source(&self) -> MotionSource {
         match self {
             Self::Wheels { .. } => MotionSource::Wheels,
@@ -104,7 +100,7 @@ impl MotionReading {
     }
 }
 
-/// Travel of two wheels that would move an odometer from one pose to the other along an arc.
+/// The wheel travel that moves an odometer from one pose to the other along an arc.
 fn arc_between(from: Pose<Odom>, to: Pose<Odom>, track_width_m: f64) -> WheelTravel {
     let turn_rad = (to.heading - from.heading).0;
     let (dx_m, dy_m) = (to.x.0 - from.x.0, to.y.0 - from.y.0);

@@ -8,43 +8,34 @@ use super::count_before;
 use super::reading::{InsertOutcome, MotionReading, MotionSource};
 use crate::models::differential_drive::{WheelTravel, body_step};
 
-/// Over an interval between two counter readings that is longer than this the path is no longer taken for an arc: five lost
-/// frames in a row at 20 Hz still are.
+/// Over a longer interval between two counter readings the path is not taken for an arc. Five lost frames in a row at
+/// 20 Hz are below it.
 const MAX_ARC_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 #[derive(Clone, Copy, Debug)]
 struct MotionSample {
     stamp: Timestamp<BrickClock>,
     reading: MotionReading,
-    /// Since the first sample ever; an unknown step counts as none.
+    /// Since the first sample; an unknown step counts as zero.
     cumulative_travel: WheelTravel,
-    /// From the sample before to this one; `None` when it is unknown, as before the first.
+    /// From the previous sample to this one; `None` when unknown, as for the first.
     step: Option<WheelTravel>,
 }
 
-/// A part of the way between two instants over which the same is known.
+/// A part of the time between two instants, with what is known of the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TravelSegment {
-    /// The wheels' travel is known.
     Known {
-        /// Its end.
         until: Timestamp<BrickClock>,
-        /// The wheels' travel.
         travel: WheelTravel,
-        /// Variance of each coordinate of where the leg ends, because only the sums of distance and turn are known and not in
-        /// which order they came, m². Zero over short intervals.
+        /// Variance of each coordinate of the segment's end: only the sums of distance and turn are known, not their
+        /// order. Zero over short intervals.
         path_var_m2: f64,
     },
-    /// There are readings on both sides, or after it, but they do not determine how the robot moved.
-    Gap {
-        /// Its end.
-        until: Timestamp<BrickClock>,
-    },
-    /// Nothing has been read after its beginning.
-    BeyondData {
-        /// Its end.
-        until: Timestamp<BrickClock>,
-    },
+    /// The readings around it do not determine the motion.
+    Gap { until: Timestamp<BrickClock> },
+    /// There are no readings after its start.
+    BeyondData { until: Timestamp<BrickClock> },
 }
 
 /// Cumulative wheel travel over time, from whichever source is best.
@@ -63,12 +54,11 @@ impl MotionTrack {
         Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), is_truncated: false }
     }
 
-    /// From now on a larger jump than this, in radians per second, re-bases the counters.
+    /// A larger jump than this re-bases the counters from now on.
     pub const fn set_max_wheel_rad_per_s(&mut self, max_wheel_rad_per_s: f64) {
         self.max_wheel_rad_per_s = max_wheel_rad_per_s;
     }
 
-    /// Adds a reading.
     pub fn insert(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> InsertOutcome {
         let source = reading.source();
         if self.source.is_some_and(|current| source < current) {
@@ -95,7 +85,7 @@ impl MotionTrack {
         }
     }
 
-    /// Computes the steps to the sample at `index` and to the one after it, and all sums from there on.
+    /// Recomputes the steps to the sample at `index` and to the next one, and all later sums.
     fn sum_from(&mut self, index: usize) {
         for i in index..self.samples.len() {
             let Some(before) = i.checked_sub(1).and_then(|j| self.samples.get(j)).copied() else {
@@ -123,7 +113,6 @@ impl MotionTrack {
         left_rad.abs() <= limit_rad && right_rad.abs() <= limit_rad
     }
 
-    /// The travel from `from` towards `to`, up to the next reading.
     pub fn segment(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> TravelSegment {
         let index = count_before(&self.samples, |sample| sample.stamp <= from);
         let Some(after) = self.samples.get(index) else {
@@ -146,13 +135,13 @@ impl MotionTrack {
         }
     }
 
-    /// When a robot has driven d and turned by dth in unknown order, its way lies in a direction that is uniform within dth.
+    /// A robot that has driven d and turned by dth in unknown order moved in a direction that is uniform within dth.
     fn path_variance(&self, step: WheelTravel) -> f64 {
         let step = body_step(step, &self.geometry);
         (step.forward_m * step.turn_rad).powi(2) / 12.0
     }
 
-    /// The reading before the one at `stamp` and the travel since, where it is short enough to give a speed.
+    /// The reading before the one at `stamp` and the travel since, where the interval is short enough to give a speed.
     pub fn step_to(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, WheelTravel)> {
         let index = count_before(&self.samples, |sample| sample.stamp < stamp);
         let sample = self.samples.get(index).filter(|sample| sample.stamp == stamp)?;
@@ -169,14 +158,14 @@ impl MotionTrack {
         Some(last.stamp)
     }
 
-    /// The same for an instant that most readings lie behind.
+    /// The same by bisection, for an instant before most readings.
     pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
         let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
         let last = self.samples.get(index.checked_sub(1)?)?;
         Some(last.stamp)
     }
 
-    /// Travel between two instants, linear inside each interval; what is not known counts as rest.
+    /// Travel between two instants, linear inside each interval; unknown motion counts as rest.
     pub fn travel_between(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> WheelTravel {
         difference(self.travel_at(to), self.travel_at(from))
     }
@@ -200,7 +189,7 @@ impl MotionTrack {
         }
     }
 
-    /// Forgets what is not needed for instants from `horizon` on; the sample before it stays, for interpolation.
+    /// Discards readings that instants from `horizon` on do not need; the one before it stays, for interpolation.
     pub fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
         while self.samples.get(1).is_some_and(|second| second.stamp <= horizon) {
             self.samples.pop_front();

@@ -16,8 +16,8 @@ const STIRLING_FROM: f64 = 16.0;
 /// Halvings of the bracket: from any bracket down to the spacing of doubles.
 const BISECTIONS: usize = 80;
 
-/// The value that a chi-square variable with this number of degrees of freedom (at least 1) stays below with this probability. Within
-/// 1e-9 of 1 it loses digits, because the distribution function is summed from below.
+/// The value below which a chi-square variable with this number of degrees of freedom (at least 1) stays with this
+/// probability. Within 1e-9 of 1 it loses digits, because the distribution function is summed from below.
 pub fn chi_square_quantile(degrees_of_freedom: u64, probability: f64) -> f64 {
     let n = degrees_of_freedom.max(1) as f64;
     if probability >= 1.0 {
@@ -40,7 +40,6 @@ pub fn chi_square_quantile(degrees_of_freedom: u64, probability: f64) -> f64 {
 /// Gates for innovations of one, two and three components: the quantiles for one, two and three degrees of freedom.
 pub type ChiSquareGates = [f64; 3];
 
-/// The gates for this probability.
 pub fn chi_square_gates(probability: f64) -> ChiSquareGates {
     [1, 2, 3].map(|degrees_of_freedom| chi_square_quantile(degrees_of_freedom, probability))
 }

@@ -11,8 +11,8 @@ pub(crate) fn lower_triangle<const M: usize>(matrix: &SMatrix<f64, M, M>) -> Opt
     factorise(matrix, root_of).ok()
 }
 
-/// Cholesky's decomposition L L' of a symmetric matrix. Only the lower triangle is read. `root_of` says of a row and its pivot,
-/// what is left of the diagonal there, what the diagonal of L becomes; with zero the whole column does.
+/// Cholesky's decomposition L L' of a symmetric matrix; reads only the lower triangle. `root_of` maps a row and its
+/// pivot (the remaining diagonal) to the diagonal of L; zero makes the whole column zero.
 ///
 /// Errors: the first of `root_of`.
 pub fn factorise<const M: usize, E>(

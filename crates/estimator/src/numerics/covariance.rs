@@ -1,8 +1,8 @@
-//! What keeps a matrix a covariance, and what inverts one that is singular.
+//! Symmetry of covariance matrices, and the inverse of a singular one.
 
 use nalgebra::{DMatrix, DVector, SMatrix, SymmetricEigen};
 
-/// Below this share of the largest eigenvalue of the correlations a direction counts as certain.
+/// A direction whose eigenvalue of the correlations is below this share of the largest counts as certain.
 const CERTAIN: f64 = 1e-11;
 
 /// Makes a matrix exactly symmetric.
@@ -16,7 +16,7 @@ pub fn symmetrise<const N: usize>(matrix: &mut SMatrix<f64, N, N>) {
     }
 }
 
-/// The inverse of a covariance on what is uncertain, zero on the rest.
+/// The inverse of a covariance on its uncertain subspace, zero on the rest.
 pub(crate) fn inverse_of_uncertain(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     let n = covariance.nrows();
     let unit = DVector::from_fn(n, |i, _| {

@@ -15,9 +15,9 @@
 //! Source: Bierman (1977), Factorization Methods for Discrete Sequential Estimation, chapters 4 and 5; Takahashi, Fagan and Chen
 //! (1973); docs/maths/pose.md section B4.
 
-/// Most variables that are active at once: two poses, the heading where a window began, two biases and six constants are 15.
+/// Most active variables: two poses, the heading where a window began, two biases and six constants are 15.
 const CAPACITY: usize = 16;
-/// Where a row keeps its right-hand side.
+/// Index of a row's right-hand side.
 const RHS: usize = CAPACITY;
 
 /// A variable's number, from zero.
@@ -35,12 +35,12 @@ pub(crate) struct EliminationFront {
 }
 
 impl EliminationFront {
-    /// The active variables, in the order of the triangle.
+    /// In the order of the triangle.
     pub(crate) fn variables(&self) -> &[Variable] {
         &self.variables
     }
 
-    /// Makes a variable active, nothing known about it, before the one that is at `position`.
+    /// Makes an unobserved variable active, before the one at `position`.
     pub(crate) fn add_variable(&mut self, variable: Variable, position: usize) {
         let count = self.variables.len();
         for row in &mut self.triangle {
@@ -51,7 +51,7 @@ impl EliminationFront {
         self.triangle.insert(position, [0.0; CAPACITY + 1]);
     }
 
-    /// Takes in a row of the problem; its part about variables that are not active is left out.
+    /// Adds a row of the problem; ignores its entries for inactive variables.
     pub(crate) fn add_row(&mut self, entries: &[(Variable, f64)], rhs: f64) {
         let mut row = self.dense(entries);
         row[RHS] = rhs;
@@ -77,7 +77,7 @@ impl EliminationFront {
         self.variables.iter().position(|other| *other == variable)
     }
 
-    /// Eliminates a variable into the chain; one that is not active is not eliminated twice.
+    /// Eliminates a variable into the chain; ignores one that is not active.
     pub(crate) fn eliminate(&mut self, variable: Variable, chain: &mut EliminationChain) {
         let Some(position) = self.position(variable) else {
             return;
@@ -112,7 +112,7 @@ impl EliminationFront {
         }
     }
 
-    /// The solution for the active variables so far, in their order; `None` while one of them is unknown.
+    /// The solution for the active variables so far, in their order; `None` while one of them is unobserved.
     pub(crate) fn solve(&self) -> Option<[f64; CAPACITY]> {
         let mut solved = [0.0; CAPACITY];
         for (i, row) in self.triangle.iter().enumerate().rev() {
@@ -126,14 +126,14 @@ impl EliminationFront {
         Some(solved)
     }
 
-    /// Forgets the right-hand sides: the linearisation has been moved to the solution.
+    /// Clears the right-hand sides after the linearisation point has moved to the solution.
     pub(crate) fn clear_right_hand_sides(&mut self) {
         for row in &mut self.triangle {
             row[RHS] = 0.0;
         }
     }
 
-    /// R'^-1 h: the square of its length is the variance of h delta as far as it is known.
+    /// R'^-1 h: its squared length is the variance of h delta.
     pub(crate) fn whiten(&self, entries: &[(Variable, f64)]) -> [f64; CAPACITY] {
         let row = self.dense(entries);
         let mut solved = [0.0; CAPACITY];
@@ -145,7 +145,7 @@ impl EliminationFront {
     }
 }
 
-/// Turns two rows in their plane so that the lower one is zero at `column`; both are zero before it.
+/// Rotates two rows so that the lower one is zero at `column`; both are zero before it.
 fn rotate(upper: &mut Coefficients, lower: &mut Coefficients, column: usize, count: usize) {
     let (a, b) = (upper[column], lower[column]);
     if b == 0.0 {
@@ -161,7 +161,7 @@ fn rotate(upper: &mut Coefficients, lower: &mut Coefficients, column: usize, cou
     lower[column] = 0.0;
 }
 
-/// The variables that were eliminated, in their order, each given those that were active after it.
+/// The eliminated variables, in their order, each conditional on those that were active after it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EliminationChain {
     conditionals: Vec<GaussianConditional>,
@@ -185,7 +185,7 @@ impl EliminationChain {
         (&self.variables[first..end], &self.coefficients[first..end])
     }
 
-    /// The solution by variable; not finite where a variable was never observed.
+    /// The solution by variable; not finite for a variable that was never observed.
     pub(crate) fn solve(&self, count: usize) -> Vec<f64> {
         let mut solved = vec![0.0; count];
         for (index, conditional) in self.conditionals.iter().enumerate().rev() {
@@ -208,7 +208,6 @@ impl EliminationChain {
     }
 }
 
-/// The joint covariance of a few variables.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct JointCovariance {
     variables: Vec<Variable>,
@@ -216,7 +215,7 @@ pub(crate) struct JointCovariance {
 }
 
 impl JointCovariance {
-    /// The covariance of two variables; zero where one of them is not estimated.
+    /// Zero where one of the two is not estimated.
     pub(crate) fn between(&self, a: Variable, b: Variable) -> f64 {
         let place = |wanted| self.variables.iter().position(|own| *own == wanted);
         match (place(a), place(b)) {

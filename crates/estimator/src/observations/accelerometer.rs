@@ -4,8 +4,8 @@
 //! a = (a_L + a_R) / 2        v <- v + a dt          var v <- var v + (sigma_a dt)^2 / 2
 //! alpha = (a_R - a_L) / b    w <- w + alpha dt      var w <- var w + 2 (sigma_a dt / b)^2
 //! ```
-//! They are an input, as in paper 1, equation 21 (with half the track for its r), and take the place of the random walk of the
-//! speeds. They never move the pose by themselves: over known travel the wheels do.
+//! Accelerations are an input, as in paper 1, equation 21 (with half the track for its r), and replace the random walk
+//! of the speeds. They never move the pose by themselves: over known travel the wheels do.
 //!
 //! Source: paper 1 (Valera et al.), equations 20 to 22; docs/maths/pose.md section 5.
 
@@ -13,29 +13,22 @@ use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
 use crate::models::planar_speeds::Acceleration;
 
-/// Forward acceleration at each wheel over an interval, m/s².
+/// Mean forward acceleration at each wheel over an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelAccelerations {
-    /// At the left wheel.
     pub left_m_per_s2: f64,
-    /// At the right wheel.
     pub right_m_per_s2: f64,
 }
 
-/// How much the speeds and their variances change over an interval.
+/// Changes of the speeds and of their variances over an interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SpeedChange {
-    /// Of the forward speed, m/s.
     pub forward_m_per_s: f64,
-    /// Of its variance.
     pub forward_variance: f64,
-    /// Of the turn rate, rad/s.
     pub turn_rad_per_s: f64,
-    /// Of its variance.
     pub turn_variance: f64,
 }
 
-/// The change of the speeds by accelerations that were felt for `dt_s`.
 pub fn speed_change(felt: WheelAccelerations, dt_s: f64, geometry: &DriveGeometry, noise: &SensorNoise) -> SpeedChange {
     let b = geometry.track_width.0;
     let body = Acceleration::from_wheels(felt.left_m_per_s2, felt.right_m_per_s2, geometry);

@@ -4,7 +4,7 @@
 //! q = R' (L - p)       r = |q|       h(x) = r (1 + s_i) + o_i
 //! H = [ -q_x/r (1 + s_i), -q_y/r (1 + s_i), 0 | 1 at o_i, r at s_i ]
 //! ```
-//! Radio ranges read long, by a few per cent and by some decimetres: a filter that takes them as they are is led astray.
+//! Radio ranges are too long, by a few per cent and some decimetres, which would bias a filter without these states.
 //!
 //! Source: docs/maths/pose.md section 4.
 
@@ -13,15 +13,14 @@ use posebridge_telemetry::{Arena, Point2};
 
 use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 
-/// Nearer than this the direction to a beacon says nothing, m.
+/// Nearer than this the direction to a beacon is undefined, m.
 const MIN_RANGE_M: f64 = 0.01;
 
-/// A beacon: where it is and which of the states are its own.
+/// A beacon with its position and states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beacon {
-    /// Its place.
     pub position: Point2<Arena>,
-    /// Its number among the beacons of the world.
+    /// Its number among the beacons of the arena.
     pub slot: usize,
 }
 

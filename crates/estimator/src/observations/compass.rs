@@ -3,7 +3,8 @@
 //! ```text
 //! nu = wrap(z - th)      H = [.. 1 at the heading]      R = sigma^2
 //! ```
-//! A disturbed compass is off by far more than its noise: the gate keeps that out, and the scale of its source does the rest.
+//! A disturbed compass is off by far more than its noise: the gate rejects that, and the learned noise scale of its
+//! source does the rest.
 //!
 //! Source: docs/maths/pose.md section 4.
 

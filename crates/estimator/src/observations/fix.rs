@@ -21,26 +21,23 @@ use crate::models::lie::Se2;
 /// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot stands and the timestamp is exact.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FixContext {
-    /// How the body has moved between the instant that the fix shows and its stamp.
+    /// The body's motion between the exposure and the stamp.
     pub moved_since: Se2,
-    /// How far the fix's stamp may be off, s.
     pub stamp_sigma_s: f64,
-    /// Forward speed at the instant that the fix shows, m/s.
+    /// At the exposure.
     pub forward_m_per_s: f64,
-    /// Turn rate then, rad/s.
     pub turn_rad_per_s: f64,
 }
 
 /// Variances of a fix, in the arena: xx, xy, yy in m², heading in rad².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixNoise {
-    /// Of the position.
+    /// xx, xy and yy in the arena, m².
     pub position: Matrix2<f64>,
-    /// Of the heading.
     pub heading_rad2: f64,
 }
 
-/// R of a fix: what it claims or what is configured, times what its source's innovations say.
+/// R of a fix: the variances that it reports, or the configured ones, times the learned scale of its source.
 pub fn fix_noise(
     fix: &Fix,
     configured: &SensorNoise,
@@ -119,14 +116,14 @@ pub fn pose(
     }
 }
 
-/// R of position and heading, whose noise is independent of that of the position.
+/// R of position and heading, whose errors are independent.
 pub fn with_heading_variance(position: &Matrix2<f64>, heading_rad2: f64) -> Matrix3<f64> {
     let mut noise = Matrix3::from_diagonal_element(heading_rad2);
     noise.fixed_view_mut::<2, 2>(0, 0).copy_from(position);
     noise
 }
 
-/// The pose of a robot with this heading, in rad, whose tag is where a fix sees it.
+/// The pose of a robot with this heading, in rad, from the tag's position in the fix.
 pub fn mid_axle(fix: &Fix, heading_rad: f64) -> Pose<Arena> {
     let lever = lever_in_arena(fix, heading_rad);
     Pose::new(Meters(fix.position.x.0 - lever[0]), Meters(fix.position.y.0 - lever[1]), Heading::from_rad(heading_rad))

@@ -24,19 +24,16 @@ use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Timestamp};
 use super::model::{PoseView, StateTerm};
 use crate::motion::GyroTurn;
 
-/// What has been summed since the window began.
+/// Sums since the window began.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroWindow {
-    /// When it began.
     pub start: Timestamp<BrickClock>,
-    /// Up to where the encoders' turn is summed.
+    /// The instant up to which the encoders' turn is summed.
     pub until: Timestamp<BrickClock>,
-    /// The encoders' distance, m.
     pub forward_m: f64,
 }
 
 impl GyroWindow {
-    /// A window that begins now.
     pub const fn starting(at: Timestamp<BrickClock>) -> Self {
         Self { start: at, until: at, forward_m: 0.0 }
     }
@@ -45,11 +42,8 @@ impl GyroWindow {
 /// The rounding of the encoders' heading at the end of a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EndRounding {
-    /// Another one than at its beginning: the wheels moved, or may have.
-    Independent {
-        /// What is known about it.
-        variance_rad2: f64,
-    },
+    /// Not the one at its beginning: the wheels have moved, or may have.
+    Independent { variance_rad2: f64 },
     /// The same: the robot stood.
     Unchanged,
 }
@@ -66,7 +60,7 @@ pub fn rounding_variance(geometry: &DriveGeometry) -> f64 {
     (mean_radius_m * geometry.tick.0 / geometry.track_width.0).powi(2) / 6.0
 }
 
-/// As much of a window's turn can be rounding and no more, rad: one count of either wheel.
+/// The most that rounding can contribute to a window's turn, rad: one count of either wheel.
 pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
     (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
@@ -86,7 +80,8 @@ pub struct GyroWindowModel {
     pub variance: f64,
 }
 
-/// Innovation, H and R of a window. R holds the rounding at its end where that is another; that at its beginning is a state.
+/// Innovation, H and R of a window. R includes the rounding at its end unless it equals that at the beginning, which is
+/// a state.
 pub fn measurement(
     view: &impl PoseView,
     window: &GyroWindow,

@@ -13,15 +13,14 @@ use posebridge_telemetry::{Arena, Point2, quantities::wrap_rad};
 
 use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 
-/// Nearer than this a bearing says nothing, m.
+/// Nearer than this the bearing is undefined, m.
 const MIN_RANGE_M: f64 = 0.01;
 
 /// A measured range and bearing: range in m, bearing in rad counter-clockwise from forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeBearing {
-    /// Distance from mid-axle.
     pub range_m: f64,
-    /// Direction in the body's space.
+    /// In the body's frame.
     pub bearing_rad: f64,
 }
 

@@ -15,11 +15,11 @@ pub enum StateTerm {
     HeadingRounding,
     /// Delay of the fixes, s.
     FixDelay,
-    /// Where the tag is against where the fix says, forward, m.
+    /// Error of the tag's configured position, forward, m.
     TagForward,
     /// The same to the left, m.
     TagLeft,
-    /// Offset of the ranges to one beacon, m: its number among the beacons of the arena.
+    /// Offset of the ranges to one beacon, m, by its number among the beacons of the arena.
     BeaconOffset(usize),
     /// Relative error of the ranges to one beacon.
     BeaconScale(usize),
@@ -29,9 +29,8 @@ pub enum StateTerm {
     LandmarkScale,
 }
 
-/// The state of a filter, as far as an observation model may see it.
+/// The part of a filter's state that observation models use.
 pub trait PoseView {
-    /// The pose in the arena.
     fn pose(&self) -> Se2;
 
     /// The value of a state; zero where the filter does not have it.
@@ -41,7 +40,8 @@ pub trait PoseView {
 /// No component of an observation depends on more states besides the pose.
 const MAX_TERMS: usize = 2;
 
-/// A row of H by name: how one component of a prediction changes with the left-invariant error of the pose and with other states.
+/// A row of H by name: the derivatives of a predicted component by the left-invariant error of the pose and by other
+/// states.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JacobianRow {
     /// Derivative by an error forward.

@@ -23,13 +23,10 @@ const MIN_TURN_VARIANCE: f64 = 3e-6;
 /// A measured speed, m/s or rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedReading {
-    /// The speed.
     pub value: f64,
-    /// Its variance.
     pub variance: f64,
 }
 
-/// The wheels' forward speed over a step.
 pub fn forward_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry: &DriveGeometry) -> SpeedReading {
     let tick_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0;
     let variance = (tick_m * tick_m / 12.0 + step_noise.forward_var_m2) / (dt_s * dt_s) + MIN_FORWARD_VARIANCE;

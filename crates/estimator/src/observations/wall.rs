@@ -18,7 +18,7 @@ use crate::models::lie::Se2;
 /// Sine of the flattest angle at which a wall still reflects to the sensor: 20 degrees.
 const MIN_INCIDENCE_SINE: f64 = 0.342;
 
-/// How the robot would meet a wall.
+/// The intersection of the robot's forward axis with a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WallIntersection {
     range_m: f64,

@@ -41,10 +41,10 @@ const GYRO_HEADING_VARIANCE: f64 = 0.332;
 /// Diagonal of P0: paper 1, below equation 26.
 const INITIAL_VARIANCES: [f64; N] = [0.05; N];
 
-/// How the last two rows of the paper's Q, 1 and 3, are read.
+/// The order of the last two rows of the paper's Q, 1 and 3.
 ///
-/// The state of equation 24 ends in v, w; the matrix of equation 25 has the 1 of v_enc in its *fifth* column, so there the state
-/// ends in w, v.
+/// The state of equation 24 ends in v, w; the matrix of equation 25 has the 1 of v_enc in its *fifth* column, so there
+/// the state ends in w, v.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpeedVarianceOrder {
     /// As equation 25 is printed: 1 is for the turn rate, 3 for the forward speed.
@@ -53,16 +53,15 @@ pub enum SpeedVarianceOrder {
     Swapped,
 }
 
-/// Whether fixes are used.
+/// Whether the filter uses fixes: the paper itself does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixUsage {
-    /// As in the paper.
     Unused,
     /// As in the paper's outlook: when they come.
     Used,
 }
 
-/// Builds the filter: as the paper has it with [`SpeedVarianceOrder::Printed`].
+/// As in the paper with [`SpeedVarianceOrder::Printed`].
 pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
     Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes, predict_linearized), config))
 }
@@ -86,7 +85,7 @@ pub(super) fn predict_linearized(filter: &mut FiveStateEkf, dt_s: f64, felt: Acc
     step.predict(&mut filter.mean, &mut filter.covariance, felt);
 }
 
-/// State, covariance and the two integrals.
+/// State, covariance and the integrals th_enc and th_gyro.
 #[derive(Clone, Copy)]
 pub(super) struct FiveStateEkf {
     pub(super) mean: Mean,
@@ -94,9 +93,7 @@ pub(super) struct FiveStateEkf {
     pub(super) order: SpeedVarianceOrder,
     fixes: FixUsage,
     prediction: Prediction,
-    /// th_enc, rad.
     wheel_heading_rad: f64,
-    /// th_gyro, rad.
     gyro_heading_rad: f64,
 }
 
@@ -224,7 +221,7 @@ impl SampledFilter for FiveStateEkf {
     }
 }
 
-/// A row that is observed directly, with a variance in the paper's unit of that row.
+/// A direct observation of one row; `variance` is in the paper's unit of that row.
 fn scalar_observation(mean: &Mean, row: usize, seen: f64, variance: f64) -> ScalarMeasurement<1> {
     ScalarMeasurement {
         innovation: seen - mean[row],

@@ -39,7 +39,6 @@ use crate::numerics::covariance::symmetrise;
 use crate::observations::gyro_window::gyro_variance;
 use crate::update::ScalarMeasurement;
 
-/// Number of states.
 pub const N: usize = 9;
 /// Path that the counters have seen since their base, m.
 pub const COUNTED_PATH: usize = 5;
@@ -50,8 +49,8 @@ pub const GYRO_HEADING_ERROR: usize = 7;
 /// Bias of the gyro, rad/s.
 pub const GYRO_BIAS: usize = 8;
 
-/// Variance of the integrated gyro beside its error state, (0.01 degrees)². All that is known of its error is in the state; this
-/// keeps S away from zero.
+/// Variance of the integrated gyro beside its error state, (0.01 degrees)². Its whole error is in the state; this keeps
+/// S away from zero.
 const INTEGRAL_VARIANCE: f64 = 3.046e-8;
 /// Sigma of the forward speed before anything is known, m/s: a robot that is switched on stands.
 const INITIAL_FORWARD_SIGMA: f64 = 0.1;
@@ -61,22 +60,18 @@ const INITIAL_TURN_SIGMA: f64 = 1.0;
 type Mean = SVector<f64, N>;
 type Covariance = SMatrix<f64, N, N>;
 
-/// State, covariance and what has been summed.
+/// State, covariance and the sums s_enc, th_enc and th_gyro.
 #[derive(Clone, Copy)]
 struct CorrectedEkf {
     mean: Mean,
     covariance: Covariance,
-    /// s_enc, m.
     counted_path_m: f64,
-    /// th_enc, rad.
     wheel_heading_rad: f64,
-    /// th_gyro, rad.
     gyro_heading_rad: f64,
-    /// Variances of a reading's path, m², and heading, rad²: the rounding of the counts.
+    /// Variances of path, m², and heading, rad², by the rounding of the counts.
     rounding: [f64; 2],
 }
 
-/// Builds the filter.
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let bias = config.calibration.gyro_bias_rad_per_s;
     let bias_sigma = if bias.sigma > 0.0 { bias.sigma } else { config.noise.gyro_bias_rad_per_s };
@@ -116,7 +111,6 @@ pub fn jacobian(mean: &SVector<f64, N>, dt_s: f64) -> SMatrix<f64, N, N> {
     f
 }
 
-/// Moves the state by `dt_s` seconds.
 pub fn advance(mean: &SVector<f64, N>, felt: Acceleration, dt_s: f64) -> SVector<f64, N> {
     let mut next = *mean;
     next.fixed_rows_mut::<5>(0).copy_from(&planar_speeds::advance(&five_state_mean(mean), felt, dt_s));
@@ -155,7 +149,7 @@ impl CorrectedEkf {
         q
     }
 
-    /// What the robot drives unseen, of this variance along its heading, the counters see all the same.
+    /// Unobserved motion of this variance along the heading, which the counters measure all the same.
     fn add_unobserved_path(&mut self, variance: f64) {
         let (sin, cos) = self.mean[HEADING].sin_cos();
         self.covariance[(COUNTED_PATH, COUNTED_PATH)] += variance;
@@ -165,7 +159,7 @@ impl CorrectedEkf {
         }
     }
 
-    /// A heading that is integrated from here on begins at th: its error is that of th with the other sign.
+    /// Sets the error of a heading integral that restarts at th: that of th with the other sign.
     fn restart_heading_error(&mut self, error: usize, variance: f64) {
         self.mean[error] = 0.0;
         rows::set_independent_variance(&mut self.covariance, error, 0.0);
@@ -191,12 +185,12 @@ impl CorrectedEkf {
     }
 }
 
-/// Variance that the gyro's bias gains in a second, (rad/s)²/s.
+/// Growth of the gyro bias's variance per second, (rad/s)²/s.
 fn bias_walk(config: &FilterConfig) -> f64 {
     config.noise.gyro_bias_walk_rad_per_s_sqrt_s.powi(2)
 }
 
-/// Adds the noise of a speed that walks at random, and of what moves with it: white acceleration of this density.
+/// Adds white acceleration of this density to a speed and to the states that it moves.
 fn add_random_walk(q: &mut Covariance, moved: &Mean, row: usize, density: f64, dt_s: f64) {
     let variance = density * density * dt_s;
     *q += moved * moved.transpose() * (variance * dt_s * dt_s / 3.0);

@@ -8,19 +8,17 @@ use crate::models::planar_speeds::{Covariance, Mean, N};
 
 /// The paper samples every 50 ms; its Q is that of one such interval.
 pub const SAMPLING_INTERVAL_S: f64 = 0.05;
-/// A centimetre, in metres.
 pub const CENTIMETRE: f64 = 0.01;
-/// A degree, in radians.
 pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// The units of x, y, heading, forward speed and turn rate in the paper: cm, cm, degrees, cm/s, degrees/s.
 pub const UNITS: [f64; N] = [CENTIMETRE, CENTIMETRE, DEGREE, CENTIMETRE, DEGREE];
 
-/// A printed diagonal of five variances in SI units.
+/// A printed diagonal of five variances, converted to SI units.
 pub fn variances_si(diagonal: [f64; N]) -> [f64; N] {
     std::array::from_fn(|i| diagonal[i] * UNITS[i] * UNITS[i])
 }
 
-/// A printed diagonal of five variances as a matrix in SI units.
+/// The same as a matrix.
 pub fn covariance_si(diagonal: [f64; N]) -> Covariance {
     Covariance::from_diagonal(&Mean::from(variances_si(diagonal)))
 }

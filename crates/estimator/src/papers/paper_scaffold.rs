@@ -1,8 +1,8 @@
 //! The scaffold of the filters of paper 1: everything but their equations.
 //!
-//! Observations are used when they come. Each one moves the state to its own instant, if that is ahead, and is then applied; one
-//! from the past is applied to the present, or refused where it would make an interval negative. So the order of the sensors
-//! within one instant does not matter, and a filter's own file holds its matrices and nothing else.
+//! Observations are used when they come. Each one moves the state to its own instant, if that is ahead, and is then
+//! applied; a late one is applied to the present state, or rejected where it would make an interval negative. So the
+//! order of the sensors within one instant does not matter, and a filter's own file holds only its matrices.
 //!
 //! ```text
 //! speeds are held for 0.5 s after the last reading of the wheels, accelerations for 0.3 s after they were felt;
@@ -10,7 +10,7 @@
 //! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
 //! robot is taken to have driven at the counters' mean speeds
 //! ```
-//! A timeline of past beliefs answers for earlier instants: as they were estimated then, for nothing is corrected afterwards.
+//! A history of past states answers for earlier instants, as they were estimated then: nothing is corrected afterwards.
 //!
 //! Source: docs/lab/square.md section M1.
 
@@ -34,10 +34,10 @@ use crate::observations::fix::{FixContext, fix_noise, mid_axle};
 use crate::validation;
 use crate::validation::reject_repeated;
 
-/// Accelerations are held for this long: as long as an interval that is no gap.
+/// Accelerations are held for the longest interval that is no gap.
 const ACCELERATION_HOLD: TimeDelta = MAX_STEP;
 
-/// The state at one instant, with all that a prediction from there needs.
+/// The state at one instant, with everything that a prediction from it needs.
 #[derive(Clone, Copy)]
 struct FilterSnapshot<M> {
     stamp: Option<Timestamp<BrickClock>>,
@@ -76,7 +76,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
         self.stamp = Some(stamp);
     }
 
-    /// Crosses what of a gap has not been predicted yet at the mean speeds by the counters.
+    /// Predicts over the rest of a gap at the mean speeds by the counters.
     fn bridge_gap(&mut self, step: &WheelStep, stamp: Timestamp<BrickClock>, context: &SampledContext) {
         let Some(from) = self.stamp.filter(|from| *from < stamp) else {
             return;
@@ -94,7 +94,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
     }
 }
 
-/// A filter that uses observations when they come.
+/// A filter that applies observations when they arrive.
 pub(super) struct OnArrivalFilter<M> {
     context: SampledContext,
     counters: WheelCounters,
@@ -135,7 +135,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
     }
 
-    /// Stores a state: one for each instant, as far back as the history reaches.
+    /// Stores a state: one for each instant, for the length of the history.
     fn save(&mut self, next: FilterSnapshot<M>) {
         self.current = next;
         if let Some(stamp) = next.stamp {
@@ -143,7 +143,6 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
     }
 
-    /// Goes on from a state that does not depend on those before it, which are forgotten.
     fn restart_history(&mut self, next: FilterSnapshot<M>) {
         self.history.clear();
         self.save(next);
@@ -282,7 +281,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
     }
 }
 
-/// Places a robot that has no pose yet: a fix without a heading cannot.
+/// Places a robot without a pose; needs a fix with a heading.
 fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &SampledContext) -> FusionOutcome {
     let Some(heading) = fix.heading else {
         return FusionOutcome::Unused;
@@ -356,13 +355,12 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
 
 /// Configuration and gates for a filter's equations.
 pub(super) struct SampledContext {
-    /// The filter's configuration.
     pub(super) config: FilterConfig,
-    /// Quantiles of chi-square with one, two and three degrees of freedom.
+    /// With one, two and three degrees of freedom.
     pub(super) gates: [f64; 3],
 }
 
-/// The sensors that not every filter has a use for.
+/// Sensors besides the wheels that some of the filters use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OptionalSensor {
     Gyro,
@@ -377,43 +375,40 @@ pub(super) struct GaussianState {
     pub(super) covariance: Covariance,
 }
 
-/// One filter's maths.
+/// The equations of one filter.
 pub(super) trait SampledFilter: Copy + Send {
-    /// Whether it has a use for a sensor besides the wheels.
+    /// Whether it uses a sensor besides the wheels.
     fn uses(&self, extra: OptionalSensor) -> bool;
 
-    /// The estimated pose and speeds.
     fn gaussian_state(&self, context: &SampledContext) -> GaussianState;
 
-    /// The bias of the gyro, in rad/s, where it is a state.
+    /// In rad/s, where it is a state.
     fn gyro_bias(&self) -> Option<UncertainValue> {
         None
     }
 
-    /// Moves the pose to a start; what is known about the speeds stays.
+    /// Moves the pose to a start; the estimate of the speeds stays.
     fn initialize_pose(&mut self, start: &StartPose);
 
-    /// Forgets the speeds, and adds uncertainty to the pose: standard deviations in m and rad.
+    /// Forgets the speeds, and adds these standard deviations to the pose, in m and rad.
     fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext);
 
-    /// Predicts over `dt_s` with the speeds that are held.
     fn predict(&mut self, dt_s: f64, felt: Acceleration, context: &SampledContext);
 
-    /// Lets `dt_s` pass in which nothing observes the motion.
     fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext);
 
     /// Uses these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
     fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64);
 
-    /// The counters have a new base: what the wheels did up to here is what was predicted.
+    /// Rebases the counters: the wheels' motion up to here is what was predicted.
     fn rebase_wheels(&mut self, context: &SampledContext) {
         let _ = context;
     }
 
-    /// The gyro's integral begins here.
+    /// Restarts the gyro's integral.
     fn rebase_gyro(&mut self) {}
 
-    /// Uses what the wheels turned since the reading before.
+    /// Uses the wheels' rotation since the previous reading.
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome;
 
     fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
@@ -450,11 +445,9 @@ pub(super) const MAX_STEP: TimeDelta = TimeDelta::from_millis(300);
 /// The wheels' rotation between two readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WheelStep {
-    /// Length of the interval, more than zero.
+    /// More than zero.
     pub(super) interval: TimeDelta,
-    /// The left wheel's rotation, rad.
     pub(super) left_rad: f64,
-    /// The right wheel's rotation, rad.
     pub(super) right_rad: f64,
 }
 

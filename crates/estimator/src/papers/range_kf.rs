@@ -1,7 +1,7 @@
-//! The distance to a wall ahead, between and through the readings of a slow range sensor.
+//! The distance to a wall ahead, predicted between the readings of a slow range sensor and filtered.
 //!
-//! Gets ranges and the motor's command, gives the distance. Between readings the model of the drive train predicts; a reading
-//! that is too far off is refused.
+//! Gets ranges and the motor's command, gives the distance. Between readings the model of the drive train predicts;
+//! outliers are rejected.
 //!
 //! # Model
 //! ```text
@@ -32,23 +32,22 @@ use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation;
 use crate::validation::{add_innovation, outcome_without_pose};
 
-/// The mean interval of the paper's loop: what its process noise per step is for.
+/// The mean interval of the paper's loop, to which its process noise per step refers.
 const PAPER_STEP_S: f64 = 0.0076;
-/// The paper's Sigma_z is 20 mm: taken where the robot's file gives no noise.
+/// The paper's Sigma_z is 20 mm; used where the robot's file gives no noise.
 const PAPER_RANGE_SIGMA_M: f64 = 0.02;
-/// The paper's matching takes a reading and a step for simultaneous when they are no further apart.
+/// The paper matches a reading and a step that are no further apart.
 const MATCH_WINDOW: TimeDelta = TimeDelta::from_millis(50);
 /// Longer steps than this are exact in both variants. The paper's are 7.6 ms.
 const LONGEST_EULER_STEP_S: f64 = 0.1;
-/// The same for a step in time constants of the drive train: at one Euler's rule begins to swing, at two it turns unstable.
+/// The same in time constants of the drive train: at one Euler's rule begins to oscillate, at two it is unstable.
 const LONGEST_EULER_STEP: f64 = 1.0;
 /// Three standard deviations, squared.
 const GATE_NIS: f64 = 9.0;
 
-/// Which reading of the paper.
+/// Which form of the paper's filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RangeFilterVariant {
-    /// As printed.
     Paper,
     /// Noise per second, exact hold, readings at their own time.
     Corrected,
@@ -63,7 +62,7 @@ struct State {
     command_m_per_s: f64,
 }
 
-/// The wall filter.
+/// Filters the distance to a wall.
 pub struct RangeFilter {
     variant: RangeFilterVariant,
     model: WallApproachModel,
@@ -79,7 +78,7 @@ pub struct RangeFilter {
 }
 
 impl RangeFilter {
-    /// Waits for its first reading.
+    /// Without a state until its first reading.
     pub fn new(config: &FilterConfig, variant: RangeFilterVariant) -> Self {
         let params = &config.params;
         let sigma_m = config.noise.wall_range_m;
@@ -101,7 +100,7 @@ impl RangeFilter {
         }
     }
 
-    /// The state carried on to an instant; unchanged for one that is not ahead.
+    /// The state predicted to an instant; unchanged for one that is not ahead.
     fn predict_state(&self, mut state: State, to: Timestamp<BrickClock>) -> State {
         let dt_s = (to - state.stamp).as_secs_f64();
         if dt_s <= 0.0 {
@@ -173,7 +172,7 @@ impl RangeFilter {
         }
     }
 
-    /// A reading against a state that may be later; `None` when it is too late to be used.
+    /// The innovation of a reading against a state that may be later; `None` when it is too late to be used.
     fn innovation(&self, state: &State, stamp: Timestamp<BrickClock>, range_m: f64) -> Option<ScalarMeasurement<2>> {
         let lag = (state.stamp - stamp).max(TimeDelta::ZERO);
         if lag > MATCH_WINDOW {
@@ -230,7 +229,7 @@ impl Filter for RangeFilter {
         })
     }
 
-    /// There is no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    /// There is no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         outcome_without_pose(start)
     }
@@ -252,7 +251,7 @@ impl Filter for RangeFilter {
         None
     }
 
-    /// The distance to the wall, in metres, and how fast it changes.
+    /// The distance to the wall, in metres, and its rate.
     fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
         let (_, state) = self.history.last_at_or_before(stamp)?;
         let state = self.predict_state(state, stamp);

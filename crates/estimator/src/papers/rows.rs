@@ -33,7 +33,7 @@ pub(super) fn inflate_pose<const N: usize>(covariance: &mut SMatrix<f64, N, N>, 
     covariance[(HEADING, HEADING)] += heading_rad * heading_rad;
 }
 
-/// Lets the pose walk at random for `dt_s`.
+/// Adds the random walk of unobserved motion over `dt_s` to the pose.
 pub(super) fn add_unobserved_motion<const N: usize>(covariance: &mut SMatrix<f64, N, N>, dt_s: f64) {
     let root_s = dt_s.sqrt();
     inflate_pose(covariance, UNOBSERVED_M_PER_SQRT_S * root_s, UNOBSERVED_RAD_PER_SQRT_S * root_s);
@@ -55,7 +55,7 @@ pub(super) fn reset_speeds<const N: usize>(
     }
 }
 
-/// Takes these speeds, and adds the variance of an unknown path to the position.
+/// Sets the speeds, and adds the variance of an unknown path to the position.
 pub(super) fn bridge_gap<const N: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -68,7 +68,6 @@ pub(super) fn bridge_gap<const N: usize>(
     covariance[(Y, Y)] += path_m2;
 }
 
-/// Gives a row a variance of its own, independent of all other rows.
 pub(super) fn set_independent_variance<const N: usize>(covariance: &mut SMatrix<f64, N, N>, row: usize, variance: f64) {
     covariance.row_mut(row).fill(0.0);
     covariance.column_mut(row).fill(0.0);
@@ -77,9 +76,9 @@ pub(super) fn set_independent_variance<const N: usize>(covariance: &mut SMatrix<
 
 // Innovations of several scalars at once: used one after the other, recorded together.
 
-/// Uses scalars whose noises are independent of each other, all predicted from the state as it is, without a gate.
+/// Uses scalars with independent noises, all predicted from the present state, without a gate.
 ///
-/// [`Verdict::Malformed`], and nothing changes, when their covariance is none.
+/// Returns `FusionOutcome::Malformed`, and changes nothing, when their covariance is not positive definite.
 pub(super) fn apply_all<const N: usize, const K: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -125,7 +124,7 @@ fn cross_variance<const N: usize, const K: usize>(
 
 // Innovation and H of a fix for the states of the papers, which hold x, y and heading themselves, in the arena.
 
-/// Uses a measurement unless its NIS exceeds the gate of as many components; the record says what happened.
+/// Uses a measurement unless its NIS exceeds the gate for its number of components; the outcome is in the record.
 pub(super) fn gate_and_apply<const N: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -145,8 +144,8 @@ pub(super) fn gate_and_apply<const N: usize, const M: usize>(
     }
 }
 
-/// Puts a heading behind a position: its innovation, in rad, is that of the state's `row`, and its variance, in rad², is not shared
-/// with the position.
+/// Appends a heading to a position: its innovation, in rad, is that of the state's `row`; its variance, in rad², is
+/// independent of the position.
 pub(super) fn with_heading<const N: usize>(
     position: &LinearizedMeasurement<N, 2>,
     row: usize,

@@ -1,11 +1,11 @@
-//! A filter's state at recent instants: for the filters that use observations as they come and so need no replay, but
-//! are asked about the past all the same.
+//! A filter's state at recent instants: for filters that use observations as they come and so need no replay, but must
+//! answer for the past.
 
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
-/// Beliefs in the order of their instants, oldest first.
+/// In the order of their instants, oldest first.
 #[derive(Clone, Debug)]
 pub(super) struct StateHistory<T> {
     entries: VecDeque<(Timestamp<BrickClock>, T)>,
@@ -13,7 +13,6 @@ pub(super) struct StateHistory<T> {
 }
 
 impl<T: Copy> StateHistory<T> {
-    /// An empty history of this length.
     pub(super) fn new(length_s: f64) -> Self {
         Self { entries: VecDeque::new(), length: TimeDelta::from_secs_f64(length_s) }
     }
@@ -31,13 +30,11 @@ impl<T: Copy> StateHistory<T> {
         }
     }
 
-    /// The last state for an instant at or before this one.
     pub(super) fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, T)> {
         let index = self.entries.partition_point(|(at, _)| *at <= stamp);
         self.entries.get(index.checked_sub(1)?).copied()
     }
 
-    /// Forgets everything.
     pub(super) fn clear(&mut self) {
         self.entries.clear();
     }

@@ -26,16 +26,17 @@ use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance};
 use crate::numerics::cholesky::factorise;
 use crate::numerics::covariance::symmetrise;
 
-/// A pivot this far below zero, as a share of its diagonal element, is rounding; further below the matrix is no covariance.
+/// A pivot this far below zero, as a share of its diagonal element, is rounding; further below, the matrix is not a
+/// covariance.
 const ROUNDING: f64 = 1e-9;
 
-/// A matrix that is no covariance: no square root of it exists.
+/// A matrix without a square root.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("the covariance is not positive semi-definite in row {row}: pivot {pivot}")]
 pub struct NotPositiveSemidefinite {
-    /// Where it shows.
+    /// The row of the negative pivot.
     pub row: usize,
-    /// What is left of the diagonal there, in the row's unit squared.
+    /// The remaining diagonal there, in the row's unit squared.
     pub pivot: f64,
 }
 
@@ -99,7 +100,7 @@ pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositiveSem
     Ok(root)
 }
 
-/// Builds the filter: that of [`super::ekf5`] with another prediction.
+/// The filter of [`super::ekf5`] with another prediction.
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let filter = FiveStateEkf::new(SpeedVarianceOrder::Printed, FixUsage::Unused, predict_sigma_points);
     Box::new(OnArrivalFilter::new(filter, config))

@@ -38,14 +38,13 @@ struct VelocityKf {
     covariance: Covariance,
 }
 
-/// Builds the filter.
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let maths = VelocityKf { mean: Mean::zeros(), covariance: covariance_si(INITIAL_VARIANCES) };
     Box::new(OnArrivalFilter::new(maths, config))
 }
 
 impl VelocityKf {
-    /// Uses z = x_row for that row alone.
+    /// Updates one row by an observation of it alone.
     fn correct(&mut self, row: usize, innovation: f64, variance: f64) {
         let gain = self.covariance[(row, row)] / (self.covariance[(row, row)] + variance);
         self.mean[row] += gain * innovation;

@@ -1,6 +1,6 @@
 //! One Kalman filter per wheel, then odometry from the filtered wheels: the first filter of paper 1.
 //!
-//! It sees nothing but the encoders. Its pose cannot be better than theirs, only smoother: slip and wrong geometry pass through.
+//! Uses only the encoders. Its pose cannot be better than theirs, only smoother: slip and wrong geometry pass through.
 //!
 //! # Model
 //! ```text
@@ -10,8 +10,8 @@
 //! s_i = r_i (phi_k - phi_(k-1))     d = (s_L + s_R) / 2     dth = (s_R - s_L) / b     pose by the midpoint rule
 //! ```
 //! # Assumptions
-//! The intervals are those that were observed; Q grows with them. The paper gives the pose no covariance: it is that of the
-//! configured noise of motion plus what the two wheels' own covariances leave open.
+//! The intervals are the observed ones; Q grows with them. The paper gives the pose no covariance: here it is that of
+//! the configured motion noise plus that of the two wheels' filters.
 //!
 //! Source: Paper 1 (Valera et al.), equations 13 to 19; docs/lab/square.md section M2.
 
@@ -48,7 +48,6 @@ pub struct SingleWheelFilter {
     pub mean: Vector2<f64>,
     /// P, 2 x 2.
     pub covariance: Matrix2<f64>,
-    /// R, degrees².
     variance: f64,
 }
 
@@ -58,7 +57,6 @@ impl SingleWheelFilter {
         Self { mean: Vector2::zeros(), covariance: Matrix2::identity() * INITIAL_VARIANCE, variance }
     }
 
-    /// Predicts over `dt_s` seconds.
     pub fn predict(&mut self, dt_s: f64) {
         let f = Matrix2::new(1.0, dt_s, 0.0, 1.0);
         self.mean = f * self.mean;
@@ -66,7 +64,7 @@ impl SingleWheelFilter {
         symmetrise(&mut self.covariance);
     }
 
-    /// Uses a reading of the counter, in degrees, and returns innovation and S; `None` when S is no variance.
+    /// Uses a reading of the counter, in degrees, and returns innovation and S; `None` when S is not positive.
     pub fn update(&mut self, counted: f64) -> Option<(f64, f64)> {
         let innovation = counted - self.mean[ANGLE];
         let scalar = ScalarMeasurement { innovation, rows: [ANGLE], jacobian: [1.0], variance: self.variance };
@@ -84,17 +82,17 @@ fn process(dt_s: f64) -> Matrix2<f64> {
 struct WheelKf {
     /// Left, right.
     wheels: [SingleWheelFilter; 2],
-    /// The counters' turn since the first base, degrees: left, right.
+    /// The counters' turn since the first base: left, right.
     counted_deg: [f64; 2],
     /// The wheels' angles up to which the pose has been moved, degrees: left, right.
     moved: [f64; 2],
-    /// How much of the angles' variance is no doubt about the pose, degrees²: all that there was when the pose was given.
+    /// The part of the angles' variance that is no uncertainty of the pose, degrees²: the variance when the pose was
+    /// given.
     settled: [f64; 2],
     pose: Vector3<f64>,
     pose_covariance: Matrix3<f64>,
 }
 
-/// Builds the filter.
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let maths = WheelKf {
         wheels: [LEFT_VARIANCE, RIGHT_VARIANCE].map(SingleWheelFilter::at_rest),
@@ -118,7 +116,7 @@ impl WheelKf {
         }
     }
 
-    /// The pose after that travel, with the noise of the motion and whatever else is open.
+    /// The pose after that travel, with the noise of the motion plus `open`.
     fn propagate_pose(&self, open: StepNoise, context: &SampledContext) -> (Vector3<f64>, Matrix3<f64>) {
         let travel = self.travel(context);
         let config = &context.config;
@@ -146,7 +144,7 @@ impl WheelKf {
         }
     }
 
-    /// What of the angles' variance is doubt about the pose, left and right, in degrees².
+    /// The part of the angles' variance that is uncertainty of the pose, left and right, in degrees².
     fn pending_variances(&self) -> [f64; 2] {
         [0, 1].map(|wheel: usize| (self.wheels[wheel].covariance[(ANGLE, ANGLE)] - self.settled[wheel]).max(0.0))
     }
@@ -156,7 +154,7 @@ impl WheelKf {
         self.settle();
     }
 
-    /// Moves the pose to where the angles are, which no later reading will correct: their doubt stays with the pose.
+    /// Moves the pose to the present angles, which no later reading corrects: their variance stays with the pose.
     fn commit_angles(&mut self, context: &SampledContext) {
         self.move_pose(Self::motion_noise(self.pending_variances(), context), context);
     }

@@ -1,4 +1,4 @@
-//! The most likely path given everything that was observed: what reports show, and what filters are held against.
+//! The most likely path given all observations: reports show it, and filters are compared with it.
 //!
 //! Gets all observations of a run in any order and gives back a pose with its covariance for every motion reading, with the
 //! calibration that fits best. It uses every motion reading, gyro windows and fixes; other kinds of observation are ignored,
@@ -28,12 +28,12 @@ use crate::filter::FilterConfig;
 use crate::numerics::chi_square::chi_square_gates;
 use crate::validation;
 
-/// Rounds after which it is said not to settle; two or three are usual.
+/// Most rounds before the search fails; two or three are usual.
 const MAX_ROUNDS: u32 = 20;
 
 /// Finds the most likely path and calibration.
 ///
-/// Takes the observations in any order. `config` says what is known beforehand, as for a filter: start, noise, calibration (a
+/// Takes the observations in any order. `config` gives the prior, as for a filter: start, noise, calibration (a
 /// constant whose sigma is zero is not estimated) and the gate.
 ///
 /// Errors: nothing observed, no convergence, or a configuration that is not finite.
@@ -76,7 +76,7 @@ pub fn batch(config: &FilterConfig, observations: &[Observation]) -> Result<Smoo
     Err(OfflineError::Diverged { cost })
 }
 
-/// Whether geometry, start and what is known beforehand are numbers that a robot can have.
+/// Whether geometry, start and priors are finite and physically possible.
 pub(super) fn is_valid_config(config: &FilterConfig) -> bool {
     let geometry = &config.geometry;
     let lengths = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0];
@@ -90,33 +90,31 @@ pub(super) fn is_valid_config(config: &FilterConfig) -> bool {
 //
 // Source: docs/maths/pose.md section B3.
 
-/// From this round on fixes are only left out and not taken back, so that the rounds end.
+/// From this round on fixes are only left out and not taken back, so that the search ends.
 const LAST_READMISSION_ROUND: u32 = 8;
 /// The delay of fixes is settled when a round changes it by less, s: at 1 m/s a micrometre.
 const SETTLED_DELAY_S: f64 = 1e-6;
-/// A heading known worse than this is tried all around, rad.
+/// A heading with a larger sigma is tried in several directions, rad.
 const VAGUE_HEADING_SIGMA_RAD: f64 = 0.4;
-/// In how many directions.
+/// Number of these directions.
 const HEADING_STARTS: u32 = 8;
-/// A first guess from all fixes in use.
+/// For a first guess from all fixes in use.
 const UNGATED: InitialGuess = InitialGuess { gates: [f64::INFINITY; 3], heading_sigma_rad: f64::INFINITY };
 
-/// What one round leaves to the next.
+/// The state that one round passes to the next.
 pub(super) struct OuterIteration {
-    /// By them the noise of the motion is taken.
+    /// The noise of the motion is computed with these.
     pub(super) constants: [f64; CONSTANTS],
-    /// With which delay of fixes the poses are chosen, s.
+    /// The delay of fixes by which the poses are chosen.
     pub(super) delay_s: f64,
-    /// Which fixes of the run are used.
     pub(super) is_used: Vec<bool>,
     previous: Option<PreviousOptimum>,
 }
 
-/// The optimum of the round before.
 enum PreviousOptimum {
     /// The next problem has the same unknowns.
     Same(ProblemValues),
-    /// The poses are at other instants; here is the first of them.
+    /// The poses are at other instants; holds the first of them.
     Moved(UnwrappedPose),
 }
 
@@ -127,7 +125,7 @@ impl OuterIteration {
         Self { constants, delay_s: constants[FIX_DELAY], is_used: vec![true; fixes], previous: None }
     }
 
-    /// Descends to the least cost with the fixes in use; the first round chooses them as well.
+    /// Descends to the least cost with the fixes in use; the first round chooses these as well.
     ///
     /// Errors: those of the descent.
     pub(super) fn minimize(
@@ -199,7 +197,7 @@ impl OuterIteration {
         best
     }
 
-    /// Takes over what a round found; says whether it changed nothing.
+    /// Stores the result of a round; true if it changed nothing.
     pub(super) fn update(&mut self, values: ProblemValues, fits: &[bool], round: u32) -> bool {
         let mut is_settled = true;
         for (used, fits) in self.is_used.iter_mut().zip(fits) {
@@ -220,13 +218,13 @@ impl OuterIteration {
     }
 }
 
-/// Values that know no more than a first pose.
+/// Initial values for everything but the first pose.
 fn initial_values(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS], first: UnwrappedPose) -> ProblemValues {
     let (bias, _) = bias_prior(problem.config);
     ProblemValues { poses: vec![first; problem.poses], biases: vec![bias; problem.windows.len()], constants }
 }
 
-/// Where to begin: one start, or several all around where the heading is not known.
+/// The initial values: one start, or several directions where the heading is not known.
 fn candidate_starts(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS]) -> Vec<ProblemValues> {
     let first_fix = problem.fixes.first();
     let start = problem.config.start;
@@ -252,7 +250,7 @@ fn candidate_starts(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS])
 
 /// The whitener of every move.
 ///
-/// Errors: [`OfflineError::NotFinite`] when the noise is no number.
+/// Errors: [`OfflineError::NotFinite`] when the noise is not finite.
 pub(super) fn whiteners(
     problem: &SmoothingProblem<'_>,
     constants: &[f64; CONSTANTS],

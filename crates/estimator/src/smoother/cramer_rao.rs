@@ -1,4 +1,4 @@
-//! How small the error of any filter can be: the posterior Cramer-Rao bound of a run.
+//! The posterior Cramer-Rao bound of a run: a lower bound of any filter's error.
 //!
 //! No estimate that uses what has arrived by a step can have a smaller mean squared error than the bound says. Monte-Carlo runs
 //! report their error as a multiple of it. The bound takes the noise of the configuration and the sigmas of the calibration;
@@ -36,50 +36,48 @@ const X: usize = 0;
 const Y: usize = 1;
 const HEADING: usize = 2;
 const GYRO_BIAS: usize = 3;
-/// The last step's turn beyond that of the wheels: the gyro sees it.
+/// Row of the gyro's turn of the last step beyond that of the wheels.
 const STEP_ERROR: usize = 4;
-/// Radius scale, radius difference and track scale follow each other.
+/// First of three rows: radius scale, radius difference, track scale.
 const FIRST_CONSTANT: usize = 5;
 const N: usize = 8;
 
 type Covariance = SMatrix<f64, N, N>;
 
-/// A run as it really was, on a grid of equal steps.
+/// The true motion of a run, on a grid of equal steps.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundTruthRun<'a> {
     /// The true pose before the first step and after each step: one more than there are steps.
     pub poses: &'a [Pose<Arena>],
-    /// The wheels' travel over each step, by counters and the nominal geometry, m.
+    /// The wheels' travel over each step, by counters and the nominal geometry.
     pub travel: &'a [WheelTravel],
-    /// The length of a step, s; the gyro gives one sample per step.
+    /// The length of a step; the gyro gives one sample per step.
     pub step_s: f64,
-    /// Which fixes there were, in any order.
+    /// In any order.
     pub fixes: &'a [FixArrival],
 }
 
-/// A fix that arrived: of the pose after step `taken`, known from step `arrives` on. Both count steps from 1.
+/// A fix of the pose after step `exposure_step`, available from step `arrival_step` on. Both count steps from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FixArrival {
-    /// After which step it was true.
     pub exposure_step: usize,
-    /// From which step on it can be used; not before `taken`.
+    /// Not before `exposure_step`.
     pub arrival_step: usize,
-    /// What it saw.
+    /// The observed part of the pose.
     pub content: FixContent,
 }
 
-/// What a fix sees of a pose.
+/// The observed part of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixContent {
-    /// x and y.
     Position,
-    /// x, y and the heading.
+    /// x, y and heading.
     Pose,
 }
 
 /// The least mean squared position error after each step, m²: the trace of the bound's position block.
 ///
-/// As many as the run has steps with a pose before and after; empty for an empty run.
+/// One value per step with a pose before and after; empty for an empty run.
 pub fn cramer_rao_bound(config: &FilterConfig, run: &GroundTruthRun<'_>) -> Vec<f64> {
     let steps = run.travel.len().min(run.poses.len().saturating_sub(1));
     let mut recursion = BoundRecursion::new(config, run);
@@ -111,9 +109,8 @@ struct BoundRecursion<'a> {
     config: &'a FilterConfig,
     run: &'a GroundTruthRun<'a>,
     constants: [f64; CONSTANTS],
-    /// After each step, with what has arrived of it; the first is the start.
+    /// After each step, with the fixes that have arrived; the first is the start.
     covariances: Vec<Covariance>,
-    /// What has arrived of each step.
     arrived_fixes: Vec<Vec<FixContent>>,
 }
 
@@ -141,7 +138,7 @@ impl<'a> BoundRecursion<'a> {
         }
     }
 
-    /// Computes the covariance after a step, again if it is there already.
+    /// Computes the covariance after a step, again if it exists already.
     fn advance(&mut self, step: usize) {
         let mut covariance = self.covariances[step - 1];
         covariance.row_mut(STEP_ERROR).fill(0.0);
@@ -207,7 +204,7 @@ impl<'a> BoundRecursion<'a> {
 /// Uniform on the circle, rad.
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1.813_799_364_234_217_8;
 
-/// (M^-1 + h'h / R)^-1 for a row h that is zero but for these places.
+/// (M^-1 + h'h / R)^-1 for a row h that is zero except at these places.
 fn observe<const K: usize>(covariance: &mut Covariance, places: [(usize, f64); K], variance: f64) {
     let mut h = SVector::<f64, N>::zeros();
     for (row, by_row) in places {

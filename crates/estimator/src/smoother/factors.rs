@@ -1,4 +1,4 @@
-//! What ties the unknowns together besides motion and fixes: start, gyro windows, walks and priors, as whitened rows.
+//! The constraints besides motion and fixes, as whitened rows: start, gyro windows, walks and priors.
 //!
 //! # Model
 //! ```text
@@ -31,7 +31,7 @@ pub(super) const MAX_ROW_ENTRIES: usize = 9;
 const MIN_SIGMA: f64 = 1e-7;
 /// Sigma of an unknown start, m: anywhere on a large site. Fixes then decide.
 pub(super) const UNKNOWN_POSITION_SIGMA_M: f64 = 1e4;
-/// Any heading at all, rad: so much more than a turn that it says nothing.
+/// Sigma of an unknown heading, rad: so much more than a turn that it has no weight.
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1e2;
 
 /// A residual over its sigma and its derivatives.
@@ -39,17 +39,15 @@ const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1e2;
 pub(super) struct WhitenedRow {
     entries: [(Variable, f64); MAX_ROW_ENTRIES],
     count: usize,
-    /// The residual.
     pub(super) residual: f64,
 }
 
 impl WhitenedRow {
-    /// A row without derivatives yet.
+    /// Without derivatives.
     pub(super) fn from_residual(residual: f64) -> Self {
         Self { residual, ..Self::default() }
     }
 
-    /// Adds a derivative; there is room for all that a row of ours has.
     pub(super) fn with_derivative(mut self, variable: Variable, derivative: f64) -> Self {
         if let Some(entry) = self.entries.get_mut(self.count) {
             *entry = (variable, derivative);
@@ -58,13 +56,12 @@ impl WhitenedRow {
         self
     }
 
-    /// The derivatives by variable.
     pub(super) fn entries(&self) -> &[(Variable, f64)] {
         &self.entries[..self.count]
     }
 }
 
-/// The configured start, or anywhere.
+/// The configured start, or an uninformative one.
 pub(super) fn start_rows(config: &FilterConfig, layout: VariableLayout, first: UnwrappedPose) -> [WhitenedRow; 3] {
     let start = config.start.unwrap_or(StartPose {
         pose: first.to_pose(),
@@ -88,7 +85,6 @@ pub(super) fn start_rows(config: &FilterConfig, layout: VariableLayout, first: U
     ]
 }
 
-/// A constant's prior.
 pub(super) fn constant_row(config: &FilterConfig, constant: usize, value: f64) -> WhitenedRow {
     let prior = constants_of(&config.calibration)[constant];
     let weight = 1.0 / prior.sigma.max(f64::MIN_POSITIVE);
@@ -118,7 +114,7 @@ pub(super) fn bias_row(problem: &SmoothingProblem<'_>, values: &ProblemValues, w
         .with_derivative(VariableLayout::bias(before), -weight)
 }
 
-/// The gyro's turn over a window against that of the poses.
+/// The gyro's turn over a window minus that of the poses.
 pub(super) fn window_row(
     layout: VariableLayout,
     window: &GyroInterval,
@@ -145,10 +141,10 @@ pub(super) fn window_row(
 //     d = (s_L + s_R)/2    dth = (s_R - s_L)/b    s_L = s_L0 (1 + e_m - e_d/2)   s_R = s_R0 (1 + e_m + e_d/2)   b = b0 (1 + e_b)
 // Source: models::differential_drive for the noise; docs/maths/pose.md section B2.
 
-/// Lateral error of an arc, and the least of its other errors, m per sqrt(m) of the wheels' path: a thousandth of what a good
-/// wheel slips. It stands for "none": without it the motion of three coordinates would have noise in two only.
+/// Lateral error of an arc, and the least of its other errors, m per sqrt(m) of the wheels' path: a thousandth of a
+/// good wheel's slip. It stands for "none": without it the motion of three coordinates would have noise in two only.
 const LATERAL_M_PER_SQRT_M: f64 = 1e-6;
-/// Where the path is next to nothing, m²: ten nanometres.
+/// The same for a path near zero, m²: ten nanometres.
 const MIN_VARIANCE_M2: f64 = 1e-16;
 
 /// The body step of wheel travel with these calibration constants.
@@ -161,16 +157,16 @@ pub(super) fn calibrated_motion(
     calibrated_step(travel, &config.geometry, scales)
 }
 
-/// The geometry with the true track, as a calibration has it.
+/// The geometry with the track width of these constants.
 pub(super) fn true_geometry(config: &FilterConfig, constants: &[f64; CONSTANTS]) -> DriveGeometry {
     let track_m = config.geometry.track_width.0 * (1.0 + constants[TRACK_SCALE]);
     DriveGeometry { track_width: Meters(track_m), ..config.geometry }
 }
 
-/// What turns a motion's residual (distance, turn, lateral) into unit variance.
+/// Scales a motion's residual (distance, turn, lateral) to unit variance.
 pub(super) type Whitener = Matrix3<f64>;
 
-/// The whitener of a move, with the noise of the travel by this calibration; `None` when the noise is no number.
+/// The whitener of a move, with the noise of the travel by this calibration; `None` when the noise is not finite.
 pub(super) fn whitener(by: &MotionSegment, config: &FilterConfig, constants: &[f64; CONSTANTS]) -> Option<Whitener> {
     let covariance = match *by {
         MotionSegment::Unobserved(secs) => {
@@ -236,7 +232,7 @@ pub(super) fn motion_rows(
     })
 }
 
-/// The second pose in the space of the first: u = (forward, left) and phi.
+/// The second pose in the frame of the first: u = (forward, left) and phi.
 fn relative(from: UnwrappedPose, to: UnwrappedPose) -> ([f64; 2], f64) {
     let (sin, cos) = from.heading_rad.sin_cos();
     let (dx_m, dy_m) = (to.x_m - from.x_m, to.y_m - from.y_m);
@@ -302,7 +298,7 @@ fn arc_residual(
     (residual, by_unknown)
 }
 
-/// The same where nothing is known of the motion: (forward, turn, left) against none.
+/// The same where the motion is unknown: (forward, turn, left) minus zero.
 fn offset_residual(from: UnwrappedPose, to: UnwrappedPose) -> (Vector3<f64>, SMatrix<f64, 3, MAX_ROW_ENTRIES>) {
     let (u, phi) = relative(from, to);
     let (sin, cos) = phi.sin_cos();
@@ -327,10 +323,11 @@ fn offset_residual(from: UnwrappedPose, to: UnwrappedPose) -> (Vector3<f64>, SMa
 //     R  = [R_f + (v sigma_t)^2 I, sigma_th^2 + (w sigma_t)^2]
 // Source: docs/maths/pose.md section B2; R as in docs/maths/pose.md section 4.
 
-/// No camera is better than a micrometre or a microradian: a fix without noise would weigh without bound.
+/// Least variance of a fix, a micrometre or a microradian squared: without noise its weight would be unbounded.
 const MIN_VARIANCE: f64 = 1e-12;
 
-/// Rows for x, y and, if there is one, the heading of a fix; the third is empty otherwise. `None` when its covariance is none.
+/// Rows for x, y and the heading of a fix, the third empty without one. `None` when its covariance is not positive
+/// definite.
 pub(super) fn fix_rows(
     problem: &SmoothingProblem<'_>,
     seen: &AssociatedFix,
@@ -392,7 +389,7 @@ fn noise_of_fix(problem: &SmoothingProblem<'_>, seen: &AssociatedFix) -> FixNois
     noise
 }
 
-/// Where the robot was when the fix was true.
+/// The robot's pose at the exposure of a fix.
 fn true_pose(node: UnwrappedPose, seen: &AssociatedFix, values: &ProblemValues) -> UnwrappedPose {
     let earlier_s = values.constants[FIX_DELAY] - seen.delay_s;
     node.retract([-earlier_s * seen.forward_m_per_s, 0.0, -earlier_s * seen.turn_rad_per_s])
@@ -405,7 +402,7 @@ fn lever_in_arena(seen: &AssociatedFix, values: &ProblemValues, at: UnwrappedPos
     Vector2::new(cos * forward - sin * left, sin * forward + cos * left)
 }
 
-/// The pose that a fix alone suggests, with this heading where it has none.
+/// The pose by a fix alone, with this heading where it has none.
 pub(super) fn pose_from_fix(seen: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> UnwrappedPose {
     let at = UnwrappedPose {
         x_m: seen.fix.position.x.0,

@@ -1,9 +1,9 @@
-//! One walk over a problem in the order of time: to linearise it, or to filter a first guess.
+//! One pass over a problem in time order: to linearise it, or to filter a first guess.
 //!
-//! Both meet the same rows in the same order. To linearise, the rows are taken at given values and each variable is
-//! eliminated when its last row has come. To filter, the values themselves are made on the way: each pose is predicted from
-//! the one before it, and after each observation everything that is active moves to the solution so far. That is an
-//! extended information filter; what it leaves behind is a first guess near enough for the descent.
+//! Both use the same rows in the same order. To linearise, the rows are evaluated at given values and each variable is
+//! eliminated after its last row. To filter, the values are computed on the way: each pose is predicted from the one
+//! before it, and after each observation everything that is active moves to the solution so far. That is an extended
+//! information filter; its result is a first guess near enough for the descent.
 //!
 //! Source: docs/maths/pose.md sections B3 and B4.
 
@@ -19,14 +19,10 @@ use crate::models::se2::BodyStep;
 use crate::numerics::elimination::{EliminationChain, EliminationFront};
 use crate::update::nis_and_log_likelihood;
 
-/// The inputs of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct PassContext<'p, 'a> {
-    /// The problem.
     pub(super) problem: &'p SmoothingProblem<'a>,
-    /// For each move.
     pub(super) whiteners: &'p [Whitener],
-    /// Which fixes of the run are used.
     pub(super) is_used: &'p [bool],
 }
 
@@ -35,27 +31,27 @@ pub(super) struct PassContext<'p, 'a> {
 pub(super) struct LinearizedProblem {
     /// Sum of the squared residuals at the values.
     pub(super) cost: f64,
-    /// All variables, each given the later ones.
+    /// All variables, each conditional on the later ones.
     pub(super) chain: EliminationChain,
 }
 
-/// Linearises a problem at `values`; `damping` per variable holds the step back.
+/// Linearises a problem at `values`; `damping` per variable shortens the step.
 pub(super) fn linearize(ground: PassContext<'_, '_>, values: &ProblemValues, damping: f64) -> LinearizedProblem {
     let mut walk = ForwardPass::new(ground, values.clone(), PassMode::Linearise { damping });
     walk.run();
     LinearizedProblem { cost: walk.cost, chain: walk.chain }
 }
 
-/// How a first guess is made.
+/// The gates and the prior of a filtered first guess.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct InitialGuess {
-    /// Leaves fixes out whose NIS exceeds these quantiles, by their degrees of freedom; infinite for none.
+    /// Fixes whose NIS exceeds these quantiles, by their degrees of freedom, are left out; infinite for none.
     pub(super) gates: [f64; 3],
-    /// For how well the guessed heading of the first pose is taken, rad; infinite adds nothing to what is known.
+    /// Sigma of the guessed heading of the first pose; infinite adds no information.
     pub(super) heading_sigma_rad: f64,
 }
 
-/// Filters a first guess, from the first pose and the constants of `values`; says which fixes the gates let through.
+/// Filters a first guess, from the first pose and the constants of `values`; returns which fixes pass the gates.
 pub(super) fn filter_initial_guess(
     ground: PassContext<'_, '_>,
     values: &ProblemValues,
@@ -143,7 +139,8 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         self.front.add_row(row.entries(), -row.residual);
     }
 
-    /// Poses come before all others in the front and biases before constants, so that what is eliminated next stands first.
+    /// Poses come before all others in the front and biases before constants, so that the variable to eliminate next is
+    /// first.
     fn add_variable(&mut self, variable: usize) {
         let rank = |meaning| match meaning {
             VariableKind::Pose(..) => 0,
@@ -189,7 +186,7 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         }
     }
 
-    /// Puts a pose where the wheels lead from the one before it.
+    /// Predicts a pose by the wheels from the one before it.
     fn predict(&mut self, node: usize) {
         let from = self.values.poses[node - 1];
         self.values.poses[node] = match self.context.problem.segments[node - 1] {

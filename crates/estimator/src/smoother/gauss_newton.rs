@@ -3,7 +3,7 @@
 //! ```text
 //! (J'J + lambda I) delta = -J'r         Levenberg (1944); units of m, rad, rad/s, s, and one for the scales
 //! ```
-//! lambda is zero as long as the cost falls; a step that would raise it is not taken, and lambda grows.
+//! lambda is zero as long as the cost falls; a step that would raise it is rejected, and lambda grows.
 //!
 //! Source: docs/maths/pose.md section B3.
 
@@ -11,34 +11,33 @@ use super::forward_pass::{LinearizedProblem, PassContext, linearize};
 use super::problem::ProblemValues;
 use super::trajectory::OfflineError;
 
-/// More steps than this and it does not converge: a few are usual.
+/// Most steps; a few are usual.
 const MAX_STEPS: u32 = 100;
-/// No unknown moves by more than this any more: ten nanometres, ten nanoradians.
+/// Converged when no unknown moves by more: ten nanometres, ten nanoradians.
 const CONVERGED: f64 = 1e-8;
 /// The first damping; the information of one good fix is ten thousand times that.
 const INITIAL_DAMPING: f64 = 1.0;
-/// Below this it is dropped: sooner, the first step without it would overshoot along the rows that are known to a micrometre.
+/// Smaller damping is set to zero: earlier, the first undamped step would overshoot along the rows that are known to a
+/// micrometre.
 const MIN_DAMPING: f64 = 1e-6;
-/// With this much the step is far below a nanometre.
+/// At this damping the step is far below a nanometre.
 const MAX_DAMPING: f64 = 1e16;
-/// Rounding alone may raise the cost by this share.
+/// Share of the cost by which rounding alone may raise it.
 const ROUNDING: f64 = 1e-9;
 
-/// The least cost and where it is.
+/// The least cost and its values.
 #[derive(Clone, Debug)]
 pub(super) struct Optimum {
-    /// The values of least cost.
     pub(super) values: ProblemValues,
-    /// The problem there, undamped.
+    /// Linearised there, undamped.
     pub(super) linearised: LinearizedProblem,
-    /// How many steps were tried.
     pub(super) steps: u32,
 }
 
 /// Descends from `values`.
 ///
-/// Errors: [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small; [`OfflineError::NotFinite`] when the
-/// first guess has no cost.
+/// Errors: [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small;
+/// [`OfflineError::NotFinite`] when the first guess has no finite cost.
 pub(super) fn minimize(ground: PassContext<'_, '_>, mut values: ProblemValues) -> Result<Optimum, OfflineError> {
     let layout = ground.problem.layout();
     let mut damping = 0.0;

@@ -1,8 +1,8 @@
-//! What needs the whole run at once: the best estimate in hindsight, and how good any estimate could be.
+//! Offline estimation over a whole run, and the bound of any filter's error.
 //!
-//! Nothing here is for use while a robot drives. [`batch()`] finds the path that is most likely given everything that was
-//! observed, late or not, before or after; reports show it, and filters are held against it. [`cramer_rao_bound`] says how small
-//! the error of a filter can be at all. Neither uses a filter's code. [`rts()`] is the flagship itself, run forwards and back.
+//! Nothing here is for use while a robot drives. [`batch()`] finds the most likely path given all observations, late or
+//! not, before or after; reports show it, and filters are compared with it. [`cramer_rao_bound`] gives the least error
+//! of any filter. Neither uses a filter's code. [`rts()`] is the pose filter itself, run forwards and back.
 //!
 //! Source: docs/maths/pose.md.
 

@@ -25,18 +25,17 @@ use crate::update::nis_and_log_likelihood;
 
 /// Leave-one-out NIS of each fix, and covariances of poses and constants, at the optimum.
 pub(super) struct GatedObservation {
-    /// Which fixes of the run agree with all the others.
+    /// Whether each fix of the run agrees with all the others.
     pub(super) passes_gate: Vec<bool>,
-    /// NIS of each fix of the run against all the others; infinite for those that saw no pose.
+    /// NIS of each fix of the run against all the others; infinite for those outside the poses.
     nis: Vec<f64>,
-    /// In the body's space of each pose.
+    /// In the body's frame of each pose.
     covariances: Vec<Matrix3<f64>>,
     constants: [f64; CONSTANTS],
     last_bias: f64,
 }
 
 impl GatedObservation {
-    /// Evaluates an optimum.
     pub(super) fn evaluate(
         problem: &SmoothingProblem<'_>,
         descended: &Optimum,
@@ -122,7 +121,7 @@ impl GatedObservation {
     }
 }
 
-/// NIS of a fix against what all the other observations say, from its whitened rows at the optimum; `sign` is that of H P H'.
+/// NIS of a fix against all other observations, from its whitened rows at the optimum; `sign` is that of H P H'.
 fn leave_one_out_nis(rows: &[WhitenedRow; 3], joint: &JointCovariance, sign: f64) -> f64 {
     let s = Matrix3::from_fn(|i, j| {
         let own = rows[i].entries().iter();

@@ -1,8 +1,8 @@
-//! From observations to a problem: which poses are unknown, what moved the robot between them, what was seen of it.
+//! From observations to a least-squares problem: the unknown poses, the motion between them, and the fixes.
 //!
-//! There is a pose at every motion reading and at the instant of every fix, and one for all instants of a standstill: at
-//! rest the motion is exact, so these are one pose and not many. What happened is asked of the same tracks that the filters
-//! ask; the order in which the observations came does not matter.
+//! There is a pose at every motion reading and at the instant of every fix, and one for all instants of a standstill:
+//! at rest the motion is exact, so these are one pose. The motion comes from the same tracks that the filters use; the
+//! order in which the observations came does not matter.
 //!
 //! Source: docs/maths/pose.md sections B1 and B2.
 
@@ -18,66 +18,60 @@ use crate::numerics::elimination::Variable;
 use crate::observations::gyro_window::{gyro_variance, rounding_variance};
 use crate::validation;
 
-/// Length of a gyro window here: windows count as independent of each other, so that few and long ones lose least by the rounding
-/// of the encoders at their ends. The filter, which hands that on, has shorter ones.
+/// Length of a gyro window here: windows count as independent of each other, so that few and long ones lose least by
+/// the rounding of the encoders at their ends. The filter carries that rounding over, and has shorter ones.
 const GYRO_WINDOW: TimeDelta = TimeDelta::from_millis(400);
 
 /// Less travel of both wheels than this is rounding and not motion, m: a nanometre.
 const MIN_TRAVEL_M: f64 = 1e-9;
-/// A step that turns further is cut into parts, each an arc of its own, rad: the arc's chord is then never near zero.
+/// A larger turn is divided into several arcs, rad: the arc's chord is then never near zero.
 const MAX_TURN_RAD: f64 = 0.5;
-/// No step is cut into more parts than this, however fast the wheels claim to have turned.
+/// Most arcs of a step, whatever turn the wheels report.
 const MAX_PARTS: f64 = 1e3;
-/// Half of the span over which the speeds at a fix are taken, three periods of a 20 Hz encoder in all.
+/// Half of the interval over which the speeds at a fix are taken, three periods of a 20 Hz encoder in all.
 const HALF_SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(75);
 
-/// How the robot came from one pose to the next.
+/// The motion from one pose to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MotionSegment {
-    /// The wheels' travel is known.
+    /// Known travel of the wheels, with the nominal geometry.
     Driven {
-        /// With the nominal geometry.
         travel: WheelTravel,
-        /// Variance of each coordinate of where it ends, because the order of distance and turn is unknown, m².
+        /// Variance of each coordinate of its end, because the order of distance and turn is unknown.
         path_var_m2: f64,
     },
-    /// No observation of the motion, over this number of seconds.
+    /// Unobserved motion over this number of seconds.
     Unobserved(f64),
 }
 
-/// A fix at the pose that it saw.
+/// A fix with the pose at its exposure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AssociatedFix {
-    /// Which of the run's fixes it is.
+    /// Its number among the run's fixes.
     pub(super) index: usize,
-    /// The pose.
     pub(super) node: usize,
-    /// What was seen.
     pub(super) fix: Fix,
-    /// How far its stamp may be off, s.
     pub(super) stamp_sigma_s: f64,
-    /// Nominal forward speed then, m/s.
+    /// Nominal, at the exposure.
     pub(super) forward_m_per_s: f64,
-    /// Nominal turn rate then, rad/s.
+    /// Nominal, at the exposure.
     pub(super) turn_rad_per_s: f64,
-    /// The delay with which `node` was chosen, s.
+    /// The delay with which `node` was chosen.
     pub(super) delay_s: f64,
 }
 
 /// A gyro window between two poses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GyroInterval {
-    /// The pose where it begins.
+    /// The pose at its beginning.
     pub(super) from: usize,
-    /// The pose where it ends; the same one at rest.
+    /// The pose at its end; the same one at rest.
     pub(super) to: usize,
-    /// The gyro's turn, bias included, rad.
     pub(super) turn_rad: f64,
-    /// Its length, s.
     pub(super) length_s: f64,
-    /// Variance of the turn against the poses' headings, rad².
+    /// Variance of the gyro's turn minus that of the poses' headings, rad².
     pub(super) variance: f64,
-    /// From the middle of the window before to the middle of this one, s; zero for the first.
+    /// From the middle of the previous window to the middle of this one; zero for the first.
     pub(super) since_last_s: f64,
 }
 
@@ -91,7 +85,7 @@ pub(super) struct RunData<'a> {
 }
 
 impl<'a> RunData<'a> {
-    /// Sorts and sifts the observations: malformed ones, repeated ones and kinds that are not used are left out.
+    /// Sorts and filters the observations: leaves out malformed ones, repeated ones and kinds that are not used.
     pub(super) fn new(config: &'a FilterConfig, observations: &[Observation]) -> Self {
         let mut run = Self {
             config,
@@ -121,22 +115,19 @@ impl<'a> RunData<'a> {
         }
     }
 
-    /// A datagram that came twice must not count twice.
+    /// A datagram that was received twice must not count twice.
     fn is_duplicate_fix(&self, observation: &Observation) -> bool {
         self.fixes.iter().rev().take_while(|other| other.stamp == observation.stamp).any(|other| other == observation)
     }
 
-    /// How many fixes there are, those outside the motion readings included.
     pub(super) fn fixes(&self) -> usize {
         self.fixes.len()
     }
 
-    /// How many motion readings there are.
     pub(super) fn motion_readings(&self) -> usize {
         self.readings.len()
     }
 
-    /// The problem with the poses where fixes were true if they come with this delay, s.
     pub(super) fn problem(&self, delay_s: f64) -> SmoothingProblem<'a> {
         let mut problem = SmoothingProblem::empty(self.config);
         let (Some(&first), Some(&last)) = (self.readings.first(), self.readings.last()) else {
@@ -207,7 +198,7 @@ impl<'a> RunData<'a> {
         })
     }
 
-    /// Gyro windows from reading to reading; one that has a hole in it is left out.
+    /// Gyro windows from reading to reading; leaves out those with a gap.
     fn add_windows(&self, problem: &mut SmoothingProblem<'a>) {
         let mut last_middle_s = None;
         let mut pairs = problem.readings.iter();
@@ -256,17 +247,16 @@ impl<'a> RunData<'a> {
     }
 }
 
-/// No gyro is better than a microradian over a window, rad².
+/// Least variance of a window's turn, a microradian squared.
 const MIN_TURN_VARIANCE: f64 = 1e-12;
 
-/// What lies at an instant; readings come first where both do.
+/// What a pose belongs to; readings come first at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum NodeKind {
     Reading,
     Fix(usize),
 }
 
-/// A motion reading and the pose at its instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReadingPose {
     pub(super) stamp: Timestamp<BrickClock>,
@@ -274,12 +264,11 @@ pub(super) struct ReadingPose {
     pub(super) pose: usize,
 }
 
-/// The unknowns of a run and what ties them together.
+/// The unknowns of a run and their constraints.
 #[derive(Clone, Debug)]
 pub(super) struct SmoothingProblem<'a> {
     /// Start, noise and priors.
     pub(super) config: &'a FilterConfig,
-    /// How many poses there are.
     pub(super) poses: usize,
     /// From each pose to the next.
     pub(super) segments: Vec<MotionSegment>,
@@ -289,7 +278,6 @@ pub(super) struct SmoothingProblem<'a> {
     pub(super) windows: Vec<GyroInterval>,
     /// In the order of time.
     pub(super) readings: Vec<ReadingPose>,
-    /// Which constants are estimated.
     pub(super) is_free: [bool; CONSTANTS],
 }
 
@@ -306,12 +294,10 @@ impl<'a> SmoothingProblem<'a> {
         }
     }
 
-    /// Where the variables are.
     pub(super) fn layout(&self) -> VariableLayout {
         VariableLayout { biases: self.windows.len(), poses: self.poses }
     }
 
-    /// The fixes that saw a pose.
     pub(super) fn fixes_at(&self, node: usize) -> &[AssociatedFix] {
         let first = self.fixes.partition_point(|seen| seen.node < node);
         let end = self.fixes.partition_point(|seen| seen.node <= node);
@@ -350,7 +336,6 @@ impl<'a> SmoothingProblem<'a> {
 // Headings are not wrapped: they count turns, so that differences over windows need no wrapping either.
 // Source: Barrau and Bonnabel (2018), Annual Review of Control, Robotics, and Autonomous Systems 1; docs/maths/pose.md section B1.
 
-/// How many constants there are.
 pub(super) const CONSTANTS: usize = 6;
 /// Relative error of the mean wheel radius.
 pub(super) const RADIUS_SCALE: usize = 0;
@@ -358,11 +343,11 @@ pub(super) const RADIUS_SCALE: usize = 0;
 pub(super) const RADIUS_DIFFERENCE: usize = 1;
 /// Relative error of the track width.
 pub(super) const TRACK_SCALE: usize = 2;
-/// How much earlier than its stamp a fix was true, s.
+/// Delay of the fixes, s.
 pub(super) const FIX_DELAY: usize = 3;
-/// Where the tag is, forward of where the fix says, m.
+/// Error of the tag's configured position, forward, m.
 pub(super) const TAG_FORWARD: usize = 4;
-/// Where the tag is, to the left of where the fix says, m.
+/// The same to the left, m.
 pub(super) const TAG_LEFT: usize = 5;
 
 /// The constants of a calibration, in the order of their numbers.
@@ -377,28 +362,23 @@ pub(super) fn constants_of(calibration: &Calibration) -> [UncertainValue; CONSTA
     ]
 }
 
-/// Where the variables of a problem are: constants, then biases, then three per pose.
+/// The numbers of a problem's variables: constants, then biases, then three per pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct VariableLayout {
-    /// How many gyro biases there are.
     pub(super) biases: usize,
-    /// How many poses there are.
     pub(super) poses: usize,
 }
 
 /// The meaning of a variable's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum VariableKind {
-    /// A constant.
     Constant(usize),
     /// The gyro bias over a window.
     Bias(usize),
-    /// A row of xi of a pose.
     Pose(usize, usize),
 }
 
 impl VariableLayout {
-    /// The number of a bias.
     pub(super) const fn bias(window: usize) -> Variable {
         CONSTANTS + window
     }
@@ -408,12 +388,10 @@ impl VariableLayout {
         CONSTANTS + self.biases + 3 * node + row
     }
 
-    /// How many variables there are.
     pub(super) const fn count(self) -> usize {
         CONSTANTS + self.biases + 3 * self.poses
     }
 
-    /// The meaning of a number.
     pub(super) const fn kind_of(self, variable: Variable) -> VariableKind {
         if variable < CONSTANTS {
             return VariableKind::Constant(variable);
@@ -426,14 +404,12 @@ impl VariableLayout {
     }
 }
 
-/// A pose with a heading that counts turns.
+/// A pose whose heading is not wrapped.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct UnwrappedPose {
-    /// x in the arena, m.
     pub(super) x_m: f64,
-    /// y in the arena, m.
     pub(super) y_m: f64,
-    /// Heading, not wrapped, rad.
+    /// Not wrapped.
     pub(super) heading_rad: f64,
 }
 
@@ -456,12 +432,11 @@ impl UnwrappedPose {
         }
     }
 
-    /// As the vocabulary has it, with a wrapped heading.
+    /// With a wrapped heading.
     pub(super) fn to_pose(self) -> Pose<Arena> {
         Pose::new(Meters(self.x_m), Meters(self.y_m), Heading::from_rad(self.heading_rad))
     }
 
-    /// From the vocabulary's pose.
     pub(super) fn from_pose(pose: Pose<Arena>) -> Self {
         Self { x_m: pose.x.0, y_m: pose.y.0, heading_rad: pose.heading.rad() }
     }
@@ -470,11 +445,10 @@ impl UnwrappedPose {
 /// A value for each unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ProblemValues {
-    /// The poses in the order of time.
     pub(super) poses: Vec<UnwrappedPose>,
-    /// The gyro bias over each window, rad/s.
+    /// Over each window, rad/s.
     pub(super) biases: Vec<f64>,
-    /// The constants, estimated or given.
+    /// Estimated or given.
     pub(super) constants: [f64; CONSTANTS],
 }
 

@@ -1,4 +1,4 @@
-//! The flagship run forwards and back: its estimate at each instant, given the rest of the run as well.
+//! The pose filter run forwards and back: its estimate at each instant, given the rest of the run as well.
 //!
 //! Unlike [`super::batch()`] it uses every kind of observation that the filter uses, treats outliers and slip as the filter does,
 //! and keeps to the filter's linearisation: cheaper and nearer to the filter, a little less exact where much was uncertain.
@@ -12,10 +12,10 @@ use super::trajectory::{OfflineError, SmoothedPose, SmoothedTrajectory};
 use crate::filter::FilterConfig;
 use crate::filters::pose::smoother::{SmoothedState, smooth};
 
-/// Smooths a run with the flagship filter. Observations may come in any order; one pose per motion reading and per absolute
-/// observation that was used. Of the result, `cost` is the sum of the NIS of the absolute observations that were used, as the
-/// filter met them; `fixes_used` and `fixes_left_out` count all of these, landmarks and ranges too; `iterations` and
-/// `gyro_windows` are those of one pass: 1 and 0.
+/// Smooths a run with the pose filter. Observations may come in any order; one pose per motion reading and per absolute
+/// observation that was used. In the result, `cost` is the sum of the NIS of the used absolute observations in the
+/// forward pass; `fixes_used` and `fixes_rejected` count all of these, landmarks and ranges too; `iterations` and
+/// `gyro_windows` are 1 and 0.
 ///
 /// Errors: nothing moved, neither start nor fix gives a position, or the configuration is not finite.
 pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<SmoothedTrajectory, OfflineError> {

@@ -1,4 +1,4 @@
-//! What absolute observations do to the state of the pose filter: gate, weight, update.
+//! Updates of the pose filter's state by absolute observations: gate, weight, update.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, FusionRecord, ObservationKind, TimeDelta, Timestamp};
@@ -18,14 +18,14 @@ use crate::observations::{beacon, compass, fix, landmark, wall};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
-/// The speeds at an earlier instant are means over this time about it: two readings of a 20 Hz brick.
+/// Speeds at an earlier instant are means over this interval around it: two readings of a 20 Hz brick.
 const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
-/// No camera is later than this, nor earlier.
+/// Limit of the estimated delay of fixes, either way.
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
-/// How far before the state's instant the track is asked.
+/// How far before the state's instant the motion track is queried.
 pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
 
-/// Updates the state by something absolute that was seen; the record says what happened.
+/// Updates the state by an absolute observation; the outcome is in the record.
 pub(super) fn update_absolute<const N: usize>(
     state: &mut PoseState<N>,
     seen: &ObservationKind,
@@ -58,14 +58,13 @@ pub(super) fn update_absolute<const N: usize>(
     }
 }
 
-/// The update by one absolute observation.
 struct AbsoluteUpdate<'a> {
     context: &'a UpdateContext<'a>,
     kind: u8,
     record: &'a mut FusionRecord,
 }
 
-/// The position errs alike along both axes, the heading for itself.
+/// The position has the same noise along both axes; the heading has its own.
 const POSE_GROUPS: [NoiseGroup; 3] = [NoiseGroup::Position, NoiseGroup::Position, NoiseGroup::Heading];
 /// The same without heading.
 const POSITION_GROUPS: [NoiseGroup; 2] = [NoiseGroup::Position; 2];
@@ -110,12 +109,12 @@ impl AbsoluteUpdate<'_> {
         NoiseSource { sensor: self.record.sensor, kind: self.kind, group }
     }
 
-    /// By how much the configured variance of a group of components is to be multiplied.
+    /// Factor on the configured variance of a group of components.
     fn noise_scale<const N: usize>(&self, state: &PoseState<N>, group: NoiseGroup) -> f64 {
         state.noise_scales.factor(self.noise_source(group))
     }
 
-    /// Uses a fix once, or again and again while the heading is hardly known.
+    /// Applies a fix once, or iterates while the heading is hardly known.
     fn apply_fix<const N: usize, const M: usize>(
         &mut self,
         state: &mut PoseState<N>,
@@ -161,7 +160,7 @@ impl AbsoluteUpdate<'_> {
         fix::FixContext { moved_since, stamp_sigma_s: stamp_sigma.as_secs_f64(), forward_m_per_s, turn_rad_per_s }
     }
 
-    /// Forward speed and turn rate about an instant, by the wheels where there are readings, else the held ones.
+    /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.
     fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
         let (track, config) = (self.context.track, self.context.config);
         let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
@@ -301,26 +300,25 @@ impl AbsoluteUpdate<'_> {
 // that are certain), so xi = P y is sought by its y. The minimum is chi-square distributed like a NIS.
 // Source: Barrau and Bonnabel (2017); Bell and Cathey (1993) for the iterated update as Gauss-Newton; docs/maths/pose.md section 4.
 
-/// Above this standard deviation of the heading an update is iterated, rad: at 0.15 rad the bend of a circle is 1 % of its radius.
+/// Above this standard deviation of the heading an update is iterated: at 0.15 rad the curvature of a circle is 1 % of
+/// its radius.
 pub(super) const ITERATE_ABOVE_RAD: f64 = 0.15;
-/// From the far side of the circle it takes about twenty steps.
+/// An update that starts on the far side of the circle takes about twenty steps.
 const MAX_STEPS: usize = 60;
-/// A step is halved so often before it counts as none: to a thousandth.
+/// Number of halvings of a step before the line search gives up: a thousandth of the step.
 const MAX_HALVINGS: usize = 10;
-/// A step by which c falls no more has arrived: a thirty-thousandth of a sigma.
+/// Converged when c falls by less: a thirty-thousandth of a sigma.
 const CONVERGED: f64 = 1e-9;
-/// The same after the last step, in a valley that is long and flat: a thirtieth of a sigma.
+/// The same after the last step, for a long and flat minimum: a thirtieth of a sigma.
 const NEARLY_CONVERGED: f64 = 1e-3;
 
-/// The result of an iterated update.
 pub(super) struct IteratedUpdate<const N: usize> {
-    /// The state after it.
     pub(super) state: PoseState<N>,
-    /// The minimum: what a NIS is for a linear observation.
+    /// c at the minimum: the NIS if the observation were linear.
     pub(super) nis: f64,
 }
 
-/// Seeks the most likely correction; `None` when R or S has no inverse, or when the iteration does not arrive.
+/// Finds the most likely correction; `None` when R or S has no inverse, or when the iteration does not converge.
 pub(super) fn iterate<const N: usize, const M: usize>(
     state: &PoseState<N>,
     measure: &impl Fn(&PoseState<N>) -> LinearizedMeasurement<N, M>,
@@ -342,14 +340,12 @@ pub(super) fn iterate<const N: usize, const M: usize>(
     if fall < NEARLY_CONVERGED { at.to_update(state) } else { None }
 }
 
-/// A correction that is tried.
 struct TrialStep<const N: usize, const M: usize> {
     /// y of xi = P y.
     y: SVector<f64, N>,
     xi: SVector<f64, N>,
     /// Taken at X exp xi.
     measurement: LinearizedMeasurement<N, M>,
-    /// c.
     cost: f64,
 }
 
@@ -366,7 +362,7 @@ impl<const N: usize, const M: usize> TrialStep<N, M> {
         cost.is_finite().then_some(Self { y, xi, measurement, cost })
     }
 
-    /// The y of the correction that would be the most likely one if nothing bent.
+    /// The y of the most likely correction if the observation were linear.
     fn gauss_newton_target(&self, p: &SMatrix<f64, N, N>) -> Option<SVector<f64, N>> {
         let jacobian = self.measurement.jacobian * error_transport(&self.xi);
         let s = jacobian * p * jacobian.transpose() + self.measurement.noise;
@@ -374,7 +370,7 @@ impl<const N: usize, const M: usize> TrialStep<N, M> {
         Some(jacobian.transpose() * (s.try_inverse()? * (nu + jacobian * self.xi)))
     }
 
-    /// The first trial on the way to another y, from its end, that is better than this.
+    /// The first trial from `aim` back towards this one that has a lower cost.
     fn line_search(
         &self,
         aim: &SVector<f64, N>,
@@ -393,11 +389,11 @@ impl<const N: usize, const M: usize> TrialStep<N, M> {
         None
     }
 
-    /// The state moved here, its covariance in the space that it has here.
+    /// The state moved to this trial; its covariance stays as it is in the body's frame.
     ///
-    /// The errors that P holds besides the turn, those of the wheels and of earlier fixes, lie in the body's space wherever it points,
-    /// and what the robot may turn about moves with it. So they are taken over as they are: turned by the correction, by its right
-    /// Jacobian, they would give a robot at rest information about its heading, from nothing but the noise of its fixes.
+    /// The errors in P besides the turn (of the wheels, of earlier fixes) are fixed to the body wherever it points.
+    /// Transforming them by the correction's right Jacobian would give a robot at rest information about its heading
+    /// from nothing but the noise of its fixes.
     fn to_update(&self, state: &PoseState<N>) -> Option<IteratedUpdate<N>> {
         let p = &state.covariance;
         let jacobian = self.measurement.jacobian;

@@ -1,4 +1,4 @@
-//! Which column of the pose filter's state a named state is: the only place where the two meet.
+//! Maps named states to columns of the pose filter's state; nothing else knows both.
 
 use nalgebra::SMatrix;
 
@@ -11,7 +11,7 @@ use crate::observations::gyro_window::GyroWindowModel;
 use crate::observations::model::{ObservationModel, PoseView, StateTerm};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
 
-/// Where the state of most rows has a named state; `None` for a beacon too many.
+/// The column of a named state in the largest state vector; `None` for a beacon beyond the limit.
 const fn column(term: StateTerm) -> Option<usize> {
     match term {
         StateTerm::GyroBias => Some(GYRO_BIAS),
@@ -54,7 +54,7 @@ pub fn linearize<const N: usize, const M: usize>(model: &ObservationModel<M>) ->
     LinearizedMeasurement { innovation: model.innovation, jacobian, noise: model.noise }
 }
 
-/// A gyro window over the filter's columns, which every state has.
+/// A gyro window over the columns, which every variant of the filter has.
 pub const fn linearize_gyro_window(model: &GyroWindowModel) -> ScalarMeasurement<3> {
     ScalarMeasurement {
         innovation: model.innovation,

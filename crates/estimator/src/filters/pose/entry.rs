@@ -14,7 +14,7 @@ pub(super) enum UpdateKind {
     TurnRate(f64),
     Accelerations(WheelAccelerations),
     Motion,
-    /// Something absolute was seen: a fix, a landmark, a range, a heading.
+    /// A fix, a landmark, a range or a heading.
     Absolute(ObservationKind, TimeDelta),
     Command(StateCommand),
 }
@@ -31,7 +31,7 @@ impl UpdateKind {
         }
     }
 
-    /// The order of two actions of one rank, sensor and instant: that of two absolute observations is by their values.
+    /// The order of two actions of one rank, sensor and instant: absolute observations are ordered by their values.
     pub(super) fn order(&self, other: &Self) -> Ordering {
         match (self, other) {
             (Self::Absolute(ours, _), Self::Absolute(theirs, _)) => {
@@ -41,7 +41,7 @@ impl UpdateKind {
         }
     }
 
-    /// Whether another action of the same sensor and instant says the same.
+    /// Whether two actions of one sensor and instant have the same content.
     pub(super) fn is_duplicate_of(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Absolute(ours, _), Self::Absolute(theirs, _)) => ours == theirs,
@@ -66,7 +66,7 @@ impl PoseEntry {
             && !matches!(verdict, FusionOutcome::Accepted | FusionOutcome::PoseReset)
     }
 
-    /// Whether another says the same of the same instant: a datagram that came twice.
+    /// Whether two entries have the same instant and content: a datagram that was received twice.
     pub(super) fn is_duplicate_of(&self, other: &Self) -> bool {
         self.stamp == other.stamp && self.sensor == other.sensor && self.update.is_duplicate_of(&other.update)
     }
@@ -104,7 +104,7 @@ pub(super) const fn kind_index(seen: &ObservationKind) -> u8 {
 /// Number of values that distinguish two absolute observations of one instant.
 const SORT_KEY_LEN: usize = 11;
 
-/// What distinguishes two absolute observations of one instant: all that they say.
+/// All values of an observation, which distinguish two of one instant.
 fn sort_key(seen: &ObservationKind) -> [f64; SORT_KEY_LEN] {
     let mut numbers = [0.0; SORT_KEY_LEN];
     numbers[0] = f64::from(kind_index(seen));

@@ -36,10 +36,10 @@ use crate::observations::accelerometer::WheelAccelerations;
 use crate::params::Params;
 use crate::validation;
 
-/// No hole in a sensor's readings is waited for longer than this before what lies in it is forgotten.
+/// A gap in a sensor's readings keeps the history from being discarded for no longer than this.
 const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 
-/// Builds the flagship with as many states as the configuration asks for.
+/// Builds the pose filter with as many states as the configuration needs.
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let calibration = &config.calibration;
     let is_asked = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
@@ -59,19 +59,19 @@ pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     }
 }
 
-/// The flagship filter with N states, see [`state`].
+/// The pose filter with N states, see [`state`].
 pub struct PoseFilter<const N: usize> {
     config: FilterConfig,
     track: MotionTrack,
     gyro: GyroTrack,
     gates: ChiSquareGates,
     history: FixedLagHistory<PoseEntry, PoseState<N>>,
-    /// Up to which instant detected slip has been reported.
+    /// Up to this instant, detected slip has been reported.
     slip_reported_at: Option<Timestamp<BrickClock>>,
 }
 
 impl<const N: usize> PoseFilter<N> {
-    /// A filter that has seen nothing yet.
+    /// A filter without observations.
     pub fn new(config: &FilterConfig) -> Self {
         Self {
             config: config.clone(),
@@ -83,8 +83,8 @@ impl<const N: usize> PoseFilter<N> {
         }
     }
 
-    /// Says on the record of a motion that was used if slip was noticed since the last one that said so. A fix may have noticed it, or an
-    /// observation that came late: the first record after it reports it.
+    /// Marks the record of a used motion observation if slip was detected since the last marked one. A fix or a late
+    /// observation may have revealed it: the first record after it reports it.
     fn report_slip(&mut self, record: &mut FusionRecord, observed: &ObservationKind) {
         let slipped_at = self.state().slipped_at;
         if record.outcome == FusionOutcome::Accepted
@@ -96,7 +96,6 @@ impl<const N: usize> PoseFilter<N> {
         }
     }
 
-    /// The state after the last entry.
     pub fn state(&self) -> &PoseState<N> {
         self.history.last_state()
     }
@@ -119,8 +118,9 @@ impl<const N: usize> PoseFilter<N> {
         UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates }
     }
 
-    /// Up to where nothing can change when only observations from `horizon` on are accepted. One of them changes what was
-    /// interpolated since the reading before it, so each sensor's last reading up to the horizon is where its past is settled.
+    /// The instant before which nothing can change when only observations from `horizon` on are accepted. A late one
+    /// changes the interpolation since the reading before it, so each sensor is settled up to its last reading before
+    /// the horizon.
     fn settled_until(&self, horizon: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
         [self.track.bisect_last_at_or_before(horizon), self.gyro.bisect_last_at_or_before(horizon)]
             .into_iter()
@@ -206,7 +206,7 @@ impl<const N: usize> PoseFilter<N> {
         self.insert(entry, None, &mut scratch_record(&entry));
     }
 
-    /// All tunables are read where they are used, but for two that something was made of.
+    /// Tunables are read where they are used, except two from which something was computed.
     fn set_params(&mut self, params: &Params) {
         self.config.params = *params;
         self.gates = chi_square_gates(params.gate_probability);
@@ -283,7 +283,7 @@ const fn pose_entry(observation: &Observation, action: UpdateKind) -> PoseEntry 
     PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action }
 }
 
-/// The update that an observation makes; `None` for a kind that the filter does not use.
+/// The update by an observation; `None` for a kind that the filter does not use.
 fn update_kind(observation: &Observation) -> Option<UpdateKind> {
     match observation.measurement {
         ObservationKind::Fix(_)
@@ -344,7 +344,7 @@ fn apply_update<const N: usize>(
     }
 }
 
-/// A record that is not used: an entry that is applied again was reported when it came. Its sensor says whose noise is learned.
+/// A record for an entry that is applied again, which was reported when it came. Its sensor selects the noise scale.
 const fn scratch_record(told: &PoseEntry) -> FusionRecord {
     validation::blank_record(told.sensor, told.stamp)
 }

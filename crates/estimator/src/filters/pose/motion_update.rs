@@ -1,4 +1,4 @@
-//! What motion observations do to the state of the pose filter: speeds, gyro windows, slip.
+//! Updates of the pose filter's state by motion observations: speeds, gyro windows, slip.
 
 use posebridge_telemetry::{BrickClock, FusionRecord, TimeDelta, Timestamp};
 
@@ -16,22 +16,18 @@ use crate::validation::add_innovation;
 
 /// The inputs of an update besides the state.
 pub struct UpdateContext<'a> {
-    /// The filter's configuration.
     pub config: &'a FilterConfig,
-    /// The wheels' travel.
     pub track: &'a MotionTrack,
-    /// The gyro.
     pub gyro: &'a GyroTrack,
-    /// The gates of the configuration.
     pub gates: &'a ChiSquareGates,
 }
 
-/// A gyro that has been silent for longer no longer outranks the encoders' turn rate.
+/// A gyro that has been silent for longer no longer takes precedence over the encoders' turn rate.
 const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
-/// Accelerations further apart than this say nothing about the time between.
+/// The acceleration between two samples further apart than this is unknown.
 const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 
-/// Updates speeds and gyro window by a motion reading, to whose instant the pose has been propagated.
+/// Updates speeds and gyro window by a motion reading; the pose must have been propagated to its instant.
 pub fn update_motion<const N: usize>(
     state: &mut PoseState<N>,
     stamp: Timestamp<BrickClock>,
@@ -100,8 +96,8 @@ pub fn update_accelerations<const N: usize>(
     state.last_acceleration = Some(stamp);
 }
 
-/// Uses the gyro readings of the window so far. Where gyro and encoders disagree beyond chance the wheels slipped: the
-/// disagreement is then added to the uncertainty of the encoders' turn, and the gyro decides.
+/// Uses the gyro readings of the window so far. Where gyro and encoders disagree beyond chance, the wheels slipped: the
+/// disagreement is added to the variance of the encoders' turn, so that the gyro decides.
 pub fn update_gyro_window<const N: usize>(
     state: &mut PoseState<N>,
     context: &UpdateContext<'_>,
@@ -179,9 +175,9 @@ pub(super) fn is_slip<const N: usize>(
     beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
-/// The wheels counted a turn too much that may be all of the disagreement. The share of each wheel is unknown: the
-/// distance is wrong by something between minus and plus half of it, alike, and the window's path was laid out in a wrong
-/// direction. For these the share that chance explains does not count: a false alarm must not cost position.
+/// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance
+/// is wrong by something between minus and plus half of it, uniformly, and the window's path was integrated in a wrong
+/// direction. Position variance excludes the share that chance explains: a false alarm must not cost position.
 fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, context: &UpdateContext<'_>) {
     let forward_m = state.window.map_or(0.0, |window| window.forward_m);
     for row in [HEADING, WINDOW_TURN] {
@@ -197,7 +193,6 @@ fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, ni
     state.covariance[(LEFT, LEFT)] += across_m2;
 }
 
-/// The rounding at the end of the window.
 fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> EndRounding {
     match state.window {
         Some(window) if state.tick_activity.is_stationary(window.start, window.until) => EndRounding::Unchanged,
@@ -205,7 +200,7 @@ fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_
     }
 }
 
-/// The window so far: its measurement and how it fits, nothing changed.
+/// Evaluates the window so far without changing the state.
 pub(super) fn preview_gyro_window<const N: usize>(
     state: &PoseState<N>,
     context: &UpdateContext<'_>,

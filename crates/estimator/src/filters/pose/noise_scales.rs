@@ -1,4 +1,4 @@
-//! How much noisier a source really is than it was said to be: learned from its innovations, refused ones included.
+//! Learns the true noise of each source relative to the configured one, from its innovations, rejected ones included.
 //!
 //! # Model
 //! ```text
@@ -14,12 +14,11 @@
 
 use posebridge_telemetry::SensorId;
 
-/// As many sources are followed; further ones keep the noise that they were given.
+/// Most sources with a learned scale; further ones keep their configured noise.
 const MAX_SOURCES: usize = 8;
 /// Variances are scaled by no more than this, either way: ten times the standard deviation.
 const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
 
-/// The median of chi-square with one degree of freedom.
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_573;
 
 /// The gain that finds a median soonest is 1 over twice the density there: for ln chi-square with one degree of freedom,
@@ -29,22 +28,18 @@ const FIRST_GAIN: f64 = 2.33;
 /// One source: a group of components of one kind of observation by one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoiseSource {
-    /// The sensor.
     pub sensor: SensorId,
     /// The number of its kind, see `entry`.
     pub kind: u8,
-    /// Which of the kind's components.
     pub group: NoiseGroup,
 }
 
-/// Components of an observation that err alike.
+/// Components of an observation with the same noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseGroup {
     /// Both coordinates of a position.
     Position,
-    /// A distance.
     Range,
-    /// A heading.
     Heading,
     /// A direction from the body.
     Bearing,
@@ -69,12 +64,13 @@ pub struct NoiseScales {
 }
 
 impl NoiseScales {
-    /// By how much the variances of a source are to be multiplied.
+    /// Factor on the variances of a source.
     pub fn factor(&self, source: NoiseSource) -> f64 {
         self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
     }
 
-    /// Learns from the scale_votes of a group: the mean of [`scale_vote`] over its components; `least_gain` of zero learns nothing.
+    /// Learns from the votes of a group: the mean of [`scale_vote`] over its components; `least_gain` of zero learns
+    /// nothing.
     pub fn learn(&mut self, source: NoiseSource, votes: f64, least_gain: f64) {
         if least_gain <= 0.0 || !votes.is_finite() {
             return;
@@ -88,7 +84,7 @@ impl NoiseScales {
     }
 }
 
-/// Which way a component would have its noise changed, and how strongly: its innovation, S_ii and R_i.
+/// Direction and weight with which a component's noise should change, from its innovation, S_ii and R_i.
 pub fn scale_vote(innovation: f64, s: f64, noise: f64) -> f64 {
     (noise / s).sqrt().copysign(innovation * innovation / s - CHI_SQUARE_MEDIAN)
 }
@@ -98,17 +94,17 @@ pub fn scale_vote(innovation: f64, s: f64, noise: f64) -> f64 {
 // Its fixes after a jump cannot be compared with the earlier estimate: neither is the robot's motion. The estimate goes to the
 // observer's new space with the first fix of it, as a counted reset. Only a fix that follows one of the same observer shows a jump.
 
-/// Most observers that are followed; jumps of further ones are not noticed, and the gate tests their fixes like all others.
+/// Most observers whose jumps are detected; the gate tests the fixes of further ones like all others.
 const MAX_OBSERVERS: usize = 8;
 
-/// The counters of all observers.
+/// The reset counters of all observers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ObserverFrames {
     counters: [Option<(SensorId, u8)>; MAX_OBSERVERS],
 }
 
 impl ObserverFrames {
-    /// Whether the space of an observer has jumped since its last fix; takes note of its counter.
+    /// Whether an observer's frame has jumped since its last fix; stores the counter.
     pub fn has_jumped(&mut self, sensor: SensorId, counter: u8) -> bool {
         let slot = self.counters.iter_mut().find(|slot| slot.is_none_or(|(known, _)| known == sensor));
         let Some(slot) = slot else { return false };

@@ -1,7 +1,7 @@
 //! The pose filter's estimate for an instant, with the gyro readings of the window that is still open.
 //!
-//! Inside, a window stays open until it is full, so this update is made aside. An estimate is asked for after every observation and
-//! holds a third of the state: where nothing else changes, that third is all that is computed.
+//! A window stays open in the state until it is full, so this update is computed on a copy. An estimate is requested
+//! after every observation and needs a third of the state: where nothing else changes, only that third is computed.
 
 use posebridge_telemetry::{BrickClock, Estimate, MetersPerSecond, RadiansPerSecond, TimeDelta, Timestamp, Validity};
 
@@ -12,7 +12,7 @@ use crate::models::lie::Se2;
 use crate::motion::SPEED_HOLD;
 use crate::update::preview_scalar;
 
-/// The pose and its error, as they are shown.
+/// The pose and its covariance, as published.
 struct PublishedPose {
     pose: Se2,
     covariance: PoseBlock,
@@ -24,7 +24,6 @@ impl PublishedPose {
     }
 }
 
-/// The estimate for an instant at or after that of the state.
 pub(super) fn estimate<const N: usize>(
     from: &PoseState<N>,
     stamp: Timestamp<BrickClock>,
@@ -40,7 +39,7 @@ pub(super) fn estimate<const N: usize>(
     build_estimate(&state, &PublishedPose::from_state(&state), stamp, context.config)
 }
 
-/// The pose with the gyro readings of the window so far; `None` where wheels have slipped, which changes more than the pose.
+/// The pose with the gyro readings of the window so far; `None` after wheel slip, which changes more than the pose.
 fn with_open_window<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<PublishedPose> {
     let Some((scalar, _)) = motion_update::preview_gyro_window(state, context) else {
         return Some(PublishedPose::from_state(state));

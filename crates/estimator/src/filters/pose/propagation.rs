@@ -20,20 +20,18 @@ use crate::models::lie::{ArcStep, Se2};
 use crate::models::se2::BodyStep;
 use crate::motion::{MotionTrack, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 
-/// Accelerations measured longer ago than this say nothing about how the speeds change now.
+/// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
 
-/// Whether the gyro's window is open: only then the turn since it began is used.
+/// Whether the gyro window is open: only then the turn since its start is a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GyroWindowStatus {
-    /// It is open.
     Open,
-    /// It is not.
     Closed,
 }
 
 impl GyroWindowStatus {
-    /// The share of a turn that counts for the window.
+    /// 1 if a turn counts for the window, else 0.
     fn share(self) -> f64 {
         match self {
             Self::Open => 1.0,
@@ -42,14 +40,13 @@ impl GyroWindowStatus {
     }
 }
 
-/// How a step carries errors from its beginning to its end.
+/// The propagation of errors over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
-    /// The step in the body's space.
     pub step: ArcStep,
-    /// Derivatives of the turn by the errors of mean radius, of the difference of radii and of the track.
+    /// Derivatives by the errors of mean radius, of the difference of radii and of the track.
     pub turn_by_scales: [f64; 3],
-    /// Derivatives of the distance by the same errors, which the track's error does not change.
+    /// By the same errors; the track's error does not change the distance.
     pub forward_by_scales: [f64; 3],
     /// Whether the turn counts for an open window.
     pub window: GyroWindowStatus,
@@ -84,7 +81,6 @@ impl Transition {
         }
     }
 
-    /// F, for those who need the whole matrix.
     pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
         let mut f = SMatrix::identity();
         for column in 0..N {
@@ -96,8 +92,8 @@ impl Transition {
         f
     }
 
-    /// What errors before the step become in the rows that it moves: forward, left, heading, turn since the window began. The
-    /// errors are given by `error`, row for row.
+    /// Propagates errors, given row by row, into the rows that the step moves: forward, left, heading, turn since the
+    /// window began.
     #[inline]
     fn propagate_error(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
         let step = &self.step;
@@ -163,11 +159,10 @@ impl Transition {
     }
 }
 
-/// The rows that a step moves.
 const MOVED_ROWS: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
 
 impl<const N: usize> PoseState<N> {
-    /// Carries the state forward to `to`: by the known travel as far as it reaches, then by the held speeds.
+    /// Propagates the state to `to`: by the known travel as far as it reaches, then by the held speeds.
     pub fn advance(&mut self, to: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
         let Some(from) = self.stamp else {
             self.stamp = Some(to);
@@ -201,7 +196,7 @@ impl<const N: usize> PoseState<N> {
         self.stamp = Some(to);
     }
 
-    /// What changes with time alone: speeds and the gyro's bias, up to an instant that may lie ahead of the pose's.
+    /// Ages speeds and gyro bias up to an instant, which may lie ahead of the pose's.
     pub fn predict_speeds_and_bias(&mut self, to: Timestamp<BrickClock>, config: &FilterConfig) {
         let from = self.speeds_predicted_to.unwrap_or(to);
         self.speeds_predicted_to = Some(from.max(to));
@@ -237,7 +232,8 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// Tyres and tracks change with the way, but only as long as something observes it: without fixes what was learned is kept.
+    /// Tyres and tracks wear with the path. Added only while fixes observe the scales: without them the learned values
+    /// are kept.
     fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
         let is_told = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
@@ -267,8 +263,8 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// Moves by the held speeds over an interval; both ends are in seconds after the last motion observation. The
-    /// errors of the speeds are the same all the way, so the variance grows with the square of the time, and by the integrated
-    /// random walk of the speeds with its cube.
+    /// speeds' errors are constant along it, so the variance grows with the square of the time, and by the speeds'
+    /// integrated random walk with its cube.
     fn move_by_speeds(&mut self, start_s: f64, end_s: f64, config: &FilterConfig) {
         let dt_s = end_s - start_s;
         let transition = Transition::at_speeds(self.forward.value * dt_s, self.turn.value * dt_s);
@@ -285,7 +281,8 @@ impl<const N: usize> PoseState<N> {
         self.pose = self.pose.compose(transition.step.motion);
     }
 
-    /// The motion of the body from `from` until now, as far as it is known: for fixes that were exposed before their timestamp.
+    /// The body's motion from `from` until now, as far as it is known: for fixes that were exposed before their
+    /// timestamp.
     pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();

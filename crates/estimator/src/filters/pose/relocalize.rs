@@ -1,5 +1,5 @@
-//! Where the pose filter places a robot when it has no pose, or a wrong one: the first fix, and the way out when the gate is
-//! wrong.
+//! Initialisation and relocalisation of the pose filter: by the first fix, or after the gate has rejected fixes for too
+//! long.
 //!
 //! # Model
 //! A fix with a heading has as many components as the pose, so that the pose follows from it alone. With H_x the derivatives of
@@ -34,8 +34,8 @@ const AGREEMENT_SIGMAS: f64 = 5.0;
 /// Variance of an unknown heading, uniform on the circle, rad².
 const ANY_HEADING_RAD2: f64 = PI * PI / 3.0;
 
-/// Counts a refused fix, since whose instant the body has turned by `turned_since_rad`; true when enough of them agree with each
-/// other for long enough that the estimate must be wrong.
+/// Counts a rejected fix; the body has turned by `turned_since_rad` since its instant. True when enough rejected fixes
+/// agree with each other for long enough that the estimate must be wrong.
 pub(super) fn reject_fix<const N: usize>(
     state: &mut PoseState<N>,
     record: &FusionRecord,
@@ -63,7 +63,7 @@ pub(super) fn reject_fix<const N: usize>(
     lasted_s >= params.reset_after_s && f64::from(state.rejected_fixes.count) >= params.reset_after_fixes
 }
 
-/// Moves the estimate to a fix: a reset, counted, with its jump.
+/// Moves the estimate to a fix; counts as a reset and stores the jump.
 pub(super) fn reset_to_fix<const N: usize>(
     state: &mut PoseState<N>,
     seen: &Fix,
@@ -79,7 +79,8 @@ pub(super) fn reset_to_fix<const N: usize>(
     FusionOutcome::PoseReset
 }
 
-/// Takes position, and heading if there is one, from a fix: of the tag at its estimated place in the body, at the instant of the image.
+/// Takes the position, and the heading if there is one, from a fix: for the tag's estimated position in the body, at
+/// the instant of the exposure.
 pub(super) fn initialize_from_fix<const N: usize>(
     state: &mut PoseState<N>,
     seen: &Fix,
@@ -105,7 +106,7 @@ pub(super) fn initialize_from_fix<const N: usize>(
     set_covariance_from_fix(state, &measurement)
 }
 
-/// Gives the pose the covariance that follows from the fix alone, with what it then has in common with delay and tag.
+/// Sets the pose's covariance from the fix alone, with the resulting correlation with delay and tag.
 fn set_covariance_from_fix<const N: usize>(
     state: &mut PoseState<N>,
     measurement: &LinearizedMeasurement<N, 3>,
@@ -138,15 +139,13 @@ fn set_covariance_from_fix<const N: usize>(
 // zero. Their variances are kept aside and come back when they are learned again; what they had in common with other rows is lost.
 // Source: docs/maths/pose.md section 8.
 
-/// A command of the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum StateCommand {
     SetPose(StartPose),
     /// The pose is unknown until the next fix.
     ResetPose,
-    /// Whether the constants are learned.
     SetOnlineCalibration(OnlineCalibration),
-    /// What was learned is forgotten.
+    /// Restart from the prior.
     ResetCalibration,
 }
 
@@ -161,7 +160,7 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// As at power-up: the pose counts from here, and the next fix says where that is.
+    /// As at power-up: the pose is relative to here until the next fix.
     fn reset_pose(&mut self) {
         let before = self.arena_pose();
         self.clear_rows(&[FORWARD, LEFT, HEADING]);

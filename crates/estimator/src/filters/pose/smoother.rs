@@ -1,4 +1,4 @@
-//! The pose filter run forwards over a whole recording and back again: Rauch, Tung and Striebel's smoother.
+//! Rauch-Tung-Striebel smoother: the pose filter run forwards over a whole recording and back again.
 //!
 //! # Model
 //! Beside each state x stands a copy c of what it was one observation ago, carried through the same steps and updates, so that
@@ -30,27 +30,24 @@ use crate::validation;
 /// Rows of the state and of its copy.
 const AUGMENTED_ROWS: usize = 2 * RANGE_STATES;
 
-/// A state in hindsight.
+/// A smoothed state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothedState {
-    /// The instant.
     pub stamp: Timestamp<BrickClock>,
     /// The state with its smoothed covariance; its speeds are the filter's.
     pub state: PoseState<RANGE_STATES>,
 }
 
-/// A run forwards and back.
+/// The result of a forward and a backward pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SmootherResult {
     /// The states after each motion reading and each absolute observation that was used, in the order of time.
     pub states: Vec<SmoothedState>,
     /// Sum of the NIS of the absolute observations that were used.
     pub nis: f64,
-    /// How many absolute observations were used.
     pub used: usize,
-    /// How many were not.
     pub rejected: usize,
-    /// What was learned, in hindsight.
+    /// The smoothed constants.
     pub calibration: Calibration,
 }
 
@@ -58,7 +55,7 @@ pub struct SmootherResult {
 struct ForwardStep {
     stamp: Timestamp<BrickClock>,
     after: PoseState<RANGE_STATES>,
-    /// The state one observation ago, corrected by what came since.
+    /// The state one observation ago, corrected by later observations.
     copy_correction: DVector<f64>,
     copy_covariance: DMatrix<f64>,
     /// Cov(copy, state).
@@ -82,7 +79,7 @@ pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherRe
     smoothing
 }
 
-/// What can be used, in the order of time, with the whole of what wheels and gyro said.
+/// The usable observations in time order, with the complete motion and gyro tracks.
 fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, MotionTrack, GyroTrack) {
     let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
     let mut gyro = GyroTrack::default();
@@ -109,7 +106,7 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
     (told, track, gyro)
 }
 
-/// The rows that are ever uncertain: the others need no smoothing. All of the pose's and the gyro's are.
+/// The rows that are ever uncertain, all of the pose's and the gyro's among them: the others need no smoothing.
 fn uncertain_rows(told: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<usize> {
     let always = super::state::RADIUS;
     let has_gyro = told.iter().any(|entry| matches!(entry.update, UpdateKind::TurnRate(_)));
@@ -154,7 +151,7 @@ fn forward_pass(
     passed
 }
 
-/// The state with room for its copy.
+/// The state with additional rows for its copy.
 fn augmented_state(state: &PoseState<RANGE_STATES>) -> PoseState<AUGMENTED_ROWS> {
     let mut wide = PoseState::<AUGMENTED_ROWS>::resized(state);
     wide.mean.fixed_rows_mut::<RANGE_STATES>(0).copy_from(&state.mean);

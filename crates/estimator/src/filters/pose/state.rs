@@ -49,15 +49,15 @@ pub const ROUNDING: usize = 8;
 pub const CORE_STATES: usize = 9;
 /// Delay of the fixes, s.
 pub const DELAY: usize = 9;
-/// Where the tag is against where the fix says, forward, m.
+/// Error of the tag's configured position, forward, m.
 pub const TAG_FORWARD: usize = 10;
 /// The same to the left, m.
 pub const TAG_LEFT: usize = 11;
 /// Number of states when delay or lever arm are estimated.
 pub const CAMERA_STATES: usize = 12;
-/// First row of the beacons: offset and scale of each.
+/// First row of the beacons: an offset and a scale for each.
 pub const BEACONS: usize = 12;
-/// As many beacons have an offset and a scale of their own; the ranges of further ones are taken as they are.
+/// Most beacons with an offset and a scale of their own; ranges to further ones are used as measured.
 pub const MAX_BEACONS: usize = 8;
 /// Offset of the ranges to landmarks, m: they are all measured by the robot's own camera.
 pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MAX_BEACONS;
@@ -72,26 +72,24 @@ const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
 /// Covariance of the pose's error in the body: forward m, left m, turn rad.
 pub(super) type PoseBlock = [[f64; 3]; 3];
 
-/// How far the filter knows where in the arena it is.
+/// Whether the position in the arena is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PositionState {
-    /// Nothing absolute is known; the pose counts from where the robot was switched on.
+    /// No absolute observation yet; the pose is relative to where the robot was switched on.
     Unknown,
-    /// A position is known.
+    /// An absolute observation or a start has located the robot.
     Known,
 }
 
-/// A speed beside the pose: it predicts, and is observed by wheels and gyro.
+/// A speed with its variance, m/s or rad/s, kept outside the covariance matrix: it predicts, and wheels and gyro
+/// observe it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ScalarState {
-    /// The speed, m/s or rad/s.
     pub value: f64,
-    /// Its variance.
     pub variance: f64,
 }
 
 impl ScalarState {
-    /// Uses one reading of it.
     pub fn observe(&mut self, reading: SpeedReading) {
         let s = self.variance + reading.variance;
         if s > 0.0 {
@@ -102,28 +100,27 @@ impl ScalarState {
     }
 }
 
-/// Fixes refused in a row.
+/// Consecutive rejected fixes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RejectedFixes {
-    /// How many.
     pub count: u32,
     /// The stamp of the first of them.
     pub since: Option<Timestamp<BrickClock>>,
-    /// Innovation of the last of them, in the arena, m.
+    /// Innovation of the last of them, in the arena.
     pub innovation_m: [f64; 2],
 }
 
-/// When the wheels' counts changed, and how far apart: what distinguishes a robot at rest from one that creeps.
+/// When the encoder counts changed, and the intervals between: distinguishes a robot at rest from one that creeps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickActivity {
-    /// The last reading in which a count had changed.
+    /// The last reading with a changed count.
     pub changed_at: Option<Timestamp<BrickClock>>,
-    /// The times between the last changes.
+    /// The intervals between the last changes.
     pub recent_intervals: [TimeDelta; 3],
 }
 
 impl TickActivity {
-    /// Counts changed between the reading before and this one.
+    /// A count changed between the previous reading and this one.
     pub fn record_change(&mut self, stamp: Timestamp<BrickClock>) {
         if let Some(last) = self.changed_at {
             self.recent_intervals = [stamp - last, self.recent_intervals[0], self.recent_intervals[1]];
@@ -131,8 +128,9 @@ impl TickActivity {
         self.changed_at = Some(stamp);
     }
 
-    /// Whether the robot stood from one instant to another: no count changed for clearly longer than between the last changes. A
-    /// robot that creeps has longer and longer pauses before it has one that is twice as long as all of the last three.
+    /// Whether the robot rested between two instants: no count changed for more than twice the last three intervals
+    /// between changes. A robot that slows down has longer and longer intervals before one is twice as long as all of
+    /// these.
     pub fn is_stationary(&self, from: Timestamp<BrickClock>, until: Timestamp<BrickClock>) -> bool {
         let longest = self.recent_intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
         longest > TimeDelta::ZERO
@@ -143,46 +141,34 @@ impl TickActivity {
 /// Everything that a replay must restore.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseState<const N: usize> {
-    /// For which instant it holds; `None` before the first observation.
+    /// The instant for which it holds; `None` before the first observation.
     pub stamp: Option<Timestamp<BrickClock>>,
-    /// Up to which instant speeds and gyro bias have aged; they may be ahead of the pose.
+    /// The instant to which speeds and gyro bias are predicted; may be ahead of the pose.
     pub speeds_predicted_to: Option<Timestamp<BrickClock>>,
-    /// The pose in the arena.
     pub pose: Se2,
-    /// The other states, each in its row; the rows of the pose's error are zero between updates.
+    /// The other states, each in its row; the pose's rows are zero between updates.
     pub mean: SVector<f64, N>,
-    /// Covariance of the errors.
     pub covariance: SMatrix<f64, N, N>,
-    /// Forward speed, m/s.
     pub forward: ScalarState,
-    /// Turn rate, rad/s.
     pub turn: ScalarState,
     /// The gyro window that is open, if any.
     pub window: Option<GyroWindow>,
-    /// How far it is located.
+    /// Whether it is located in the arena.
     pub position_state: PositionState,
-    /// The stamp of the last absolute observation that was used.
     pub last_fix: Option<Timestamp<BrickClock>>,
-    /// The stamp of the last motion observation.
     pub last_motion: Option<Timestamp<BrickClock>>,
-    /// When the wheels' counts changed.
     pub tick_activity: TickActivity,
-    /// For which instant it was last noticed that wheels have slipped.
+    /// The latest instant for which wheel slip was detected.
     pub slipped_at: Option<Timestamp<BrickClock>>,
-    /// The stamp of the last acceleration.
     pub last_acceleration: Option<Timestamp<BrickClock>>,
-    /// Fixes refused since the last one that was used.
+    /// Since the last fix that was used.
     pub rejected_fixes: RejectedFixes,
-    /// The learned noise scale of each source.
     pub noise_scales: NoiseScales,
-    /// How often each observer's own space has jumped.
     pub observer_frames: ObserverFrames,
-    /// While the constants are frozen: the variances that they had, each in its row. Meanwhile those of the covariance are zero, as
-    /// of constants that were given for certain.
+    /// While the constants are frozen: their variances before, each in its row. Meanwhile those of the covariance are
+    /// zero, as of given constants.
     pub frozen_variances: Option<SVector<f64, N>>,
-    /// Counts jumps that are not motion.
     pub reset_counter: u8,
-    /// The last of them.
     pub last_jump: Option<PoseCorrection>,
 }
 
@@ -223,7 +209,7 @@ impl<const N: usize> PoseState<N> {
         state
     }
 
-    /// All but mean and covariance of a state with another number of rows: these are zero.
+    /// A state with another number of rows: copies all but mean and covariance, which are zero.
     pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
         Self {
             stamp: other.stamp,
@@ -250,8 +236,9 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// This state once a sight was refused in `tried`, the state that went to the instant of that sight: all that is kept is what
-    /// the refusal itself teaches. Not even the way to its instant is kept: two steps would round otherwise than one.
+    /// This state after an observation was rejected in `tried`, which was predicted to the observation's instant: keeps
+    /// only what the rejection itself changes. The prediction is dropped, because two steps would round differently
+    /// from one.
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
         Self {
             rejected_fixes: tried.rejected_fixes,
@@ -261,7 +248,7 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// Sets a row, independent of all others; rows that this state does not have are left out.
+    /// Sets a row, independent of all others; ignores rows that this state does not have.
     pub(super) fn set_row(&mut self, row: usize, known: UncertainValue) {
         if row < N {
             self.clear_rows(&[row]);
@@ -270,12 +257,11 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// The estimated pose.
     pub fn arena_pose(&self) -> Pose<Arena> {
         arena_pose(self.pose)
     }
 
-    /// Moves what the last update wrote into the rows of the pose's error into the pose.
+    /// Moves the error that the last update wrote into the pose's rows into the pose.
     pub fn inject(&mut self) {
         let correction = [self.mean[FORWARD], self.mean[LEFT], self.mean[HEADING]];
         self.pose = self.pose.compose(Se2::exp(correction));
@@ -289,7 +275,7 @@ impl<const N: usize> PoseState<N> {
         self.position_state == PositionState::Known && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
     }
 
-    /// Puts the robot somewhere; counted as a jump that is not motion.
+    /// Sets the pose; counts as a jump that is not motion.
     pub fn reset_pose_to(&mut self, start: &StartPose) {
         let before = self.arena_pose();
         self.initialize_pose(start);
@@ -302,8 +288,8 @@ impl<const N: usize> PoseState<N> {
         self.last_jump = Some(correction_between(before, self.arena_pose()));
     }
 
-    /// The brick was switched off and on: its speeds and its gyro's bias are as unknown as in the `fresh` state, and it may have
-    /// been carried a little. What was learned about wheels and tag stays.
+    /// After a restart of the brick: speeds and gyro bias are as unknown as in `fresh`, and the robot may have been
+    /// carried a little. The learned constants of wheels and tag stay.
     pub fn restart_clock(&mut self, fresh: &Self) {
         self.clear_rows(&[GYRO_BIAS]);
         self.mean[GYRO_BIAS] = fresh.mean[GYRO_BIAS];
@@ -328,7 +314,7 @@ impl<const N: usize> PoseState<N> {
         self.covariance[(HEADING, HEADING)] += heading_rad2;
     }
 
-    /// Puts the robot somewhere; what was known about its pose is forgotten.
+    /// Sets the pose, without regard to its previous estimate.
     pub fn initialize_pose(&mut self, start: &StartPose) {
         self.clear_rows(&[FORWARD, LEFT, HEADING]);
         self.pose = Se2 { x_m: start.pose.x.0, y_m: start.pose.y.0, heading_rad: wrap_rad(start.pose.heading.rad()) };
@@ -352,32 +338,31 @@ impl<const N: usize> PoseState<N> {
         self.window = Some(GyroWindow::starting(at));
     }
 
-    /// Nothing is known about the rounding but how large it can be.
+    /// The rounding is unknown within its bound.
     pub fn reset_rounding(&mut self, variance_rad2: f64) {
         self.clear_rows(&[ROUNDING]);
         self.mean[ROUNDING] = 0.0;
         self.covariance[(ROUNDING, ROUNDING)] = variance_rad2;
     }
 
-    /// Closes the gyro window.
     pub fn close_window(&mut self) {
         self.clear_rows(&[WINDOW_TURN]);
         self.mean[WINDOW_TURN] = 0.0;
         self.window = None;
     }
 
-    /// The covariance of pose and speeds in the arena, for the outside.
+    /// The covariance of pose and speeds in the arena.
     pub fn published_covariance(&self) -> [[f64; 5]; 5] {
         self.covariance_in_arena(self.pose.heading_rad, &self.pose_covariance())
     }
 
-    /// The covariance of the pose's error, in the body.
+    /// The covariance of the pose's error, in the body's frame.
     pub(super) fn pose_covariance(&self) -> PoseBlock {
         let rows = [FORWARD, LEFT, HEADING];
         rows.map(|row| rows.map(|column| self.covariance[(row, column)]))
     }
 
-    /// The covariance of pose and speeds in the arena, of a pose with this heading and this error.
+    /// The covariance of pose and speeds in the arena, for this heading and pose error.
     pub(super) fn covariance_in_arena(&self, heading_rad: f64, p: &PoseBlock) -> [[f64; 5]; 5] {
         let (sin, cos) = heading_rad.sin_cos();
         let [[ff, fl, fh], [_, ll, lh], [_, _, hh]] = *p;
@@ -396,13 +381,13 @@ impl<const N: usize> PoseState<N> {
         published
     }
 
-    /// How well a row is known; while the constants are frozen, how well they were when they froze.
+    /// The variance of a row; while the constants are frozen, their variance before.
     fn variance(&self, row: usize) -> f64 {
         let kept = self.frozen_variances.map_or(0.0, |variances| variances[row]);
         self.covariance[(row, row)].max(kept)
     }
 
-    /// What has been learned, on top of the prior that it began from.
+    /// The learned constants; those that are no states of this filter come from `prior`.
     pub fn calibration(&self, prior: &Calibration) -> Calibration {
         let known = |row: usize, prior: UncertainValue| {
             if row < N {
@@ -426,13 +411,13 @@ impl<const N: usize> PoseState<N> {
     }
 }
 
-/// A pose of the model as one for the outside.
+/// The published form of a pose.
 pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
     let heading = Heading::from_rad(pose.heading_rad);
     Pose::new(Meters(pose.x_m), Meters(pose.y_m), heading)
 }
 
-/// The gyro's bias at power-up: that of the calibration, or any within the gyro's own spread.
+/// The gyro bias at power-up: from the calibration, or within the gyro's own spread.
 pub(super) fn gyro_bias_prior(config: &FilterConfig) -> UncertainValue {
     let known = config.calibration.gyro_bias_rad_per_s;
     if known.sigma > 0.0 {

@@ -1,4 +1,4 @@
-//! Is a reading what was expected, a slip, or the sign that something new has begun?
+//! Classifies thermometer readings: expected, outlier, or the start of a new temperature (cumulative sum test).
 //!
 //! The models of a thermometer assume one constant temperature. When the thermometer is moved to another bath, or when the model is
 //! wrong, the readings leave what was expected, all to the same side. Noise does not.
@@ -14,29 +14,28 @@
 //!
 //! Source: Page (1954), the cumulative sum test.
 
-/// Further from what is expected than this, in sigmas, a reading is not used, and counts as this far.
+/// A reading further from the expected one, in sigmas, is not used and counts as this far.
 const GATE: f64 = 5.0;
-/// So much of each deviation is forgiven, in sigmas.
+/// Deviation, in sigmas, that does not add to the sums.
 const ALLOWANCE: f64 = 1.0;
-/// So much in a row is no chance. Two readings at the gate make exactly this.
+/// A sum beyond this is not chance. Two readings at the gate reach exactly this.
 const LIMIT: f64 = 8.0;
-/// The configured noise counts as this number of readings.
+/// The configured noise weighs as much as this number of readings.
 const PRIOR_READINGS: f64 = 10.0;
-/// Number of readings behind the spread.
+/// Number of readings after which the spread forgets.
 const MEMORY_READINGS: f64 = 100.0;
 
-/// The class of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ReadingClass {
-    /// Within what was expected.
+    /// Within the gate.
     Expected,
-    /// Far from it, once.
+    /// A single reading outside the gate.
     Outlier,
-    /// The last ones say together that something new has begun.
+    /// The last readings together show a new temperature.
     StepChange,
 }
 
-/// Watches the deviations of readings from what was expected.
+/// Cumulative sum test over the deviations of readings from the expected ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct ChangeDetector {
     above: f64,
@@ -46,7 +45,7 @@ pub(super) struct ChangeDetector {
 }
 
 impl ChangeDetector {
-    /// Takes a deviation in sigmas of the model.
+    /// Classifies a deviation, in sigmas of the model.
     pub(super) fn classify(&mut self, deviation: f64) -> ReadingClass {
         let scale = self.inflation().sqrt();
         let z = deviation / scale;
@@ -67,7 +66,7 @@ impl ChangeDetector {
         }
     }
 
-    /// How many times larger the variance is than the model says; at least 1.
+    /// Factor of the observed variance over the model's; at least 1.
     pub(super) fn inflation(&self) -> f64 {
         ((PRIOR_READINGS + self.squares) / (PRIOR_READINGS + self.readings)).max(1.0)
     }

@@ -1,4 +1,4 @@
-//! An unknown thermometer: all time constants at once, each with the weight that the readings give it.
+//! A thermometer with unknown dynamics: a bank of fits over all time constants, weighted by the readings.
 //!
 //! For given time constants the readings are linear in what is sought, so that each node of a grid is a recursive least squares fit
 //! (paper 2, the recursion). Between the nodes everything is smooth in ln tau and is interpolated, because the readings soon know tau
@@ -25,35 +25,33 @@ use crate::update::{ScalarMeasurement, use_scalar};
 
 /// Rows of a fit: the final value and the amplitudes of both lags.
 const ROWS: usize = 3;
-/// The row of the final value.
 const FINAL_VALUE: usize = 0;
-/// The fastest time constant. A sensor that is faster has nothing to gain.
+/// The fastest time constant; a faster sensor needs no prediction.
 const MIN_TIME_CONSTANT_S: f64 = 1.0;
-/// Distance of two nodes in ln tau: at it a cubic through four nodes is exact enough.
+/// Distance of two nodes in ln tau, small enough for cubic interpolation through four nodes.
 const LN_TAU_STEP: f64 = 0.1;
-/// Nodes: up to e^7 s = 1097 s. The thermometer of paper 2 has 148 s.
+/// Nodes up to e^7 s = 1097 s. The thermometer of paper 2 has 148 s.
 const NODE_COUNT: usize = 71;
 /// The slower of two lags over the faster.
 const LAG_RATIO: i32 = 4;
 /// Prior sigma of the difference between the bath and the first reading.
 const PRIOR_SIGMA_K: f64 = 50.0;
-/// Points at which the posterior of ln tau is looked at.
+/// Points at which the posterior of ln tau is evaluated.
 const QUADRATURE_POINTS: usize = 48;
-/// How often the interval of these points closes in.
+/// Number of times that the interval of these points is narrowed.
 const REFINEMENT_ROUNDS: usize = 3;
 /// Beyond this rise of J the density is below a hundredth of its peak and is left out.
 const MAX_COST_RISE: f64 = 9.2;
-/// A kind of sensor with less weight than this is left out: a bound of 95 % does not ask for it, and what it does not know is large.
+/// A kind of sensor with less weight is left out: a 95 % bound does not need it, and its variance is large.
 const MIN_WEIGHT: f64 = 0.01;
 
-/// A mean and a variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MeanVariance {
     pub(super) mean: f64,
     pub(super) variance: f64,
 }
 
-/// All kinds of sensor at once.
+/// All kinds of sensor, with their weights.
 #[derive(Clone, Debug)]
 pub(super) struct FilterBank {
     hypotheses: [ResponseHypothesis; 3],
@@ -62,7 +60,6 @@ pub(super) struct FilterBank {
     variance: f64,
 }
 
-/// How a kind of sensor approaches the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ResponseShape {
     AtRest,
@@ -70,12 +67,12 @@ enum ResponseShape {
     TwoLags,
 }
 
-/// Sensors of one kind over the grid of time constants.
+/// One kind of sensor over the grid of time constants.
 #[derive(Clone, Debug)]
 struct ResponseHypothesis {
     shape: ResponseShape,
     nodes: Vec<TimeConstantNode>,
-    /// Places on the grid with the density there, which sums up to 1.
+    /// Places on the grid with their density; the densities sum up to 1.
     points: [(f64, f64); QUADRATURE_POINTS],
     log_evidence: f64,
 }
@@ -90,27 +87,27 @@ struct TimeConstantNode {
     volume: f64,
     /// Sum of the squared innovations over S.
     misfit: f64,
-    /// H at the instant that is expected.
+    /// H at the predicted instant.
     row: [f64; ROWS],
     expected: MeanVariance,
 }
 
 impl FilterBank {
-    /// A bank for readings with this standard deviation.
+    /// For readings with this standard deviation.
     pub(super) fn new(sigma_k: f64) -> Self {
         let hypotheses =
             [ResponseShape::AtRest, ResponseShape::OneLag, ResponseShape::TwoLags].map(ResponseHypothesis::new);
         Self { hypotheses, weights: [0.0; 3], variance: sigma_k * sigma_k }
     }
 
-    /// Restarts at its first reading, which is then used like any other.
+    /// Restarts at a first reading, which is then used like any other.
     pub(super) fn restart(&mut self, reading: f64) {
         for kind in &mut self.hypotheses {
             kind.restart(reading);
         }
     }
 
-    /// Looks ahead to an instant, in seconds since it began, with the weights of the last reading that was used.
+    /// Predicts the reading at an instant, in seconds since the start, with the weights after the last used reading.
     pub(super) fn predict(&mut self, at_s: f64) -> MeanVariance {
         for kind in &mut self.hypotheses {
             for node in &mut kind.nodes {
@@ -120,8 +117,7 @@ impl FilterBank {
         self.mixture(|node| node.expected.mean, |node| node.expected.variance)
     }
 
-    /// Uses a reading of the instant that was looked at last. `inflation` is the variance of the readings as a multiple of the
-    /// configured one.
+    /// Uses a reading of the instant that was predicted last. `inflation` is the factor on the configured variance.
     pub(super) fn update(&mut self, reading: f64, inflation: f64) {
         for kind in &mut self.hypotheses {
             for node in &mut kind.nodes {
@@ -137,12 +133,12 @@ impl FilterBank {
         self.weights = kept.map(|weight| weight / sum);
     }
 
-    /// The final value, its variance as the configured noise makes it.
+    /// The final value, with the variance by the configured noise times `inflation`.
     pub(super) fn final_value(&self, inflation: f64) -> MeanVariance {
         self.mixture(|node| node.mean[FINAL_VALUE], |node| inflation * node.covariance[(FINAL_VALUE, FINAL_VALUE)])
     }
 
-    /// Mean and variance of something that every node has, over all kinds and time constants.
+    /// Mean and variance of a quantity that every node has, over all kinds and time constants.
     fn mixture(
         &self,
         mean_of: impl Fn(&TimeConstantNode) -> f64,
@@ -190,7 +186,7 @@ impl ResponseHypothesis {
         }
     }
 
-    /// Finds where the density of ln tau is, and how likely the kind makes all readings.
+    /// Locates the density of ln tau, and computes the evidence of this kind of sensor.
     fn update_evidence(&mut self, inflation: f64) {
         let minus_twice_log = |node: &TimeConstantNode| node.volume + node.misfit / inflation;
         let last = (self.nodes.len() - 1) as f64;
@@ -226,7 +222,7 @@ impl ResponseHypothesis {
         }
     }
 
-    /// A cubic through the four nodes around a place on the grid.
+    /// Cubic interpolation through the four nodes around a place on the grid.
     fn interpolate(&self, at: f64, of: &impl Fn(&TimeConstantNode) -> f64) -> f64 {
         let most = self.nodes.len().saturating_sub(4);
         let first = (at.floor() as usize).saturating_sub(1).min(most);

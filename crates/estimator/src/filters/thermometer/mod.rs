@@ -1,8 +1,9 @@
-//! A thermometer live: its final value, without the instant of immersion and, if need be, without its time constant.
+//! A thermometer in service: its final value, without the instant of immersion and, if need be, without its time
+//! constant.
 //!
-//! Gets temperatures as they come, for hours. [`super::dynamic`] answers for one approach to one constant temperature, with dynamics
-//! that are given; here stands what it takes to leave it running: dynamics that are learnt where none are given
-//! (`bank`), and a test that finds where a new approach begins and lets damaged readings pass (`change_detector`).
+//! Gets temperatures as they come, for hours. [`super::dynamic`] solves one approach to one constant temperature with
+//! given dynamics. Continuous operation adds unknown dynamics (`filter_bank`), and a test that detects where a new
+//! approach begins and rejects damaged readings (`change_detector`).
 //!
 //! # Model
 //! ```text
@@ -31,14 +32,14 @@ use crate::models::dynamic_measurement::DynamicModel;
 use crate::update::{ScalarOutcome, UpdateOutcome};
 use crate::validation::{self, add_innovation, outcome_without_pose};
 
-/// The settings of a thermometer.
+/// The dynamics and noise of a thermometer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ThermometerSettings {
-    /// How [`SensorId::THERMOMETER`] follows the temperature; `None` lets it be learnt from the readings.
+    /// The response of [`SensorId::THERMOMETER`]; `None` learns it from the readings.
     pub model: Option<DynamicModel>,
-    /// Noise of a reading, one standard deviation, in kelvin; zero takes that of the robot's sensors.
+    /// Noise of a reading, one standard deviation; zero takes that of the robot's sensors.
     pub sigma_k: f64,
-    /// The step between two values that it can show, in kelvin; zero if fine. It counts as noise of a step over the root of twelve.
+    /// The step of its displayed values; zero if fine. It counts as noise of a step over the root of twelve.
     pub resolution_k: f64,
 }
 
@@ -52,15 +53,11 @@ pub struct Thermometer {
 
 enum ThermometerModel {
     Known(Box<DynamicFilter>),
-    Learning {
-        bank: Box<FilterBank>,
-        /// When it began.
-        origin: Option<Timestamp<BrickClock>>,
-    },
+    Learning { bank: Box<FilterBank>, origin: Option<Timestamp<BrickClock>> },
 }
 
 impl Thermometer {
-    /// A thermometer that has not been read. Walk and history come from the configuration, the noise too where the settings have none.
+    /// Walk and history come from the configuration, the noise too where the settings have none.
     pub fn new(config: &FilterConfig, settings: &ThermometerSettings) -> Self {
         let given = [settings.sigma_k, config.noise.temperature_k];
         let sigma_k = given.into_iter().find(|sigma| *sigma > 0.0);
@@ -77,7 +74,7 @@ impl Thermometer {
         Self { model, change_detector: ChangeDetector::default(), history_s: config.params.history_s, last: None }
     }
 
-    /// The predicted final value as of the last reading, in degrees Celsius; `None` before the first.
+    /// As of the last reading, in degrees Celsius; `None` before the first.
     pub fn final_value(&self) -> Option<ScalarEstimate> {
         self.scalar_at(self.last?)
     }
@@ -139,7 +136,7 @@ impl ThermometerModel {
         }
     }
 
-    /// Uses a reading of the instant that was expected last.
+    /// Uses a reading of the instant that was predicted last.
     fn update(&mut self, observation: &Observation, shown: f64, inflation: f64) -> FusionOutcome {
         match self {
             Self::Known(filter) => filter.observe(observation).outcome,
@@ -155,7 +152,7 @@ impl ThermometerModel {
         }
     }
 
-    /// The final value with its variance as the configured noise makes it.
+    /// With the variance by the configured noise times `inflation`.
     fn final_value(&self, stamp: Timestamp<BrickClock>, inflation: f64) -> Option<MeanVariance> {
         match self {
             Self::Known(filter) => {
@@ -184,7 +181,7 @@ impl Filter for Thermometer {
         })
     }
 
-    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for a pose that cannot be.
+    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         outcome_without_pose(start)
     }

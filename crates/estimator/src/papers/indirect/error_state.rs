@@ -24,7 +24,6 @@ use crate::models::se2::{BodyStep, Displacement, StepRule, displace};
 use crate::numerics::covariance::symmetrise;
 use crate::observations::gyro_window::gyro_variance;
 
-/// Number of rows.
 pub const N: usize = 15;
 /// Error of x in the arena, m.
 pub const X: usize = 0;
@@ -59,41 +58,35 @@ pub const GYRO_BIAS: usize = 14;
 
 /// The errors.
 pub type ErrorState = SVector<f64, N>;
-/// Their covariance.
 pub type Covariance = SMatrix<f64, N, N>;
 
 /// Systematic errors of the geometry: mean radius, difference of the radii, track width.
 pub type GeometryScales = [f64; 3];
 
-/// A step of the nominal path and what it means for the errors.
+/// A step of the nominal path with its derivatives by the errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NominalStep {
-    /// Distance and change of heading.
     pub step: BodyStep,
-    /// Displacement and its derivatives.
     pub displacement: Displacement,
     /// D: derivatives of the distance by the scales, m.
     pub forward_by_scales: GeometryScales,
     /// T: derivatives of the change of heading by the scales, rad.
     pub turn_by_scales: GeometryScales,
-    /// Noise of distance and change of heading.
     pub noise: StepNoise,
-    /// Variance of each coordinate because the order of distance and turn is unknown, m².
+    /// Variance of each coordinate because the order of distance and turn is unknown.
     pub path_var_m2: f64,
 }
 
 /// Sampling intervals of the instruments during a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SampleIntervals {
-    /// Its length, s.
     pub dt_s: f64,
-    /// Sum of the squared intervals of the gyro's samples, s²: white noise per sample adds up by these.
+    /// Sum of the squared intervals of the gyro's samples: white noise per sample adds up by these.
     pub gyro_s2: f64,
     /// The same of the accelerometers' samples.
     pub accelerometer_s2: f64,
 }
 
-/// The nominal step from a heading by the wheels' travel.
 pub fn nominal_step(
     heading_rad: f64,
     travel: WheelTravel,
@@ -113,10 +106,11 @@ pub fn nominal_step(
 }
 
 impl NominalStep {
-    /// The same step, but for the scales it turned by so much: the turn without the jitter of the counts.
+    /// The same step with another turn before the scales: without the jitter of the counts.
     ///
-    /// The rounding of a count is in the measured turn and in the innovation as well. A derivative that follows it is correlated
-    /// with the innovation, and a robot that drives straight would learn a wrong track width from its own counts.
+    /// The rounding of a count is in the measured turn and in the innovation as well. A derivative that follows it is
+    /// correlated with the innovation, and a robot that drives straight would learn a wrong track width from its own
+    /// counts.
     pub fn with_turn(mut self, turn_rad: f64, scales: &GeometryScales, track_width_m: f64) -> Self {
         let [_, _, tb] = *scales;
         self.forward_by_scales[1] = 0.25 * turn_rad * track_width_m * (1.0 + tb);
@@ -190,14 +184,14 @@ pub fn process_noise(
     q
 }
 
-/// Carries the errors over a step: paper 4, equations 21 and 22.
+/// Propagates the errors over a step: paper 4, equations 21 and 22.
 pub fn predict(errors: &mut ErrorState, covariance: &mut Covariance, f: &Covariance, q: &Covariance) {
     *errors = f * *errors;
     *covariance = f * *covariance * f.transpose() + q;
     symmetrise(covariance);
 }
 
-/// Makes a row exactly known to be zero.
+/// Makes a row certain to be zero.
 pub fn clear_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize) {
     errors[row] = 0.0;
     for i in 0..N {
@@ -206,8 +200,8 @@ pub fn clear_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usiz
     }
 }
 
-/// Starts an instrument's row where the path's is: what the instrument reads is set to the nominal value, so its error is the
-/// opposite of the path's, but for the counts' rounding.
+/// Starts an instrument's row at the path's row: the reading is set to the nominal value, so its error is the negative
+/// of the path's, except for the rounding of the counts.
 pub fn start_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize, path: usize, rounding_var: f64) {
     clear_row(errors, covariance, row);
     errors[row] = -errors[path];

@@ -1,4 +1,5 @@
-//! What runs beside the wheels: the angle by a gyro, speed, distance and angle by accelerometers, each summed up on its own.
+//! The instruments beside the wheels, each integrated separately: the angle by a gyro; speed, distance and angle by
+//! accelerometers.
 //!
 //! Each sum is compared with the nominal path at instants that lie within the wheels' last step, so that angle meets angle: the
 //! rounding of the counters then enters once and does not add up.
@@ -14,16 +15,17 @@ const MAX_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct InstrumentTiming {
     last: Option<Timestamp<BrickClock>>,
-    /// Sum of the squared intervals since the filter asked last, s².
+    /// Sum of the squared intervals since it was taken last.
     squared_intervals_s2: f64,
-    /// The filter's rows go with the sums.
+    /// Whether the filter has rows for the errors of the sums.
     pub(super) is_tracked: bool,
-    /// The sums were compared with the path since the last sample.
+    /// Whether the sums were compared with the path since the last sample.
     pub(super) is_compared: bool,
 }
 
 impl InstrumentTiming {
-    /// The interval that a sample ends, in seconds; zero for the first, and for the first after a silence. Or why it is not used.
+    /// The interval that a sample ends, in seconds; zero for the first, and for the first after a silence. The error is
+    /// why the sample is not used.
     fn record_sample(&mut self, stamp: Timestamp<BrickClock>) -> Result<f64, FusionOutcome> {
         if let Some(verdict) = reject_repeated(self.last, stamp) {
             return Err(verdict);
@@ -39,23 +41,22 @@ impl InstrumentTiming {
         Ok(interval_s)
     }
 
-    /// The instant of the sums, when they were not yet compared.
+    /// The instant of the sums, if they have not been compared yet.
     pub(super) fn pending_comparison(&self) -> Option<Timestamp<BrickClock>> {
         self.last.filter(|_| !self.is_compared)
     }
 
-    /// Whether the instrument has been silent for too long at an instant.
+    /// Whether the instrument's last sample is older than the longest interval.
     pub(super) fn is_silent_at(&self, stamp: Timestamp<BrickClock>) -> bool {
         self.last.is_none_or(|last| stamp - last > MAX_INTERVAL)
     }
 
-    /// Hands over the sum of the squared intervals.
+    /// Returns the sum of the squared intervals and resets it.
     pub(super) fn take_squared_intervals_s2(&mut self) -> f64 {
         std::mem::take(&mut self.squared_intervals_s2)
     }
 }
 
-/// The angle by a gyro.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct GyroAngle {
     pub(super) timing: InstrumentTiming,
@@ -63,7 +64,7 @@ pub(super) struct GyroAngle {
 }
 
 impl GyroAngle {
-    /// Sums up the mean rate since the sample before.
+    /// Integrates the mean rate since the previous sample.
     pub(super) fn integrate(&mut self, stamp: Timestamp<BrickClock>, rate_rad_per_s: f64) -> Result<(), FusionOutcome> {
         let interval_s = self.timing.record_sample(stamp)?;
         self.angle_rad += rate_rad_per_s * interval_s;
@@ -82,7 +83,7 @@ pub(super) struct AccelerometerIntegral {
 }
 
 impl AccelerometerIntegral {
-    /// Sums up accelerations, m/s² and rad/s², twice: each is the mean since the sample before.
+    /// Integrates accelerations, m/s² and rad/s², twice: each is the mean since the previous sample.
     pub(super) fn integrate(
         &mut self,
         stamp: Timestamp<BrickClock>,

@@ -1,4 +1,4 @@
-//! The indirect filter: the wheels make the path, a Kalman filter follows only what is wrong with it.
+//! The indirect filter: the wheels give the path, and a Kalman filter estimates only its error.
 //!
 //! Gets wheels, accelerometers, a gyro and fixes. The nominal path comes from the wheels alone; the filter's state is its error
 //! (see [`error_state`]) and its measurements are differences: what another sensor says minus what the nominal path says.
@@ -39,14 +39,13 @@ use crate::filter::{Filter, FilterConfig};
 use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
 use crate::validation;
 
-/// Fixes that the gate refused in a row.
 #[derive(Clone, Copy, Debug)]
 struct RejectedFixStreak {
     since: Timestamp<BrickClock>,
     count: f64,
 }
 
-/// The indirect filter.
+/// The filter of paper 4: estimates the errors of the path by the wheels.
 pub struct IndirectFilter {
     config: FilterConfig,
     track: MotionTrack,
@@ -129,7 +128,7 @@ impl IndirectFilter {
         self.save_state(stamp);
     }
 
-    /// Counts a refused fix; true when they have been refused for so long that the gate must be wrong.
+    /// Counts a rejected fix; true when the gate has rejected fixes for so long that it must be wrong.
     fn is_locked_out(&mut self, stamp: Timestamp<BrickClock>) -> bool {
         let refused = self.rejected_fixes.get_or_insert(RejectedFixStreak { since: stamp, count: 0.0 });
         refused.count += 1.0;

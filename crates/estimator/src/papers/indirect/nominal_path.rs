@@ -1,4 +1,4 @@
-//! The nominal path with its errors: what moves it, what is measured against it, and what comes out.
+//! The nominal path with its errors: propagation, measurements against it, and the resulting pose.
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
@@ -22,23 +22,24 @@ use crate::papers::rows::{self, position_in_arena, with_heading};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
 
-/// What is left of an accelerometer's zero after it was set to zero at rest, m/s²: a hundredth of g.
+/// Remaining bias of an accelerometer that was set to zero at rest: a hundredth of g.
 const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
-/// How well the wheels determine the speed with which the accelerometers' sums begin: a LEGO wheel's count in 50 ms is 0.01 m/s.
+/// Uncertainty of the initial speed of the accelerometers' sums, from the wheels: a LEGO wheel's count in 50 ms is 0.01
+/// m/s.
 const START_SPEED_M_PER_S: f64 = 0.02;
 /// The same for the turn rate: the difference of two such wheels over a track of a decimetre.
 const START_TURN_RAD_PER_S: f64 = 0.2;
-/// A heading that is not better known than this is none, rad².
+/// A heading with a larger variance is not published as valid.
 const USABLE_HEADING_RAD2: f64 = 0.25;
-/// A scale beyond this is no wheel of this robot: what feedback may make of the geometry.
+/// Largest scale that feedback may give to the geometry; a wheel of this robot cannot have more.
 const LARGEST_SCALE: f64 = 0.5;
 /// The least rounding of a path that does not come from counts, rad² and m².
 const LEAST_ROUNDING: f64 = 1e-10;
 
-/// What happens to the errors that were found.
+/// What happens to the estimated errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CorrectionMode {
-    /// They are added to the output only: the paper's equations as they stand.
+    /// They are added to the output only, as in the paper's equations.
     FeedForward,
     /// They correct the nominal path, which therefore stays close to the truth.
     Feedback,
@@ -59,9 +60,9 @@ pub(super) struct NominalPath {
     pub(super) x_m: f64,
     pub(super) y_m: f64,
     pub(super) end: PathPoint,
-    /// The angle without the jitter of the counts, rad.
+    /// The angle without the jitter of the counts.
     pub(super) debounced_angle_rad: f64,
-    /// Where the last step began.
+    /// The beginning of the last step.
     pub(super) previous: Option<(Timestamp<BrickClock>, PathPoint)>,
     pub(super) stamp: Option<Timestamp<BrickClock>>,
     pub(super) scales: GeometryScales,
@@ -122,7 +123,8 @@ impl NominalPath {
         path
     }
 
-    /// A number that is learned, and its standard deviation: what went into the path, and what is still an error of it.
+    /// A learned constant and its standard deviation: the part in the nominal geometry and the part that is still an
+    /// error of it.
     pub(super) fn calibration_value(&self, row: usize) -> (f64, f64) {
         let used = match row {
             RADIUS_SCALE => self.scales[0],
@@ -134,13 +136,13 @@ impl NominalPath {
         (used + self.errors[row], sigma)
     }
 
-    /// The path is here at this instant, without having moved.
+    /// Places the path here at this instant, without motion.
     pub(super) fn start_at(&mut self, stamp: Timestamp<BrickClock>) {
         self.stamp = Some(stamp);
         self.previous = None;
     }
 
-    /// Goes on along what the wheels did up to their newest reading.
+    /// Advances along the wheels' motion up to their latest reading.
     pub(super) fn advance(&mut self, track: &MotionTrack, to: Timestamp<BrickClock>) {
         let Some(mut from) = self.stamp else {
             self.start_at(to);
@@ -191,7 +193,7 @@ impl NominalPath {
         self.end.distance_m += nominal.step.forward_m;
     }
 
-    /// How far the angle has turned for certain, when it arrives at a new value: a play of one count of either wheel is left to it.
+    /// The angle after hysteresis of one count of either wheel: it follows only what has turned for certain.
     fn debounce_angle(&mut self, angle_rad: f64) -> f64 {
         let play_rad = (6.0 * self.rounding().angle_rad2).sqrt();
         let before_rad = self.debounced_angle_rad;
@@ -199,7 +201,7 @@ impl NominalPath {
         self.debounced_angle_rad - before_rad
     }
 
-    /// The wheels jumped: how the robot moved since the path's end is not known.
+    /// Moves over an interval without known motion: the wheels' counters jumped.
     pub(super) fn advance_unobserved(&mut self, to: Timestamp<BrickClock>) {
         let dt_s = self.stamp.map_or(0.0, |from| (to - from).as_secs_f64());
         let driven_m2 = (self.forward_m_per_s * dt_s).powi(2);
@@ -211,7 +213,7 @@ impl NominalPath {
         self.start_at(to);
     }
 
-    /// Forward accelerations at the left and at the right wheel, m/s².
+    /// Accelerations at the left and at the right wheel.
     pub(super) fn add_accelerations(
         &mut self,
         stamp: Timestamp<BrickClock>,
@@ -222,7 +224,7 @@ impl NominalPath {
         self.accelerometers.integrate(stamp, body.forward_m_per_s2, body.turn_rad_per_s2)
     }
 
-    /// Holds the instruments against the path, where their sums end within its last step.
+    /// Compares the instruments with the path, where their sums end within its last step.
     pub(super) fn compare_instruments(&mut self, record: &mut FusionRecord) {
         if let Some(mark) = self.gyro.timing.pending_comparison().and_then(|at| self.point_at(at)) {
             self.compare_gyro(record, mark);
@@ -291,7 +293,7 @@ impl NominalPath {
     }
 }
 
-/// Variance of what a count of the wheels leaves open, each wheel uniform within one.
+/// Variance of the rounding of the wheels' counts, each uniform within one count.
 #[derive(Clone, Copy, Debug)]
 struct RoundingNoise {
     angle_rad2: f64,
@@ -309,7 +311,7 @@ impl NominalPath {
         }
     }
 
-    /// Where the path was at an instant of its last step; `None` for other instants.
+    /// The path at an instant of its last step; `None` for other instants.
     fn point_at(&self, at: Timestamp<BrickClock>) -> Option<PathPoint> {
         let end = self.stamp?;
         if at == end {
@@ -326,7 +328,7 @@ impl NominalPath {
         })
     }
 
-    /// Feedback: what was found to be wrong with path and geometry moves into them.
+    /// Feedback: moves the estimated errors of path and geometry into them.
     pub(super) fn apply_feedback(&mut self) {
         if self.correction == CorrectionMode::FeedForward {
             return;
@@ -377,7 +379,7 @@ impl NominalPath {
         }
     }
 
-    /// The corrected pose: the path and its errors.
+    /// The corrected pose: the path plus its errors.
     pub(super) fn pose(&self) -> Pose<Arena> {
         Pose::new(
             Meters(self.x_m + self.errors[X]),
@@ -386,7 +388,6 @@ impl NominalPath {
         )
     }
 
-    /// The state at the path's end.
     pub(super) fn path_state(&self) -> PathState {
         let heading_rad2 = self.covariance[(HEADING, HEADING)];
         PathState {
@@ -447,7 +448,7 @@ impl NominalPath {
         fix_noise(fix, &self.config.noise, [1.0, 1.0], &circumstances)
     }
 
-    /// The robot is where a fix sees it: the first fix, or the one that ends a long disagreement.
+    /// Places the robot at a fix: the first one, or the one that ends a long disagreement.
     pub(super) fn initialize_from_fix(&mut self, fix: &Fix) {
         let noise = self.fix_noise(fix, 0.0);
         let before = self.pose();
@@ -466,7 +467,7 @@ impl NominalPath {
         self.record_correction(before);
     }
 
-    /// The robot is where a person says.
+    /// Places the robot at a given pose.
     pub(super) fn set_pose(&mut self, start: &StartPose) {
         let before = self.pose();
         self.reset_to(start);
@@ -500,7 +501,7 @@ impl NominalPath {
         self.last_jump = Some(validation::correction_between(before, self.pose()));
     }
 
-    /// Nothing that was stamped holds any longer, and the robot may have been carried.
+    /// After a restart of the brick no timestamp holds, and the robot may have been carried.
     pub(super) fn restart_clock(&mut self) {
         self.reset_instruments();
         self.stamp = None;

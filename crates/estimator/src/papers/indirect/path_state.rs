@@ -11,7 +11,7 @@ use crate::models::se2::{BodyStep, StepRule, displace};
 use crate::motion::SPEED_HOLD;
 use crate::numerics::covariance::symmetrise;
 
-/// Over a step of the wheels the speed is a mean; by its end it may have changed so much.
+/// Interval over which the speed is a mean; the speed may have changed by its end.
 const TYPICAL_STEP_S: f64 = 0.05;
 
 /// The state at one instant, as far as an estimate needs it.
@@ -68,7 +68,7 @@ impl PathState {
         }
     }
 
-    /// The pose after the speeds were held for so long; they may change by then, as fast as the parameters say.
+    /// The pose after the speeds were held for `dt_s`; they may change in that time as fast as the parameters allow.
     fn predict_pose(&self, config: &FilterConfig, dt_s: f64) -> (Pose<Arena>, Matrix3<f64>) {
         let step = BodyStep { forward_m: self.forward_m_per_s * dt_s, turn_rad: self.turn_rad_per_s * dt_s };
         let moved = displace(self.pose.heading.rad(), step, StepRule::Arc);
