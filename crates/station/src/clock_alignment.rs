@@ -1,4 +1,4 @@
-//! A robot's clock: from the timestamps of its messages to instants, with how far these may be off.
+//! A robot's clock: converts the timestamps of its messages to instants with their uncertainty.
 //!
 //! This is the only place that converts between the robot's clock and the host's.
 
@@ -12,7 +12,7 @@ use crate::clock::unwrap::UnwrapOutcome;
 use crate::observation_extractor::UnalignedObservation;
 use crate::receive::{ReceiveInfo, TimeExchange};
 
-/// An integral of the gyro over a longer gap than this says nothing about the rate.
+/// Over a longer gap between two integrals of the gyro the mean rate is not used.
 const MAX_GYRO_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 /// The integral on the wire has 32 bits of microradians.
 const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
@@ -25,20 +25,20 @@ pub(crate) struct ClockAlignment {
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AlignedTime {
-    /// The instant and its sigma; `None` if the timestamp is from before a restart, or belongs to a reply while nothing is known of
-    /// the clock.
+    /// The instant and its sigma; `None` if the timestamp is from before a restart, or belongs to a reply before the
+    /// clock is aligned.
     pub(crate) time: Option<(Timestamp<BrickClock>, TimeDelta)>,
-    /// The clock began anew.
+    /// The clock restarted.
     pub(crate) has_restarted: bool,
-    /// There is no instant, or the timestamp contradicts what was known so much that the alignment begins anew.
+    /// There is no instant, or the timestamp contradicts the alignment so much that it starts again.
     pub(crate) is_unaligned: bool,
 }
 
-/// What became of a time request and its answer.
+/// The result of a time request and its reply.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ExchangeOutcome<C: posebridge_telemetry::clock::Clock> {
     pub(crate) has_restarted: bool,
-    /// It contradicts what was known so much that the alignment begins anew.
+    /// It contradicts the alignment so much that this starts again.
     pub(crate) is_contradicted: bool,
     pub(crate) alignment: Option<Alignment<C>>,
 }
@@ -49,7 +49,6 @@ impl ClockAlignment {
         Self { aligner: clock.cast_clock(), last_gyro_turn: None }
     }
 
-    /// The instant of a timestamp of the robot.
     pub(crate) fn align(&mut self, received: ReceiveInfo, stamp: WireStamp) -> AlignedTime {
         if let WireStamp::HostInterval { sent, answered } = stamp {
             let time = self.reply_time(sent, answered);
@@ -67,12 +66,13 @@ impl ClockAlignment {
         }
     }
 
-    /// The instant of something that the robot relays under a timestamp of its own: it may be older than any reordering explains.
+    /// The instant of something that the robot relays with a timestamp of its own, which may be older than any
+    /// reordering explains.
     pub(crate) fn align_relayed(&self, stamp: WireStamp) -> Option<Timestamp<BrickClock>> {
         self.aligner.nearest_instant(stamp)
     }
 
-    /// A copy that came by a redundant link: nothing new, but one more bound of the clock.
+    /// A duplicate from a redundant link adds only a bound of the clock.
     pub(crate) fn observe_copy(&mut self, received: ReceiveInfo, stamp: WireStamp) {
         self.aligner.observe_copy(received.endpoint, stamp, received.host_time);
     }
@@ -81,7 +81,8 @@ impl ClockAlignment {
         observe_exchange(&mut self.aligner, exchange)
     }
 
-    /// The mean turn rate since the sensor's last observation that arrived: from the integral, where the sender has one.
+    /// The mean turn rate since the sensor's last observation that arrived: from the integral, where the sender has
+    /// one.
     pub(crate) fn mean_turn_rate(
         &mut self,
         time: Timestamp<BrickClock>,
@@ -107,13 +108,13 @@ impl ClockAlignment {
         ObservationKind::TurnRate(RadiansPerSecond(turned_rad / gap.as_secs_f64()))
     }
 
-    /// The robot was switched off and on: its gyro's integral began anew.
+    /// After a restart of the robot the gyro's integral starts again.
     pub(crate) fn forget_gyro_turn(&mut self) {
         self.last_gyro_turn = None;
     }
 
-    /// The robot's instant at a host instant, and its sigma if the host instant may be off by `host_uncertainty` either way; `None`
-    /// before the first alignment.
+    /// The robot's instant at a host instant, and its sigma if the host instant may be off by `host_uncertainty` either
+    /// way; `None` before the first alignment.
     pub(crate) fn at_host_time(
         &self,
         host: Timestamp<HostClock>,
@@ -123,7 +124,7 @@ impl ClockAlignment {
         Some((time, uniform_sigma(host_uncertainty + uncertainty)))
     }
 
-    /// The host's instant at a robot instant; `None` before the first alignment.
+    /// `None` before the first alignment.
     pub(crate) fn to_host(&self, time: Timestamp<BrickClock>) -> Option<Timestamp<HostClock>> {
         self.aligner.host_at(time).map(|(host, _)| host)
     }
@@ -132,12 +133,12 @@ impl ClockAlignment {
         self.aligner.round_trip()
     }
 
-    /// The furthest that the true offset can lie from the aligned one.
+    /// The largest deviation of the true offset from the aligned one.
     pub(crate) fn uncertainty(&self) -> Option<TimeDelta> {
         self.aligner.uncertainty()
     }
 
-    /// The instant of something that the robot looked up between request and reply, and its sigma: it may lie anywhere between.
+    /// The instant of a reading between request and reply, and its sigma: it may lie anywhere between.
     fn reply_time(
         &self,
         sent: Timestamp<HostClock>,
@@ -148,7 +149,7 @@ impl ClockAlignment {
     }
 }
 
-/// Gives a clock a time request and its answer.
+/// Records a time request and its reply in a clock.
 pub(crate) fn observe_exchange<C: posebridge_telemetry::clock::Clock>(
     clock: &mut ClockAligner<C>,
     exchange: &TimeExchange,
@@ -162,7 +163,7 @@ pub(crate) fn observe_exchange<C: posebridge_telemetry::clock::Clock>(
     }
 }
 
-/// Standard deviation of an instant that lies anywhere within plus or minus `bound`.
+/// Standard deviation of a uniform distribution within plus or minus `bound`.
 fn uniform_sigma(bound: TimeDelta) -> TimeDelta {
     TimeDelta::from_secs_f64(bound.as_secs_f64() / 3.0_f64.sqrt())
 }

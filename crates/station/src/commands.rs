@@ -1,11 +1,12 @@
-//! What people and programs ask of a running station: tunables, the pose, what is learned, sources, recordings.
+//! Commands and requests to a running station: tunables, pose, calibration, sensors, recordings.
 //!
-//! A command of the program is an input of its own. What comes over a link stands in the link's bytes, and those are the input: it is
-//! carried out here when the bytes are handled and never becomes a second input, so that a replay does it once and at the same place.
+//! A command of the program is an input of its own. A request over a link is part of the link's bytes, which are the
+//! input: it is carried out when the bytes are handled and never becomes a second input, so that a replay does it once
+//! and at the same point.
 //!
-//! Everything that was asked leaves an [`Event::Text`]; the sender of a request over a link gets the reason of a refusal. Values
-//! of tunables come over links as 32-bit floats and are taken as the shortest decimal number that has these bits: 0.999 there is
-//! 0.999 in the configuration.
+//! Every command emits an [`Event::Text`]; the sender of a rejected request over a link gets the reason. Values of
+//! tunables come over links as 32-bit floats and are converted to the shortest decimal number with these bits: 0.999
+//! there is 0.999 in the configuration.
 //!
 //! # Sources
 //! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/ground-stations.md.
@@ -27,11 +28,10 @@ use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
 use crate::station::Station;
 
-/// What was done, or why it was not: a line for people.
+/// The effect of a command, or the reason why it was rejected: a line for people.
 type CommandOutcome = Result<String, String>;
 
 impl Station {
-    /// A command of a person or a program for the station.
     pub(crate) fn handle_command(&mut self, command: Command) {
         self.handle_targeted_command(TargetedCommand { target: CommandTarget::Station, command });
     }
@@ -54,7 +54,7 @@ impl Station {
         }
     }
 
-    /// What became of something that the program did.
+    /// Handles the result of the program's work.
     pub(crate) fn handle_report(&mut self, severity: u8, text: &str) {
         if self.sessions.has_ground_stations() {
             self.status_texts.push_report(self.time.now, severity, text);
@@ -65,7 +65,6 @@ impl Station {
         }
     }
 
-    /// A peer sets a tunable.
     pub(crate) fn handle_parameter_set(&mut self, link: LinkId, index: usize, value: f32) {
         let Some(row) = PARAMS.get(index) else {
             return;
@@ -96,14 +95,13 @@ impl Station {
         self.report_own_text(severity::WARNING, why);
     }
 
-    /// A peer requests an unknown tunable.
     pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
         let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
         self.send_text_answer(link, severity::WARNING, &why);
         self.report_own_text(severity::WARNING, why);
     }
 
-    /// A command from a link that no session answers by itself.
+    /// A command from a link that no session handles itself.
     pub(crate) fn handle_link_command(
         &mut self,
         received: ReceiveInfo,
@@ -153,13 +151,14 @@ impl Station {
         }
     }
 
-    /// The robot that asks the station for something; `None` if it is not a robot that asks.
+    /// The robot that sends a request; `None` if the sender is not a robot.
     pub(crate) fn requesting_robot(&self, received: ReceiveInfo, by: Address) -> Option<RobotIndex> {
         let home = self.router.first_of_group(received.endpoint.link);
         self.robots.identities.find(received.endpoint, home, by)
     }
 
-    /// Does what a command from a link asks for, and tells what became of it. A robot as a vehicle takes only what concerns robots.
+    /// Carries out a command from a link, and reports the result. A robot as a vehicle accepts only commands about
+    /// robots.
     fn execute_link_command(
         &mut self,
         link: LinkId,
@@ -199,7 +198,7 @@ impl Station {
         }
     }
 
-    /// Carries a command out; a message about one robot begins with its name.
+    /// Carries out a command; the text about one robot begins with its name.
     fn execute(&mut self, TargetedCommand { target, command }: TargetedCommand) -> CommandOutcome {
         let said = self.carry_out(target, command);
         match target {
@@ -337,7 +336,7 @@ impl Station {
         }
     }
 
-    /// Gives the estimators of the robots that are meant a command; the first that refuses it says why.
+    /// Sends a command to the estimators of the target robots; the first one that rejects it gives the reason.
     fn command_robots(
         &mut self,
         target: CommandTarget,
@@ -387,7 +386,8 @@ impl Station {
         self.outputs.push(Output::Request(request));
     }
 
-    /// A status text to the sender of a request over a link; ground stations read it anyway, as they do all that the station reports.
+    /// A status text to the sender of a request over a link; ground stations get it anyway, with all other texts of the
+    /// station.
     fn send_text_answer(&mut self, link: LinkId, severity: u8, text: &str) {
         if !self.links.contains_key(&link) || self.sessions.vehicles(link).is_some() {
             return;
@@ -397,7 +397,7 @@ impl Station {
         }
     }
 
-    /// Sends an answer; a link that went down does not wait for it.
+    /// Sends a reply; it is lost if the link is down.
     fn send_answer(&mut self, link: LinkId, message: &Message) {
         if self.links.get(&link).is_some_and(|link| link.state == LinkState::Up) {
             self.transmitter().send(link, message, Priority::Command);
@@ -417,7 +417,7 @@ impl Station {
     }
 }
 
-/// The typed number behind these bits: the shortest decimal that has them.
+/// The shortest decimal number that has this value as a 32-bit float.
 fn shortest_decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }

@@ -1,4 +1,4 @@
-//! What a station is built from. Plain values: parsing and merging of files is the program's business.
+//! The configuration of a station as plain values: the program parses and merges the files.
 
 use std::collections::BTreeMap;
 
@@ -10,35 +10,31 @@ use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
 use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta};
 
-/// Everything that decides what a station does with its inputs. Same configuration and same inputs: same outputs.
+/// The configuration of a station. The same configuration and the same inputs give the same outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StationConfig {
-    /// The station's own address on every link.
+    /// On every link.
     pub own_address: Address,
-    /// Every robot that no block of `robots` is for.
+    /// For every robot without a matching block in `robots`.
     pub robot: RobotConfig,
-    /// Robots with a configuration of their own; the first block that matches counts.
+    /// Robots with a configuration of their own; the first block that matches is used.
     pub robots: Vec<RobotBlock>,
-    /// Most robots of a session; those beyond are not followed, and that is reported.
+    /// Most robots of a session; further ones are not followed, which is reported.
     pub max_robots: usize,
-    /// The only system that may be a robot; `None` takes every sender of odometry.
+    /// The only system that may be a robot; `None` accepts every sender of odometry.
     pub robot_system: Option<SystemId>,
-    /// When cameras are asked for a fix.
     pub fix_requests: FixRequestConfig,
-    /// How often to ask the brick and the camera for their time, once the first answers are in.
+    /// Interval of time requests to brick and camera, after the first replies.
     pub timesync_period: TimeDelta,
-    /// Messages that the brick is asked to send, with their interval.
     pub brick_message_intervals: Vec<(u32, TimeDelta)>,
-    /// How long a frame is remembered, to know it again when it comes by another way; zero turns this off.
+    /// How long a frame is remembered to detect duplicates from other endpoints; zero turns this off.
     pub duplicate_window: TimeDelta,
-    /// The links, by id.
     pub links: Vec<LinkConfig>,
 }
 
-/// What is known about one robot, or about all that have no block of their own.
+/// The configuration of one robot, or of all robots without a block of their own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotConfig {
-    /// What people call it.
     pub name: Option<String>,
     /// Name of a row of [`posebridge_estimator::FILTERS`].
     pub filter: String,
@@ -46,12 +42,12 @@ pub struct RobotConfig {
     pub filter_config: FilterConfig,
     /// Whether the robot's own description replaces the configured geometry.
     pub description: DescriptionPolicy,
-    /// Where the camera's tag sits on the robot, if fixes are of a tag and not of mid-axle.
+    /// Position of the camera's tag on the robot, if fixes are of a tag and not of mid-axle.
     pub tag_in_body: Point2<Body>,
-    /// The tag's number, by which fixes name the robot.
+    /// The tag's number in fixes.
     pub tag: Option<u32>,
-    /// What is known of its thermometers, by their channels; the others are learnt from what they show. Bricks that are no robots have
-    /// thermometers, too: those of the block that matches them.
+    /// The dynamics of its thermometers, by channel; others are learned. Bricks that are no robots have thermometers,
+    /// too, with the configuration of the block that matches them.
     pub thermometers: Vec<ThermometerConfig>,
 }
 
@@ -59,21 +55,20 @@ pub struct RobotConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotBlock {
     pub matches: RobotMatch,
-    /// What is known about them.
     pub robot: RobotConfig,
 }
 
-/// Which robots a block is for: all that is given must hold.
+/// The robots to which a block applies: all given conditions must hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RobotMatch {
-    /// The link that it is heard on, or one that is redundant to it.
+    /// The robot's link, or one that is redundant to it.
     pub link: Option<LinkId>,
     pub system: Option<SystemId>,
     pub component: Option<ComponentId>,
 }
 
 impl RobotMatch {
-    /// Whether it is for a robot that is heard on a link under an address, that of the robot's own frames.
+    /// Whether the block applies to a robot on a link with an address, that of its own frames.
     pub(crate) fn is_for(self, link: LinkId, address: Address) -> bool {
         self.link.is_none_or(|wanted| wanted == link)
             && self.system.is_none_or(|wanted| wanted == address.system)
@@ -82,12 +77,12 @@ impl RobotMatch {
 }
 
 impl StationConfig {
-    /// What is known about the robots of a block, given by its index in `robots`; `None` stands for robots without a block.
+    /// The configuration of the robots of a block, by its index in `robots`; `None` is that of robots without a block.
     pub(crate) fn robot_config(&self, block: Option<usize>) -> &RobotConfig {
         block.map_or(&self.robot, |block| &self.robots[block].robot)
     }
 
-    /// What passes between the links.
+    /// The part of the configuration for the router.
     pub(crate) fn router_config(&self) -> RouterConfig {
         let rules = self.links.iter().map(|link| {
             let mut rules = link.rules.clone();
@@ -107,41 +102,38 @@ impl StationConfig {
 pub enum BuildError {
     #[error("unknown filter `{name}`; there are: {known}")]
     UnknownFilter { name: String, known: String },
-    /// Two links have one id.
     #[error("link id {id} is used twice")]
     DuplicateLink { id: LinkId },
 }
 
-/// When cameras that take requests are asked for a fix: as soon as the station is less sure than this.
+/// When to request a fix from cameras: if the estimate is less certain than this.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixRequestConfig {
-    /// Above this standard deviation of the position, the larger of both axes, in metres.
+    /// Threshold of the position's standard deviation, the larger of both axes.
     pub above_m: Option<f64>,
-    /// Above this standard deviation of the heading, in radians.
+    /// Threshold of the heading's standard deviation.
     pub above_rad: Option<f64>,
-    /// Not sooner after the last request.
+    /// Shortest time between two requests.
     pub interval: TimeDelta,
 }
 
 impl Default for FixRequestConfig {
-    /// No camera is asked.
     fn default() -> Self {
         Self { above_m: None, above_rad: None, interval: TimeDelta::from_millis(250) }
     }
 }
 
-/// What is known of one thermometer.
+/// The configuration of one thermometer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ThermometerConfig {
     pub channel: ChannelName,
-    /// Its dynamics and noise.
     pub settings: ThermometerSettings,
 }
 
-/// The blocks of a configuration by the system that they ask for: in a large room each robot has one, and none is looked at in vain.
+/// The blocks by the system that they match, so that in a class with one block per robot only a few are tested.
 #[derive(Debug)]
 pub(crate) struct RobotBlockIndex {
-    /// Places of blocks, in their order; `None` has those that take any system.
+    /// Indices of blocks, in their order; the key `None` has those that match any system.
     by_system: BTreeMap<Option<SystemId>, Vec<usize>>,
 }
 
@@ -154,8 +146,8 @@ impl RobotBlockIndex {
         Self { by_system }
     }
 
-    /// The first block for the robot that is heard on a link under an address, that of its own frames; `None` if there is none. `blocks`
-    /// are those that this was made from.
+    /// The first block for the robot on a link with an address, that of its own frames; `None` if there is none.
+    /// `blocks` are those from which this index was made.
     pub(crate) fn find(&self, blocks: &[RobotBlock], link: LinkId, address: Address) -> Option<usize> {
         let first = |system| {
             let places = self.by_system.get(&system)?;
@@ -168,38 +160,37 @@ impl RobotBlockIndex {
 /// Whether a robot's own description is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescriptionPolicy {
-    /// The configured geometry stands.
+    /// The configured geometry is used.
     Ignore,
-    /// The robot's own words replace it.
+    /// The robot's description replaces it.
     Adopt,
 }
 
-/// One link and what goes out on it.
+/// One link and its outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkConfig {
     pub id: LinkId,
-    /// What is at its other end, if it speaks no MAVLink. Then nothing below counts but `outputs`, and nothing of it is passed on to
-    /// other links.
+    /// The brick at its other end, if that does not use MAVLink. Then only `outputs` applies of the following fields,
+    /// and nothing is forwarded from it to other links.
     pub brick: Option<BrickLink>,
-    /// How it cuts its bytes.
     pub framing: TransportKind,
-    /// MAVLink 1 is accepted only when asked for.
     pub accepted_versions: AcceptedVersions,
-    /// The MAVLink version that the station sends there; messages with ids above 255, our own among them, do not exist in MAVLink 1.
+    /// The MAVLink version of the station's frames on it; messages with ids above 255, our own among them, do not exist
+    /// in MAVLink 1.
     pub send_version: WireVersion,
     pub outputs: Vec<OutputStream>,
-    /// The components as which the station sends there.
+    /// The components as which the station sends on it.
     pub announced_as: AnnouncedAs,
-    /// How its frames are signed; `None` accepts all senders and signs nothing.
+    /// `None` accepts all senders and signs nothing.
     pub signing: Option<SigningConfig>,
-    /// What passes between it and the other links.
+    /// Routing between it and the other links.
     pub rules: LinkRules,
 }
 
-/// A brick with a protocol of its own.
+/// A brick with a protocol other than MAVLink.
 #[derive(Clone, Debug)]
 pub struct BrickLink {
-    /// Its protocol, a row of [`BRICK_PROTOCOLS`](posebridge_protocol::bricks::BRICK_PROTOCOLS).
+    /// A row of [`BRICK_PROTOCOLS`](posebridge_protocol::bricks::BRICK_PROTOCOLS).
     pub protocol: &'static BrickProtocol,
     pub settings: CodecSettings,
 }
@@ -213,33 +204,30 @@ impl PartialEq for BrickLink {
 /// The components as which the station sends on a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AnnouncedAs {
-    /// As itself.
     #[default]
     Station,
-    /// As the robot, too: ground stations show a vehicle only if component 1 of its system sends. For links on which the robot is not
-    /// heard itself.
+    /// Also as the robot: ground stations show a vehicle only if component 1 of its system sends. For links without the
+    /// robot itself.
     StationAndVehicle,
 }
 
 /// Which MAVLink versions a link accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AcceptedVersions {
-    /// Only MAVLink 2.
     V2,
-    /// MAVLink 1 too.
     V1AndV2,
 }
 
-/// One kind of message that is sent on a link as estimates come.
+/// A kind of message that is sent on a link with new estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputStream {
     pub kind: OutputKind,
-    /// At least this long between two of them; zero sends one with every estimate.
+    /// Shortest time between two of them; zero sends one with every estimate.
     pub interval: TimeDelta,
     pub instant: OutputInstant,
 }
 
-/// The messages in which an estimate can leave.
+/// The messages that can carry an estimate or a fusion record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum OutputKind {
     /// PB_PLANAR_POSE, compact.
@@ -252,17 +240,17 @@ pub enum OutputKind {
     Attitude,
     /// ESTIMATOR_STATUS.
     EstimatorStatus,
-    /// PB_FUSION_HEALTH, one per observation that could be held against a prediction.
+    /// PB_FUSION_HEALTH, one per observation that was compared with a prediction.
     FusionHealth,
-    /// DISTANCE_SENSOR, the robot's range as it was observed.
+    /// DISTANCE_SENSOR, the robot's range as observed.
     DistanceSensor,
     /// NAMED_VALUE_FLOAT, the NIS of each sensor.
     NamedValue,
-    /// DEBUG_FLOAT_ARRAY, innovation, NIS and what was expected of them, of each sensor.
+    /// DEBUG_FLOAT_ARRAY, innovation, NIS and expected standard deviations of each sensor.
     FloatArray,
 }
 
-/// Every output, with the name that the configuration uses.
+/// Every output, with its name in the configuration.
 pub const OUTPUTS: &[(&str, OutputKind)] = &[
     ("planar_pose", OutputKind::PlanarPose),
     ("odometry", OutputKind::Odometry),
@@ -275,12 +263,12 @@ pub const OUTPUTS: &[(&str, OutputKind)] = &[
     ("debug_float_array", OutputKind::FloatArray),
 ];
 
-/// For which instant an estimate is sent.
+/// The instant for which an estimate is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputInstant {
-    /// That of the last observation.
+    /// The last observation's.
     Observed,
-    /// That at which it will arrive, by prediction.
+    /// The predicted arrival's.
     Arrival,
 }
 

@@ -1,7 +1,8 @@
-//! What came from senders whose identity is open, until it is known: see [`crate::sender_identity`] and [`crate::observers`].
+//! Messages of senders whose identity is undecided, kept until it is known: see [`crate::sender_identity`] and
+//! [`crate::observers`].
 //!
-//! Without it a robot with the ids of another would lose its first messages, and one that reconnected those until the old peer counts as
-//! silent.
+//! Otherwise a robot with the ids of another would lose its first messages, and one that reconnected those until the
+//! old peer counts as silent.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -13,26 +14,24 @@ use crate::observation_extractor::UnalignedObservation;
 use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::sender_identity::MAX_CONTENDERS;
 
-/// What is kept of one sender: half a second of one that sends 100 messages a second and answers requests for its time. The oldest go
-/// first.
+/// Most messages kept of one sender: half a second of one that sends 100 messages a second and replies to time
+/// requests. The oldest are dropped first.
 const MAX_PER_SENDER: usize = 64;
 
-/// What came from a sender.
+/// A message of an undecided sender.
 #[derive(Debug)]
 pub(crate) enum ContestedMessage {
-    /// A message, perhaps of a robot.
+    /// May be from a robot.
     Message(ReceiveInfo, Message),
     Fix(ReceiveInfo, UnalignedObservation),
-    /// An answer to a request for the time.
     TimeExchange(TimeExchange),
 }
 
-/// What came from all such senders, in the order in which it came from each.
+/// Messages of all such senders, in order of arrival for each.
 #[derive(Debug, Default)]
 pub(crate) struct ContestedMessages(BTreeMap<(Endpoint, Address), VecDeque<ContestedMessage>>);
 
 impl ContestedMessages {
-    /// Keeps something until its sender is known.
     pub(crate) fn push(&mut self, endpoint: Endpoint, address: Address, message: ContestedMessage) {
         if self.0.len() >= MAX_CONTENDERS && !self.0.contains_key(&(endpoint, address)) {
             self.0.clear();
@@ -44,7 +43,7 @@ impl ContestedMessages {
         messages.push_back(message);
     }
 
-    /// What came from a sender that is known now, oldest first.
+    /// The messages of a sender that is now known, oldest first.
     pub(crate) fn take(&mut self, endpoint: Endpoint, address: Address) -> VecDeque<ContestedMessage> {
         if self.0.is_empty() {
             return VecDeque::new();

@@ -1,4 +1,4 @@
-//! Frames to messages. The first bad payload of a sender's message is described in words; all of them are counted.
+//! Decodes frames to messages. The first bad payload of a sender's message is described in words; all are counted.
 
 use std::collections::BTreeSet;
 
@@ -10,11 +10,11 @@ use posebridge_telemetry::Address;
 /// Most senders and messages of a link whose bad payloads are described.
 const MAX_DESCRIPTIONS: usize = 64;
 
-/// A frame whose payload makes no sense.
+/// A frame with an invalid payload.
 #[derive(Debug)]
 pub(crate) struct PayloadError {
     pub(crate) message_id: u32,
-    /// What is wrong, the first time that it happens with this sender and message.
+    /// The error in words, the first time for this sender and message.
     pub(crate) description: Option<String>,
 }
 

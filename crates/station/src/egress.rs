@@ -1,4 +1,4 @@
-//! The last stage on the way out: rate limits, sequence numbers, encoding and signing, link by link.
+//! The last output stage of each link: rate limits, sequence numbers, encoding and signing.
 
 use std::collections::BTreeMap;
 
@@ -12,14 +12,13 @@ use crate::config::LinkConfig;
 use crate::forwarding::ForwardedFrame;
 use crate::link_context::LinkContext;
 
-/// Message ids have 24 bits; behind them may stand the sensor's number.
+/// Message ids have 24 bits; the sensor's number may be above them.
 const MAX_MESSAGE_ID: u32 = 0x00FF_FFFF;
 
 /// A message of the station on its way to one link.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutgoingMessage<'a> {
     pub(crate) link: LinkId,
-    /// The address that it is sent under.
     pub(crate) sender: Address,
     pub(crate) message: &'a Message,
     pub(crate) priority: Priority,
@@ -51,8 +50,8 @@ impl Egress {
         Self { links: egress.collect() }
     }
 
-    /// The bytes of a message; `None` if the link is down, its limits hold the message back, or it cannot carry the message. Each is
-    /// counted in the link's health.
+    /// The bytes of a message; `None` if the link is down, its limits drop the message, or it cannot carry the message.
+    /// Each of these is counted in the link's health.
     pub(crate) fn send(
         &mut self,
         now: Timestamp<HostClock>,
@@ -96,7 +95,7 @@ impl Egress {
         Some(bytes)
     }
 
-    /// Whether a forwarded frame may leave on a link; it is limited and paid for once, however many peers it goes to.
+    /// Whether a forwarded frame may be sent on a link; it is limited and charged once, however many peers receive it.
     pub(crate) fn admit_forwarded(
         &mut self,
         now: Timestamp<HostClock>,
@@ -122,24 +121,23 @@ impl Egress {
         true
     }
 
-    /// The bytes of a forwarded frame under an address, with the next number of that address on this link.
+    /// Gives a forwarded frame a sender's address and the next sequence number of that address on this link.
     ///
-    /// # Errors
-    /// The frame is signed and must stay as it is.
+    /// Fails if the frame is signed and must not be changed.
     pub(crate) fn readdress(&mut self, id: LinkId, bytes: &[u8], sender: Address) -> Result<Vec<u8>, RenumberError> {
         let egress = self.links.get_mut(&id).ok_or(RenumberError::Signed)?;
         let mut bytes = bytes.to_vec();
         egress.encoder.readdress(&mut bytes, sender).map(|()| bytes)
     }
 
-    /// A sender's frame leaves under the number that it came with: the next one that is sent under this address follows that.
+    /// A sender's frame is sent with its original sequence number: the next one with this address has the number after
+    /// it.
     pub(crate) fn follow_sequence(&mut self, id: LinkId, source: Address, sequence: u8) {
         if let Some(egress) = self.links.get_mut(&id) {
             egress.encoder.note_forwarded(source, sequence);
         }
     }
 
-    /// The MAVLink version that is spoken on a link.
     pub(crate) fn send_version(&self, id: LinkId) -> Option<WireVersion> {
         self.links.get(&id).map(|egress| egress.send_version)
     }

@@ -1,6 +1,6 @@
-//! From estimates, and from the records of observations, to messages.
+//! Converts estimates and fusion records to messages.
 //!
-//! Of a record innovations and NIS leave, for people who look at plots:
+//! Of a record, innovations and NIS are sent, for plots:
 //! ```text
 //! NAMED_VALUE_FLOAT    nis_<sensor>        NIS over its degrees of freedom: 1 in the mean when all is well
 //! DEBUG_FLOAT_ARRAY    <sensor>, its id    NIS, degrees of freedom, verdict as in PB_FUSION_HEALTH, lag in s,
@@ -25,16 +25,15 @@ pub(crate) enum PredictionStatus {
     Ahead,
 }
 
-/// What a message contains besides the estimate itself.
+/// The context of a message besides the estimate itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PublishContext {
-    /// Whether the estimate was predicted ahead.
     pub(crate) prediction: PredictionStatus,
-    /// When it holds on the host's clock, for messages whose stamps are those of the sender's own clock.
+    /// Its instant on the host's clock, for messages stamped by the sender's own clock.
     pub(crate) host: Timestamp<HostClock>,
-    /// Normalised innovation squared of the last fix over its gate: above 1 it was refused.
+    /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
     pub(crate) fix_ratio: f64,
-    /// For whom it is: to a ground station the arena is a floor like any other.
+    /// The recipient: for a ground station the arena's frame is an arbitrary local one.
     pub(crate) announced_as: AnnouncedAs,
 }
 
@@ -85,8 +84,9 @@ fn planar_pose(estimate: &Estimate, prediction: PredictionStatus) -> PlanarPose 
     }
 }
 
-/// To a brick the pose is one in the arena, which it must distinguish from a drifting one. To a ground station, which knows the arena's
-/// place on the globe no better, it is one on a floor whose heading is arbitrary: MAV_FRAME_LOCAL_FRD.
+/// For a brick the pose is in the arena frame, which it must distinguish from a drifting one. For a ground station,
+/// which does not know the arena's position on the globe, it is in a local frame with an arbitrary heading:
+/// MAV_FRAME_LOCAL_FRD.
 fn odometry(estimate: &Estimate, host: Timestamp<HostClock>, voices: AnnouncedAs) -> Odometry {
     let Pose { x, y, heading, .. } = estimate.pose;
     Odometry {
@@ -126,7 +126,7 @@ fn flags(estimate: &Estimate, prediction: PredictionStatus) -> PoseFlags {
     }
 }
 
-/// An instant of the host as milliseconds since the station began.
+/// An instant of the host as milliseconds since the start of the session.
 pub(crate) fn host_stamp(host: Timestamp<HostClock>) -> WireStamp {
     WireStamp::Millis32(host.as_micros().div_euclid(1_000) as u32)
 }
@@ -136,19 +136,20 @@ pub(crate) fn brick_stamp(stamp: Timestamp<BrickClock>) -> WireStamp {
     WireStamp::Micros32(stamp.as_micros().rem_euclid(1 << 32) as u32)
 }
 
-/// Half of a round trip: the best guess of how long an estimate travels.
+/// Half of a round trip: the best guess of an estimate's travel time.
 pub(crate) fn travel_time(round_trip: Option<TimeDelta>) -> TimeDelta {
     round_trip.map_or(TimeDelta::ZERO, |whole| TimeDelta::from_nanos(whole.as_nanos() / 2))
 }
 
-/// Used and refused observations of one sensor so far.
+/// Used and rejected observations of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct FusionCounts {
     pub(crate) accepted: u16,
     pub(crate) rejected: u16,
 }
 
-/// What an output says of a record; `None` if it does not depend on records. `host` is when the observation was made.
+/// The message of an output about a record; `None` if it does not depend on records. `host` is when the observation was
+/// made.
 pub(crate) fn record_message(
     kind: OutputKind,
     record: &FusionRecord,
@@ -190,7 +191,7 @@ fn nis_per_dof(record: &FusionRecord) -> f64 {
     record.nis / f64::from(record.degrees_of_freedom.max(1))
 }
 
-/// Ten bytes are room for six of the sensor's name: `nis_camera`.
+/// Ten bytes hold six of the sensor's name: `nis_camera`.
 fn nis_name(sensor: SensorId) -> ChannelName {
     ChannelName::from_bytes(format!("nis_{:.6}", sensor.name()).as_bytes())
 }

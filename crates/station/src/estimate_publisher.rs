@@ -1,4 +1,4 @@
-//! What of a robot leaves on which link: estimates as they come, ranges as they are observed, records of fusion as they are made.
+//! The outputs of one robot on each link: estimates, observed ranges and fusion records, as they come.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,6 @@ use crate::estimate_messages::{self, PredictionStatus, PublishContext, host_stam
 use crate::estimator::Estimator;
 use crate::output_schedule::{OutputSchedule, priority, priority_of_record};
 
-/// A message on its way to one link.
 #[derive(Debug)]
 pub(crate) struct PublishedMessage {
     pub(crate) link: LinkId,
@@ -22,7 +21,6 @@ pub(crate) struct PublishedMessage {
     pub(crate) priority: Priority,
 }
 
-/// What the messages of an estimate are made from, besides the estimate.
 #[derive(Clone, Copy)]
 pub(crate) struct EstimateSource<'a> {
     pub(crate) now: Timestamp<HostClock>,
@@ -34,11 +32,11 @@ pub(crate) struct EstimateSource<'a> {
 #[derive(Debug)]
 pub(crate) struct EstimatePublisher {
     links: BTreeMap<LinkId, LinkOutputs>,
-    /// The robot's range as it was observed last, and when by the host's clock.
+    /// The last observed range, with its instant on the host's clock.
     last_range: Option<(Meters, Timestamp<HostClock>)>,
-    /// What became of each sensor's last observation that was compared with a prediction.
+    /// The last fusion record of each sensor that was compared with a prediction.
     last_records: BTreeMap<SensorId, FusionRecord>,
-    /// The estimate that the robot has been sent and the other links have not.
+    /// An estimate that was sent to the robot and not yet to the other links.
     pending: Option<Estimate>,
 }
 
@@ -77,17 +75,16 @@ impl EstimatePublisher {
         messages.collect()
     }
 
-    /// The estimate waits for [`Self::take_pending`].
     pub(crate) fn set_pending(&mut self, estimate: &Estimate) {
         self.pending = Some(*estimate);
     }
 
-    /// The estimate that the other links have not been sent yet.
+    /// The estimate that was not yet sent to the other links.
     pub(crate) fn take_pending(&mut self) -> Option<Estimate> {
         self.pending.take()
     }
 
-    /// The messages of a record, on every link that wants them.
+    /// The messages of a record, on every link with such an output.
     pub(crate) fn publish_record(
         &mut self,
         now: Timestamp<HostClock>,
@@ -108,7 +105,7 @@ impl EstimatePublisher {
         published
     }
 
-    /// The messages of an observed range, on those of the links that are up and want it.
+    /// The messages of an observed range, on the links that are up and have such an output.
     pub(crate) fn publish_range(
         &mut self,
         now: Timestamp<HostClock>,
@@ -127,19 +124,19 @@ impl EstimatePublisher {
         due.map(message).collect()
     }
 
-    /// A peer requests another interval; `None` stops the message, zero restores what is configured.
+    /// Sets the interval that a peer requests; `None` stops the message, zero restores the configured one.
     pub(crate) fn set_interval(&mut self, link: LinkId, message_id: u32, interval: Option<TimeDelta>) {
         if let Some(outputs) = self.links.get_mut(&link) {
             outputs.schedule.set_interval(message_id, interval);
         }
     }
 
-    /// The interval of an output on a link, as MESSAGE_INTERVAL has it; `None` if there is no such link.
+    /// The interval of an output on a link, in the form of MESSAGE_INTERVAL; `None` if there is no such link.
     pub(crate) fn interval_micros(&self, link: LinkId, kind: OutputKind) -> Option<i32> {
         Some(self.links.get(&link)?.schedule.interval_micros(kind))
     }
 
-    /// What an output says at present; nothing if there was nothing to say yet.
+    /// The present messages of an output; none before there is any data.
     pub(crate) fn current(&self, link: LinkId, kind: OutputKind, source: EstimateSource<'_>) -> Vec<Message> {
         let outputs = self.links.get(&link);
         match kind {
@@ -169,7 +166,7 @@ impl EstimatePublisher {
     }
 }
 
-/// What one output says of an estimate: as it is, or predicted for the instant at which the message arrives.
+/// The message of one output for an estimate: unchanged, or predicted for the instant of its arrival.
 fn estimate_message(
     stream: &OutputStream,
     observed: &Estimate,

@@ -1,4 +1,4 @@
-//! A robot's estimator: its filter, the sensors that are switched off, and what of its results is watched.
+//! A robot's estimator: its filter, its disabled sensors, and the monitoring of fixes and slip.
 
 use std::collections::BTreeSet;
 
@@ -26,12 +26,12 @@ pub(crate) struct Estimator {
     fix_gates: [f64; MAX_FIX_COMPONENTS],
 }
 
-/// What became of an observation.
+/// The result of an observation.
 pub(crate) struct FusionReport {
     pub(crate) record: FusionRecord,
-    /// The observation was not left out.
+    /// The observation's sensor is enabled.
     pub(crate) is_used: bool,
-    /// The wheels have begun to slip; reported once for each episode.
+    /// The wheels have begun to slip; reported once per episode.
     pub(crate) slip_began: bool,
 }
 
@@ -49,7 +49,7 @@ impl Estimator {
         }
     }
 
-    /// Uses an observation, late or not, unless its sensor is switched off.
+    /// Uses an observation, late or not, unless its sensor is disabled.
     pub(crate) fn observe(&mut self, observation: &Observation) -> FusionReport {
         if self.switched_off.contains(&observation.sensor) {
             return FusionReport { record: unused_record(observation), is_used: false, slip_began: false };
@@ -63,7 +63,7 @@ impl Estimator {
         FusionReport { record, is_used: true, slip_began }
     }
 
-    /// The estimate at the latest instant of any observation.
+    /// At the latest instant of any observation.
     pub(crate) fn latest_estimate(&self) -> Option<Estimate> {
         self.filter.estimate_at(self.filter.latest_time()?)
     }
@@ -85,7 +85,7 @@ impl Estimator {
         self.fix_ratio
     }
 
-    /// The nominal geometry: the configured one, or the one that the robot has described.
+    /// The configured geometry, or the one that the robot has described.
     pub(crate) const fn geometry(&self) -> DriveGeometry {
         self.config.geometry
     }
@@ -94,7 +94,6 @@ impl Estimator {
         self.entry.name
     }
 
-    /// Where the robot is configured to start.
     pub(crate) const fn start(&self) -> Option<StartPose> {
         self.config.start
     }
@@ -103,12 +102,12 @@ impl Estimator {
         self.filter.set_pose(start)
     }
 
-    /// The pose is unknown from now on; whether the filter can forget it.
+    /// Makes the pose unknown; false if the filter does not support it.
     pub(crate) fn forget_pose(&mut self) -> bool {
         self.filter.apply_command(&FilterCommand::ResetPose) == FusionOutcome::Accepted
     }
 
-    /// Other tunables from now on; whether the filter takes them.
+    /// Replaces the tunables; false if the filter does not support it.
     pub(crate) fn set_params(&mut self, params: Params) -> bool {
         if self.filter.apply_command(&FilterCommand::SetParams(params)) != FusionOutcome::Accepted {
             return false;
@@ -126,7 +125,7 @@ impl Estimator {
         true
     }
 
-    /// Begins again from the configured constants; whether the filter calibrates online.
+    /// Restarts from the configured constants; false if the filter does not calibrate online.
     pub(crate) fn reset_calibration(&mut self) -> bool {
         self.filter.apply_command(&FilterCommand::ResetCalibration) == FusionOutcome::Accepted
     }
@@ -142,12 +141,12 @@ impl Estimator {
         self.switched_off.iter().copied()
     }
 
-    /// The robot was switched off and on: its clock and its counters began anew.
+    /// After a restart of the robot its clock and its counters start again.
     pub(crate) fn restart_clock(&mut self) {
         self.filter.restart_clock();
     }
 
-    /// A filter of another geometry goes on where the old one was, if that knew where it was.
+    /// A filter of another geometry continues at the old one's pose, if that was known.
     pub(crate) fn set_geometry(&mut self, geometry: DriveGeometry) {
         self.config.geometry = geometry;
         let mut config = self.config.clone();
@@ -170,7 +169,6 @@ fn fix_gates(params: &Params) -> [f64; MAX_FIX_COMPONENTS] {
     [1, 2, 3].map(|components| chi_square_quantile(components, params.gate_probability))
 }
 
-/// The record of an observation that is shown but not used.
 fn unused_record(observation: &Observation) -> FusionRecord {
     FusionRecord {
         sensor: observation.sensor,
@@ -186,13 +184,13 @@ fn unused_record(observation: &Observation) -> FusionRecord {
     }
 }
 
-/// Wheels that have not slipped for longer than this begin anew: ten of the gyro's usual windows of 0.2 s.
+/// Time without slip after which an episode ends: ten of the gyro's usual windows of 0.2 s.
 const SLIP_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
-/// Number of windows in a row that are no coincidence. One alone is chance once in a thousand, or play that is crossed where a
-/// wheel turns back.
+/// Consecutive windows with slip that are no coincidence. A single one happens by chance once in a thousand, or by
+/// backlash where a wheel changes direction.
 const MIN_CONSECUTIVE: u32 = 3;
 
-/// Counts the observations of motion with slip.
+/// Counts consecutive motion observations with slip.
 #[derive(Clone, Copy, Debug, Default)]
 struct SlipWatch {
     last: Option<Timestamp<BrickClock>>,
@@ -200,7 +198,7 @@ struct SlipWatch {
 }
 
 impl SlipWatch {
-    /// Records an observation with slip, and returns whether people should be warned.
+    /// Records an observation with slip, and returns whether to warn people.
     fn observe(&mut self, stamp: Timestamp<BrickClock>) -> bool {
         let last = self.last.replace(stamp);
         // A brick that was restarted begins with an earlier stamp.

@@ -1,4 +1,4 @@
-//! Which robot a camera's fix is for.
+//! Assigns a camera's fix to a robot.
 
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::Address;
@@ -7,10 +7,11 @@ use crate::config::StationConfig;
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 
-/// The robot that a fix is for; `None` if that is open, or if the robot was not heard yet.
+/// The robot of a fix; `None` if that is ambiguous, or if the robot is not known yet.
 ///
-/// A fix of a tag that the configuration gives to a robot is for that one alone. Any other is for the only robot that is heard by the same
-/// endpoint as its sender, else for the only one at all, else for the only one in its sender's system, unless that one has another tag.
+/// A fix of a tag that the configuration assigns to a robot is for that robot. Any other is for the only robot on its
+/// sender's endpoint, else for the only robot at all, else for the only one in its sender's system, unless that one has
+/// another tag.
 pub(crate) fn robot_of_fix(
     robots: &RobotTable,
     config: &StationConfig,

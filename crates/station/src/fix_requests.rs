@@ -1,14 +1,14 @@
-//! Fixes that are asked for: when the station is no longer sure enough where the robot is, it asks the cameras that answer.
+//! Requests fixes from cameras when the estimate is too uncertain.
 //!
 //! # Model
 //! ```text
 //! ask  if  max(sigma_x, sigma_y) > above_m  or  sigma_heading > above_rad  or  the pose is not known
 //!          and the last request is at least `interval` old
 //! ```
-//! The question is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the codec of
-//! JSON cameras encodes it in its own form. Asked is who has said in a heartbeat that it is a camera. One that refuses the
-//! command is not asked again until it is restarted; one that does not react rests for a while, so that a slow link is not filled
-//! with questions.
+//! The request is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the
+//! codec of JSON cameras encodes it in its own form. It is sent to senders whose heartbeat has the type camera. One
+//! that rejects the command gets no more requests until it is restarted; one that does not react gets none for a while,
+//! so that a slow link is not filled.
 //!
 //! # Sources
 //! MAVLink common.xml: MAV_CMD_REQUEST_MESSAGE, MAV_RESULT; minimal.xml: MAV_TYPE_CAMERA. docs/protocols/camera-json.md.
@@ -22,16 +22,16 @@ use posebridge_telemetry::{Address, Estimate, HostClock, LinkId, TimeDelta, Time
 use crate::config::FixRequestConfig;
 
 const MAV_TYPE_CAMERA: u8 = 30;
-/// MAV_RESULT_ACCEPTED, _TEMPORARILY_REJECTED and _IN_PROGRESS: all others refuse for good.
+/// MAV_RESULT_ACCEPTED, _TEMPORARILY_REJECTED and _IN_PROGRESS: all others are final rejections.
 const NOT_REFUSED: [u8; 3] = [0, 1, 5];
-/// Most cameras that are remembered; those that come later are not asked. The last sensor's number is shared from the eighth camera on
+/// Most cameras; later ones get no requests. From the eighth camera on all share the last sensor id
 /// ([`SensorId::camera`](posebridge_telemetry::SensorId::camera)).
 pub(crate) const MAX_CAMERAS: usize = 64;
-/// Number of requests in a row without a fix after which a camera rests.
+/// Consecutive requests without a fix after which a camera gets none for a while.
 const MAX_UNANSWERED: u32 = 4;
 const PAUSE: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// The cameras that can be asked, and the instant of the last request.
+/// The cameras to request fixes from, and the instant of the last request.
 #[derive(Debug, Default)]
 pub(crate) struct FixRequests {
     cameras: BTreeMap<(LinkId, Address), Camera>,
@@ -40,7 +40,7 @@ pub(crate) struct FixRequests {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Camera {
-    /// It does not know the command.
+    /// It does not support the command.
     has_refused: bool,
     unanswered: u32,
     paused_until: Option<Timestamp<HostClock>>,
@@ -53,7 +53,7 @@ pub(crate) fn fix_request(target: Address) -> Message {
 }
 
 impl FixRequests {
-    /// Whom to ask now, if the estimate is so poor.
+    /// The cameras to send a request now, if the estimate is too uncertain.
     pub(crate) fn due(
         &mut self,
         now: Timestamp<HostClock>,

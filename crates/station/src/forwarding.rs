@@ -1,7 +1,7 @@
-//! Frames of others on their way through one input: which of them are new, and to which links they go.
+//! Forwarded frames of one input: detects new ones, and collects their destinations.
 //!
-//! The router decides ([`posebridge_protocol::routing`]); this collects what it decided, because frames are forwarded only after the
-//! station's own output.
+//! The router decides ([`posebridge_protocol::routing`]); this collects its decisions, because frames are forwarded
+//! only after the station's own output.
 
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
@@ -15,30 +15,30 @@ use crate::observers::{ObserverAddress, Observers};
 use crate::robot_table::RobotTable;
 use crate::vehicle_proxy::{VEHICLE_COMPONENT, VehicleProxies};
 
-/// Looks at the frames of one input as they are found, and keeps those that go on.
+/// Routes the frames of one input, and keeps those to forward.
 pub(crate) struct ForwardingPass<'a> {
     pub(crate) router: &'a mut FrameRouter,
     pub(crate) now: Timestamp<HostClock>,
-    /// The endpoint that the frames come by.
     pub(crate) from: Endpoint,
     pub(crate) sharing: LinkSharing,
-    /// The robots as vehicles on the link: the station may have to answer a command in their place.
+    /// The robots as vehicles on the link: the station may have to reply to a command in their place.
     pub(crate) vehicles: Option<&'a VehicleProxies>,
     pub(crate) robots: &'a RobotTable,
     pub(crate) observers: &'a Observers,
     pub(crate) report: ForwardingReport,
 }
 
-/// What is counted and forwarded when the station has put out its own.
+/// Counts and frames that are handled after the station's own output.
 #[derive(Debug, Default)]
 pub(crate) struct ForwardingReport {
-    /// Frames that the inward filter kept out.
+    /// Frames that the inward filter rejected.
     pub(crate) filtered: u64,
-    /// Frames that had come before by another way.
+    /// Duplicates from another endpoint.
     pub(crate) duplicates: u64,
-    /// Frames under the station's own address that it has not said.
+    /// Frames with the station's own address that it did not send.
     pub(crate) address_conflicts: u64,
-    /// Frames for a robot under another system than its own, which are signed or damaged and cannot be changed for it.
+    /// Frames for a robot that is announced under another system, which are signed or damaged and cannot be
+    /// readdressed.
     pub(crate) unchangeable: u64,
     pub(crate) forwarded: Vec<ForwardedFrame>,
 }
@@ -51,14 +51,13 @@ pub(crate) struct ForwardedFrame {
     pub(crate) is_signed: bool,
     pub(crate) version: WireVersion,
     pub(crate) priority: Priority,
-    /// By which way it came.
     pub(crate) from: Endpoint,
     pub(crate) to: Vec<(LinkId, Recipients)>,
     pub(crate) bytes: Vec<u8>,
 }
 
 impl ForwardingReport {
-    /// Whether there is anything to be done about it.
+    /// Whether there is anything to count or to forward.
     pub(crate) const fn has_content(&self) -> bool {
         let dropped = self.filtered + self.duplicates + self.address_conflicts + self.unchangeable;
         dropped > 0 || !self.forwarded.is_empty()
@@ -66,7 +65,7 @@ impl ForwardingReport {
 }
 
 impl ForwardingPass<'_> {
-    /// Takes a frame: whether it has come before, or `None` if it must not be used.
+    /// Routes a frame: returns whether it is a duplicate, or `None` if it must not be used.
     pub(crate) fn route(&mut self, frame: &FrameRef<'_>, check: SenderCheck) -> Option<DuplicateStatus> {
         if !self.router.admits(self.from.link, frame) {
             self.report.filtered += 1;
@@ -107,8 +106,8 @@ impl ForwardingPass<'_> {
         Some(routed.duplicate_status)
     }
 
-    /// Whether a frame that came before by another endpoint was that of another robot or camera with the same ids: weak ones have no
-    /// clock, or start it at the same moment, and then send the same bytes.
+    /// Whether a duplicate from another endpoint was sent by another robot or camera with the same ids: weak ones have
+    /// no clock, or start it at the same moment, and then send the same bytes.
     fn is_of_another_sender(&self, frame: &FrameRef<'_>) -> bool {
         let Some(first) = self.router.first_endpoint(self.now, self.from, frame) else {
             return false;
@@ -121,7 +120,7 @@ impl ForwardingPass<'_> {
         are_different(robots) || are_different(observers)
     }
 
-    /// Brings what a ground station says to a system to the robot that it sees as that system; its bytes, if they change with it.
+    /// Redirects a frame to the robot that ground stations see as its target system; returns the changed bytes, if any.
     fn follow_renaming(&mut self, frame: &FrameRef<'_>, to: &mut Vec<(LinkId, Recipients)>) -> Option<Vec<u8>> {
         if self.vehicles.is_none() || !self.robots.has_renamed() {
             return None;
@@ -155,7 +154,7 @@ impl ForwardingPass<'_> {
         Some(bytes)
     }
 
-    /// Whether a frame commands the robot what the station does in its name.
+    /// Whether a frame commands a robot something that the station handles in its name.
     fn is_answered_here(&self, frame: &FrameRef<'_>) -> bool {
         let is_command = matches!(frame.message_id, ids::COMMAND_LONG | ids::COMMAND_INT);
         let Some(vehicles) = self.vehicles.filter(|_| is_command) else {
@@ -166,7 +165,6 @@ impl ForwardingPass<'_> {
     }
 }
 
-/// Whether both senders are known and are not the same.
 fn are_different<T: PartialEq>([first, second]: [Option<T>; 2]) -> bool {
     first.is_some() && second.is_some() && first != second
 }

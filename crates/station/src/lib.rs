@@ -1,7 +1,7 @@
 //! The engine: decode, align clocks, estimate, publish, as one deterministic value.
 //!
-//! [`Station`] takes what links, people and recordings give it and gives back events and bytes to send. It reads no
-//! clock, opens nothing and knows no runtime; live runs, replays, simulations and tests drive the very same object.
+//! [`Station`] takes the inputs of links, people and recordings and returns events and bytes to send. It reads no
+//! clock, opens nothing and does not depend on a runtime; live runs, replays, simulations and tests use the same code.
 //!
 //! ```text
 //! bytes > framing > messages > readings > clock > estimator > publisher > events, bytes

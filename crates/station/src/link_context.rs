@@ -19,9 +19,9 @@ pub(crate) struct LinkContext {
     pub(crate) framers: PeerFramers,
     pub(crate) verifier: FrameVerifier,
     pub(crate) decoder: Decoder,
-    /// Peers that have said in a heartbeat that they are ground stations.
+    /// Peers whose heartbeat has the type ground station.
     ground_stations: BTreeSet<PeerId>,
-    /// The codec of a robot that speaks no MAVLink; then framers and verifier have nothing to do.
+    /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
 }
 
@@ -39,7 +39,7 @@ impl LinkContext {
         }
     }
 
-    /// The link came up or was lost: then what was half received will never be completed.
+    /// Sets the state of the link; incomplete input will never be completed.
     pub(crate) fn set_state(&mut self, now: Timestamp<HostClock>, state: LinkState) {
         if let (Some(codec), LinkState::Up) = (&mut self.codec, state) {
             codec.on_link_up(now);
@@ -59,13 +59,12 @@ impl LinkContext {
         self.state = state;
     }
 
-    /// Whether a peer has the link for itself.
+    /// Whether a peer is alone on the link.
     pub(crate) fn sharing(&self, peer: PeerId, now: Timestamp<HostClock>) -> LinkSharing {
         let is_shared = self.framers.has_other_than(peer, now, self.health.port.peers);
         if is_shared { LinkSharing::Shared } else { LinkSharing::Exclusive }
     }
 
-    /// Makes room for a peer that is not present yet.
     pub(crate) fn admit_peer(&mut self, peer: PeerId) {
         for evicted in self.framers.admit(peer) {
             self.verifier.forget(evicted);
@@ -81,7 +80,6 @@ impl LinkContext {
         }
     }
 
-    /// A peer has said in a heartbeat that it is a ground station.
     pub(crate) fn add_ground_station(&mut self, peer: PeerId) {
         self.ground_stations.insert(peer);
     }
@@ -94,18 +92,18 @@ impl LinkContext {
         self.ground_stations.iter().copied()
     }
 
-    /// When framers or codec must be woken.
+    /// When to call the framers or the codec.
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         [self.framers.deadline(), self.codec_deadline()].into_iter().flatten().min()
     }
 
-    /// When the codec must be woken; never while there is no peer.
+    /// When to call the codec; never without a peer.
     pub(crate) fn codec_deadline(&self) -> Option<Timestamp<HostClock>> {
         let codec = self.codec.as_ref()?;
         (self.state == LinkState::Up).then(|| codec.deadline())?
     }
 
-    /// Brings the framers' and senders' counters into the health record and returns what each sender has sent.
+    /// Copies the framers' and senders' counters into the health record and returns the counters of each sender.
     pub(crate) fn refresh_health(&mut self) -> Vec<SourceHealth> {
         let (sources, counters) = match &self.codec {
             Some(codec) => (codec.source_health(), codec.counters()),

@@ -1,6 +1,6 @@
-//! Commands about messages: what the station sends once on request, and how often it sends the rest.
+//! Commands about messages: sends one on request, and reports or sets intervals.
 //!
-//! Both answer alike: the station's own component and, on a link for ground stations, the robot for which it sends there.
+//! The station's own component replies and, on a link for ground stations, each robot for which it sends there.
 //!
 //! Sources: MAVLink guide, "Command Protocol"; common.xml, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_GET_MESSAGE_INTERVAL.
 
@@ -23,19 +23,19 @@ use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
 
-/// Of MAV_PROTOCOL_CAPABILITY: COMMAND_INT is understood.
+/// MAV_PROTOCOL_CAPABILITY: COMMAND_INT is supported.
 const CAPABILITY_COMMAND_INT: u64 = 8;
 /// Parameters are sent as the bytes of their type.
 const CAPABILITY_PARAM_BYTEWISE: u64 = 16;
-/// MAVLink 2 is spoken.
+/// MAVLink 2 is supported.
 const CAPABILITY_MAVLINK2: u64 = 8_192;
 /// FIRMWARE_VERSION_TYPE_DEV and FIRMWARE_VERSION_TYPE_OFFICIAL.
 const FIRMWARE_DEVELOPMENT: u8 = 0;
 const FIRMWARE_RELEASE: u8 = 255;
-/// An interval of a message that there is not.
+/// MESSAGE_INTERVAL for a message that does not exist.
 const NO_SUCH_MESSAGE: i32 = 0;
 
-/// What becomes of a request, and what is sent behind the answer.
+/// The result of a request, and the messages after the acknowledgement.
 #[derive(Debug)]
 pub(crate) struct RequestReply {
     pub(crate) result: CommandResult,
@@ -47,7 +47,7 @@ impl RequestReply {
         Self { result, messages: Vec::new() }
     }
 
-    /// Any component that can may answer a request to all components: when the station cannot, another one may be meant.
+    /// A request to all components may be for any that supports it: when the station does not, another one may.
     pub(crate) fn is_left_to_others(&self, command: &CommandLong) -> bool {
         let is_question = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
         let is_for_all = command.target.component == ComponentId(0);
@@ -55,7 +55,6 @@ impl RequestReply {
     }
 }
 
-/// What answers are made from.
 #[derive(Clone, Copy)]
 pub(crate) struct RequestContext<'a> {
     pub(crate) config: &'a StationConfig,
@@ -64,12 +63,11 @@ pub(crate) struct RequestContext<'a> {
     pub(crate) egress: &'a Egress,
     pub(crate) link: LinkId,
     pub(crate) role: SenderRole,
-    /// The robot that asks, if it is one.
     pub(crate) requester: Option<RobotIndex>,
 }
 
-/// The answer to a command about messages; `None` if it is about something else. `heartbeat` is the present one of the role. A
-/// role that sends no heartbeats does not send one on request either.
+/// The reply to a command about messages; `None` for other commands. `heartbeat` is the present one of the role. A role
+/// that sends no heartbeats does not send one on request either.
 pub(crate) fn answer(
     context: &RequestContext<'_>,
     command: &CommandLong,
@@ -123,7 +121,7 @@ impl RequestContext<'_> {
         RequestReply { result: CommandResult::Accepted, messages }
     }
 
-    /// The robot that the answer is about: the one as which the station answers, or the one that asks, or the only one.
+    /// The robot of the reply: the one as which the station replies, or the requesting one, or the only one.
     fn robot(&self) -> Option<&Robot> {
         match self.role {
             SenderRole::Station => match self.requester {
@@ -181,7 +179,7 @@ impl RequestContext<'_> {
     }
 }
 
-/// Our version for AUTOPILOT_VERSION; a number that does not fit reads as 0.
+/// Our version for AUTOPILOT_VERSION; a number that does not fit becomes 0.
 fn firmware_version() -> [u8; 4] {
     let number = |text: &str| text.parse().unwrap_or(0);
     let kind = if env!("CARGO_PKG_VERSION_PRE").is_empty() { FIRMWARE_RELEASE } else { FIRMWARE_DEVELOPMENT };

@@ -1,4 +1,4 @@
-//! From messages to observations: the observation in a message, and the clock of its stamp.
+//! Extracts observations from messages, with the clock of their stamps.
 
 use posebridge_protocol::message::{
     Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
@@ -7,10 +7,9 @@ use posebridge_telemetry::{Body, DriveGeometry, Fix, ObservationKind, Point2, Po
 
 use crate::config::RobotConfig;
 
-/// Whose clock stamped a reading.
+/// The clock of a reading's stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ClockSource {
-    /// The robot's own.
     Robot,
     Observer,
 }
@@ -24,12 +23,12 @@ pub(crate) struct UnalignedObservation {
     pub(crate) observed: ObservationKind,
     /// The gyro's turn since power-up, where the sender reports it: a lost frame then costs nothing.
     pub(crate) gyro_turn: Option<Radians>,
-    /// The number of the tag that a fix is of.
+    /// The number of a fix's tag.
     pub(crate) tag: Option<u32>,
 }
 
 impl UnalignedObservation {
-    /// Whether it says how a robot drives.
+    /// Whether it observes the motion of a robot.
     pub(crate) const fn is_of_wheels(&self) -> bool {
         matches!(
             self.observed,
@@ -40,7 +39,7 @@ impl UnalignedObservation {
     }
 }
 
-/// What interpretation needs to know about the robot.
+/// The robot's properties that the conversion needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ObservationExtractor {
     pub(crate) geometry: DriveGeometry,
@@ -52,7 +51,7 @@ impl ObservationExtractor {
         Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body }
     }
 
-    /// The observation of the robot in a message: none, one or two readings.
+    /// The observations in a message: none, one or two.
     pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
         match message {
             Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
@@ -148,7 +147,7 @@ impl ObservationExtractor {
     }
 }
 
-/// A heading's variance of zero or NaN is what senders write who know that of the position alone.
+/// Senders that know only the variance of the position write zero or NaN for that of the heading.
 fn known_or_infinite(heading_rad2: f64) -> f64 {
     if heading_rad2 > 0.0 { heading_rad2 } else { f64::INFINITY }
 }

@@ -1,4 +1,4 @@
-//! What messages say about robots: from a message to the robot's clock, estimator and publisher.
+//! Observations in messages: from a message to the robot's clock, estimator and publisher.
 
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
@@ -27,7 +27,6 @@ fn is_telemetry(observations: &[Option<UnalignedObservation>]) -> bool {
     observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot)
 }
 
-/// Who sent the message that is being handled.
 #[derive(Clone, Copy)]
 struct MessageSender {
     received: ReceiveInfo,
@@ -36,7 +35,7 @@ struct MessageSender {
 }
 
 impl Station {
-    /// Acts on a message: sessions first, then what it says about robots.
+    /// Handles a message: sessions first, then its observations.
     pub(crate) fn handle_message(&mut self, received: ReceiveInfo, message: &ReceivedMessage) {
         let now = self.time.now;
         let ReceivedMessage { source, duplicate_status, message: ref content } = *message;
@@ -106,7 +105,7 @@ impl Station {
         }
     }
 
-    /// A robot was told apart from others with its ids, and with it the cameras that share its connection.
+    /// A robot was distinguished from others with its ids, and with it the cameras that share its connection.
     fn distinguish_cameras(&mut self, sender: &MessageSender, index: RobotIndex) {
         let MessageOrigin { endpoint, home, .. } = sender.origin;
         let namesakes = self.robots.namesake_peers(index, endpoint.link);
@@ -120,7 +119,7 @@ impl Station {
         self.robots.contested.push(received.endpoint, source, ContestedMessage::Message(received, content.clone()));
     }
 
-    /// What came before from a sender that is identified now: a robot, or one that becomes a robot by it.
+    /// Handles the kept messages of a sender that is now identified as a robot.
     fn handle_contested(&mut self, sender: &mut MessageSender) {
         let MessageOrigin { endpoint, address, .. } = sender.origin;
         let received = sender.received;
@@ -143,7 +142,6 @@ impl Station {
         }
     }
 
-    /// What a message says about robots.
     fn handle_content(
         &mut self,
         sender: &mut MessageSender,
@@ -165,7 +163,7 @@ impl Station {
         }
     }
 
-    /// Acts on what a codec has found, then sends what it asks.
+    /// Handles the output of a codec, then sends its requests.
     pub(crate) fn handle_codec_events(&mut self, received: ReceiveInfo, events: CodecEvents) {
         let link = received.endpoint.link;
         for event in events.into_events() {
@@ -186,7 +184,7 @@ impl Station {
         self.transmitter().send_codec_output(link);
     }
 
-    /// Lets a codec do what is due.
+    /// Runs a codec's due timeouts and requests.
     pub(crate) fn run_codec(&mut self, id: LinkId) {
         let now = self.time.now;
         let Some(link) = self.links.get_mut(&id) else {
@@ -203,7 +201,8 @@ impl Station {
         self.handle_codec_events(ReceiveInfo::local(id, now), events);
     }
 
-    /// The extractor for a sender that is no robot yet: of its own geometry, and of the tag of the robot that its fixes are for.
+    /// The extractor for a sender that is no robot yet: with its own geometry, and the tag of the robot to which its
+    /// fixes belong.
     fn extractor_for_unknown(
         &self,
         endpoint: Endpoint,
@@ -216,7 +215,7 @@ impl Station {
         ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
     }
 
-    /// What came before by another link of the group is nothing new, but by this link it is one more bound of its sender's clock.
+    /// A duplicate from another link of the group adds only a bound of its sender's clock.
     fn observe_copy(
         &mut self,
         received: ReceiveInfo,
@@ -255,7 +254,7 @@ impl Station {
         }
     }
 
-    /// The robot that a sender of odometry is, if it may be one.
+    /// The robot of a sender of odometry, if it may be one.
     fn adopt_robot(&mut self, sender: &mut MessageSender) -> Option<RobotIndex> {
         if sender.robot.is_none() {
             sender.robot = self.robots.adopt(self.time.now, sender.origin, &self.config, &mut self.observers);
@@ -276,7 +275,7 @@ impl Station {
         sender.robot
     }
 
-    /// Says so if a robot is announced under another system id than its own.
+    /// Reports that a robot is announced under another system id than its own.
     fn report_announced_system(&mut self, index: RobotIndex, address: Address) {
         let robot = self.robots.get(index);
         let announced = robot.vehicle_address.system;
@@ -343,7 +342,8 @@ impl Station {
         self.observe(index, source, received.host_time, aligned);
     }
 
-    /// A fix of an observer with a clock of its own: to the host's clock, then to that of the robot that the fix is for.
+    /// Converts the fix of an observer with its own clock: to the host's clock, then to that of the robot to which it
+    /// belongs.
     fn handle_observer_fix(&mut self, sender: &MessageSender, observation: &UnalignedObservation) {
         let (link, source) = (sender.origin.home, sender.origin.address);
         let observer = ObserverAddress { home: link, address: source };
@@ -378,7 +378,7 @@ impl Station {
         self.observe(index, source, sender.received.host_time, aligned);
     }
 
-    /// What came before from a camera that is identified now.
+    /// Handles the kept messages of a camera that is now identified.
     fn handle_contested_observer(&mut self, sender: &MessageSender) {
         let MessageOrigin { endpoint, address, .. } = sender.origin;
         for earlier in self.robots.contested.take(endpoint, address) {
@@ -393,7 +393,7 @@ impl Station {
         }
     }
 
-    /// Gives an observation to a robot's estimator and publishes what became of it.
+    /// Uses an observation in a robot's estimator and publishes the result.
     pub(crate) fn observe(
         &mut self,
         index: RobotIndex,
@@ -430,7 +430,7 @@ impl Station {
         }
     }
 
-    /// Asks cameras for a fix if an estimate is not good enough; `None` is none at all.
+    /// Requests fixes from cameras if an estimate is too uncertain; `None` is no estimate.
     pub(crate) fn request_fixes(&mut self, estimate: Option<&Estimate>) {
         let due = self.observers.fix_requests.due(self.time.now, &self.config.fix_requests, estimate);
         for (link, camera) in due {
@@ -438,7 +438,6 @@ impl Station {
         }
     }
 
-    /// A time request and its answer.
     pub(crate) fn handle_time_exchange(&mut self, peer: Address, exchange: &TimeExchange) {
         // No clock of a robot or a camera counts backwards from its power-up: a negative instant is damage.
         if exchange.peer_nanos < 0 {
@@ -487,10 +486,10 @@ impl Station {
         }
     }
 
-    /// Aligns a thermometer's reading and lets it wait for [`Self::process_temperatures`]; other messages say nothing here.
+    /// Aligns a thermometer's reading and queues it for [`Self::process_temperatures`]; ignores other messages.
     ///
-    /// A thermometer may sit on a robot or on any other brick. That one's clock is kept like a camera's, but never converted: the
-    /// thermometer's filter asks only how much time lies between two readings.
+    /// A thermometer may be on a robot or on any other brick. That one's clock is kept like a camera's, but never
+    /// converted: the thermometer's filter needs only the time between two readings.
     fn handle_temperature(
         &mut self,
         sender: &MessageSender,
@@ -524,7 +523,7 @@ impl Station {
         }
     }
 
-    /// Uses the temperatures that wait: nobody steers by them.
+    /// Uses the queued temperatures, which are not urgent: nobody steers by them.
     pub(crate) fn process_temperatures(&mut self) {
         let Self { config, robots, outputs, .. } = self;
         let config_of = |brick: RobotId| match robots.find(brick) {
@@ -541,13 +540,13 @@ impl Station {
         }
     }
 
-    /// What came before a restart is used before it.
+    /// Readings from before a restart are used before it.
     fn restart_thermometers(&mut self, brick: RobotId) {
         self.process_temperatures();
         self.thermometers.restart(brick);
     }
 
-    /// A robot was switched off and on: it has forgotten what was asked of it.
+    /// After a restart a robot has forgotten all requests.
     fn handle_robot_restart(&mut self, index: RobotIndex) {
         let now = self.time.now;
         let robot = self.robots.get_mut(index);
@@ -563,7 +562,6 @@ impl Station {
         self.emit(Event::BrickRestarted { robot: id });
     }
 
-    /// A robot's own word about its geometry.
     fn handle_description(&mut self, sender: &mut MessageSender, description: &RobotDescription) {
         let is_wanted = sender.robot.map_or_else(
             || {
@@ -580,7 +578,7 @@ impl Station {
         }
     }
 
-    /// Some quick time requests find out how a clock runs that began anew.
+    /// Sends time requests in quick succession, to align a clock that restarted.
     fn request_time_burst(&mut self, observer: ObserverAddress) {
         self.sessions.handle_peer_restart(self.time.now, observer.home, observer.address);
     }

@@ -1,9 +1,10 @@
 //! Senders with clocks of their own that are no robots: cameras, and bricks with nothing but thermometers.
 //!
-//! An observer is known by the first link of its group and its address, and by the peer that it is heard from: behind one port may be
-//! many cameras that nobody has given an address. When its address is heard from another peer of its link, it has reconnected, or it is
-//! another observer with the same ids. It is another one if the old peer goes on; it is the same if the old peer has been silent for a
-//! while ([`HANDOVER`]), unless that comes back later. Until this is known, the newcomer's timestamps are not used.
+//! An observer is identified by the first link of its group and its address, and by its peer: behind one port may be
+//! many cameras without a configured address. When its address appears at another peer of its link, it has reconnected,
+//! or it is another observer with the same ids. It is another one if the old peer continues; it is the same if the old
+//! peer has been silent for a while ([`HANDOVER`]), unless that comes back later. Until this is decided, the new peer's
+//! timestamps are not used.
 
 use std::collections::BTreeMap;
 
@@ -18,10 +19,10 @@ use crate::fix_requests::FixRequests;
 use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::sender_identity::{HANDOVER, MAX_CONTENDERS};
 
-/// So many observers are remembered; of more those that have been silent longest are forgotten, a quarter at a time.
+/// Most remembered observers; beyond it those that have been silent longest are forgotten, a quarter at a time.
 const MAX_OBSERVERS: usize = 1_024;
 
-/// Which observer. The number of one that was forgotten is not given to another.
+/// Identifies an observer. The number of a forgotten one is not used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ObserverId(u64);
 
@@ -35,12 +36,11 @@ pub(crate) struct ObserverAddress {
 #[derive(Debug, Default)]
 pub(crate) struct Observers {
     known: BTreeMap<ObserverAddress, Vec<Observer>>,
-    /// How many of them there are.
     count: usize,
     next_id: u64,
-    /// When a sender whose identity is open was heard first.
+    /// When an undecided sender was first heard.
     contenders: BTreeMap<(Endpoint, Address), Timestamp<HostClock>>,
-    /// Another observer with ids that were known was found.
+    /// Another observer with known ids was found.
     has_found_namesake: bool,
     pub(crate) fix_requests: FixRequests,
 }
@@ -49,37 +49,37 @@ pub(crate) struct Observers {
 struct Observer {
     id: ObserverId,
     clock: ClockAligner<CameraClock>,
-    /// By which peer it is heard on each link of its group.
+    /// Its peer on each link of its group.
     contacts: BTreeMap<LinkId, Contact>,
 }
 
-/// The peer of a link that an observer is heard by.
+/// The peer of an observer on one link.
 #[derive(Clone, Copy, Debug)]
 struct Contact {
     peer: PeerId,
     last_heard: Timestamp<HostClock>,
-    /// The peer whose place this one has taken.
+    /// The peer that this one has replaced.
     former: Option<PeerId>,
 }
 
-/// Who has sent something.
+/// The sender of a message.
 enum ObserverIdentity<'a> {
     Known(&'a mut Observer),
-    /// Perhaps this one, perhaps another one with the same ids.
+    /// This one, or another one with the same ids.
     Contested(ObserverId),
 }
 
-/// What became of an observer's timestamp.
+/// The result for an observer's timestamp.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ObserverTime<T> {
-    /// `None` while that clock is not aligned or it is open whose it is, or for a timestamp from before a restart.
+    /// `None` while that clock is not aligned or its identity is undecided, or for a timestamp from before a restart.
     pub(crate) time: Option<T>,
     pub(crate) has_restarted: bool,
     pub(crate) observer: ObserverId,
 }
 
 impl Observers {
-    /// Whether another observer with ids that were known was found since this was asked last: nobody has asked it for its time yet.
+    /// Whether another observer with known ids was found since the last call: it has not had a time request yet.
     pub(crate) const fn take_namesake(&mut self) -> bool {
         std::mem::replace(&mut self.has_found_namesake, false)
     }
@@ -89,7 +89,7 @@ impl Observers {
         observers.iter().find(|observer| observer.is_heard_by(endpoint)).map(|observer| observer.id)
     }
 
-    /// The clock of a sender that proves to be a robot.
+    /// Removes the clock of a sender that proves to be a robot.
     pub(crate) fn remove_clock(
         &mut self,
         sender: ObserverAddress,
@@ -105,7 +105,7 @@ impl Observers {
         Some(clock)
     }
 
-    /// A copy of what came before by another link of the group bounds the clock by its own way.
+    /// A duplicate from another link of the group adds a bound of the clock from that endpoint.
     pub(crate) fn observe_copy(&mut self, sender: ObserverAddress, received: ReceiveInfo, stamp: WireStamp) {
         if let Some(observers) = self.known.get_mut(&sender)
             && let Some(index) = index_of(observers, received.endpoint)
@@ -114,7 +114,7 @@ impl Observers {
         }
     }
 
-    /// A time request and its answer; `None` while it is open whose answer it is.
+    /// Records a time request and its reply; `None` while the replying observer is undecided.
     pub(crate) fn observe_exchange(
         &mut self,
         sender: ObserverAddress,
@@ -126,12 +126,12 @@ impl Observers {
         }
     }
 
-    /// Whether it is open who has sent what came in.
+    /// Whether the sender of a message is undecided.
     pub(crate) fn is_contested(&mut self, sender: ObserverAddress, received: ReceiveInfo) -> bool {
         matches!(self.identify(sender, received), ObserverIdentity::Contested(_))
     }
 
-    /// The host's instant of an observer's timestamp, and how far it may be off either way.
+    /// The host's instant of an observer's timestamp, and its uncertainty either way.
     pub(crate) fn host_time(
         &mut self,
         sender: ObserverAddress,
@@ -159,7 +159,8 @@ impl Observers {
         ObserverTime { time, has_restarted, observer: observer.id }
     }
 
-    /// The instant of a timestamp by the clock of a brick that is no robot, or not yet. Nothing is converted by this clock.
+    /// The instant of a timestamp on the clock of a brick that is no robot, or not yet. Nothing is converted with this
+    /// clock.
     pub(crate) fn own_time(
         &mut self,
         sender: ObserverAddress,
@@ -186,8 +187,8 @@ impl Observers {
         }
     }
 
-    /// A peer is known to be another one than `others` of its link: so are the observers that are heard by it and have the ids of those
-    /// that are heard by `others`. The addresses of those that are told apart by it.
+    /// Records that a peer is another one than `others` of its link: so are the observers at it that have the ids of
+    /// those at `others`. Returns the addresses that are distinguished by it.
     pub(crate) fn distinguish(&mut self, received: ReceiveInfo, home: LinkId, others: &[PeerId]) -> Vec<Address> {
         let endpoint = received.endpoint;
         let first = (endpoint, Address::new(0, 0));
@@ -214,7 +215,7 @@ impl Observers {
         addresses
     }
 
-    /// Who has sent what came in; a sender that nobody is like becomes an observer.
+    /// Identifies the sender of a message; an unknown one becomes an observer.
     fn identify(&mut self, sender: ObserverAddress, received: ReceiveInfo) -> ObserverIdentity<'_> {
         let ReceiveInfo { endpoint, host_time } = received;
         let contender = (endpoint, sender.address);
@@ -255,7 +256,7 @@ impl Observers {
         ObserverIdentity::Known(observer)
     }
 
-    /// A new observer; its place among those with the same ids.
+    /// Adds an observer; returns its index among those with the same ids.
     fn add(&mut self, sender: ObserverAddress, now: Timestamp<HostClock>) -> usize {
         if self.count >= MAX_OBSERVERS {
             self.forget_silent(now);
@@ -307,16 +308,16 @@ impl<T> ObserverTime<T> {
     }
 }
 
-/// What is known of a peer that is heard under ids that another peer of its link has.
+/// The relation of a peer to the observers with its ids at another peer of its link.
 enum PeerClass {
-    /// It is this one, which has reconnected.
+    /// This observer, which has reconnected.
     SameAs(usize),
     Another,
-    /// Nobody can tell yet; perhaps it is this one.
+    /// Undecided; perhaps this observer.
     Contested(ObserverId),
 }
 
-/// Classifies a peer that is heard on a link where all observers with its ids are heard by other peers; `first` is when it was heard first.
+/// Classifies a peer of a link where all observers with its ids are at other peers; `first` is when it was first heard.
 fn classify_peer(
     observers: &[Observer],
     endpoint: Endpoint,
@@ -341,7 +342,7 @@ fn classify_peer(
     }
 }
 
-/// The observer that is heard by an endpoint: by that peer, or, if there is only one, not yet on that link.
+/// The observer at an endpoint: at that peer, or, if there is only one, not yet on that link.
 fn index_of(observers: &[Observer], endpoint: Endpoint) -> Option<usize> {
     observers.iter().position(|observer| observer.is_heard_by(endpoint)).or_else(|| match observers {
         [only] if !only.contacts.contains_key(&endpoint.link) => Some(0),

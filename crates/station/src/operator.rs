@@ -1,15 +1,15 @@
-//! What people and programs have asked of the station, as far as it holds.
+//! Operator settings of the station that stay in effect.
 
 use posebridge_estimator::Params;
 use posebridge_telemetry::{Command, LinkId, SimulatorCommand};
 
 use crate::sender_identity::RobotIndex;
 
-/// What was asked of the station and holds until something else is asked.
+/// Operator settings that stay in effect until they are changed.
 pub(crate) struct OperatorState {
-    /// The tunables that were saved last, or with which the run began.
+    /// The tunables that were saved last, or those of the start.
     pub(crate) saved_params: Params,
-    /// The link over which the program was asked for something last: there it reports what became of it.
+    /// The link of the last request to the program, on which the result is reported.
     pub(crate) requested_on: Option<LinkId>,
     last_command: Option<TargetedCommand>,
 }
@@ -22,9 +22,9 @@ pub(crate) struct TargetedCommand {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandTarget {
-    /// For no robot in particular: a pose is that of the first robot, calibration and sensors are those of all robots.
+    /// No single robot: a pose applies to the first robot, calibration and sensors to all robots.
     Station,
-    /// For this robot alone, where it concerns robots.
+    /// This robot alone, for commands about robots.
     Robot(RobotIndex),
 }
 
@@ -33,7 +33,7 @@ impl OperatorState {
         Self { saved_params: params, requested_on: None, last_command: None }
     }
 
-    /// Whether a held key repeats what it said before.
+    /// Whether a command repeats the last one because a key is held.
     pub(crate) fn is_key_repeat(&mut self, command: TargetedCommand) -> bool {
         let is_drive = matches!(command.command, Command::Simulator(SimulatorCommand::Drive { .. }));
         let before = self.last_command.replace(command);
@@ -42,7 +42,6 @@ impl OperatorState {
 }
 
 impl CommandTarget {
-    /// The robot whose pose it is about.
     pub(crate) const fn posed_robot(self) -> RobotIndex {
         match self {
             Self::Station => 0,

@@ -1,6 +1,6 @@
-//! What a station has put out, until it is taken.
+//! The station's outputs until they are polled.
 //!
-//! The station's own output leaves first, then frames of others on their way to another link: no robot steers by them.
+//! The station's own output is sent first, then forwarded frames: no robot steers by them.
 
 use std::collections::VecDeque;
 
@@ -13,31 +13,28 @@ use crate::forwarding::ForwardingReport;
 pub(crate) struct OutputQueue {
     own: VecDeque<Output>,
     forwarded: VecDeque<Output>,
-    /// What was routed in this input and is to be counted and forwarded after the station's own output.
+    /// Frames of this input to count and to forward after the station's own output.
     reports: Vec<(LinkId, ForwardingReport)>,
-    /// Work is left to be done for the last input.
+    /// Deferred work is left for the last input.
     is_unfinished: bool,
 }
 
 impl OutputQueue {
-    /// Puts an output behind the station's own. Not inlined: an output is large, and is then made where it is copied from.
+    /// Appends one of the station's own outputs. Not inlined: an output is large, and is then constructed in place.
     #[inline(never)]
     pub(crate) fn push(&mut self, output: Output) {
         self.own.push_back(output);
     }
 
-    /// Puts an event behind the station's own output.
     #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
         self.push(Output::Event(event));
     }
 
-    /// Puts a frame of somebody else behind the others.
     pub(crate) fn push_forwarded(&mut self, output: Output) {
         self.forwarded.push_back(output);
     }
 
-    /// Keeps what was routed, until [`Self::take_reports`].
     pub(crate) fn push_report(&mut self, link: LinkId, report: ForwardingReport) {
         if report.has_content() {
             self.reports.push((link, report));
@@ -48,17 +45,15 @@ impl OutputQueue {
         std::mem::take(&mut self.reports)
     }
 
-    /// Work is left to be done for this input.
     pub(crate) const fn set_unfinished(&mut self) {
         self.is_unfinished = true;
     }
 
-    /// Whether work was left to be done; from now on it is not.
+    /// Whether deferred work was left; clears the mark.
     pub(crate) const fn take_unfinished(&mut self) -> bool {
         std::mem::replace(&mut self.is_unfinished, false)
     }
 
-    /// Whether none of the station's own output is left.
     pub(crate) fn has_no_own(&self) -> bool {
         self.own.is_empty()
     }

@@ -1,7 +1,7 @@
-//! Which outputs leave on one link, and how often.
+//! The outputs of one link and their intervals.
 //!
-//! Estimates leave as they come, ranges as they are observed, records of fusion as they are made, one stream per sensor. Each kind has
-//! an interval on each link: configured, or asked for by a peer.
+//! Estimates are sent when they are updated, ranges when they are observed, fusion records when they are made, one
+//! stream per sensor. Each kind has an interval on each link: configured, or requested by a peer.
 
 use std::collections::BTreeMap;
 
@@ -25,7 +25,7 @@ pub(crate) const SETTABLE_OUTPUTS: [(u32, OutputKind); 9] = [
     (ids::DEBUG_FLOAT_ARRAY, OutputKind::FloatArray),
 ];
 
-/// The output that a message is; `None` if it is none.
+/// `None` if no output has this message.
 pub(crate) fn output_for_message(message_id: u32) -> Option<OutputKind> {
     let row = SETTABLE_OUTPUTS.iter().find(|(id, _)| *id == message_id);
     row.map(|(_, kind)| *kind)
@@ -36,21 +36,20 @@ pub(crate) fn message_for_output(kind: OutputKind) -> u32 {
     row.map_or(0, |(id, _)| *id)
 }
 
-/// What one of the outputs is worth on a slow link.
 pub(crate) fn priority(kind: OutputKind) -> Priority {
     Priority::Estimate { stream: message_for_output(kind) }
 }
 
-/// The same of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
+/// The priority of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
 pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
     Priority::Estimate { stream: message_for_output(kind) | u32::from(sensor.0) << 24 }
 }
 
-/// When a stream was sent last, and when it is due.
+/// When a stream was last sent, and when it is due.
 #[derive(Clone, Copy, Debug)]
 struct StreamSchedule {
     last: Timestamp<HostClock>,
-    /// Time between the last two.
+    /// Time between the last two messages.
     gap: Option<TimeDelta>,
     due: Timestamp<HostClock>,
 }
@@ -58,9 +57,9 @@ struct StreamSchedule {
 impl StreamSchedule {
     /// When a stream that was due and is sent now is due again.
     ///
-    /// There is something to send only now and then, and never at the very instant. Counted from what was due, and not from what was
-    /// sent, such delays do not add up: one of each interval leaves in the mean. One that had nothing to send may be made up for; after
-    /// a longer silence the count begins anew, or a burst would follow it.
+    /// Data are available only now and then, and never at the exact instant. Counted from the due time, and not from
+    /// the sending, such delays do not add up: the mean interval is right. One missed message may be made up for; after
+    /// a longer silence the schedule starts again, or a burst would follow.
     fn due_after(due: Timestamp<HostClock>, interval: TimeDelta, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
         let next = due + interval;
         if now - next < interval { next } else { now + interval }
@@ -70,12 +69,12 @@ impl StreamSchedule {
 /// Keeps the intervals of one link's outputs.
 #[derive(Clone, Debug)]
 pub(crate) struct OutputSchedule {
-    /// What is sent unless a peer asks for something else.
+    /// The intervals unless a peer requests others.
     configured: Vec<OutputStream>,
     streams: Vec<OutputStream>,
     /// By kind, and by sensor where there is one.
     schedules: BTreeMap<(OutputKind, Option<SensorId>), StreamSchedule>,
-    /// Used and refused observations per sensor, for PB_FUSION_HEALTH.
+    /// Used and rejected observations per sensor, for PB_FUSION_HEALTH.
     counts: BTreeMap<SensorId, estimate_messages::FusionCounts>,
 }
 
@@ -89,7 +88,7 @@ impl OutputSchedule {
         }
     }
 
-    /// Follows a peer's request: another interval, none at all, or (zero) what is configured.
+    /// Sets the interval that a peer requests: another one, none, or (zero) the configured one.
     pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<TimeDelta>) {
         let Some(kind) = output_for_message(message_id) else {
             return;
@@ -110,8 +109,8 @@ impl OutputSchedule {
         });
     }
 
-    /// The interval of an output for MESSAGE_INTERVAL, in microseconds: -1 if it is not sent. Of one that is sent as it comes
-    /// the time between the last two; 1 before there were two.
+    /// The interval of an output for MESSAGE_INTERVAL, in microseconds: -1 if it is not sent. Without a configured
+    /// interval the time between the last two messages; 1 before there were two.
     pub(crate) fn interval_micros(&self, kind: OutputKind) -> i32 {
         let Some(stream) = self.streams.iter().find(|stream| stream.kind == kind) else {
             return -1;
@@ -125,7 +124,7 @@ impl OutputSchedule {
         i32::try_from(span.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
     }
 
-    /// Which messages of estimates are due; one that is taken counts as sent.
+    /// The outputs with estimates that are due; an item that is taken counts as sent.
     pub(crate) fn due(&mut self, now: Timestamp<HostClock>) -> impl Iterator<Item = OutputStream> {
         let indices = 0..self.streams.len();
         indices.filter_map(move |index| {
@@ -143,7 +142,7 @@ impl OutputSchedule {
         stream.is_some_and(|stream| self.is_due(&stream, None, now))
     }
 
-    /// The messages of an observation that was held against a prediction, as far as this link wants them; `host` is when it was made.
+    /// The messages of this link for an observation that was compared with a prediction; `host` is when it was made.
     pub(crate) fn messages_for_record(
         &mut self,
         record: &FusionRecord,
@@ -169,7 +168,6 @@ impl OutputSchedule {
         of_records.collect()
     }
 
-    /// How the observations of a sensor fared so far.
     pub(crate) fn counts_of(&self, sensor: SensorId) -> estimate_messages::FusionCounts {
         self.counts.get(&sensor).copied().unwrap_or_default()
     }
@@ -188,7 +186,7 @@ impl OutputSchedule {
 }
 
 impl OutputKind {
-    /// Whether it contains the estimate, and not an observation.
+    /// Whether it contains an estimate, and not an observation.
     const fn is_estimate_output(self) -> bool {
         match self {
             Self::PlanarPose | Self::Odometry | Self::LocalPosition | Self::Attitude | Self::EstimatorStatus => true,
@@ -198,7 +196,6 @@ impl OutputKind {
 }
 
 impl estimate_messages::FusionCounts {
-    /// One more observation, with what became of it.
     const fn add(&mut self, verdict: FusionOutcome) {
         match verdict {
             FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset | FusionOutcome::Rebased => {

@@ -1,6 +1,6 @@
 //! The framers of one link: the bytes of each peer are a stream of their own.
 //!
-//! A peer that has been silent for long is forgotten; what it had counted stays counted.
+//! A peer that has been silent for long is forgotten; its counts are kept.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,14 +10,14 @@ use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 
 /// Silence after which a peer is forgotten; no route leads to it any more.
 const IDLE_TIMEOUT: TimeDelta = ROUTE_LIFETIME;
-/// Where the link reports how many peers it has, another peer must have been heard since its last report but one: it reports each second.
+/// Where the link reports its number of peers, another peer must have been heard since its last report but one: it
+/// reports each second.
 const PEER_COUNT_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
 
-/// What a peer's framer gets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum FramerInput<'a> {
     Bytes(&'a [u8]),
-    /// Nothing for as long as an incomplete frame is waited for: whole frames hidden behind a torn beginning come to light.
+    /// The time-out of an incomplete frame: whole frames after a torn beginning are found then.
     Timeout,
     /// The end of the link: an incomplete frame is never completed.
     Closed,
@@ -27,9 +27,9 @@ pub(crate) enum FramerInput<'a> {
 pub(crate) struct PeerFramers {
     config: FramerConfig,
     present: BTreeMap<PeerId, PeerFramer>,
-    /// Peers with an incomplete frame, by the time at which it is given up.
+    /// Peers with an incomplete frame, by its time-out.
     deadlines: BTreeSet<(Timestamp<HostClock>, PeerId)>,
-    /// Totals of peers that were forgotten.
+    /// Totals of forgotten peers.
     closed_counters: FramerCounters,
 }
 
@@ -49,8 +49,8 @@ impl PeerFramers {
         }
     }
 
-    /// Makes room for a peer that is not present yet. Returns the peers that had to go: a quarter at a time, so that a flood of
-    /// invented peers does not cost a search for each.
+    /// Makes room for a new peer. Returns the peers that were dropped: a quarter at a time, so that a flood of invented
+    /// peers does not cost a search for each.
     pub(crate) fn admit(&mut self, peer: PeerId) -> Vec<PeerId> {
         if self.present.len() < MAX_PEERS || self.present.contains_key(&peer) {
             return Vec::new();
@@ -63,7 +63,7 @@ impl PeerFramers {
         silent
     }
 
-    /// Gives a peer's framer its input; what is found goes to `sink`.
+    /// Passes input to a peer's framer; its output goes to `sink`.
     pub(crate) fn push(
         &mut self,
         now: Timestamp<HostClock>,
@@ -89,7 +89,7 @@ impl PeerFramers {
         self.update_deadline(id, before, after);
     }
 
-    /// Whether another peer is present, as far as was heard recently. `reported_peers` is the number of peers that the link has
+    /// Whether another peer is present, by recent input. `reported_peers` is the number of peers that the link has
     /// reported; zero if it has not.
     pub(crate) fn has_other_than(&self, id: PeerId, now: Timestamp<HostClock>, reported_peers: u32) -> bool {
         // The link knows of a peer that only listens, and of one that replaced another.
@@ -102,7 +102,6 @@ impl PeerFramers {
         others.any(|(_, peer)| now - peer.last_seen <= recent)
     }
 
-    /// Peers whose incomplete frame is to be given up now.
     pub(crate) fn timed_out(&self, now: Timestamp<HostClock>) -> Vec<PeerId> {
         let due = self.deadlines.iter().take_while(|(due, _)| *due <= now);
         due.map(|(_, id)| *id).collect()
@@ -125,7 +124,7 @@ impl PeerFramers {
         silent
     }
 
-    /// The link was lost: nothing that was half received goes on.
+    /// The link was lost: incomplete frames are dropped.
     pub(crate) fn handle_link_loss(&mut self) {
         self.deadlines.clear();
         for peer in std::mem::take(&mut self.present).into_values() {
@@ -133,7 +132,7 @@ impl PeerFramers {
         }
     }
 
-    /// Counts of all peers, those included that were forgotten.
+    /// Of all peers, including the forgotten ones.
     pub(crate) fn counters(&self) -> FramerCounters {
         let present = self.present.values().map(|peer| peer.framer.counters());
         present.fold(self.closed_counters, FramerCounters::merged)

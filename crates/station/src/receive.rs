@@ -1,26 +1,25 @@
-//! What came in, and how.
+//! The origin and arrival of received data.
 
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, ReceiveError, Timestamp};
 
-/// By which endpoint something came, and when.
+/// The endpoint and arrival of received data.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReceiveInfo {
     pub(crate) endpoint: Endpoint,
-    /// When its last byte was there. That may be before the station's present, if it waited for its turn.
+    /// When its last byte arrived. That may be before the station's present, if it was queued.
     pub(crate) host_time: Timestamp<HostClock>,
 }
 
 impl ReceiveInfo {
-    /// How something that the station does of itself on a link counts as received.
+    /// For something that the station does by itself on a link.
     pub(crate) fn local(link: LinkId, now: Timestamp<HostClock>) -> Self {
         Self { endpoint: Endpoint { link, peer: PeerId::default() }, host_time: now }
     }
 }
 
-/// A message that came in, with its sender.
 #[derive(Debug)]
 pub(crate) struct ReceivedMessage {
     pub(crate) source: Address,
@@ -28,16 +27,16 @@ pub(crate) struct ReceivedMessage {
     pub(crate) message: Message,
 }
 
-/// A time request and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TimeExchange {
     pub(crate) sent: Timestamp<HostClock>,
     pub(crate) answer: ReceiveInfo,
-    /// What the peer's clock showed between the two.
+    /// The peer's clock between the two.
     pub(crate) peer_nanos: i64,
 }
 
-/// What a codec has found in one input, in its order. No router sees the messages: only the station understands the protocol.
+/// The output of a codec for one input, in order. No router handles its messages: only the station understands the
+/// protocol.
 #[derive(Debug, Default)]
 pub(crate) struct CodecEvents(Vec<OwnedCodecEvent>);
 

@@ -1,4 +1,4 @@
-//! The frames of one input on their way through the stages: verifier, router, decoder.
+//! The stages for the frames of one input: verifier, router, decoder.
 //!
 //! All frames of an input are verified and routed before the station acts on the first of their messages.
 
@@ -11,17 +11,16 @@ use crate::decoder::Decoder;
 use crate::forwarding::ForwardingPass;
 use crate::receive::ReceivedMessage;
 
-/// What was found in one input.
+/// The result of one input.
 #[derive(Debug, Default)]
 pub(crate) struct ReceivedBatch {
     pub(crate) messages: Vec<ReceivedMessage>,
     pub(crate) errors: Vec<ReceiveError>,
-    /// Descriptions of payloads that make no sense, with their senders.
+    /// Descriptions of invalid payloads, with their senders.
     pub(crate) descriptions: Vec<(Address, String)>,
     pub(crate) rejected_frames: u64,
 }
 
-/// The stages that the frames of one input pass.
 pub(crate) struct ReceivePass<'a> {
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) peer: PeerId,

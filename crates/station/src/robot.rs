@@ -1,4 +1,4 @@
-//! One robot: its clock, its filter, and what it and its observers are sent.
+//! One robot: its clock, its estimator, and its publisher.
 
 use posebridge_estimator::FilterEntry;
 use posebridge_protocol::message::RobotDescription;
@@ -16,13 +16,13 @@ use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
 
-/// One robot.
+/// The state of one robot.
 pub struct Robot {
     pub(crate) id: RobotId,
     /// Its block in [`StationConfig::robots`](crate::StationConfig::robots).
     pub(crate) block: Option<usize>,
     name: Option<String>,
-    /// The number by which fixes name it.
+    /// Its number in fixes.
     pub(crate) tag: Option<u32>,
     /// The address in the robot's own frames: that of its id, unless another robot of the link has the same.
     pub(crate) wire_address: Address,
@@ -32,16 +32,17 @@ pub struct Robot {
     pub(crate) clocks: ClockAlignment,
     pub(crate) estimator: Estimator,
     pub(crate) publisher: EstimatePublisher,
-    /// By which endpoint and when the robot was heard last.
+    /// The endpoint and the instant of its last message.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
-    /// Observers with clocks of their own that have sent fixes of it, in the order of their first: each is a sensor of its own.
+    /// Observers with their own clocks that have sent fixes of it, in the order of their first: each is a sensor of its
+    /// own.
     cameras: Vec<ObserverId>,
     description: DescriptionPolicy,
     is_described: bool,
 }
 
 impl Robot {
-    /// A robot that was not heard yet; `links` are those of the station.
+    /// A robot without messages yet; `links` are those of the station.
     pub(crate) fn new(entry: &'static FilterEntry, config: &RobotConfig, links: &[LinkConfig]) -> Self {
         Self {
             id: RobotId::default(),
@@ -61,18 +62,18 @@ impl Robot {
         }
     }
 
-    /// Which robot this is; the default before any robot was heard.
+    /// The default before any robot was heard.
     pub const fn id(&self) -> RobotId {
         self.id
     }
 
-    /// The index of the block of [`StationConfig::robots`](crate::StationConfig::robots) that it took; `None` if no block is for it. The
-    /// blocks match the address of the robot's own frames, which need not be that of [`Self::id`].
+    /// The index of its block in [`StationConfig::robots`](crate::StationConfig::robots); `None` without a matching
+    /// block. The blocks match the address of the robot's own frames, which need not be that of [`Self::id`].
     pub const fn block(&self) -> Option<usize> {
         self.block
     }
 
-    /// What people call it; `None` if no block of the configuration gives it a name.
+    /// `None` if no block of the configuration gives it a name.
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
     }
@@ -82,7 +83,6 @@ impl Robot {
         self.vehicle_address
     }
 
-    /// The estimate at an instant of the robot's clock.
     pub fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
         self.estimator.estimate_at(time)
     }
@@ -92,12 +92,12 @@ impl Robot {
         self.estimator.latest_time()
     }
 
-    /// What the filter has learned about the robot, relative to [`Self::geometry`].
+    /// The learned constants, relative to [`Self::geometry`].
     pub fn calibration(&self) -> Option<Calibration> {
         self.estimator.calibration()
     }
 
-    /// The nominal geometry that the filter works with: the configured one, or the one that the robot has described.
+    /// The filter's nominal geometry: the configured one, or the one that the robot has described.
     pub const fn geometry(&self) -> DriveGeometry {
         self.estimator.geometry()
     }
@@ -111,12 +111,11 @@ impl Robot {
         self.vehicle_address.system != self.wire_address.system
     }
 
-    /// Whether the robot was heard recently.
     pub(crate) fn is_alive(&self, now: Timestamp<HostClock>) -> bool {
         self.last_seen.is_some_and(|(_, last)| now - last < PEER_TIMEOUT)
     }
 
-    /// The sensor of a camera with a clock of its own: each has its own noise, gate and verdicts.
+    /// The sensor of a camera with its own clock: each has its own noise, gate and verdicts.
     pub(crate) fn camera_sensor(&mut self, camera: ObserverId) -> SensorId {
         let known = self.cameras.iter().position(|known| *known == camera);
         let index = known.unwrap_or_else(|| {
@@ -128,22 +127,19 @@ impl Robot {
         SensorId::camera(index)
     }
 
-    /// What the messages of an estimate are made from.
     pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {
         EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator }
     }
 
-    /// What the messages of an estimate are made from, and the publisher that makes them.
     pub(crate) fn publishing(&mut self, now: Timestamp<HostClock>) -> (&mut EstimatePublisher, EstimateSource<'_>) {
         (&mut self.publisher, EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator })
     }
 
-    /// The robot's own word about its geometry replaces the configured one, once, if that is wanted and makes sense.
+    /// Whether the robot's description replaces the configured geometry, which happens once.
     pub(crate) fn wants_description(&self) -> bool {
         self.description == DescriptionPolicy::Adopt && !self.is_described
     }
 
-    /// Takes over the geometry that the robot has described.
     pub(crate) fn set_described_geometry(&mut self, geometry: DriveGeometry) {
         self.is_described = true;
         if geometry != self.estimator.geometry() {
@@ -153,7 +149,7 @@ impl Robot {
     }
 }
 
-/// The geometry that a robot says it has, if every length of it can be one.
+/// The geometry in a robot's description, if all its lengths are valid.
 pub(crate) fn described_geometry(said: &RobotDescription) -> Option<DriveGeometry> {
     let geometry = DriveGeometry {
         left_wheel_radius: said.left_wheel_radius,

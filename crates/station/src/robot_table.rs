@@ -19,49 +19,48 @@ use crate::robot::Robot;
 use crate::sender_identity::{MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
-/// Systems that are given to robots whose own is taken; those above are for ground stations.
+/// Systems up to this one are given to robots whose own is taken; those above are for ground stations.
 const LAST_VEHICLE_SYSTEM: u8 = 250;
 
-/// All robots. There is always a first one: before any is heard it takes what a replay or a person gives.
+/// All robots. There is always a first one: before any is heard it takes the input of a replay or a person.
 pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
     pub(crate) identities: SenderIdentities,
-    /// What came from senders that may be robots or cameras with the ids of others.
+    /// Messages of senders that may be robots or cameras with the ids of others.
     pub(crate) contested: ContestedMessages,
     blocks: RobotBlockIndex,
     by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
     by_tag: BTreeMap<u32, Vec<RobotIndex>>,
-    /// Systems that ground stations see already, as vehicles or in ids.
+    /// Systems that ground stations have seen, as vehicles or in ids.
     used_systems: BTreeSet<SystemId>,
-    /// Robots that ground stations see under another system than that of their own frames, by the system that they see.
+    /// Robots that ground stations see under another system than that of their own frames, by the announced system.
     renamed: BTreeMap<SystemId, RobotIndex>,
-    /// Which robots are at home on a link, by the first link of its group.
+    /// The robots of a link, by the first link of its group.
     by_link: BTreeMap<LinkId, Vec<RobotIndex>>,
-    /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know addresses alone
-    /// and do not notice when one of them is lost.
+    /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know
+    /// only addresses and do not detect the loss of one.
     robots_with_shared_address: BTreeMap<RobotIndex, bool>,
-    /// A robot was refused, because there are as many as there may be; whether that was reported.
+    /// Whether a robot beyond the limit was reported.
     has_refused: bool,
     has_reported_refusal: bool,
-    /// What was asked of all robots, for those that appear later.
+    /// Settings for all robots, also for those that appear later.
     settings: CommonSettings,
-    /// Robots with something new since their last estimate, in the order of the table.
+    /// Robots with new data since their last estimate, in the order of the table.
     changed: OrderedQueue,
-    /// Robots whose estimate the other links have not been sent yet.
+    /// Robots whose estimate was not yet sent to the other links.
     pending: OrderedQueue,
-    /// Intervals that peers asked for, which hold for robots that appear later, too.
+    /// Intervals that peers requested, also for robots that appear later.
     intervals: Vec<(LinkId, u32, Option<TimeDelta>)>,
-    /// Before this instant no robot that is alive can have been silent for too long.
+    /// Before this instant no robot can time out.
     presence_until: Option<Timestamp<HostClock>>,
 }
 
-/// What was asked of the estimators of all robots.
 #[derive(Debug, Default)]
 struct CommonSettings {
     online_calibration: Option<OnlineCalibration>,
     sensors: BTreeMap<SensorId, SensorSwitch>,
-    /// Where the robot was put that was not heard yet.
+    /// The start pose of the first robot before it is heard.
     first_pose: Option<StartPose>,
 }
 
@@ -103,7 +102,7 @@ impl RobotTable {
         }
     }
 
-    /// The first robot; before any is heard, the one that is configured.
+    /// Before any robot is heard, the configured one.
     pub(crate) fn first(&self) -> &Robot {
         &self.robots[0]
     }
@@ -132,7 +131,6 @@ impl RobotTable {
         self.by_id.get(&id).copied()
     }
 
-    /// How many robots were heard.
     pub(crate) fn len(&self) -> usize {
         self.by_id.len()
     }
@@ -151,7 +149,7 @@ impl RobotTable {
         only_one(self.by_tag.get(&tag)?)
     }
 
-    /// The address under which ground stations see a sender that is heard by an endpoint; `None` if that is its own.
+    /// The address under which ground stations see the sender at an endpoint; `None` if that is its own.
     pub(crate) fn announced_address(&self, endpoint: Endpoint, home: LinkId, sender: Address) -> Option<Address> {
         if !self.has_renamed() {
             return None;
@@ -168,23 +166,24 @@ impl RobotTable {
         !self.renamed.is_empty()
     }
 
-    /// The robot that ground stations see as a system that is not its own.
+    /// The robot that ground stations see as this system, which is not its own.
     pub(crate) fn renamed(&self, system: SystemId) -> Option<&Robot> {
         self.renamed.get(&system).map(|index| self.get(*index))
     }
 
-    /// Whether what is for a system must not go to an endpoint, because only a robot that is seen as another system is heard there.
+    /// Whether frames for a system must not be sent to an endpoint, because only a robot with another announced system
+    /// is there.
     pub(crate) fn is_announced_otherwise(&self, endpoint: Endpoint, system: SystemId) -> bool {
         let robot = self.identities.only_at(endpoint).filter(|_| self.has_renamed()).map(|index| self.get(index));
         robot.is_some_and(|robot| robot.is_renamed() && robot.wire_address.system == system)
     }
 
-    /// What is known about the robot that is heard on a link under an address; `config` is the one that the table was made with.
+    /// The configuration of the robot on a link with an address; `config` is the one from which the table was made.
     pub(crate) fn config_for<'a>(&self, config: &'a StationConfig, home: LinkId, address: Address) -> &'a RobotConfig {
         config.robot_config(self.blocks.find(&config.robots, home, address))
     }
 
-    /// A sender of odometry that is unknown becomes a robot, if there is room and the configuration wants it.
+    /// Makes an unknown sender of odometry a robot, within the limit and if the configuration allows it.
     pub(crate) fn adopt(
         &mut self,
         now: Timestamp<HostClock>,
@@ -251,15 +250,15 @@ impl RobotTable {
         Some(index)
     }
 
-    /// An id that no robot has yet: that of its own frames, else the same with the first free of other systems, `preferred` before all;
-    /// `None` if there is none. Two robots with the same ids on one link are told apart by it.
+    /// An id that no robot has yet: that of its own frames, else the same with the first free system, `preferred`
+    /// before all others; `None` if there is none. It distinguishes two robots with the same ids on one link.
     fn free_id(&self, own: RobotId, preferred: SystemId) -> Option<RobotId> {
         let systems = [own.address.system, preferred].into_iter().chain((1..=u8::MAX).map(SystemId));
         let mut ids = systems.map(|system| RobotId { address: Address { system, ..own.address }, ..own });
         ids.find(|id| !self.by_id.contains_key(id))
     }
 
-    /// A text about a robot; among several it begins with its name, or `link/system/component`.
+    /// A text about a robot; with several robots it begins with the robot's name, or `link/system/component`.
     pub(crate) fn labelled(&self, index: RobotIndex, text: &str) -> String {
         let robot = self.get(index);
         match robot.name() {
@@ -269,14 +268,14 @@ impl RobotTable {
         }
     }
 
-    /// Whether a robot was refused for the first time, because there are as many as there may be.
+    /// Whether a robot beyond the limit was rejected for the first time.
     pub(crate) const fn take_first_refusal(&mut self) -> bool {
         let is_first = self.has_refused && !self.has_reported_refusal;
         self.has_reported_refusal |= self.has_refused;
         is_first
     }
 
-    /// The address under which ground stations see a robot: that of its own system, unless another robot has it.
+    /// The address under which ground stations see a robot: in its own system, unless another robot has it.
     fn free_vehicle_address(&self, wanted: SystemId, own: Address) -> Address {
         let is_taken = |system: SystemId| self.used_systems.contains(&system);
         let system = if is_taken(wanted) {
@@ -288,7 +287,6 @@ impl RobotTable {
         Address { system, component: VEHICLE_COMPONENT }
     }
 
-    /// A message of a robot came in.
     pub(crate) fn record_seen(&mut self, index: RobotIndex, endpoint: Endpoint, now: Timestamp<HostClock>) {
         let robot = &mut self.robots[index];
         if !robot.is_alive(now) {
@@ -297,12 +295,11 @@ impl RobotTable {
         robot.last_seen = Some((endpoint, now));
     }
 
-    /// Whether any robot was heard recently.
     pub(crate) fn is_any_alive(&self, now: Timestamp<HostClock>) -> bool {
         self.robots.iter().any(|robot| robot.is_alive(now))
     }
 
-    /// The peers of a link by which other robots with the ids of a robot are heard.
+    /// The peers of a link with other robots that have the same ids.
     pub(crate) fn namesake_peers(&self, index: RobotIndex, link: LinkId) -> Vec<PeerId> {
         let robot = self.get(index);
         let namesakes = self.identities.at_home(robot.id.link, robot.wire_address);
@@ -314,7 +311,7 @@ impl RobotTable {
         !self.robots_with_shared_address.is_empty() && self.identities.at_home(home, address).nth(1).is_some()
     }
 
-    /// Robots that share their address and were lost, with their silence, or are heard again.
+    /// Robots with a shared address that were lost, with their silence, or have returned.
     pub(crate) fn take_namesake_changes(&mut self, now: Timestamp<HostClock>) -> Vec<(RobotId, Option<TimeDelta>)> {
         let mut changes = Vec::new();
         for (index, is_lost) in &mut self.robots_with_shared_address {
@@ -329,7 +326,7 @@ impl RobotTable {
         changes
     }
 
-    /// Whether a robot may have come, gone or come back since this was asked last.
+    /// Whether a robot may have appeared, been lost or returned since the last call.
     pub(crate) fn take_presence_change(&mut self, now: Timestamp<HostClock>) -> bool {
         if self.presence_until.is_some_and(|until| now < until) {
             return false;
@@ -340,12 +337,12 @@ impl RobotTable {
         true
     }
 
-    /// The robots that are at home on a link: heard there, or on a link that is redundant to it.
+    /// The robots of a link, or of one that is redundant to it.
     pub(crate) fn at_home(&self, link: LinkId, router: &FrameRouter) -> &[RobotIndex] {
         self.by_link.get(&router.first_of_group(link)).map_or(&[], Vec::as_slice)
     }
 
-    /// A peer asks for another interval of a robot's message, or of all robots'.
+    /// Sets the interval that a peer requests for a message of one robot, or of all robots.
     pub(crate) fn set_interval(
         &mut self,
         robot: Option<RobotIndex>,
@@ -367,29 +364,27 @@ impl RobotTable {
         }
     }
 
-    /// All robots learn about themselves, or do not, those that appear later, too.
+    /// Enables or disables online calibration for all robots, also for those that appear later.
     pub(crate) const fn keep_online_calibration(&mut self, online_calibration: OnlineCalibration) {
         self.settings.online_calibration = Some(online_calibration);
     }
 
-    /// A sensor is on or off on all robots, those that appear later, too.
+    /// Switches a sensor on or off for all robots, also for those that appear later.
     pub(crate) fn keep_sensor_switch(&mut self, sensor: SensorId, switch: SensorSwitch) {
         self.settings.sensors.insert(sensor, switch);
     }
 
-    /// The first robot is put somewhere, or its pose is forgotten; before one is heard that holds for the one that will be the first.
+    /// Sets or forgets the pose of the first robot; before one is heard that applies to the first one that will be.
     pub(crate) fn keep_first_pose(&mut self, pose: Option<StartPose>) {
         if self.len() == 0 {
             self.settings.first_pose = pose;
         }
     }
 
-    /// Something new is known about a robot.
     pub(crate) fn mark_changed(&mut self, index: RobotIndex) {
         self.changed.insert(index);
     }
 
-    /// The next robot with something new.
     pub(crate) fn pop_changed(&mut self) -> Option<RobotIndex> {
         self.changed.pop_first()
     }
@@ -399,13 +394,13 @@ impl RobotTable {
         self.pending.insert(index);
     }
 
-    /// The next robot whose estimate the other links have not been sent yet.
+    /// The next robot whose estimate was not yet sent to the other links.
     pub(crate) fn pop_pending(&mut self) -> Option<RobotIndex> {
         self.pending.pop_first()
     }
 }
 
-/// Robots in the order of their table, each once. Mostly it holds one, for the time of an input: it keeps its memory.
+/// Robots in the order of their table, each once. Usually holds one, for the duration of an input; it keeps its memory.
 #[derive(Debug, Default)]
 struct OrderedQueue(VecDeque<RobotIndex>);
 

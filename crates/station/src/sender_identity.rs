@@ -1,78 +1,77 @@
-//! Which robot a sender is, also when several robots have the same ids.
+//! Identifies the robot that sent a message, also when several robots have the same ids.
 //!
-//! A robot is known by link and address, and by the peer that it was heard from. When its address is heard from another peer of its
-//! link, or on another link, there are three explanations, which are told apart by what follows:
+//! A robot is identified by link and address, and by its peer. When its address appears at another peer of its link, or
+//! on another link, there are three explanations, which later messages distinguish:
 //!
 //! - it reconnected: the old peer of that link is silent for longer than it usually is, and telemetry comes from the new one, which
 //!   takes its place;
 //! - its frames came round a loop: the same telemetry was received by both ways, which the router notices;
 //! - it is another robot with the same ids: both go on, with telemetry of their own; or, on another link, the robot there is off.
 //!
-//! Until that is known, the telemetry of the new peer is not used.
+//! Until that is decided, the telemetry of the new peer is not used.
 
 use std::collections::BTreeMap;
 
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-/// Which robot of the [`RobotTable`](crate::robot_table::RobotTable).
+/// Index in the [`RobotTable`](crate::robot_table::RobotTable).
 pub(crate) type RobotIndex = usize;
 
 /// Silence after which a robot, or any other peer, counts as lost. Five missed heartbeats: the usual limit of ground stations.
 pub(crate) const PEER_TIMEOUT: TimeDelta = TimeDelta::from_millis(5_000);
-/// Silence after which another peer with the same address takes the place of the first, at the earliest.
+/// Shortest silence after which another peer with the same address replaces the first.
 pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
-/// A robot that sends rarely is silent for longer than that: another peer takes its place after so many of its usual intervals.
+/// A robot that sends rarely has longer silences: another peer replaces it after this many of its usual intervals.
 const HANDOVER_INTERVALS: i64 = 2;
-/// And at the latest after this: a pause is no usual interval.
+/// Longest such silence: a pause is no usual interval.
 const LATEST_HANDOVER: TimeDelta = TimeDelta::from_millis(2_500);
-/// Telemetry that came round a loop shows for so long that the address is heard by several ways.
+/// How long telemetry from a loop shows that an address is heard from several endpoints.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
-/// Most senders whose identity is open.
+/// Most undecided senders.
 pub(crate) const MAX_CONTENDERS: usize = 256;
 
-/// Who sent a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SenderIdentity {
     Robot(RobotIndex),
-    /// No robot, or not yet: it may become one.
+    /// Not a robot, or not yet: it may become one.
     Unknown,
-    /// It has the ids of a robot, and whether it is that one is open.
+    /// It has the ids of a robot, and it is undecided whether it is that robot.
     Contested,
 }
 
-/// A message, as far as identity is concerned.
+/// The properties of a message that identify its sender.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MessageOrigin {
     pub(crate) endpoint: Endpoint,
     /// The first link of the endpoint's group.
     pub(crate) home: LinkId,
     pub(crate) address: Address,
-    /// The message has not come before by another way.
+    /// The message is not a duplicate.
     pub(crate) is_new: bool,
-    /// The message has telemetry of a robot, which no two robots send alike.
+    /// The message has telemetry of a robot, which no two robots send identically.
     pub(crate) is_telemetry: bool,
 }
 
 #[derive(Debug, Default)]
 pub(crate) struct SenderIdentities {
-    /// By the robots' places in their table.
+    /// By index in the robot table.
     senders: Vec<KnownSender>,
     by_address: BTreeMap<Address, Vec<RobotIndex>>,
     by_endpoint: BTreeMap<(Endpoint, Address), RobotIndex>,
-    /// When a sender whose identity is open was heard first.
+    /// When an undecided sender was first heard.
     contenders: BTreeMap<(LinkId, PeerId, Address), Timestamp<HostClock>>,
-    /// Until when an address counts as heard by several ways.
+    /// Until when an address counts as heard from several endpoints.
     looped_until: BTreeMap<Address, Timestamp<HostClock>>,
 }
 
 #[derive(Debug)]
 struct KnownSender {
     home: LinkId,
-    /// The peer on each link of the group, and when it was heard last.
+    /// The peer on each link of the group, and the instant of its last message.
     peers: BTreeMap<LinkId, (PeerId, Timestamp<HostClock>)>,
     last_telemetry: Timestamp<HostClock>,
-    /// The last times between two messages with telemetry.
+    /// The last intervals between messages with telemetry.
     intervals: [TimeDelta; 4],
 }
 
@@ -88,7 +87,7 @@ impl KnownSender {
         self.last_telemetry = now;
     }
 
-    /// The silence after which another peer of a link takes the place of the one that it was heard by.
+    /// The silence after which another peer of a link replaces the robot's.
     fn handover(&self) -> TimeDelta {
         let longest = self.intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
         TimeDelta::from_nanos(longest.as_nanos().saturating_mul(HANDOVER_INTERVALS)).max(HANDOVER).min(LATEST_HANDOVER)
@@ -96,7 +95,7 @@ impl KnownSender {
 }
 
 impl SenderIdentities {
-    /// A sender is a robot from now on: the next of the table.
+    /// Adds a sender as the next robot of the table.
     pub(crate) fn add(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) {
         let MessageOrigin { endpoint, home, address, .. } = origin;
         let robot = self.senders.len();
@@ -106,7 +105,7 @@ impl SenderIdentities {
         self.by_endpoint.insert((endpoint, address), robot);
     }
 
-    /// The only robot that is heard by an endpoint, under whichever address.
+    /// The only robot at an endpoint, with any address.
     pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
         let first = (endpoint, Address::new(0, 0));
         let last = (endpoint, Address::new(u8::MAX, u8::MAX));
@@ -123,7 +122,7 @@ impl SenderIdentities {
         self.senders.get(robot)?.peers.get(&link).map(|(peer, _)| *peer)
     }
 
-    /// The robot of an endpoint and an address, without any effect.
+    /// The robot of an endpoint and an address; changes no state.
     pub(crate) fn find(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
         self.heard_by(endpoint, address).or_else(|| {
             let is_elsewhere = |robot: &RobotIndex| !self.senders[*robot].peers.contains_key(&endpoint.link);
@@ -131,7 +130,7 @@ impl SenderIdentities {
         })
     }
 
-    /// Whether a robot with this address is known, on whichever link.
+    /// Whether a robot with this address is known, on any link.
     pub(crate) fn is_known(&self, address: Address) -> bool {
         self.by_address.contains_key(&address)
     }
@@ -141,7 +140,7 @@ impl SenderIdentities {
         robots.iter().copied().filter(move |robot| self.senders[*robot].home == home)
     }
 
-    /// Who sent a message that came in now; `known` is what [`Self::find`] says of it.
+    /// Identifies the sender of a message that arrives now; `known` is the result of [`Self::find`].
     pub(crate) fn identify(
         &mut self,
         now: Timestamp<HostClock>,
@@ -197,7 +196,7 @@ impl SenderIdentities {
         if is_distinct && !is_looped { SenderIdentity::Unknown } else { SenderIdentity::Contested }
     }
 
-    /// A robot is heard by an endpoint; by another peer of that link it is heard no more.
+    /// Moves a robot to an endpoint, replacing its other peer on that link.
     fn move_to(&mut self, robot: RobotIndex, now: Timestamp<HostClock>, origin: MessageOrigin) {
         let MessageOrigin { endpoint, address, .. } = origin;
         let before = self.senders[robot].peers.insert(endpoint.link, (endpoint.peer, now));

@@ -1,4 +1,4 @@
-//! The conversations beside the telemetry: heartbeats, time requests, parameters and commands, link by link.
+//! The MAVLink services beside the telemetry: heartbeats, time requests, parameters and commands, link by link.
 //!
 //! On every link the station has a session as itself; on a link for ground stations it has one for each robot, too.
 
@@ -31,8 +31,8 @@ const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
 const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 
-/// Commands that are taken also when they are for all components: commands of people, and requests for messages, which any
-/// component that can may answer.
+/// Commands that are handled also when they are for all components: operator commands, and requests for messages, to
+/// which any component that supports them may reply.
 const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
     let [storage, start, stop, pose, reset, calibration, source] = SUPPORTED_COMMANDS;
     [
@@ -48,7 +48,7 @@ const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
     ]
 };
 
-/// As whom the station sends something.
+/// The participant as which the station sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum SenderRole {
     Station,
@@ -59,7 +59,7 @@ pub(crate) enum SenderRole {
 #[derive(Debug)]
 pub(crate) struct Sessions {
     links: BTreeMap<LinkId, LinkSessions>,
-    /// What a robot's session as a vehicle is built from.
+    /// The configuration of a robot's session as a vehicle.
     vehicle: SessionConfig,
     has_ground_stations: bool,
 }
@@ -95,7 +95,6 @@ impl Sessions {
         Self { has_ground_stations: links.values().any(|link| link.vehicles.is_some()), links, vehicle }
     }
 
-    /// Whether any link is for ground stations.
     pub(crate) const fn has_ground_stations(&self) -> bool {
         self.has_ground_stations
     }
@@ -105,7 +104,7 @@ impl Sessions {
         self.links.iter().filter(|(_, link)| link.vehicles.is_some()).map(|(id, _)| *id)
     }
 
-    /// The robots as vehicles on a link; `None` if it is not for ground stations.
+    /// `None` if the link is not for ground stations.
     pub(crate) fn vehicles(&self, id: LinkId) -> Option<&VehicleProxies> {
         self.links.get(&id)?.vehicles.as_ref()
     }
@@ -114,8 +113,8 @@ impl Sessions {
         self.links.get_mut(&id)?.vehicles.as_mut()
     }
 
-    /// Brings up to date which robots appear as vehicles, and who sends heartbeats. `responder` says who answers for a robot; `None` if it
-    /// must not appear.
+    /// Updates which robots appear as vehicles, and who sends heartbeats. `responder` returns who replies for a robot;
+    /// `None` if it must not appear.
     pub(crate) fn update_presence(
         &mut self,
         now: Timestamp<HostClock>,
@@ -147,10 +146,11 @@ impl Sessions {
         }
     }
 
-    /// Gives a message to the sessions of the link that it came by; `robot` is its sender, if that is one.
+    /// Passes a message to the sessions of its link; `robot` is its sender, if that is one.
     ///
-    /// A request that has come before was done then. What went round a loop was not sent on this link; only a robot is always heard on
-    /// its own, because a copy may have been quicker. But answers are waited for where the question left, and so is a sign of life.
+    /// The request of a duplicate was handled before. A message that went round a loop was not sent on this link; only
+    /// a robot is always handled on its own link, because a copy may have been faster. But replies are expected on the
+    /// link of the request, and so are heartbeats.
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<HostClock>,
@@ -180,7 +180,7 @@ impl Sessions {
         }
     }
 
-    /// What the sessions of a link want next, and as whom.
+    /// The next output of a link's sessions, with its role.
     pub(crate) fn poll(&mut self, id: LinkId) -> Option<(SenderRole, SessionOutput<HostClock>)> {
         let link = self.links.get_mut(&id)?;
         if let Some(output) = link.station.poll() {
@@ -190,21 +190,19 @@ impl Sessions {
         Some((SenderRole::Vehicle(robot), output))
     }
 
-    /// Whether no session wants anything.
     pub(crate) fn are_idle(&self) -> bool {
         self.links
             .values()
             .all(|link| link.station.is_idle() && link.vehicles.as_ref().is_none_or(VehicleProxies::is_idle))
     }
 
-    /// Whether a session waits for an instant that has come.
     pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
         self.links
             .values_mut()
             .any(|link| link.station.is_due(now) || link.vehicles.as_ref().is_some_and(|vehicles| vehicles.is_due(now)))
     }
 
-    /// When the next session must be woken.
+    /// When to call `tick`.
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let deadlines = self.links.values().flat_map(|link| {
             [link.station.deadline(), link.vehicles.as_ref().and_then(VehicleProxies::deadline)].into_iter().flatten()
@@ -212,7 +210,6 @@ impl Sessions {
         deadlines.min()
     }
 
-    /// Lets the sessions of a link do what is due.
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>, id: LinkId) {
         if let Some(link) = self.links.get_mut(&id) {
             link.station.tick(now);
@@ -222,7 +219,6 @@ impl Sessions {
         }
     }
 
-    /// Calls a function with the session of a role on a link.
     pub(crate) fn with_session<T>(
         &mut self,
         id: LinkId,
@@ -236,7 +232,7 @@ impl Sessions {
         }
     }
 
-    /// A peer's clock began anew: some quick time requests find out how it runs.
+    /// After a peer's clock restarted: sends time requests in quick succession to align it.
     pub(crate) fn handle_peer_restart(&mut self, now: Timestamp<HostClock>, id: LinkId, peer: Address) {
         if let Some(link) = self.links.get_mut(&id) {
             link.station.peer_restarted(now, peer);
@@ -286,12 +282,12 @@ fn station_session_config(config: &StationConfig) -> SessionConfig {
     }
 }
 
-/// What a session's message is worth on a slow link: heartbeats and time requests are sent again, the others are not.
+/// The priority of a session's message on a slow link: heartbeats and time requests are repeated, the others are not.
 pub(crate) const fn session_priority(message: &Message) -> Priority {
     if matches!(message, Message::Heartbeat(_) | Message::TimeSync(_)) { Priority::Session } else { Priority::Command }
 }
 
-/// Whether a message asks the station for something that must not be done twice.
+/// Whether a message is a request that must not be handled twice.
 const fn is_request(message: &Message) -> bool {
     matches!(
         message,
@@ -305,7 +301,7 @@ const fn is_request(message: &Message) -> bool {
     )
 }
 
-/// Whether a message answers what the station asked on some link.
+/// Whether a message is a reply to a request of the station on some link.
 const fn is_answer(message: &Message) -> bool {
     if let Message::TimeSync(sync) = message {
         sync.answer_nanos != 0

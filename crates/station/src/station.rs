@@ -1,8 +1,8 @@
 //! The station: bytes in, events and bytes out, as one deterministic value for any number of robots.
 //!
-//! Data go through the stages in one direction: framers, verifier, router and decoder (in [`Station::receive`]), sessions, then each
-//! robot's clock, estimator and publisher, then egress. The flow is here; what messages say about robots is in `observations`, what
-//! people ask in `commands`.
+//! Data pass the stages in one direction: framers, verifier, router and decoder (in [`Station::receive`]), sessions,
+//! then each robot's clock, estimator and publisher, then egress. The flow is here; `observations` handles the content
+//! of messages, `commands` the operator's requests.
 
 use std::collections::BTreeMap;
 
@@ -37,10 +37,11 @@ use crate::vehicle_proxy::CommandResponder;
 /// The health of every link is emitted once per second.
 const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// The engine of a station: decode, align clocks, estimate, publish, for every robot that is heard.
+/// The engine of a station: decodes, aligns clocks, estimates and publishes, for every robot.
 ///
 /// After every [`handle`](Self::handle) call [`poll`](Self::poll) until it returns `None`. [`deadline`](Self::deadline)
-/// says when to call `handle` with [`Input::Tick`]. The same configuration and the same inputs give the same outputs, bit for bit.
+/// is the time to call `handle` with [`Input::Tick`]. The same configuration and the same inputs give the same outputs,
+/// bit for bit.
 pub struct Station {
     pub(crate) config: StationConfig,
     pub(crate) links: BTreeMap<LinkId, LinkContext>,
@@ -58,16 +59,15 @@ pub struct Station {
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StationTime {
-    /// The latest instant of any input so far: everything is planned, signed and limited by it. It never falls.
+    /// The latest instant of any input so far, for all schedules, signatures and limits. It never falls.
     pub(crate) now: Timestamp<HostClock>,
     next_health: Option<Timestamp<HostClock>>,
 }
 
 impl Station {
-    /// A station that has seen nothing; `now` is the first instant of its session.
+    /// `now` is the first instant of the session.
     ///
-    /// # Errors
-    /// The filter is unknown, or two links share an id.
+    /// Fails if the filter is unknown, or two links share an id.
     pub fn new(mut config: StationConfig, now: Timestamp<HostClock>) -> Result<Self, BuildError> {
         let entry = find_filter(&config.robot.filter).ok_or_else(|| BuildError::UnknownFilter {
             name: config.robot.filter.clone(),
@@ -100,13 +100,13 @@ impl Station {
         })
     }
 
-    /// Takes one input that came at `arrival`.
+    /// Handles one input that arrived at `arrival`.
     ///
-    /// Bytes that waited for their turn may have come before what was handled before them. Their own instant counts where it says
-    /// something about a remote clock; time itself does not go back for them.
+    /// Queued bytes may have arrived before an input that was handled earlier. Their own arrival is used for clock
+    /// alignment; time itself does not go back for them.
     ///
-    /// Only what leads to the robot's estimate is done here; the rest is done when that has been polled. Poll until `None`
-    /// before [`deadline`](Self::deadline) is asked.
+    /// Only the work for the robots' estimates is done here; the rest is done when these have been polled. Poll until
+    /// `None` before you use [`deadline`](Self::deadline).
     pub fn handle(&mut self, arrival: Timestamp<HostClock>, input: &Input) {
         self.finish_input();
         let now = self.time.now.max(arrival);
@@ -139,7 +139,7 @@ impl Station {
         self.outputs.set_unfinished();
     }
 
-    /// What nobody waits for of the input before. The order of the lines is the order of the outputs, which a replay compares.
+    /// Deferred work for the last input. The order of the lines is the order of the outputs, which a replay compares.
     fn finish_input(&mut self) {
         if !self.outputs.take_unfinished() {
             return;
@@ -156,7 +156,7 @@ impl Station {
         self.send_status_texts();
     }
 
-    /// The next output: the station's own and what happened, oldest first, then what is forwarded, oldest first.
+    /// The next output: the station's own outputs and events, oldest first, then forwarded frames, oldest first.
     pub fn poll(&mut self) -> Option<Output> {
         if self.outputs.has_no_own() {
             self.finish_input();
@@ -170,53 +170,52 @@ impl Station {
         links.chain(self.sessions.deadline()).chain(self.time.next_health).min()
     }
 
-    /// All robots that were heard, in the order of their first message; before any is heard, the one that is configured.
+    /// All robots, in the order of their first message; before any is heard, the configured one.
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
     }
 
-    /// The first robot's estimate at an instant of its clock; see [`Robot::estimate_at`].
+    /// Of the first robot; see [`Robot::estimate_at`].
     pub fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
         self.robots.first().estimate_at(stamp)
     }
 
-    /// What the first robot's filter has learned; see [`Robot::calibration`].
+    /// Of the first robot; see [`Robot::calibration`].
     pub fn calibration(&self) -> Option<Calibration> {
         self.robots.first().calibration()
     }
 
-    /// The tunables as they are set.
     pub const fn params(&self) -> &Params {
         &self.config.robot.filter_config.params
     }
 
-    /// The first robot's nominal geometry; see [`Robot::geometry`].
+    /// Of the first robot; see [`Robot::geometry`].
     pub fn geometry(&self) -> DriveGeometry {
         self.robots.first().geometry()
     }
 
-    /// The latest instant of any observation of the first robot.
+    /// Of the first robot; see [`Robot::latest_time`].
     pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.robots.first().latest_time()
     }
 
-    /// The sensors of the first robot that are switched off, by their numbers.
+    /// The disabled sensors of the first robot, by their numbers.
     pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
         self.robots.first().switched_off()
     }
 
-    /// What the signing of a link must still know after a restart, as of `now`; `None` if the link is not signed.
+    /// The signing state of a link to keep for a restart, as of `now`; `None` if the link is not signed.
     pub fn signing_state(&self, link: LinkId, now: Timestamp<HostClock>) -> Option<SigningState> {
         self.links.get(&link)?.verifier.signing_state(now)
     }
 
-    /// How many signed streams were heard for the first time, over all links. When it has grown, the states should be written down at
-    /// once; see [`LinkSigner::streams_seen`](posebridge_protocol::signing::LinkSigner::streams_seen).
+    /// Number of new signed streams, over all links. When it has grown, the states should be written at once; see
+    /// [`LinkSigner::streams_seen`](posebridge_protocol::signing::LinkSigner::streams_seen).
     pub fn signing_stream_count(&self) -> u64 {
         self.links.values().map(|link| link.verifier.signing_stream_count()).sum()
     }
 
-    /// Takes what came of one peer of a link through framer, verifier, router and decoder, then acts on its messages.
+    /// Passes the input of one peer through framer, verifier, router and decoder, then handles its messages.
     fn receive(&mut self, received: ReceiveInfo, input: FramerInput<'_>) {
         let now = self.time.now;
         let Endpoint { link: id, peer } = received.endpoint;
@@ -287,7 +286,6 @@ impl Station {
         self.transmitter().send_codec_output(id);
     }
 
-    /// Whether anything waits for an instant that has come.
     fn is_due(&mut self) -> bool {
         let now = self.time.now;
         self.time.next_health.is_some_and(|due| due <= now)
@@ -344,7 +342,7 @@ impl Station {
         self.links.keys().copied().collect()
     }
 
-    /// Does what the sessions of a link want done after they took what came so, or time.
+    /// Handles the outputs of a link's sessions after a message or a tick.
     pub(crate) fn drain_sessions(&mut self, received: ReceiveInfo) {
         let id = received.endpoint.link;
         while let Some((role, output)) = self.sessions.poll(id) {
@@ -383,7 +381,6 @@ impl Station {
         }
     }
 
-    /// What sends messages and passes frames on.
     pub(crate) const fn transmitter(&mut self) -> Transmitter<'_> {
         Transmitter {
             now: self.time.now,
@@ -397,7 +394,7 @@ impl Station {
         }
     }
 
-    /// Brings up to date who sends heartbeats: a ground station must notice when a robot is not heard any more.
+    /// Updates who sends heartbeats: a ground station must detect the loss of a robot.
     pub(crate) fn update_presence(&mut self) {
         let Self { sessions, robots, router, links, config, .. } = self;
         sessions.update_presence(self.time.now, robots, router, |robot| {
@@ -405,7 +402,7 @@ impl Station {
         });
     }
 
-    /// One estimate per robot that has something new, for the latest instant that was observed: to the robot at once.
+    /// Publishes one estimate per robot with new data, for the latest observed instant: to the robot at once.
     fn publish_to_robots(&mut self) {
         while let Some(index) = self.robots.pop_changed() {
             let estimate = self.robots.get(index).estimator.latest_estimate();
@@ -423,7 +420,7 @@ impl Station {
         }
     }
 
-    /// The estimates on all other links, when nobody waits.
+    /// Publishes the estimates on all other links, as deferred work.
     fn publish_to_others(&mut self) {
         while let Some(index) = self.robots.pop_pending() {
             let robot = self.robots.get_mut(index);
@@ -465,7 +462,7 @@ impl Station {
         self.emit(Event::Health { link: id, health, sources });
     }
 
-    /// Puts an event out, and into words for ground stations.
+    /// Emits an event, also as a text for ground stations.
     #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
         if self.sessions.has_ground_stations() {
@@ -486,7 +483,7 @@ impl Station {
         self.status_texts.push_event(&context, event);
     }
 
-    /// Sends the texts that wait, on every link for ground stations.
+    /// Sends the queued texts, on every link for ground stations.
     fn send_status_texts(&mut self) {
         for text in self.status_texts.take_pending() {
             let parts = self.status_texts.split_text(text.severity, &text.text);

@@ -1,7 +1,7 @@
 //! Events in words, as STATUSTEXT on links for ground stations.
 //!
-//! A text is said as soon as its input is done with. A topic is reported at most every few seconds, with the number that was left
-//! out: a screen full of the same line hides the other one.
+//! A text is sent after its input was handled. A topic is reported at most every few seconds, with the number of
+//! suppressed texts: otherwise a repeated line would hide the others.
 //!
 //! # Sources
 //! common.xml, STATUSTEXT: at most 50 bytes in a part; parts of one text share an id other than 0 and count from 0; a part with a zero
@@ -21,19 +21,18 @@ use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions};
 
-/// Time between two texts of one topic. A person reads a line in less.
+/// Time between two texts of one topic, enough to read a line.
 const TOPIC_INTERVAL: TimeDelta = TimeDelta::from_millis(5_000);
 /// The same for texts of the station or of the robot, which may all differ.
 const TEXT_INTERVAL: TimeDelta = TimeDelta::from_millis(500);
-/// Most reports of the program in [`QUIET`]: each answers a request, and the line about the request comes just before. Two hands
-/// on buttons ask for less.
+/// Most reports of the program in [`TOPIC_INTERVAL`]: each is the result of a request, and follows the line about that
+/// request. Two hands on buttons send fewer.
 const MAX_REPORTS: u32 = 8;
-/// Bytes of a part.
 const PART_BYTES: usize = 50;
 /// Most bytes of a text; the rest is cut off.
 const MAX_TEXT_BYTES: usize = 4 * PART_BYTES;
 
-/// What a text is about. There are as many as there are links and sensors, and no more.
+/// The subject of a text. Their number is bounded by the number of links and sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Topic {
     LinkUp(LinkId),
@@ -49,7 +48,7 @@ enum Topic {
 }
 
 impl Topic {
-    /// How many texts of it are said in how long a time.
+    /// Number of texts and the time within which they may be sent.
     const fn rate_limit(self) -> (u32, TimeDelta) {
         match self {
             Self::SenderText(_) => (1, TEXT_INTERVAL),
@@ -66,7 +65,7 @@ impl Topic {
     }
 }
 
-/// Since when a topic is counted, how often it was sent since then, and how often it was held back.
+/// The start of a topic's period, and the numbers of its sent and suppressed texts.
 #[derive(Clone, Copy, Debug)]
 struct TopicRateLimit {
     since: Timestamp<HostClock>,
@@ -74,7 +73,6 @@ struct TopicRateLimit {
     suppressed: u32,
 }
 
-/// A text that waits to be said.
 #[derive(Debug)]
 pub(crate) struct PendingText {
     pub(crate) sender: SenderRole,
@@ -82,14 +80,14 @@ pub(crate) struct PendingText {
     pub(crate) text: String,
 }
 
-/// The texts to send, and what was sent.
+/// The texts to send, and the rate limits.
 #[derive(Debug, Default)]
 pub(crate) struct StatusTextQueue {
     rate_limits: BTreeMap<Topic, TopicRateLimit>,
     pending: Vec<PendingText>,
     last_text_id: u16,
     reset_counters: BTreeMap<RobotIndex, u8>,
-    /// Robots whose loss was reported, and not yet that they are back.
+    /// Robots whose loss was reported, and whose return was not yet.
     lost_robots: BTreeSet<RobotIndex>,
 }
 
@@ -140,7 +138,7 @@ fn utf8_prefix(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
 }
 
-/// The part of the text that is sent, in ASCII, so that they can be cut at any byte.
+/// The text that is sent, in ASCII, so that it can be cut at any byte.
 fn printable(words: &str) -> String {
     let shown = |letter: char| match letter {
         ' '..='~' => letter,
@@ -149,7 +147,7 @@ fn printable(words: &str) -> String {
     words.chars().map(shown).take(MAX_TEXT_BYTES).collect()
 }
 
-/// What texts about events need to know about the station.
+/// The station's data for texts about events.
 pub(crate) struct TextContext<'a> {
     pub(crate) own_address: Address,
     pub(crate) now: Timestamp<HostClock>,
@@ -160,14 +158,13 @@ pub(crate) struct TextContext<'a> {
 }
 
 impl TextContext<'_> {
-    /// The robot of a session's peer, which is known by the link that it was heard on.
+    /// The robot of a session's peer, by the link on which it was heard.
     fn robot(&self, peer: RobotId) -> Option<RobotIndex> {
         self.robots.find(RobotId { link: self.router.first_of_group(peer.link), ..peer })
     }
 }
 
 impl StatusTextQueue {
-    /// Keeps what people at ground stations should read of an event.
     pub(crate) fn push_event(&mut self, context: &TextContext<'_>, event: &Event) {
         let Some((topic, severity, text)) = self.text_for_event(context, event) else {
             return;
@@ -176,7 +173,7 @@ impl StatusTextQueue {
         self.push(context.now, topic, PendingText { sender, severity, text });
     }
 
-    /// Keeps what became of something that the program was asked for.
+    /// Queues the result of a request to the program.
     pub(crate) fn push_report(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) {
         let text = PendingText { sender: SenderRole::Station, severity, text: text.to_owned() };
         self.push(now, Topic::Report, text);
@@ -248,7 +245,7 @@ impl StatusTextQueue {
     }
 }
 
-/// A ground station sees the state of its own link itself.
+/// A ground station detects the state of its own link itself.
 fn topic_of_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Option<Topic> {
     if !context.links.contains_key(&id) || context.sessions.vehicles(id).is_some() {
         return None;
@@ -259,7 +256,7 @@ fn topic_of_link(context: &TextContext<'_>, id: LinkId, state: LinkState) -> Opt
     })
 }
 
-/// Fixes that are not used; other observations are not worth a text.
+/// Only fixes that are not used; other observations need no text.
 fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u8, String)> {
     if record.kind != "fix" {
         return None;

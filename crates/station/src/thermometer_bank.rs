@@ -1,7 +1,7 @@
-//! The thermometers of all bricks: a filter for each, beside the robot's and not in its place.
+//! The thermometers of all bricks: a filter for each, independent of the robot's.
 //!
-//! Gets readings that are aligned already, gives what each thermometer will show in the end. Readings wait here until the robot has its
-//! estimate: temperatures are not used for steering.
+//! Gets aligned readings, gives the predicted final value of each thermometer. Readings wait here until the robot has
+//! its estimate: temperatures are not used for steering.
 
 use std::collections::BTreeMap;
 
@@ -14,12 +14,13 @@ use posebridge_telemetry::{
 
 use crate::config::RobotConfig;
 
-/// So many thermometers of a brick are followed; a brick that sends more names than that makes them up.
+/// Most thermometers of a brick; a brick that sends more names invents them.
 const MAX_CHANNELS_PER_BRICK: usize = 16;
-/// So many are followed in total: four for each of 64 robots, the usual `station.max_robots`. Addresses can be made up as well.
+/// Most thermometers in total: four for each of 64 robots, the usual `station.max_robots`. Addresses can be invented as
+/// well.
 const MAX_CHANNELS: usize = 256;
 
-/// A reading on its way to its filter.
+/// A reading before its filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TemperatureReading {
     pub(crate) brick: RobotId,
@@ -30,7 +31,8 @@ pub(crate) struct TemperatureReading {
     pub(crate) shown: Celsius,
 }
 
-/// All thermometers by brick, those of a brick in the order in which they were heard first. Without any it holds and costs nothing.
+/// All thermometers by brick, those of a brick in the order of their first reading. Allocates nothing while there are
+/// none.
 #[derive(Default)]
 pub(crate) struct ThermometerBank {
     bricks: BTreeMap<RobotId, Vec<ThermometerChannel>>,
@@ -39,7 +41,6 @@ pub(crate) struct ThermometerBank {
     limit_report: LimitReport,
 }
 
-/// Whether it was said that there are too many.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum LimitReport {
     #[default]
@@ -54,19 +55,19 @@ struct ThermometerChannel {
 }
 
 impl ThermometerBank {
-    /// Keeps a reading until [`Self::process`].
+    /// Queues a reading until [`Self::process`].
     pub(crate) fn push(&mut self, reading: TemperatureReading) {
         self.pending.push(reading);
     }
 
-    /// A brick was restarted: how long its thermometers went on is not known.
+    /// After a restart of a brick the length of the break in its readings is unknown.
     pub(crate) fn restart(&mut self, brick: RobotId) {
         for channel in self.bricks.get_mut(&brick).into_iter().flatten() {
             channel.thermometer.restart_clock();
         }
     }
 
-    /// Uses what waits, oldest first; `config_of` says what is known about a brick.
+    /// Uses the queued readings, oldest first; `config_of` returns the configuration of a brick.
     pub(crate) fn process<'a>(&mut self, config_of: impl Fn(RobotId) -> &'a RobotConfig, mut tell: impl FnMut(Event)) {
         let mut waiting = std::mem::take(&mut self.pending);
         for reading in waiting.drain(..) {
@@ -78,7 +79,7 @@ impl ThermometerBank {
         self.pending = waiting;
     }
 
-    /// Whether thermometers have been refused since this was asked last; once is enough.
+    /// Whether thermometers have been rejected since the last call; true once.
     pub(crate) fn take_limit_report(&mut self) -> bool {
         let is_due = self.limit_report == LimitReport::Due;
         if is_due {

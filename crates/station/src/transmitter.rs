@@ -1,7 +1,6 @@
-//! The sending half of a station: as whom a message is sent and to whom, and how frames of others are passed on.
+//! The sending half of a station: the role and the recipients of a message, and the forwarding of frames.
 //!
-//! It borrows what it sends with for as long as something is to be sent; what is due, and what is worth sending, is decided by its
-//! callers.
+//! It borrows what it needs for one pass of sending; its callers decide what is due and what is sent.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +23,7 @@ use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
-/// Sends messages and passes frames on, at one instant.
+/// Sends messages and forwards frames, at one instant.
 pub(crate) struct Transmitter<'a> {
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) own_address: Address,
@@ -36,7 +35,7 @@ pub(crate) struct Transmitter<'a> {
     pub(crate) outputs: &'a mut OutputQueue,
 }
 
-/// What is sent, as whom, how urgently and to whom.
+/// A message with its sender, priority and recipients.
 #[derive(Clone, Copy)]
 struct Transmission<'a> {
     link: LinkId,
@@ -46,19 +45,16 @@ struct Transmission<'a> {
     to: Recipients,
 }
 
-/// An address to send under.
 #[derive(Clone, Copy)]
 enum Sender {
-    /// The station's own.
     Station,
     /// The station's component in a robot's system.
     Estimator(Address),
-    /// The robot's, which is reached by this endpoint.
     Vehicle(Address, Endpoint),
 }
 
 impl Transmitter<'_> {
-    /// Sends a session's message; on a link that is down it is lost, and the session sends it again when the link is back.
+    /// Sends a session's message; on a link that is down it is lost, and the session repeats it when the link is back.
     pub(crate) fn send_session_message(&mut self, id: LinkId, role: SenderRole, message: &Message) {
         if self.links.get(&id).is_none_or(|link| link.state == LinkState::Down) {
             return;
@@ -74,7 +70,6 @@ impl Transmitter<'_> {
         }
     }
 
-    /// Sends a message of the station to all peers of a link.
     pub(crate) fn send(&mut self, link: LinkId, message: &Message, priority: Priority) {
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::All });
     }
@@ -84,7 +79,8 @@ impl Transmitter<'_> {
         self.transmit(Transmission { link, sender: Sender::Station, message, priority, to: Recipients::Peer(peer) });
     }
 
-    /// Sends what a robot's session as a vehicle says, unless the robot says it itself or the station must not speak for it.
+    /// Sends the message of a robot's session as a vehicle, unless the robot sends it itself or the station must not
+    /// send in its name.
     fn send_as_vehicle(&mut self, link: LinkId, robot: RobotId, message: &Message, priority: Priority) {
         let now = self.now;
         let Some(vehicles) = self.sessions.vehicles(link) else {
@@ -100,14 +96,13 @@ impl Transmitter<'_> {
         }
     }
 
-    /// How a robot appears as a vehicle on a link; `None` if it does not.
+    /// The sender of a robot as a vehicle on a link; `None` if it is not one there.
     fn vehicle_sender(&self, link: LinkId, robot: RobotId) -> Option<Sender> {
         let address = self.sessions.vehicles(link)?.address(robot)?;
         let last_seen = self.robots.find(robot).and_then(|index| self.robots.get(index).last_seen);
         Some(Sender::Vehicle(address, last_seen.map_or_else(Endpoint::default, |(endpoint, _)| endpoint)))
     }
 
-    /// Sends what a codec wants to send of itself.
     pub(crate) fn send_codec_output(&mut self, id: LinkId) {
         let Some(link) = self.links.get_mut(&id) else {
             return;
@@ -123,7 +118,7 @@ impl Transmitter<'_> {
         }
     }
 
-    /// Sends a robot's output: as the robot where a ground station looks for it at the vehicle, else as the station.
+    /// Sends a robot's output: as the robot where a ground station expects it from the vehicle, else as the station.
     pub(crate) fn send_published(&mut self, index: RobotIndex, published: &PublishedMessage) {
         let now = self.now;
         let PublishedMessage { link, kind, ref message, priority } = *published;
@@ -154,7 +149,7 @@ impl Transmitter<'_> {
         }
     }
 
-    /// On a link with several robots a robot gets its own outputs, ground stations get all of them, and no robot gets another's.
+    /// On a link with several robots a robot gets only its own outputs, and ground stations get all of them.
     fn send_on_shared_link(&mut self, index: RobotIndex, transmission: Transmission<'_>) {
         let id = transmission.link;
         if let Some(peer) = self.robots.identities.peer_on(index, id) {
@@ -173,13 +168,13 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The station's component in the system of a robot, so that receivers can tell the robots' outputs apart.
+    /// The station's component in a robot's system, so that receivers can distinguish the robots' outputs.
     fn estimator_sender(&self, index: RobotIndex) -> Sender {
         let system = self.robots.get(index).vehicle_address.system;
         Sender::Estimator(Address { system, component: self.own_address.component })
     }
 
-    /// Gives a message to egress and its bytes to the queue.
+    /// Encodes a message and queues its bytes.
     fn transmit(&mut self, transmission: Transmission<'_>) {
         let now = self.now;
         let Transmission { link: id, sender, message, priority, to } = transmission;
@@ -204,7 +199,7 @@ impl Transmitter<'_> {
         self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
     }
 
-    /// Counts what was routed in this input and forwards it.
+    /// Counts and forwards the routed frames of this input.
     pub(crate) fn forward_frames(&mut self) {
         for (id, report) in self.outputs.take_reports() {
             let ForwardingReport { filtered, duplicates, address_conflicts, unchangeable, forwarded } = report;
@@ -253,11 +248,11 @@ impl Transmitter<'_> {
         }
     }
 
-    /// The peers of a link that broadcasts of an endpoint go to; `None` for all of them.
+    /// The peers of a link that receive the broadcasts of an endpoint; `None` for all of them.
     ///
-    /// What a robot or its camera broadcasts twenty times a second must not go to every other robot: a weak robot has no time for it. So
-    /// where several robots share the link only its ground stations get it, and on the link of one other robot nobody does whose ground
-    /// station was not heard. What a ground station broadcasts goes to all.
+    /// The twenty broadcasts per second of a robot or its camera must not be sent to every other robot: a weak robot
+    /// has no time for them. So where several robots share the link only its ground stations get them, and nobody on
+    /// the link of one other robot without a known ground station. The broadcasts of a ground station are sent to all.
     fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
         let is_ground_station =
             self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
@@ -273,11 +268,12 @@ impl Transmitter<'_> {
         Some(peers.filter(|peer| (id, *peer) != (from.link, from.peer)).collect())
     }
 
-    /// Forwards a frame to a link for ground stations, under the address by which they know its sender and the next number of its count
-    /// there. False if it is to be forwarded like any other.
+    /// Forwards a frame to a link for ground stations, with the announced address of its sender and the next sequence
+    /// number of that address there. False if it is to be forwarded without change.
     ///
-    /// Not every frame of a sender is for this link (answers to others, what is filtered or rate limited), and a robot shares its
-    /// address with the station: by the numbers that the frames came with a ground station would compute losses that are none.
+    /// Not every frame of a sender is for this link (replies to others, filtered and rate-limited frames), and a robot
+    /// shares its address with the station: by the original numbers a ground station would compute losses that are
+    /// none.
     fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
         // A sender on the link itself, or on one redundant to it, is heard there by some peers without the station.
         if self.router.are_redundant(frame.from.link, id) || self.sessions.vehicles(id).is_none() {
@@ -300,8 +296,8 @@ impl Transmitter<'_> {
         true
     }
 
-    /// A frame with the sender `from` and that one's next number on a link; `None` if it cannot be changed. The link's vehicles learn
-    /// what a robot sends itself.
+    /// Gives a frame the sender `from` with its next number on a link; `None` if the frame cannot be changed. Records
+    /// for the link's vehicles which messages a robot sends itself.
     fn readdress(&mut self, id: LinkId, frame: &ForwardedFrame, from: Address) -> Option<Vec<u8>> {
         let now = self.now;
         // A sender with a robot's address on a link without robots must not silence the station.
@@ -329,8 +325,9 @@ impl Transmitter<'_> {
         readdressed.ok()
     }
 
-    /// Sends a renumbered frame among the station's own, because the robot's count is the station's, too, and what is counted first must
-    /// leave first; to all peers of the link, because one that does not get a frame would take it for lost.
+    /// Sends a renumbered frame among the station's own, because the robot's sequence is the station's, too, and frames
+    /// must be sent in the order of their numbers; to all peers of the link, because one that misses a frame would
+    /// count it as lost.
     fn send_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame, bytes: Vec<u8>) {
         let Some(link) = self.links.get_mut(&id) else { return };
         self.router.record_sent_for(self.now, frame.from, &bytes);
@@ -342,7 +339,7 @@ impl Transmitter<'_> {
 }
 
 impl OutputKind {
-    /// Whether a ground station looks for it at the vehicle.
+    /// Whether a ground station expects it from the vehicle.
     const fn is_vehicle_output(self) -> bool {
         match self {
             Self::Attitude | Self::DistanceSensor => true,

@@ -1,15 +1,15 @@
 //! The robots as vehicles on a link for ground stations.
 //!
-//! A ground station shows a vehicle if component 1 of a system sends HEARTBEAT, and takes the attitude from that component alone. A
-//! robot that speaks no MAVLink sends nothing there, and one that does sends no attitude. So the station sends as the robot on
-//! such a link, and a listener must not notice that two senders share one address:
+//! A ground station shows a vehicle if component 1 of a system sends HEARTBEAT, and takes the attitude from that
+//! component alone. A robot that does not use MAVLink sends nothing there, and one that does sends no attitude. So the
+//! station sends as the robot on such a link, and receivers must not detect that two senders share one address:
 //!
-//! - Frames that are forwarded to the link take the next number of the same count ([`Encoder::readdress`]); payload and checksum seed
-//!   stay as they are. Each sender has a count of its own, because not all of its frames are for this link.
-//! - What the robot sends itself is not sent a second time.
-//! - Signed frames must not be changed and leave as they came. While they do, the station does not send as that robot.
-//! - On a link with a key, unsigned frames of others are numbered like everywhere, and stay unsigned. The station's own are signed
-//!   there, and its signature must not stand beside frames that the robot sends without one: it does not speak as the robot there,
+//! - Frames that are forwarded to the link take the next number of the same sequence ([`Encoder::readdress`]); payload and checksum
+//!   seed stay as they are. Each sender has a sequence of its own, because not all of its frames are for this link.
+//! - Messages that the robot sends itself are not sent a second time.
+//! - Signed frames must not be changed and are forwarded as they are. Meanwhile the station does not send as that robot.
+//! - On a link with a key, unsigned frames of others are renumbered like everywhere, and stay unsigned. The station's own are signed
+//!   there, and signed frames must not be mixed with unsigned ones of the robot: the station does not send as the robot there,
 //!   either. docs/adr/README.md, decision 10, gives the reasons.
 //!
 //! [`Encoder::readdress`]: posebridge_protocol::dialect::Encoder::readdress
@@ -27,20 +27,19 @@ use crate::robot::Robot;
 
 /// MAV_COMP_ID_AUTOPILOT1: the component that a ground station takes for the vehicle.
 pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
-/// What was not forwarded for this long is no longer sent by the robot: five heartbeats.
+/// A message that was not forwarded for this long is no longer sent by the robot: five heartbeats.
 const RECENT_WINDOW: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// Who answers what is commanded to the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandResponder {
-    /// The station, because the robot cannot: it speaks no MAVLink, or under another component.
+    /// The station, because the robot cannot: it does not use MAVLink, or uses another component.
     Station,
-    /// The robot, except for what the station sends in its name.
+    /// The robot, except for messages that the station sends in its name.
     Robot,
 }
 
 impl CommandResponder {
-    /// Who answers for a robot that is heard on `link`; `None` if it must not appear as a vehicle.
+    /// Who replies for a robot on `link`; `None` if it must not appear as a vehicle.
     pub(crate) fn for_robot(robot: &Robot, link: &LinkContext, own_address: Address) -> Option<Self> {
         let speaks_as_vehicle = robot.wire_address.component == robot.vehicle_address.component;
         let responder = if link.codec.is_some() || !speaks_as_vehicle { Self::Station } else { Self::Robot };
@@ -51,17 +50,17 @@ impl CommandResponder {
 #[derive(Debug, Default)]
 pub(crate) struct VehicleProxies {
     vehicles: BTreeMap<RobotId, VehicleProxy>,
-    /// When vehicles' own frames of the messages that the station might send left here last.
+    /// When a vehicle's own frame, of a message that the station might send, was last forwarded here.
     last_forwarded: BTreeMap<(SystemId, u32), Timestamp<HostClock>>,
-    /// When a forwarded frame that must not be changed last left here.
+    /// When a frame that must not be changed was last forwarded here.
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
-    /// When a vehicle's own frame left here last while the link has a key.
+    /// When a vehicle's own frame was last forwarded here, on a link with a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
-    /// Of several robots with one address the one with the lowest id.
+    /// The robot with the lowest id if several have one address.
     by_address: BTreeMap<Address, RobotId>,
-    /// Vehicles whose session may have something to send.
+    /// Vehicles whose session may have output.
     active: BTreeSet<RobotId>,
-    /// When each vehicle's session is due, or sooner.
+    /// When each vehicle's session is due, or earlier.
     due: BTreeSet<(Timestamp<HostClock>, RobotId)>,
 }
 
@@ -75,7 +74,7 @@ struct VehicleProxy {
 }
 
 impl VehicleProxies {
-    /// A robot appears on this link; `config` has the address under which it does. Nothing happens if it has appeared before.
+    /// Adds a robot to this link; `config` has its address there. Does nothing if it was added before.
     pub(crate) fn add(
         &mut self,
         robot: RobotId,
@@ -94,7 +93,6 @@ impl VehicleProxies {
         self.plan(robot);
     }
 
-    /// Brings up to date when a vehicle's session is due.
     fn plan(&mut self, robot: RobotId) {
         let Some(vehicle) = self.vehicles.get_mut(&robot) else {
             return;
@@ -106,12 +104,12 @@ impl VehicleProxies {
         self.due.extend(vehicle.due.map(|due| (due, robot)));
     }
 
-    /// The address that a robot appears under; `None` if it does not appear on this link.
+    /// The robot's address on this link; `None` if it does not appear there.
     pub(crate) fn address(&self, robot: RobotId) -> Option<Address> {
         self.vehicles.get(&robot).map(|vehicle| vehicle.address)
     }
 
-    /// Lets a vehicle's session do something, which may plan something or leave something to be sent.
+    /// Calls a function with a vehicle's session, then updates its schedule.
     pub(crate) fn with_session<T>(
         &mut self,
         robot: RobotId,
@@ -129,7 +127,7 @@ impl VehicleProxies {
         }
     }
 
-    /// Gives a message to the session of the vehicle that it commands, if that is for the station to answer.
+    /// Passes a command to the session of its vehicle, if the station is to reply.
     pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, from: Address, message: &Message) {
         if let Some(robot) = self.commanded_vehicle(now, message) {
             self.with_session(robot, |session| session.handle(now, from, message));
@@ -157,12 +155,10 @@ impl VehicleProxies {
         None
     }
 
-    /// Whether no session has anything to send.
     pub(crate) fn is_idle(&self) -> bool {
         self.active.iter().all(|robot| self.vehicles.get(robot).is_none_or(|vehicle| vehicle.session.is_idle()))
     }
 
-    /// Whether a session waits for an instant that has come.
     pub(crate) fn is_due(&self, now: Timestamp<HostClock>) -> bool {
         self.deadline().is_some_and(|due| due <= now)
     }
@@ -171,7 +167,7 @@ impl VehicleProxies {
         self.due.first().map(|(due, _)| *due)
     }
 
-    /// A vehicle's own frame leaves on the link.
+    /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
         // The others are never requested; so the map stays small whatever comes.
         if message_id == ids::HEARTBEAT || output_for_message(message_id).is_some() {
@@ -179,37 +175,37 @@ impl VehicleProxies {
         }
     }
 
-    /// A frame leaves as it came, because it must not be changed.
+    /// A frame is forwarded unchanged, because it must not be changed.
     pub(crate) fn record_unmodified(&mut self, now: Timestamp<HostClock>, from: Address) {
         self.last_unmodified.insert(from, now);
     }
 
-    /// A vehicle's own frame leaves on a link with a key, where the station's under the same address would be signed.
+    /// A vehicle's own frame is forwarded on a link with a key, where the station's with the same address would be
+    /// signed.
     pub(crate) fn record_on_signed_link(&mut self, now: Timestamp<HostClock>, from: SystemId) {
         self.last_on_signed_link.insert(from, now);
     }
 
-    /// Whether a sender's frames leave under numbers of its own.
+    /// Whether a sender's frames are forwarded with their own numbers.
     pub(crate) fn is_unmodified(&self, now: Timestamp<HostClock>, from: Address) -> bool {
         is_recent(now, self.last_unmodified.get(&from))
     }
 
-    /// Whether frames leave under the robot's address beside which the station's must not stand: signed ones, or any where the link
-    /// has a key.
+    /// Whether frames with the robot's address are forwarded among which the station must not send: signed ones, or any
+    /// where the link has a key.
     pub(crate) fn is_suppressed(&self, now: Timestamp<HostClock>, robot: RobotId) -> bool {
         self.address(robot).is_some_and(|own| {
             self.is_unmodified(now, own) || is_recent(now, self.last_on_signed_link.get(&own.system))
         })
     }
 
-    /// Whether the robot sends this message here itself.
     pub(crate) fn is_sent_by_robot(&self, now: Timestamp<HostClock>, robot: RobotId, message_id: u32) -> bool {
         let own = self.address(robot);
         is_recent(now, own.and_then(|own| self.last_forwarded.get(&(own.system, message_id))))
     }
 
-    /// The vehicle that a message commands something that is for the station to answer: all of it where the robot cannot, else what
-    /// concerns messages that the station sends in its name.
+    /// The vehicle of a command to which the station is to reply: any command where the robot cannot, else those about
+    /// messages that the station sends in its name.
     pub(crate) fn commanded_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
         let (target, concerns) = command_target(message)?;
         let robot = self.by_address.get(&target)?;
@@ -227,7 +223,7 @@ fn is_recent(now: Timestamp<HostClock>, last: Option<&Timestamp<HostClock>>) -> 
     last.is_some_and(|last| now - *last < RECENT_WINDOW)
 }
 
-/// Whom a message commands, and which message the command is about, if it is about one.
+/// The target of a command, and the message that the command is about, if any.
 fn command_target(message: &Message) -> Option<(Address, Option<u32>)> {
     #[expect(
         clippy::wildcard_enum_match_arm,

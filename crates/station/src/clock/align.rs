@@ -1,4 +1,4 @@
-//! One remote clock against the host's: stamps in, instants out, with how far they may be off.
+//! Alignment of one remote clock with the host's: stamps in, instants with their uncertainty out.
 
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
@@ -8,16 +8,16 @@ use super::bounds::{ClockBounds, LinearOffset};
 use super::conversion::ClockConversion;
 use super::unwrap::{UnwrapOutcome, Unwrapper};
 
-/// Stands in for the smallest delay of a link whose far end never answers, s: half of a Bluetooth link's usual round trip.
+/// Assumed smallest delay of a link whose far end never replies, s: half of a Bluetooth link's usual round trip.
 const ONE_WAY_DELAY_S: f64 = 0.010;
-/// Number of answered requests before the two-way line replaces the one-way line.
+/// Number of replies before the two-way line replaces the one-way line.
 const MIN_ANSWERS: u32 = 3;
-/// Without an answer for this long after the first message the one-way line has to do.
+/// Time after the first message without a reply after which the one-way line is used.
 const ONE_WAY_AFTER: TimeDelta = TimeDelta::from_millis(1_500);
-/// Messages between two exchanges tighten the bounds as well; so often the line is sought anew for them, remote s.
+/// Messages between two exchanges tighten the bounds as well; the line is fitted again this often for them, remote s.
 const REFIT_S: f64 = 0.5;
 
-/// No brick counts in longer steps: nxtOSEK and leJOS tick each millisecond, slow schedulers each 10 ms.
+/// Largest step of a brick's counter: nxtOSEK and leJOS tick each millisecond, slow schedulers each 10 ms.
 const MAX_STEP_S: f64 = 0.020;
 
 /// The alignment of one remote clock `C`.
@@ -27,33 +27,31 @@ pub struct ClockAligner<C: Clock> {
     bounds: ClockBounds,
     /// First stamp and first arrival: instants are kept relative to them, so that `f64` seconds resolve nanoseconds.
     origin: Option<(Timestamp<C>, Timestamp<HostClock>)>,
-    /// What was found last; the conversion turns towards it.
+    /// The last fitted line, towards which the conversion turns.
     linear_offset: Option<LinearOffset>,
     conversion: ClockConversion,
-    /// Youngest stamp so far, relative.
+    /// Latest stamp so far, relative.
     latest_s: f64,
     answers: u32,
     round_trip: Option<TimeDelta>,
-    /// Greatest common divisor of all stamps: the step in which the remote counter advances, in microseconds.
+    /// Greatest common divisor of all stamps: the step of the remote counter.
     step_micros: u64,
     /// The alignment was contradicted and reset since the last call.
     is_contradicted: bool,
 }
 
-/// What an exchange of time taught.
+/// The result of a time exchange.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment<C: Clock> {
-    /// Remote instant for which it was evaluated.
+    /// The remote instant for which it holds.
     pub remote: Timestamp<C>,
-    /// Host instant for which it was evaluated.
+    /// The same instant on the host.
     pub host: Timestamp<HostClock>,
-    /// Remote minus host there.
+    /// Remote minus host at that instant.
     pub offset: TimeDelta,
-    /// Rate of the remote clock against the host's, minus one, ppm.
+    /// Rate of the remote clock against the host's, minus one.
     pub skew_ppm: f64,
-    /// How far the skew may be off, ppm.
     pub skew_uncertainty_ppm: f64,
-    /// How far the offset may be off.
     pub uncertainty: TimeDelta,
     pub round_trip: TimeDelta,
 }
@@ -83,7 +81,7 @@ impl<C: Clock> Default for ClockAligner<C> {
 }
 
 impl<C: Clock> ClockAligner<C> {
-    /// A message with this stamp arrived by `way`.
+    /// Records the arrival of a message with this stamp from `way`.
     pub fn observe_arrival(
         &mut self,
         way: Endpoint,
@@ -101,21 +99,22 @@ impl<C: Clock> ClockAligner<C> {
         unwrapped
     }
 
-    /// A copy of a message that has arrived before came by `way`, too: by that way it bounds the clock as well.
+    /// Records a duplicate of an earlier message, from `way`: it bounds the clock as well.
     pub fn observe_copy(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) {
         if let Some(remote) = self.unwrapper.unwrap_copy(way, stamp, arrival) {
             self.bound_above(remote, arrival);
         }
     }
 
-    /// The instant of a stamp that may be long past, such as that of a fix that the robot passes on: it says nothing about how the
-    /// clocks run, and being old is no sign of a restart. `None` before any other stamp of this clock.
+    /// The instant of a stamp that may be long past, such as that of a fix that the robot relays: it neither bounds the
+    /// clock nor indicates a restart. `None` before any other stamp of this clock.
     pub fn nearest_instant(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
         self.unwrapper.nearest(stamp)
     }
 
-    /// A request that left at `sent` was answered with the remote clock's `remote_nanos`; the answer came by `way` at `received`.
-    /// Returns the new alignment, or `None` while there is none. An answer from before its request is only a message that arrived.
+    /// Records a request that was sent at `sent`, whose reply with the remote clock's `remote_nanos` came from `way` at
+    /// `received`. Returns the new alignment; `None` while there is none. A reply from before its request only counts
+    /// as a message that arrived.
     pub fn observe_exchange(
         &mut self,
         way: Endpoint,
@@ -140,8 +139,8 @@ impl<C: Clock> ClockAligner<C> {
         (unwrapped, self.alignment(remote, received - sent))
     }
 
-    /// The instant of a stamp that is already unwrapped, on the host's clock, and how far it may be off. Of two stamps that have
-    /// arrived the younger one never comes out earlier, whatever was learnt in between; see [`ClockConversion`].
+    /// The host's instant of an unwrapped stamp, with its uncertainty. Instants keep the order of their stamps,
+    /// whatever was learned in between; see [`ClockConversion`].
     pub fn host_at(&self, remote: Timestamp<C>) -> Option<(Timestamp<HostClock>, TimeDelta)> {
         let (remote_zero, host_zero) = self.origin?;
         let since = remote - remote_zero;
@@ -152,8 +151,8 @@ impl<C: Clock> ClockAligner<C> {
         ))
     }
 
-    /// The instant of the host's clock on the remote clock, and how far it may be off. The inverse of [`Self::host_at`]; an instant that
-    /// is still to come is a prediction, and may come out otherwise later.
+    /// The remote instant of an instant on the host, with its uncertainty. The inverse of [`Self::host_at`]; a future
+    /// instant is a prediction and may change.
     pub fn remote_at(&self, host: Timestamp<HostClock>) -> Option<(Timestamp<C>, TimeDelta)> {
         let (remote_zero, host_zero) = self.origin?;
         let since_s = (host - host_zero).as_secs_f64();
@@ -164,24 +163,23 @@ impl<C: Clock> ClockAligner<C> {
         Some((remote, self.uncertainty_at(remote_s, offset_s)?))
     }
 
-    /// Whether no line fitted any more and all was forgotten, since this was asked last: the clock stepped, or its rate is further off
-    /// than [`MAX_SKEW`](super::MAX_SKEW).
+    /// Whether, since the last call, no line fitted any more and the bounds were discarded: the clock stepped, or its
+    /// rate error is larger than [`MAX_SKEW`](super::MAX_SKEW).
     pub fn take_contradiction(&mut self) -> bool {
         std::mem::take(&mut self.is_contradicted)
     }
 
-    /// Round trip of the last exchange.
     pub fn round_trip(&self) -> Option<TimeDelta> {
         self.round_trip
     }
 
-    /// How far the youngest stamp, converted, may be off.
+    /// The uncertainty of the latest stamp after conversion.
     pub fn uncertainty(&self) -> Option<TimeDelta> {
         let offset_s = self.conversion.offset_at(self.latest_s)?;
         self.uncertainty_at(self.latest_s, offset_s)
     }
 
-    /// The same counter under another name: that of a stranger who turns out to be the robot.
+    /// The same clock with another type: an observer that turns out to be the robot.
     pub fn cast_clock<D: Clock>(self) -> ClockAligner<D> {
         ClockAligner {
             unwrapper: self.unwrapper,
@@ -212,7 +210,7 @@ impl<C: Clock> ClockAligner<C> {
         unwrapped
     }
 
-    /// A stamp is a bound from above: it was made before it arrived.
+    /// A stamp is an upper bound: it was made before its arrival.
     fn bound_above(&mut self, remote: Timestamp<C>, arrival: Timestamp<HostClock>) -> ClockPoint {
         let meeting = self.clock_point(remote, arrival);
         self.latest_s = self.latest_s.max(meeting.remote_s);
@@ -231,7 +229,7 @@ impl<C: Clock> ClockAligner<C> {
         self.round_trip = Some(received - sent);
     }
 
-    /// Seeks the line anew and turns the conversion towards it. False if no line fits what is known: the clock stepped.
+    /// Fits the line again and turns the conversion towards it. False if no line fits: the clock stepped.
     fn fit(&mut self, now: ClockPoint) -> bool {
         let is_two_way = self.answers >= MIN_ANSWERS;
         let line = if is_two_way {
@@ -251,14 +249,14 @@ impl<C: Clock> ClockAligner<C> {
         line.is_some() || !is_two_way
     }
 
-    /// The clock stepped without falling: all is forgotten but what came last.
+    /// The clock stepped forward: discards everything but the last message.
     fn restart(&mut self, remote: Timestamp<C>, arrival: Timestamp<HostClock>) {
         self.reset();
         self.is_contradicted = true;
         self.bound_above(remote, arrival);
     }
 
-    /// The bounds hold about the line; the conversion may still be on its way to it.
+    /// The bounds hold around the line; the conversion may still be turning towards it.
     fn uncertainty_at(&self, remote_s: f64, offset_s: f64) -> Option<TimeDelta> {
         let line = self.linear_offset?;
         let to_go_s = (offset_s - line.offset_at(remote_s)).abs();
@@ -284,7 +282,7 @@ impl<C: Clock> ClockAligner<C> {
         ClockPoint { remote_s: (remote - remote_zero).as_secs_f64(), host_s: (host - host_zero).as_secs_f64() }
     }
 
-    /// What a counter shows may be as old as its step: by so much the lower bound must give way.
+    /// A counter's value may be as old as its step, by which the lower bound is relaxed.
     fn step_s(&self) -> f64 {
         (self.step_micros as f64 * 1e-6).clamp(1e-6, MAX_STEP_S)
     }

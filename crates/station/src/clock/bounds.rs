@@ -1,17 +1,19 @@
-//! How a remote clock runs against the host's, bounded from both sides by the instants of messages.
+//! Bounds of a remote clock's offset from the host's, from both sides, by the instants of messages.
 //!
-//! A message that was stamped at remote time b and arrived at host time r says: the host clock showed at most r at b. A
-//! request that left at host time s and was stamped b by the answering side says: it showed at least s. With offset(b) =
-//! host - remote, which bends by at most a (t - b)^2 / 2 from its tangent at t, every message is a half-plane of tangents:
+//! A message that was stamped at remote time b and arrived at host time r shows that the host clock was at most r at b.
+//! A request that was sent at host time s and stamped b by the replying side shows that it was at least s. With
+//! offset(b) = host - remote, which deviates by at most a (t - b)^2 / 2 from its tangent at t, every message is a
+//! half-plane of tangents:
 //!
 //! ```text
 //! offset(t) + s (b_i - t) <= r_i - b_i + a (t - b_i)^2 / 2      from every message with a stamp
 //! offset(t) + s (b_j - t) >= s_j - b_j - a (t - b_j)^2 / 2      from every answered request
 //! ```
-//! For a slope s the bounds at an instant t are U(s) = min_i(u_i + s (t - t_i)) and L(s) = max_j(l_j + s (t - t_j)); U - L is
-//! concave in s. The line taken is the one with the most room for a clock that does not drift (a = 0), half-way between its bounds;
-//! what is reported as uncertainty is the furthest that any tangent which satisfies all bounds of a drifting clock lies from it.
-//! Half of an asymmetry of the path cannot be seen by any two-way method, but it lies within these bounds.
+//! For a slope s the bounds at an instant t are U(s) = min_i(u_i + s (t - t_i)) and L(s) = max_j(l_j + s (t - t_j));
+//! their difference is concave in s. The chosen line is the one with the largest margin for a clock without drift
+//! (a = 0), half-way between its bounds; its uncertainty is the largest distance of any tangent that satisfies all
+//! bounds of a drifting clock. Half of the path's asymmetry is unobservable by any two-way method, but it lies within
+//! these bounds.
 //!
 //! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011);
 //! docs/maths/clock.md, sections 2 and 3.
@@ -20,38 +22,40 @@ use super::MAX_SKEW;
 use super::hull::{BoundHull, BoundSide, BoundWindow, OffsetBound};
 use super::maximize::{LinearPiece, argmax, nearest_nonnegative};
 
-/// Bounds older than this are forgotten, s. It balances what the delays' jitter leaves of the line's end, which falls with the window,
-/// against what the line loses of a clock that bends, which grows with its square; docs/maths/clock.md, equation (7).
+/// Window of the bounds, s. It balances the effect of the delays' jitter on the line's end, which falls with the
+/// window, against the deviation of a drifting clock from a line, which grows with its square; docs/maths/clock.md,
+/// equation (7).
 const WINDOW_S: f64 = 120.0;
-/// One bound of each kind is kept per bucket of this length, s; the tightest.
+/// One bound of each kind is kept per bucket of this length, s: the tightest.
 const BUCKET_S: f64 = 0.5;
 /// Bounds of one kind within the window, and one on each of its ends.
 const MAX_BOUNDS: usize = (WINDOW_S / BUCKET_S) as usize + 2;
 /// The steepest slope of the offset, host minus remote per remote second, for a clock that is slow by [`MAX_SKEW`].
 const MAX_SLOPE: f64 = MAX_SKEW / (1.0 - MAX_SKEW);
-/// A steeper slope than this is sought only if none up to here fits: few clocks are so far off, and the first exchanges on a jittery link
-/// fit many slopes. Resonators of bricks reach 2000 ppm and 10 ppm per degree.
+/// Steeper slopes are searched only if none up to this one fits: few clocks are so far off, and the first exchanges on
+/// a jittery link fit many slopes. Resonators of bricks reach 2000 ppm and 10 ppm per degree.
 const USUAL_SLOPE: f64 = 0.003;
-/// How fast the rate of a clock may change, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just switched on.
+/// Largest drift of a clock's rate, per second: 10 ppm per degree and 1.2 degrees per minute, a brick that was just
+/// switched on.
 const MAX_DRIFT_PER_S: f64 = 2e-7;
-/// Bounds may contradict each other by so much before the clock is taken to have stepped, s: a brick that reads its clock once per
-/// pass of its main loop answers with a reading as old as a pass.
+/// Largest contradiction of two bounds, s; a larger one means that the clock stepped. A brick that reads its clock once
+/// per pass of its main loop replies with a reading as old as a pass.
 const CONTRADICTION_S: f64 = 0.020;
-/// Corners of both hulls, and so pieces of the room between them.
+/// Corners of both hulls, and so pieces of the margin between them.
 const MAX_PIECES: usize = 2 * MAX_BOUNDS;
 
 /// A tangent to the offset between the bounds, valid near the window's end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearOffset {
-    /// Remote instant at which `offset_s` holds, s.
+    /// Remote instant at which `offset_s` holds.
     pub at_s: f64,
-    /// Host minus remote at `at_s`, s.
+    /// Host minus remote at `at_s`.
     pub offset_s: f64,
     /// Change of the offset per remote second.
     pub slope: f64,
-    /// How far the true offset at `at_s` may lie from `offset_s`, s.
+    /// Largest deviation of the true offset from `offset_s` at `at_s`.
     pub uncertainty_s: f64,
-    /// How far the true slope at `at_s` may lie from `slope`.
+    /// Largest deviation of the true slope from `slope` at `at_s`.
     pub slope_uncertainty: f64,
 }
 
@@ -61,8 +65,8 @@ impl LinearOffset {
         self.offset_s + self.slope * (remote_s - self.at_s)
     }
 
-    /// How far the true offset at a remote instant may lie from [`Self::offset_at`], s: it grows with the distance from `at_s`, because
-    /// the slope is not known exactly and may change.
+    /// Largest deviation of the true offset from [`Self::offset_at`] at a remote instant, s: it grows with the distance
+    /// from `at_s`, because the slope is not known exactly and may change.
     pub fn uncertainty_at(&self, remote_s: f64) -> f64 {
         let away_s = (remote_s - self.at_s).abs();
         self.uncertainty_s + self.slope_uncertainty * away_s + 0.5 * MAX_DRIFT_PER_S * away_s * away_s
@@ -100,21 +104,19 @@ impl Default for ClockBounds {
 }
 
 impl ClockBounds {
-    /// A message stamped `remote_s` arrived at `host_s`.
     pub fn add_arrival(&mut self, remote_s: f64, host_s: f64) {
         let slope = self.slope;
         let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
         keep_tightest(&mut self.upper, bound, |new, old| new.offset_s - old.offset_s < slope * (new.t_s - old.t_s));
     }
 
-    /// A request that left at `host_s` was stamped `remote_s`.
     pub fn add_departure(&mut self, host_s: f64, remote_s: f64) {
         let slope = self.slope;
         let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
         keep_tightest(&mut self.lower, bound, |new, old| new.offset_s - old.offset_s > slope * (new.t_s - old.t_s));
     }
 
-    /// Forgets what lies a window before `t_s`.
+    /// Discards bounds that are a window older than `t_s`.
     pub fn discard_before(&mut self, t_s: f64) {
         for bounds in [&mut self.upper, &mut self.lower] {
             bounds.drop_outdated(|bound| t_s - bound.t_s > WINDOW_S);
@@ -126,8 +128,8 @@ impl ClockBounds {
         !self.upper.is_empty() && !self.lower.is_empty()
     }
 
-    /// The line with the most room at the remote instant `t_s`; `None` when a side is missing or when no line satisfies all bounds,
-    /// because the clock stepped.
+    /// The line with the largest margin at the remote instant `t_s`; `None` when a side is missing, or when no line
+    /// satisfies all bounds because the clock stepped.
     pub fn two_way_offset(&mut self, t_s: f64) -> Option<LinearOffset> {
         if !self.is_two_way() {
             return None;
@@ -149,8 +151,9 @@ impl ClockBounds {
         Some(self.offset_around(t_s, middle))
     }
 
-    /// The line below all arrivals that is highest in the middle of the window, for a clock that never answers. Its offset is late by the
-    /// link's smallest delay, which a one-way observer cannot know; `assumed_delay_s` stands in for it, and for its uncertainty.
+    /// The line below all arrivals that is highest in the middle of the window, for a clock that never replies. Its
+    /// offset is late by the link's smallest delay, which one-way messages cannot show; `assumed_delay_s` replaces it,
+    /// and is its uncertainty.
     pub fn one_way_offset(&mut self, t_s: f64, assumed_delay_s: f64) -> Option<LinearOffset> {
         let (first, last) = (self.upper.oldest()?, self.upper.youngest()?);
         let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
@@ -176,14 +179,14 @@ impl ClockBounds {
         self.lower_hull.rebuild(self.lower.candidates(), t_s, drift_per_s);
     }
 
-    /// The room at a slope; it rises by the distance in time between the two bounds that make it.
+    /// The margin at a slope; its derivative is the distance in time between the two bounds that determine it.
     fn margin(&self, slope: f64, t_s: f64) -> LinearPiece {
         let (upper_s, upper_at_s) = self.upper_hull.at(slope, t_s);
         let (lower_s, lower_at_s) = self.lower_hull.at(slope, t_s);
         linear_piece(slope, upper_s - lower_s, lower_at_s - upper_at_s)
     }
 
-    /// The line with the most room.
+    /// The line with the largest margin.
     fn central_offset(&self, t_s: f64, steepest: f64) -> CentralOffset {
         let room = |slope| self.margin(slope, t_s);
         let slope = argmax(-steepest, steepest, MAX_PIECES, room);
@@ -191,7 +194,7 @@ impl ClockBounds {
         CentralOffset { slope, offset_s: 0.5 * (upper_s + lower_s), margin_s: upper_s - lower_s }
     }
 
-    /// The line with how far any other that satisfies the bounds in the hulls lies from it.
+    /// The line, with the largest distance of any other line that satisfies the bounds of the hulls.
     fn offset_around(&self, t_s: f64, middle: CentralOffset) -> LinearOffset {
         let CentralOffset { slope, offset_s, margin_s: room_s } = middle;
         if room_s < 0.0 {

@@ -1,9 +1,9 @@
-//! The conversion between two clocks, which follows the lines that are found and never runs backwards.
+//! The conversion between two clocks, which follows the fitted lines and never runs backwards.
 //!
-//! Every exchange gives a slightly different line. If stamps were converted by the latest one, two stamps in order could come out in
-//! the wrong order, and one stamp could mean two instants. Therefore the conversion is one continuous function of remote time,
-//! straight between knots. It is bent only from the instant of a new line on: what was converted before stays as it was. It turns
-//! towards the line at a limited rate and then stays on it.
+//! Every exchange gives a slightly different line. If stamps were converted by the latest one, two stamps in order
+//! could come out in the wrong order, and one stamp could mean two instants. Therefore the conversion is one continuous
+//! function of remote time, linear between knots. It changes only from the instant of a new line on: earlier values
+//! stay. It turns towards the line at a limited rate and then follows it.
 //!
 //! ```text
 //! H(b) = b + o(b)              host instant of the remote instant b
@@ -17,13 +17,15 @@ use std::collections::VecDeque;
 
 use super::bounds::LinearOffset;
 
-/// Rate at which the conversion turns towards a new line. 15 ms, the first error on a Bluetooth link, are gone in 0.3 s, and an
-/// interval is wrong by a twentieth meanwhile. The Network Time Protocol takes 500 ppm, but no robot drives by its clock.
+/// Rate at which the conversion turns towards a new line. 15 ms, the first error on a Bluetooth link, are corrected in
+/// 0.3 s, and an interval is wrong by a twentieth meanwhile. The Network Time Protocol uses 500 ppm, but no robot
+/// drives by its clock.
 const SLEW_RATE: f64 = 0.05;
-/// Two per line; with ten lines per second, the quickest that are asked for, they reach back 12 s: longer than a fix may be late.
+/// Two per line; with ten lines per second, the highest configured rate, they reach back 12 s: longer than the delay of
+/// any fix.
 const MAX_KNOTS: usize = 256;
 
-/// From here on the offset is `offset_s + slope (b - at_s)`.
+/// From `at_s` on the offset is `offset_s + slope (b - at_s)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ConversionKnot {
     at_s: f64,
@@ -51,7 +53,7 @@ pub struct ClockConversion {
 }
 
 impl ClockConversion {
-    /// Follows `line` from the remote instant `from_s` on; before it, everything stays as it was. The first line is taken as it is.
+    /// Follows `line` from the remote instant `from_s` on; earlier values stay. The first line is used without a turn.
     pub fn steer(&mut self, line: &LinearOffset, from_s: f64) {
         let on_line = |at_s: f64| ConversionKnot { at_s, offset_s: line.offset_at(at_s), slope: line.slope };
         let Some(offset_s) = self.offset_at(from_s) else {
@@ -75,13 +77,13 @@ impl ClockConversion {
         Some(knot.offset_at(remote_s))
     }
 
-    /// The remote instant that is converted to `host_s`, s; `None` before the first line.
+    /// The remote instant that is converted to `host_s`; `None` before the first line.
     pub fn remote_at(&self, host_s: f64) -> Option<f64> {
         let knot = self.knot(|knot| knot.at_s + knot.offset_s <= host_s)?;
         Some(knot.remote_at(host_s))
     }
 
-    /// The last knot that lies before; what is older than all of them is on the first one's line.
+    /// The last knot for which `is_before` holds; before all knots the first one's line is used.
     fn knot(&self, is_before: impl Fn(&ConversionKnot) -> bool) -> Option<&ConversionKnot> {
         let before = self.knots.iter().rev().find(|knot| is_before(knot));
         before.or_else(|| self.knots.front())

@@ -1,8 +1,8 @@
-//! The bounds of one side of a clock, reduced to those that can ever matter.
+//! The convex hull of one side's bounds: the bounds that can be tight for some slope.
 //!
-//! For a slope s the bounds of the upper side at an instant t are U(s) = min_i(u_i + s (t - t_i)), those of the lower side
-//! L(s) = max_j(l_j + s (t - t_j)). Only the corners of the convex hull of the points (t_i, u_i), seen from below, can make the
-//! minimum for any s at all, so a search over the slope visits some ten points instead of hundreds.
+//! For a slope s the bounds of the upper side at an instant t are U(s) = min_i(u_i + s (t - t_i)), those of the lower
+//! side L(s) = max_j(l_j + s (t - t_j)). Only the corners of the convex hull of the points (t_i, u_i), seen from below,
+//! can be the minimum for some s, so a search over the slope visits some ten points instead of hundreds.
 //!
 //! ```text
 //!   u  .    .  .      points: delays of messages        corners: the quickest ones
@@ -10,8 +10,9 @@
 //!         ‾‾o___.___o
 //! ```
 //!
-//! A hull over the whole window costs hundreds of steps, and one is wanted after every exchange. Between two of them a single bound
-//! was added at one end and perhaps one forgotten at the other. So the window is kept in two parts, as a queue is made of two stacks:
+//! To rebuild the hull over the whole window costs hundreds of steps, and it is needed after every exchange. Between
+//! two of them a single bound is added at one end and perhaps one removed at the other. So the window is kept in two
+//! parts, as a queue is made of two stacks:
 //!
 //! ```text
 //!   oldest ......................... | ............................ youngest
@@ -19,20 +20,21 @@
 //!   (`after`, read from the oldest)  | (`chain`)                     half second
 //! ```
 //!
-//! To forget the oldest bound is one step in the left part, to add one at the end a few in the right part. When the left part is empty,
-//! the right one takes its place: once per window. The corners of both together hold all corners of the whole.
+//! Removing the oldest bound is one step in the left part, adding one at the end a few in the right part. When the left
+//! part is empty, the right one replaces it: once per window. The corners of both parts together include all corners of
+//! the whole.
 //!
-//! Bounds are loosened with the square of their age ([`OffsetBound::loosened`]), for one allowance or
-//! none. The square of (t - t_i) is that of t_i and something straight in t_i, and what is straight turns no corner into none: so
-//! corners do not depend on t. Nor does a larger allowance lose any, because it makes the points bend towards the hull. One set
-//! of corners serves both.
+//! Bounds are relaxed with the square of their age ([`OffsetBound::loosened`]), with an allowance or without. The
+//! square of (t - t_i) is that of t_i plus a function that is linear in t_i, which changes no corner: so corners do not
+//! depend on t. A larger allowance keeps all corners, because it bends the points towards the hull, so the corners for
+//! the largest one serve any.
 //!
 //! Sources: Zhang, Liu, Xia (2002), section III; the hull by A. M. Andrew, "Another efficient algorithm for convex hulls in two
 //! dimensions" (1979).
 
 use std::collections::VecDeque;
 
-/// On which side of the true offset the bounds lie.
+/// The side of the true offset on which the bounds lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BoundSide {
     /// The offset is at most this much.
@@ -42,7 +44,7 @@ pub(super) enum BoundSide {
 }
 
 impl BoundSide {
-    /// Turns the lower side into an upper one: its bounds are mirrored.
+    /// -1 mirrors the bounds of the lower side, so that it is treated as an upper one.
     const fn sign(self) -> f64 {
         match self {
             Self::Upper => 1.0,
@@ -59,19 +61,19 @@ pub(super) struct OffsetBound {
 }
 
 impl OffsetBound {
-    /// As a point of the hull at `t_s`: that of the lower side mirrored, and loosened by what the rate may have changed since,
-    /// `drift_per_s` (t - t_i)^2 / 2.
+    /// As a point of the hull at `t_s`: mirrored on the lower side, and relaxed by the possible change of the rate
+    /// since, `drift_per_s` (t - t_i)^2 / 2.
     pub(super) fn loosened(self, side: BoundSide, t_s: f64, drift_per_s: f64) -> Self {
         let age_s = t_s - self.t_s;
         Self { t_s: self.t_s, offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s }
     }
 }
 
-/// Corners of the hull of one side. Its memory is kept from one set of bounds to the next.
+/// Corners of the hull of one side; keeps its memory between rebuilds.
 #[derive(Clone, Debug)]
 pub(super) struct BoundHull {
     side: BoundSide,
-    /// In the order of time; offsets of the lower side are mirrored.
+    /// In time order; offsets of the lower side are mirrored.
     corners: Vec<OffsetBound>,
 }
 
@@ -80,7 +82,7 @@ impl BoundHull {
         Self { side, corners: Vec::new() }
     }
 
-    /// Takes the bounds anew, in the order of time, each loosened by what the rate may have changed since.
+    /// Rebuilds the hull from bounds in time order, each relaxed by the possible change of the rate since.
     pub(super) fn rebuild(&mut self, bounds: impl Iterator<Item = OffsetBound>, t_s: f64, drift_per_s: f64) {
         let Self { side, corners } = self;
         corners.clear();
@@ -96,7 +98,7 @@ impl BoundHull {
         });
     }
 
-    /// U(s) or L(s) at `t_s`, and the instant of the bound that makes it.
+    /// U(s) or L(s) at `t_s`, and the instant of the bound that determines it.
     pub(super) fn at(&self, slope: f64, t_s: f64) -> (f64, f64) {
         let sign = self.side.sign();
         let value = |corner: &OffsetBound| corner.offset_s + sign * slope * (t_s - corner.t_s);
@@ -115,7 +117,6 @@ impl BoundHull {
     }
 }
 
-/// Whether `middle` lies below the straight line from `left` to `right`.
 pub(super) fn is_below(left: &OffsetBound, middle: &OffsetBound, right: &OffsetBound) -> bool {
     let rise_to_middle = (middle.offset_s - left.offset_s) * (right.t_s - left.t_s);
     let rise_to_right = (right.offset_s - left.offset_s) * (middle.t_s - left.t_s);
@@ -126,22 +127,22 @@ pub(super) fn is_below(left: &OffsetBound, middle: &OffsetBound, right: &OffsetB
 #[derive(Clone, Debug)]
 pub(super) struct BoundWindow {
     side: BoundSide,
-    /// The largest allowance with which a hull will be asked for, per second.
+    /// The largest allowance of any hull query, per second.
     drift_per_s: f64,
     /// The older part, and for each its next corner towards the middle.
     older: VecDeque<OlderBound>,
-    /// The younger part: all of them, for the day when it becomes the older one.
+    /// The younger part: all of its bounds, for when it becomes the older one.
     younger: Vec<OffsetBound>,
     /// The corners of the younger part.
     chain: Vec<OffsetBound>,
-    /// The youngest of all, which a tighter one of its bucket replaces.
+    /// The latest bound, which a tighter one of its bucket replaces.
     open: Option<OffsetBound>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct OlderBound {
     bound: OffsetBound,
-    /// Number of places to the next corner; 0 if there is none.
+    /// Distance to the next corner in `older`; 0 if there is none.
     after: usize,
 }
 
@@ -171,12 +172,12 @@ impl BoundWindow {
         self.open
     }
 
-    /// Takes a bound that is tighter than the youngest one and of the same bucket.
+    /// Replaces the latest bound by a tighter one of the same bucket.
     pub(super) fn tighten(&mut self, bound: OffsetBound) {
         self.open = Some(bound);
     }
 
-    /// Takes a bound of a bucket behind all others.
+    /// Appends a bound of a later bucket.
     pub(super) fn append(&mut self, bound: OffsetBound) {
         if let Some(settled) = self.open.replace(bound) {
             self.younger.push(settled);
@@ -189,7 +190,7 @@ impl BoundWindow {
         }
     }
 
-    /// Forgets the oldest bounds as long as they are `outdated`.
+    /// Removes the oldest bounds while `outdated` holds.
     pub(super) fn drop_outdated(&mut self, outdated: impl Fn(&OffsetBound) -> bool) {
         while self.oldest().is_some_and(|oldest| outdated(&oldest)) {
             if self.older.is_empty() {
@@ -201,7 +202,7 @@ impl BoundWindow {
         }
     }
 
-    /// All that can be corners of the hull, in the order of time, for any allowance up to the largest.
+    /// All bounds that can be corners of the hull, in time order, for any allowance up to the largest.
     pub(super) fn candidates(&self) -> impl Iterator<Item = OffsetBound> {
         let mut place = (!self.older.is_empty()).then_some(0);
         let older = std::iter::from_fn(move || {
@@ -232,7 +233,7 @@ impl BoundWindow {
         self.younger.clear();
     }
 
-    /// Whether the middle one of three bounds in the order of time lies below the line from the first to the last, loosened as they are
+    /// Whether the middle one of three bounds in time order lies below the line from the first to the last, relaxed as
     /// at the instant of the last.
     fn is_corner(&self, first: OffsetBound, middle: OffsetBound, last: OffsetBound) -> bool {
         let [first, middle, last] =

@@ -1,4 +1,4 @@
-//! The last stamp of a remote clock, and what the next one may mean if the clock ran on.
+//! The last stamp of a remote clock, and the plausible range of the next one without a restart.
 
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
@@ -7,32 +7,34 @@ use super::MAX_SKEW;
 
 /// Period of a 32-bit microsecond counter.
 pub(super) const PERIOD_MICROS: i64 = 1 << 32;
-/// A stamp this much older than the last one is no reordering, unless a queue has just been let go ([`STRAGGLER_WINDOW`]): datagrams overtake
-/// each other by milliseconds. Shorter falls are refused by the estimator's history instead.
+/// A stamp that is this much older than the last one is not a reordering, unless a queue has just been released
+/// ([`STRAGGLER_WINDOW`]): datagrams overtake each other by milliseconds. The estimator's history rejects smaller
+/// falls.
 const RESTART_BACK_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// So long after a queue was let go a datagram may come that all of it has overtaken, and be as much older as the queue was long.
+/// Time after the release of a queue within which a datagram may arrive that the whole queue has overtaken, older by
+/// the length of the queue.
 const STRAGGLER_WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
-/// A clock that has run this much further than the host's is another clock, besides the share of the time since that its rate explains
-/// ([`MAX_SKEW`]): 2000 ppm need eight minutes for a second.
+/// A clock that is this much further ahead than the host's is another clock, in addition to the share of the elapsed
+/// time that its rate explains ([`MAX_SKEW`]): 2000 ppm need eight minutes for a second.
 const RESTART_AHEAD_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// A clock that has run this much less than the host's stood still or began anew: no link holds a message for longer than TCP,
-/// whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
+/// A clock that is this much further behind than the host's stood still or restarted: no link holds a message for
+/// longer than TCP, whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(924_600);
 
-/// The last stamp of a clock, or of what one way tells of it.
+/// The last stamp of a clock, or of one of its endpoints.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastStamp {
     pub(super) remote_micros: i64,
     pub(super) arrival: Timestamp<HostClock>,
-    /// By how much it came later than the quickest before it. Behind a queue the next may come at once, and be so much younger.
+    /// Delay relative to the fastest message before it. After a queue the next message may be released at once, and be
+    /// younger by this.
     queue_delay: TimeDelta,
-    /// How long the last queue was.
     queue: TimeDelta,
-    /// When its first message came.
+    /// When its first message arrived.
     released: Timestamp<HostClock>,
 }
 
-/// The instants that a stamp may mean without a restart, in microseconds on the remote clock.
+/// The range of a stamp without a restart, in microseconds on the remote clock.
 #[derive(Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the unit is part of every name of a bare number")]
 pub(super) struct PlausibleRange {
@@ -42,12 +44,11 @@ pub(super) struct PlausibleRange {
 }
 
 impl LastStamp {
-    /// A stamp with no known instant.
+    /// The first stamp of a clock.
     pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
         Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }
     }
 
-    /// What a stamp that arrives at `arrival` may mean if the clock ran on.
     pub(super) fn plausible_range(&self, arrival: Timestamp<HostClock>) -> PlausibleRange {
         let (elapsed, skew) = self.elapsed(arrival);
         let expected_micros = self.remote_micros + micros(elapsed);
@@ -60,7 +61,7 @@ impl LastStamp {
         }
     }
 
-    /// A younger stamp of the same clock.
+    /// After a later stamp of the same clock.
     pub(super) fn followed_by(&self, remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
         let (elapsed, skew) = self.elapsed(arrival);
         let lag = elapsed - TimeDelta::from_micros(remote_micros - self.remote_micros);
@@ -76,7 +77,7 @@ impl LastStamp {
         Self { remote_micros, arrival, queue_delay: held_back, queue, released }
     }
 
-    /// The time on the host since this stamp came, and how much of it the rates of the clocks may make.
+    /// The time on the host since this stamp arrived, and the share of it by which the clocks' rates may differ.
     fn elapsed(&self, arrival: Timestamp<HostClock>) -> (TimeDelta, TimeDelta) {
         let elapsed = (arrival - self.arrival).max(TimeDelta::ZERO);
         let skew = TimeDelta::from_secs_f64(elapsed.as_secs_f64() * MAX_SKEW);
@@ -89,7 +90,8 @@ impl PlausibleRange {
         self.earliest_micros <= instant_micros && instant_micros <= self.latest_micros
     }
 
-    /// What the stamp means: its full value if it has 64 bits and that is believable, else the instant next to the expected one.
+    /// The instant of the stamp: its full value if it has 64 bits and is plausible, else the one nearest to the
+    /// expected instant.
     pub(super) fn instant_of(&self, stamp: WireStamp) -> i64 {
         let whole = micros_of(stamp);
         match stamp {
@@ -109,7 +111,6 @@ const fn micros(span: TimeDelta) -> i64 {
     span.as_nanos() / 1_000
 }
 
-/// What a counter shows, in microseconds.
 pub(super) fn micros_of(stamp: WireStamp) -> i64 {
     match stamp {
         WireStamp::Micros32(micros) => i64::from(micros),
@@ -121,7 +122,7 @@ pub(super) fn micros_of(stamp: WireStamp) -> i64 {
     }
 }
 
-/// The instant next to `near_micros` at which a counter shows this value modulo its period.
+/// The instant nearest to `near_micros` at which a counter shows this value modulo its period.
 pub(super) const fn nearest_instant(near_micros: i64, shown_micros: i64) -> i64 {
     let ahead = (shown_micros - near_micros).rem_euclid(PERIOD_MICROS);
     if ahead >= PERIOD_MICROS / 2 { near_micros + ahead - PERIOD_MICROS } else { near_micros + ahead }

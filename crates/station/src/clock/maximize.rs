@@ -1,7 +1,7 @@
-//! Where a concave function of the slope is highest, and where it vanishes, when it is made of straight pieces.
+//! The maximum and the zeros of a concave, piecewise linear function of the slope.
 //!
-//! The room between two hulls is such a function: each piece belongs to a pair of corners. A search that follows the pieces' own lines
-//! meets the answer exactly, after some four looks; halving an interval took forty and came near.
+//! The margin between two hulls is such a function: each piece belongs to a pair of corners. A search along the pieces'
+//! own lines finds the exact result after some four evaluations; bisection took forty and was approximate.
 //!
 //! ```text
 //!        ___o___             highest: where the lines of two pieces, one that rises and one that falls, cross on the function
@@ -11,27 +11,26 @@
 //!
 //! Sources: J. E. Kelley, "The cutting-plane method for solving convex programs" (1960), in one variable; Newton's method.
 
-/// The line of the piece to which a slope belongs.
+/// The piece of the function at a slope, as a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LinearPiece {
-    /// The slope that was looked at.
+    /// The slope at which the function was evaluated.
     pub(super) slope: f64,
-    /// The function's value there, s.
     pub(super) value_s: f64,
-    /// Its rise per unit of slope there, s.
+    /// The function's derivative there.
     pub(super) rise_s: f64,
 }
 
 impl LinearPiece {
-    /// Where its line meets another one's; NaN if they are parallel.
+    /// The slope at which two lines cross; NaN if they are parallel.
     fn crossing(&self, other: &Self) -> f64 {
         let ahead_s = self.value_s - (other.value_s + other.rise_s * (self.slope - other.slope));
         self.slope + ahead_s / (other.rise_s - self.rise_s)
     }
 }
 
-/// The slope between two others at which a concave function is highest; of a level top the lower end. `most_pieces` is how many pieces
-/// there can be.
+/// The slope between two others at which a concave function is highest; the lower end of a plateau. `most_pieces` is an
+/// upper bound of the number of pieces.
 pub(super) fn argmax(low: f64, high: f64, most_pieces: usize, of: impl Fn(f64) -> LinearPiece) -> f64 {
     let (mut left, mut right) = (of(low), of(high));
     if left.rise_s <= 0.0 {
@@ -54,7 +53,7 @@ pub(super) fn argmax(low: f64, high: f64, most_pieces: usize, of: impl Fn(f64) -
     top
 }
 
-/// The slope nearest to `outside` at which a concave function that is not negative at `inside` is not negative yet.
+/// The slope nearest to `outside` at which a concave function is not negative; it is not negative at `inside`.
 pub(super) fn nearest_nonnegative(
     outside: f64,
     inside: f64,

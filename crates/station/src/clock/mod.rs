@@ -1,9 +1,8 @@
-//! From one clock to another: the only place where stamps of different clocks meet.
+//! Clock alignment: the only place where stamps of different clocks are compared.
 //!
-//! [`unwrap`] turns the counters of a brick or camera into instants that neither wrap nor fall, by whichever ways they come; [`bounds`] finds how two clocks
-//! run against each other from the instants of messages; [`conversion`] follows what was found without ever running backwards;
-//! [`align`] puts the three together for one remote participant.
-//! Nothing here reads a clock: all instants come in as arguments.
+//! [`unwrap`] turns the counters of a brick or camera, from all its endpoints, into instants that neither wrap nor
+//! fall; [`bounds`] fits the offset between two clocks to the instants of messages; [`conversion`] follows these fits
+//! without ever running backwards; [`align`] combines the three for one remote participant.
 
 pub mod align;
 pub mod bounds;
@@ -16,6 +15,7 @@ pub mod unwrap;
 
 pub use posebridge_protocol::routing::Endpoint;
 
-/// No clock of a brick may be further off than this share of its rate. Crystals reach 50 ppm and ceramic resonators of cheap boards
-/// 5000; an RC oscillator is as good only where its user has calibrated it (ATmega328P datasheet, accuracy of the internal oscillator).
+/// Largest rate error of a brick's clock. Crystals reach 50 ppm and ceramic resonators of cheap boards 5000; an RC
+/// oscillator is as good only where its user has calibrated it (ATmega328P datasheet, accuracy of the internal
+/// oscillator).
 pub const MAX_SKEW: f64 = 0.01;

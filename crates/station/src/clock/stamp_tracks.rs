@@ -27,7 +27,8 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use super::Endpoint;
 use super::last_stamp::LastStamp;
 
-/// Most endpoints that are followed; the one that was silent longest is dropped first. No robot is connected by more links.
+/// Most endpoints that are followed; the one that was silent longest is dropped first. No robot is connected by more
+/// links.
 const MAX_TRACKS: usize = 8;
 /// For this long after its latest stamp a clock counts as running on, whatever stamps a new endpoint delivers. Telemetry comes more
 /// often than this; with this value a restart is detected within three seconds.
@@ -37,7 +38,6 @@ const ALIVE_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
 #[derive(Clone, Debug, Default)]
 pub(super) struct StampTracks {
     latest: Option<LastStamp>,
-    /// In no order.
     tracks: Vec<StampTrack>,
 }
 
@@ -52,17 +52,19 @@ struct StampTrack {
 /// The clock of an endpoint's stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TrackStatus {
-    /// Of the clock as it runs.
     Current,
-    /// Of instants that are long past, ever since its first stamp.
+    /// The current clock, with stamps that have been long past since the first one.
     Behind,
-    /// Of the clock before a restart that another endpoint has shown. Nothing that was sent before it is stamped later than this.
-    Stale { until_micros: i64 },
+    /// The clock before a restart that another endpoint has shown. No message that was sent before the restart has a
+    /// later stamp than this.
+    Stale {
+        until_micros: i64,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StampPlacement {
-    /// An instant of the clock as it runs, in microseconds.
+    /// An instant of the current clock, in microseconds.
     Continued(i64),
     /// An instant of the clock before its last restart.
     Stale,
@@ -71,13 +73,12 @@ pub(super) enum StampPlacement {
 }
 
 impl StampTracks {
-    /// The latest stamp of any endpoint.
     pub(super) const fn latest(&self) -> Option<LastStamp> {
         self.latest
     }
 
-    /// Classifies a stamp that came from `endpoint` at `arrival`, and stores it unless it means a restart: then [`Self::restart`]
-    /// must follow. `None` if it is the first of all.
+    /// Classifies a stamp from `endpoint` that arrived at `arrival`, and stores it unless it means a restart: then
+    /// [`Self::restart`] must follow. `None` for the first stamp.
     pub(super) fn classify(
         &mut self,
         endpoint: Endpoint,
@@ -104,7 +105,7 @@ impl StampTracks {
         Some(placement)
     }
 
-    /// The clock starts, or restarts, with a stamp that came from `endpoint`.
+    /// Starts or restarts the clock with a stamp from `endpoint`.
     pub(super) fn restart(&mut self, endpoint: Endpoint, remote_micros: i64, arrival: Timestamp<HostClock>) {
         for track in &mut self.tracks {
             if !matches!(track.status, TrackStatus::Stale { .. }) {

@@ -1,15 +1,16 @@
 //! Counters that wrap, restart and lag, turned into instants on the remote clock.
 //!
-//! Everything is reduced to microseconds modulo 2^32, which is what a 32-bit microsecond counter shows; a counter of
-//! milliseconds or of 64 bits agrees with it modulo the same number, and some bricks put their 32-bit register into a 64-bit
-//! field. The instant is the one nearest to what was expected: the last one and the time that passed on the host since. That
-//! holds through a silence for as long as the two rates differ by less than half a period over it: twelve days at 2000 ppm. A
-//! counter whose 64 bits fit the expectation needs no guess at all.
+//! Everything is reduced to microseconds modulo 2^32, as a 32-bit microsecond counter shows; a counter of milliseconds
+//! or of 64 bits agrees with it modulo the same number, and some bricks put their 32-bit register into a 64-bit field.
+//! The instant is the one nearest to the expected one: the last one plus the time that passed on the host since. That
+//! holds through a silence for as long as the two rates differ by less than half a period over it: twelve days at 2000
+//! ppm. A counter whose 64 bits fit the expectation needs no unwrapping.
 //!
 //! # What cannot be known
-//! A brick that restarted during a silence shows the time since. If that, modulo the period, lies between what the longest delay
-//! of a link allows and what was expected, it cannot be distinguished from the old clock and is taken for it. After more than a quarter
-//! of an hour that is about a fifth of all values; after a shorter silence fewer, because the clock must not fall either.
+//! A brick that restarted during a silence shows the time since. If that, modulo the period, lies between the limit by
+//! the longest delay of a link and the expected instant, it cannot be distinguished from the old clock and is taken for
+//! it. After more than a quarter of an hour that is about a fifth of all values; after a shorter silence fewer, because
+//! the clock must not fall either.
 
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, Timestamp, clock::Clock};
@@ -24,19 +25,19 @@ pub struct Unwrapper {
     tracks: StampTracks,
 }
 
-/// A stamp on the remote clock.
+/// The result of unwrapping a stamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum UnwrapOutcome<C: Clock> {
-    /// The clock ran on.
+    /// The clock continued.
     Continued(Timestamp<C>),
     /// The clock fell or leapt: it was restarted, and this is its first stamp.
     Restarted(Timestamp<C>),
-    /// The stamp is from before a restart that is known already, held back by a slower way. It is no instant of the clock as it runs.
+    /// The stamp is from before a known restart, delayed by a slower endpoint. It has no instant on the current clock.
     Stale,
 }
 
 impl Unwrapper {
-    /// The instant of a stamp that arrived by `way` at `arrival`.
+    /// The instant of a stamp that arrived from `way` at `arrival`.
     pub fn unwrap<C: Clock>(
         &mut self,
         way: Endpoint,
@@ -51,8 +52,8 @@ impl Unwrapper {
         }
     }
 
-    /// The instant of a stamp that another way has brought before; where a way stands is learnt from it, but it is no sign of a
-    /// restart. `None` if it is no instant of the clock as it runs.
+    /// The instant of a stamp that another endpoint has delivered before. It updates the endpoint's track, but never
+    /// indicates a restart. `None` if it has no instant on the current clock.
     pub(super) fn unwrap_copy<C: Clock>(
         &mut self,
         way: Endpoint,
@@ -65,7 +66,7 @@ impl Unwrapper {
         }
     }
 
-    /// The instant of a stamp near the last one, whichever side; nothing is learnt from it.
+    /// The instant of a stamp nearest to the last one, on either side; changes no state.
     pub(super) fn nearest<C: Clock>(&self, stamp: WireStamp) -> Option<Timestamp<C>> {
         let last = self.tracks.latest()?;
         Some(Timestamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
