@@ -19,7 +19,6 @@ const JITTER: f64 = 0.1;
 pub(crate) struct SessionSeed(u64);
 
 impl SessionSeed {
-    /// The seed of this process in the session of `timer`.
     pub(crate) fn from_timer(timer: &HostTimer) -> Self {
         Self::from_parts(std::process::id(), timer.utc_start())
     }
@@ -30,7 +29,7 @@ impl SessionSeed {
     }
 }
 
-/// The nominal delays of a link.
+/// Delays between attempts to open a link, without jitter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BackoffDelays {
     /// After a loss.
@@ -46,7 +45,6 @@ impl Default for BackoffDelays {
     }
 }
 
-/// The delays of one link.
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
     delays: BackoffDelays,
@@ -55,7 +53,6 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// The delays of the link `id` in a session.
     pub(crate) fn new(id: LinkId, session: SessionSeed, delays: BackoffDelays) -> Self {
         // Every number selects a sequence of its own.
         let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);

@@ -16,7 +16,6 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 /// Longest gap of a stream whose system accepts bytes in blocks of unknown size: our TCP sockets accept 1 KiB at a time, and a
 /// 4000 byte/s link has sent that after this time.
 pub(crate) const COARSE_WRITE_GAP: TimeDelta = TimeDelta::from_millis(250);
-/// Busy time of the first sample.
 const FIRST_WINDOW: TimeDelta = TimeDelta::from_millis(500);
 /// Busy time of every later sample: the period of the station's link health events.
 const WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
@@ -27,9 +26,7 @@ const MEASUREMENT_LIFETIME: TimeDelta = TimeDelta::from_millis(5_000);
 /// Whether a link keeps up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Backlog {
-    /// No frame waits.
     Empty,
-    /// At least one frame waits.
     Pending,
 }
 
@@ -100,7 +97,7 @@ impl CapacityMeter {
         self.update_estimate();
     }
 
-    /// True if frames waited at the last record or shortly before.
+    /// Whether frames waited at the last record or shortly before.
     pub const fn is_busy(&self) -> bool {
         self.backlogged_since.is_some() || self.idle_gap.is_some()
     }

@@ -28,7 +28,6 @@ pub struct LinkCounters {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutgoingFrame<'a> {
     pub to: Recipients,
-    /// The priority while the link backs up.
     pub priority: Priority,
     pub frame: &'a [u8],
 }
@@ -40,7 +39,7 @@ pub enum ReceivedData {
     Bytes {
         peer: PeerId,
         arrival: Timestamp<HostClock>,
-        /// The bytes, at least one.
+        /// At least one.
         bytes: Vec<u8>,
     },
     /// The end of a file; nothing follows.
@@ -82,7 +81,6 @@ pub trait Connection: Send {
         None
     }
 
-    /// The number of peers among the recipients.
     fn count_recipients(&self, to: Recipients) -> u32 {
         u32::from(to.includes(PeerId(0)))
     }
@@ -91,10 +89,8 @@ pub trait Connection: Send {
     /// [`Connection::poll`] write them, and report failures.
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters);
 
-    /// Writes what waits and delivers what has arrived.
-    ///
-    /// # Errors
-    /// [`LinkError`] when the link is lost; the connection cannot be used afterwards.
+    /// Writes queued frames and returns received data. An error means that the link is lost; the connection is unusable
+    /// then.
     fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>>;
 
     fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus;

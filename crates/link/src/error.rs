@@ -44,14 +44,10 @@ pub enum OpenError {
         .path.display(),
         .path.display()
     )]
-    PtyInUse {
-        /// The symbolic link.
-        path: PathBuf,
-    },
+    PtyInUse { path: PathBuf },
     #[error("{} is {found}, not {wanted}", .path.display())]
     WrongFileKind {
         path: PathBuf,
-        /// What exists there.
         found: FileKind,
         /// What the transport needs.
         wanted: &'static str,
@@ -61,24 +57,15 @@ pub enum OpenError {
     #[error("{} is not there: plug the device in or check the name", .path.display())]
     DeviceMissing { path: PathBuf },
     #[error("host `{host}` has no address: {source}")]
-    UnknownHost {
-        host: String,
-        /// The resolver's error.
-        source: io::Error,
-    },
+    UnknownHost { host: String, source: io::Error },
     #[error("no connection to {peer}: {source}")]
     Unreachable {
         /// Host and port.
         peer: String,
-        /// The system's error.
         source: io::Error,
     },
     #[error("{what} did not open within {limit_secs} s")]
-    TimedOut {
-        what: String,
-        /// The limit, in seconds.
-        limit_secs: u64,
-    },
+    TimedOut { what: String, limit_secs: u64 },
     #[error("{what} is not built into this program: {advice}")]
     TransportNotBuilt {
         what: &'static str,
@@ -89,7 +76,6 @@ pub enum OpenError {
     Io {
         /// The path or the address.
         what: String,
-        /// The system's error.
         source: io::Error,
     },
 }

@@ -17,12 +17,12 @@ pub struct HostTimer {
 }
 
 impl HostTimer {
-    /// Starts the session: `now()` counts from here.
+    /// Starts the session: `now()` is zero here.
     pub fn start() -> Self {
         Self { start: read_clock(), utc_start_micros: read_utc_micros() }
     }
 
-    /// The time since the start of the session; never decreases.
+    /// Never decreases.
     pub fn now(&self) -> Timestamp<HostClock> {
         let elapsed = read_clock().saturating_duration_since(self.start);
         Timestamp::from_nanos(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
@@ -72,7 +72,6 @@ pub struct DeadlineTimer {
 }
 
 impl DeadlineTimer {
-    /// A timer that is not set.
     pub fn new(timer: HostTimer) -> Self {
         let sleep = Box::pin(tokio::time::sleep_until(timer.instant(Timestamp::ZERO)));
         Self { timer, sleep, armed_until: None }

@@ -1,8 +1,8 @@
 //! Links: transports, and connections that reopen by themselves.
 //!
-//! A [`LinkUrl`] names a link. A [`Link`] opens it, reads, writes, detects a loss and reconnects. The loop that owns the
-//! station owns the links too, so no queue stands between a socket and the reply. This crate handles bytes and arrival
-//! times, not frames, messages or robots. [`HostTimer`] is the only code of posebridge that reads a clock.
+//! A [`LinkUrl`] names a link. A [`Link`] opens it, reads, writes, detects a loss and reconnects. The loop that owns
+//! the station owns the links too, so a reply passes no channel on its way to the socket. This crate handles bytes and
+//! arrival times, not frames, messages or robots. [`HostTimer`] is the only code of posebridge that reads a clock.
 //!
 //! ```
 //! use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};

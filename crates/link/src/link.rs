@@ -29,24 +29,19 @@ use crate::url::LinkUrl;
 /// After a link was up for this long, the back-off starts again from the shortest delay.
 const STABLE_UPTIME: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// The configuration of a link.
+/// The id, URL and role of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkOpenConfig {
-    /// Its number in this station.
     pub id: LinkId,
     pub url: LinkUrl,
-    /// Which end opens the connection.
     pub role: ConnectRole,
 }
 
 /// Settings that tests and unusual systems change.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LinkTuning {
-    /// The delays between attempts to open.
     pub backoff_delays: BackoffDelays,
-    /// The system's directories of devices.
     pub device_directories: DeviceDirectories,
-    /// What happens to the settings of a serial line.
     pub line_settings: LineSettingsPolicy,
 }
 
@@ -55,24 +50,21 @@ pub struct LinkTuning {
 pub enum LinkEvent {
     /// Bytes came in: one read of a stream, or one datagram.
     Bytes {
-        /// The peer that sent them; each peer is a stream of its own.
+        /// Each peer is a stream of its own.
         peer: PeerId,
         arrival: Timestamp<HostClock>,
-        /// The bytes, at least one.
+        /// At least one.
         bytes: Vec<u8>,
     },
-    /// Bytes can flow.
     Up {
-        /// When the link came up.
         at: Timestamp<HostClock>,
         /// What was opened, for people.
         detail: String,
     },
     /// The link is down. Reported once per loss, and again while it stays down only if the reason changes.
     Down {
-        /// When the link noticed.
+        /// When the link detected the loss.
         at: Timestamp<HostClock>,
-        /// The reason, for people.
         reason: String,
         /// Time until the next attempt; zero if the current attempt is still running.
         retry_in: TimeDelta,
@@ -93,7 +85,6 @@ pub struct Link {
     backoff: Backoff,
     counters: LinkCounters,
     was_up: bool,
-    /// An event that is to be delivered first.
     pending_event: Option<LinkEvent>,
     /// The last reported reason why the link is down.
     reported_reason: Option<String>,
@@ -104,16 +95,20 @@ enum ConnectionState {
     Closed,
     /// An attempt is running. One that is overdue is left running: a second open of a device whose first one hangs
     /// would hang as well.
-    Opening { attempt: OpenFuture, deadline: Option<Pin<Box<Sleep>>> },
-    /// Between two attempts.
-    BackingOff { wake: Pin<Box<Sleep>> },
+    Opening {
+        attempt: OpenFuture,
+        deadline: Option<Pin<Box<Sleep>>>,
+    },
+    BackingOff {
+        wake: Pin<Box<Sleep>>,
+    },
     Up {
         connection: Box<dyn Connection>,
-        /// If the link has a rate limit.
+        /// `None` without a rate limit.
         pacer: Option<Box<Pacer>>,
         since: Timestamp<HostClock>,
     },
-    /// A file was played.
+    /// A file was played to its end.
     Finished,
 }
 
@@ -130,12 +125,10 @@ impl ConnectionState {
 }
 
 impl Link {
-    /// A link that is opened at the first poll.
     pub fn new(config: LinkOpenConfig, timer: HostTimer) -> Self {
         Self::with_tuning(config, LinkTuning::default(), timer)
     }
 
-    /// As [`Link::new`], with other settings.
     pub fn with_tuning(config: LinkOpenConfig, tuning: LinkTuning, timer: HostTimer) -> Self {
         Self {
             backoff: Backoff::new(config.id, SessionSeed::from_timer(&timer), tuning.backoff_delays),
@@ -152,7 +145,6 @@ impl Link {
         }
     }
 
-    /// The link's number in this station.
     pub const fn id(&self) -> LinkId {
         self.config.id
     }
@@ -161,7 +153,6 @@ impl Link {
         &self.config.url
     }
 
-    /// True while bytes can flow.
     pub const fn is_up(&self) -> bool {
         matches!(self.state, ConnectionState::Up { .. })
     }
@@ -194,7 +185,6 @@ impl Link {
         }
     }
 
-    /// Counters since the link was made.
     pub const fn counters(&self) -> LinkCounters {
         self.counters
     }

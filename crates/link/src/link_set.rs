@@ -20,7 +20,6 @@ pub struct LinkSet {
 }
 
 impl LinkSet {
-    /// A set of these links.
     pub const fn new(links: Vec<Link>) -> Self {
         Self { links, next_index: 0 }
     }
@@ -29,7 +28,6 @@ impl LinkSet {
         self.links.push(port);
     }
 
-    /// The link with this number.
     pub fn get_mut(&mut self, id: LinkId) -> Option<&mut Link> {
         self.links.iter_mut().find(|port| port.id() == id)
     }

@@ -47,7 +47,6 @@ impl Pacer {
         }
     }
 
-    /// Sends a frame, or queues it.
     pub(crate) fn send(
         &mut self,
         out: &OutgoingFrame<'_>,
@@ -116,7 +115,6 @@ fn transmit_cost(out: &OutgoingFrame<'_>, connection: &dyn Connection) -> usize 
 /// The burst after a pause, as a duration at the limit: one period of a display with 20 updates per second.
 const BURST: TimeDelta = TimeDelta::from_millis(50);
 
-/// The level of one link.
 #[derive(Clone, Debug)]
 pub(crate) struct TokenBucket {
     bytes_per_s: f64,
@@ -148,7 +146,6 @@ impl TokenBucket {
         TimeDelta::from_secs_f64(-self.level_bytes / self.bytes_per_s) + TimeDelta::from_nanos(1)
     }
 
-    /// Takes the bytes of a frame that passes.
     pub(crate) fn consume(&mut self, bytes: usize) {
         self.level_bytes -= bytes as f64;
     }

@@ -81,7 +81,6 @@ impl<D: PartialEq> SendQueue<D> {
         Self::with_reserve(limit_bytes, COMMAND_RESERVE_BYTES)
     }
 
-    /// As [`SendQueue::new`] with another reserve for commands.
     const fn with_reserve(limit_bytes: usize, reserve_bytes: usize) -> Self {
         Self {
             partial: None,
@@ -94,7 +93,6 @@ impl<D: PartialEq> SendQueue<D> {
         }
     }
 
-    /// True if no frame waits.
     pub(crate) fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -105,12 +103,10 @@ impl<D: PartialEq> SendQueue<D> {
         waiting + usize::from(self.partial.is_some())
     }
 
-    /// Whether frames wait, for the capacity meter.
     pub(crate) fn backlog(&self) -> Backlog {
         if self.is_empty() { Backlog::Empty } else { Backlog::Pending }
     }
 
-    /// How many bytes wait.
     pub(crate) fn bytes(&self) -> usize {
         self.partial_bytes() + self.telemetry_bytes + self.command_bytes
     }

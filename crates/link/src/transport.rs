@@ -75,7 +75,6 @@ pub(crate) const CHUNK: OptionHelp = OptionHelp {
 /// A kind of link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
-    /// A serial port.
     Serial,
     /// A Bluetooth Classic serial port (RFCOMM), by the device's address.
     Bluetooth,
@@ -83,7 +82,6 @@ pub enum Transport {
     Pty,
     /// TCP, client or server.
     Tcp,
-    /// UDP.
     Udp,
     /// An EV3 by WiFi.
     Ev3,
@@ -105,7 +103,6 @@ impl Transport {
         }
     }
 
-    /// A description of one line.
     pub const fn summary(self) -> &'static str {
         match self {
             Self::Serial => "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal of another program",
@@ -122,7 +119,6 @@ impl Transport {
         }
     }
 
-    /// An example of a link's URL.
     pub const fn example(self) -> &'static str {
         match self {
             Self::Serial => "serial:///dev/ttyUSB0?baud=115200",
@@ -143,7 +139,6 @@ impl Transport {
         }
     }
 
-    /// The options that may follow the question mark.
     pub const fn options(self) -> &'static [OptionHelp] {
         match self {
             Self::Serial => &[BAUD, DTR, RATE],
@@ -164,11 +159,8 @@ impl Transport {
 /// The form of a link's target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TargetKind {
-    /// [`Target::Path`](crate::Target::Path).
     Path,
-    /// [`Target::Host`](crate::Target::Host).
     Host,
-    /// [`Target::Bluetooth`](crate::Target::Bluetooth).
     Bluetooth,
 }
 
@@ -176,7 +168,6 @@ pub enum TargetKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OptionHelp {
     pub name: &'static str,
-    /// Its values and its default.
     pub kind: OptionKind,
     /// Its effect, units included.
     pub help: &'static str,
@@ -185,16 +176,17 @@ pub struct OptionHelp {
 /// The values of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptionKind {
-    /// A whole number.
-    Integer { min: u32, max: u32, default: u32 },
-    /// One of several words.
+    Integer {
+        min: u32,
+        max: u32,
+        default: u32,
+    },
     Choice {
-        /// The words; the first is the default.
+        /// The first is the default.
         words: &'static [&'static str],
     },
     /// Hexadecimal digits; the default is none.
     HexDigits {
-        /// The number of digits.
         count: usize,
     },
 }

@@ -29,15 +29,13 @@ pub struct LinkUrl {
 pub enum Target {
     /// A device, a pseudo-terminal's link or a file; relative to the working directory unless it begins with `/`.
     Path(PathBuf),
-    /// A network address.
     Host {
         /// A name, an IPv4 address or an IPv6 address without brackets. Empty if none was given; a link that listens is then
         /// reachable from this computer only.
         host: String,
-        /// The port number; 0 lets the system choose when listening.
+        /// 0 lets the system choose when listening.
         port: u16,
     },
-    /// A Bluetooth device.
     Bluetooth(BluetoothAddress),
 }
 
@@ -147,7 +145,6 @@ impl LinkUrl {
         Ok(Self { target: check_path(&text, path, transport)?, text, transport, options: Vec::new() })
     }
 
-    /// The transport that the scheme selects.
     pub const fn transport(&self) -> Transport {
         self.transport
     }

@@ -40,7 +40,6 @@ const ANNOUNCEMENT_REPLY: &[u8] = b"\0";
 struct Ev3Endpoint {
     address: SocketAddr,
     serial_number: String,
-    /// For people.
     name: String,
 }
 
@@ -133,7 +132,7 @@ async fn read_accept_reply(stream: &mut TcpStream) -> io::Result<bool> {
     Ok(false)
 }
 
-/// How many lines end behind the answer; 0 where it has not come, or where something else follows it.
+/// Number of line ends after the answer; 0 if the answer is incomplete or other bytes follow it.
 fn count_line_ends(welcome: &[u8]) -> usize {
     let at = welcome.windows(ACCEPT_REPLY.len()).position(|part| part == ACCEPT_REPLY);
     let Some(rest) = at.and_then(|at| welcome.get(at + ACCEPT_REPLY.len()..)) else {
@@ -155,7 +154,7 @@ pub(super) struct Announcement {
     pub(super) serial_number: String,
     /// The TCP port on which it listens.
     pub(super) port: u16,
-    /// The name that its user gave it; empty if it has none.
+    /// The name that its user gave it; may be empty.
     pub(super) name: String,
 }
 

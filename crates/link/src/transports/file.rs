@@ -62,7 +62,6 @@ fn classify_error(path: &Path, source: io::Error) -> OpenError {
     }
 }
 
-/// A file whose bytes come in.
 struct FilePlayback {
     file: fs::File,
     detail: String,
@@ -109,7 +108,6 @@ impl Connection for FilePlayback {
     }
 }
 
-/// A file to whose end frames go.
 struct FileAppender {
     file: fs::File,
     detail: String,

@@ -54,7 +54,6 @@ pub enum LineSettingsPolicy {
 /// Which end opens the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConnectRole {
-    /// Connects to the target.
     Dial,
     /// Waits for peers at the target. Devices and files are the same in both roles.
     Listen,
@@ -73,13 +72,10 @@ impl fmt::Display for ConnectRole {
 #[derive(Clone, Debug)]
 pub struct OpenRequest {
     pub url: LinkUrl,
-    /// Which end opens the connection.
     pub role: ConnectRole,
     /// The clock of the arrival times.
     pub timer: HostTimer,
-    /// The system's directories of devices.
     pub device_directories: DeviceDirectories,
-    /// What happens to the settings of a serial line.
     pub line_settings: LineSettingsPolicy,
     /// The [`Connection::stable_path`](crate::Connection::stable_path) of the last connection.
     pub stable_path: Option<PathBuf>,

@@ -34,9 +34,6 @@ pub(super) fn open_settings(device: &Path) -> nix::Result<OwnedFd> {
 }
 
 /// Keeps DTR unchanged when any program closes the line.
-///
-/// # Errors
-/// The settings cannot be read or written.
 pub(super) fn keep_dtr_on_close(line: &OwnedFd) -> nix::Result<()> {
     let mut settings = tcgetattr(line)?;
     settings.control_flags.remove(ControlFlags::HUPCL);
@@ -54,9 +51,6 @@ pub(super) struct LineSettingsGuard {
 
 impl LineSettingsGuard {
     /// Stores the settings of a line; `line` is a separate descriptor of it.
-    ///
-    /// # Errors
-    /// They cannot be read.
     pub(super) fn new(line: OwnedFd) -> io::Result<Self> {
         let found = rustix::termios::tcgetattr(&line)?;
         Ok(Self { line, original: found })
@@ -73,18 +67,18 @@ impl Drop for LineSettingsGuard {
     }
 }
 
-/// The result of setting an adapter's latency timer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum LatencyTimer {
     /// The driver has no such setting.
     Absent,
-    /// It is at its minimum.
     Shortened,
     /// It is not writable: the file's path and its current value.
-    Unchanged { file: String, ms: String },
+    Unchanged {
+        file: String,
+        ms: String,
+    },
 }
 
-/// Sets the latency timer of `device`, if it has one below `directory`, to its shortest.
 pub(super) fn shorten_latency_timer(device: &Path, directory: &Path) -> LatencyTimer {
     let Some(name) = device.file_name() else {
         return LatencyTimer::Absent;
@@ -100,7 +94,6 @@ pub(super) fn shorten_latency_timer(device: &Path, directory: &Path) -> LatencyT
 }
 
 impl LatencyTimer {
-    /// The remark for the link's detail.
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Absent => String::new(),

@@ -1,8 +1,9 @@
 //! TCP: a client, or with [`ConnectRole::Listen`] a server for many clients.
 //!
-//! Every client of a server is a byte source of its own, and receives what is sent to all. Clients come and go without the link going down; only the loss of the listening socket is a loss. If the system
-//! cannot accept another client (no descriptor left, no memory, network down), those that are connected stay, and new
-//! ones wait in the system's queue for a moment. Each client has its own send queue, so a slow one delays nobody.
+//! Every client of a server is a byte source of its own, and receives what is sent to all. Clients come and go without
+//! the link going down; only the loss of the listening socket is a loss. If the system cannot accept another client (no
+//! descriptor left, no memory, network down), those that are connected stay, and new ones wait in the system's queue
+//! for a moment. Each client has its own send queue, so a slow one delays nobody.
 //!
 //! Nagle's delay is off, because estimates are small and urgent. Keep-alives detect peers that left without closing, such as a
 //! robot that drives out of the access point's range.
@@ -59,7 +60,6 @@ const MAX_CLIENTS: usize = 256;
 /// Pause after a failed accept: a lasting failure, such as a full table of descriptors, must not keep the loop busy.
 const ACCEPT_PAUSE: TimeDelta = TimeDelta::from_millis(500);
 
-/// A listening socket with its clients.
 struct TcpServer {
     listener: TcpListener,
     address: SocketAddr,

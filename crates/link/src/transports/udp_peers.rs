@@ -25,7 +25,6 @@ pub(super) struct UdpPeerTable {
 struct UdpPeer {
     id: PeerId,
     window_start: Timestamp<HostClock>,
-    /// Datagrams since then.
     window_datagrams: u32,
     /// `None` for the host that the link names, which is never forgotten.
     last_heard: Option<Timestamp<HostClock>>,
@@ -121,7 +120,6 @@ impl UdpPeerTable {
         live.filter(|peer| audience.includes(peer.id)).count() as u32
     }
 
-    /// The addresses of a frame's recipients.
     pub(super) fn recipient_addresses(&mut self, audience: Recipients, now: Timestamp<HostClock>) -> Vec<SocketAddr> {
         if let Recipients::Peer(id) = audience {
             return self.by_id.get(&id).copied().into_iter().collect();

@@ -88,7 +88,6 @@ fn enlarge(socket: &SockRef<'_>) -> usize {
     doubled / 2
 }
 
-/// The warning about a receive buffer that is smaller than requested.
 pub(super) fn buffer_warning(granted_bytes: usize) -> Option<String> {
     (granted_bytes < RECEIVE_BUFFER_BYTES).then(|| {
         format!(
