@@ -51,3 +51,44 @@ impl ContestedMessages {
         self.0.remove(&(endpoint, address)).unwrap_or_default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{HostClock, LinkId, PeerId, TimeDelta, Timestamp};
+
+    use super::*;
+
+    #[test]
+    fn a_new_sender_beyond_the_limit_clears_all_and_a_known_one_drops_its_oldest() {
+        let endpoint = Endpoint { link: LinkId(0), peer: PeerId(0) };
+        let message = |nanos| {
+            let received =
+                ReceiveInfo { endpoint, host_time: Timestamp::<HostClock>::ZERO + TimeDelta::from_nanos(nanos) };
+            let heartbeat = posebridge_protocol::message::Heartbeat {
+                vehicle_type: 10,
+                autopilot: 0,
+                base_mode: 0,
+                system_status: 4,
+            };
+            ContestedMessage::Message(received, Message::Heartbeat(heartbeat))
+        };
+        let address = |index: usize| Address::new((index >> 8) as u8, index as u8);
+        let mut messages = ContestedMessages::default();
+        for index in 0..MAX_CONTENDERS {
+            messages.push(endpoint, address(index), message(0));
+        }
+        for nanos in 1..=MAX_PER_SENDER as i64 {
+            messages.push(endpoint, address(0), message(nanos));
+        }
+        assert_eq!(messages.0.len(), MAX_CONTENDERS);
+        let first = messages.take(endpoint, address(0));
+        let oldest = match first.front() {
+            Some(ContestedMessage::Message(received, _)) => received.host_time.as_nanos(),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!((first.len(), oldest), (MAX_PER_SENDER, 1));
+        messages.push(endpoint, address(0), message(0));
+        messages.push(endpoint, address(MAX_CONTENDERS), message(0));
+        assert_eq!(messages.0.len(), 1);
+    }
+}

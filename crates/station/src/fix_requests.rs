@@ -131,3 +131,25 @@ fn is_fix_needed(config: &FixRequestConfig, estimate: Option<&Estimate>) -> bool
     exceeds(config.above_m, is_placed, position_sigma_m)
         || exceeds(config.above_rad, is_turned, estimate.heading_sigma_rad())
 }
+
+#[cfg(test)]
+mod tests {
+    use posebridge_protocol::message::Heartbeat;
+
+    use super::*;
+
+    #[test]
+    fn only_senders_whose_heartbeat_is_a_camera_s_are_asked_up_to_the_limit() {
+        let heartbeat =
+            |vehicle_type| Message::Heartbeat(Heartbeat { vehicle_type, autopilot: 8, base_mode: 0, system_status: 4 });
+        let sender = |index: usize| (LinkId(0), Address::new(index as u8, 100));
+        let mut requests = FixRequests::default();
+        requests.observe_message(sender(200), &heartbeat(10));
+        for index in 0..=MAX_CAMERAS {
+            requests.observe_message(sender(index), &heartbeat(MAV_TYPE_CAMERA));
+        }
+        let config = FixRequestConfig { above_m: Some(0.1), ..FixRequestConfig::default() };
+        let requested = requests.due(Timestamp::ZERO, &config, None);
+        assert_eq!(requested, (0..MAX_CAMERAS).map(sender).collect::<Vec<_>>());
+    }
+}

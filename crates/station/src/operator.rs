@@ -49,3 +49,20 @@ impl CommandTarget {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_an_equal_drive_command_in_a_row_is_a_repeated_key() {
+        let target = |command| TargetedCommand { target: CommandTarget::Station, command };
+        let drive = |forward_m_per_s| {
+            target(Command::Simulator(SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s: 0.0 }))
+        };
+        let reset = target(Command::ResetPose);
+        let mut state = OperatorState::new(Params::default());
+        let sequence = [drive(0.1), drive(0.1), drive(0.2), reset, reset, drive(0.2)];
+        assert_eq!(sequence.map(|command| state.is_key_repeat(command)), [false, true, false, false, false, false]);
+    }
+}

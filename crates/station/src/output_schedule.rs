@@ -251,6 +251,19 @@ mod tests {
     }
 
     #[test]
+    fn a_requested_interval_of_zero_restores_the_configured_one() {
+        let pose = OutputStream { kind: OutputKind::PlanarPose, ..odometry(40) };
+        let mut schedule = OutputSchedule::new(&[pose, odometry(100)]);
+        schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::from_millis(500)));
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), 500_000);
+        schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::ZERO));
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), 100_000);
+        schedule.set_interval(ids::ODOMETRY, None);
+        assert_eq!(schedule.interval_micros(OutputKind::Odometry), -1);
+        assert_eq!(schedule.interval_micros(OutputKind::PlanarPose), 40_000);
+    }
+
+    #[test]
     fn a_silence_is_not_made_up_for() {
         let mut schedule = OutputSchedule::new(&[odometry(100)]);
         let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
